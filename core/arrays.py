@@ -1,0 +1,66 @@
+"""One door for each kind of array: shape, type and finiteness are checked here, and the message quotes what came."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import FacemimeError
+
+FloatArray = NDArray[np.floating[Any]]
+IntArray = NDArray[np.integer[Any]]
+
+
+def as_points(
+    values: ArrayLike,
+    name: str,
+    *,
+    count: int | None = None,
+    dims: int = 3,
+    dtype: type = np.float64,
+    finite: bool = True,
+    error: type[FacemimeError] = FacemimeError,
+) -> FloatArray:
+    """Return `values` as a contiguous (N, dims) array of floats.
+
+    Raises
+    ------
+    error
+        Where the shape is not (N, dims), N is not `count`, or (if `finite`) a value is NaN or infinite.
+    """
+    array: FloatArray = np.ascontiguousarray(values, dtype=dtype)
+    expected = f"({'N' if count is None else count}, {dims})"
+    if array.ndim != 2 or array.shape[1] != dims or (count is not None and array.shape[0] != count):
+        raise error(f"{name} must have the shape {expected}; got {array.shape}.")
+    if finite and not np.isfinite(array).all():
+        rows = np.flatnonzero(~np.isfinite(array).all(axis=1))
+        raise error(f"{name} must be finite; {len(rows)} rows are not, the first is row {rows[0]}.")
+    return array
+
+
+def as_image(frame: ArrayLike, name: str = "image") -> NDArray[np.uint8]:
+    """Return `frame` as an 8-bit grey (H, W) or BGR (H, W, 3) image; BGRA drops its alpha, 16 bit its low byte.
+
+    Raises
+    ------
+    FacemimeError
+        Where the array is not an image of at least one pixel. Non-finite floats count as black.
+    """
+    image = np.asarray(frame)
+    if image.ndim == 3 and image.shape[2] == 1:
+        image = image[..., 0]
+    if image.ndim == 3 and image.shape[2] == 4:
+        image = image[..., :3]
+    if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3) or image.size == 0:
+        raise FacemimeError(f"{name} must be (H, W), (H, W, 3) or (H, W, 4); got {image.shape}.")
+    if image.dtype == np.uint8:
+        return np.ascontiguousarray(image)
+    if image.dtype == np.uint16:
+        return np.ascontiguousarray((image >> 8).astype(np.uint8))
+    if np.issubdtype(image.dtype, np.floating):
+        return np.ascontiguousarray((np.clip(np.nan_to_num(image), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
+    if image.dtype == np.bool_:
+        return np.ascontiguousarray(image.astype(np.uint8) * 255)
+    raise FacemimeError(f"{name} must be 8 or 16 bit, or float in 0..1; got {image.dtype}.")

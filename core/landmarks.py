@@ -1,0 +1,68 @@
+"""The 66 landmarks: iBUG-68 without the inner mouth corners 60 and 64, in iBUG order.
+
+Everything here speaks of positions in the 66-point array. METHOD and the literature speak of iBUG numbers: use
+`from_ibug` to translate. The two agree below 60.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+N_LANDMARKS = 66
+
+IBUG68_INDICES: NDArray[np.intp] = np.array([i for i in range(68) if i not in (60, 64)])
+"""(66,) iBUG-68 number of each of our landmarks; `points68[IBUG68_INDICES]` are our 66 points."""
+
+
+def from_ibug(numbers: Iterable[int]) -> NDArray[np.intp]:
+    """Positions in the 66-point array of iBUG-68 landmark `numbers`; ValueError for 60, 64 and unknown ones."""
+    position = {int(ibug): i for i, ibug in enumerate(IBUG68_INDICES)}
+    numbers = [int(n) for n in numbers]
+    if unknown := [n for n in numbers if n not in position]:
+        raise ValueError(f"not among the 66 landmarks: {unknown}")
+    return np.array([position[n] for n in numbers], dtype=np.intp)
+
+
+JAW = from_ibug(range(0, 17))
+BROWS = from_ibug(range(17, 27))
+NOSE = from_ibug(range(27, 36))
+EYE_RIGHT = from_ibug(range(36, 42))
+"""The performer's right eye, on the viewer's left: outer corner, two of the upper lid, inner corner, two of the lower."""
+EYE_LEFT = from_ibug(range(42, 48))
+"""The performer's left eye: inner corner, two of the upper lid, outer corner, two of the lower lid."""
+MOUTH_OUTER = from_ibug(range(48, 60))
+MOUTH_INNER_UPPER = from_ibug(range(61, 64))
+MOUTH_INNER_LOWER = from_ibug(range(65, 68))
+INNER = np.arange(17, N_LANDMARKS)
+"""The 49 inner points (all but the jaw line), over which errors are reported."""
+OUTER_EYE_CORNERS = from_ibug((36, 45))
+"""Their distance is the unit of the shape model and of reported errors."""
+
+_MIRROR_IBUG = np.array(
+    [*range(16, -1, -1), *range(26, 16, -1), 27, 28, 29, 30, 35, 34, 33, 32, 31]
+    + [45, 44, 43, 42, 47, 46, 39, 38, 37, 36, 41, 40]
+    + [54, 53, 52, 51, 50, 49, 48, 59, 58, 57, 56, 55, 64, 63, 62, 61, 60, 67, 66, 65]
+)
+MIRROR: NDArray[np.intp] = from_ibug(_MIRROR_IBUG[IBUG68_INDICES])
+"""(66,) the landmark on the other side of the face; `points[MIRROR]` relabels a face flipped left to right."""
+
+EDGES: tuple[tuple[int, int], ...] = tuple(
+    (int(a), int(b))
+    for chain, closed in (
+        (JAW, False),
+        (BROWS[:5], False),
+        (BROWS[5:], False),
+        (NOSE[:4], False),
+        (NOSE[4:], False),
+        (EYE_RIGHT, True),
+        (EYE_LEFT, True),
+        (MOUTH_OUTER, True),
+        (MOUTH_INNER_UPPER, False),
+        (MOUTH_INNER_LOWER, False),
+    )
+    for a, b in zip(chain, [*chain[1:], chain[0]] if closed else chain[1:], strict=False)
+)
+"""Pairs of landmarks that a drawing joins by a line."""

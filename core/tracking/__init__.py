@@ -1,0 +1,1 @@
+"""Constrained local model: from an image to 66 landmarks, head pose and shape (METHOD section 3)."""
