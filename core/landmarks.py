@@ -30,7 +30,7 @@ JAW = from_ibug(range(0, 17))
 BROWS = from_ibug(range(17, 27))
 NOSE = from_ibug(range(27, 36))
 EYE_RIGHT = from_ibug(range(36, 42))
-"""The performer's right eye, on the viewer's left: outer corner, two of the upper lid, inner corner, two of the lower."""
+"""The performer's right eye, on the viewer's left: outer corner, two of the upper lid, inner corner, lower lid."""
 EYE_LEFT = from_ibug(range(42, 48))
 """The performer's left eye: inner corner, two of the upper lid, outer corner, two of the lower lid."""
 MOUTH_OUTER = from_ibug(range(48, 60))

@@ -1,0 +1,1 @@
+"""From landmarks' displacements to every vertex of a mesh (METHOD sections 5 and 6)."""

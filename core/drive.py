@@ -1,0 +1,142 @@
+"""The way of a frame from a tracking result to a head: vertices, pose, jaw and gaze; the same live and headless."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .arrays import FloatArray, IntArray
+from .deform.rbf import RBFDeformer
+from .deform.regions import membership
+from .errors import HeadError
+from .landmarks import N_LANDMARKS, OUTER_EYE_CORNERS, from_ibug
+from .retarget import Mode, Neutral, Retargeter
+from .rotation import euler_to_matrix, fit_rotation, matrix_to_euler
+from .tracking.result import TrackResult
+
+_CHIN = from_ibug(range(6, 11))
+_GAZE_LIMIT = np.radians((15.0, 25.0))
+_CAMERA_DISTANCE = 6.0
+
+
+@dataclass(frozen=True)
+class HeadRig:
+    """What driving a mesh needs to know of it, in the head frame and the mesh's own unit.
+
+    Attributes
+    ----------
+    vertices : (V, 3) float
+        Rest positions.
+    landmarks : (66,) int
+        Vertex of each landmark.
+    region_weights : (3, V) float
+        Shares of the regions upper, middle and lower.
+    jaw_pivot : (3,) float
+        A point on the hinge of the jaw.
+    """
+
+    vertices: FloatArray
+    landmarks: IntArray
+    region_weights: FloatArray
+    jaw_pivot: FloatArray
+
+    def __post_init__(self) -> None:
+        landmarks = np.asarray(self.landmarks)
+        if landmarks.shape != (N_LANDMARKS,):
+            raise HeadError(
+                f"{N_LANDMARKS} landmark vertices are needed; got {landmarks.shape}. Bind the landmarks first."
+            )
+        if landmarks.min() < 0 or landmarks.max() >= len(self.vertices):
+            raise HeadError("The landmarks name vertices that the mesh no longer has. Bind them again.")
+
+
+@dataclass(frozen=True)
+class HeadFrame:
+    """One frame of a driven head.
+
+    Attributes
+    ----------
+    vertices : (V, 3) float32
+        Head frame, the mesh's unit, the head's pose not applied.
+    rotation : (3, 3) float64
+        Of the whole head from its neutral attitude.
+    translation : (3,) float64
+        Of the whole head from its neutral place, the mesh's unit.
+    jaw : (3, 3) float64
+        Rotation of lower teeth and tongue about the jaw's pivot.
+    gaze : (3, 3) float64
+        Rotation of both eyeballs about their centres, within the head.
+    """
+
+    vertices: NDArray[np.float32]
+    rotation: FloatArray
+    translation: FloatArray
+    jaw: FloatArray
+    gaze: FloatArray
+
+
+class HeadDriver:
+    """Drives one head from one performer; prepared once, then a few matrix products a frame.
+
+    Parameters
+    ----------
+    rig : HeadRig
+    neutral : Neutral
+        The performer's, from `calibrate`.
+    mode, strength
+        As for `Retargeter`.
+    sigma : float, optional
+        As for `RBFDeformer`.
+    """
+
+    def __init__(
+        self,
+        rig: HeadRig,
+        neutral: Neutral,
+        *,
+        mode: Mode = "3d",
+        strength: ArrayLike = (1.0, 1.0, 1.0),
+        sigma: float | None = None,
+    ) -> None:
+        points = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
+        self.rig = rig
+        self.neutral = neutral
+        self.retargeter = Retargeter(neutral.shape, points, mode=mode, strength=strength)
+        self.deformer = RBFDeformer(rig.vertices, points, rig.region_weights, membership(), sigma=sigma)
+        self._chin = points[_CHIN] - rig.jaw_pivot
+        self._unit = float(np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS])))
+
+    def frame(self, result: TrackResult) -> HeadFrame:
+        """The head for one tracking result in which a face was found."""
+        displacements = self.retargeter.displacements(result.shape)
+        rotation = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
+        return HeadFrame(
+            vertices=self.deformer.deform(displacements),
+            rotation=rotation,
+            translation=self._translation(result.pose),
+            jaw=fit_rotation(self._chin, self._chin + displacements[_CHIN]),
+            gaze=gaze_at_viewer(rotation),
+        )
+
+    def _translation(self, pose: FloatArray) -> FloatArray:
+        """Weak perspective: sideways in eye distances, depth from the scale's change at an ordinary webcam distance."""
+        scale, tx, ty = self.neutral.position
+        s = float(pose[0])
+        sideways = np.array([pose[4] - tx, pose[5] - ty]) / np.sqrt(s * scale)
+        depth = _CAMERA_DISTANCE * (scale / s - 1.0)
+        return np.asarray(self._unit * np.array([*sideways, depth]))
+
+
+def gaze_at_viewer(rotation: FloatArray) -> FloatArray:
+    """Rotation of the eyes within a head turned by `rotation` that keeps them on the viewer, as far as eyes turn.
+
+    The landmarks do not tell the gaze; people mostly look at the screen that they perform to, and an avatar whose eyes
+    are fixed in its skull looks dead.
+    """
+    pitch, yaw, _ = matrix_to_euler(rotation.T)
+    pitch_limit, yaw_limit = _GAZE_LIMIT
+    return euler_to_matrix(
+        float(np.clip(pitch, -pitch_limit, pitch_limit)), float(np.clip(yaw, -yaw_limit, yaw_limit)), 0.0
+    )

@@ -1,0 +1,177 @@
+"""From a performer's pose-free landmarks to displacements of an avatar's landmarks (METHOD section 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .arrays import FloatArray, as_points
+from .deform.regions import REGIONS, membership
+from .errors import HeadError, SourceError
+from .landmarks import N_LANDMARKS, from_ibug
+from .rotation import euler_to_matrix
+from .takes.take import Take
+
+Mode = Literal["3d", "planar"]
+
+_UPPER_LIDS = from_ibug((37, 38, 43, 44))
+_LOWER_LIDS = from_ibug((41, 40, 47, 46))
+_FRONTAL_YAW = 0.35
+
+
+@dataclass(frozen=True)
+class Neutral:
+    """The performer at rest.
+
+    Attributes
+    ----------
+    shape : (66, 3) float64
+        Mean pose-free shape: head frame, outer-eye distances.
+    rotation : (3, 3) float64
+        How the performer held the head, so that the avatar looks straight ahead then.
+    position : (3,) float64
+        `(s, tx, ty)` of the mean pose: pixels an outer-eye distance, pixels, pixels.
+    start, end : float
+        Seconds of the take that were averaged.
+    """
+
+    shape: FloatArray
+    rotation: FloatArray
+    position: FloatArray
+    start: float
+    end: float
+
+
+def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> Neutral:
+    """Average the pose-free shape over about a second in which the performer is neutral.
+
+    Parameters
+    ----------
+    start : float, optional
+        Seconds. By default the steadiest second is taken whose shape is nearest to the median of the take: a face
+        rests more than it acts.
+    duration : float
+        Seconds to average.
+
+    Raises
+    ------
+    SourceError
+        Where no face was found in the chosen time, or in the whole take.
+    """
+    if not take.found.any():
+        raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")
+    if start is None:
+        start = _quietest_second(take, duration)
+    chosen = take.found & (take.times >= start - 1e-9) & (take.times <= start + duration)
+    if not chosen.any():
+        raise SourceError(
+            f"No face was found between {start:.2f} s and {start + duration:.2f} s. Choose another neutral."
+        )
+    pitch, yaw, roll = (float(a) for a in take.pose[chosen, 1:4].mean(axis=0))
+    return Neutral(
+        shape=take.shape[chosen].astype(np.float64).mean(axis=0),
+        rotation=euler_to_matrix(pitch, yaw, roll),
+        position=take.pose[chosen][:, [0, 4, 5]].mean(axis=0),
+        start=float(take.times[chosen][0]),
+        end=float(take.times[chosen][-1]),
+    )
+
+
+def _quietest_second(take: Take, duration: float) -> float:
+    found = np.flatnonzero(take.found)
+    times, shapes = take.times[found], take.shape[found].astype(np.float64)
+    frontal = np.abs(take.pose[found, 2]) < _FRONTAL_YAW
+    reference = np.median(shapes[frontal] if frontal.any() else shapes, axis=0)
+    distance = np.linalg.norm(shapes - reference, axis=2).mean(axis=1) + np.abs(take.pose[found, 2]) * 0.1
+    ends = np.searchsorted(times, times + duration, side="right")
+    full = np.flatnonzero(times + duration <= times[-1] + 1e-9)
+    starts = full if len(full) else np.array([0])
+    sums = np.concatenate([[0.0], np.cumsum(distance)])
+    counts = ends[starts] - starts
+    dense = counts >= 0.5 * counts.max()
+    mean = np.where(dense, (sums[ends[starts]] - sums[starts]) / counts, np.inf)
+    return float(times[starts[np.argmin(mean)]])
+
+
+class Retargeter:
+    """Turns pose-free shapes of one performer into displacements of one avatar's landmarks.
+
+    Parameters
+    ----------
+    neutral : (66, 3) array_like
+        The performer's neutral shape: head frame, outer-eye distances.
+    head_landmarks : (66, 3) array_like
+        The avatar's landmarks at rest: head frame, the avatar's own unit.
+    mode : {"3d", "planar"}
+        `planar` keeps every depth at its neutral value, as the paper does.
+    strength : (3,) array_like
+        Gain of the regions upper, middle and lower.
+
+    Notes
+    -----
+    Motion is scaled by the ratio of the avatar's extent to the performer's, across and down separately, region by
+    region; landmarks of two regions take the mean. Lids are scaled down by the ratio of the eyes' openings instead,
+    so that a performer's closed eye closes the avatar's, whatever the shape of the two.
+    """
+
+    def __init__(
+        self,
+        neutral: ArrayLike,
+        head_landmarks: ArrayLike,
+        *,
+        mode: Mode = "3d",
+        strength: ArrayLike = (1.0, 1.0, 1.0),
+    ) -> None:
+        if mode not in ("3d", "planar"):
+            raise HeadError(f'mode must be "3d" or "planar"; got {mode!r}.')
+        self.neutral = as_points(neutral, "neutral", count=N_LANDMARKS, error=HeadError)
+        self.head_landmarks = as_points(head_landmarks, "head_landmarks", count=N_LANDMARKS, error=HeadError)
+        self.scale = _scale(self.neutral, self.head_landmarks)
+        gains = np.asarray(strength, dtype=np.float64)
+        members = membership()
+        self.scale *= ((members * gains[:, None]).sum(axis=0) / members.sum(axis=0))[:, None]
+        if mode == "planar":
+            self.scale[:, 2] = 0.0
+
+    def displacements(self, shape: ArrayLike) -> FloatArray:
+        """(66, 3) displacements of the avatar's landmarks, head frame and the avatar's unit.
+
+        Parameters
+        ----------
+        shape : (66, 3) array_like
+            The performer's pose-free shape.
+        """
+        current = as_points(shape, "shape", count=N_LANDMARKS)
+        return np.asarray(self.scale * (current - self.neutral))
+
+
+def _scale(neutral: FloatArray, head: FloatArray) -> FloatArray:
+    """(66, 3) factor from the performer's displacement of each landmark to the avatar's."""
+    members = membership()
+    ratios = np.empty((len(REGIONS), 3))
+    for row, region in zip(ratios, REGIONS, strict=True):
+        row[:2] = _spread(head[region.landmarks]) / _spread(neutral[region.landmarks])
+        row[2] = np.sqrt(row[0] * row[1])
+    scale: FloatArray = np.asarray(members.T @ ratios / members.sum(axis=0)[:, None])
+    opening = _opening(head) / _opening(neutral)
+    for lids in (_UPPER_LIDS, _LOWER_LIDS):
+        scale[lids, 1] = np.repeat(opening, 2)
+    return scale
+
+
+def _spread(points: FloatArray) -> FloatArray:
+    """Root mean square extent across and down, (2,)."""
+    spread = points[:, :2].std(axis=0)
+    if not (spread > 0).all():
+        raise HeadError("All landmarks of a region lie on one line. Bind them to the vertices that they name.")
+    return np.asarray(spread)
+
+
+def _opening(points: FloatArray) -> FloatArray:
+    """Mean height of the right and the left eye's opening, (2,)."""
+    height = (points[_LOWER_LIDS, 1] - points[_UPPER_LIDS, 1]).reshape(2, 2).mean(axis=1)
+    width = np.linalg.norm(points[from_ibug((39, 45))] - points[from_ibug((36, 42))], axis=1)
+    return np.asarray(np.maximum(height, 0.05 * width))

@@ -1,0 +1,39 @@
+"""Rotations of the head frame (x right, y down, z away): angles, vectors and the fit between two point sets."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .arrays import FloatArray
+
+
+def euler_to_matrix(pitch: float, yaw: float, roll: float) -> FloatArray:
+    """R = Rz(roll) Ry(yaw) Rx(pitch), (3, 3); radians, signs as in `TrackResult`."""
+    cx, sx, cy, sy, cz, sz = (f(a) for a in (pitch, yaw, roll) for f in (np.cos, np.sin))
+    return np.array(
+        [
+            [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+            [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+            [-sy, cy * sx, cy * cx],
+        ]
+    )
+
+
+def matrix_to_euler(rotation: FloatArray) -> tuple[float, float, float]:
+    """(pitch, yaw, roll) with |yaw| <= pi / 2, the inverse of `euler_to_matrix`."""
+    yaw = np.arctan2(-rotation[2, 0], np.hypot(rotation[2, 1], rotation[2, 2]))
+    pitch = np.arctan2(rotation[2, 1], rotation[2, 2])
+    roll = np.arctan2(rotation[1, 0], rotation[0, 0])
+    return float(pitch), float(yaw), float(roll)
+
+
+def fit_rotation(source: FloatArray, target: FloatArray) -> FloatArray:
+    """The rotation R, (3, 3), that minimises sum |R source_i - target_i|^2 over (N, 3) points about the origin.
+
+    References
+    ----------
+    Kabsch, Acta Crystallographica A32, 1976; the sign of the determinant after Umeyama 1991.
+    """
+    u, _, vt = np.linalg.svd(target.T @ source)
+    sign = np.sign(np.linalg.det(u @ vt))
+    return np.asarray(u * np.array([1.0, 1.0, sign]) @ vt)
