@@ -1,4 +1,4 @@
-"""Where frames come from: a video file or a still image, each frame with the time that the media itself states.
+"""Where frames come from: a video file, each frame with the time that the media itself states.
 
 A frame's time is its presentation time in the container, not its number over the nominal rate: recordings from phones
 and webcams have a variable rate, and animation timed by counting runs out of step with their sound.
@@ -7,7 +7,7 @@ and webcams have a variable rate, and animation timed by counting runs out of st
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from .errors import SourceError
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-
-IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,7 @@ class VideoSource:
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
-        _require_file(self.path)
+        require_file(self.path)
         cv2.setLogLevel(0)
         self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
@@ -97,24 +95,21 @@ class VideoSource:
         self.close()
 
 
-def read_image(path: Path) -> NDArray[np.uint8]:
-    """Return the image at `path` as (H, W, 3) uint8 BGR, turned upright by its EXIF orientation.
-
-    Raises
-    ------
-    SourceError
-        Where there is no such file or it is no image.
-    """
-    path = Path(path)
-    _require_file(path)
-    cv2.setLogLevel(0)
-    image = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR) if path.stat().st_size else None
-    if image is None:
-        raise SourceError(f"{path} is not an image that can be read. Convert it to JPEG or PNG and try again.")
-    return np.asarray(image, dtype=np.uint8)
+def at_constant_rate(frames: Iterable[Frame], fps: float) -> Iterator[Frame]:
+    """Yield, `fps` times a second, the frame on show at that moment, its `time` that moment, its `index` unchanged."""
+    emitted = 0
+    shown: Frame | None = None
+    for frame in frames:
+        while shown is not None and emitted / fps < frame.time - 0.5 / fps:
+            yield Frame(shown.image, emitted / fps, shown.index)
+            emitted += 1
+        shown = frame
+    if shown is not None:
+        yield Frame(shown.image, emitted / fps, shown.index)
 
 
-def _require_file(path: Path) -> None:
+def require_file(path: Path) -> None:
+    """Raise SourceError, saying which it is, where `path` is missing, no file, or not readable."""
     if not path.exists():
         raise SourceError(f"There is no file {path}. Check the path.")
     if not path.is_file():

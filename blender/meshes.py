@@ -1,0 +1,87 @@
+"""Vertices of a mesh to and from numpy, and the rig (landmarks, regions) that is stored with a mesh."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.drive import HeadRig
+from ..core.errors import HeadError
+from ..core.landmarks import N_LANDMARKS
+from .frames import from_blender, to_blender
+from .names import LANDMARKS_PROPERTY, REGION_GROUPS
+
+_JAW_ENDS = (0, 16)
+
+
+def mesh_of(obj: bpy.types.Object | None) -> bpy.types.Mesh:
+    """The mesh of `obj`; HeadError where there is no object or it is no mesh."""
+    if obj is None:
+        raise HeadError("No object is active. Add a head with Add > Mesh > Facemime Head, or select your own.")
+    if not isinstance(obj.data, bpy.types.Mesh):
+        raise HeadError(f"{obj.name} is not a mesh. Select a head mesh, or add one with Add > Mesh > Facemime Head.")
+    return obj.data
+
+
+def read_vertices(mesh: bpy.types.Mesh) -> NDArray[np.float32]:
+    """Rest vertices of `mesh`, (V, 3) float32 in the head frame: of its basis shape key where it has keys."""
+    flat = np.empty(3 * len(mesh.vertices), dtype=np.float32)
+    if mesh.shape_keys is not None:
+        mesh.shape_keys.reference_key.points.foreach_get("co", flat)
+    else:
+        mesh.attributes["position"].data.foreach_get("vector", flat)
+    return from_blender(flat.reshape(-1, 3))
+
+
+def write_vertices(mesh: bpy.types.Mesh, vertices: NDArray[np.float32]) -> None:
+    """Move all vertices of `mesh`, which has no shape keys, to (V, 3) `vertices` in the head frame.
+
+    The assignment of one vertex to itself renews normals and bounds, which the fast write leaves stale before 5.2.
+    """
+    flat = np.ascontiguousarray(to_blender(vertices), dtype=np.float32).reshape(-1)
+    mesh.attributes["position"].data.foreach_set("vector", flat)
+    first = mesh.vertices[0]
+    first.co = first.co
+
+
+def read_rig(obj: bpy.types.Object | None) -> HeadRig:
+    """What driving `obj` needs, read from its mesh, landmark property and vertex groups.
+
+    Raises
+    ------
+    HeadError
+        Where the object is no mesh, or its landmarks or regions are missing or no longer fit the mesh.
+    """
+    mesh = mesh_of(obj)
+    bound = mesh.get(LANDMARKS_PROPERTY)
+    if bound is None or len(bound) != N_LANDMARKS:
+        raise HeadError(f"{obj.name} has no landmarks. Bind the {N_LANDMARKS} landmarks, or use the built-in head.")
+    landmarks = np.array(bound, dtype=np.intp)
+    if landmarks.min() < 0 or landmarks.max() >= len(mesh.vertices):
+        raise HeadError(f"The landmarks of {obj.name} name vertices that the mesh no longer has. Bind them again.")
+    vertices = read_vertices(mesh)
+    return HeadRig(
+        vertices=vertices,
+        landmarks=landmarks,
+        region_weights=read_regions(obj),
+        jaw_pivot=vertices[landmarks[list(_JAW_ENDS)]].astype(np.float64).mean(axis=0),
+    )
+
+
+def read_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
+    """(3, V) weights of the vertex groups Upper, Middle and Lower; HeadError where one is missing or empty."""
+    groups = [obj.vertex_groups.get(name) for name in REGION_GROUPS]
+    if missing := [name for name, group in zip(REGION_GROUPS, groups, strict=True) if group is None]:
+        raise HeadError(f"{obj.name} lacks the vertex groups {', '.join(missing)}. Paint these regions on the mesh.")
+    weights = np.zeros((len(groups), len(obj.data.vertices)), dtype=np.float32)
+    row_of = {group.index: row for row, group in enumerate(groups)}
+    for vertex in obj.data.vertices:
+        for element in vertex.groups:
+            if (row := row_of.get(element.group)) is not None:
+                weights[row, vertex.index] = element.weight
+    if empty := [name for name, row in zip(REGION_GROUPS, weights, strict=True) if not row.any()]:
+        raise HeadError(
+            f"The vertex groups {', '.join(empty)} of {obj.name} are empty. Paint these regions on the mesh."
+        )
+    return weights

@@ -1,0 +1,119 @@
+"""Pictures out of Blender: frames of a scene as arrays, and H.264 video, which OpenCV cannot write, from arrays."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import bpy
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import OutputError
+from ..core.files import replacing
+
+Image = NDArray[np.uint8]
+
+
+def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[int, int]) -> Iterator[Image]:
+    """Yield a BGR picture of `size` (width, height) for each of `frames`, which may be fractional."""
+    render = scene.render
+    render.resolution_x, render.resolution_y = size
+    render.resolution_percentage = 100
+    if hasattr(render.image_settings, "media_type"):
+        render.image_settings.media_type = "IMAGE"
+    render.image_settings.file_format = "BMP"
+    render.image_settings.color_mode = "RGB"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "frame.bmp"
+        render.filepath = str(path)
+        for frame in frames:
+            whole = int(np.floor(frame))
+            scene.frame_set(whole, subframe=float(frame - whole))
+            with quiet():
+                bpy.ops.render.render(write_still=True, scene=scene.name)
+            image = cv2.imread(str(path))
+            if image is None:
+                raise OutputError("Blender rendered no picture. Free some disk space in the temporary folder.")
+            yield np.asarray(image, dtype=np.uint8)
+
+
+def write_video(images: Iterable[Image], fps: float, path: Path) -> None:
+    """Write BGR `images`, all of one even size, as H.264 in MP4, with Blender's own encoder.
+
+    Raises
+    ------
+    OutputError
+        Where the file cannot be written.
+    """
+    with replacing(Path(path)) as temporary, tempfile.TemporaryDirectory() as folder:
+        names = []
+        for i, image in enumerate(images):
+            names.append(f"{i:06d}.jpg")
+            if not cv2.imwrite(str(Path(folder) / names[-1]), image, (cv2.IMWRITE_JPEG_QUALITY, 97)):
+                raise OutputError(f"Cannot write pictures to {folder}. Free some disk space.")
+        if not names:
+            raise OutputError("There is no picture to make a video of.")
+        temporary.unlink()
+        _encode(Path(folder), names, (image.shape[1], image.shape[0]), fps, temporary)
+        if not temporary.exists() or temporary.stat().st_size == 0:
+            raise OutputError(f"Blender could not encode {path.name}. Free some disk space, or choose another place.")
+
+
+def _encode(folder: Path, names: list[str], size: tuple[int, int], fps: float, output: Path) -> None:
+    scene = bpy.data.scenes.new("Facemime Encoding")
+    try:
+        render = scene.render
+        render.resolution_x, render.resolution_y = size
+        render.resolution_percentage = 100
+        set_rate(scene, fps)
+        scene.view_settings.view_transform = "Standard"
+        scene.frame_start, scene.frame_end = 1, len(names)
+        editor = scene.sequence_editor_create()
+        strips = editor.strips if hasattr(editor, "strips") else editor.sequences
+        strip = strips.new_image("frames", str(folder / names[0]), channel=1, frame_start=1)
+        for name in names[1:]:
+            strip.elements.append(name)
+        strip.frame_final_duration = len(names)
+        if hasattr(render.image_settings, "media_type"):
+            render.image_settings.media_type = "VIDEO"
+        render.image_settings.file_format = "FFMPEG"
+        render.ffmpeg.format = "MPEG4"
+        render.ffmpeg.codec = "H264"
+        render.ffmpeg.constant_rate_factor = "HIGH"
+        render.ffmpeg.ffmpeg_preset = "GOOD"
+        render.use_file_extension = False
+        render.filepath = str(output)
+        with quiet():
+            bpy.ops.render.render(animation=True, scene=scene.name)
+    finally:
+        bpy.data.scenes.remove(scene)
+
+
+def set_rate(scene: bpy.types.Scene, fps: float) -> None:
+    """Set the rate of `scene` to `fps` frames a second, fractions such as 30000/1001 kept exactly enough."""
+    fraction = Fraction(fps).limit_denominator(1001)
+    whole = round(fps) if abs(fps - round(fps)) < 1e-3 else int(np.ceil(fps))
+    scene.render.fps = whole
+    scene.render.fps_base = whole / float(fraction)
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Keep Blender's own chatter, which it prints a line a frame, off the process' standard output."""
+    sys.stdout.flush()
+    saved = os.dup(1)
+    null = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 1)
+        yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+        os.close(null)

@@ -1,0 +1,167 @@
+"""The command `facemime`: the same work as the operators', without Blender's window.
+
+`landmarks` and `track` need no Blender; `puppet` runs where `bpy` can be imported: the bpy module, or Blender itself
+as `blender --command facemime puppet ...`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from .console import Progress
+from .core.errors import FacemimeError, SourceError
+from .core.files import check_writable, replacing
+from .core.images import IMAGE_SUFFIXES, read_image, write_image
+from .core.landmarks import N_LANDMARKS
+from .core.overlay import draw_landmarks
+from .core.pipeline import track_video
+from .core.takes.take import Take, load_take, save_take
+from .core.tracking.tracker import FaceTracker
+from .core.version import version
+
+INTERRUPTED = 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns the exit status: 0, 1 for an error that was told, 2 for usage, 130 for Ctrl-C."""
+    arguments = _parser().parse_args(argv)
+    try:
+        return int(arguments.run(arguments))
+    except FacemimeError as error:
+        print(f"facemime: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("facemime: interrupted; nothing was changed.", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="facemime", description="Live face puppetry for Blender.")
+    parser.add_argument("--version", action="version", version=f"facemime {version()}")
+    commands = parser.add_subparsers(dest="command", required=True)
+
+    landmarks = commands.add_parser("landmarks", help="find the 66 landmarks in pictures")
+    landmarks.add_argument("images", nargs="+", type=Path, metavar="IMAGE_OR_FOLDER")
+    landmarks.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.npz")
+    landmarks.add_argument("--overlay", type=Path, metavar="DIR", help="also draw them over the pictures")
+    landmarks.set_defaults(run=run_landmarks)
+
+    track = commands.add_parser("track", help="track a face through a video")
+    track.add_argument("video", type=Path)
+    track.add_argument("-o", "--output", type=Path, required=True, metavar="TAKE.npz")
+    track.set_defaults(run=run_track)
+
+    puppet = commands.add_parser("puppet", help="move a head by a video or a take, as Blender animation")
+    puppet.add_argument("source", type=Path, metavar="VIDEO|TAKE")
+    puppet.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.blend")
+    puppet.add_argument("--preview", type=Path, metavar="OUT.mp4", help="video of performer and avatar side by side")
+    puppet.add_argument("--sheet", type=Path, metavar="OUT.png", help="contact sheet of the most different expressions")
+    puppet.add_argument("--take", type=Path, metavar="TAKE.npz", help="also keep the take")
+    puppet.add_argument("--head", metavar="FILE.blend[:OBJECT]", help="your own head; the built-in one by default")
+    puppet.add_argument("--mode", choices=("3d", "planar"), default="3d", help="planar keeps every depth (default 3d)")
+    puppet.add_argument("--neutral", type=float, metavar="SECONDS", help="where the neutral second starts; else found")
+    puppet.add_argument("--pose", choices=("rotation", "full", "none"), default="rotation", help="head pose to follow")
+    puppet.set_defaults(run=run_puppet)
+    return parser
+
+
+def run_landmarks(arguments: argparse.Namespace) -> int:
+    """`facemime landmarks`: one row a picture, NaN where there is no face."""
+    paths = _images(arguments.images)
+    check_writable(arguments.output)
+    tracker = FaceTracker.load()
+    landmarks = np.full((len(paths), N_LANDMARKS, 2), np.nan)
+    confidence = np.zeros(len(paths))
+    progress = Progress("Finding landmarks", len(paths))
+    unreadable: list[SourceError] = []
+    for i, path in enumerate(paths):
+        progress.update(i + 1)
+        try:
+            image = read_image(path)
+        except SourceError as error:
+            unreadable.append(error)
+            continue
+        result = tracker.locate(image)
+        landmarks[i], confidence[i] = result.landmarks, result.confidence
+        if arguments.overlay is not None:
+            write_image(arguments.overlay / f"{path.stem}.png", draw_landmarks(image, result.landmarks))
+    names = np.array([path.name for path in paths])
+    with replacing(arguments.output) as temporary, open(temporary, "wb") as stream:
+        np.savez_compressed(stream, names=names, landmarks=landmarks, confidence=confidence)
+    found = int(np.isfinite(landmarks[:, 0, 0]).sum())
+    progress.finish(f"a face in {found} of {len(paths)}")
+    for error in unreadable:
+        print(f"facemime: {error}", file=sys.stderr)
+    return 1 if unreadable else 0
+
+
+def run_track(arguments: argparse.Namespace) -> int:
+    """`facemime track`: a video to a take."""
+    check_writable(arguments.output)
+    take = _track(arguments.video)
+    save_take(take, arguments.output)
+    if take.info.get("interrupted"):
+        print(f"facemime: interrupted; the {len(take)} frames tracked are in {arguments.output}.", file=sys.stderr)
+        return INTERRUPTED
+    return 0
+
+
+def run_puppet(arguments: argparse.Namespace) -> int:
+    """`facemime puppet`: a video or a take to an animated head, and pictures of it."""
+    try:
+        from . import headless
+    except ImportError as error:
+        raise FacemimeError(
+            f"puppet needs Blender ({error}). Run: blender --command facemime puppet ..., or install bpy."
+        ) from error
+    outputs = (arguments.output, arguments.preview, arguments.sheet, arguments.take)
+    for path in outputs:
+        if path is not None:
+            check_writable(path)
+    video = None if arguments.source.suffix == ".npz" else arguments.source
+    take = load_take(arguments.source) if video is None else _track(video)
+    if arguments.take is not None:
+        save_take(take, arguments.take)
+    if take.info.get("interrupted") and video is not None:
+        kept = arguments.take or arguments.output.with_suffix(".take.npz")
+        save_take(take, kept)
+        print(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.", file=sys.stderr)
+        return INTERRUPTED
+    headless.puppet(arguments, take, video)
+    return 0
+
+
+def _track(video: Path) -> Take:
+    tracker = FaceTracker.load()
+    progress = Progress(f"Tracking {video.name}")
+    recorder = track_video(video, tracker, lambda done, total, _: progress.update(done, total))
+    take = recorder.finish()
+    progress.finish(f"a face in {int(take.found.sum())} of {len(take)}")
+    if not take.found.any() and not take.info.get("interrupted"):
+        raise SourceError(
+            f"No face was found in any frame of {video}. Use a video with one face, well lit and towards the camera."
+        )
+    return take
+
+
+def _images(paths: Sequence[Path]) -> list[Path]:
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            files += sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
+        elif path.exists():
+            files.append(path)
+        else:
+            raise SourceError(f"There is no file or folder {path}. Check the path.")
+    if not files:
+        raise SourceError("There is no picture in the folders given. JPEG, PNG, BMP, TIFF and WebP are read.")
+    return files
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,56 @@
+"""What the command line says while it works."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TextIO
+
+
+class Progress:
+    """A line that is rewritten in place on a terminal, and printed once at the end elsewhere.
+
+    Parameters
+    ----------
+    title : str
+        What is being done.
+    total : int
+        Steps expected; 0 where unknown.
+    """
+
+    def __init__(self, title: str, total: int = 0, stream: TextIO | None = None) -> None:
+        self.title, self.total, self.done = title, total, 0
+        self._stream = sys.stderr if stream is None else stream
+        self._live = self._stream.isatty()
+        self._start = time.perf_counter()
+        self._drawn = 0.0
+
+    def update(self, done: int, total: int | None = None) -> None:
+        """Say that `done` steps are done; drawn ten times a second at most."""
+        self.done, self.total = done, self.total if total is None else total
+        now = time.perf_counter()
+        if self._live and now - self._drawn > 0.1:
+            self._drawn = now
+            self._stream.write("\r\x1b[K" + self.line())
+            self._stream.flush()
+
+    def finish(self, note: str = "") -> None:
+        """End the line, with what came out."""
+        self._stream.write(
+            ("\r\x1b[K" if self._live else "") + self.line(ended=True) + (f", {note}" if note else "") + "\n"
+        )
+        self._stream.flush()
+
+    def line(self, ended: bool = False) -> str:
+        """The line as it stands: title, bar, count, rate and the time left."""
+        elapsed = max(time.perf_counter() - self._start, 1e-6)
+        rate = self.done / elapsed
+        if ended:
+            return f"{self.title}: {self.done} frames in {elapsed:.1f} s, {rate:.1f} fps"
+        text = f"{self.title} {self.done}"
+        if self.total > 0:
+            filled = min(20, round(20 * self.done / self.total))
+            left = max(0.0, (self.total - self.done) / rate) if rate > 0 else 0.0
+            text = f"{self.title} [{'#' * filled}{'.' * (20 - filled)}] {self.done}/{self.total}"
+            return f"{text}  {rate:.1f} fps  {left:.0f} s left"
+        return f"{text}  {rate:.1f} fps"

@@ -1,0 +1,61 @@
+"""From a video to a take: the frames of a source through a tracker, in order, each with the media's own time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from .capture import VideoSource
+from .takes.take import TakeRecorder
+from .tracking.result import TrackResult
+from .tracking.tracker import FaceTracker
+
+OnFrame = Callable[[int, int, TrackResult], bool | None]
+
+
+def recorder_for(source: VideoSource, tracker: FaceTracker, image_size: tuple[int, int]) -> TakeRecorder:
+    """An empty recording that names its source and the tracker's model."""
+    return TakeRecorder(
+        {
+            "source": Path(source.path).name,
+            "fps": source.fps,
+            "image_size": list(image_size),
+            "model": tracker.model_id,
+        }
+    )
+
+
+def track_video(path: Path, tracker: FaceTracker, on_frame: OnFrame | None = None) -> TakeRecorder:
+    """Track every frame of the video at `path`.
+
+    Parameters
+    ----------
+    on_frame : callable, optional
+        Called after each frame with (frames done, frames stated by the file, result); returning False stops.
+
+    Returns
+    -------
+    TakeRecorder
+        Its `finish` gives the take. On KeyboardInterrupt tracking ends early and what was tracked is kept, with
+        `info["interrupted"]` set.
+
+    Raises
+    ------
+    SourceError
+        Where the video cannot be read.
+    """
+    with VideoSource(path) as source:
+        recorder = TakeRecorder({})
+        tracker.reset()
+        try:
+            for frame in source:
+                if len(recorder) == 0:
+                    recorder = recorder_for(source, tracker, (frame.image.shape[1], frame.image.shape[0]))
+                result = tracker.track(frame.image)
+                recorder.append(frame.time, result)
+                if on_frame is not None and on_frame(len(recorder), source.frame_count, result) is False:
+                    recorder.info["interrupted"] = True
+                    break
+        except KeyboardInterrupt:
+            recorder.info["interrupted"] = True
+        return recorder

@@ -1,0 +1,164 @@
+"""`facemime puppet` inside Blender: a head, an animation, a file, and pictures of what came out."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from .blender.bake import frames_of
+from .blender.head import add_head
+from .blender.names import LANDMARKS_PROPERTY
+from .blender.preview_scene import setup_preview
+from .blender.rendering import quiet, render_frames, set_rate, write_video
+from .console import Progress
+from .core.capture import Frame, VideoSource, at_constant_rate
+from .core.errors import HeadError, SourceError
+from .core.files import replacing
+from .core.images import write_image
+from .core.motion import most_different
+from .core.overlay import contact_sheet, crop_face, draw_landmarks, fit_into, label
+from .core.takes.take import Take
+from .puppet import PuppetReport, PuppetSettings, puppet_head
+
+Image = NDArray[np.uint8]
+
+AVATAR_SIDE = 512
+SHEET_TILES = 9
+TILE_SIDE = 320
+
+
+def puppet(arguments: argparse.Namespace, take: Take, video: Path | None) -> PuppetReport:
+    """Do all that `facemime puppet` does once there is a take; `video` is None where only the take is there."""
+    scene, head = open_head(arguments.head, float(take.info.get("fps", 25.0)))
+    settings = PuppetSettings(
+        mode=arguments.mode,
+        neutral=arguments.neutral,
+        rotation=arguments.pose != "none",
+        translation=arguments.pose == "full",
+    )
+    report = puppet_head(scene, head, take, settings)
+    neutral = report.neutral
+    print(
+        f"Baked {len(report.motion.times)} frames into {report.keys} shape keys, worst vertex error "
+        f"{100 * report.worst_error:.2f} % of the eye distance; neutral at {neutral.start:.2f}-{neutral.end:.2f} s",
+        file=sys.stderr,
+    )
+    setup_preview(scene, head, (AVATAR_SIDE, AVATAR_SIDE))
+    save_blend(arguments.output)
+    chosen = most_different(report.motion, SHEET_TILES) if arguments.sheet is not None else np.empty(0, dtype=np.intp)
+    sheet_frames = np.flatnonzero(take.found)[chosen]
+    if arguments.preview is not None:
+        write_preview(scene, take, video, arguments.preview)
+    if arguments.sheet is not None:
+        write_sheet(scene, take, video, sheet_frames, arguments.sheet)
+    return report
+
+
+def open_head(spec: str | None, fps: float) -> tuple[bpy.types.Scene, bpy.types.Object]:
+    """The scene and the head to drive: the built-in one in a new file, or OBJECT of FILE.blend.
+
+    Raises
+    ------
+    SourceError, HeadError
+        Where the file cannot be opened, or holds no such object, or none or several with landmarks.
+    """
+    if spec is None:
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+        scene = bpy.context.scene
+        set_rate(scene, fps)
+        return scene, add_head(bpy.context)
+    path, _, name = spec.partition(".blend")
+    path, name = Path(path + ".blend"), name.removeprefix(":")
+    if not path.is_file():
+        raise SourceError(f"There is no file {path}. Give --head as FILE.blend:OBJECT.")
+    try:
+        with quiet():
+            bpy.ops.wm.open_mainfile(filepath=str(path.resolve()))
+    except RuntimeError as error:
+        raise SourceError(f"{path} cannot be opened by this Blender. Check that it is a .blend file.") from error
+    bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and LANDMARKS_PROPERTY in obj.data]
+    if name:
+        head = bpy.data.objects.get(name)
+        if head is None:
+            names = ", ".join(obj.name for obj in bpy.data.objects if obj.type == "MESH") or "no mesh at all"
+            raise HeadError(f"{path} has no object {name}. It has: {names}.")
+    elif len(bound) == 1:
+        head = bound[0]
+    else:
+        raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Name one: --head {path}:OBJECT.")
+    return bpy.context.scene, head
+
+
+def save_blend(path: Path) -> None:
+    """Save the open file at `path`; what was there is replaced only by a whole file."""
+    with replacing(Path(path)) as temporary:
+        temporary.unlink()
+        with quiet():
+            bpy.ops.wm.save_as_mainfile(filepath=str(temporary.resolve()), copy=True, compress=True)
+
+
+def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: Path) -> None:
+    """Write a video of the performer with landmarks beside the avatar, at the video's nominal rate."""
+    fps = float(take.info.get("fps", 25.0))
+    frames = list(at_constant_rate(_stamps(take), fps))
+    width, height = _image_size(take)
+    left_width = min(2 * AVATAR_SIDE, 2 * round(AVATAR_SIDE * width / height / 2))
+    progress = Progress("Rendering", len(frames))
+    avatars = render_frames(scene, frames_of(scene, np.array([f.time for f in frames])), (AVATAR_SIDE, AVATAR_SIDE))
+    pictures = _pictures(take, video, [frame.index for frame in frames])
+
+    def composed() -> Iterator[Image]:
+        for i, (picture, avatar) in enumerate(zip(pictures, avatars, strict=True)):
+            progress.update(i + 1)
+            yield np.hstack([fit_into(picture, left_width, AVATAR_SIDE), avatar])
+
+    write_video(composed(), fps, path)
+    progress.finish(str(path))
+
+
+def write_sheet(scene: bpy.types.Scene, take: Take, video: Path | None, frames: NDArray[np.intp], path: Path) -> None:
+    """Write a contact sheet: performer beside avatar for each of `frames` of `take`."""
+    avatars = render_frames(scene, frames_of(scene, take.times[frames]), (AVATAR_SIDE, AVATAR_SIDE))
+    pairs = []
+    for frame, picture, avatar in zip(frames, _pictures(take, video, frames.tolist()), avatars, strict=True):
+        face = crop_face(picture, take.landmarks[frame].astype(np.float64), TILE_SIDE)
+        pairs.append((label(face, f"{take.times[frame]:.2f} s"), fit_into(avatar, TILE_SIDE, TILE_SIDE)))
+    write_image(path, contact_sheet(pairs))
+
+
+def _stamps(take: Take) -> Iterator[Frame]:
+    nothing = np.empty((0, 0, 3), dtype=np.uint8)
+    for index, time in enumerate(take.times):
+        yield Frame(nothing, float(time - take.times[0]), index)
+
+
+def _image_size(take: Take) -> tuple[int, int]:
+    width, height = take.info.get("image_size", (640, 480))
+    return int(width), int(height)
+
+
+def _pictures(take: Take, video: Path | None, indices: list[int]) -> Iterator[Image]:
+    """The frames of `take` numbered by ascending `indices`, landmarks drawn over them, or over grey without a video."""
+    width, height = _image_size(take)
+    if video is None:
+        blank = np.full((height, width, 3), 40, dtype=np.uint8)
+        for index in indices:
+            yield draw_landmarks(blank, take.landmarks[index].astype(np.float64))
+        return
+    with VideoSource(video) as source:
+        wanted = iter(indices)
+        index = next(wanted, None)
+        for frame in source:
+            if index == frame.index:
+                picture = draw_landmarks(frame.image, take.landmarks[index].astype(np.float64))
+            while index == frame.index:
+                yield picture
+                index = next(wanted, None)
+            if index is None:
+                return

@@ -1,0 +1,49 @@
+"""Add the built-in head."""
+
+import bpy
+from bpy.props import BoolProperty
+
+from ..blender.head import add_head
+from .errors import ReportsErrors
+
+
+class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
+    """Add a head that is ready to be puppeted: landmarks, regions, eyes, teeth and tongue."""
+
+    bl_idname = "facemime.add_head"
+    bl_label = "Facemime Head"
+    bl_options = {"REGISTER", "UNDO"}
+
+    units: BoolProperty(
+        name="Face Units",
+        description="Also add the 52 ARKit face units as shape keys",
+        default=False,
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only in Object mode."""
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Switch to Object mode first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Add the head at the 3D cursor."""
+        return self.reporting(self.add, context)
+
+    def add(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        head = add_head(context, units=self.units)
+        head.location = context.scene.cursor.location
+        return {"FINISHED"}
+
+
+def register() -> None:
+    """Register the operator."""
+    bpy.utils.register_class(FACEMIME_OT_add_head)
+
+
+def unregister() -> None:
+    """Unregister the operator."""
+    bpy.utils.unregister_class(FACEMIME_OT_add_head)

@@ -1,0 +1,120 @@
+"""Puppet the active head by a video."""
+
+from pathlib import Path
+
+import bpy
+from bpy.props import StringProperty
+
+from ..blender.meshes import read_rig
+from ..core.takes.take import Take, load_take
+from ..puppet import puppet_head
+from ..session import Session
+from .errors import ReportsErrors
+
+_TICK = 0.1
+
+
+class FACEMIME_OT_puppet_video(ReportsErrors, bpy.types.Operator):
+    """Track the face in a video, or read a take, and bake its motion to the active head."""
+
+    bl_idname = "facemime.puppet_video"
+    bl_label = "Puppet from Video"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(name="Video", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.mp4;*.mov;*.avi;*.mkv;*.webm;*.m4v;*.npz", options={"HIDDEN"})
+
+    _session: Session | None = None
+    _timer: bpy.types.Timer | None = None
+    _head: str = ""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only with a mesh active, in Object mode."""
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Switch to Object mode first")
+            return False
+        if context.active_object is None or context.active_object.type != "MESH":
+            cls.poll_message_set("Select a head mesh, or add one with Add > Mesh > Facemime Head")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the video."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Track in the background and bake when it ends; in one go where there is no window."""
+        return self.reporting(self.start, context)
+
+    def start(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        read_rig(context.active_object)
+        path = Path(bpy.path.abspath(self.filepath))
+        if path.suffix == ".npz":
+            return self.bake(context, context.active_object, load_take(path))
+        self._session = Session(path)
+        self._head = context.active_object.name
+        if bpy.app.background:
+            return self.finish(context)
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(_TICK, window=context.window)
+        manager.progress_begin(0, 100)
+        manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Show how far tracking is; ESC bakes what was tracked so far."""
+        if event.type == "ESC":
+            self._session.stop()
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        if self._session.running:
+            done, total = self._session.done, self._session.total
+            context.window_manager.progress_update(100 * done / max(total, 1))
+            context.workspace.status_text_set(f"Facemime: {done} of {total} frames tracked, ESC keeps these")
+            return {"PASS_THROUGH"}
+        return self.reporting(self.finish, context)
+
+    def finish(self, context: bpy.types.Context) -> set[str]:
+        """Bake what the session tracked."""
+        try:
+            take = self._session.take()
+            head = context.scene.objects.get(self._head)
+            return self.bake(context, head, take)
+        finally:
+            self.cancel(context)
+
+    def bake(self, context: bpy.types.Context, head: bpy.types.Object | None, take: Take) -> set[str]:
+        """Bake `take` to `head` and say what came out."""
+        settings = context.scene.facemime
+        report = puppet_head(context.scene, head, take, settings.to_puppet(), settings.pose_object)
+        lost = len(take) - int(take.found.sum())
+        self.report(
+            {"INFO"},
+            f"{len(take)} frames ({lost} without a face), {report.keys} shape keys, "
+            f"worst vertex error {100 * report.worst_error:.2f} % of the eye distance",
+        )
+        return {"FINISHED"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """End the session and the timer; may be called twice."""
+        if self._session is not None:
+            self._session.close()
+        self._session = None
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            context.window_manager.progress_end()
+            context.workspace.status_text_set(None)
+        self._timer = None
+
+
+def register() -> None:
+    """Register the operator."""
+    bpy.utils.register_class(FACEMIME_OT_puppet_video)
+
+
+def unregister() -> None:
+    """Unregister the operator."""
+    bpy.utils.unregister_class(FACEMIME_OT_puppet_video)

@@ -1,0 +1,60 @@
+"""Settings that belong to the scene."""
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, PointerProperty
+
+from .puppet import PuppetSettings
+
+
+class FacemimeSettings(bpy.types.PropertyGroup):
+    """How a performance moves the head."""
+
+    mode: EnumProperty(
+        name="Depth",
+        description="Where the depth of a motion comes from",
+        items=(
+            ("3d", "3D", "Depth from the tracker's 3-D face"),
+            ("planar", "Planar", "Every vertex keeps its depth"),
+        ),
+        default="3d",
+    )
+    strength_upper: FloatProperty(name="Brows and Upper Lids", default=1.0, min=0.0, soft_max=2.0, max=5.0)
+    strength_middle: FloatProperty(name="Cheeks and Upper Lip", default=1.0, min=0.0, soft_max=2.0, max=5.0)
+    strength_lower: FloatProperty(name="Lower Lip and Chin", default=1.0, min=0.0, soft_max=2.0, max=5.0)
+    find_neutral: BoolProperty(
+        name="Find Neutral",
+        description="Find the second in which the performer's face is at rest; else say where it starts",
+        default=True,
+    )
+    neutral: FloatProperty(
+        name="Neutral At", description="Where the performer's neutral second starts", subtype="TIME_ABSOLUTE", min=0.0
+    )
+    rotation: BoolProperty(name="Head Rotation", description="Turn the head as the performer does", default=True)
+    translation: BoolProperty(name="Head Location", description="Move the head as the performer does", default=False)
+    pose_object: PointerProperty(
+        name="Pose Object",
+        description="Takes the head's pose instead of the head itself: an empty, say",
+        type=bpy.types.Object,
+    )
+
+    def to_puppet(self) -> PuppetSettings:
+        """The same settings as plain values."""
+        return PuppetSettings(
+            mode=self.mode,
+            strength=(self.strength_upper, self.strength_middle, self.strength_lower),
+            neutral=None if self.find_neutral else self.neutral,
+            rotation=self.rotation,
+            translation=self.translation,
+        )
+
+
+def register() -> None:
+    """Add the settings to every scene."""
+    bpy.utils.register_class(FacemimeSettings)
+    bpy.types.Scene.facemime = PointerProperty(type=FacemimeSettings)
+
+
+def unregister() -> None:
+    """Take the settings away."""
+    del bpy.types.Scene.facemime
+    bpy.utils.unregister_class(FacemimeSettings)

@@ -1,0 +1,85 @@
+"""A take onto a head: the one function behind the operator and the command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from .blender.bake import bake_parts, bake_pose, bake_shape, frames_of, set_range
+from .blender.meshes import read_rig
+from .core.deform.basis import fit_basis
+from .core.drive import HeadDriver
+from .core.landmarks import OUTER_EYE_CORNERS
+from .core.motion import HeadMotion, drive_take
+from .core.retarget import Mode, Neutral, calibrate
+from .core.takes.take import Take
+
+TOLERANCE = 0.009
+
+
+@dataclass(frozen=True)
+class PuppetSettings:
+    """How a take moves a head.
+
+    Attributes
+    ----------
+    mode : {"3d", "planar"}
+    strength : tuple of float
+        Gains of the regions upper, middle and lower.
+    neutral : float or None
+        Seconds at which the performer's neutral second starts; None finds it.
+    rotation, translation : bool
+        Whether the head's pose follows the performer's.
+    """
+
+    mode: Mode = "3d"
+    strength: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    neutral: float | None = None
+    rotation: bool = True
+    translation: bool = False
+
+
+@dataclass(frozen=True)
+class PuppetReport:
+    """What a bake did: `keys` shape keys, `worst_error` as a fraction of the outer-eye distance, and the motion."""
+
+    keys: int
+    worst_error: float
+    neutral: Neutral
+    motion: HeadMotion
+
+
+def puppet_head(
+    scene: bpy.types.Scene,
+    obj: bpy.types.Object,
+    take: Take,
+    settings: PuppetSettings = PuppetSettings(),
+    pose_object: bpy.types.Object | None = None,
+) -> PuppetReport:
+    """Drive `obj` by `take` and bake the result to shape keys and curves, in step with the media's clock.
+
+    Parameters
+    ----------
+    pose_object : optional
+        What takes the head's pose instead of `obj`: an empty, say.
+
+    Raises
+    ------
+    FacemimeError
+        Where the mesh cannot be driven or the take holds no face.
+    """
+    rig = read_rig(obj)
+    neutral = calibrate(take, settings.neutral)
+    driver = HeadDriver(rig, neutral, mode=settings.mode, strength=settings.strength)
+    motion = drive_take(driver, take)
+    eyes = rig.vertices[rig.landmarks[OUTER_EYE_CORNERS]].astype(np.float64)
+    unit = float(np.linalg.norm(eyes[0] - eyes[1]))
+    basis = fit_basis(motion.vertices, TOLERANCE * unit)
+    frames = frames_of(scene, motion.times)
+    bake_shape(obj, basis, frames)
+    bake_pose(pose_object or obj, motion, frames, rotation=settings.rotation, translation=settings.translation)
+    bake_parts(obj, motion, frames)
+    set_range(scene, frames_of(scene, take.times))
+    return PuppetReport(len(basis.modes), basis.worst_error / unit, neutral, motion)
