@@ -11,7 +11,9 @@ from ..core.deform.basis import MotionBasis
 from ..core.motion import HeadMotion
 from .actions import Curve, remove_curves, write_curves
 from .frames import rotation_to_blender, to_blender
-from .names import BAKED_KEY_PREFIX, PART_PROPERTY
+from .names import PART_PROPERTY
+
+BAKED_KEY_PREFIX = "Facemime "
 
 _JAW_PARTS = frozenset({"teeth_lower", "tongue"})
 _EYE_PARTS = frozenset({"eye_left", "eye_right"})

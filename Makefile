@@ -1,0 +1,64 @@
+# Everything is set up by the target that needs it; nothing but git, make and Python 3.11 has to be there before.
+PYTHON ?= python3.11
+VIDEO ?= assets/sample/sample.mp4
+CACHE ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/facemime
+BIN := .venv/bin
+STAMP := .venv/.ready
+export FACEMIME_CACHE := $(CACHE)
+
+.PHONY: setup check test test-core demo build bench model head sample try lock clean blenders
+
+setup: $(STAMP)
+
+$(STAMP): requirements/dev.txt pyproject.toml setup.py tools/system.sh
+	sh tools/system.sh
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
+check: setup
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+test: setup build blenders
+	$(BIN)/python -m pytest tests
+
+test-core: setup
+	$(BIN)/python -m pytest tests/core
+
+demo: setup
+	$(BIN)/facemime puppet $(VIDEO) -o build/demo/demo.blend --preview build/demo/demo.mp4 --sheet build/demo/demo.png
+	@echo "Look at build/demo/demo.mp4 and build/demo/demo.png; open build/demo/demo.blend in Blender."
+
+# The extension, one zip a platform.
+build: setup
+	$(BIN)/python tools/build.py
+
+# Blender in the versions that the extension is tested with, each in an environment of its own.
+blenders: setup
+	sh tools/blenders.sh
+
+bench: setup
+	$(BIN)/python -m bench.pipeline
+
+# What stands in assets/ is made again by these; the first needs ../shared/data.
+model: setup
+	$(BIN)/python -m training.tracker
+
+head: setup
+	$(BIN)/python -m training.head
+
+sample: setup
+	$(BIN)/python -m training.sample
+
+# Blender with this source tree as its extension, in a throw-away profile.
+try: build
+	sh tools/try.sh
+
+lock:
+	sh tools/lock.sh
+
+clean:
+	rm -rf build dist

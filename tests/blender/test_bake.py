@@ -1,0 +1,139 @@
+"""A take baked to the head equals the take driven live."""
+
+import bpy
+import numpy as np
+import pytest
+from takes import performance
+
+from facemime.blender.bake import BAKED_KEY_PREFIX, frames_of
+from facemime.blender.frames import from_blender, rotation_to_blender
+from facemime.blender.head import add_head
+from facemime.blender.meshes import read_rig, write_vertices
+from facemime.blender.names import LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS
+from facemime.core.errors import HeadError
+from facemime.core.landmarks import OUTER_EYE_CORNERS
+from facemime.puppet import PuppetSettings, puppet_head
+
+
+def evaluated_vertices(obj: bpy.types.Object) -> np.ndarray:
+    """(V, 3) vertices after shape keys, head frame, the object's transform not applied."""
+    mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    flat = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", flat)
+    return from_blender(flat.reshape(-1, 3))
+
+
+def go_to(frame: float) -> None:
+    """Move the scene to a frame, fractional or not."""
+    bpy.context.scene.frame_set(int(np.floor(frame)), subframe=float(frame % 1.0))
+
+
+@pytest.mark.parametrize("scene_fps", [25, 24, 60])
+def test_played_back_every_frame_has_the_vertices_and_the_pose_of_the_drive(scene_fps):
+    scene = bpy.context.scene
+    scene.render.fps = scene_fps
+    head = add_head(bpy.context)
+    rig = read_rig(head)
+    unit = np.linalg.norm(np.subtract(*rig.vertices[rig.landmarks[OUTER_EYE_CORNERS]]))
+    report = puppet_head(scene, head, performance())
+    assert report.worst_error < 0.01
+    for n in range(0, len(report.motion.times), 7):
+        go_to(frames_of(scene, report.motion.times[n]))
+        error = np.linalg.norm(evaluated_vertices(head) - rig.vertices - report.motion.vertices[n], axis=1).max()
+        assert error <= (report.worst_error + 1e-4) * unit
+        turned = np.array(head.matrix_world.to_3x3())
+        np.testing.assert_allclose(turned, rotation_to_blender(report.motion.rotation[n]), atol=1e-3)
+
+
+def test_a_head_that_was_placed_and_turned_keeps_its_place_and_turns_about_its_own_axes():
+    head = add_head(bpy.context)
+    head.location, head.rotation_euler = (1.0, 2.0, 3.0), (0.0, 0.0, np.pi / 2)
+    bpy.context.view_layer.update()
+    placed = np.array(head.matrix_world)
+    for _ in range(2):
+        report = puppet_head(bpy.context.scene, head, performance(), PuppetSettings(translation=True))
+    go_to(frames_of(bpy.context.scene, report.motion.times[-1]))
+    world = np.array(head.matrix_world)
+    np.testing.assert_allclose(
+        placed[:3, :3].T @ world[:3, :3], rotation_to_blender(report.motion.rotation[-1]), atol=1e-3
+    )
+    go_to(1.0)
+    np.testing.assert_allclose(np.array(head.matrix_world), placed, atol=1e-3)
+
+
+def test_pose_goes_to_an_empty_where_one_is_given_and_nowhere_when_off():
+    head, empty = add_head(bpy.context), bpy.data.objects.new("Pose", None)
+    bpy.context.collection.objects.link(empty)
+    puppet_head(bpy.context.scene, head, performance(), pose_object=empty)
+    assert head.animation_data is None and empty.animation_data.action is not None
+    puppet_head(bpy.context.scene, head, performance(), PuppetSettings(rotation=False))
+    go_to(50)
+    assert tuple(head.delta_rotation_euler) == (0.0, 0.0, 0.0)
+
+
+def test_the_lower_teeth_and_the_tongue_follow_the_jaw_and_the_eyes_follow_the_viewer():
+    head = add_head(bpy.context)
+    report = puppet_head(bpy.context.scene, head, performance())
+    opening = np.array([np.trace(jaw) for jaw in report.motion.jaw])
+    go_to(frames_of(bpy.context.scene, report.motion.times[opening.argmin()]))
+    turned = {child[PART_PROPERTY]: np.abs(child.delta_rotation_euler).max() for child in head.children}
+    assert turned["teeth_lower"] > 0.02 and turned["tongue"] > 0.02 and turned["teeth_upper"] == 0.0
+    go_to(frames_of(bpy.context.scene, report.motion.times[np.argmax([r[0, 2] for r in report.motion.rotation])]))
+    eyes = [child for child in head.children if child[PART_PROPERTY].startswith("eye")]
+    assert len(eyes) == 2 and all(np.abs(eye.delta_rotation_euler).max() > 0.02 for eye in eyes)
+
+
+def test_baking_again_replaces_its_own_keys_and_leaves_the_users():
+    head = add_head(bpy.context)
+    head.shape_key_add(name="Basis")
+    mine = head.shape_key_add(name="Mine")
+    mine.value = 0.0
+    mine.keyframe_insert("value", frame=1)
+    head.keyframe_insert("location", frame=1)
+    first = puppet_head(bpy.context.scene, head, performance())
+    second = puppet_head(bpy.context.scene, head, performance(50))
+    names = [key.name for key in head.data.shape_keys.key_blocks]
+    assert names[:2] == ["Basis", "Mine"]
+    assert len([name for name in names if name.startswith(BAKED_KEY_PREFIX)]) == second.keys
+    assert first.keys > 0
+    paths = {curve.data_path for curve in fcurves(head.data.shape_keys)}
+    assert 'key_blocks["Mine"].value' in paths and len(paths) == 1 + second.keys
+    assert "location" in {curve.data_path for curve in fcurves(head)}
+
+
+def fcurves(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
+    """The curves of `owner`, whatever the version's way of storing them."""
+    data = owner.animation_data
+    if not hasattr(data.action, "slots"):
+        return list(data.action.fcurves)
+    return list(data.action.layers[0].strips[0].channelbag(data.action_slot).fcurves)
+
+
+def test_the_fast_write_moves_the_mesh_and_renews_its_bounds():
+    head = add_head(bpy.context)
+    rig = read_rig(head)
+    write_vertices(head.data, rig.vertices + np.float32(0.5))
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(read_rig(head).vertices, rig.vertices + 0.5, atol=1e-6)
+    low = from_blender(np.array([tuple(corner) for corner in head.bound_box])).min(axis=0)
+    np.testing.assert_allclose(low, (rig.vertices + 0.5).min(axis=0), atol=1e-5)
+
+
+def test_what_a_mesh_lacks_is_named():
+    head = add_head(bpy.context)
+    head.vertex_groups.remove(head.vertex_groups[REGION_GROUPS[1]])
+    with pytest.raises(HeadError, match=REGION_GROUPS[1]):
+        read_rig(head)
+    head.vertex_groups.new(name=REGION_GROUPS[1])
+    with pytest.raises(HeadError, match="empty"):
+        read_rig(head)
+    head.data[LANDMARKS_PROPERTY] = [10**6] * 66
+    with pytest.raises(HeadError, match="no longer has"):
+        read_rig(head)
+    del head.data[LANDMARKS_PROPERTY]
+    with pytest.raises(HeadError, match="no landmarks"):
+        read_rig(head)
+    with pytest.raises(HeadError, match="not a mesh"):
+        read_rig(bpy.data.objects.new("Empty", None))
+    with pytest.raises(HeadError, match="No object"):
+        read_rig(None)

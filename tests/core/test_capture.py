@@ -1,0 +1,96 @@
+"""Frames from files."""
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from facemime.core.capture import Frame, VideoSource, at_constant_rate
+from facemime.core.errors import OutputError, SourceError
+from facemime.core.images import read_image, write_image
+
+
+def write_clip(path: Path, count: int, fps: float = 20.0, codec: str = "mp4v") -> Path:
+    """A clip whose frames brighten."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), fps, (64, 48))
+    for i in range(count):
+        writer.write(np.full((48, 64, 3), 5 * i, np.uint8))
+    writer.release()
+    return path
+
+
+def test_frames_come_in_order_with_the_medias_times(tmp_path):
+    with VideoSource(write_clip(tmp_path / "clip.mp4", 12)) as source:
+        frames = list(source)
+    assert [frame.index for frame in frames] == list(range(12))
+    np.testing.assert_allclose([frame.time for frame in frames], np.arange(12) / 20.0, atol=1e-3)
+    means = [frame.image.mean() for frame in frames]
+    assert frames[0].image.shape == (48, 64, 3) and np.all(np.diff(means) > 0)
+
+
+def test_a_truncated_video_gives_the_frames_that_are_whole(tmp_path):
+    path = write_clip(tmp_path / "clip.avi", 40, codec="MJPG")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with VideoSource(path) as source:
+        assert 5 < len(list(source)) < 40
+
+
+@pytest.mark.parametrize("content", [b"", b"not a video at all", b"\x00" * 4096])
+def test_what_is_no_video_is_one_clear_error(tmp_path, content, capfd):
+    path = tmp_path / "clip.mp4"
+    path.write_bytes(content)
+    with pytest.raises(SourceError, match="not a video"):
+        VideoSource(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_container_without_frames_is_one_clear_error(tmp_path):
+    path = write_clip(tmp_path / "clip.avi", 0, codec="MJPG")
+    with pytest.raises(SourceError, match="not a video|No frame"), VideoSource(path) as source:
+        list(source)
+
+
+def test_missing_files_folders_and_forbidden_files_are_told_apart(tmp_path):
+    with pytest.raises(SourceError, match="There is no file"):
+        VideoSource(tmp_path / "none.mp4")
+    with pytest.raises(SourceError, match="not a file"):
+        VideoSource(tmp_path)
+    if os.getuid() == 0:
+        pytest.skip("root may read every file")
+    path = write_clip(tmp_path / "clip.mp4", 3)
+    path.chmod(0)
+    with pytest.raises(SourceError, match="no permission"):
+        VideoSource(path)
+
+
+def test_a_variable_rate_becomes_constant_without_running_out_of_step():
+    image = np.zeros((1, 1, 3), np.uint8)
+    times = np.cumsum([0.0, *np.random.default_rng(0).uniform(0.01, 0.08, 300)])
+    frames = [Frame(image, float(t), i) for i, t in enumerate(times)]
+    steady = list(at_constant_rate(frames, 30.0))
+    for n, frame in enumerate(steady):
+        assert frame.time == pytest.approx(n / 30.0)
+        assert times[frame.index] <= frame.time + 0.5 / 30.0 + 1e-9
+        if frame.index + 1 < len(times):
+            assert times[frame.index + 1] > frame.time - 0.5 / 30.0 - 1e-9
+    assert abs(steady[-1].time - times[-1]) < 1.5 / 30.0
+
+
+def test_a_constant_rate_keeps_every_frame_once():
+    image = np.zeros((1, 1, 3), np.uint8)
+    frames = [Frame(image, i / 25.0, i) for i in range(50)]
+    assert [frame.index for frame in at_constant_rate(frames, 25.0)] == list(range(50))
+
+
+def test_pictures_survive_and_bad_ones_are_refused(tmp_path):
+    image = np.random.default_rng(0).integers(0, 255, (20, 30, 3)).astype(np.uint8)
+    write_image(tmp_path / "a.png", image)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), image)
+    (tmp_path / "b.png").write_bytes(b"")
+    for path in (tmp_path / "b.png", tmp_path / "none.png"):
+        with pytest.raises(SourceError):
+            read_image(path)
+    with pytest.raises(OutputError, match="suffix"):
+        write_image(tmp_path / "a.xyz", image)

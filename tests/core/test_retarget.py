@@ -1,0 +1,154 @@
+"""Calibration, retargeting, and the drive behind the tracker."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facemime.core.drive import HeadDriver, HeadRig, gaze_at_viewer
+from facemime.core.errors import HeadError, SourceError
+from facemime.core.head import load_head
+from facemime.core.landmarks import from_ibug
+from facemime.core.retarget import Neutral, Retargeter, calibrate
+from facemime.core.rotation import euler_to_matrix, fit_rotation, matrix_to_euler
+from facemime.core.takes.take import Take
+
+ANGLES = st.floats(-1.2, 1.2)
+
+
+@pytest.fixture(scope="module")
+def rig() -> HeadRig:
+    """The built-in head."""
+    head = load_head()
+    return HeadRig(head.vertices, head.landmarks, head.regions, head.jaw_pivot)
+
+
+def performer(rig: HeadRig) -> np.ndarray:
+    """A narrower and longer face than the head's, in outer-eye distances."""
+    points = rig.vertices[rig.landmarks].astype(float)
+    unit = np.linalg.norm(points[from_ibug([36])] - points[from_ibug([45])])
+    return points / unit * (1.0, 1.15, 1.0)
+
+
+def make_take(shapes: np.ndarray, fps: float = 25.0, found: np.ndarray | None = None) -> Take:
+    """A take of pose-free shapes, seen from the front."""
+    count = len(shapes)
+    pose = np.tile([100.0, 0.0, 0.0, 0.0, 320.0, 240.0], (count, 1))
+    return Take(
+        times=np.arange(count) / fps,
+        landmarks=(shapes[..., :2] * 100 + (320, 240)).astype(np.float32),
+        pose=pose,
+        shape_params=np.zeros((count, 2), np.float32),
+        shape=shapes.astype(np.float32),
+        confidence=np.ones(count, np.float32),
+        found=np.ones(count, bool) if found is None else found,
+    )
+
+
+@given(ANGLES, ANGLES, ANGLES)
+def test_euler_angles_survive_the_way_through_a_matrix(pitch, yaw, roll):
+    rotation = euler_to_matrix(pitch, yaw, roll)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(matrix_to_euler(rotation), (pitch, yaw, roll), atol=1e-9)
+
+
+@given(ANGLES, ANGLES, ANGLES)
+def test_a_rotation_is_recovered_from_the_points_it_turned(pitch, yaw, roll):
+    rotation = euler_to_matrix(pitch, yaw, roll)
+    points = np.random.default_rng(0).normal(size=(6, 3))
+    np.testing.assert_allclose(fit_rotation(points, points @ rotation.T), rotation, atol=1e-9)
+
+
+def test_the_neutral_face_moves_nothing(rig):
+    face = performer(rig)
+    retargeter = Retargeter(face, rig.vertices[rig.landmarks])
+    assert np.abs(retargeter.displacements(face)).max() == 0.0
+
+
+def test_a_performers_closed_eye_closes_the_heads(rig):
+    face = performer(rig)
+    closed = face.copy()
+    upper, lower = from_ibug((37, 38, 43, 44)), from_ibug((41, 40, 47, 46))
+    for eye in range(2):
+        u, low = upper[2 * eye : 2 * eye + 2], lower[2 * eye : 2 * eye + 2]
+        closed[u, 1] += (face[low, 1] - face[u, 1]).mean()
+    points = rig.vertices[rig.landmarks]
+    moved = points + Retargeter(face, points).displacements(closed)
+    opening = (points[lower, 1] - points[upper, 1]).mean()
+    assert abs((moved[lower, 1] - moved[upper, 1]).mean()) < 1e-3 * opening
+
+
+def test_planar_mode_keeps_depth_and_strength_scales_a_region(rig):
+    face, points = performer(rig), rig.vertices[rig.landmarks]
+    other = face + np.random.default_rng(1).normal(0.0, 0.05, face.shape)
+    full = Retargeter(face, points).displacements(other)
+    planar = Retargeter(face, points, mode="planar").displacements(other)
+    np.testing.assert_array_equal(planar[:, 2], 0.0)
+    np.testing.assert_allclose(planar[:, :2], full[:, :2])
+    half = Retargeter(face, points, strength=(1.0, 1.0, 0.5)).displacements(other)
+    chin, brows = from_ibug(range(5, 12)), from_ibug(range(17, 27))
+    np.testing.assert_allclose(half[chin], 0.5 * full[chin])
+    np.testing.assert_allclose(half[brows], full[brows])
+
+
+def test_a_wide_mouth_on_a_narrow_face_opens_as_far_relative_to_the_face(rig):
+    points = rig.vertices[rig.landmarks]
+    face = performer(rig)
+    other = face + np.random.default_rng(2).normal(0.0, 0.05, face.shape)
+    lower = from_ibug([57])
+    once = Retargeter(face, points).displacements(other)[lower]
+    twice = Retargeter(face, points * (1.0, 2.0, 1.0)).displacements(other)[lower]
+    np.testing.assert_allclose(twice[:, 1], 2 * once[:, 1], rtol=1e-6)
+    np.testing.assert_allclose(twice[:, 0], once[:, 0], rtol=1e-6)
+
+
+def test_calibration_finds_the_second_at_rest(rig):
+    face = performer(rig)
+    shapes = np.tile(face, (150, 1, 1))
+    shapes[:50] += np.linspace(0.5, 0.1, 50)[:, None, None] * np.random.default_rng(3).normal(0, 0.2, face.shape)
+    shapes[100:] += 0.3 * np.random.default_rng(4).normal(0, 0.2, face.shape)
+    neutral = calibrate(make_take(shapes))
+    assert 2.0 <= neutral.start and neutral.end <= 4.0
+    np.testing.assert_allclose(neutral.shape, face, atol=1e-6)
+
+
+def test_calibration_skips_lost_frames_and_refuses_a_take_without_a_face(rig):
+    shapes = np.tile(performer(rig), (60, 1, 1))
+    found = np.ones(60, bool)
+    found[::2] = False
+    shapes[::2] = np.nan
+    assert np.isfinite(calibrate(make_take(shapes, found=found)).shape).all()
+    with pytest.raises(SourceError, match="No face was found"):
+        calibrate(make_take(shapes * np.nan, found=~np.ones(60, bool)))
+    with pytest.raises(SourceError, match="between 90"):
+        calibrate(make_take(shapes, found=found), start=90.0)
+
+
+def test_the_jaw_turns_with_the_chin_and_the_head_with_the_pose(rig):
+    face = performer(rig)
+    neutral = Neutral(face, np.eye(3), np.array([100.0, 320.0, 240.0]), 0.0, 1.0)
+    driver = HeadDriver(rig, neutral)
+    take = make_take(face[None])
+    rest = driver.frame(take.result(0))
+    np.testing.assert_allclose(rest.jaw, np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(rest.vertices, rig.vertices, atol=1e-6)
+    opened = face.copy()
+    opened[from_ibug([*range(4, 13), *range(55, 60), *range(65, 68)]), 1] += 0.2
+    take.pose[0, 1:4] = (0.1, 0.2, 0.05)
+    frame = driver.frame(make_take(opened[None]).result(0))
+    assert matrix_to_euler(frame.jaw)[0] > 0.05
+    turned = driver.frame(take.result(0))
+    np.testing.assert_allclose(matrix_to_euler(turned.rotation), (0.1, 0.2, 0.05), atol=1e-9)
+
+
+@settings(max_examples=50)
+@given(st.floats(-0.2, 0.2), st.floats(-0.4, 0.4))
+def test_eyes_stay_on_the_viewer_while_the_head_turns_a_little(pitch, yaw):
+    rotation = euler_to_matrix(pitch, yaw, 0.0)
+    forward = rotation @ gaze_at_viewer(rotation) @ np.array([0.0, 0.0, -1.0])
+    assert forward @ np.array([0.0, 0.0, -1.0]) > np.cos(np.radians(4.0))
+
+
+def test_a_rig_whose_landmarks_do_not_fit_the_mesh_is_refused(rig):
+    with pytest.raises(HeadError, match="no longer has"):
+        HeadRig(rig.vertices[:100], rig.landmarks, rig.region_weights[:, :100], rig.jaw_pivot)

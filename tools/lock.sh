@@ -1,0 +1,12 @@
+#!/bin/sh
+# Pins what requirements/*.in ask for, with hashes.
+set -eu
+cd "$(dirname "$0")/../requirements"
+uv() { ../.venv/bin/uv pip compile --quiet --no-header --generate-hashes "$@"; }
+../.venv/bin/pip install --quiet uv
+uv --universal --python-version 3.11 dev.in -o dev.txt
+uv --universal --python-version 3.11 --no-deps wheels.in -o wheels.txt
+for version in 4.2 4.5 5.0; do
+    uv --python-version 3.11 "bpy-$version.in" -o "bpy-$version.txt"
+done
+uv --python-version 3.13 bpy-5.2.in -o bpy-5.2.txt

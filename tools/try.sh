@@ -1,0 +1,15 @@
+#!/bin/sh
+# Starts an installed Blender with the extension of this tree in a throw-away profile, which is removed afterwards.
+set -eu
+cd "$(dirname "$0")/.."
+blender=${BLENDER:-blender}
+if ! command -v "$blender" >/dev/null 2>&1; then
+    echo "No Blender was found as '$blender'. Give one: make try BLENDER=/path/to/blender" >&2
+    exit 1
+fi
+profile=$(mktemp -d)
+trap 'rm -rf "$profile"' EXIT
+zip=$(ls dist/*linux_x64.zip dist/*"$(uname -s | tr '[:upper:]' '[:lower:]')"*.zip 2>/dev/null | head -n 1)
+export BLENDER_USER_RESOURCES="$profile"
+"$blender" --command extension install-file --repo user_default --enable "$zip"
+"$blender" --python-expr "import bpy; bpy.ops.facemime.add_head()"
