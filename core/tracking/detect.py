@@ -1,0 +1,116 @@
+"""Viola-Jones face boxes from the cascades that come with OpenCV."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+from ..errors import ModelError
+
+DETECTORS = ("haarcascade_frontalface_default", "haarcascade_frontalface_alt2", "haarcascade_profileface")
+_WORKING_SIDE = 400
+"""Pixels to which the longer side of an image is shrunk: a face then must fill about a tenth of it."""
+_SMALLEST = 28
+_TILTS = (0.5, -0.5)
+
+
+@dataclass(frozen=True)
+class FaceBox:
+    """Where a detector saw a face.
+
+    Attributes
+    ----------
+    box : (4,) float64
+        `(x, y, width, height)`, pixels; its centre is exact also where the image was turned.
+    detector : int
+        Index into `DETECTORS`.
+    roll : float
+        Radians by which the image was turned back for the detector.
+    """
+
+    box: FloatArray
+    detector: int
+    roll: float = 0.0
+
+
+class BoxDetector:
+    """Proposes faces; the tracker tries and judges them."""
+
+    @cached_property
+    def _cascades(self) -> list[cv2.CascadeClassifier]:
+        folder = Path(cv2.__file__).parent / "data"
+        cascades = [cv2.CascadeClassifier(str(folder / f"{name}.xml")) for name in DETECTORS]
+        if any(c.empty() for c in cascades):
+            raise ModelError(
+                f"OpenCV's face cascades are missing from {folder}. Install opencv-contrib-python-headless."
+            )
+        return cascades
+
+    def boxes(self, grey: NDArray[np.uint8], *, thorough: bool) -> list[FaceBox]:
+        """Boxes of the grey image (H, W), most promising first.
+
+        The frontal cascades run on the upright image; `thorough` adds profiles of both sides and tilted heads.
+        """
+        small, factor = _shrink(grey)
+        if min(small.shape) < _SMALLEST:
+            return []
+        found = [FaceBox(b, d) for d in (0, 1) for b in self._run(small, d, neighbours=3)]
+        if thorough:
+            found += self._profiles(small)
+            found += [b for roll in _TILTS for b in self._tilted(small, roll)]
+        scaled = [FaceBox(f.box * factor, f.detector, f.roll) for f in found]
+        return _distinct(scaled)
+
+    def _run(self, grey: NDArray[np.uint8], detector: int, neighbours: int) -> list[FloatArray]:
+        size = (_SMALLEST, _SMALLEST)
+        boxes = self._cascades[detector].detectMultiScale(grey, 1.12, neighbours, minSize=size)
+        return [np.array(b, np.float64) for b in boxes]
+
+    def _profiles(self, grey: NDArray[np.uint8]) -> list[FaceBox]:
+        flipped = np.ascontiguousarray(grey[:, ::-1])
+        boxes = [FaceBox(b, 2) for b in self._run(grey, 2, 2)]
+        for b in self._run(flipped, 2, 2):
+            boxes.append(FaceBox(np.array([grey.shape[1] - b[0] - b[2], *b[1:]]), 2))
+        return boxes
+
+    def _tilted(self, grey: NDArray[np.uint8], roll: float) -> list[FaceBox]:
+        height, width = grey.shape
+        middle = ((width - 1) / 2.0, (height - 1) / 2.0)
+        forth = cv2.getRotationMatrix2D(middle, float(np.degrees(roll)), 1.0)
+        turned = cv2.warpAffine(grey, forth, (width, height)).astype(np.uint8)
+        back = cv2.invertAffineTransform(forth)
+        out = []
+        for x, y, w, h in self._run(turned, 1, 3):
+            cx, cy = back @ np.array([x + w / 2, y + h / 2, 1.0])
+            out.append(FaceBox(np.array([cx - w / 2, cy - h / 2, w, h]), 1, roll))
+        return out
+
+
+def _shrink(grey: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
+    factor = max(max(grey.shape) / _WORKING_SIDE, 1.0)
+    size = (max(round(grey.shape[1] / factor), 1), max(round(grey.shape[0] / factor), 1))
+    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if factor > 1.0 else grey
+    return cv2.equalizeHist(small).astype(np.uint8), factor
+
+
+def _distinct(boxes: list[FaceBox]) -> list[FaceBox]:
+    """Without those that repeat an earlier one's place, size and roll."""
+    kept: list[FaceBox] = []
+    for candidate in boxes:
+        x, y, w, _ = candidate.box
+        centre = np.array([x + w / 2, y + candidate.box[3] / 2])
+        repeated = any(
+            np.abs(centre - k.box[:2] - k.box[2:] / 2).max() < 0.15 * k.box[2]
+            and 0.8 < w / k.box[2] < 1.25
+            and abs(candidate.roll - k.roll) < 0.3
+            for k in kept
+        )
+        if not repeated:
+            kept.append(candidate)
+    return kept

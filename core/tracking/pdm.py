@@ -1,0 +1,192 @@
+"""The 3-D point distribution model: 66 landmarks as a mean plus modes, seen under weak perspective.
+
+Euler angles are updated by addition. They would degenerate at 90 degrees of yaw, where no landmark detector of this
+kind still works, and in return pose and Jacobian need no extra state between iterations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import cos, pi, sin
+
+import numpy as np
+
+from ..arrays import FloatArray
+
+N_POSE = 6
+"""`(s, pitch, yaw, roll, tx, ty)`, as in `TrackResult.pose`."""
+
+
+def _axis_rotations(pitch: float, yaw: float, roll: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    cx, sx, cy, sy, cz, sz = cos(pitch), sin(pitch), cos(yaw), sin(yaw), cos(roll), sin(roll)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+    about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
+    return about_x, about_y, about_z
+
+
+def rotation_matrix(pitch: float, yaw: float, roll: float) -> FloatArray:
+    """(3, 3) `Rz(roll) Ry(yaw) Rx(pitch)`, radians, head frame to image axes."""
+    about_x, about_y, about_z = _axis_rotations(pitch, yaw, roll)
+    return about_z @ about_y @ about_x
+
+
+@dataclass(frozen=True)
+class FittedShape:
+    """Pose `(6,)` and shape parameters `(K,)` that explain given landmarks best."""
+
+    pose: FloatArray
+    shape_params: FloatArray
+
+
+@dataclass(frozen=True)
+class PointDistributionModel:
+    """`x_i = s R (m_i + B_i q) + t`, first two rows, with `q ~ N(0, diag(lambda))` (Saragih et al. 2011, eq. 1).
+
+    Parameters
+    ----------
+    mean_shape : (N, 3) float64
+        Head frame (x viewer's right, y down, z away); the mean's outer eye corners are 1 apart.
+    basis : (N, 3, K) float64
+        Modes. They need not be orthonormal; only their coefficients are uncorrelated.
+    eigenvalues : (K,) float64
+        Variances of the coefficients.
+    """
+
+    mean_shape: FloatArray
+    basis: FloatArray
+    eigenvalues: FloatArray
+
+    @property
+    def n_modes(self) -> int:
+        """Number of modes K."""
+        return len(self.eigenvalues)
+
+    @cached_property
+    def _flat_basis(self) -> FloatArray:
+        """(3, N * K), so that rotating every mode is a single matrix product."""
+        return np.ascontiguousarray(self.basis.transpose(1, 0, 2)).reshape(3, -1)
+
+    @cached_property
+    def _shape_basis(self) -> FloatArray:
+        return np.ascontiguousarray(self.basis).reshape(-1, self.n_modes)
+
+    def shape(self, shape_params: FloatArray) -> FloatArray:
+        """(N, 3) landmarks in the head frame for coefficients (K,)."""
+        offset: FloatArray = (self._shape_basis @ shape_params).reshape(-1, 3)
+        return self.mean_shape + offset
+
+    def project(self, pose: FloatArray, shape_params: FloatArray) -> FloatArray:
+        """(N, 2) landmarks in pixels."""
+        rotation = rotation_matrix(pose[1], pose[2], pose[3])
+        projected: FloatArray = pose[0] * self.shape(shape_params) @ rotation[:2].T + pose[4:6]
+        return projected
+
+    def jacobian(self, pose: FloatArray, shape_params: FloatArray) -> FloatArray:
+        """(2, N, 6 + K) derivatives of the projected x and y by pose and coefficients."""
+        shape = self.shape(shape_params)
+        about_x, about_y, about_z = _axis_rotations(pose[1], pose[2], pose[3])
+        scale = pose[0]
+        tilted = shape @ about_x.T
+        turned = tilted @ about_y.T
+        # d/dangle of a rotation about a unit axis e is e x (.), applied at the axis' place in the product.
+        by_pitch = np.stack([np.zeros(len(shape)), -tilted[:, 2], tilted[:, 1]], axis=1) @ (about_z @ about_y).T
+        by_yaw = np.stack([turned[:, 2], np.zeros(len(shape)), -turned[:, 0]], axis=1) @ about_z.T
+        rolled = turned @ about_z.T
+        out = np.empty((2, len(shape), N_POSE + self.n_modes))
+        out[:, :, 0] = rolled[:, :2].T
+        out[:, :, 1] = scale * by_pitch[:, :2].T
+        out[:, :, 2] = scale * by_yaw[:, :2].T
+        out[0, :, 3], out[1, :, 3] = -scale * rolled[:, 1], scale * rolled[:, 0]
+        out[:, :, 4:6] = np.eye(2)[:, None, :]
+        rotation = about_z @ about_y @ about_x
+        out[:, :, 6:] = (scale * rotation[:2] @ self._flat_basis).reshape(2, len(shape), -1)
+        return out
+
+    def clamp(self, shape_params: FloatArray, limit: float = 3.0) -> FloatArray:
+        """Coefficients (K,) kept within `limit` standard deviations."""
+        bound = limit * np.sqrt(self.eigenvalues)
+        return np.clip(shape_params, -bound, bound)
+
+    def step(self, pose: FloatArray, shape_params: FloatArray, delta: FloatArray) -> FittedShape:
+        """Add an update (6 + K,): scale stays positive, angles in -pi..pi, coefficients within 3 deviations."""
+        moved = pose + delta[:N_POSE]
+        moved[0] = max(moved[0], 0.5 * pose[0])
+        moved[1:4] = (moved[1:4] + pi) % (2 * pi) - pi
+        return FittedShape(moved, self.clamp(shape_params + delta[N_POSE:]))
+
+    def frontal_pose(self, landmarks: FloatArray, weights: FloatArray | None = None) -> FloatArray:
+        """(6,) pose without pitch and yaw: the similarity that brings the mean nearest to landmarks (N, 2)."""
+        weights = np.ones(len(landmarks)) if weights is None else weights
+        share = (weights / weights.sum())[:, None]
+        mean_2d = self.mean_shape[:, :2]
+        centre_model, centre_image = (share * mean_2d).sum(0), (share * landmarks).sum(0)
+        a, b = mean_2d - centre_model, landmarks - centre_image
+        norm = (share * a * a).sum()
+        real = (share * a * b).sum() / norm
+        imaginary = (share[:, 0] * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])).sum() / norm
+        turn = np.array([[real, -imaginary], [imaginary, real]])
+        translation = centre_image - turn @ centre_model
+        return np.array([np.hypot(real, imaginary), 0.0, 0.0, np.arctan2(imaginary, real), *translation])
+
+    def fit(
+        self,
+        landmarks: FloatArray,
+        weights: FloatArray | None = None,
+        *,
+        noise: float = 0.01,
+        iterations: int = 15,
+        start: FloatArray | None = None,
+    ) -> FittedShape:
+        """Most probable pose and coefficients for landmarks (N, 2) in pixels, by Gauss-Newton.
+
+        Parameters
+        ----------
+        weights : (N,), optional
+            Relative trust in each landmark; 0 leaves it out.
+        noise : float
+            Standard deviation of a landmark of weight 1, in outer-eye distances. 0 turns the prior off, which is
+            solvable only where landmarks outnumber the parameters.
+        start : (6,), optional
+            Pose to begin at; otherwise a frontal one.
+        """
+        weights = np.ones(len(landmarks)) if weights is None else weights
+        pose = self.frontal_pose(landmarks, weights) if start is None else start
+        shape_params = np.zeros(self.n_modes)
+        for _ in range(iterations):
+            residual = (landmarks - self.project(pose, shape_params)).T
+            jacobian = self.jacobian(pose, shape_params)
+            prior = np.concatenate([np.zeros(N_POSE), (noise * pose[0]) ** 2 / self.eigenvalues])
+            delta = solve_update(jacobian, residual, weights, prior, shape_params)
+            pose, shape_params = (fitted := self.step(pose, shape_params, delta)).pose, fitted.shape_params
+        return FittedShape(pose, shape_params)
+
+
+def solve_update(
+    jacobian: FloatArray, shift: FloatArray, weights: FloatArray, prior: FloatArray, shape_params: FloatArray
+) -> FloatArray:
+    """(P,) `-(rho L + J^T W J)^-1 (rho L p - J^T W v)` (Saragih et al. 2011, eq. 22).
+
+    Parameters
+    ----------
+    jacobian : (2, N, P)
+    shift : (2, N)
+        Where each landmark wants to go, `v`, in pixels.
+    weights : (N,)
+        The diagonal of `W`.
+    prior : (P,)
+        The diagonal of `rho L`, 0 for the pose.
+    shape_params : (K,)
+        The shape part of `p`; the pose part is multiplied by 0.
+    """
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    weighted = (jacobian * weights[None, :, None]).reshape(flat.shape)
+    right = weighted.T @ shift.reshape(-1)
+    right[N_POSE:] -= prior[N_POSE:] * shape_params
+    normal = weighted.T @ flat
+    normal[np.diag_indices_from(normal)] += prior
+    # A landmark set of weight 0 leaves the pose free; this keeps the system solvable and the step then is 0.
+    normal[np.diag_indices(N_POSE)] += 1e-9
+    solution: FloatArray = np.linalg.solve(normal, right)
+    return solution

@@ -1,0 +1,76 @@
+"""Trains the check: fits that arrived at a face against fits that did not."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from facemime.core.landmarks import INNER
+from facemime.core.tracking.check import FaceCheck
+from facemime.core.tracking.pdm import FittedShape
+from facemime.core.tracking.tracker import COARSE_TO_FINE, FRAME_TO_FRAME, FaceTracker
+
+from .samples import SCALE, SIZE, Samples
+from .sources import Photo
+
+GOOD_BELOW, BAD_ABOVE = 0.05, 0.12
+"""Mean error of the inner landmarks in outer-eye distances; fits in between teach nothing."""
+
+
+def _error(tracker: FaceTracker, fitted: FittedShape, truth: np.ndarray) -> float:
+    found = tracker.pdm.project(fitted.pose, fitted.shape_params)
+    return float(np.linalg.norm(found - truth, axis=1)[INNER].mean() / SCALE)
+
+
+def _near(samples: Samples, i: int, spread: float, rng: np.random.Generator) -> FittedShape:
+    pose = samples.poses[i].astype(np.float64)
+    pose[0] *= np.exp(rng.normal(0, 0.15 * spread))
+    pose[1:4] += rng.normal(0, 0.2 * spread, 3)
+    pose[4:6] += rng.normal(0, 0.15 * spread, 2) * SCALE
+    return FittedShape(pose, rng.normal(0, 0.3, samples.shapes.shape[1]) * samples.shapes[i])
+
+
+def _clutter(photos: list[Photo], count: int, rng: np.random.Generator) -> list[np.ndarray]:
+    """Pictures without an upright face: pieces of photos, turned upside down or sideways."""
+    out = []
+    for _ in range(count):
+        grey = photos[rng.integers(len(photos))].grey()
+        side = int(rng.integers(min(grey.shape) // 3, min(grey.shape)))
+        y, x = (int(rng.integers(0, n - side + 1)) for n in grey.shape)
+        piece = np.rot90(grey[y : y + side, x : x + side], int(rng.integers(1, 4)))
+        out.append(cv2.resize(np.ascontiguousarray(piece), (SIZE, SIZE)))
+    return out
+
+
+def collect_features(
+    tracker: FaceTracker, samples: Samples, photos: list[Photo], rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Features (F, 1831) of good and bad fits and whether each is good (F,)."""
+    features, good = [], []
+    for i in range(len(samples)):
+        for spread in (0.4, 3.0):
+            stages = FRAME_TO_FRAME if rng.random() < 0.5 else COARSE_TO_FINE
+            fitted, seen = tracker.fit(samples.images[i], _near(samples, i, spread, rng), stages)
+            error = _error(tracker, fitted, samples.landmarks[i])
+            if error < GOOD_BELOW or error > BAD_ABOVE:
+                features.append(seen)
+                good.append(error < GOOD_BELOW)
+    for grey in _clutter(photos, len(samples), rng):
+        i = int(rng.integers(len(samples)))
+        features.append(tracker.fit(grey, _near(samples, i, 2.0, rng), COARSE_TO_FINE)[1])
+        good.append(False)
+    return np.stack(features), np.array(good)
+
+
+def train_check(features: np.ndarray, good: np.ndarray, ridge: float = 30.0) -> FaceCheck:
+    """Logistic regression by Newton's method, both classes counting alike."""
+    x = features.astype(np.float64)
+    share = np.where(good, 0.5 / max(good.mean(), 1e-3), 0.5 / max(1 - good.mean(), 1e-3))
+    weights = np.zeros(x.shape[1])
+    for _ in range(12):
+        likely = 1.0 / (1.0 + np.exp(-np.clip(x @ weights, -30, 30)))
+        gradient = x.T @ (share * (likely - good)) + ridge * weights
+        curvature = (x * (share * likely * (1 - likely))[:, None]).T @ x
+        curvature[np.diag_indices_from(curvature)] += ridge
+        weights -= np.linalg.solve(curvature, gradient)
+    return FaceCheck(weights)

@@ -1,0 +1,127 @@
+"""The ICT-FaceKit head: identities and expressions, in the tracker's axes and units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from facemime.core.landmarks import IBUG68_INDICES, OUTER_EYE_CORNERS
+
+FACE = slice(0, 9409)
+"""Vertices of the face's skin; skull and neck, sockets, gums, teeth and eyes follow (ICT-FaceKit's order)."""
+
+
+@dataclass(frozen=True)
+class IctHead:
+    """Blendshape head in the head frame, lengths in outer-eye distances of the neutral.
+
+    Attributes
+    ----------
+    neutral : (V, 3) float32
+    identity : (100, V, 3) float32
+        One standard deviation each.
+    expression : (E, V, 3) float32
+    names : list of str
+        Of the expressions.
+    triangles : (T, 3) int32
+    material : (T,) int
+    materials : list of str
+    landmarks : (66,) int
+        Vertex indices.
+    """
+
+    neutral: np.ndarray
+    identity: np.ndarray
+    expression: np.ndarray
+    names: list[str]
+    triangles: np.ndarray
+    material: np.ndarray
+    materials: list[str]
+    landmarks: np.ndarray
+
+    def index(self, name: str) -> int:
+        """Number of the expression `name`."""
+        return self.names.index(name)
+
+
+def load_ict(data: Path) -> IctHead:
+    """Read `heads/ict_facekit_light.npz`; axes turn from y up, z to the camera into y down, z away."""
+    raw = np.load(data / "heads" / "ict_facekit_light.npz", allow_pickle=False)
+    landmarks = raw["landmarks68"][IBUG68_INDICES]
+    flip = np.array([1.0, -1.0, -1.0], np.float32)
+    neutral = raw["neutral"] * flip
+    corners = neutral[landmarks[OUTER_EYE_CORNERS]]
+    unit = float(np.linalg.norm(corners[0] - corners[1]))
+    centre = neutral[landmarks].mean(0)
+    quads = raw["faces"]
+    is_triangle = (quads[:, 3] < 0) | (quads[:, 3] == quads[:, 2])
+    second = quads[~is_triangle][:, [0, 2, 3]]
+    return IctHead(
+        neutral=(neutral - centre) / unit,
+        identity=raw["identity_delta"].astype(np.float32) * flip / unit,
+        expression=raw["expression_delta"].astype(np.float32) * flip / unit,
+        names=[str(n) for n in raw["expression_names"]],
+        triangles=np.concatenate([quads[:, :3], second]).astype(np.int32),
+        material=np.concatenate([raw["face_material"], raw["face_material"][~is_triangle]]),
+        materials=[str(m) for m in raw["materials"]],
+        landmarks=landmarks,
+    )
+
+
+# How often a sampled face shows an action, and the shapes that make it. Every action that users look at
+# (blink, jaw, pucker, smile, brows) is frequent, although rare in photographs.
+_ACTIONS: tuple[tuple[float, tuple[str, ...], float], ...] = (
+    (0.40, ("eyeBlink_L", "eyeBlink_R"), 1.0),
+    (0.40, ("jawOpen",), 1.0),
+    (0.30, ("mouthSmile_L", "mouthSmile_R"), 1.0),
+    (0.15, ("mouthPucker",), 1.0),
+    (0.12, ("mouthFunnel",), 1.0),
+    (0.12, ("mouthFrown_L", "mouthFrown_R"), 1.0),
+    (0.25, ("browDown_L", "browDown_R"), 1.0),
+    (0.25, ("browInnerUp_L", "browInnerUp_R"), 1.0),
+    (0.25, ("browOuterUp_L", "browOuterUp_R"), 1.0),
+    (0.12, ("eyeSquint_L", "eyeSquint_R"), 1.0),
+    (0.12, ("eyeWide_L", "eyeWide_R"), 1.0),
+    (0.10, ("mouthStretch_L", "mouthStretch_R"), 0.9),
+    (0.12, ("mouthUpperUp_L", "mouthUpperUp_R"), 0.9),
+    (0.12, ("mouthLowerDown_L", "mouthLowerDown_R"), 0.9),
+    (0.08, ("mouthRollLower",), 0.8),
+    (0.08, ("mouthRollUpper",), 0.8),
+    (0.08, ("mouthShrugLower",), 0.8),
+    (0.08, ("mouthShrugUpper",), 0.8),
+    (0.08, ("mouthPress_L", "mouthPress_R"), 0.8),
+    (0.08, ("mouthDimple_L", "mouthDimple_R"), 0.8),
+    (0.08, ("noseSneer_L", "noseSneer_R"), 0.8),
+    (0.08, ("cheekSquint_L", "cheekSquint_R"), 0.8),
+    (0.06, ("cheekPuff_L", "cheekPuff_R"), 0.8),
+    (0.06, ("jawLeft",), 0.7),
+    (0.06, ("jawRight",), 0.7),
+    (0.06, ("jawForward",), 0.7),
+    (0.10, ("mouthLeft",), 0.8),
+    (0.10, ("mouthRight",), 0.8),
+)
+
+
+def sample_expression(head: IctHead, rng: np.random.Generator) -> np.ndarray:
+    """(E,) random coefficients: a few actions at a time, both sides alike more often than not."""
+    weights = np.zeros(len(head.names), np.float32)
+    for probability, shapes, strength in _ACTIONS:
+        if rng.random() >= probability:
+            continue
+        amount = strength * rng.random()
+        sides = np.ones(len(shapes))
+        if len(shapes) == 2 and rng.random() < 0.3:
+            sides[rng.integers(2)] = 0.0
+        elif len(shapes) == 2:
+            sides -= 0.25 * rng.random(2)
+        for side, name in zip(sides, shapes, strict=True):
+            weights[head.index(name)] = amount * side
+    # "mouthClose" is the lips' way back to each other over an open jaw; alone it would push them through each other.
+    if rng.random() < 0.2:
+        weights[head.index("mouthClose")] = weights[head.index("jawOpen")] * rng.random()
+    for side in "LR":  # wide open and closed lids exclude each other
+        blink, wide = head.index(f"eyeBlink_{side}"), head.index(f"eyeWide_{side}")
+        weights[wide] *= weights[blink] < 0.1
+    return weights

@@ -1,0 +1,250 @@
+"""Re-projection: the ICT head fitted to a photo, with the photo as its skin, seen from elsewhere and acting.
+
+The mesh is bent until its landmark vertices lie where the photo's labels are, so that the label moves with the skin
+it marks, and the landmarks of the new picture are known exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT
+from facemime.core.tracking.pdm import PointDistributionModel, rotation_matrix
+
+from .heads import FACE, IctHead
+from .raster import rasterise
+
+_LIDS = {"R": ((37, 41), (38, 40)), "L": ((43, 47), (44, 46))}
+_HIDDEN = ("M_EyeBlend", "M_EyeLashes", "M_EyeOcclusion", "M_LacrimalFluid")
+_SOCKETS = slice(11248, 14062)
+
+
+@dataclass(frozen=True)
+class SkinnedHead:
+    """A person's head, ready to be rendered.
+
+    Attributes
+    ----------
+    neutral : (V, 3) float32
+        Head frame, outer-eye distances; without the photo's own expression as far as that could be told.
+    uv : (V, 2) float32
+        Where each vertex lies in the photo, pixels.
+    skin, eyes : (H, W) uint8
+        The photo, and the photo with everything but the open eyes replaced by sclera.
+    own_expression : (E,) float32
+        The photo's expression.
+    blink : dict of str to float
+        Coefficient of `eyeBlink` at which each eye of this person is shut.
+    """
+
+    neutral: np.ndarray
+    uv: np.ndarray
+    skin: np.ndarray
+    eyes: np.ndarray
+    own_expression: np.ndarray
+    blink: dict[str, float]
+
+
+def _fit_coefficients(
+    head: IctHead, model: PointDistributionModel, landmarks: np.ndarray, acting: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pose (6,), identity (100,) and expression (E,) of landmarks (66, 2), by ridge regression at the fitted pose."""
+    pose = model.fit(landmarks, noise=0.015).pose
+    rotation = rotation_matrix(*pose[1:4])
+    points = head.landmarks
+    identity = head.identity[:, points].reshape(-1, 66, 3)
+    expression = head.expression[:, points].reshape(-1, 66, 3)
+    modes = np.concatenate([identity, expression]) @ rotation[:2].T
+    columns = np.concatenate(
+        [
+            modes.reshape(len(modes), -1).T,
+            np.tile(np.eye(2), (66, 1)),
+            (head.neutral[points] @ rotation[:2].T).reshape(-1, 1),
+        ],
+        axis=1,
+    )
+    deviation = np.concatenate([np.ones(100), np.full(len(expression), 0.35 if acting else 1e-3), [10.0, 10.0, 10.0]])
+    target = (landmarks - pose[4:6]) / pose[0]
+    ridge = (0.015 / deviation) ** 2
+    right = columns.T @ (target.reshape(-1) - columns[:, -1])
+    solution = np.linalg.solve(columns.T @ columns + np.diag(ridge), right)
+    grown = 1.0 + solution[-1]
+    fitted = np.array([pose[0] * grown, *pose[1:4], *(pose[4:6] + pose[0] * solution[-3:-1])])
+    return fitted, solution[:100] / grown, np.clip(solution[100:-3] / grown, -0.2, 1.0)
+
+
+def _bend(vertices: np.ndarray, centres: np.ndarray, shift: np.ndarray, anchors: np.ndarray) -> np.ndarray:
+    """(V, 3) smooth displacement that is `shift` (66, 3) at the centres and 0 at the anchors: linear radial basis."""
+    places = np.concatenate([centres, anchors])
+    values = np.concatenate([shift, np.zeros_like(anchors)])
+    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
+    weights = np.linalg.solve(distance - 2e-3 * np.eye(len(places)), values)
+    out = np.empty_like(vertices)
+    for start in range(0, len(vertices), 4000):
+        part = vertices[start : start + 4000]
+        out[start : start + 4000] = np.linalg.norm(part[:, None] - places[None], axis=2) @ weights
+    return out
+
+
+def _sclera_photo(photo: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
+    """The photo with everything but its open eyes painted in the eye's own white."""
+    out = photo.copy()
+    for eye in (EYE_RIGHT, EYE_LEFT):
+        corners = landmarks[eye]
+        mask = np.zeros_like(photo)
+        cv2.fillPoly(mask, [np.round(corners).astype(np.int32)], 255)
+        inside = photo[mask > 0]
+        white = float(np.percentile(inside, 75)) if inside.size else 128.0
+        size = np.ptp(corners[:, 0])
+        x, y = corners.mean(0).astype(int)
+        reach = max(int(size), 2)
+        window = np.s_[max(y - reach, 0) : y + reach, max(x - reach, 0) : x + reach]
+        part = out[window]
+        part[mask[window] == 0] = white
+    return out
+
+
+def skin_head(
+    head: IctHead, model: PointDistributionModel, photo: np.ndarray, landmarks: np.ndarray, acting: bool
+) -> SkinnedHead:
+    """Fit the head to a grey photo (H, W) with landmarks (66, 2); `acting` where the face may not be neutral."""
+    pose, identity, expression = _fit_coefficients(head, model, landmarks, acting)
+    rotation = rotation_matrix(*pose[1:4])
+    own = np.tensordot(expression, head.expression, 1)
+    vertices = head.neutral + np.tensordot(identity, head.identity, 1) + own
+    projected = pose[0] * vertices[head.landmarks] @ rotation[:2].T + pose[4:6]
+    shift = np.zeros((66, 3))
+    shift[:, :2] = (landmarks - projected) / pose[0]
+    anchors = vertices[9409:11248:60]
+    vertices = vertices + _bend(vertices, vertices[head.landmarks], shift @ rotation, anchors[anchors[:, 2] > 1.0])
+    uv = pose[0] * vertices @ rotation[:2].T + pose[4:6]
+    neutral = vertices - own
+    blink = {}
+    for side, pairs in _LIDS.items():
+        delta = head.expression[head.index(f"eyeBlink_{side}")]
+        upper, lower = (head.landmarks[[p[i] for p in pairs]] for i in (0, 1))
+        opening = (neutral[lower] - neutral[upper])[:, 1].mean()
+        closing = (delta[upper] - delta[lower])[:, 1].mean()
+        blink[side] = float(np.clip(opening / closing, 0.4, 1.8))
+    return SkinnedHead(
+        neutral.astype(np.float32),
+        uv.astype(np.float32),
+        photo,
+        _sclera_photo(photo, landmarks),
+        expression.astype(np.float32),
+        blink,
+    )
+
+
+@dataclass(frozen=True)
+class Light:
+    """Ambient and directional light; `direction` (3,) points from the face to the lamp, head-on being -z."""
+
+    ambient: float
+    strength: float
+    direction: np.ndarray
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """A new picture of a known face: grey (S, S) uint8, where the face covers it, landmarks and their visibility."""
+
+    image: np.ndarray
+    covered: np.ndarray
+    landmarks: np.ndarray
+    visible: np.ndarray
+
+
+def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    faces = np.cross(b - a, c - a)
+    normals = np.stack(
+        [np.bincount(triangles.ravel(), np.repeat(faces[:, k], 3), minlength=len(vertices)) for k in range(3)],
+        axis=1,
+    )
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+
+
+def _plain_colours(head: IctHead, skin_level: float, rng: np.random.Generator) -> np.ndarray:
+    """(materials,) grey of what no photo shows: teeth, gums and tongue; NaN where the photo is used."""
+    colour = np.full(len(head.materials), np.nan, np.float32)
+    colour[head.materials.index("M_Teeth")] = np.clip(skin_level * rng.uniform(0.85, 1.35), 60, 235)
+    colour[head.materials.index("M_GumsTongue")] = skin_level * rng.uniform(0.35, 0.75)
+    return colour
+
+
+def render(
+    head: IctHead,
+    skinned: SkinnedHead,
+    expression: np.ndarray,
+    pose: np.ndarray,
+    size: int,
+    light: Light,
+    rng: np.random.Generator,
+    perspective: float = 0.0,
+    gaze: tuple[float, float] = (0.0, 0.0),
+) -> Rendering:
+    """Draw the head with expression (E,) and pose (6,) into a size x size picture.
+
+    `perspective` is the strength k in a magnification 1 / (1 + k z); `gaze` shifts the eyes' texture, eye distances.
+    """
+    vertices = skinned.neutral + np.tensordot(expression, head.expression, 1)
+    turned = vertices @ rotation_matrix(*pose[1:4]).T
+    screen = pose[0] * turned[:, :2] / (1.0 + perspective * turned[:, 2:]) + pose[4:6]
+    hidden = [head.materials.index(m) for m in _HIDDEN]
+    triangles = head.triangles[~np.isin(head.material, hidden)]
+    material = head.material[~np.isin(head.material, hidden)]
+    a, b, c = (screen[triangles[:, i]] for i in range(3))
+    facing = np.cross(b - a, c - a) < 0
+    if facing[material == head.materials.index("M_Face")].mean() < 0.5:  # winding of the source
+        facing = ~facing
+    triangles, material = triangles[facing], material[facing]
+    drawn = rasterise(screen, turned[:, 2], triangles, size)
+    owner, weights = triangles[drawn.triangle], drawn.barycentric
+    normals = _vertex_normals(turned, head.triangles)
+    if normals[head.landmarks[30], 2] > 0:
+        normals = -normals
+    lit = light.ambient + light.strength * np.maximum(normals @ light.direction, 0.0)
+    uv = np.einsum("fk,fkd->fd", weights, skinned.uv[owner]).astype(np.float32)
+    shade = (weights * lit[owner]).sum(1)
+    kind = material[drawn.triangle]
+    grey = _look_up(skinned.skin, uv, drawn.pixel, size)
+    is_eye = np.isin(kind, [i for i, m in enumerate(head.materials) if m.startswith(("M_Sclera", "M_Iris"))])
+    shift = np.float32(np.array(gaze) * np.ptp(skinned.uv[FACE, 0]) / 2.0)
+    grey = np.where(is_eye, _look_up(skinned.eyes, uv - shift, drawn.pixel, size), grey)
+    level = float(np.median(grey[kind == head.materials.index("M_Face")]))
+    plain = _plain_colours(head, level, rng)[kind]
+    socket = (owner[:, 0] >= _SOCKETS.start) & (owner[:, 0] < _SOCKETS.stop)
+    plain = np.where(socket, level * rng.uniform(0.08, 0.4), plain)
+    inside = ~np.isnan(plain)
+    # Light hardly reaches the mouth's depth; the lips' own depth is its rim.
+    rim = turned[head.landmarks[60:], 2].min()
+    z = drawn.depth.ravel()[drawn.pixel]
+    falloff = np.exp(-rng.uniform(0.5, 3.5) * np.maximum(z - rim, 0.0))
+    grey = np.where(inside, plain * falloff, grey) * shade
+    image = np.zeros(size * size, np.float32)
+    image[drawn.pixel] = grey
+    landmarks = screen[head.landmarks]
+    visible = _visible(landmarks, turned[head.landmarks, 2], drawn.depth)
+    return Rendering(
+        np.clip(image, 0, 255).astype(np.uint8).reshape(size, size), np.isfinite(drawn.depth), landmarks, visible
+    )
+
+
+def _look_up(photo: np.ndarray, uv: np.ndarray, pixel: np.ndarray, size: int) -> np.ndarray:
+    """(F,) float32 grey of the photo at uv (F, 2). As a picture, since cv2.remap limits the length of a row."""
+    where = np.zeros((size * size, 2), np.float32)
+    where[pixel] = uv
+    shown = cv2.remap(photo, where.reshape(size, size, 2), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return shown.ravel()[pixel].astype(np.float32)
+
+
+def _visible(landmarks: np.ndarray, depth: np.ndarray, buffer: np.ndarray) -> np.ndarray:
+    """(66,) whether nothing lies more than a little before each landmark; landmarks at the very edge count."""
+    size = len(buffer)
+    column, row = np.clip(np.round(landmarks).astype(int), 1, size - 2).T
+    around = np.stack([buffer[row + dy, column + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
+    return np.max(np.where(np.isfinite(around), around, 1e3), axis=0) > depth - 0.06
