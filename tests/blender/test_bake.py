@@ -3,7 +3,6 @@
 import bpy
 import numpy as np
 import pytest
-from takes import performance
 
 from facemime.blender.bake import BAKED_KEY_PREFIX, frames_of
 from facemime.blender.frames import from_blender, rotation_to_blender
@@ -13,6 +12,7 @@ from facemime.blender.names import LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GRO
 from facemime.core.errors import HeadError
 from facemime.core.landmarks import OUTER_EYE_CORNERS
 from facemime.puppet import PuppetSettings, puppet_head
+from takes import performance
 
 
 def evaluated_vertices(obj: bpy.types.Object) -> np.ndarray:

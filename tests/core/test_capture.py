@@ -48,7 +48,7 @@ def test_what_is_no_video_is_one_clear_error(tmp_path, content, capfd):
 
 def test_a_container_without_frames_is_one_clear_error(tmp_path):
     path = write_clip(tmp_path / "clip.avi", 0, codec="MJPG")
-    with pytest.raises(SourceError, match="not a video|No frame"), VideoSource(path) as source:
+    with pytest.raises(SourceError, match=r"not a video|No frame"), VideoSource(path) as source:
         list(source)
 
 

@@ -34,10 +34,11 @@ def test_core_knows_neither_blender_nor_the_rest_of_the_house(path):
 
 def test_the_command_and_all_of_core_can_be_imported_without_blender():
     modules = [".".join(["facemime", *p.relative_to(ROOT).with_suffix("").parts]) for p in CORE]
+    names = [*(module.removesuffix(".__init__") for module in modules), "facemime.cli"]
     code = (
         "import sys, importlib\n"
         "for name in ('bpy', 'bmesh', 'mathutils', 'scipy'): sys.modules[name] = None\n"
-        f"for name in {[m.removesuffix('.__init__') for m in modules]} + ['facemime.cli']: importlib.import_module(name)\n"
+        f"for name in {names}: importlib.import_module(name)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT.parent)
 

@@ -108,7 +108,7 @@ def test_calibration_finds_the_second_at_rest(rig):
     shapes[:50] += np.linspace(0.5, 0.1, 50)[:, None, None] * np.random.default_rng(3).normal(0, 0.2, face.shape)
     shapes[100:] += 0.3 * np.random.default_rng(4).normal(0, 0.2, face.shape)
     neutral = calibrate(make_take(shapes))
-    assert 2.0 <= neutral.start and neutral.end <= 4.0
+    assert neutral.start >= 2.0 and neutral.end <= 4.0
     np.testing.assert_allclose(neutral.shape, face, atol=1e-6)
 
 

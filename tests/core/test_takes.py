@@ -88,9 +88,8 @@ def test_a_failure_while_writing_leaves_the_old_file_and_no_other(tmp_path):
 def test_a_full_disk_is_one_clear_error(tmp_path):
     path = tmp_path / "out.npz"
     path.write_text("good")
-    with pytest.raises(OutputError, match="no space left"), replacing(path):
-        with open("/dev/full", "wb") as stream:
-            stream.write(b"x" * 100_000)
+    with pytest.raises(OutputError, match="no space left"), replacing(path), open("/dev/full", "wb") as stream:
+        stream.write(b"x" * 100_000)
     assert path.read_text() == "good"
 
 

@@ -1,0 +1,127 @@
+"""The operators do what the functions do, and say so when they cannot."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+
+import facemime
+from facemime.blender.head import add_head
+from facemime.core.takes.take import save_take
+from facemime.operators.puppet_video import FACEMIME_OT_puppet_video
+from facemime.puppet import puppet_head
+from facemime.session import Session
+from takes import performance
+
+SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
+
+
+def key_coordinates(obj: bpy.types.Object) -> np.ndarray:
+    """(K, 3 V) coordinates of all shape keys."""
+    rows = []
+    for key in obj.data.shape_keys.key_blocks:
+        row = np.empty(3 * len(obj.data.vertices), np.float32)
+        key.points.foreach_get("co", row)
+        rows.append(row)
+    return np.array(rows)
+
+
+def test_registering_unregistering_and_registering_again_works():
+    facemime.unregister()
+    assert not hasattr(bpy.types.Scene, "facemime")
+    facemime.register()
+    assert bpy.context.scene.facemime.rotation
+
+
+def test_add_head_adds_the_head_at_the_cursor():
+    bpy.context.scene.cursor.location = (1.0, 2.0, 3.0)
+    assert bpy.ops.facemime.add_head() == {"FINISHED"}
+    head = bpy.context.active_object
+    assert len(head.data.vertices) == 1781 and tuple(head.location) == (1.0, 2.0, 3.0)
+
+
+def test_the_operator_and_the_function_agree(tmp_path):
+    save_take(performance(), tmp_path / "take.npz")
+    bpy.ops.facemime.add_head()
+    by_operator = bpy.context.active_object
+    assert bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.npz")) == {"FINISHED"}
+    by_function = add_head(bpy.context)
+    puppet_head(bpy.context.scene, by_function, performance())
+    np.testing.assert_allclose(key_coordinates(by_operator), key_coordinates(by_function), atol=1e-6)
+
+
+def test_settings_of_the_scene_reach_the_function(tmp_path):
+    save_take(performance(), tmp_path / "take.npz")
+    bpy.ops.facemime.add_head()
+    head = bpy.context.active_object
+    settings = bpy.context.scene.facemime
+    settings.rotation = False
+    settings.strength_lower = settings.strength_middle = settings.strength_upper = 0.0
+    bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.npz"))
+    assert head.animation_data is None
+    assert len(head.data.shape_keys.key_blocks) == 1
+
+
+@pytest.mark.parametrize("name", ["missing.mp4", "missing.npz", "broken.mp4", "broken.npz"])
+def test_a_file_that_cannot_be_read_is_reported_and_changes_nothing(tmp_path, name):
+    (tmp_path / "broken.mp4").write_bytes(b"nothing")
+    (tmp_path / "broken.npz").write_bytes(b"nothing")
+    bpy.ops.facemime.add_head()
+    with pytest.raises(RuntimeError, match=name.split(".")[0]):
+        bpy.ops.facemime.puppet_video(filepath=str(tmp_path / name))
+    assert bpy.context.active_object.data.shape_keys is None
+    assert Session.current is None
+
+
+def test_a_mesh_without_landmarks_is_reported(tmp_path):
+    save_take(performance(), tmp_path / "take.npz")
+    bpy.ops.mesh.primitive_cube_add()
+    with pytest.raises(RuntimeError, match="has no landmarks"):
+        bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.npz"))
+
+
+def test_without_a_mesh_the_button_is_grey():
+    assert not FACEMIME_OT_puppet_video.poll(bpy.context)
+
+
+def test_a_session_that_is_stopped_keeps_what_it_tracked():
+    session = Session(SAMPLE)
+    while session.running and session.done < 5:
+        pass
+    session.stop()
+    take = session.take()
+    assert 5 <= len(take) < 100 and take.info["interrupted"]
+    session.close()
+    session.close()
+    assert Session.current is None
+
+
+def test_loading_a_file_ends_the_session():
+    session = Session(SAMPLE)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    assert not session.running and Session.current is None
+
+
+def test_ticks_of_the_timer_lead_from_tracking_to_the_bake(monkeypatch):
+    """The modal way, as a window would walk it: start, ticks, finish."""
+    bpy.ops.facemime.add_head()
+    reports = []
+    operator = SimpleNamespace(
+        _session=Session(SAMPLE), _head=bpy.context.active_object.name, _timer=None, report=lambda *a: reports.append(a)
+    )
+    for name in ("modal", "finish", "bake", "cancel", "reporting"):
+        method = getattr(FACEMIME_OT_puppet_video, name)
+        setattr(operator, name, method.__get__(operator))
+    tick = SimpleNamespace(type="TIMER")
+    statuses = []
+    workspace = SimpleNamespace(status_text_set=statuses.append)
+    context = SimpleNamespace(
+        scene=bpy.context.scene, workspace=workspace, window_manager=SimpleNamespace(progress_update=statuses.append)
+    )
+    while (outcome := operator.modal(context, tick)) == {"PASS_THROUGH"}:
+        if operator._session.done > 40:
+            operator.modal(context, SimpleNamespace(type="ESC"))
+    assert outcome == {"FINISHED"} and reports[0][0] == {"INFO"} and statuses
+    assert bpy.context.active_object.data.shape_keys is not None
