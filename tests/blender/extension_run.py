@@ -1,0 +1,67 @@
+"""Run in a bare Blender, with a throw-away profile: install the zip, use it, disable it, enable it, remove it.
+
+Usage: python extension_run.py ARCHIVE CLIP. Prints one line of JSON; the exit status is 0 only where all went well.
+"""
+
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+ARCHIVE, CLIP = sys.argv[1:3]
+MODULE = "bl_ext.user_default.facemime"
+
+
+def main() -> dict:
+    """Walk through the life of the extension; returns what was measured on the way."""
+    import addon_utils
+    import bpy
+
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.extensions.package_install_files(
+        filepath=ARCHIVE, repo="user_default", enable_on_install=True, overwrite=True
+    )
+    assert addon_utils.check(MODULE) == (True, True), "the extension is not enabled"
+    import cv2
+
+    assert Path(cv2.__file__).is_relative_to(os.environ["BLENDER_USER_RESOURCES"]), cv2.__file__
+    assert bpy.ops.facemime.add_head(units=True) == {"FINISHED"}
+    head = bpy.context.active_object
+    assert bpy.ops.facemime.puppet_video(filepath=CLIP) == {"FINISHED"}
+    keys = head.data.shape_keys.key_blocks
+    baked = [key.name for key in keys if key.name.startswith("Facemime ")]
+    moved = 0.0
+    for frame in range(bpy.context.scene.frame_start, bpy.context.scene.frame_end + 1, 5):
+        bpy.context.scene.frame_set(frame)
+        moved = max(moved, *(abs(keys[name].value) for name in baked))
+    measured = {
+        "blender": bpy.app.version_string,
+        "python": sys.version.split()[0],
+        "vertices": len(head.data.vertices),
+        "units": len(keys) - 1 - len(baked),
+        "baked": len(baked),
+        "largest": moved,
+        "frames": bpy.context.scene.frame_end,
+    }
+    for _ in range(2):
+        addon_utils.disable(MODULE)
+        assert not hasattr(bpy.types.Scene, "facemime")
+        addon_utils.enable(MODULE)
+        assert bpy.context.scene.facemime is not None
+    bpy.ops.preferences.addon_disable(module=MODULE)
+    bpy.ops.extensions.package_uninstall(repo_directory=str(repository(bpy)), pkg_id="facemime")
+    assert not (repository(bpy) / "facemime").exists(), "the extension was not removed"
+    return measured
+
+
+def repository(bpy) -> Path:
+    """The folder of the repository for files installed by hand."""
+    repos = bpy.context.preferences.extensions.repos
+    return Path(next(repo for repo in repos if repo.module == "user_default").directory)
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as profile:
+        os.environ["BLENDER_USER_RESOURCES"] = profile
+        print(json.dumps(main()))

@@ -1,0 +1,143 @@
+"""The command, as a user runs it: in a process of its own, on real files."""
+
+import contextlib
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import facemime
+from facemime.core.takes.take import load_take, save_take
+from takes import performance
+
+SAMPLE = Path(facemime.__file__).parent / "assets" / "sample"
+COMMAND = Path(sys.prefix) / "bin" / "facemime"
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess:
+    """Run `facemime` with arguments."""
+    return subprocess.run([COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=500, check=False)
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory) -> Path:
+    """The first two seconds of the sample clip."""
+    path = tmp_path_factory.mktemp("clip") / "clip.mp4"
+    source = cv2.VideoCapture(str(SAMPLE / "sample.mp4"))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (640, 480))
+    for _ in range(50):
+        writer.write(source.read()[1])
+    writer.release()
+    return path
+
+
+@pytest.fixture(scope="module")
+def faceless(tmp_path_factory) -> Path:
+    """A clip of noise."""
+    path = tmp_path_factory.mktemp("clip") / "noise.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (320, 240))
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        writer.write(rng.integers(0, 255, (240, 320, 3)).astype(np.uint8))
+    writer.release()
+    return path
+
+
+def test_puppet_leaves_a_blend_a_video_a_sheet_and_a_take(clip, tmp_path):
+    out = {name: tmp_path / name for name in ("out.blend", "out.mp4", "out.png", "take.npz")}
+    done = run(
+        "puppet", clip, "-o", out["out.blend"], "--preview", out["out.mp4"], "--sheet", out["out.png"],
+        "--take", out["take.npz"],
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "worst vertex error" in done.stderr and "Traceback" not in done.stderr and done.stdout == ""
+    take = load_take(out["take.npz"])
+    assert len(take) == 50 and take.found.all()
+    video = cv2.VideoCapture(str(out["out.mp4"]))
+    fourcc = int(video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little")
+    assert fourcc in (b"h264", b"avc1") and video.get(cv2.CAP_PROP_FRAME_COUNT) == 50
+    sheet = cv2.imread(str(out["out.png"]))
+    assert sheet.shape[0] > 300 and sheet.std() > 10
+    assert out["out.blend"].read_bytes()[:4] in (b"\x28\xb5\x2f\xfd", b"BLEN")
+
+
+def test_a_take_drives_a_head_of_ones_own(tmp_path):
+    save_take(performance(), tmp_path / "take.npz")
+    assert run("puppet", tmp_path / "take.npz", "-o", tmp_path / "own.blend").returncode == 0
+    again = run("puppet", tmp_path / "take.npz", "-o", tmp_path / "b.blend", "--head", tmp_path / "own.blend")
+    assert again.returncode == 0, again.stderr
+    named = f"{tmp_path / 'own.blend'}:Eye.L"
+    refused = run("puppet", tmp_path / "take.npz", "-o", tmp_path / "c.blend", "--head", named)
+    assert refused.returncode == 1 and "has no landmarks" in refused.stderr
+    missing = run("puppet", tmp_path / "take.npz", "-o", tmp_path / "c.blend", "--head", f"{tmp_path}/own.blend:Nobody")
+    assert missing.returncode == 1 and "has no object Nobody" in missing.stderr
+
+
+def test_landmarks_of_a_folder_are_nan_where_there_is_no_face(clip, tmp_path):
+    (tmp_path / "in").mkdir()
+    cv2.imwrite(str(tmp_path / "in" / "a.png"), cv2.VideoCapture(str(clip)).read()[1])
+    cv2.imwrite(str(tmp_path / "in" / "b.jpg"), np.full((100, 100, 3), 90, np.uint8))
+    done = run("landmarks", tmp_path / "in", "-o", tmp_path / "out.npz", "--overlay", tmp_path / "drawn")
+    assert done.returncode == 0, done.stderr
+    with np.load(tmp_path / "out.npz") as data:
+        assert data["names"].tolist() == ["a.png", "b.jpg"] and data["landmarks"].shape == (2, 66, 2)
+        assert np.isfinite(data["landmarks"][0]).all() and np.isnan(data["landmarks"][1]).all()
+        assert data["confidence"].shape == (2,)
+        truth = np.load(SAMPLE / "sample_landmarks.npz")["landmarks"][0]
+        error = np.linalg.norm(data["landmarks"][0] - truth, axis=1)[17:].mean() / np.linalg.norm(truth[36] - truth[45])
+        assert error < 0.08
+    assert sorted(p.name for p in (tmp_path / "drawn").iterdir()) == ["a.png", "b.png"]
+    (tmp_path / "in" / "c.png").write_bytes(b"broken")
+    again = run("landmarks", tmp_path / "in", "-o", tmp_path / "out.npz")
+    assert again.returncode == 1 and "c.png" in again.stderr and len(np.load(tmp_path / "out.npz")["names"]) == 3
+
+
+def test_what_cannot_work_is_one_line_and_leaves_the_old_output(clip, faceless, tmp_path):
+    (tmp_path / "text.mp4").write_text("no video")
+    (tmp_path / "empty.mp4").write_bytes(b"")
+    (tmp_path / "broken.npz").write_bytes(b"PK broken")
+    good = tmp_path / "good.npz"
+    good.write_text("good")
+    for arguments, words in (
+        (("track", tmp_path / "none.mp4", "-o", good), "There is no file"),
+        (("track", tmp_path / "text.mp4", "-o", good), "not a video"),
+        (("track", tmp_path / "empty.mp4", "-o", good), "not a video"),
+        (("track", tmp_path, "-o", good), "not a file"),
+        (("track", faceless, "-o", good), "No face was found"),
+        (("track", clip, "-o", "/proc/take.npz"), "Cannot write"),
+        (("landmarks", tmp_path / "none", "-o", good), "There is no file"),
+        (("landmarks", tmp_path, "-o", good), "no picture"),
+        (("puppet", tmp_path / "broken.npz", "-o", good), "not a take"),
+        (("puppet", faceless, "-o", good), "No face was found"),
+        (("puppet", clip, "-o", tmp_path / "o.blend", "--head", tmp_path / "no.blend"), "There is no file"),
+    ):
+        done = run(*arguments)
+        told = [line for line in done.stderr.splitlines() if line.startswith("facemime:")]
+        assert done.returncode == 1 and len(told) == 1 and words in told[0], done.stderr
+        assert "Traceback" not in done.stderr
+    assert good.read_text() == "good"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["broken.npz", "empty.mp4", "good.npz", "text.mp4"]
+
+
+def test_ctrl_c_keeps_what_was_tracked(tmp_path):
+    output = tmp_path / "take.npz"
+    terminal, side = pty.openpty()
+    with subprocess.Popen([COMMAND, "track", SAMPLE / "sample.mp4", "-o", output], stderr=side) as process:
+        os.close(side)
+        heard = b""
+        while not re.search(rb"\] [1-9]\d*/", heard):
+            heard += os.read(terminal, 1024)
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(OSError):  # the end of a terminal's output is an error on Linux
+            while piece := os.read(terminal, 1024):
+                heard += piece
+    assert process.returncode == 130 and b"Traceback" not in heard
+    take = load_take(output)
+    assert 1 <= len(take) < 240 and take.info["interrupted"] and str(len(take)).encode() in heard

@@ -1,0 +1,64 @@
+"""The built zip, in every Blender that we promise."""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+CLIP = ROOT / "assets" / "sample" / "sample.mp4"
+
+
+def blender_python(version: str) -> Path:
+    """The Python of the environment with nothing but this Blender in it."""
+    key = hashlib.sha256((ROOT / "requirements" / f"bpy-{version}.txt").read_bytes()).hexdigest()[:12]
+    cache = Path(os.environ.get("FACEMIME_CACHE", Path.home() / ".cache" / "facemime"))
+    place = cache / f"bpy-{version}-{key}"
+    if not (place / ".ready").exists():
+        pytest.skip(f"Blender {version} is not set up: make blenders (5.2 needs Python 3.13)")
+    return place / "bin" / "python"
+
+
+def archive(platform: str) -> Path:
+    """The newest zip of a platform."""
+    found = sorted((ROOT / "dist").glob(f"facemime-*-{platform}.zip"))
+    if not found:
+        pytest.skip("the extension is not built: make build")
+    return found[-1]
+
+
+@pytest.mark.parametrize("version", ["4.2", "4.5", "5.0", "5.2"])
+@pytest.mark.skipif(sys.platform != "linux", reason="the environments are Linux ones")
+def test_the_zip_installs_puppets_the_head_and_leaves_no_trace(version):
+    python = blender_python(version)
+    command = [str(python), str(ROOT / "tests" / "blender" / "extension_run.py"), str(archive("linux_x64")), str(CLIP)]
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "VIRTUAL_ENV"))}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=500, env=environment, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    measured = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("{")))
+    assert measured["blender"].startswith(version)
+    assert measured["vertices"] == 1781 and measured["units"] == 52
+    assert 3 <= measured["baked"] <= 64 and measured["largest"] > 0.9 and measured["frames"] > 200
+
+
+@pytest.mark.parametrize("platform", ["linux_x64", "windows_x64", "macos_arm64", "macos_x64"])
+def test_each_zip_carries_its_own_wheel_the_assets_and_nothing_of_the_workshop(platform):
+    names = zipfile.ZipFile(archive(platform)).namelist()
+    wheels = [name for name in names if name.endswith(".whl")]
+    marks = {"linux_x64": "linux", "windows_x64": "win_amd64", "macos_arm64": "arm64", "macos_x64": "macosx_13_0_x86"}
+    assert len(wheels) == 1 and marks[platform] in wheels[0]
+    for needed in (
+        "__init__.py",
+        "LICENSE",
+        "assets/sample/sample.mp4",
+        "assets/head/head.npz",
+        "assets/MODEL_CARD.md",
+    ):
+        assert needed in names
+    for unwanted in ("training/", "tests/", "bench/", "docs/", "tools/", ".", "Makefile", "pyproject.toml"):
+        assert not [name for name in names if name.startswith(unwanted)]
