@@ -29,6 +29,7 @@ SIDE_YAW = 0.36
 _TRACK_SCALE = 14.0
 """Pixels an outer-eye distance at which the face's shift between frames is looked for."""
 _MAX_CANDIDATES = 6
+_STAGES = ("detect", "start", "fit", "check")
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ class FaceTracker:
         self._last: FittedShape | None = None
         self._template: NDArray[np.uint8] | None = None
         self._thorough = True
-        self.timings: dict[str, float] = {}
+        self.timings: dict[str, float] = dict.fromkeys(_STAGES, 0.0)
 
     @classmethod
     def load(cls, path: Path | None = None) -> FaceTracker:
@@ -217,7 +218,7 @@ class FaceTracker:
         )
 
     def _start_timings(self) -> None:
-        self.timings = {"detect": 0.0, "start": 0.0, "fit": 0.0, "check": 0.0}
+        self.timings = dict.fromkeys(_STAGES, 0.0)
 
 
 def _as_grey(image: ArrayLike) -> NDArray[np.uint8]:
