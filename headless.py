@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,7 +23,7 @@ from .core.errors import HeadError, SourceError
 from .core.files import replacing
 from .core.images import write_image
 from .core.motion import most_different
-from .core.overlay import contact_sheet, crop_face, draw_landmarks, fit_into, label
+from .core.overlay import contact_sheet, label, picture_of_face, picture_of_frame
 from .core.takes.take import Take
 from .puppet import PuppetReport, PuppetSettings, puppet_head
 
@@ -111,12 +112,13 @@ def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: 
     left_width = min(2 * AVATAR_SIDE, 2 * round(AVATAR_SIDE * width / height / 2))
     progress = Progress("Rendering", len(frames))
     avatars = render_frames(scene, frames_of(scene, np.array([f.time for f in frames])), (AVATAR_SIDE, AVATAR_SIDE))
-    pictures = _pictures(take, video, [frame.index for frame in frames])
+    indices = [frame.index for frame in frames]
+    pictures = _pictures(take, video, indices)
 
     def composed() -> Iterator[Image]:
-        for i, (picture, avatar) in enumerate(zip(pictures, avatars, strict=True)):
+        for i, (index, picture, avatar) in enumerate(zip(indices, pictures, avatars, strict=True)):
             progress.update(i + 1)
-            yield np.hstack([fit_into(picture, left_width, AVATAR_SIDE), avatar])
+            yield np.hstack([picture_of_frame(picture, _landmarks(take, index), left_width, AVATAR_SIDE), avatar])
 
     write_video(composed(), fps, path)
     progress.finish(str(path))
@@ -127,8 +129,9 @@ def write_sheet(scene: bpy.types.Scene, take: Take, video: Path | None, frames: 
     avatars = render_frames(scene, frames_of(scene, take.times[frames]), (AVATAR_SIDE, AVATAR_SIDE))
     pairs = []
     for frame, picture, avatar in zip(frames, _pictures(take, video, frames.tolist()), avatars, strict=True):
-        face = crop_face(picture, take.landmarks[frame].astype(np.float64), TILE_SIDE)
-        pairs.append((label(face, f"{take.times[frame]:.2f} s"), fit_into(avatar, TILE_SIDE, TILE_SIDE)))
+        face = picture_of_face(picture, _landmarks(take, frame), TILE_SIDE)
+        small = cv2.resize(avatar, (TILE_SIDE, TILE_SIDE), interpolation=cv2.INTER_AREA)
+        pairs.append((label(face, f"{take.times[frame]:.2f} s"), np.asarray(small, dtype=np.uint8)))
     write_image(path, contact_sheet(pairs))
 
 
@@ -138,27 +141,29 @@ def _stamps(take: Take) -> Iterator[Frame]:
         yield Frame(nothing, float(time - take.times[0]), index)
 
 
+def _landmarks(take: Take, frame: int) -> NDArray[np.float64]:
+    return np.asarray(take.landmarks[frame], dtype=np.float64)
+
+
 def _image_size(take: Take) -> tuple[int, int]:
     width, height = take.info.get("image_size", (640, 480))
     return int(width), int(height)
 
 
 def _pictures(take: Take, video: Path | None, indices: list[int]) -> Iterator[Image]:
-    """The frames of `take` numbered by ascending `indices`, landmarks drawn over them, or over grey without a video."""
+    """The video's frames numbered by ascending `indices`; plain grey ones where there is only a take."""
     width, height = _image_size(take)
     if video is None:
         blank = np.full((height, width, 3), 40, dtype=np.uint8)
-        for index in indices:
-            yield draw_landmarks(blank, take.landmarks[index].astype(np.float64))
+        for _ in indices:
+            yield blank
         return
     with VideoSource(video) as source:
         wanted = iter(indices)
         index = next(wanted, None)
         for frame in source:
-            if index == frame.index:
-                picture = draw_landmarks(frame.image, take.landmarks[index].astype(np.float64))
             while index == frame.index:
-                yield picture
+                yield frame.image
                 index = next(wanted, None)
             if index is None:
                 return

@@ -10,7 +10,7 @@ from ..core.drive import HeadRig
 from ..core.errors import HeadError
 from ..core.landmarks import N_LANDMARKS
 from .frames import from_blender, to_blender
-from .names import LANDMARKS_PROPERTY, REGION_GROUPS
+from .names import LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS
 
 _JAW_ENDS = (0, 16)
 
@@ -66,7 +66,19 @@ def read_rig(obj: bpy.types.Object | None) -> HeadRig:
         landmarks=landmarks,
         region_weights=read_regions(obj),
         jaw_pivot=vertices[landmarks[list(_JAW_ENDS)]].astype(np.float64).mean(axis=0),
+        eyeballs=read_eyeballs(obj),
     )
+
+
+def read_eyeballs(obj: bpy.types.Object) -> NDArray[np.float64]:
+    """(E, 4) centre and radius, in the frame of `obj`, of the eyeballs that are its children."""
+    eyeballs = []
+    for child in obj.children:
+        if str(child.get(PART_PROPERTY, "")).startswith("eye") and isinstance(child.data, bpy.types.Mesh):
+            centre = from_blender(np.array((child.matrix_parent_inverse @ child.matrix_basis).translation))
+            radius = np.linalg.norm(read_vertices(child.data), axis=1).max()
+            eyeballs.append([*centre, float(radius) * float(child.scale[0])])
+    return np.array(eyeballs).reshape(-1, 4)
 
 
 def read_regions(obj: bpy.types.Object) -> NDArray[np.float32]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, IntArray
+from .deform.eyeballs import EyeballContact
 from .deform.rbf import RBFDeformer
 from .deform.regions import membership
 from .errors import HeadError
@@ -35,12 +36,15 @@ class HeadRig:
         Shares of the regions upper, middle and lower.
     jaw_pivot : (3,) float
         A point on the hinge of the jaw.
+    eyeballs : (E, 4) float
+        Centre and radius of each eyeball; none by default.
     """
 
     vertices: FloatArray
     landmarks: IntArray
     region_weights: FloatArray
     jaw_pivot: FloatArray
+    eyeballs: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
 
     def __post_init__(self) -> None:
         landmarks = np.asarray(self.landmarks)
@@ -105,6 +109,7 @@ class HeadDriver:
         self.neutral = neutral
         self.retargeter = Retargeter(neutral.shape, points, mode=mode, strength=strength)
         self.deformer = RBFDeformer(rig.vertices, points, rig.region_weights, membership(), sigma=sigma)
+        self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
         self._chin = points[_CHIN] - rig.jaw_pivot
         self._unit = float(np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS])))
 
@@ -112,8 +117,10 @@ class HeadDriver:
         """The head for one tracking result in which a face was found."""
         displacements = self.retargeter.displacements(result.shape)
         rotation = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
+        vertices = self.deformer.deform(displacements)
+        self.contact.resolve(vertices)
         return HeadFrame(
-            vertices=self.deformer.deform(displacements),
+            vertices=vertices,
             rotation=rotation,
             translation=self._translation(result.pose),
             jaw=fit_rotation(self._chin, self._chin + displacements[_CHIN]),

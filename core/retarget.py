@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .arrays import FloatArray, as_points
+from .arrays import FloatArray, IntArray, as_points
 from .deform.regions import REGIONS, membership
 from .errors import HeadError, SourceError
-from .landmarks import N_LANDMARKS, from_ibug
+from .landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, N_LANDMARKS, from_ibug
 from .rotation import euler_to_matrix
 from .takes.take import Take
 
@@ -19,6 +19,8 @@ Mode = Literal["3d", "planar"]
 
 _UPPER_LIDS = from_ibug((37, 38, 43, 44))
 _LOWER_LIDS = from_ibug((41, 40, 47, 46))
+_MEETING_RIMS = ((_UPPER_LIDS, _LOWER_LIDS), (MOUTH_INNER_UPPER, MOUTH_INNER_LOWER[::-1]))
+"""Upper and lower landmarks that face each other across the eye slits and the mouth slit."""
 _FRONTAL_YAW = 0.35
 
 
@@ -133,6 +135,7 @@ class Retargeter:
         gains = np.asarray(strength, dtype=np.float64)
         members = membership()
         self.scale *= ((members * gains[:, None]).sum(axis=0) / members.sum(axis=0))[:, None]
+        self._rest_heights = self.head_landmarks[:, 1]
         if mode == "planar":
             self.scale[:, 2] = 0.0
 
@@ -145,7 +148,19 @@ class Retargeter:
             The performer's pose-free shape.
         """
         current = as_points(shape, "shape", count=N_LANDMARKS)
-        return np.asarray(self.scale * (current - self.neutral))
+        moved = np.asarray(self.scale * (current - self.neutral))
+        for upper, lower in _MEETING_RIMS:
+            _keep_apart(moved, upper, lower, self._rest_heights)
+        return moved
+
+
+def _keep_apart(moved: FloatArray, upper: IntArray, lower: IntArray, rest: FloatArray) -> None:
+    """Let rims that meet stop at each other, half way between where they would have crossed; in place."""
+    crossed = (rest[upper] + moved[upper, 1]) - (rest[lower] + moved[lower, 1])
+    allowed = np.maximum(rest[upper] - rest[lower], 0.0)
+    excess = np.maximum(crossed - allowed, 0.0) / 2.0
+    moved[upper, 1] -= excess
+    moved[lower, 1] += excess
 
 
 def _scale(neutral: FloatArray, head: FloatArray) -> FloatArray:

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from facemime.core.deform.eyeballs import EyeballContact
 from facemime.core.drive import HeadDriver, HeadRig, gaze_at_viewer
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.head import load_head
@@ -76,6 +77,30 @@ def test_a_performers_closed_eye_closes_the_heads(rig):
     moved = points + Retargeter(face, points).displacements(closed)
     opening = (points[lower, 1] - points[upper, 1]).mean()
     assert abs((moved[lower, 1] - moved[upper, 1]).mean()) < 1e-3 * opening
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000))
+def test_lids_and_lips_meet_but_never_cross(rig, seed):
+    face, points = performer(rig), rig.vertices[rig.landmarks]
+    rng = np.random.default_rng(seed)
+    moved = points + Retargeter(face, points).displacements(face + rng.normal(0.0, 0.1, face.shape))
+    for upper, lower in (((37, 38, 43, 44), (41, 40, 47, 46)), ((61, 62, 63), (67, 66, 65))):
+        u, low = from_ibug(upper), from_ibug(lower)
+        crossed_at_rest = np.maximum(points[u, 1] - points[low, 1], 0.0)
+        assert (moved[u, 1] - moved[low, 1] <= crossed_at_rest + 1e-9).all()
+
+
+def test_a_closing_lid_rolls_over_the_eyeball(rig):
+    rng = np.random.default_rng(0)
+    skin = rng.normal(size=(500, 3))
+    skin *= (rng.uniform(1.0, 1.3, 500) / np.linalg.norm(skin, axis=1))[:, None]
+    contact = EyeballContact(skin, np.ones(500), np.array([[0.0, 0.0, 0.0, 1.1]]))
+    moved = (skin * 0.8).astype(np.float32)
+    contact.resolve(moved)
+    distance, rest = np.linalg.norm(moved, axis=1), np.linalg.norm(skin, axis=1)
+    assert (distance >= np.minimum(rest, 1.1) - 1e-5).all()
+    np.testing.assert_allclose(moved / distance[:, None], skin / rest[:, None], atol=1e-5)
 
 
 def test_planar_mode_keeps_depth_and_strength_scales_a_region(rig):

@@ -1,0 +1,9 @@
+"""Measurements. Every bench prints one table, draws one figure, and with `--json FILE` writes the same numbers.
+
+All run on one core: the thread pools are sized before numpy is loaded.
+"""
+
+import os
+
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_name] = "1"

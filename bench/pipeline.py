@@ -1,0 +1,114 @@
+"""Milliseconds a stage and frames a second end to end, on one core: from a video's frame to the mesh in Blender.
+
+Run as `python -m bench.pipeline [VIDEO]`; the sample clip by default.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from pathlib import Path
+from time import perf_counter
+
+import bpy
+import cv2
+import numpy as np
+
+from bench.report import Table, bars, finish, parser
+from facemime.blender.head import add_head
+from facemime.blender.meshes import read_rig, write_vertices
+from facemime.core.capture import VideoSource
+from facemime.core.drive import HeadDriver
+from facemime.core.pipeline import track_video
+from facemime.core.retarget import calibrate
+from facemime.core.tracking.tracker import FaceTracker
+
+ROOT = Path(__file__).resolve().parents[1]
+STAGES = {
+    "decode": "decode",
+    "detect": "detect (Viola-Jones), first frame",
+    "start": "learnt start, first frame",
+    "track": "track, frame to frame",
+    "retarget": "retarget",
+    "deform": "deform, 1,781 vertices",
+    "write": "write to the mesh",
+}
+
+
+def main() -> int:
+    """Measure, print, draw."""
+    command = parser(__doc__.splitlines()[0])
+    command.add_argument("video", type=Path, nargs="?", default=ROOT / "assets" / "sample" / "sample.mp4")
+    arguments = command.parse_args()
+    cv2.setNumThreads(1)
+    times, frames, elapsed = measure(arguments.video)
+    milliseconds = {name: 1e3 * np.array(times[name]) for name in STAGES}
+    rows = [
+        (title, *(float(np.percentile(milliseconds[name], p)) for p in (50, 95)), len(milliseconds[name]))
+        for name, title in STAGES.items()
+    ]
+    fps = frames / elapsed
+    tables = [
+        Table("Milliseconds a stage, one core", ("stage", "median", "95 %", "samples"), rows),
+        Table("End to end", ("frames", "seconds", "frames a second"), [(frames, elapsed, fps)]),
+    ]
+    numbers = {
+        "milliseconds": {name: float(np.median(values)) for name, values in milliseconds.items()},
+        "p95": {name: float(np.percentile(values, 95)) for name, values in milliseconds.items()},
+        "fps": fps,
+        "frames": frames,
+    }
+    if arguments.figure is not None:
+        medians = list(numbers["milliseconds"].values())
+        bars(arguments.figure, "From a video's frame to the mesh, one core", list(STAGES.values()), medians, "ms")
+    finish(arguments, tables, numbers)
+    return 0
+
+
+def measure(video: Path) -> tuple[dict[str, list[float]], int, float]:
+    """Seconds of each stage of each frame, the number of frames, and the seconds of the whole."""
+    tracker = FaceTracker.load()
+    neutral = calibrate(track_video(video, tracker).finish())
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    head = add_head(bpy.context)
+    driver = HeadDriver(read_rig(head), neutral)
+    times: dict[str, list[float]] = defaultdict(list)
+    out = np.empty_like(driver.deformer.rest)
+    frames = 0
+    with VideoSource(video) as source:
+        for frame in source:
+            if frame.index % 10 == 0:
+                tracker.locate(frame.image)
+                for stage in ("detect", "start"):
+                    times[stage].append(tracker.timings[stage])
+    tracker.reset()
+    begin = last = perf_counter()
+
+    def lap(name: str) -> None:
+        nonlocal last
+        now = perf_counter()
+        times[name].append(now - last)
+        last = now
+
+    with VideoSource(video) as source:
+        for frame in source:
+            lap("decode")
+            result = tracker.track(frame.image)
+            if frame.index > 0:
+                lap("track")
+            if result.found:
+                last = perf_counter()
+                displacements = driver.retargeter.displacements(result.shape)
+                lap("retarget")
+                driver.deformer.deform(displacements, out)
+                lap("deform")
+                write_vertices(head.data, out)
+                bpy.context.view_layer.update()
+                lap("write")
+            frames += 1
+            last = perf_counter()
+    return times, frames, perf_counter() - begin
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,69 @@
+"""The table, the figure and the JSON that every bench ends with."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Table:
+    """A titled table; `rows` hold text and numbers, one per column."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
+
+    def markdown(self) -> str:
+        """The table as Markdown, numbers with three significant digits."""
+        lines = [
+            f"## {self.title}",
+            "",
+            "| " + " | ".join(self.columns) + " |",
+            "|" + "---|" * len(self.columns),
+        ]
+        lines += ["| " + " | ".join(_text(value) for value in row) + " |" for row in self.rows]
+        return "\n".join(lines) + "\n"
+
+
+def parser(description: str) -> argparse.ArgumentParser:
+    """Arguments that every bench understands."""
+    arguments = argparse.ArgumentParser(description=description)
+    arguments.add_argument("--json", type=Path, metavar="FILE", help="write the numbers there")
+    arguments.add_argument("--figure", type=Path, metavar="FILE.png", help="draw the figure there")
+    return arguments
+
+
+def bars(path: Path, title: str, names: Sequence[str], values: Sequence[float], unit: str) -> None:
+    """Draw horizontal bars, one a name, labelled with their values."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7.0, 0.5 + 0.4 * len(names)), layout="constrained")
+    drawn = axes.barh(range(len(names)), values, color="#3a7d6b")
+    axes.bar_label(drawn, [_text(value) for value in values], padding=3)
+    axes.set_yticks(range(len(names)), names)
+    axes.invert_yaxis()
+    axes.set_xlabel(unit)
+    axes.set_title(title)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.margins(x=0.12)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def finish(arguments: argparse.Namespace, tables: Sequence[Table], numbers: dict[str, object]) -> None:
+    """Print the tables and write the JSON where asked for."""
+    print("\n".join(table.markdown() for table in tables))
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
+
+
+def _text(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
