@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from .arrays import FloatArray, IntArray, as_points
 from .deform.regions import REGIONS, membership
 from .errors import HeadError, SourceError
-from .landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, N_LANDMARKS, from_ibug
+from .landmarks import BROWS, EYE_LEFT, EYE_RIGHT, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, N_LANDMARKS, from_ibug
 from .rotation import euler_to_matrix
 from .takes.take import Take
 
@@ -21,7 +21,8 @@ _UPPER_LIDS = from_ibug((37, 38, 43, 44))
 _LOWER_LIDS = from_ibug((41, 40, 47, 46))
 _MEETING_RIMS = ((_UPPER_LIDS, _LOWER_LIDS), (MOUTH_INNER_UPPER, MOUTH_INNER_LOWER[::-1]))
 """Upper and lower landmarks that face each other across the eye slits and the mouth slit."""
-_FRONTAL_YAW = 0.35
+_MOUTH_CORNERS = from_ibug((48, 54))
+_BROWS_AND_EYES = np.concatenate([BROWS, EYE_RIGHT, EYE_LEFT])
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
     Parameters
     ----------
     start : float, optional
-        Seconds. By default the steadiest second is taken whose shape is nearest to the median of the take: a face
-        rests more than it acts.
+        Seconds. By default the second with the least expression: lips closed, mouth not drawn wide, brows and lids
+        where they mostly are, head towards the camera.
     duration : float
         Seconds to average.
 
@@ -66,7 +67,7 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
     if not take.found.any():
         raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")
     if start is None:
-        start = _quietest_second(take, duration)
+        start = _restful_second(take, duration)
     chosen = take.found & (take.times >= start - 1e-9) & (take.times <= start + duration)
     if not chosen.any():
         raise SourceError(
@@ -82,20 +83,33 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
     )
 
 
-def _quietest_second(take: Take, duration: float) -> float:
+def _restful_second(take: Take, duration: float) -> float:
+    """Start of the window with the least expression: see `_expression`."""
     found = np.flatnonzero(take.found)
-    times, shapes = take.times[found], take.shape[found].astype(np.float64)
-    frontal = np.abs(take.pose[found, 2]) < _FRONTAL_YAW
-    reference = np.median(shapes[frontal] if frontal.any() else shapes, axis=0)
-    distance = np.linalg.norm(shapes - reference, axis=2).mean(axis=1) + np.abs(take.pose[found, 2]) * 0.1
+    times = take.times[found]
+    expression = _expression(take.shape[found].astype(np.float64)) + 0.1 * np.abs(take.pose[found, 2])
     ends = np.searchsorted(times, times + duration, side="right")
     full = np.flatnonzero(times + duration <= times[-1] + 1e-9)
     starts = full if len(full) else np.array([0])
-    sums = np.concatenate([[0.0], np.cumsum(distance)])
+    sums = np.concatenate([[0.0], np.cumsum(expression)])
     counts = ends[starts] - starts
     dense = counts >= 0.5 * counts.max()
     mean = np.where(dense, (sums[ends[starts]] - sums[starts]) / counts, np.inf)
     return float(times[starts[np.argmin(mean)]])
+
+
+def _expression(shapes: FloatArray) -> FloatArray:
+    """How far each of (N, 66, 3) shapes is from rest, (N,), outer-eye distances.
+
+    A resting face has closed lips, a mouth that is not drawn wide, and brows and lids where they mostly are. A plain
+    distance from the median would call a grin neutral in a clip of somebody who grins most of the time.
+    """
+    gap = (shapes[:, MOUTH_INNER_LOWER[::-1], 1] - shapes[:, MOUTH_INNER_UPPER, 1]).mean(axis=1)
+    width = np.linalg.norm(shapes[:, _MOUTH_CORNERS[1]] - shapes[:, _MOUTH_CORNERS[0]], axis=1)
+    upper = shapes[:, _BROWS_AND_EYES]
+    unusual = np.linalg.norm(upper - np.median(upper, axis=0), axis=2).mean(axis=1)
+    closed, narrow = np.percentile(gap, 5), np.percentile(width, 20)
+    return np.asarray(np.abs(gap - closed) + 0.5 * np.abs(width - narrow) + unusual)
 
 
 class Retargeter:

@@ -1,6 +1,6 @@
 """Lids slide over the eyeballs rather than through them.
 
-A lid that closes along a straight line cuts the corner of the sphere that it should roll over, and the eye shows through
+A lid that closes along a straight line cuts the corner of the sphere that it should roll over: the eye shows through
 the skin. Vertices near an eyeball are therefore kept at least as far from its centre as its surface.
 """
 

@@ -137,6 +137,14 @@ def test_calibration_finds_the_second_at_rest(rig):
     np.testing.assert_allclose(neutral.shape, face, atol=1e-6)
 
 
+def test_a_grin_that_lasts_is_not_taken_for_the_neutral_face(rig):
+    shapes = np.tile(performer(rig), (150, 1, 1))
+    shapes[40:, from_ibug((48, 54)), 0] += (-0.1, 0.1)
+    shapes[40:, from_ibug(range(65, 68)), 1] += 0.1
+    neutral = calibrate(make_take(shapes))
+    assert neutral.end <= 1.6
+
+
 def test_calibration_skips_lost_frames_and_refuses_a_take_without_a_face(rig):
     shapes = np.tile(performer(rig), (60, 1, 1))
     found = np.ones(60, bool)
