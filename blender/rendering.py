@@ -106,14 +106,18 @@ def set_rate(scene: bpy.types.Scene, fps: float) -> None:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keep Blender's own chatter, which it prints a line a frame, off the process' standard output."""
-    sys.stdout.flush()
-    saved = os.dup(1)
+    """Keep Blender's own chatter (a line a frame, and its driver's) off the process' output; errors are exceptions."""
+    streams = (sys.stdout, sys.stderr)
+    for stream in streams:
+        stream.flush()
+    saved = [os.dup(number) for number in (1, 2)]
     null = os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(null, 1)
+        for number in (1, 2):
+            os.dup2(null, number)
         yield
     finally:
-        os.dup2(saved, 1)
-        os.close(saved)
+        for number, copy in zip((1, 2), saved, strict=True):
+            os.dup2(copy, number)
+            os.close(copy)
         os.close(null)

@@ -70,13 +70,11 @@ def test_a_performers_closed_eye_closes_the_heads(rig):
     face = performer(rig)
     closed = face.copy()
     upper, lower = from_ibug((37, 38, 43, 44)), from_ibug((41, 40, 47, 46))
-    for eye in range(2):
-        u, low = upper[2 * eye : 2 * eye + 2], lower[2 * eye : 2 * eye + 2]
-        closed[u, 1] += (face[low, 1] - face[u, 1]).mean()
+    closed[upper, 1] = face[lower, 1]
     points = rig.vertices[rig.landmarks]
     moved = points + Retargeter(face, points).displacements(closed)
     opening = (points[lower, 1] - points[upper, 1]).mean()
-    assert abs((moved[lower, 1] - moved[upper, 1]).mean()) < 1e-3 * opening
+    assert np.abs(moved[lower, 1] - moved[upper, 1]).max() < 0.1 * opening
 
 
 @settings(max_examples=40, deadline=None)
@@ -130,8 +128,9 @@ def test_a_wide_mouth_on_a_narrow_face_opens_as_far_relative_to_the_face(rig):
 def test_calibration_finds_the_second_at_rest(rig):
     face = performer(rig)
     shapes = np.tile(face, (150, 1, 1))
-    shapes[:50] += np.linspace(0.5, 0.1, 50)[:, None, None] * np.random.default_rng(3).normal(0, 0.2, face.shape)
-    shapes[100:] += 0.3 * np.random.default_rng(4).normal(0, 0.2, face.shape)
+    shapes[:50, from_ibug(range(65, 68)), 1] += np.linspace(0.3, 0.1, 50)[:, None]
+    shapes[100:, from_ibug((48, 54)), 0] += (-0.05, 0.05)
+    shapes[100:, from_ibug(range(17, 27)), 1] -= 0.05
     neutral = calibrate(make_take(shapes))
     assert neutral.start >= 2.0 and neutral.end <= 4.0
     np.testing.assert_allclose(neutral.shape, face, atol=1e-6)
