@@ -42,14 +42,15 @@ class Stage:
 
 
 COARSE_TO_FINE = (
-    Stage(0, 6, MeanShiftOptions((12.0, 8.0, 5.0, 3.0))),
-    Stage(1, 5, MeanShiftOptions((8.0, 5.0, 3.0, 2.0))),
-    Stage(2, 5, MeanShiftOptions((6.0, 4.0, 2.0, 1.5, 1.0))),
+    Stage(0, 6, MeanShiftOptions((12.0, 8.0, 5.0, 3.0), 0.5)),
+    Stage(1, 5, MeanShiftOptions((8.0, 5.0, 3.0, 2.0), 0.3)),
+    Stage(2, 5, MeanShiftOptions((6.0, 4.0, 2.0, 1.5, 1.0, 1.0), 0.15)),
 )
 FRAME_TO_FRAME = (
-    Stage(1, 5, MeanShiftOptions((8.0, 5.0, 3.0, 2.0))),
-    Stage(2, 4, MeanShiftOptions((4.0, 2.0, 1.5, 1.0))),
+    Stage(1, 5, MeanShiftOptions((8.0, 5.0, 3.0, 2.0), 0.3)),
+    Stage(2, 4, MeanShiftOptions((4.0, 2.0, 1.5, 1.0, 1.0), 0.15)),
 )
+"""The weights are mostly below 1, so that the prior, too, counts less than in the paper: more, and lids stay open."""
 
 
 @dataclass(frozen=True)

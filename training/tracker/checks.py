@@ -31,15 +31,27 @@ def _near(samples: Samples, i: int, spread: float, rng: np.random.Generator) -> 
 
 
 def _clutter(photos: list[Photo], count: int, rng: np.random.Generator) -> list[np.ndarray]:
-    """Pictures without an upright face: pieces of photos, turned upside down or sideways."""
+    """Pictures without an upright face: pieces of photos, turned upside down or sideways, and plain surfaces."""
     out = []
     for _ in range(count):
+        if rng.random() < 0.25:
+            out.append(_surface(rng))
+            continue
         grey = photos[rng.integers(len(photos))].grey()
         side = int(rng.integers(min(grey.shape) // 3, min(grey.shape)))
         y, x = (int(rng.integers(0, n - side + 1)) for n in grey.shape)
         piece = np.rot90(grey[y : y + side, x : x + side], int(rng.integers(1, 4)))
         out.append(cv2.resize(np.ascontiguousarray(piece), (SIZE, SIZE)))
     return out
+
+
+def _surface(rng: np.random.Generator) -> np.ndarray:
+    """A wall: one grey, or soft blotches, with or without noise."""
+    blotches = cv2.GaussianBlur(rng.normal(0, 1, (SIZE, SIZE)), (0, 0), rng.uniform(1.0, 40.0))
+    strength = rng.choice([0.0, rng.uniform(2.0, 60.0)])
+    out = rng.uniform(20, 235) + strength * blotches / blotches.std()
+    out += rng.choice([0.0, rng.uniform(0.5, 12.0)]) * rng.normal(0, 1, (SIZE, SIZE))
+    return np.clip(out, 0, 255).astype(np.uint8)
 
 
 def collect_features(

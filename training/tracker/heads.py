@@ -103,14 +103,30 @@ _ACTIONS: tuple[tuple[float, tuple[str, ...], float], ...] = (
     (0.10, ("mouthRight",), 0.8),
 )
 
+_GRIN = {
+    "mouthSmile": (0.4, 1.0),
+    "mouthUpperUp": (0.2, 0.8),
+    "mouthLowerDown": (0.0, 0.9),
+    "cheekSquint": (0.0, 0.8),
+    "eyeSquint": (0.0, 0.8),
+}
+"""A smile that shows the teeth needs several actions at once, which chance alone would seldom bring together."""
+
 
 def sample_expression(head: IctHead, rng: np.random.Generator) -> np.ndarray:
     """(E,) random coefficients: a few actions at a time, both sides alike more often than not."""
     weights = np.zeros(len(head.names), np.float32)
+    if rng.random() < 0.2:
+        for name, (low, high) in _GRIN.items():
+            weights[[head.index(f"{name}_{side}") for side in "LR"]] = rng.uniform(low, high)
+        weights[head.index("jawOpen")] = rng.uniform(0.0, 0.35)
+        if rng.random() < 0.6:
+            return weights
     for probability, shapes, strength in _ACTIONS:
         if rng.random() >= probability:
             continue
-        amount = strength * rng.random()
+        # Half of all blinks are complete: lids are seldom seen half way.
+        amount = 1.0 if shapes[0] == "eyeBlink_L" and rng.random() < 0.5 else strength * rng.random()
         sides = np.ones(len(shapes))
         if len(shapes) == 2 and rng.random() < 0.3:
             sides[rng.integers(2)] = 0.0

@@ -171,7 +171,7 @@ def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 def _plain_colours(head: IctHead, skin_level: float, rng: np.random.Generator) -> np.ndarray:
     """(materials,) grey of what no photo shows: teeth, gums and tongue; NaN where the photo is used."""
     colour = np.full(len(head.materials), np.nan, np.float32)
-    colour[head.materials.index("M_Teeth")] = np.clip(skin_level * rng.uniform(0.85, 1.35), 60, 235)
+    colour[head.materials.index("M_Teeth")] = np.clip(skin_level * rng.uniform(0.8, 2.0), 50, 250)
     colour[head.materials.index("M_GumsTongue")] = skin_level * rng.uniform(0.35, 0.75)
     return colour
 

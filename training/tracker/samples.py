@@ -116,7 +116,7 @@ def degrade(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         edge = (x * np.cos(angle) + y * np.sin(angle) - rng.uniform(-0.4, 0.4)) / rng.uniform(0.05, 0.8)
         out *= 1.0 - depth / (1.0 + np.exp(-np.clip(edge, -20, 20)))
     out = 255.0 * np.clip(out / 255.0, 0, 1) ** rng.uniform(0.6, 1.6)
-    out = (out - 128.0) * rng.uniform(0.35, 1.1) + rng.uniform(70.0, 170.0)
+    out = (out - 128.0) * rng.uniform(0.45, 1.1) + rng.uniform(75.0, 170.0)
     small = SIZE
     if rng.random() < 0.6:
         small = int(SIZE * rng.uniform(24.0, 80.0) / SCALE)
@@ -200,7 +200,7 @@ def render_samples(
         soft = cv2.GaussianBlur(picture.covered.astype(np.float32), (0, 0), 0.8)
         image = np.where(picture.covered, picture.image * soft + behind * (1 - soft), behind).astype(np.uint8)
         visible = picture.visible
-        if rng.random() < 0.15:
+        if rng.random() < 0.2:
             image, hidden = _occlude(image, picture.landmarks, rng)
             visible = visible & ~hidden
         rows.append((degrade(image, rng), picture.landmarks, visible, pose, weight))

@@ -1,0 +1,55 @@
+"""Makes the tracker's model: `python -m training.tracker`. What `build/model` has already is not made again."""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one process a core, each with one thread; before numpy loads
+
+from multiprocessing import get_context
+from pathlib import Path
+from time import perf_counter
+
+from facemime.core.tracking.model_file import save_model
+from facemime.core.tracking.tracker import DEFAULT_MODEL
+
+from .workshop import SCALES, Job, Workshop, run_job
+
+ROOT = Path(__file__).parents[2]
+_PHOTOS_A_PART = 12
+
+
+def _run_all(jobs: list[Job], processes: int) -> None:
+    began = perf_counter()
+    with get_context("spawn").Pool(processes, maxtasksperchild=4) as pool:
+        for done in pool.imap_unordered(run_job, jobs):
+            print(f"{perf_counter() - began:7.1f} s  {done}", flush=True)
+
+
+def main() -> None:
+    """Run every step that is not done yet, then write the model."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    parser.add_argument("--work", type=Path, default=ROOT / "build" / "model")
+    parser.add_argument("--output", type=Path, default=DEFAULT_MODEL)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    options = parser.parse_args()
+    workshop = Workshop(options.data, options.work)
+    where = (options.data, options.work)
+    workshop.shape()
+    jobs = []
+    for held_out in (True, False):
+        photos = workshop.photos(held_out)
+        parts = [photos[i : i + _PHOTOS_A_PART] for i in range(0, len(photos), _PHOTOS_A_PART)]
+        jobs += [Job(*where, "part", (i, part, held_out)) for i, part in enumerate(parts)]
+    _run_all(jobs, options.jobs)
+    steps = [Job(*where, "experts", (view, scale)) for view in ("frontal", "side") for scale in SCALES]
+    _run_all([Job(*where, "start"), *steps], options.jobs)
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    name = save_model(workshop.assemble(workshop.check()), options.output)
+    print(f"{options.output}: model {name}, {options.output.stat().st_size / 1e6:.1f} MB")
+
+
+if __name__ == "__main__":
+    main()
