@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import sys
 import tempfile
@@ -23,6 +24,7 @@ Image = NDArray[np.uint8]
 
 def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[int, int]) -> Iterator[Image]:
     """Yield a BGR picture of `size` (width, height) for each of `frames`, which may be fractional."""
+    require_display_library()
     render = scene.render
     render.resolution_x, render.resolution_y = size
     render.resolution_percentage = 100
@@ -42,6 +44,15 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
             if image is None:
                 raise OutputError("Blender rendered no picture. Free some disk space in the temporary folder.")
             yield np.asarray(image, dtype=np.uint8)
+
+
+def require_display_library() -> None:
+    """Raise OutputError where Blender could not draw: it would not fail then but end the whole process."""
+    if sys.platform == "linux" and bpy.app.background:
+        try:
+            ctypes.CDLL("libEGL.so.1")
+        except OSError as error:
+            raise OutputError("Blender cannot draw pictures: libEGL.so.1 is missing. Install libegl1.") from error
 
 
 def write_video(images: Iterable[Image], fps: float, path: Path) -> None:
