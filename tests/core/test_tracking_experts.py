@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+
 from facemime.core.landmarks import MIRROR
 from facemime.core.tracking.patch_experts import CONTRAST_FLOOR, HALF, PATCH, PatchExperts
 from facemime.core.tracking.reference import frame_size, warp_to_reference

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from facemime.core.tracking.fit import MeanShiftOptions, mean_shifts, regularised_mean_shift
 from facemime.core.tracking.patch_experts import ResponseMaps
 from facemime.core.tracking.pdm import FittedShape, PointDistributionModel

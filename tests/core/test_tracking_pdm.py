@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from facemime.core.landmarks import from_ibug
 from facemime.core.tracking.pdm import PointDistributionModel, rotation_matrix
 from facemime.core.tracking.tracker import FaceTracker
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 
 @pytest.fixture(scope="module")

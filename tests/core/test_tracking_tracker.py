@@ -7,13 +7,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
 from facemime.core.errors import FacemimeError
 from facemime.core.landmarks import INNER, N_LANDMARKS
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.tracker import FaceTracker
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 needs_photos = pytest.mark.skipif(not DATA.exists(), reason="the photographs of ../shared/data are not here")
