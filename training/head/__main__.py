@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from .build import build_head, to_bytes
+from .build import build_files
 from .source import ROOT, open_source
 
 ASSETS = ROOT / "assets" / "head"
@@ -15,7 +15,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m training.head", description=__doc__)
     parser.add_argument("--check", action="store_true", help="build, compare with assets/head, write nothing")
     arguments = parser.parse_args()
-    files = {"head.npz": to_bytes(build_head(open_source()))}
+    files = build_files(open_source())
     if arguments.check:
         differing = [name for name, content in files.items() if (ASSETS / name).read_bytes() != content]
         print("differs: " + ", ".join(differing) if differing else "assets/head is what this builds")

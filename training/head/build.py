@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 from facemime.core.head import FORMAT
 
 from .anatomy import landmark_vertices
+from .hair import crop_lift
 from .identity import AVATAR, identity_offsets
 from .layout import layout
-from .parts import build_parts, jaw_hinge
+from .occlusion import openness, vertex_normals
+from .organs import encode, paint_eye, paint_teeth, paint_tongue
+from .parts import IRIS_RADIUS, TEETH, build_parts, eye_uv_radius, jaw_hinge
 from .regions import region_weights
+from .skin import paint_skin
 from .source import Source
-from .surface import build_surface
+from .surface import Surface, build_surface, ear_share
 
 TO_HEAD = np.array([0.1, -0.1, -0.1])
 """MakeHuman's decimetres (y up, z to the viewer) to the head frame's metres."""
@@ -27,8 +31,16 @@ _TRAGUS_TO_CENTRE = np.array([0.0, 0.0, 0.016])
 Arrays = dict[str, NDArray[Any]]
 
 
-def build_head(source: Source) -> Arrays:
-    """The arrays of `assets/head/head.npz`."""
+def build_files(source: Source) -> dict[str, bytes]:
+    """The files of `assets/head` but for the licence, by name."""
+    arrays, pictures = build_head(source)
+    files = {"head.npz": to_bytes(arrays)}
+    files |= {f"{name}.jpg": encode(picture, 90) for name, picture in pictures.items()}
+    return files
+
+
+def build_head(source: Source) -> tuple[Arrays, dict[str, NDArray[np.uint8]]]:
+    """The arrays of `head.npz`, and the pictures by name."""
     base = source.base_mesh()
     points = (base.vertices + identity_offsets(source, AVATAR)) * TO_HEAD
     surface = build_surface(base, points)
@@ -39,6 +51,10 @@ def build_head(source: Source) -> Arrays:
     names = source.unit_names()
     units = [source.unit(name) * TO_HEAD for name in names]
     hinge = jaw_hinge(base, points, units[names.index("jawOpen")])
+    shape = vertices.copy()
+    ear = ear_share(surface)
+    normals = vertex_normals(vertices, surface.faces)
+    vertices = vertices + crop_lift(vertices, ear)[:, None] * normals
     arrays: Arrays = {
         "format": np.array(FORMAT),
         "vertices": vertices.astype(np.float32),
@@ -56,7 +72,36 @@ def build_head(source: Source) -> Arrays:
         arrays[f"{part.name}.uv"] = part.uv.astype(np.float32)
         arrays[f"{part.name}.pivot"] = part.pivot.astype(np.float32)
         arrays[f"{part.name}.units"] = part.units.astype(np.float16)
-    return arrays
+    pictures = {
+        "skin": _skin(surface, shape, arrays["uv"].astype(np.float64), ear, points, landmarks),
+        "eye": paint_eye(_iris_share(arrays["eye_left.vertices"] - arrays["eye_left.pivot"])),
+        "teeth": paint_teeth(TEETH),
+        "tongue": paint_tongue(),
+    }
+    return arrays, pictures
+
+
+def _skin(
+    surface: Surface,
+    vertices: NDArray[np.float64],
+    uv: NDArray[np.float64],
+    ear: NDArray[np.float64],
+    points: NDArray[np.float64],
+    landmarks: NDArray[np.int64],
+) -> NDArray[np.uint8]:
+    left = np.flatnonzero(vertices[:, 0] >= 0.0)
+    seen = np.zeros(len(vertices))
+    seen[left] = openness(vertices, surface.faces, left)
+    seen[surface.mirror[left]] = seen[left]
+    chart = surface.token_chart[surface.tokens[:, 0]]
+    values = np.stack([seen, ear], axis=1)
+    return paint_skin(vertices, surface.faces, uv, chart, values, points, vertices[landmarks])
+
+
+def _iris_share(eye: NDArray[np.floating]) -> float:
+    """Radius of the iris as a share of the eye's picture."""
+    radius = float(np.median(np.linalg.norm(eye, axis=1)))
+    return float(eye_uv_radius(np.arcsin(np.array([IRIS_RADIUS / radius])))[0])
 
 
 def to_bytes(arrays: Arrays) -> bytes:

@@ -21,7 +21,7 @@ IRIS_RADIUS = 0.0058
 """Metres."""
 
 _EYE_RINGS, _EYE_SEGMENTS = 15, 28
-_TEETH = 14
+TEETH = 14
 _STILL = 2e-5
 
 Points = NDArray[np.float64]
@@ -133,12 +133,12 @@ def _teeth(name: str, helper: Points, down: float, hinge: Points, motion: Motion
     edge = (helper[:, 1].max() - 0.0015) if down > 0 else (helper[:, 1].min() + 0.0015)
     middle = helper[np.abs(helper[:, 0]) < 0.006]
     edge = middle[:, 1].max() - 0.001 if down > 0 else middle[:, 1].min() + 0.003
-    columns = 6 * _TEETH + 1
+    columns = 6 * TEETH + 1
     s = np.linspace(-1.0, 1.0, columns)
     width, depth = (0.0265, 0.040) if down > 0 else (0.0245, 0.038)
     angle = s * 1.35
     arch = np.c_[width * np.sin(angle) / np.sin(1.35), depth * (1.0 - np.cos(angle)) / (1.0 - np.cos(1.35))]
-    across = (s * _TEETH / 2.0) % 1.0
+    across = (s * TEETH / 2.0) % 1.0
     bulge = 0.0011 * np.sin(np.pi * across) ** 0.6
     molar = np.abs(s) ** 3
     profile = [

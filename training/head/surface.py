@@ -15,6 +15,8 @@ from .source import BaseMesh
 N_VERTICES = 1781
 
 _FLAT, _SQUARE = 0.9, 0.35
+_MIDDLE, _EAR, _EAR_SIZE = 0.4842, (0.848, 0.1416), (0.026, 0.020)
+"""In the native texture layout: the face's midline, and middle and half size of an ear beside it."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,17 @@ class Surface:
         whole = self.blend[:, 0] == self.blend[:, 1]
         number = {int(v): i for i, v in enumerate(self.blend[:, 0]) if whole[i]}
         return np.array([number[int(v)] for v in native])
+
+
+def ear_share(surface: Surface) -> NDArray[np.float64]:
+    """(V,) 1 on the ears, fading to 0 round them, told by the native texture layout, where an ear is a disc."""
+    is_face = (surface.token_chart[surface.tokens] == FACE) & (surface.faces >= 0)
+    native = surface.token_uv[surface.tokens[is_face]]
+    across = np.abs(native[:, 1] - _MIDDLE)
+    distance = np.hypot((native[:, 0] - _EAR[0]) / _EAR_SIZE[0], (across - _EAR[1]) / _EAR_SIZE[1])
+    share = np.zeros(len(surface.share))
+    np.maximum.at(share, surface.faces[is_face], np.clip(2.6 - 1.6 * distance, 0.0, 1.0))
+    return share
 
 
 def build_surface(base: BaseMesh, points: NDArray[np.float64]) -> Surface:

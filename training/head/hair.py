@@ -1,0 +1,77 @@
+"""Short-cropped hair, brows and stubble: where they grow, and their strokes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .canvas import FrontView, Image, fade, noise
+
+CROP_LENGTH = 0.0042
+"""Metres by which the crop lifts the scalp."""
+
+_HAIRLINE = np.array(
+    [
+        *((0, -0.0745), (16, -0.0755), (32, -0.0690), (42, -0.0640), (50, -0.0500), (56, -0.0330), (62, -0.0220)),
+        *((68, -0.0110), (72, 0.0000), (76, 0.0120), (84, 0.0140), (89, -0.0060), (104, -0.0180), (116, -0.0060)),
+        *((126, 0.0230), (150, 0.0420), (180, 0.0480)),
+    ]
+)
+"""Degrees round from the front, and height of the hair's edge, metres."""
+
+
+def inside_hairline(place: NDArray[np.floating]) -> NDArray[np.floating]:
+    """How far above the hairline (..., 3) positions are, metres; the ears count as inside where they are high."""
+    around = np.degrees(np.arctan2(np.abs(place[..., 0]), -place[..., 2]))
+    return np.asarray(np.interp(around, *_HAIRLINE.T) - place[..., 1])
+
+
+def crop_lift(vertices: NDArray[np.float64], ear: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(V,) metres by which hair lifts the scalp; `ear` (V,) is 1 on the ears, where none grows."""
+    return np.asarray(CROP_LENGTH * fade(inside_hairline(vertices), 0.000, 0.014) * (1.0 - ear))
+
+
+def crop(place: Image, ear: Image) -> tuple[Image, Image]:
+    """Cover (S, S) of the hair in 0..1, and its shade, about 1."""
+    height = inside_hairline(place).astype(np.float32)
+    ragged = 0.0030 * noise(place, 0.0045, 11) + 0.0022 * noise(place, 0.0013, 12)
+    edge = fade(height + ragged, -0.0015, 0.0105)
+    strands = noise(place * np.float32([1.0, 0.30, 0.45]), 0.00085, 13)
+    thin = np.clip(edge * 1.55 + 0.42 * strands * (1.0 - edge) - 0.28 * (1.0 - edge), 0.0, 1.0)
+    shade = 1.0 + 0.22 * strands + 0.10 * noise(place, 0.006, 14)
+    return thin * fade(ear, 0.65, 0.25), shade
+
+
+def brow_strokes(view: FrontView, brow: NDArray[np.float64], rng: np.random.Generator) -> None:
+    """Draw both brows; `brow` (5, 2) are the left brow's landmarks from the inner end outwards, upper-mid of the hair."""
+    knots = np.linspace(0.0, 1.0, len(brow))
+    for _ in range(620):
+        t = rng.beta(1.05, 1.15)
+        half = np.interp(t, [0.0, 0.12, 0.55, 1.0], [0.0026, 0.0036, 0.0031, 0.0007])
+        across = np.clip(rng.normal(0.0, 0.48), -1.0, 1.0)
+        root = np.array([np.interp(t, knots, brow[:, i]) for i in range(2)])
+        root += [0.0, 0.0010 + across * half]
+        steep = np.interp(t, [0.0, 0.25, 0.6, 1.0], [68.0, 38.0, 12.0, -22.0]) + rng.normal(0.0, 9.0) + across * 20.0
+        angle = np.radians(steep)
+        length = np.interp(t, [0.0, 0.3, 0.8, 1.0], [0.0052, 0.0072, 0.0062, 0.0036]) * rng.uniform(0.75, 1.1)
+        bend = np.radians(rng.normal(-16.0, 6.0))
+        points = [root]
+        for step in range(4):
+            direction = angle + bend * step / 3.0
+            points.append(points[-1] + length / 4.0 * np.array([np.cos(direction), -np.sin(direction)]))
+        hair = np.array(points)
+        strength = rng.uniform(0.42, 0.80)
+        view.stroke(hair, 0.00034, strength)
+        view.stroke(hair * [-1.0, 1.0], 0.00034, strength)
+
+
+def beard_shade(place: Image, points: NDArray[np.float64]) -> Image:
+    """Where a shaved beard shows through, 0..1; `points` (66, 3) are the landmarks."""
+    corner, chin, nose, cheek = points[54], points[8], points[33], points[12]
+    x, y, z = np.abs(place[..., 0]), place[..., 1], place[..., 2]
+    lower = fade(y, nose[1] - 0.001, nose[1] + 0.010)
+    slant = y + 0.55 * (x - corner[0])
+    cheeks = 1.0 - fade(x, corner[0] + 0.004, corner[0] + 0.02) * fade(slant, cheek[1] + 0.012, cheek[1] - 0.012)
+    throat = fade(y, chin[1] + 0.030, chin[1] + 0.008)
+    front = fade(z, -0.018, -0.040)
+    return np.asarray(lower * np.clip(cheeks, 0.0, 1.0) * throat * front, np.float32)
