@@ -34,9 +34,10 @@ class Neutral:
     shape : (66, 3) float64
         Mean pose-free shape: head frame, outer-eye distances.
     rotation : (3, 3) float64
-        How the performer held the head, so that the avatar looks straight ahead then.
+        How the performer held the head, by the median of the take: the avatar looks straight ahead then. Where the
+        camera stands below or beside the screen, that is not the attitude of a head that faces the camera.
     position : (3,) float64
-        `(s, tx, ty)` of the mean pose: pixels an outer-eye distance, pixels, pixels.
+        `(s, tx, ty)`, medians of the take: pixels an outer-eye distance, pixels, pixels.
     start, end : float
         Seconds of the take that were averaged.
     """
@@ -73,21 +74,23 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
         raise SourceError(
             f"No face was found between {start:.2f} s and {start + duration:.2f} s. Choose another neutral."
         )
-    pitch, yaw, roll = (float(a) for a in take.pose[chosen, 1:4].mean(axis=0))
+    pitch, yaw, roll = (float(a) for a in np.median(take.pose[take.found, 1:4], axis=0))
     return Neutral(
         shape=take.shape[chosen].astype(np.float64).mean(axis=0),
         rotation=euler_to_matrix(pitch, yaw, roll),
-        position=take.pose[chosen][:, [0, 4, 5]].mean(axis=0),
+        position=np.median(take.pose[take.found][:, [0, 4, 5]], axis=0),
         start=float(take.times[chosen][0]),
         end=float(take.times[chosen][-1]),
     )
 
 
 def _restful_second(take: Take, duration: float) -> float:
-    """Start of the window with the least expression: see `_expression`."""
+    """Start of the window with the least expression, the head as mostly held, and the tracker sure of itself."""
     found = np.flatnonzero(take.found)
     times = take.times[found]
-    expression = _expression(take.shape[found].astype(np.float64)) + 0.1 * np.abs(take.pose[found, 2])
+    turned = np.abs(take.pose[found, 1:4] - np.median(take.pose[found, 1:4], axis=0)).sum(axis=1)
+    doubt = 1.0 - take.confidence[found]
+    expression = _expression(take.shape[found].astype(np.float64)) + 0.2 * turned + 0.2 * doubt
     ends = np.searchsorted(times, times + duration, side="right")
     full = np.flatnonzero(times + duration <= times[-1] + 1e-9)
     starts = full if len(full) else np.array([0])
