@@ -37,15 +37,19 @@ class FacemimeSettings(bpy.types.PropertyGroup):
         type=bpy.types.Object,
     )
 
-    def to_puppet(self) -> PuppetSettings:
-        """The same settings as plain values."""
-        return PuppetSettings(
-            mode=self.mode,
-            strength=(self.strength_upper, self.strength_middle, self.strength_lower),
-            neutral=None if self.find_neutral else self.neutral,
-            rotation=self.rotation,
-            translation=self.translation,
-        )
+
+def puppet_settings(settings: FacemimeSettings) -> PuppetSettings:
+    """The scene's settings as plain values.
+
+    Not a method: Blender 4.2 ends in a crash after an extension was removed whose property group had one.
+    """
+    return PuppetSettings(
+        mode=settings.mode,
+        strength=(settings.strength_upper, settings.strength_middle, settings.strength_lower),
+        neutral=None if settings.find_neutral else settings.neutral,
+        rotation=settings.rotation,
+        translation=settings.translation,
+    )
 
 
 def register() -> None:

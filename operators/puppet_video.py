@@ -7,6 +7,7 @@ from bpy.props import StringProperty
 
 from ..blender.meshes import read_rig
 from ..core.takes.take import Take, load_take
+from ..properties import puppet_settings
 from ..puppet import puppet_head
 from ..session import Session
 from .errors import ReportsErrors
@@ -89,7 +90,7 @@ class FACEMIME_OT_puppet_video(ReportsErrors, bpy.types.Operator):
     def bake(self, context: bpy.types.Context, head: bpy.types.Object | None, take: Take) -> set[str]:
         """Bake `take` to `head` and say what came out."""
         settings = context.scene.facemime
-        report = puppet_head(context.scene, head, take, settings.to_puppet(), settings.pose_object)
+        report = puppet_head(context.scene, head, take, puppet_settings(settings), settings.pose_object)
         lost = len(take) - int(take.found.sum())
         self.report(
             {"INFO"},

@@ -15,8 +15,8 @@ MODULE = "bl_ext.user_default.facemime"
 
 def main() -> dict:
     """Walk through the life of the extension; returns what was measured on the way."""
+    import bpy  # isort: skip - it makes addon_utils known
     import addon_utils
-    import bpy
 
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.ops.extensions.package_install_files(
