@@ -41,6 +41,7 @@ def _material(
     material.use_nodes = True
     material.diffuse_color = (*colour, 1.0)
     material.roughness = roughness
+    material.specular_intensity = 0.5 if roughness < 0.4 else 0.15
     tree = material.node_tree
     shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
     shader.inputs["Roughness"].default_value = roughness

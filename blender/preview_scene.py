@@ -7,7 +7,8 @@ import numpy as np
 from mathutils import Vector
 
 _LENS = 85.0
-_MARGIN = 1.10
+_MARGIN = 1.02
+_STUDIO_LIGHT = "paint.sl"
 _BACKGROUND = (0.16, 0.17, 0.19)
 
 
@@ -31,6 +32,7 @@ def _set_shading(scene: bpy.types.Scene) -> None:
     scene.display.render_aa = "8"
     shading = scene.display.shading
     shading.light = "STUDIO"
+    shading.studio_light = _STUDIO_LIGHT
     shading.color_type = "TEXTURE"
     shading.show_cavity = False
     shading.show_shadows = False

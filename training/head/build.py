@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facemime.core.head import FORMAT
+from facemime.core.landmarks import from_ibug
 
 from .anatomy import landmark_vertices
 from .hair import crop_lift
@@ -27,6 +28,9 @@ TO_HEAD = np.array([0.1, -0.1, -0.1])
 """MakeHuman's decimetres (y up, z to the viewer) to the head frame's metres."""
 
 _TRAGUS_TO_CENTRE = np.array([0.0, 0.0, 0.016])
+
+_OVERLAP = 1.06
+"""A blink closes this much of the gap, since the rims are round."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -48,8 +52,9 @@ def build_head(source: Source) -> tuple[Arrays, dict[str, NDArray[np.uint8]]]:
     points = points - ears.mean(axis=0) - _TRAGUS_TO_CENTRE
     vertices = _symmetric(surface.positions(points), surface.mirror)
     landmarks = surface.vertex_of(landmark_vertices(base.mirror))
+    native = landmark_vertices(base.mirror)
     names = source.unit_names()
-    units = [source.unit(name) * TO_HEAD for name in names]
+    units = [_closing(name, source.unit(name) * TO_HEAD, points, native) for name in names]
     hinge = jaw_hinge(base, points, units[names.index("jawOpen")])
     shape = vertices.copy()
     ear = ear_share(surface)
@@ -79,6 +84,20 @@ def build_head(source: Source) -> tuple[Arrays, dict[str, NDArray[np.uint8]]]:
         "tongue": paint_tongue(),
     }
     return arrays, pictures
+
+
+def _closing(
+    name: str, unit: NDArray[np.float64], points: NDArray[np.float64], landmarks: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """A blink scaled so that the lids of these eyes just meet; the target was made for wider ones."""
+    if not name.startswith("eyeBlink"):
+        return unit
+    left = name.endswith("Left")
+    upper = landmarks[from_ibug([43, 44] if left else [38, 37])]
+    lower = landmarks[from_ibug([47, 46] if left else [40, 41])]
+    gap = (points[lower] - points[upper])[:, 1].mean()
+    closing = (unit[upper] - unit[lower])[:, 1].mean()
+    return np.asarray(unit * (_OVERLAP * gap / closing))
 
 
 def _skin(

@@ -104,10 +104,13 @@ def cloud(place: Image, cell: float, octaves: int, seed: int) -> Image:
 
 
 def _hash(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64], seed: int) -> Image:
-    h = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791) ^ (seed * 2654435761)
-    h = (h ^ (h >> 13)) * 1274126177
-    h = (h ^ (h >> 16)) & 0xFFFF
-    return (h.astype(np.float32) / 32767.5) - 1.0
+    h = np.full(x.shape, seed * 0x9E3779B1 & 0xFFFFFFFF, np.uint32)
+    for axis in (x, y, z):
+        h = (h ^ axis.astype(np.uint32)) * np.uint32(0x85EBCA6B)
+        h ^= h >> np.uint32(13)
+        h *= np.uint32(0xC2B2AE35)
+        h ^= h >> np.uint32(16)
+    return (h & np.uint32(0xFFFF)).astype(np.float32) / np.float32(32767.5) - np.float32(1.0)
 
 
 class FrontView:

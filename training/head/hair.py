@@ -34,10 +34,10 @@ def crop_lift(vertices: NDArray[np.float64], ear: NDArray[np.float64]) -> NDArra
 def crop(place: Image, ear: Image) -> tuple[Image, Image]:
     """Cover (S, S) of the hair in 0..1, and its shade, about 1."""
     height = inside_hairline(place).astype(np.float32)
-    ragged = 0.0030 * noise(place, 0.0045, 11) + 0.0022 * noise(place, 0.0013, 12)
-    edge = fade(height + ragged, -0.0015, 0.0105)
-    strands = noise(place * np.float32([1.0, 0.30, 0.45]), 0.00085, 13)
-    thin = np.clip(edge * 1.55 + 0.42 * strands * (1.0 - edge) - 0.28 * (1.0 - edge), 0.0, 1.0)
+    ragged = 0.0022 * noise(place, 0.0050, 11) + 0.0012 * noise(place, 0.0018, 12)
+    edge = fade(height + ragged, -0.0035, 0.0130)
+    strands = noise(place * np.float32([1.0, 0.22, 0.40]), 0.00055, 13)
+    thin = np.clip(edge + 0.9 * edge * (1.0 - edge) * strands * 1.6, 0.0, 1.0)
     shade = 1.0 + 0.22 * strands + 0.10 * noise(place, 0.006, 14)
     return thin * fade(ear, 0.65, 0.25), shade
 
@@ -45,9 +45,9 @@ def crop(place: Image, ear: Image) -> tuple[Image, Image]:
 def brow_strokes(view: FrontView, brow: NDArray[np.float64], rng: np.random.Generator) -> None:
     """Draw both brows; `brow` (5, 2) are the left brow's landmarks from the inner end outwards, upper-mid of the hair."""
     knots = np.linspace(0.0, 1.0, len(brow))
-    for _ in range(620):
-        t = rng.beta(1.05, 1.15)
-        half = np.interp(t, [0.0, 0.12, 0.55, 1.0], [0.0026, 0.0036, 0.0031, 0.0007])
+    for _ in range(470):
+        t = rng.beta(1.15, 1.15)
+        half = np.interp(t, [0.0, 0.12, 0.55, 1.0], [0.0016, 0.0031, 0.0028, 0.0006])
         across = np.clip(rng.normal(0.0, 0.48), -1.0, 1.0)
         root = np.array([np.interp(t, knots, brow[:, i]) for i in range(2)])
         root += [0.0, 0.0010 + across * half]
@@ -60,9 +60,9 @@ def brow_strokes(view: FrontView, brow: NDArray[np.float64], rng: np.random.Gene
             direction = angle + bend * step / 3.0
             points.append(points[-1] + length / 4.0 * np.array([np.cos(direction), -np.sin(direction)]))
         hair = np.array(points)
-        strength = rng.uniform(0.42, 0.80)
-        view.stroke(hair, 0.00034, strength)
-        view.stroke(hair * [-1.0, 1.0], 0.00034, strength)
+        strength = rng.uniform(0.30, 0.66) * np.interp(t, [0.0, 0.18], [0.55, 1.0])
+        view.stroke(hair, 0.00028, strength)
+        view.stroke(hair * [-1.0, 1.0], 0.00028, strength)
 
 
 def beard_shade(place: Image, points: NDArray[np.float64]) -> Image:

@@ -32,8 +32,10 @@ def paint_eye(iris: float) -> NDArray[np.uint8]:
     mix(tint, (0.62, 0.44, 0.22), 0.30 * np.exp(-(((radius - 0.52) / 0.08) ** 2)) * (0.6 + 0.4 * fibres))
     mix(image, tint, fade(radius, 1.05, 0.95))
     mix(image, (0.015, 0.012, 0.012), fade(radius, 0.43, 0.37))
+    catch = np.hypot(x / iris + 0.36, y / iris + 0.20)
     lid_shade = fade((y / iris), -0.35, -1.5) * 0.45 + 0.10 * fade((y / iris), 0.9, 1.6)
     image *= 1.0 - lid_shade[..., None]
+    mix(image, (1.0, 1.0, 1.0), 0.80 * fade(catch, 0.17, 0.10))
     return _finish(image)
 
 

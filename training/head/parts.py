@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from facemime.core.rotation import fit_rotation
 
+from .anatomy import UPPER_LIP_LINE
 from .source import BaseMesh
 
 EYE_RADIUS_SHARE = 0.985
@@ -23,6 +24,8 @@ IRIS_RADIUS = 0.0058
 _EYE_RINGS, _EYE_SEGMENTS = 15, 28
 TEETH = 14
 _STILL = 2e-5
+_TONGUE_LOWERED = np.array([0.0, 0.0065, 0.0065])
+"""The helper's tongue lies before the teeth's edges; ours rests behind the lower teeth."""
 
 Points = NDArray[np.float64]
 
@@ -49,9 +52,10 @@ def jaw_hinge(base: BaseMesh, points: Points, jaw_open: Points) -> Points:
 def build_parts(base: BaseMesh, points: Points, units: list[Points], hinge: Points) -> tuple[Part, ...]:
     """All parts of the head with base vertices `points` and face units `units`, each (N, 3) offsets."""
     parts = [_eye(base, points, units, side) for side in ("left", "right")]
+    lip_line = float(points[UPPER_LIP_LINE[0], 1])
     upper, lower = _group(base, "helper-upper-teeth"), _group(base, "helper-lower-teeth")
-    parts.append(_teeth("teeth_upper", points[upper], +1.0, hinge, _rigid_units(points, units, upper)))
-    parts.append(_teeth("teeth_lower", points[lower], -1.0, hinge, _rigid_units(points, units, lower)))
+    parts.append(_teeth("teeth_upper", points[upper], +1.0, lip_line, hinge, _rigid_units(points, units, upper)))
+    parts.append(_teeth("teeth_lower", points[lower], -1.0, lip_line, hinge, _rigid_units(points, units, lower)))
     parts.append(_tongue(base, points, units, hinge))
     return tuple(parts)
 
@@ -127,12 +131,11 @@ def eye_uv_radius(theta: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(front + 0.055 * np.maximum(theta / (np.pi / 2) - 1.0, 0.0))
 
 
-def _teeth(name: str, helper: Points, down: float, hinge: Points, motion: Motion) -> Part:
-    """An arch of fourteen teeth with a gum; `down` is +1 for upper teeth, whose edges point down (+y)."""
-    front = helper[:, 2].min() + (0.0005 if down > 0 else 0.0032)
-    edge = (helper[:, 1].max() - 0.0015) if down > 0 else (helper[:, 1].min() + 0.0015)
-    middle = helper[np.abs(helper[:, 0]) < 0.006]
-    edge = middle[:, 1].max() - 0.001 if down > 0 else middle[:, 1].min() + 0.003
+def _teeth(name: str, helper: Points, down: float, lip_line: float, hinge: Points, motion: Motion) -> Part:
+    """An arch of fourteen teeth with a gum; `down` is +1 for upper teeth, whose edges point down (+y) and end just
+    below `lip_line`, the height at which the lips meet."""
+    front = helper[:, 2].min() + (0.0012 if down > 0 else 0.0040)
+    edge = lip_line + (0.0006 if down > 0 else 0.0034)
     columns = 6 * TEETH + 1
     s = np.linspace(-1.0, 1.0, columns)
     width, depth = (0.0265, 0.040) if down > 0 else (0.0245, 0.038)
@@ -180,4 +183,6 @@ def _tongue(base: BaseMesh, points: Points, units: list[Points], hinge: Points) 
     uv = base.uv[base.face_uv[chosen]]
     low, high = uv.reshape(-1, 2).min(axis=0), uv.reshape(-1, 2).max(axis=0)
     moved = np.stack([unit[rows] for unit in units])
-    return Part("tongue", points[rows], number[base.faces[chosen]], (uv - low) / (high - low), hinge, moved)
+    return Part(
+        "tongue", points[rows] + _TONGUE_LOWERED, number[base.faces[chosen]], (uv - low) / (high - low), hinge, moved
+    )

@@ -27,7 +27,7 @@ _SEED = 7
 
 _TONE = (0.845, 0.655, 0.555)
 _BLOOD = (0.800, 0.475, 0.420)
-_LIP = (0.700, 0.415, 0.390)
+_LIP = (0.735, 0.435, 0.395)
 _LIP_DARK = (0.460, 0.215, 0.205)
 _HAIR = (0.170, 0.120, 0.095)
 _STUBBLE = (0.530, 0.450, 0.420)
@@ -73,7 +73,7 @@ def _tone(texels: Texels, landmarks: NDArray[np.float64]) -> Image:
         mirrored = np.abs(place[..., 0])
         away = np.stack([mirrored - abs(centre[0]), place[..., 1] - centre[1], place[..., 2] - centre[2]], axis=-1)
         mix(image, _BLOOD, amount * np.exp(-((np.linalg.norm(away, axis=-1) / radius) ** 2)))
-    mix(image, _BLOOD, 0.40 * texels.value[..., 1])
+    mix(image, _BLOOD, 0.24 * texels.value[..., 1])
     forehead = np.exp(-(((place[..., 1] - landmarks[21, 1] + 0.028) / 0.02) ** 2)) * fade(place[..., 2], -0.05, -0.085)
     mix(image, (0.890, 0.725, 0.615), 0.30 * forehead)
     fine = noise(place, 0.0011, 21) * 0.6 + noise(place, 0.00055, 22)
@@ -83,13 +83,18 @@ def _tone(texels: Texels, landmarks: NDArray[np.float64]) -> Image:
     return image
 
 
+def _folded(place: Image) -> Image:
+    """Positions with the right half folded onto the left."""
+    return np.concatenate([np.abs(place[..., :1]), place[..., 1:]], axis=-1)
+
+
 def _blushes(landmarks: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], float, float]]:
     """Centre (left side), radius and strength of what is reddest: cheeks, nose, chin, the lids' outer ends."""
     cheek = (landmarks[45] + landmarks[54]) / 2.0 + [0.006, 0.0, 0.002]
     return [
-        (cheek, 0.019, 0.34),
-        (landmarks[30] + [0.0, 0.002, 0.0], 0.010, 0.38),
-        (landmarks[35], 0.007, 0.34),
+        (cheek, 0.019, 0.26),
+        (landmarks[30] + [0.0, 0.002, 0.0], 0.010, 0.30),
+        (landmarks[35], 0.007, 0.26),
         (landmarks[8] + [0.0, -0.012, -0.004], 0.012, 0.16),
         ((landmarks[42] + landmarks[27]) / 2.0 + [0.004, 0.002, 0.004], 0.007, 0.20),
     ]
@@ -97,8 +102,7 @@ def _blushes(landmarks: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], 
 
 def _paint_lids(image: Image, place: Image, points: NDArray[np.float64], landmarks: NDArray[np.float64]) -> None:
     """Darker sockets, pink rims, and the line of the lashes."""
-    mirrored = place * np.float32([1, 1, 1])
-    mirrored[..., 0] = np.abs(mirrored[..., 0])
+    mirrored = _folded(place)
     upper = distance_to_line(mirrored, points[[*anatomy.UPPER_LID_EDGE]])
     lower = distance_to_line(mirrored, points[[*anatomy.LOWER_LID_EDGE]])
     near = np.minimum(upper, lower)
@@ -123,7 +127,7 @@ def _paint_lips(image: Image, place: Image, points: NDArray[np.float64], chart: 
     depth = fade(place[..., 2], points[anatomy.MOUTH_CORNER, 2] + 0.004, points[anatomy.MOUTH_CORNER, 2])
     cover = fade(ragged, -0.0004, 0.0012) * depth
     line = points[[*anatomy.UPPER_LIP_LINE]]
-    meeting = distance_to_line(np.abs(place * np.float32([1, 0, 0])) + place * np.float32([0, 1, 1]), line)
+    meeting = distance_to_line(_folded(place), line)
     furrows = noise(place * np.float32([1.0, 0.12, 0.3]), 0.00075, 32)
     tint = np.empty_like(image)
     tint[:] = _LIP
@@ -132,6 +136,8 @@ def _paint_lips(image: Image, place: Image, points: NDArray[np.float64], chart: 
     tint *= 1.0 - 0.10 * upper_lip[..., None]
     mix(tint, _LIP_DARK, 0.75 * np.exp(-((meeting / 0.0016) ** 2)))
     mix(image, tint, 0.86 * cover)
+    corner = np.linalg.norm(_folded(place) - points[anatomy.MOUTH_CORNER].astype(np.float32), axis=-1)
+    mix(image, (0.50, 0.28, 0.25), 0.55 * np.exp(-((corner / 0.0026) ** 2)))
     rim = np.exp(-(((inside + 0.0011) / 0.0008) ** 2)) * depth
     mix(image, (0.90, 0.72, 0.62), 0.16 * rim)
 
@@ -139,15 +145,15 @@ def _paint_lips(image: Image, place: Image, points: NDArray[np.float64], chart: 
 def _paint_hair(image: Image, texels: Texels, landmarks: NDArray[np.float64], chart: NDArray[np.int64]) -> None:
     place = texels.place
     beard = beard_shade(place, landmarks)
-    dots = fade(noise(place, 0.00050, 41) + 0.6 * noise(place, 0.0011, 42), 0.25, 0.85)
+    dots = fade(noise(place, 0.00034, 41) + 0.5 * noise(place, 0.0007, 42), 0.20, 0.80)
     mix(image, _STUBBLE, beard * 0.20)
-    mix(image, (0.30, 0.23, 0.20), beard * 0.34 * dots)
+    mix(image, (0.34, 0.26, 0.23), beard * 0.20 * dots)
     view = FrontView((-0.075, -0.06), (0.075, 0.03), 0.00005)
     brow_strokes(view, landmarks[22:27, :2], np.random.default_rng(_SEED))
     soft = FrontView((-0.075, -0.06), (0.075, 0.03), 0.00005)
     soft.ink = cv2.GaussianBlur(view.ink, (0, 0), 22.0)
     facing = fade(place[..., 2], -0.045, -0.060)
-    mix(image, _HAIR, 0.42 * np.clip(soft.look_up(place) * 1.3, 0.0, 1.0) * facing)
+    mix(image, _HAIR, 0.34 * np.clip(soft.look_up(place) * 1.3, 0.0, 1.0) * facing)
     mix(image, _HAIR, 0.85 * np.clip(view.look_up(place), 0.0, 1.0) * facing)
     cover, shade = crop(place, texels.value[..., 1])
     tint = np.empty_like(image)
@@ -165,8 +171,7 @@ def _paint_insides(image: Image, place: Image, chart: NDArray[np.int64], landmar
     image[inside] = flesh[inside]
     image[chart == SOCKET] = (0.60, 0.34, 0.31)
     nostril = np.linalg.norm(
-        (np.abs(place * np.float32([1, 0, 0])) + place * np.float32([0, 1, 1]))
-        - (landmarks[34] + [0.0, -0.0045, 0.004]).astype(np.float32),
+        _folded(place) - (landmarks[34] + [0.0, -0.0045, 0.004]).astype(np.float32),
         axis=-1,
     )
     mix(image, (0.16, 0.08, 0.07), 0.75 * fade(nostril, 0.0055, 0.0015))

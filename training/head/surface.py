@@ -93,7 +93,7 @@ def _wishes(
             0.0015 + 0.22 * lips,
             0.0045 + 0.25 * brow,
             0.0024 + 0.22 * nose,
-            np.minimum(0.0080 + 0.11 * away, 0.0155),
+            np.minimum(0.0080 + 0.11 * away, 0.0140),
         ]
     )
     ear = (positions[:, 0] > 0.066) & (np.abs(positions[:, 2] + 0.05) < 0.03) & (np.abs(positions[:, 1] + 0.755) < 0.04)
