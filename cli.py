@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
 def run_landmarks(arguments: argparse.Namespace) -> int:
     """`facemime landmarks`: one row a picture, NaN where there is no face."""
     paths = _images(arguments.images)
-    check_writable(arguments.output)
+    check_writable(arguments.output, {".npz"})
     tracker = FaceTracker.load()
     landmarks = np.full((len(paths), N_LANDMARKS, 2), np.nan)
     confidence = np.zeros(len(paths))
@@ -102,7 +102,7 @@ def run_landmarks(arguments: argparse.Namespace) -> int:
 
 def run_track(arguments: argparse.Namespace) -> int:
     """`facemime track`: a video to a take."""
-    check_writable(arguments.output)
+    check_writable(arguments.output, {".npz"})
     take = _track(arguments.video)
     save_take(take, arguments.output)
     if take.info.get("interrupted"):
@@ -119,10 +119,14 @@ def run_puppet(arguments: argparse.Namespace) -> int:
         raise FacemimeError(
             f"puppet needs Blender ({error}). Run: blender --command facemime puppet ..., or install bpy."
         ) from error
-    outputs = (arguments.output, arguments.preview, arguments.sheet, arguments.take)
-    for path in outputs:
+    for path, suffixes in (
+        (arguments.output, {".blend"}),
+        (arguments.preview, {".mp4"}),
+        (arguments.sheet, {".png", ".jpg"}),
+        (arguments.take, {".npz"}),
+    ):
         if path is not None:
-            check_writable(path)
+            check_writable(path, suffixes)
     video = None if arguments.source.suffix == ".npz" else arguments.source
     take = load_take(arguments.source) if video is None else _track(video)
     if arguments.take is not None:

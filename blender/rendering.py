@@ -23,11 +23,16 @@ Image = NDArray[np.uint8]
 
 
 def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[int, int]) -> Iterator[Image]:
-    """Yield a BGR picture of `size` (width, height) for each of `frames`, which may be fractional."""
+    """Yield a BGR picture of `size` (width, height) for each of `frames`, which may be fractional.
+
+    Rendered at twice the size without anti-aliasing and averaged: without a graphics card that takes a quarter of the
+    time of Workbench's own eight samples and looks the same.
+    """
     require_display_library()
     render = scene.render
-    render.resolution_x, render.resolution_y = size
+    render.resolution_x, render.resolution_y = 2 * size[0], 2 * size[1]
     render.resolution_percentage = 100
+    scene.display.render_aa = "OFF"
     if hasattr(render.image_settings, "media_type"):
         render.image_settings.media_type = "IMAGE"
     render.image_settings.file_format = "BMP"
@@ -43,7 +48,7 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
             image = cv2.imread(str(path))
             if image is None:
                 raise OutputError("Blender rendered no picture. Free some disk space in the temporary folder.")
-            yield np.asarray(image, dtype=np.uint8)
+            yield np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def require_display_library() -> None:

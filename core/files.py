@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -40,12 +40,14 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def check_writable(path: Path) -> None:
-    """Raise OutputError now rather than after minutes of work where `path` cannot be written.
+def check_writable(path: Path, suffixes: Collection[str] = ()) -> None:
+    """Raise OutputError now rather than after minutes of work where `path` cannot be written or has a wrong suffix.
 
     An existing file is neither touched nor emptied.
     """
     path = Path(path)
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise OutputError(f"Cannot write {path}: give it the suffix {' or '.join(sorted(suffixes))}.")
     folder = path.parent
     while not folder.exists():
         folder = folder.parent

@@ -114,8 +114,9 @@ def test_what_cannot_work_is_one_line_and_leaves_the_old_output(clip, faceless, 
         (("track", clip, "-o", "/proc/take.npz"), "Cannot write"),
         (("landmarks", tmp_path / "none", "-o", good), "There is no file"),
         (("landmarks", tmp_path, "-o", good), "no picture"),
-        (("puppet", tmp_path / "broken.npz", "-o", good), "not a take"),
-        (("puppet", faceless, "-o", good), "No face was found"),
+        (("puppet", clip, "-o", good), "suffix .blend"),
+        (("puppet", tmp_path / "broken.npz", "-o", tmp_path / "o.blend"), "not a take"),
+        (("puppet", faceless, "-o", tmp_path / "o.blend"), "No face was found"),
         (("puppet", clip, "-o", tmp_path / "o.blend", "--head", tmp_path / "no.blend"), "There is no file"),
     ):
         done = run(*arguments)

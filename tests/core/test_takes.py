@@ -105,5 +105,7 @@ def test_outputs_that_cannot_be_written_are_refused_before_the_work(tmp_path):
     for path in (tmp_path, tmp_path / "file" / "out.npz", "/proc/out.npz"):
         with pytest.raises(OutputError, match="Cannot write"):
             check_writable(path)
-    check_writable(tmp_path / "new" / "out.npz")
+    with pytest.raises(OutputError, match=r"suffix \.jpg or \.png"):
+        check_writable(tmp_path / "out.avi", {".png", ".jpg"})
+    check_writable(tmp_path / "new" / "out.npz", {".npz"})
     assert not (tmp_path / "new").exists()
