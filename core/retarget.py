@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from .arrays import FloatArray, IntArray, as_points
 from .deform.regions import REGIONS, membership
 from .errors import HeadError, SourceError
-from .landmarks import BROWS, EYE_LEFT, EYE_RIGHT, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, N_LANDMARKS, from_ibug
+from .landmarks import BROWS, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, N_LANDMARKS, from_ibug
 from .rotation import euler_to_matrix
 from .takes.take import Take
 
@@ -21,8 +21,8 @@ _UPPER_LIDS = from_ibug((37, 38, 43, 44))
 _LOWER_LIDS = from_ibug((41, 40, 47, 46))
 _MEETING_RIMS = ((_UPPER_LIDS, _LOWER_LIDS), (MOUTH_INNER_UPPER, MOUTH_INNER_LOWER[::-1]))
 """Upper and lower landmarks that face each other across the eye slits and the mouth slit."""
+_NARROWEST_EYE = 0.15
 _MOUTH_CORNERS = from_ibug((48, 54))
-_BROWS_AND_EYES = np.concatenate([BROWS, EYE_RIGHT, EYE_LEFT])
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
     Parameters
     ----------
     start : float, optional
-        Seconds. By default the second with the least expression: lips closed, mouth not drawn wide, brows and lids
+        Seconds. By default the second with the least expression: lips closed, mouth not drawn wide, eyes open, brows
         where they mostly are, head towards the camera.
     duration : float
         Seconds to average.
@@ -64,6 +64,11 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
     ------
     SourceError
         Where no face was found in the chosen time, or in the whole take.
+
+    Notes
+    -----
+    Of the second's frames the calmer half is averaged, so that one into which a smile or a blink has crept still
+    gives a neutral face.
     """
     if not take.found.any():
         raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")
@@ -74,9 +79,11 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
         raise SourceError(
             f"No face was found between {start:.2f} s and {start + duration:.2f} s. Choose another neutral."
         )
+    shapes = take.shape[chosen].astype(np.float64)
+    expression = _expression(shapes)
     pitch, yaw, roll = (float(a) for a in np.median(take.pose[take.found, 1:4], axis=0))
     return Neutral(
-        shape=take.shape[chosen].astype(np.float64).mean(axis=0),
+        shape=shapes[expression <= np.median(expression)].mean(axis=0),
         rotation=euler_to_matrix(pitch, yaw, roll),
         position=np.median(take.pose[take.found][:, [0, 4, 5]], axis=0),
         start=float(take.times[chosen][0]),
@@ -104,15 +111,17 @@ def _restful_second(take: Take, duration: float) -> float:
 def _expression(shapes: FloatArray) -> FloatArray:
     """How far each of (N, 66, 3) shapes is from rest, (N,), outer-eye distances.
 
-    A resting face has closed lips, a mouth that is not drawn wide, and brows and lids where they mostly are. A plain
+    A resting face has closed lips, a mouth that is not drawn wide, open eyes, and brows where they mostly are. A plain
     distance from the median would call a grin neutral in a clip of somebody who grins most of the time.
     """
     gap = (shapes[:, MOUTH_INNER_LOWER[::-1], 1] - shapes[:, MOUTH_INNER_UPPER, 1]).mean(axis=1)
     width = np.linalg.norm(shapes[:, _MOUTH_CORNERS[1]] - shapes[:, _MOUTH_CORNERS[0]], axis=1)
-    upper = shapes[:, _BROWS_AND_EYES]
-    unusual = np.linalg.norm(upper - np.median(upper, axis=0), axis=2).mean(axis=1)
-    closed, narrow = np.percentile(gap, 5), np.percentile(width, 20)
-    return np.asarray(np.abs(gap - closed) + 0.5 * np.abs(width - narrow) + unusual)
+    lids = (shapes[:, _LOWER_LIDS, 1] - shapes[:, _UPPER_LIDS, 1]).mean(axis=1)
+    brows = shapes[:, BROWS]
+    unusual = np.linalg.norm(brows - np.median(brows, axis=0), axis=2).mean(axis=1)
+    closed, narrow, awake = np.percentile(gap, 5), np.percentile(width, 20), np.percentile(lids, 70)
+    drowsy = 2.0 * np.maximum(awake - lids, 0.0)
+    return np.asarray(np.abs(gap - closed) + 0.5 * np.abs(width - narrow) + drowsy + unusual)
 
 
 class Retargeter:
@@ -203,7 +212,7 @@ def _spread(points: FloatArray) -> FloatArray:
 
 
 def _opening(points: FloatArray) -> FloatArray:
-    """Mean height of the right and the left eye's opening, (2,)."""
+    """Mean height of the right and the left eye's opening, (2,); a squint counts as an eye that is open a little."""
     height = (points[_LOWER_LIDS, 1] - points[_UPPER_LIDS, 1]).reshape(2, 2).mean(axis=1)
     width = np.linalg.norm(points[from_ibug((39, 45))] - points[from_ibug((36, 42))], axis=1)
-    return np.asarray(np.maximum(height, 0.05 * width))
+    return np.asarray(np.maximum(height, _NARROWEST_EYE * width))

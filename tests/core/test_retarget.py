@@ -144,6 +144,13 @@ def test_a_grin_that_lasts_is_not_taken_for_the_neutral_face(rig):
     assert neutral.end <= 1.6
 
 
+def test_a_blink_within_the_neutral_second_does_not_half_close_the_eyes(rig):
+    face = performer(rig)
+    shapes = np.tile(face, (25, 1, 1))
+    shapes[10:15, from_ibug((37, 38, 43, 44)), 1] += 0.06
+    np.testing.assert_allclose(calibrate(make_take(shapes), start=0.0).shape, face, atol=1e-6)
+
+
 def test_calibration_skips_lost_frames_and_refuses_a_take_without_a_face(rig):
     shapes = np.tile(performer(rig), (60, 1, 1))
     found = np.ones(60, bool)
