@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import FloatArray, as_image
 from ..landmarks import MIRROR, N_LANDMARKS
 from .check import check_features, response_at
-from .detect import BoxDetector
+from .detect import EFFORTS, BoxDetector
 from .fit import MeanShiftOptions, regularised_mean_shift
 from .model_file import TrackerModel, load_model
 from .patch_experts import PatchExperts
@@ -82,7 +82,7 @@ class FaceTracker:
         self._visibility = {-1: model.visibility[1][MIRROR], 0: model.visibility[0], 1: model.visibility[1]}
         self._last: FittedShape | None = None
         self._template: NDArray[np.uint8] | None = None
-        self._thorough = True
+        self._misses = 0
         self.timings: dict[str, float] = dict.fromkeys(_STAGES, 0.0)
 
     @classmethod
@@ -104,6 +104,7 @@ class FaceTracker:
         """Forget the face that was followed: the next `track` detects."""
         self._last = None
         self._template = None
+        self._misses = 0
 
     def track(self, image: ArrayLike) -> TrackResult:
         """The face in the next frame of a video: (H, W) grey, (H, W, 3) BGR or (H, W, 4) BGRA.
@@ -116,9 +117,11 @@ class FaceTracker:
             followed = self._follow(grey, self._last)
             if followed.confidence >= self.lost_below:
                 return self._keep(grey, followed)
-        found = self._detect(grey)
+        # While nobody is in view, each frame makes the quick effort and one of the others, in turn.
+        found = self._detect(grey, EFFORTS if self._misses == 0 else (0, 1 + self._misses % 2))
         if found is None:
-            self.reset()
+            self._last = None
+            self._misses += 1
             return self._nothing()
         return self._keep(grey, found)
 
@@ -126,7 +129,7 @@ class FaceTracker:
         """The largest face of a single image; what `track` follows is not touched."""
         grey = _as_grey(image)
         self._start_timings()
-        found = self._detect(grey)
+        found = self._detect(grey, EFFORTS)
         return self._nothing() if found is None else self._result(found)
 
     def fit(
@@ -171,11 +174,11 @@ class FaceTracker:
         self.timings["start"] += perf_counter() - began
         return self._judged(grey, FittedShape(pose, last.shape_params), FRAME_TO_FRAME)
 
-    def _detect(self, grey: NDArray[np.uint8]) -> _Candidate | None:
-        """The largest face that convinces, tried box by box; the thorough search runs where the quick one fails."""
-        for thorough in (False, True):
+    def _detect(self, grey: NDArray[np.uint8], efforts: tuple[int, ...]) -> _Candidate | None:
+        """The largest face that convinces, tried box by box; an effort is made where the ones before it fail."""
+        for effort in efforts:
             began = perf_counter()
-            boxes = self._detector.boxes(grey, thorough=thorough)
+            boxes = self._detector.boxes(grey, effort)
             boxes = sorted(boxes, key=lambda b: -b.box[2])[:_MAX_CANDIDATES]
             self.timings["detect"] += perf_counter() - began
             convincing = []
@@ -196,7 +199,7 @@ class FaceTracker:
         return self._judged(grey, start, COARSE_TO_FINE)
 
     def _keep(self, grey: NDArray[np.uint8], candidate: _Candidate) -> TrackResult:
-        self._last = candidate.fitted
+        self._last, self._misses = candidate.fitted, 0
         self._template = _tracking_window(grey, candidate.fitted.pose, 1.0)
         return self._result(candidate)
 

@@ -68,7 +68,7 @@ class RenderedErrors:
     by_yaw : dict of str to (float, float)
         Median error in percent and share lost, by the head's turn in degrees.
     shut_eye, open_eye, eye_slope : float
-        Mean opening found (percent of the outer-eye distance) where the truth is below 1.5 % and above 6 %, and the
+        Median opening found (percent of the outer-eye distance) where the truth is below 1.5 % and above 6 %, and the
         slope of found against true opening: 1 follows fully, 0 not at all.
     mouth_slope : float
         The same slope for the lips' inner opening.
@@ -107,8 +107,8 @@ def evaluate_rendered(tracker: FaceTracker, samples: Samples) -> RenderedErrors:
     lips, true_lips = mouth_opening(found[good]) / unit[good, 0], mouth_opening(samples.landmarks[good]) / unit[good, 0]
     return RenderedErrors(
         by_yaw,
-        float(eyes[true_eyes < 1.5].mean()),
-        float(eyes[true_eyes > 6.0].mean()),
+        float(np.median(eyes[true_eyes < 1.5])),
+        float(np.median(eyes[true_eyes > 6.0])),
         float(np.polyfit(true_eyes.ravel(), eyes.ravel(), 1)[0]),
         float(np.polyfit(true_lips, lips, 1)[0]),
     )

@@ -99,7 +99,7 @@ def train_experts(
     scale: float,
     rng: np.random.Generator,
     *,
-    steps: int = 2000,
+    steps: int = 3500,
     batch: int = 256,
     radius: int = 9,
     units: int = UNITS,

@@ -84,6 +84,8 @@ _ACTIONS: tuple[tuple[float, tuple[str, ...], float], ...] = (
     (0.25, ("browOuterUp_L", "browOuterUp_R"), 1.0),
     (0.12, ("eyeSquint_L", "eyeSquint_R"), 1.0),
     (0.12, ("eyeWide_L", "eyeWide_R"), 1.0),
+    (0.12, ("eyeLookDown_L", "eyeLookDown_R"), 1.0),
+    (0.05, ("eyeLookUp_L", "eyeLookUp_R"), 1.0),
     (0.10, ("mouthStretch_L", "mouthStretch_R"), 0.9),
     (0.12, ("mouthUpperUp_L", "mouthUpperUp_R"), 0.9),
     (0.12, ("mouthLowerDown_L", "mouthLowerDown_R"), 0.9),
@@ -128,7 +130,7 @@ def sample_expression(head: IctHead, rng: np.random.Generator) -> np.ndarray:
         # Half of all blinks are complete: lids are seldom seen half way.
         amount = 1.0 if shapes[0] == "eyeBlink_L" and rng.random() < 0.5 else strength * rng.random()
         sides = np.ones(len(shapes))
-        if len(shapes) == 2 and rng.random() < 0.3:
+        if len(shapes) == 2 and not shapes[0].startswith("eyeLook") and rng.random() < 0.3:
             sides[rng.integers(2)] = 0.0
         elif len(shapes) == 2:
             sides -= 0.25 * rng.random(2)

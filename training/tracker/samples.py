@@ -118,8 +118,8 @@ def degrade(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     out = 255.0 * np.clip(out / 255.0, 0, 1) ** rng.uniform(0.6, 1.6)
     out = (out - 128.0) * rng.uniform(0.45, 1.1) + rng.uniform(75.0, 170.0)
     small = SIZE
-    if rng.random() < 0.6:
-        small = int(SIZE * rng.uniform(24.0, 80.0) / SCALE)
+    if rng.random() < 0.55:
+        small = int(SIZE * rng.uniform(26.0, 80.0) / SCALE)
         out = cv2.resize(out, (small, small), interpolation=cv2.INTER_AREA)
     if rng.random() < 0.35:
         out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.4, 1.6) * small / SIZE + 0.1)
@@ -128,8 +128,8 @@ def degrade(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         kernel = np.zeros((length, length), np.float32)
         cv2.line(kernel, (0, int(rng.integers(length))), (length - 1, int(rng.integers(length))), 1.0)
         out = cv2.filter2D(out, -1, kernel / kernel.sum())
-    if rng.random() < 0.6:
-        out += rng.normal(0, rng.uniform(0.5, 9.0), out.shape).astype(np.float32)
+    if rng.random() < 0.5:
+        out += rng.normal(0, rng.uniform(0.5, 8.0), out.shape).astype(np.float32)
     out8 = np.clip(out, 0, 255).astype(np.uint8)
     if rng.random() < 0.5:
         _, packed = cv2.imencode(".jpg", out8, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(20, 85))])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from facemime.core.tracking.detect import DETECTORS, BoxDetector
+from facemime.core.tracking.detect import DETECTORS, EFFORTS, BoxDetector
 from facemime.core.tracking.pdm import N_POSE, FittedShape, PointDistributionModel
 from facemime.core.tracking.start import N_START_MODES, StartModel, apply_update, gradient_features
 
@@ -18,7 +18,7 @@ def fit_box_offsets(pictures: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray
     detector = BoxDetector()
     seen: list[list[tuple[float, float, float]]] = [[] for _ in DETECTORS]
     for grey, pose in pictures:
-        for face in detector.boxes(grey, thorough=True):
+        for face in (f for effort in EFFORTS for f in detector.boxes(grey, effort)):
             x, y, width, height = face.box
             away = pose[4:6] - (x + width / 2, y + height / 2)
             if face.roll == 0.0 and np.abs(away).max() < 0.35 * width and 0.25 < pose[0] / width < 0.8:

@@ -41,10 +41,10 @@ class Recipe:
 
 
 RECIPES = {
-    "london_neutral": Recipe(2, 24, 10, 1.0),
-    "canada": Recipe(2, 24, 10, 1.0),
-    "london_smiling": Recipe(1, 10, 10, 0.7),
-    "congress": Recipe(1, 4, 4, 0.5),
+    "london_neutral": Recipe(3, 20, 12, 1.0),
+    "canada": Recipe(3, 20, 12, 1.0),
+    "london_smiling": Recipe(1, 8, 10, 0.6),
+    "congress": Recipe(1, 4, 3, 0.3),
 }
 
 
