@@ -50,8 +50,12 @@ def puppet(arguments: argparse.Namespace, take: Take, video: Path | None) -> Pup
         f"{100 * report.worst_error:.2f} % of the eye distance; neutral at {neutral.start:.2f}-{neutral.end:.2f} s",
         file=sys.stderr,
     )
+    if arguments.head is not None:  # a user's own file keeps its camera and its render settings
+        save_blend(arguments.output)
     setup_preview(scene, head, (AVATAR_SIDE, AVATAR_SIDE))
-    save_blend(arguments.output)
+    if arguments.head is None:
+        look_through_camera()
+        save_blend(arguments.output)
     chosen = most_different(report.motion, SHEET_TILES) if arguments.sheet is not None else np.empty(0, dtype=np.intp)
     sheet_frames = np.flatnonzero(take.found)[chosen]
     if arguments.preview is not None:
@@ -94,6 +98,15 @@ def open_head(spec: str | None, fps: float) -> tuple[bpy.types.Scene, bpy.types.
     else:
         raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Name one: --head {path}:OBJECT.")
     return bpy.context.scene, head
+
+
+def look_through_camera() -> None:
+    """Let every 3-D view of the file open on the camera, with textures."""
+    for screen in bpy.data.screens:
+        for space in (area.spaces.active for area in screen.areas if area.type == "VIEW_3D"):
+            space.shading.type = "SOLID"
+            space.shading.color_type = "TEXTURE"
+            space.region_3d.view_perspective = "CAMERA"
 
 
 def save_blend(path: Path) -> None:
