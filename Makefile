@@ -41,7 +41,8 @@ blenders: setup
 	sh tools/blenders.sh
 
 bench: setup
-	$(BIN)/python -m bench.pipeline
+	mkdir -p build/bench
+	$(BIN)/python -m bench.pipeline --figure docs/images/pipeline.png --json build/bench/pipeline.json
 
 # What stands in assets/ is made again by these; the first needs ../shared/data.
 model: setup

@@ -7,6 +7,7 @@ as `blender --command facemime puppet ...`.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -36,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"facemime: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("facemime: interrupted; nothing was changed.", file=sys.stderr)
+        print("facemime: interrupted; what was written before stays.", file=sys.stderr)
         return INTERRUPTED
 
 
@@ -79,24 +80,30 @@ def run_landmarks(arguments: argparse.Namespace) -> int:
     confidence = np.zeros(len(paths))
     progress = Progress("Finding landmarks", len(paths))
     unreadable: list[SourceError] = []
-    for i, path in enumerate(paths):
-        progress.update(i + 1)
-        try:
-            image = read_image(path)
-        except SourceError as error:
-            unreadable.append(error)
-            continue
-        result = tracker.locate(image)
-        landmarks[i], confidence[i] = result.landmarks, result.confidence
-        if arguments.overlay is not None:
-            write_image(arguments.overlay / f"{path.stem}.png", draw_landmarks(image, result.landmarks))
-    names = np.array([path.name for path in paths])
+    done = 0
+    with contextlib.suppress(KeyboardInterrupt):
+        for i, path in enumerate(paths):
+            try:
+                image = read_image(path)
+            except SourceError as error:
+                unreadable.append(error)
+            else:
+                result = tracker.locate(image)
+                landmarks[i], confidence[i] = result.landmarks, result.confidence
+                if arguments.overlay is not None:
+                    write_image(arguments.overlay / f"{path.stem}.png", draw_landmarks(image, result.landmarks))
+            done = i + 1
+            progress.update(done)
+    names, landmarks, confidence = np.array([path.name for path in paths[:done]]), landmarks[:done], confidence[:done]
     with replacing(arguments.output) as temporary, open(temporary, "wb") as stream:
         np.savez_compressed(stream, names=names, landmarks=landmarks, confidence=confidence)
     found = int(np.isfinite(landmarks[:, 0, 0]).sum())
     progress.finish(f"a face in {found} of {len(paths)}")
     for error in unreadable:
         print(f"facemime: {error}", file=sys.stderr)
+    if done < len(paths):
+        print(f"facemime: interrupted; the first {done} pictures are in {arguments.output}.", file=sys.stderr)
+        return INTERRUPTED
     return 1 if unreadable else 0
 
 

@@ -101,6 +101,7 @@ def measure(video: Path) -> tuple[dict[str, list[float]], int, float]:
                 displacements = driver.retargeter.displacements(result.shape)
                 lap("retarget")
                 driver.deformer.deform(displacements, out)
+                driver.contact.resolve(out)
                 lap("deform")
                 write_vertices(head.data, out)
                 bpy.context.view_layer.update()
