@@ -28,7 +28,7 @@ def tracker() -> FaceTracker:
 @pytest.fixture(scope="module")
 def photo() -> tuple[np.ndarray, np.ndarray]:
     """A held-out person's photo (BGR) and hand-placed landmarks, at 320 pixels of width."""
-    from training.tracker.sources import read_photos, split
+    from facemime.training.tracker.sources import read_photos, split
 
     chosen = split(read_photos(DATA, "london_neutral"))[1][0]
     image = cv2.imread(str(chosen.path))

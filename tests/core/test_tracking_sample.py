@@ -1,0 +1,74 @@
+"""The tracker on the sample clip, whose every landmark is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from facemime.core.landmarks import INNER
+from facemime.core.tracking.result import TrackResult
+from facemime.core.tracking.tracker import FaceTracker
+
+SAMPLE = Path(__file__).parents[2] / "assets" / "sample"
+CLIP, TRUTH = SAMPLE / "sample.mp4", SAMPLE / "sample_landmarks.npz"
+pytestmark = pytest.mark.skipif(not TRUTH.exists(), reason="assets/sample has no clip; make it with `make sample`")
+
+
+@pytest.fixture(scope="module")
+def truth() -> np.ndarray:
+    """(T, 66, 2) exact landmarks in pixels."""
+    return np.load(TRUTH, allow_pickle=False)["landmarks"].astype(np.float64)
+
+
+@pytest.fixture(scope="module")
+def results(truth: np.ndarray) -> list[TrackResult]:
+    tracker, reader, found = FaceTracker.load(), cv2.VideoCapture(str(CLIP)), []
+    for _ in truth:
+        there, frame = reader.read()
+        assert there
+        found.append(tracker.track(frame))
+    return found
+
+
+def gaps(landmarks: np.ndarray, upper: list[int], lower: list[int]) -> np.ndarray:
+    """(T,) mean distance of upper and lower landmarks in outer-eye distances."""
+    unit = np.linalg.norm(landmarks[:, 36] - landmarks[:, 45], axis=1)
+    return np.linalg.norm(landmarks[:, upper] - landmarks[:, lower], axis=2).mean(1) / unit
+
+
+def test_the_face_is_never_lost(results: list[TrackResult]) -> None:
+    assert all(r.found for r in results)
+
+
+def test_the_inner_landmarks_lie_within_four_percent_of_the_eye_distance(
+    results: list[TrackResult], truth: np.ndarray
+) -> None:
+    found = np.stack([r.landmarks for r in results])
+    unit = np.linalg.norm(truth[:, 36] - truth[:, 45], axis=1)[:, None, None]
+    away = ((found - truth) / unit)[:, INNER]
+    away -= np.median(away, axis=0)  # the head's landmark vertices mark slightly other places than the labels
+    assert np.median(np.linalg.norm(away, axis=2).mean(1)) < 0.04
+
+
+def test_the_mouth_opens_and_closes_with_the_performer(results: list[TrackResult], truth: np.ndarray) -> None:
+    upper, lower = [60, 61, 62], [65, 64, 63]
+    found, wanted = gaps(np.stack([r.landmarks for r in results]), upper, lower), gaps(truth, upper, lower)
+    assert np.corrcoef(found, wanted)[0, 1] > 0.9
+    assert found.max() > 0.6 * wanted.max()
+    assert np.median(found[wanted < 0.02]) < 0.03
+
+
+def test_the_eyes_shut_with_the_performers(results: list[TrackResult], truth: np.ndarray) -> None:
+    upper, lower = [37, 38, 43, 44], [41, 40, 47, 46]
+    found, wanted = gaps(np.stack([r.landmarks for r in results]), upper, lower), gaps(truth, upper, lower)
+    assert np.corrcoef(found, wanted)[0, 1] > 0.75
+    assert found[wanted.argmin()] < 0.6 * np.median(found)
+
+
+def test_the_head_turns_with_the_performers(results: list[TrackResult]) -> None:
+    turned = np.load(TRUTH, allow_pickle=False)["pose"]
+    yaw = np.array([r.pose[2] for r in results])
+    assert max(abs(np.corrcoef(yaw, column)[0, 1]) for column in turned.T if column.std() > 1e-3) > 0.9
