@@ -1,9 +1,10 @@
-"""The head, put together: from the pinned source to the arrays of `core.head`, and to bytes that never differ."""
+"""The head, put together: from the pinned source to the files of `assets/head`, whose bytes never differ."""
 
 from __future__ import annotations
 
 import io
 import zipfile
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,46 +28,66 @@ from .surface import Surface, build_surface, ear_share
 TO_HEAD = np.array([0.1, -0.1, -0.1])
 """MakeHuman's decimetres (y up, z to the viewer) to the head frame's metres."""
 
-_TRAGUS_TO_CENTRE = np.array([0.0, 0.0, 0.016])
+TRAGUS_TO_CENTRE = np.array([0.0, 0.0, 0.016])
+"""The origin lies this far behind the middle between landmarks 0 and 16."""
 
 _OVERLAP = 1.06
 """A blink closes this much of the gap, since the rims are round."""
 
+_JPEG_QUALITY = 90
+
 Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Sculpture:
+    """The head before it is painted.
+
+    Attributes
+    ----------
+    points : (N, 3) vertices of hm08, head frame
+    surface : the skin in terms of hm08
+    shape : (V, 3) vertices of the skin without hair
+    ear : (V,) share of ear
+    arrays : what `head.npz` holds
+    """
+
+    points: NDArray[np.float64]
+    surface: Surface
+    shape: NDArray[np.float64]
+    ear: NDArray[np.float64]
+    arrays: Arrays
 
 
 def build_files(source: Source) -> dict[str, bytes]:
     """The files of `assets/head` but for the licence, by name."""
-    arrays, pictures = build_head(source)
-    files = {"head.npz": to_bytes(arrays)}
-    files |= {f"{name}.jpg": encode(picture, 90) for name, picture in pictures.items()}
-    return files
+    sculpture = sculpt(source)
+    files = {"head.npz": to_bytes(sculpture.arrays)}
+    return files | {f"{name}.jpg": encode(image, _JPEG_QUALITY) for name, image in paint(sculpture).items()}
 
 
-def build_head(source: Source) -> tuple[Arrays, dict[str, NDArray[np.uint8]]]:
-    """The arrays of `head.npz`, and the pictures by name."""
+def sculpt(source: Source) -> Sculpture:
+    """The head's shape, landmarks, regions, face units and parts."""
     base = source.base_mesh()
     points = (base.vertices + identity_offsets(source, AVATAR)) * TO_HEAD
     surface = build_surface(base, points)
-    ears = surface.positions(points)[surface.vertex_of(landmark_vertices(base.mirror)[[0, 16]])]
-    points = points - ears.mean(axis=0) - _TRAGUS_TO_CENTRE
-    vertices = _symmetric(surface.positions(points), surface.mirror)
-    landmarks = surface.vertex_of(landmark_vertices(base.mirror))
-    native = landmark_vertices(base.mirror)
+    native_landmarks = landmark_vertices(base.mirror)
+    points = points - points[native_landmarks[[0, 16]]].mean(axis=0) - TRAGUS_TO_CENTRE
+    shape = _symmetric(surface.positions(points), surface.mirror)
+    landmarks = surface.vertex_of(native_landmarks)
     names = source.unit_names()
-    units = [_closing(name, source.unit(name) * TO_HEAD, points, native) for name in names]
+    units = [fit_blink(name, source.unit(name) * TO_HEAD, points, native_landmarks) for name in names]
     hinge = jaw_hinge(base, points, units[names.index("jawOpen")])
-    shape = vertices.copy()
     ear = ear_share(surface)
-    normals = vertex_normals(vertices, surface.faces)
-    vertices = vertices + crop_lift(vertices, ear)[:, None] * normals
+    lift = crop_lift(shape, ear)[:, None] * vertex_normals(shape, surface.faces)
+    vertices = _symmetric(shape + lift, surface.mirror)
     arrays: Arrays = {
         "format": np.array(FORMAT),
         "vertices": vertices.astype(np.float32),
         "faces": surface.faces.astype(np.int16),
-        "uv": layout(surface, vertices).astype(np.float32),
+        "uv": layout(surface, shape).astype(np.float32),
         "landmarks": landmarks.astype(np.int16),
-        "regions": region_weights(surface, vertices, landmarks).astype(np.float32),
+        "regions": region_weights(surface, shape, landmarks).astype(np.float32),
         "unit_names": np.array(names),
         "units": np.stack([surface.positions(unit) for unit in units]).astype(np.float16),
         "jaw_pivot": hinge.astype(np.float32),
@@ -77,19 +98,24 @@ def build_head(source: Source) -> tuple[Arrays, dict[str, NDArray[np.uint8]]]:
         arrays[f"{part.name}.uv"] = part.uv.astype(np.float32)
         arrays[f"{part.name}.pivot"] = part.pivot.astype(np.float32)
         arrays[f"{part.name}.units"] = part.units.astype(np.float16)
-    pictures = {
-        "skin": _skin(surface, shape, arrays["uv"].astype(np.float64), ear, points, landmarks),
+    return Sculpture(points, surface, shape, ear, arrays)
+
+
+def paint(sculpture: Sculpture) -> dict[str, NDArray[np.uint8]]:
+    """BGR pictures of skin, eye, teeth and tongue."""
+    arrays = sculpture.arrays
+    return {
+        "skin": _skin(sculpture),
         "eye": paint_eye(_iris_share(arrays["eye_left.vertices"] - arrays["eye_left.pivot"])),
         "teeth": paint_teeth(TEETH),
         "tongue": paint_tongue(),
     }
-    return arrays, pictures
 
 
-def _closing(
+def fit_blink(
     name: str, unit: NDArray[np.float64], points: NDArray[np.float64], landmarks: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """A blink scaled so that the lids of these eyes just meet; the target was made for wider ones."""
+    """A blink scaled so that the lids of these eyes just meet, for the target was made for wider ones; else `unit`."""
     if not name.startswith("eyeBlink"):
         return unit
     left = name.endswith("Left")
@@ -98,29 +124,6 @@ def _closing(
     gap = (points[lower] - points[upper])[:, 1].mean()
     closing = (unit[upper] - unit[lower])[:, 1].mean()
     return np.asarray(unit * (_OVERLAP * gap / closing))
-
-
-def _skin(
-    surface: Surface,
-    vertices: NDArray[np.float64],
-    uv: NDArray[np.float64],
-    ear: NDArray[np.float64],
-    points: NDArray[np.float64],
-    landmarks: NDArray[np.int64],
-) -> NDArray[np.uint8]:
-    left = np.flatnonzero(vertices[:, 0] >= 0.0)
-    seen = np.zeros(len(vertices))
-    seen[left] = openness(vertices, surface.faces, left)
-    seen[surface.mirror[left]] = seen[left]
-    chart = surface.token_chart[surface.tokens[:, 0]]
-    values = np.stack([seen, ear], axis=1)
-    return paint_skin(vertices, surface.faces, uv, chart, values, points, vertices[landmarks])
-
-
-def _iris_share(eye: NDArray[np.floating]) -> float:
-    """Radius of the iris as a share of the eye's picture."""
-    radius = float(np.median(np.linalg.norm(eye, axis=1)))
-    return float(eye_uv_radius(np.arcsin(np.array([IRIS_RADIUS / radius])))[0])
 
 
 def to_bytes(arrays: Arrays) -> bytes:
@@ -135,6 +138,29 @@ def to_bytes(arrays: Arrays) -> bytes:
             np.lib.format.write_array(content, np.asarray(array, order="C"), allow_pickle=False)
             archive.writestr(member, content.getvalue())
     return buffer.getvalue()
+
+
+def _skin(sculpture: Sculpture) -> NDArray[np.uint8]:
+    surface, shape = sculpture.surface, sculpture.shape
+    left = np.flatnonzero(shape[:, 0] >= 0.0)
+    seen = np.zeros(len(shape))
+    seen[left] = openness(shape, surface.faces, left)
+    seen[surface.mirror[left]] = seen[left]
+    return paint_skin(
+        shape,
+        surface.faces,
+        sculpture.arrays["uv"].astype(np.float64),
+        surface.token_chart[surface.tokens[:, 0]],
+        np.stack([seen, sculpture.ear], axis=1),
+        sculpture.points,
+        shape[sculpture.arrays["landmarks"]],
+    )
+
+
+def _iris_share(eye: NDArray[np.floating]) -> float:
+    """Radius of the iris as a share of the eye's picture."""
+    radius = float(np.median(np.linalg.norm(eye, axis=1)))
+    return float(eye_uv_radius(np.arcsin(np.array([IRIS_RADIUS / radius])))[0])
 
 
 def _symmetric(vertices: NDArray[np.float64], mirror: NDArray[np.int64]) -> NDArray[np.float64]:

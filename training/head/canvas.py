@@ -7,6 +7,7 @@ and a change of the layout needs no new picture.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -131,7 +132,7 @@ class FrontView:
         if (layer_high <= layer_low).any():
             return
         layer = np.zeros(tuple((layer_high - layer_low)[::-1]), np.float32)
-        for i, (a, b) in enumerate(zip(pixels[:-1], pixels[1:], strict=True)):
+        for i, (a, b) in enumerate(pairwise(pixels)):
             share = 1.0 - i / (len(pixels) - 1)
             thick = max(1, round(width * share / self.pixel))
             ends = [tuple(np.round((p - layer_low) * 16).astype(int).tolist()) for p in (a, b)]

@@ -51,7 +51,7 @@ class HalfMesh:
 
 def cut_half(base: BaseMesh, points: NDArray[np.float64]) -> HalfMesh:
     """The left half of the head, from the crown to a slanted plane through the neck; `points` are in the head frame."""
-    chart = _face_charts(base, points)
+    chart = face_charts(base, points)
     faces = np.flatnonzero(chart >= 0)
     below = _below_cut(points)
     keep = ~below[base.faces[faces]].all(axis=1) & (points[base.faces[faces], 0].min(axis=1) > -1e-7)
@@ -71,7 +71,7 @@ def _height_over_cut(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return _NECK_LEVEL - points[:, 1] - _NECK_SLOPE * (points[:, 2] + 0.08)
 
 
-def _face_charts(base: BaseMesh, points: NDArray[np.float64]) -> NDArray[np.int64]:
+def face_charts(base: BaseMesh, points: NDArray[np.float64]) -> NDArray[np.int64]:
     """(F,) chart of every face of the head, -1 elsewhere: islands of the native texture layout."""
     island = _uv_islands(base)
     faces = np.flatnonzero(base.face_group == "body")

@@ -43,7 +43,10 @@ def crop(place: Image, ear: Image) -> tuple[Image, Image]:
 
 
 def brow_strokes(view: FrontView, brow: NDArray[np.float64], rng: np.random.Generator) -> None:
-    """Draw both brows; `brow` (5, 2) are the left brow's landmarks from the inner end outwards, upper-mid of the hair."""
+    """Draw both brows.
+
+    `brow` (5, 2) are the left brow's landmarks from its inner end outwards, upper-mid of the hair.
+    """
     knots = np.linspace(0.0, 1.0, len(brow))
     for _ in range(470):
         t = rng.beta(1.15, 1.15)

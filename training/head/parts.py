@@ -32,7 +32,7 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Part:
-    """A part: `vertices` (n, 3), `faces` (f, 4), `uv` (f, 4, 2), `pivot` (3,), `units` (U, n, 3); head frame, metres."""
+    """`vertices` (n, 3), `faces` (f, 4), `uv` (f, 4, 2), `pivot` (3,), `units` (U, n, 3), in the head frame, metres."""
 
     name: str
     vertices: Points
@@ -132,8 +132,10 @@ def eye_uv_radius(theta: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _teeth(name: str, helper: Points, down: float, lip_line: float, hinge: Points, motion: Motion) -> Part:
-    """An arch of fourteen teeth with a gum; `down` is +1 for upper teeth, whose edges point down (+y) and end just
-    below `lip_line`, the height at which the lips meet."""
+    """An arch of fourteen teeth with a gum, placed by the helper and by `lip_line`, the height where the lips meet.
+
+    `down` is +1 for the upper teeth, whose edges point down (+y), and -1 for the lower.
+    """
     front = helper[:, 2].min() + (0.0012 if down > 0 else 0.0040)
     edge = lip_line + (0.0006 if down > 0 else 0.0034)
     columns = 6 * TEETH + 1

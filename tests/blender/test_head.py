@@ -1,0 +1,122 @@
+"""The built-in head in Blender: exactly the mesh of the file, with what driving it needs."""
+
+import bpy
+import numpy as np
+import pytest
+from bpy_extras.object_utils import world_to_camera_view
+from hypothesis import given
+from hypothesis import strategies as st
+from mathutils import Vector
+
+from facemime.blender.frames import from_blender, rotation_from_blender, rotation_to_blender, to_blender
+from facemime.blender.head import add_head
+from facemime.blender.meshes import read_rig, read_vertices
+from facemime.blender.names import LANDMARKS_PROPERTY, PART_OBJECTS, PART_PROPERTY, REGION_GROUPS
+from facemime.blender.preview_scene import setup_preview
+from facemime.core.head import load_head
+from facemime.core.landmarks import from_ibug
+from facemime.core.rotation import euler_to_matrix
+
+ANGLES = st.tuples(*[st.floats(-1.5, 1.5)] * 3)
+POINTS = st.lists(st.tuples(*[st.floats(-10, 10)] * 3), min_size=1, max_size=5)
+
+
+def test_the_added_head_is_the_mesh_of_the_file():
+    head, obj = load_head(), add_head(bpy.context)
+    assert len(obj.data.vertices) == 1781
+    assert np.allclose(read_vertices(obj.data), head.vertices, atol=1e-6)
+    faces = [[int(v) for v in face if v >= 0] for face in head.faces]
+    assert [list(polygon.vertices) for polygon in obj.data.polygons] == faces
+    assert all(polygon.use_smooth for polygon in obj.data.polygons)
+    assert not obj.data.validate()
+
+
+def test_the_added_head_is_selected_and_active_and_faces_the_front_view():
+    obj = add_head(bpy.context)
+    assert bpy.context.view_layer.objects.active == obj and obj.select_get()
+    points = np.array([obj.data.vertices[i].co for i in obj.data[LANDMARKS_PROPERTY]])
+    nose, chin, tragus = points[from_ibug([30, 8, 0])]
+    assert nose[1] < tragus[1] and chin[2] < nose[2]
+
+
+def test_the_added_head_carries_landmarks_and_regions():
+    head, obj = load_head(), add_head(bpy.context)
+    assert list(obj.data[LANDMARKS_PROPERTY]) == head.landmarks.tolist()
+    assert tuple(group.name for group in obj.vertex_groups) == REGION_GROUPS
+    rig = read_rig(obj)
+    assert np.allclose(rig.region_weights, head.regions, atol=1e-6)
+    assert np.array_equal(rig.landmarks, head.landmarks)
+
+
+def test_the_parts_are_children_that_turn_about_their_pivots():
+    head, obj = load_head(), add_head(bpy.context)
+    children = {child[PART_PROPERTY]: child for child in obj.children}
+    assert set(children) == set(PART_OBJECTS)
+    bpy.context.view_layer.update()
+    for part in head.parts:
+        child = children[part.name]
+        assert child.name == PART_OBJECTS[part.name]
+        assert np.allclose(from_blender(np.array(child.matrix_world.translation)), part.pivot, atol=1e-6)
+        assert np.allclose(read_vertices(child.data) + part.pivot, part.vertices, atol=1e-6)
+
+
+def test_two_heads_can_stand_in_one_file():
+    first, second = add_head(bpy.context), add_head(bpy.context, name="Other")
+    assert first.data != second.data and second.name == "Other"
+    assert len(second.children) == len(PART_OBJECTS)
+
+
+def test_face_units_come_as_shape_keys_at_zero_only_when_asked_for():
+    assert add_head(bpy.context).data.shape_keys is None
+    head, obj = load_head(), add_head(bpy.context, units=True)
+    keys = obj.data.shape_keys.key_blocks
+    moving = [name for name, unit in zip(head.unit_names, head.units, strict=True) if unit.any()]
+    assert [key.name for key in keys] == ["Basis", *moving]
+    assert all(key.value == 0 for key in keys[1:])
+    flat = np.empty(3 * 1781, dtype=np.float32)
+    keys["jawOpen"].points.foreach_get("co", flat)
+    expected = head.vertices + head.units[head.unit_names.index("jawOpen")]
+    assert np.allclose(from_blender(flat.reshape(-1, 3)), expected, atol=1e-6)
+
+
+def test_every_material_shows_a_picture_in_workbench():
+    obj = add_head(bpy.context)
+    for mesh in [obj.data, *(child.data for child in obj.children)]:
+        node = mesh.materials[0].node_tree.nodes.active
+        assert node.type == "TEX_IMAGE" and node.image.size[0] > 0 and node.image.packed_file
+        assert mesh.uv_layers.active is not None
+
+
+@pytest.mark.parametrize("size", [(512, 512), (640, 360), (300, 600)])
+def test_the_preview_camera_sees_the_whole_head_from_the_front(size):
+    scene, obj = bpy.context.scene, add_head(bpy.context)
+    setup_preview(scene, obj, size)
+    bpy.context.view_layer.update()
+    seen = [world_to_camera_view(scene, scene.camera, obj.matrix_world @ Vector(corner)) for corner in obj.bound_box]
+    assert all(0 <= x <= 1 and 0 <= y <= 1 and z > 0 for x, y, z in seen)
+    assert max(x for x, _, _ in seen) - min(x for x, _, _ in seen) > 0.3
+    assert scene.camera.matrix_world.translation.y < 0
+
+
+def test_the_preview_takes_any_mesh_wherever_it_stands():
+    bpy.ops.mesh.primitive_cube_add(size=4, location=(10, -3, 7), rotation=(0.2, 0.1, 0.4))
+    scene, obj = bpy.context.scene, bpy.context.object
+    setup_preview(scene, obj)
+    bpy.context.view_layer.update()
+    for corner in obj.bound_box:
+        x, y, _ = world_to_camera_view(scene, scene.camera, obj.matrix_world @ Vector(corner))
+        assert 0 <= x <= 1 and 0 <= y <= 1
+
+
+@given(POINTS)
+def test_changing_axes_forth_and_back_changes_nothing(points):
+    assert np.array_equal(from_blender(to_blender(points)), np.array(points))
+
+
+@given(ANGLES, POINTS)
+def test_a_rotation_changes_axes_as_the_points_it_turns_do(angles, points):
+    rotation, points = euler_to_matrix(*angles), np.array(points)
+    turned = to_blender(points @ rotation.T)
+    assert np.allclose(turned, to_blender(points) @ rotation_to_blender(rotation).T, atol=1e-9)
+    assert np.allclose(rotation_from_blender(rotation_to_blender(rotation)), rotation)
+    assert np.isclose(np.linalg.det(rotation_to_blender(rotation)), 1)

