@@ -1,4 +1,4 @@
-"""A scene that shows a head at its best in a fraction of a second: Workbench, three lights, a plain ground."""
+"""A scene that shows a head at its best in a fraction of a second: Workbench, even light, shaded folds, plain ground."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from mathutils import Vector
 _LENS = 85.0
 _MARGIN = 1.02
 _STUDIO_LIGHT = "paint.sl"
+_FOLD_SHARE = 0.05
+"""Folds of this share of the head's extent are shaded; without it an even light hides what a face does."""
+
 _BACKGROUND = (0.16, 0.17, 0.19)
 
 
@@ -25,16 +28,19 @@ def setup_preview(scene: bpy.types.Scene, head_object: bpy.types.Object, size: t
     if scene.world is None:
         scene.world = bpy.data.worlds.new("Facemime Preview")
     scene.world.color = _BACKGROUND
-    _set_shading(scene)
+    _set_shading(scene, float(np.max(high - low)))
 
 
-def _set_shading(scene: bpy.types.Scene) -> None:
+def _set_shading(scene: bpy.types.Scene, extent: float) -> None:
     scene.display.render_aa = "8"
     shading = scene.display.shading
     shading.light = "STUDIO"
     shading.studio_light = _STUDIO_LIGHT
     shading.color_type = "TEXTURE"
-    shading.show_cavity = False
+    shading.show_cavity = True
+    shading.cavity_type = "WORLD"
+    shading.cavity_valley_factor, shading.cavity_ridge_factor = 1.6, 0.0
+    scene.display.matcap_ssao_distance = extent * _FOLD_SHARE
     shading.show_shadows = False
     shading.show_object_outline = False
     shading.show_specular_highlight = True

@@ -79,7 +79,7 @@ def _tone(texels: Texels, landmarks: NDArray[np.float64]) -> Image:
     fine = noise(place, 0.0011, 21) * 0.6 + noise(place, 0.00055, 22)
     image *= 1.0 + (0.020 * fine + 0.018 * cloud(place, 0.008, 2, 23))[..., None]
     freckles = fade(noise(place, 0.0026, 24) * 0.5 + noise(place, 0.0065, 25) * 0.5, 0.52, 0.78)
-    mix(image, (0.66, 0.455, 0.36), 0.22 * freckles * fade(place[..., 2], -0.045, -0.075))
+    mix(image, (0.66, 0.455, 0.36), 0.12 * freckles * fade(place[..., 2], -0.045, -0.075))
     return image
 
 
