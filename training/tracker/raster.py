@@ -31,8 +31,8 @@ class Fragments:
 def rasterise(points: np.ndarray, depth: np.ndarray, triangles: np.ndarray, size: int) -> Fragments:
     """Draw triangles (T, 3) over points (V, 2) in pixels into a square picture; smaller depth (V,) hides larger.
 
-    Triangles whose corners run counter-clockwise on the screen (y down) face away and are left out by the caller.
-    Candidates are tested in groups of equal bounding-box size, so that no group wastes more than it covers.
+    The caller leaves out triangles that face away. Candidates are tested in groups of equal bounding-box size, so that
+    no group wastes more than it covers.
     """
     corners = points[triangles]
     low = np.ceil(corners.min(1)).astype(np.int32)

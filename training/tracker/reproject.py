@@ -158,6 +158,18 @@ class Rendering:
     visible: np.ndarray
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """The nearest surface in each covered pixel, (F,) each: where it is, and what of the head it shows."""
+
+    pixel: np.ndarray
+    size: int
+    vertex: np.ndarray
+    material: np.ndarray
+    uv: np.ndarray
+    depth: np.ndarray
+
+
 def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     faces = np.cross(b - a, c - a)
@@ -174,6 +186,31 @@ def _plain_colours(head: IctHead, skin_level: float, rng: np.random.Generator) -
     colour[head.materials.index("M_Teeth")] = np.clip(skin_level * rng.uniform(0.8, 2.0), 50, 250)
     colour[head.materials.index("M_GumsTongue")] = skin_level * rng.uniform(0.35, 0.75)
     return colour
+
+
+def _facing_triangles(head: IctHead, screen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles (T, 3) that are drawn and face the viewer (counter-clockwise with y down), and their material (T,)."""
+    hidden = [head.materials.index(m) for m in _HIDDEN]
+    drawn = ~np.isin(head.material, hidden)
+    a, b, c = (screen[head.triangles[:, i]] for i in range(3))
+    drawn &= np.cross(b - a, c - a) < 0
+    return head.triangles[drawn], head.material[drawn]
+
+
+def _grey_of_surfaces(
+    head: IctHead, skinned: SkinnedHead, seen: _Seen, gaze: tuple[float, float], rim: float, rng: np.random.Generator
+) -> np.ndarray:
+    """(F,) unlit grey of every fragment: photo, eyes, or the plain colours of the mouth, darker behind `rim`."""
+    grey = _look_up(skinned.skin, seen.uv, seen.pixel, seen.size)
+    is_eye = np.isin(seen.material, [i for i, m in enumerate(head.materials) if m.startswith(("M_Sclera", "M_Iris"))])
+    shift = np.float32(np.array(gaze) * np.ptp(skinned.uv[FACE, 0]) / 2.0)
+    grey = np.where(is_eye, _look_up(skinned.eyes, seen.uv - shift, seen.pixel, seen.size), grey)
+    level = float(np.median(grey[seen.material == head.materials.index("M_Face")]))
+    plain = _plain_colours(head, level, rng)[seen.material]
+    socket = (seen.vertex >= _SOCKETS.start) & (seen.vertex < _SOCKETS.stop)
+    plain = np.where(socket, level * rng.uniform(0.08, 0.4), plain)
+    falloff = np.exp(-rng.uniform(0.5, 3.5) * np.maximum(seen.depth - rim, 0.0))
+    return np.where(np.isnan(plain), grey, plain * falloff)
 
 
 def render(
@@ -194,43 +231,23 @@ def render(
     vertices = skinned.neutral + np.tensordot(expression, head.expression, 1)
     turned = vertices @ rotation_matrix(*pose[1:4]).T
     screen = pose[0] * turned[:, :2] / (1.0 + perspective * turned[:, 2:]) + pose[4:6]
-    hidden = [head.materials.index(m) for m in _HIDDEN]
-    triangles = head.triangles[~np.isin(head.material, hidden)]
-    material = head.material[~np.isin(head.material, hidden)]
-    a, b, c = (screen[triangles[:, i]] for i in range(3))
-    facing = np.cross(b - a, c - a) < 0
-    if facing[material == head.materials.index("M_Face")].mean() < 0.5:  # winding of the source
-        facing = ~facing
-    triangles, material = triangles[facing], material[facing]
+    triangles, material = _facing_triangles(head, screen)
     drawn = rasterise(screen, turned[:, 2], triangles, size)
     owner, weights = triangles[drawn.triangle], drawn.barycentric
-    normals = _vertex_normals(turned, head.triangles)
-    if normals[head.landmarks[30], 2] > 0:
-        normals = -normals
-    lit = light.ambient + light.strength * np.maximum(normals @ light.direction, 0.0)
+    lit = light.ambient + light.strength * np.maximum(_vertex_normals(turned, head.triangles) @ light.direction, 0.0)
     uv = np.einsum("fk,fkd->fd", weights, skinned.uv[owner]).astype(np.float32)
-    shade = (weights * lit[owner]).sum(1)
-    kind = material[drawn.triangle]
-    grey = _look_up(skinned.skin, uv, drawn.pixel, size)
-    is_eye = np.isin(kind, [i for i, m in enumerate(head.materials) if m.startswith(("M_Sclera", "M_Iris"))])
-    shift = np.float32(np.array(gaze) * np.ptp(skinned.uv[FACE, 0]) / 2.0)
-    grey = np.where(is_eye, _look_up(skinned.eyes, uv - shift, drawn.pixel, size), grey)
-    level = float(np.median(grey[kind == head.materials.index("M_Face")]))
-    plain = _plain_colours(head, level, rng)[kind]
-    socket = (owner[:, 0] >= _SOCKETS.start) & (owner[:, 0] < _SOCKETS.stop)
-    plain = np.where(socket, level * rng.uniform(0.08, 0.4), plain)
-    inside = ~np.isnan(plain)
+    depth = drawn.depth.ravel()[drawn.pixel]
+    seen = _Seen(drawn.pixel, size, owner[:, 0], material[drawn.triangle], uv, depth)
     # Light hardly reaches the mouth's depth; the lips' own depth is its rim.
-    rim = turned[head.landmarks[60:], 2].min()
-    z = drawn.depth.ravel()[drawn.pixel]
-    falloff = np.exp(-rng.uniform(0.5, 3.5) * np.maximum(z - rim, 0.0))
-    grey = np.where(inside, plain * falloff, grey) * shade
+    grey = _grey_of_surfaces(head, skinned, seen, gaze, turned[head.landmarks[60:], 2].min(), rng)
     image = np.zeros(size * size, np.float32)
-    image[drawn.pixel] = grey
+    image[drawn.pixel] = grey * (weights * lit[owner]).sum(1)
     landmarks = screen[head.landmarks]
-    visible = _visible(landmarks, turned[head.landmarks, 2], drawn.depth)
     return Rendering(
-        np.clip(image, 0, 255).astype(np.uint8).reshape(size, size), np.isfinite(drawn.depth), landmarks, visible
+        np.clip(image, 0, 255).astype(np.uint8).reshape(size, size),
+        np.isfinite(drawn.depth),
+        landmarks,
+        _visible(landmarks, turned[head.landmarks, 2], drawn.depth),
     )
 
 
