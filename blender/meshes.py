@@ -12,7 +12,7 @@ from ..core.landmarks import N_LANDMARKS
 from .frames import from_blender, to_blender
 from .names import LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS
 
-_JAW_ENDS = (0, 16)
+_JAW_SIDES = (2, 14)
 
 
 def mesh_of(obj: bpy.types.Object | None) -> bpy.types.Mesh:
@@ -65,7 +65,7 @@ def read_rig(obj: bpy.types.Object | None) -> HeadRig:
         vertices=vertices,
         landmarks=landmarks,
         region_weights=read_regions(obj),
-        jaw_pivot=vertices[landmarks[list(_JAW_ENDS)]].astype(np.float64).mean(axis=0),
+        jaw_pivot=_jaw_pivot(obj, vertices[landmarks]),
         eyeballs=read_eyeballs(obj),
     )
 
@@ -79,6 +79,14 @@ def read_eyeballs(obj: bpy.types.Object) -> NDArray[np.float64]:
             radius = np.linalg.norm(read_vertices(child.data), axis=1).max()
             eyeballs.append([*centre, float(radius) * float(child.scale[0])])
     return np.array(eyeballs).reshape(-1, 4)
+
+
+def _jaw_pivot(obj: bpy.types.Object, landmarks: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Where the jaw turns, (3,): the origin of the lower teeth, or between the jaw line's third points."""
+    for child in obj.children:
+        if child.get(PART_PROPERTY) == "teeth_lower":
+            return from_blender(np.array((child.matrix_parent_inverse @ child.matrix_basis).translation))
+    return landmarks[list(_JAW_SIDES)].astype(np.float64).mean(axis=0)
 
 
 def read_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
