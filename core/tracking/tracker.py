@@ -68,7 +68,7 @@ class FaceTracker:
 
     found_above = 0.5
     """Confidence from which on a detected face counts."""
-    lost_below = 0.2
+    lost_below = 0.45
     """Confidence below which a followed face counts as lost."""
 
     def __init__(self, model: TrackerModel) -> None:

@@ -1,0 +1,83 @@
+"""What the training of the tracker must never get wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from facemime.training.tracker.experts import mirror_samples
+from facemime.training.tracker.raster import rasterise
+from facemime.training.tracker.samples import SIZE, Samples, degrade
+from facemime.training.tracker.sources import Photo, held_out_people, mirrored, person_of, split
+
+
+def photo(source: str, name: str) -> Photo:
+    return Photo(source, name, person_of(source, name), Path(name), np.zeros((66, 2)))
+
+
+def test_both_pictures_of_a_person_fall_on_the_same_side_of_the_split() -> None:
+    london = [f"{n:03d}" for n in range(1, 180)]
+    photos = [photo("london_neutral", f"{n}_03.jpg") for n in london]
+    photos += [photo("london_smiling", f"{n}_08.jpg") for n in london]
+    train, held = split(photos)
+    assert len(train) + len(held) == len(photos)
+    assert not {p.person for p in train} & {p.person for p in held}
+    assert len(held) == 40
+
+
+def test_twenty_people_of_london_and_seven_of_canada_are_held_out() -> None:
+    sources = [person.split(":")[0] for person in held_out_people()]
+    assert (sources.count("london"), sources.count("canada")) == (20, 7)
+
+
+def test_mirroring_labels_twice_gives_them_back() -> None:
+    landmarks = np.random.default_rng(0).uniform(0, 100, (66, 2))
+    np.testing.assert_allclose(mirrored(mirrored(landmarks, 120), 120), landmarks)
+
+
+def test_mirroring_samples_twice_gives_them_back() -> None:
+    rng = np.random.default_rng(1)
+    samples = Samples(
+        rng.integers(0, 255, (2, SIZE, SIZE), np.uint8),
+        rng.uniform(0, SIZE, (2, 66, 2)).astype(np.float32),
+        rng.random((2, 66)) < 0.5,
+        rng.normal(0, 1, (2, 6)).astype(np.float32),
+        np.zeros((2, 4), np.float32),
+        np.ones(2, np.float32),
+    )
+    again = mirror_samples(mirror_samples(samples))
+    np.testing.assert_array_equal(again.images, samples.images)
+    np.testing.assert_allclose(again.landmarks, samples.landmarks, atol=1e-4)
+    np.testing.assert_allclose(again.poses, samples.poses, atol=1e-4)
+    np.testing.assert_array_equal(again.visible, samples.visible)
+
+
+def test_the_rasteriser_fills_a_triangle_and_lets_the_nearer_one_win() -> None:
+    points = np.array([[2.0, 3.0], [27.0, 5.0], [8.0, 25.0], [0.5, 0.5], [30.5, 0.5], [0.5, 30.5]])
+    depth = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+    drawn = rasterise(points, depth, np.array([[3, 4, 5], [0, 1, 2]]), 32)
+    shown = np.full(32 * 32, -1)
+    shown[drawn.pixel] = drawn.triangle
+
+    def inside(corners: np.ndarray) -> np.ndarray:
+        y, x = np.mgrid[0:32, 0:32]
+        (ax, ay), (bx, by), (cx, cy) = corners
+        sides = [
+            (qx - px) * (y - py) - (qy - py) * (x - px)
+            for px, py, qx, qy in ((ax, ay, bx, by), (bx, by, cx, cy), (cx, cy, ax, ay))
+        ]
+        return (np.stack(sides) >= 0).all(0)
+
+    expected = np.where(inside(points[:3]), 1, np.where(inside(points[3:]), 0, -1))
+    assert (shown.reshape(32, 32) != expected).mean() < 0.01
+    np.testing.assert_allclose(drawn.barycentric.sum(1), 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_degrading_keeps_the_size_and_kind_of_a_picture(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    out = degrade(rng.integers(0, 255, (SIZE, SIZE), np.uint8), rng)
+    assert out.shape == (SIZE, SIZE)
+    assert out.dtype == np.uint8
