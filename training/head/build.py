@@ -34,6 +34,9 @@ TRAGUS_TO_CENTRE = np.array([0.0, 0.0, 0.016])
 _OVERLAP = 1.06
 """A blink closes this much of the gap, since the rims are round."""
 
+_BLINK_REACH = 0.045
+"""Metres from the eye beyond which a blink moves nothing."""
+
 _JPEG_QUALITY = 90
 
 Arrays = dict[str, NDArray[Any]]
@@ -115,7 +118,10 @@ def paint(sculpture: Sculpture) -> dict[str, NDArray[np.uint8]]:
 def fit_blink(
     name: str, unit: NDArray[np.float64], points: NDArray[np.float64], landmarks: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """A blink scaled so that the lids of these eyes just meet, for the target was made for wider ones; else `unit`."""
+    """A blink scaled so that the lids of these eyes just meet, for the target was made for wider ones; else `unit`.
+
+    The target also moves a few vertices inside nose and mouth by mistake: those stay.
+    """
     if not name.startswith("eyeBlink"):
         return unit
     left = name.endswith("Left")
@@ -123,7 +129,8 @@ def fit_blink(
     lower = landmarks[from_ibug([47, 46] if left else [40, 41])]
     gap = (points[lower] - points[upper])[:, 1].mean()
     closing = (unit[upper] - unit[lower])[:, 1].mean()
-    return np.asarray(unit * (_OVERLAP * gap / closing))
+    far = np.linalg.norm(points - points[[*upper, *lower]].mean(axis=0), axis=1) > _BLINK_REACH
+    return np.where(far[:, None], 0.0, unit * (_OVERLAP * gap / closing))
 
 
 def to_bytes(arrays: Arrays) -> bytes:
