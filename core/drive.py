@@ -107,7 +107,7 @@ class HeadDriver:
         points = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
         self.rig = rig
         self.neutral = neutral
-        self.retargeter = Retargeter(neutral.shape, points, mode=mode, strength=strength)
+        self.retargeter = Retargeter(neutral.shape, points, mode=mode, strength=strength, shut=neutral.shut)
         self.deformer = RBFDeformer(rig.vertices, points, rig.region_weights, membership(), sigma=sigma)
         self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
         self._chin = points[_CHIN] - rig.jaw_pivot

@@ -22,6 +22,7 @@ _LOWER_LIDS = from_ibug((41, 40, 47, 46))
 _MEETING_RIMS = ((_UPPER_LIDS, _LOWER_LIDS), (MOUTH_INNER_UPPER, MOUTH_INNER_LOWER[::-1]))
 """Upper and lower landmarks that face each other across the eye slits and the mouth slit."""
 _NARROWEST_EYE = 0.15
+_SURELY_SHUT = 0.45
 _MOUTH_CORNERS = from_ibug((48, 54))
 
 
@@ -40,6 +41,9 @@ class Neutral:
         `(s, tx, ty)`, medians of the take: pixels an outer-eye distance, pixels, pixels.
     start, end : float
         Seconds of the take that were averaged.
+    shut : float
+        Opening of the eyes, as a fraction of the neutral one, at which the performer's eyes are shut: small, but not
+        0, as lashes and blur keep a tracker's lids a little apart. 0 where the take shows no shut eyes.
     """
 
     shape: FloatArray
@@ -47,6 +51,7 @@ class Neutral:
     position: FloatArray
     start: float
     end: float
+    shut: float = 0.0
 
 
 def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> Neutral:
@@ -82,13 +87,27 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
     shapes = take.shape[chosen].astype(np.float64)
     expression = _expression(shapes)
     pitch, yaw, roll = (float(a) for a in np.median(take.pose[take.found, 1:4], axis=0))
+    neutral = shapes[expression <= np.median(expression)].mean(axis=0)
     return Neutral(
-        shape=shapes[expression <= np.median(expression)].mean(axis=0),
+        shape=neutral,
         rotation=euler_to_matrix(pitch, yaw, roll),
         position=np.median(take.pose[take.found][:, [0, 4, 5]], axis=0),
         start=float(take.times[chosen][0]),
         end=float(take.times[chosen][-1]),
+        shut=_shut(neutral, take.shape[take.found].astype(np.float64)),
     )
+
+
+def _shut(neutral: FloatArray, shapes: FloatArray) -> float:
+    """The fraction of the neutral opening that is left when the eyes of (N, 66, 3) shapes are most closed.
+
+    The third smallest opening: a blink lasts some frames at any usual rate, a misplaced lid one or two.
+    """
+    opening = (shapes[:, _LOWER_LIDS, 1] - shapes[:, _UPPER_LIDS, 1]).mean(axis=1)
+    at_rest = float((neutral[_LOWER_LIDS, 1] - neutral[_UPPER_LIDS, 1]).mean())
+    least = np.sort(opening)[min(2, len(opening) - 1)]
+    left = float(np.clip(least / max(at_rest, 1e-9), 0.0, 1.0))
+    return left if left < _SURELY_SHUT else 0.0
 
 
 def _restful_second(take: Take, duration: float) -> float:
@@ -137,6 +156,8 @@ class Retargeter:
         `planar` keeps every depth at its neutral value, as the paper does.
     strength : (3,) array_like
         Gain of the regions upper, middle and lower.
+    shut : float
+        As in `Neutral`: where the performer's lids stop, the avatar's meet.
 
     Notes
     -----
@@ -152,6 +173,7 @@ class Retargeter:
         *,
         mode: Mode = "3d",
         strength: ArrayLike = (1.0, 1.0, 1.0),
+        shut: float = 0.0,
     ) -> None:
         if mode not in ("3d", "planar"):
             raise HeadError(f'mode must be "3d" or "planar"; got {mode!r}.')
@@ -162,6 +184,8 @@ class Retargeter:
         members = membership()
         self.scale *= ((members * gains[:, None]).sum(axis=0) / members.sum(axis=0))[:, None]
         self._rest_heights = self.head_landmarks[:, 1]
+        self._open = self.neutral[_LOWER_LIDS, 1] - self.neutral[_UPPER_LIDS, 1]
+        self._closing_gain = self.scale[_UPPER_LIDS, 1] * shut / (1.0 - shut)
         if mode == "planar":
             self.scale[:, 2] = 0.0
 
@@ -175,6 +199,8 @@ class Retargeter:
         """
         current = as_points(shape, "shape", count=N_LANDMARKS)
         moved = np.asarray(self.scale * (current - self.neutral))
+        opening = current[_LOWER_LIDS, 1] - current[_UPPER_LIDS, 1]
+        moved[_UPPER_LIDS, 1] += self._closing_gain * np.maximum(self._open - opening, 0.0)
         for upper, lower in _MEETING_RIMS:
             _keep_apart(moved, upper, lower, self._rest_heights)
         return moved

@@ -101,6 +101,21 @@ def test_a_closing_lid_rolls_over_the_eyeball(rig):
     np.testing.assert_allclose(moved / distance[:, None], skin / rest[:, None], atol=1e-5)
 
 
+def test_lids_that_the_tracker_leaves_a_little_open_still_shut_the_heads_eyes(rig):
+    face = performer(rig)
+    upper, lower = from_ibug((37, 38, 43, 44)), from_ibug((41, 40, 47, 46))
+    shapes = np.tile(face, (100, 1, 1))
+    shapes[60:64, upper, 1] += 0.75 * (face[lower, 1] - face[upper, 1])
+    neutral = calibrate(make_take(shapes))
+    assert abs(neutral.shut - 0.25) < 0.02
+    points = rig.vertices[rig.landmarks]
+    driver = HeadDriver(rig, neutral)
+    moved = points + driver.retargeter.displacements(shapes[61])
+    opening = (points[lower, 1] - points[upper, 1]).mean()
+    assert np.abs(moved[lower, 1] - moved[upper, 1]).max() < 0.15 * opening
+    assert calibrate(make_take(shapes[:50])).shut == 0.0
+
+
 def test_planar_mode_keeps_depth_and_strength_scales_a_region(rig):
     face, points = performer(rig), rig.vertices[rig.landmarks]
     other = face + np.random.default_rng(1).normal(0.0, 0.05, face.shape)
