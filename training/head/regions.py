@@ -18,7 +18,7 @@ from . import anatomy
 from .cut import CAVITY
 from .surface import Surface
 
-_EYE_SOFTNESS, _MOUTH_SOFTNESS = 0.0060, 0.0110
+_EYE_SOFTNESS, _MOUTH_SOFTNESS = 0.0070, 0.0190
 _CAVITY_REACH = 0.045
 
 
@@ -80,7 +80,7 @@ def _eye_softness(x: NDArray[np.float64], points: NDArray[np.float64]) -> NDArra
 
 
 def _mouth_softness(x: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.clip((x - points[from_ibug([54])[0], 0]) * 0.8, 0.0002, _MOUTH_SOFTNESS)
+    return np.clip((x - points[from_ibug([54])[0], 0]) * 1.2, 0.0002, _MOUTH_SOFTNESS)
 
 
 def _near_lips(surface: Surface, vertices: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.bool_]:
