@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from .arrays import FloatArray, IntArray
 from .deform.eyeballs import EyeballContact
 from .deform.rbf import RBFDeformer
-from .deform.regions import membership
+from .deform.regions import REGIONS, membership
 from .errors import HeadError
 from .landmarks import N_LANDMARKS, OUTER_EYE_CORNERS, from_ibug
 from .retarget import Mode, Neutral, Retargeter
@@ -108,7 +108,14 @@ class HeadDriver:
         self.rig = rig
         self.neutral = neutral
         self.retargeter = Retargeter(neutral.shape, points, mode=mode, strength=strength, shut=neutral.shut)
-        self.deformer = RBFDeformer(rig.vertices, points, rig.region_weights, membership(), sigma=sigma)
+        self.deformer = RBFDeformer(
+            rig.vertices,
+            points,
+            rig.region_weights,
+            membership(),
+            sigma=sigma,
+            spacing_factor=[region.spacing_factor for region in REGIONS],
+        )
         self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
         self._chin = points[_CHIN] - rig.jaw_pivot
         self._unit = float(np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS])))
