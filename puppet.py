@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from .blender.bake import bake_parts, bake_pose, bake_shape, frames_of, set_range
+from .blender.bake import bake_parts, bake_pose, bake_shape, clear_pose, frames_of, set_range
 from .blender.meshes import read_rig
 from .core.deform.basis import fit_basis
 from .core.drive import HeadDriver
@@ -79,6 +79,7 @@ def puppet_head(
     basis = fit_basis(motion.vertices, TOLERANCE * unit)
     frames = frames_of(scene, motion.times)
     bake_shape(obj, basis, frames)
+    clear_pose(obj)
     bake_pose(pose_object or obj, motion, frames, rotation=settings.rotation, translation=settings.translation)
     bake_parts(obj, motion, frames)
     set_range(scene, frames_of(scene, take.times))

@@ -24,7 +24,8 @@ def write_curves(owner: bpy.types.ID, name: str, frames: NDArray[np.floating], c
 
     The owner's action is used where it has one, else one called `name` is made; other curves in it stay as they are.
     """
-    fcurves = _fcurves(owner, name)
+    curves = list(curves)
+    fcurves = _fcurves(owner, name) if curves else None
     for curve in curves:
         if (old := fcurves.find(curve.data_path, index=curve.index)) is not None:
             fcurves.remove(old)

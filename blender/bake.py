@@ -61,6 +61,7 @@ def bake_pose(
     translation: bool = False,
 ) -> None:
     """Animate the delta transform of `obj`, a head or an empty, so that where it was placed remains free to change."""
+    clear_pose(obj)
     local = obj.matrix_world.to_3x3()
     curves = []
     if rotation:
@@ -70,6 +71,15 @@ def bake_pose(
         moved = to_blender(motion.translation) @ np.array(local).T
         curves += [Curve("delta_location", i, moved[:, i]) for i in range(3)]
     write_curves(obj, f"{obj.name} Pose", frames, curves)
+
+
+def clear_pose(obj: bpy.types.Object) -> None:
+    """Take back the pose that an earlier bake gave `obj`."""
+    for path in ("delta_rotation", "delta_location"):
+        remove_curves(obj, path)
+    obj.delta_rotation_euler = obj.delta_location = (0.0, 0.0, 0.0)
+    obj.delta_rotation_quaternion = (1.0, 0.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
 
 
 def bake_parts(obj: bpy.types.Object, motion: HeadMotion, frames: NDArray[np.floating]) -> None:

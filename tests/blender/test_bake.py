@@ -66,6 +66,9 @@ def test_pose_goes_to_an_empty_where_one_is_given_and_nowhere_when_off():
     bpy.context.collection.objects.link(empty)
     puppet_head(bpy.context.scene, head, performance(), pose_object=empty)
     assert head.animation_data is None and empty.animation_data.action is not None
+    puppet_head(bpy.context.scene, head, performance())
+    go_to(50)
+    assert np.abs(head.delta_rotation_euler).max() > 0.01
     puppet_head(bpy.context.scene, head, performance(), PuppetSettings(rotation=False))
     go_to(50)
     assert tuple(head.delta_rotation_euler) == (0.0, 0.0, 0.0)
