@@ -48,7 +48,7 @@ COARSE_TO_FINE = (
 )
 FRAME_TO_FRAME = (
     Stage(1, 5, MeanShiftOptions((8.0, 5.0, 3.0, 2.0), 0.3)),
-    Stage(2, 4, MeanShiftOptions((4.0, 2.0, 1.5, 1.0, 1.0), 0.15)),
+    Stage(2, 4, MeanShiftOptions((4.0, 2.0, 1.5, 1.0, 1.0), 0.25)),
 )
 """The weights are mostly below 1, so that the prior, too, counts less than in the paper: more, and lids stay open."""
 
