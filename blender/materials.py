@@ -90,12 +90,12 @@ def _skin(tree: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
     _bump(tree, shader, 1400.0, 0.10, 0.0004)
 
 
-def _wet(tree: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
+def _wet(_: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
     shader.inputs["Coat Weight"].default_value = 0.6
     shader.inputs["Coat Roughness"].default_value = 0.03
 
 
-def _enamel(tree: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
+def _enamel(_: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
     shader.inputs["Subsurface Weight"].default_value = 0.08
     shader.inputs["Subsurface Scale"].default_value = 0.002
 

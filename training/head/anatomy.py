@@ -43,7 +43,6 @@ UPPER_LIP_INSIDE = (520, 7267, 7268, 7261, 7262, 11962, 7263, 7181, 7180)
 LOWER_LIP_INSIDE = (523, 7264, 7265, 7266, 7206)
 """The next rows behind the lip lines, which round the lips off where the mouth opens."""
 
-EYE_CORNERS = (6850, 6805)
 MOUTH_CORNER = 7189
 
 

@@ -115,7 +115,10 @@ def _globe(radius: float) -> tuple[Points, NDArray[np.int64], NDArray[np.float64
     bulge = radius * (1.0 + 0.022 * np.clip(1.0 - (t / (1.15 * iris)) ** 2, 0.0, None))
     vertices = np.c_[bulge * np.sin(t) * np.cos(p), bulge * np.sin(t) * np.sin(p), -bulge * np.cos(t)]
     n, s = len(theta), _EYE_SEGMENTS
-    ring = lambda i, j: 1 + i * s + j % s  # noqa: E731
+
+    def ring(i: int, j: int) -> int:
+        return 1 + i * s + j % s
+
     faces = [[0, ring(0, j), ring(0, j + 1), -1] for j in range(s)]
     faces += [[ring(i, j), ring(i + 1, j), ring(i + 1, j + 1), ring(i, j + 1)] for i in range(n - 1) for j in range(s)]
     faces += [[1 + n * s, ring(n - 1, j + 1), ring(n - 1, j), -1] for j in range(s)]

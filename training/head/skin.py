@@ -53,8 +53,8 @@ def paint_skin(
     image = _tone(texels, landmarks)
     chart = face_chart[texels.face]
     _paint_lids(image, texels.place, points, landmarks)
-    _paint_lips(image, texels.place, points, chart)
-    _paint_hair(image, texels, landmarks, chart)
+    _paint_lips(image, texels.place, points)
+    _paint_hair(image, texels, landmarks)
     _paint_insides(image, texels.place, chart, landmarks)
     shade = np.clip((texels.value[..., 0] - 0.12) / 0.62, 0.0, 1.0) ** 0.75
     shade = cv2.GaussianBlur(shade, (0, 0), 3.0)
@@ -118,7 +118,7 @@ def _paint_lids(image: Image, place: Image, points: NDArray[np.float64], landmar
     mix(image, (0.46, 0.29, 0.25), 0.30 * above * np.exp(-((crease / 0.0009) ** 2)))
 
 
-def _paint_lips(image: Image, place: Image, points: NDArray[np.float64], chart: NDArray[np.int64]) -> None:
+def _paint_lips(image: Image, place: Image, points: NDArray[np.float64]) -> None:
     upper, lower = points[[*anatomy.UPPER_LIP_BORDER]], points[[*anatomy.LOWER_LIP_BORDER]]
     half = np.concatenate([upper, lower[::-1][1:]])
     outline = np.concatenate([half, (half * [-1, 1, 1])[::-1]])
@@ -142,7 +142,7 @@ def _paint_lips(image: Image, place: Image, points: NDArray[np.float64], chart: 
     mix(image, (0.90, 0.72, 0.62), 0.16 * rim)
 
 
-def _paint_hair(image: Image, texels: Texels, landmarks: NDArray[np.float64], chart: NDArray[np.int64]) -> None:
+def _paint_hair(image: Image, texels: Texels, landmarks: NDArray[np.float64]) -> None:
     place = texels.place
     beard = beard_shade(place, landmarks)
     dots = fade(noise(place, 0.00034, 41) + 0.5 * noise(place, 0.0007, 42), 0.20, 0.80)

@@ -129,7 +129,10 @@ def _mirror(base: BaseMesh, half: HalfMesh, positions: NDArray[np.float64]) -> S
     other = np.arange(n)
     other[~midline] = n + np.arange((~midline).sum())
     quads = faces[:, 3:] >= 0
-    flip = lambda rows: np.where(quads, rows[:, ::-1], rows[:, [2, 1, 0, 3]])  # noqa: E731
+
+    def flip(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        return np.where(quads, rows[:, ::-1], rows[:, [2, 1, 0, 3]])
+
     flipped, flipped_tokens = flip(np.where(faces < 0, -1, other[faces])), flip(tokens)
     mirror = np.concatenate([other, np.flatnonzero(~midline)])
     return Surface(

@@ -1,0 +1,81 @@
+"""`python -m training.sample` films the sample clip and writes its exact landmarks beside it.
+
+The performer wears a MakeHuman skin picture (CC0), which is seen in the clip but is not part of the repository.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from training.head.build import to_bytes
+from training.head.source import ROOT, open_source
+
+from .actor import Actor, build_actor
+from .performance import FPS, labels, place_at, pose_at, times, units_at
+
+ASSETS = ROOT / "assets" / "sample"
+SKIN = ROOT.parent / "shared/data/heads/makehuman_skins/young_lightskinned_male_diffuse3.jpg"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m training.sample", description=__doc__)
+    parser.add_argument("--skin", type=Path, default=SKIN, help="MakeHuman skin picture")
+    parser.add_argument("--samples", type=int, default=10, help="light paths a pixel")
+    parser.add_argument("--stills", type=Path, help="only film a few moments, with landmarks drawn, into this folder")
+    arguments = parser.parse_args()
+    actor = build_actor(open_source(), arguments.skin)
+    if arguments.stills:
+        _film_stills(actor, arguments)
+    else:
+        _film_clip(actor, arguments)
+    return 0
+
+
+def _moments(
+    actor: Actor, clip: NDArray[np.float64]
+) -> Iterator[tuple[NDArray[np.float64], list[NDArray[np.float64]]]]:
+    for time in clip:
+        yield actor.posed(units_at(time), pose_at(time), place_at(time))
+
+
+def _film_clip(actor: Actor, arguments: argparse.Namespace) -> None:
+    from facemime.blender.rendering import write_video
+
+    from .stage import Stage, project
+
+    clip = times()
+    stage = Stage(actor, arguments.skin, arguments.samples)
+    write_video(stage.film(_moments(actor, clip)), FPS, ASSETS / "sample.mp4")
+    points = np.stack([project(base[actor.landmarks]) for base, _ in _moments(actor, clip)])
+    truth = {
+        "times": clip,
+        "landmarks": points.astype(np.float32),
+        "pose": np.stack([pose_at(time) for time in clip]).astype(np.float32),
+        "labels": labels(),
+    }
+    (ASSETS / "sample_landmarks.npz").write_bytes(to_bytes(truth))
+
+
+def _film_stills(actor: Actor, arguments: argparse.Namespace) -> None:
+    from .stage import Stage, project
+
+    clip = np.array([0.4, 1.64, 2.6, 3.5, 4.4, 5.28, 5.93, 6.94, 7.7, 8.55])
+    stage = Stage(actor, arguments.skin, arguments.samples)
+    arguments.stills.mkdir(parents=True, exist_ok=True)
+    moments = list(_moments(actor, clip))
+    for time, (base, _), image in zip(clip, moments, stage.film(iter(moments)), strict=True):
+        cv2.imwrite(str(arguments.stills / f"{time:05.2f}.png"), image)
+        for x, y in project(base[actor.landmarks]):
+            cv2.circle(image, (round(x * 8), round(y * 8)), 12, (0, 255, 0), -1, cv2.LINE_AA, 3)
+        cv2.imwrite(str(arguments.stills / f"{time:05.2f}-landmarks.png"), image)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
