@@ -29,6 +29,8 @@ SIDE_YAW = 0.36
 _TRACK_SCALE = 14.0
 """Pixels an outer-eye distance at which the face's shift between frames is looked for."""
 _MAX_CANDIDATES = 6
+_BEYOND_DOUBT = 0.8
+"""Confidence of a detected face from which on no further effort is made."""
 _STAGES = ("detect", "start", "fit", "check")
 
 
@@ -175,22 +177,25 @@ class FaceTracker:
         return self._judged(grey, FittedShape(pose, last.shape_params), FRAME_TO_FRAME)
 
     def _detect(self, grey: NDArray[np.uint8], efforts: tuple[int, ...]) -> _Candidate | None:
-        """The largest face that convinces, tried box by box; an effort is made where the ones before it fail."""
+        """The largest face that convinces, tried box by box; efforts go on until one face is beyond doubt."""
+        convincing: list[_Candidate] = []
         for effort in efforts:
             began = perf_counter()
             boxes = self._detector.boxes(grey, effort)
             boxes = sorted(boxes, key=lambda b: -b.box[2])[:_MAX_CANDIDATES]
             self.timings["detect"] += perf_counter() - began
-            convincing = []
             for face in boxes:
                 pose = self._model.start.pose_in_box(face.box, face.detector, face.roll)
                 candidate = self._fit_from(grey, pose)
                 if candidate.confidence >= self.found_above:
                     convincing.append(candidate)
-            if convincing:
-                largest = max(c.fitted.pose[0] for c in convincing)
-                return max((c for c in convincing if c.fitted.pose[0] > 0.8 * largest), key=lambda c: c.confidence)
-        return None
+            if any(c.confidence >= _BEYOND_DOUBT for c in convincing):
+                break
+        certain = [c for c in convincing if c.confidence >= _BEYOND_DOUBT] or convincing
+        if not certain:
+            return None
+        largest = max(c.fitted.pose[0] for c in certain)
+        return max((c for c in certain if c.fitted.pose[0] > 0.8 * largest), key=lambda c: c.confidence)
 
     def _fit_from(self, grey: NDArray[np.uint8], pose: FloatArray) -> _Candidate:
         began = perf_counter()
