@@ -1,4 +1,4 @@
-"""A scene that shows a head at its best in a fraction of a second: Workbench, even light, shaded folds, plain ground."""
+"""A scene that shows a head at its best in a fraction of a second: Workbench, even light, shaded folds."""
 
 from __future__ import annotations
 
