@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
-from mathutils import Vector
+from numpy.typing import NDArray
 
-_LENS = 85.0
-_MARGIN = 1.02
+_LENS, _SENSOR = 85.0, 36.0
+_MARGIN = 1.08
 _STUDIO_LIGHT = "paint.sl"
 _FOLD_SHARE = 0.05
 """Folds of this share of the head's extent are shaded; without it an even light hides what a face does."""
@@ -17,8 +17,8 @@ _BACKGROUND = (0.16, 0.17, 0.19)
 
 def setup_preview(scene: bpy.types.Scene, head_object: bpy.types.Object, size: tuple[int, int] = (512, 512)) -> None:
     """Point a camera of `scene` at the front of `head_object`, any mesh, and set Workbench up for `size` pixels."""
-    low, high = _bounds(head_object)
-    _aim_camera(scene, low, high, size)
+    points = _vertices(head_object)
+    _aim_camera(scene, points, size)
     render = scene.render
     render.engine = "BLENDER_WORKBENCH"
     render.resolution_x, render.resolution_y = size
@@ -28,7 +28,7 @@ def setup_preview(scene: bpy.types.Scene, head_object: bpy.types.Object, size: t
     if scene.world is None:
         scene.world = bpy.data.worlds.new("Facemime Preview")
     scene.world.color = _BACKGROUND
-    _set_shading(scene, float(np.max(high - low)))
+    _set_shading(scene, float(np.ptp(points, axis=0).max()))
 
 
 def _set_shading(scene: bpy.types.Scene, extent: float) -> None:
@@ -46,23 +46,29 @@ def _set_shading(scene: bpy.types.Scene, extent: float) -> None:
     shading.show_specular_highlight = True
 
 
-def _bounds(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """Least and greatest corner of the object's bounding box in world space."""
+def _vertices(obj: bpy.types.Object) -> NDArray[np.float64]:
+    """(V, 3) rest vertices of the mesh `obj` in world space."""
     bpy.context.view_layer.update()
-    corners = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
-    return corners.min(axis=0), corners.max(axis=0)
+    flat = np.empty(3 * len(obj.data.vertices), dtype=np.float32)
+    obj.data.vertices.foreach_get("co", flat)
+    world = np.array(obj.matrix_world)
+    return np.asarray(flat.reshape(-1, 3) @ world[:3, :3].T + world[:3, 3])
 
 
-def _aim_camera(scene: bpy.types.Scene, low: np.ndarray, high: np.ndarray, size: tuple[int, int]) -> None:
+def _aim_camera(scene: bpy.types.Scene, points: NDArray[np.float64], size: tuple[int, int]) -> None:
+    """A camera straight before the points, as near as lets it see all of them with a margin."""
     data = bpy.data.cameras.new("Facemime Preview")
     camera = bpy.data.objects.new("Facemime Preview", data)
     scene.collection.objects.link(camera)
-    data.lens, data.sensor_width, data.sensor_fit = _LENS, 36.0, "HORIZONTAL"
-    width, _, height = (high - low) * _MARGIN
-    across = max(width, height * size[0] / size[1])
+    data.lens, data.sensor_width, data.sensor_fit = _LENS, _SENSOR, "HORIZONTAL"
+    low, high = points.min(axis=0), points.max(axis=0)
     centre = (low + high) / 2.0
-    distance = across * _LENS / data.sensor_width
-    camera.location = (centre[0], low[1] - distance, centre[2])
+    across = _SENSOR / (2.0 * _LENS * _MARGIN)
+    upwards = across * size[1] / size[0]
+    beside = np.abs(points - centre)
+    nearest = (points[:, 1] - np.maximum(beside[:, 0] / across, beside[:, 2] / upwards)).min()
+    distance = centre[1] - nearest
+    camera.location = (centre[0], nearest, centre[2])
     camera.rotation_euler = (np.pi / 2.0, 0.0, 0.0)
     data.clip_start, data.clip_end = distance / 100.0, distance * 10.0
     scene.camera = camera
