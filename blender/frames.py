@@ -32,8 +32,3 @@ def from_blender(points: ArrayLike) -> FloatArray:
 def rotation_to_blender(rotation: ArrayLike) -> FloatArray:
     """(..., 3, 3) rotation matrices that act on the head frame, as those that do the same in Blender's."""
     return np.asarray(HEAD_TO_BLENDER @ np.asarray(rotation) @ HEAD_TO_BLENDER.T)
-
-
-def rotation_from_blender(rotation: ArrayLike) -> FloatArray:
-    """(..., 3, 3) rotation matrices that act on Blender's frame, as those that do the same in the head frame."""
-    return np.asarray(HEAD_TO_BLENDER.T @ np.asarray(rotation) @ HEAD_TO_BLENDER)

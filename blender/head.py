@@ -86,12 +86,14 @@ def _add_part(
 def _add_units(
     obj: bpy.types.Object, rest: NDArray[np.float32], names: tuple[str, ...], units: NDArray[np.float32]
 ) -> None:
-    """Shape keys of the face units that move `obj`, all at 0; from Blender 5 on a new key would start at 1."""
-    moving = [(name, offsets) for name, offsets in zip(names, units, strict=True) if offsets.any()]
-    if not moving:
+    """Shape keys of all units for a part that any of them moves, at 0; from Blender 5 on a new key would start at 1.
+
+    Those that leave this part alone are there too: what drives ARKit's 52 keys looks each of them up by name.
+    """
+    if not units.any():
         return
     obj.shape_key_add(name="Basis", from_mix=False)
-    for name, offsets in moving:
+    for name, offsets in zip(names, units, strict=True):
         key = obj.shape_key_add(name=name, from_mix=False)
         points = np.ascontiguousarray(to_blender(rest + offsets), dtype=np.float32)
         key.points.foreach_set("co", points.reshape(-1))
