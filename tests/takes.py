@@ -10,6 +10,24 @@ CHIN_AND_LIP = from_ibug([*range(4, 13), *range(55, 60), *range(65, 68)])
 BROWS = from_ibug(range(17, 27))
 
 
+def make_take(
+    shapes: np.ndarray, fps: float = 25.0, pose: np.ndarray | None = None, found: np.ndarray | None = None
+) -> Take:
+    """A take of (N, 66, 3) pose-free shapes, seen from the front unless a (N, 6) pose says otherwise."""
+    count = len(shapes)
+    found = np.ones(count, bool) if found is None else found
+    return Take(
+        times=np.arange(count) / fps,
+        landmarks=(shapes[..., :2] * 100.0 + (320.0, 240.0)).astype(np.float32),
+        pose=np.tile([100.0, 0.0, 0.0, 0.0, 320.0, 240.0], (count, 1)) if pose is None else pose,
+        shape_params=np.zeros((count, 2), np.float32),
+        shape=shapes.astype(np.float32),
+        confidence=found.astype(np.float32),
+        found=found,
+        info={"source": "performance.mp4", "fps": fps, "image_size": [640, 480]},
+    )
+
+
 def performance(count: int = 60, fps: float = 25.0) -> Take:
     """A second of rest, then mouth and brows move while the head turns; one frame is lost."""
     head = load_head()
@@ -25,13 +43,4 @@ def performance(count: int = 60, fps: float = 25.0) -> Take:
     found = np.ones(count, bool)
     found[count // 2] = False
     shape[~found], pose[~found] = np.nan, np.nan
-    return Take(
-        times=np.arange(count) / fps,
-        landmarks=(shape[..., :2] * 100.0 + (320.0, 240.0)).astype(np.float32),
-        pose=pose,
-        shape_params=np.zeros((count, 2), np.float32),
-        shape=shape.astype(np.float32),
-        confidence=found.astype(np.float32),
-        found=found,
-        info={"source": "performance.mp4", "fps": fps, "image_size": [640, 480]},
-    )
+    return make_take(shape, fps, pose, found)

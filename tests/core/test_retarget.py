@@ -12,7 +12,7 @@ from facemime.core.head import load_head
 from facemime.core.landmarks import from_ibug
 from facemime.core.retarget import Neutral, Retargeter, calibrate
 from facemime.core.rotation import euler_to_matrix, fit_rotation, matrix_to_euler
-from facemime.core.takes.take import Take
+from takes import make_take
 
 ANGLES = st.floats(-1.2, 1.2)
 
@@ -29,21 +29,6 @@ def performer(rig: HeadRig) -> np.ndarray:
     points = rig.vertices[rig.landmarks].astype(float)
     unit = np.linalg.norm(points[from_ibug([36])] - points[from_ibug([45])])
     return points / unit * (1.0, 1.15, 1.0)
-
-
-def make_take(shapes: np.ndarray, fps: float = 25.0, found: np.ndarray | None = None) -> Take:
-    """A take of pose-free shapes, seen from the front."""
-    count = len(shapes)
-    pose = np.tile([100.0, 0.0, 0.0, 0.0, 320.0, 240.0], (count, 1))
-    return Take(
-        times=np.arange(count) / fps,
-        landmarks=(shapes[..., :2] * 100 + (320, 240)).astype(np.float32),
-        pose=pose,
-        shape_params=np.zeros((count, 2), np.float32),
-        shape=shapes.astype(np.float32),
-        confidence=np.ones(count, np.float32),
-        found=np.ones(count, bool) if found is None else found,
-    )
 
 
 @given(ANGLES, ANGLES, ANGLES)
