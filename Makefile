@@ -23,7 +23,7 @@ check: setup
 	$(BIN)/mypy
 
 test: setup build blenders
-	$(BIN)/python -m pytest tests
+	timeout 1500 $(BIN)/python -m pytest tests
 
 test-core: setup
 	$(BIN)/python -m pytest tests/core

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import facemime
+from facemime import commands
 from facemime.blender.head import add_head
 from facemime.core.takes.take import save_take
 from facemime.operators.puppet_video import FACEMIME_OT_puppet_video
@@ -33,6 +34,11 @@ def test_registering_unregistering_and_registering_again_works():
     assert not hasattr(bpy.types.Scene, "facemime")
     facemime.register()
     assert bpy.context.scene.facemime.rotation
+
+
+def test_blenders_own_command_line_reaches_the_command(tmp_path, capfd):
+    assert commands._run(["track", str(tmp_path / "none.mp4"), "-o", str(tmp_path / "take.npz")]) == 1
+    assert "There is no file" in capfd.readouterr().err
 
 
 def test_add_head_adds_the_head_at_the_cursor():
