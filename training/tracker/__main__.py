@@ -43,6 +43,9 @@ def main() -> None:
         photos = workshop.photos(held_out)
         parts = [photos[i : i + _PHOTOS_A_PART] for i in range(0, len(photos), _PHOTOS_A_PART)]
         jobs += [Job(*where, "part", (i, part, held_out)) for i, part in enumerate(parts)]
+    by_hand = [photo for photo in photos if photo.by_hand]
+    parts = [by_hand[i : i + _PHOTOS_A_PART] for i in range(0, len(by_hand), _PHOTOS_A_PART)]
+    jobs += [Job(*where, "speech", (i, part)) for i, part in enumerate(parts)]
     _run_all(jobs, options.jobs)
     steps = [Job(*where, "experts", (view, scale)) for view in ("frontal", "side") for scale in SCALES]
     _run_all([Job(*where, "start"), *steps], options.jobs)

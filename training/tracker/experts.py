@@ -99,7 +99,7 @@ def train_experts(
     scale: float,
     rng: np.random.Generator,
     *,
-    steps: int = 3500,
+    steps: int = 2600,
     batch: int = 256,
     radius: int = 9,
     units: int = UNITS,

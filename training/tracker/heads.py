@@ -115,6 +115,19 @@ _GRIN = {
 """A smile that shows the teeth needs several actions at once, which chance alone would seldom bring together."""
 
 
+def sample_speech(head: IctHead, rng: np.random.Generator) -> np.ndarray:
+    """(E,) random coefficients of a mouth that is open, as in speaking or singing, with the rest of the face acting."""
+    weights = sample_expression(head, rng)
+    weights[head.index("mouthClose")] = 0.0
+    weights[head.index("jawOpen")] = rng.uniform(0.08, 0.9)
+    for name, probability in (("mouthLowerDown", 0.4), ("mouthUpperUp", 0.3), ("mouthStretch", 0.2)):
+        if rng.random() < probability:
+            weights[[head.index(f"{name}_{side}") for side in "LR"]] = rng.random()
+    if rng.random() < 0.3:
+        weights[head.index("mouthFunnel")] = rng.random()
+    return weights
+
+
 def sample_expression(head: IctHead, rng: np.random.Generator) -> np.ndarray:
     """(E,) random coefficients: a few actions at a time, both sides alike more often than not."""
     weights = np.zeros(len(head.names), np.float32)

@@ -180,11 +180,13 @@ def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
 
 
-def _plain_colours(head: IctHead, skin_level: float, rng: np.random.Generator) -> np.ndarray:
+def _plain_colours(
+    head: IctHead, skin_level: float, tongue: tuple[float, float], rng: np.random.Generator
+) -> np.ndarray:
     """(materials,) grey of what no photo shows: teeth, gums and tongue; NaN where the photo is used."""
     colour = np.full(len(head.materials), np.nan, np.float32)
     colour[head.materials.index("M_Teeth")] = np.clip(skin_level * rng.uniform(0.8, 2.0), 50, 250)
-    colour[head.materials.index("M_GumsTongue")] = skin_level * rng.uniform(0.35, 0.75)
+    colour[head.materials.index("M_GumsTongue")] = skin_level * rng.uniform(*tongue)
     return colour
 
 
@@ -198,7 +200,13 @@ def _facing_triangles(head: IctHead, screen: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _grey_of_surfaces(
-    head: IctHead, skinned: SkinnedHead, seen: _Seen, gaze: tuple[float, float], rim: float, rng: np.random.Generator
+    head: IctHead,
+    skinned: SkinnedHead,
+    seen: _Seen,
+    gaze: tuple[float, float],
+    tongue: tuple[float, float],
+    rim: float,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """(F,) unlit grey of every fragment: photo, eyes, or the plain colours of the mouth, darker behind `rim`."""
     grey = _look_up(skinned.skin, seen.uv, seen.pixel, seen.size)
@@ -206,10 +214,11 @@ def _grey_of_surfaces(
     shift = np.float32(np.array(gaze) * np.ptp(skinned.uv[FACE, 0]) / 2.0)
     grey = np.where(is_eye, _look_up(skinned.eyes, seen.uv - shift, seen.pixel, seen.size), grey)
     level = float(np.median(grey[seen.material == head.materials.index("M_Face")]))
-    plain = _plain_colours(head, level, rng)[seen.material]
+    plain = _plain_colours(head, level, tongue, rng)[seen.material]
     socket = (seen.vertex >= _SOCKETS.start) & (seen.vertex < _SOCKETS.stop)
     plain = np.where(socket, level * rng.uniform(0.08, 0.4), plain)
-    falloff = np.exp(-rng.uniform(0.5, 3.5) * np.maximum(seen.depth - rim, 0.0))
+    steepness = 3.5 if tongue[1] <= 1.0 else 1.5  # a tongue that is seen well lies in the light
+    falloff = np.exp(-rng.uniform(0.5, steepness) * np.maximum(seen.depth - rim, 0.0))
     return np.where(np.isnan(plain), grey, plain * falloff)
 
 
@@ -223,10 +232,12 @@ def render(
     rng: np.random.Generator,
     perspective: float = 0.0,
     gaze: tuple[float, float] = (0.0, 0.0),
+    tongue: tuple[float, float] = (0.35, 0.75),
 ) -> Rendering:
     """Draw the head with expression (E,) and pose (6,) into a size x size picture.
 
-    `perspective` is the strength k in a magnification 1 / (1 + k z); `gaze` shifts the eyes' texture, eye distances.
+    `perspective` is the strength k in a magnification 1 / (1 + k z); `gaze` shifts the eyes' texture, eye distances;
+    `tongue` is the range of its brightness relative to the skin.
     """
     vertices = skinned.neutral + np.tensordot(expression, head.expression, 1)
     turned = vertices @ rotation_matrix(*pose[1:4]).T
@@ -239,7 +250,7 @@ def render(
     depth = drawn.depth.ravel()[drawn.pixel]
     seen = _Seen(drawn.pixel, size, owner[:, 0], material[drawn.triangle], uv, depth)
     # Light hardly reaches the mouth's depth; the lips' own depth is its rim.
-    grey = _grey_of_surfaces(head, skinned, seen, gaze, turned[head.landmarks[60:], 2].min(), rng)
+    grey = _grey_of_surfaces(head, skinned, seen, gaze, tongue, turned[head.landmarks[60:], 2].min(), rng)
     image = np.zeros(size * size, np.float32)
     image[drawn.pixel] = grey * (weights * lit[owner]).sum(1)
     landmarks = screen[head.landmarks]

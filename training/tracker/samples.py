@@ -5,6 +5,7 @@ The canonical frame is `SIZE` pixels square, unrolled, the face's pose centred, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from facemime.core.tracking.pdm import PointDistributionModel
 
-from .heads import IctHead, sample_expression
+from .heads import IctHead, sample_expression, sample_speech
 from .reproject import Light, SkinnedHead, render, skin_head
 from .sources import Photo, mirrored
 
@@ -181,20 +182,22 @@ def render_samples(
     count: int,
     rng: np.random.Generator,
     weight: float,
+    speaking: bool = False,
 ) -> Samples:
-    """`count` re-projections of one photo."""
+    """`count` re-projections of one photo; `speaking` with open mouths and tongues as bright as lips."""
     grey, landmarks = photo.grey(), photo.landmarks
     if rng.random() < 0.5:
         landmarks, grey = mirrored(landmarks, grey.shape[1]), np.ascontiguousarray(grey[:, ::-1])
     skinned = skin_head(head, model, grey, landmarks, acting=not photo.by_hand)
+    tongue = (0.4, 1.3) if speaking else (0.35, 0.75)
     rows = []
     for _ in range(count):
-        expression = _personal_expression(head, skinned, rng)
+        expression = _personal_expression(head, skinned, rng, sample_speech if speaking else sample_expression)
         pose = random_pose(rng)
         lamp = rng.normal(0, 1, 3) * (1.0, 0.6, 0.4) + (0, -0.2, -0.7)
         light = Light(rng.uniform(0.45, 1.0), rng.uniform(0.0, 0.8), lamp / np.linalg.norm(lamp))
         gaze = tuple(rng.normal(0, 0.02, 2) * (1.0, 0.5))
-        picture = render(head, skinned, expression, pose, SIZE, light, rng, rng.uniform(0, 0.12), gaze)
+        picture = render(head, skinned, expression, pose, SIZE, light, rng, rng.uniform(0, 0.12), gaze, tongue)
         other = backgrounds[rng.integers(len(backgrounds))].grey()
         behind = _background(skinned, picture.landmarks, head, other, rng)
         soft = cv2.GaussianBlur(picture.covered.astype(np.float32), (0, 0), 0.8)
@@ -207,9 +210,14 @@ def render_samples(
     return _stack(model, rows)
 
 
-def _personal_expression(head: IctHead, skinned: SkinnedHead, rng: np.random.Generator) -> np.ndarray:
+def _personal_expression(
+    head: IctHead,
+    skinned: SkinnedHead,
+    rng: np.random.Generator,
+    sample: Callable[[IctHead, np.random.Generator], np.ndarray],
+) -> np.ndarray:
     """(E,) a random expression, with blinks scaled so that 1 shuts this person's eyes."""
-    expression = sample_expression(head, rng)
+    expression = sample(head, rng)
     if rng.random() < 0.15:
         expression[[head.index("eyeBlink_L"), head.index("eyeBlink_R")]] = 1.0
     for side, shut in skinned.blink.items():

@@ -48,6 +48,10 @@ RECIPES = {
 }
 
 
+N_SPEAKING = 18
+"""Further renders of each hand-labelled photo, with an open mouth."""
+
+
 class Workshop:
     """The steps from data to model, each kept in a folder once it is done."""
 
@@ -91,9 +95,20 @@ class Workshop:
         Samples.join(parts).save(path)
         return path
 
+    def speech(self, number: int, photos: list[Photo]) -> Path:
+        """One file of training pictures of open mouths."""
+        path = self.work / "samples" / f"speech_{number:03d}.npz"
+        if not path.exists():
+            head, model = load_ict(self.data), self.shape()
+            backgrounds = split(read_photos(self.data, "congress"))[0]
+            rng = np.random.default_rng((SEED, number, 2))
+            shown = [render_samples(head, model, p, backgrounds, N_SPEAKING, rng, 1.0, speaking=True) for p in photos]
+            Samples.join(shown).save(path)
+        return path
+
     def samples(self) -> Samples:
         """Every training picture."""
-        return Samples.join([Samples.load(p) for p in sorted((self.work / "samples").glob("[0-9]*.npz"))])
+        return Samples.join([Samples.load(p) for p in sorted((self.work / "samples").glob("*[0-9].npz"))])
 
     def experts(self, view: str, scale: float) -> tuple[PatchExperts, np.ndarray]:
         """The patch experts of a view and scale, and how often each landmark is in sight there."""
