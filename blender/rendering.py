@@ -133,6 +133,8 @@ def quiet() -> Iterator[None]:
             os.dup2(null, number)
         yield
     finally:
+        if os.name == "posix":  # what Blender printed may still lie in C's buffer and would come out later
+            ctypes.CDLL(None).fflush(None)
         for number, copy in zip((1, 2), saved, strict=True):
             os.dup2(copy, number)
             os.close(copy)
