@@ -133,7 +133,9 @@ def quiet() -> Iterator[None]:
             os.dup2(null, number)
         yield
     finally:
-        if os.name == "posix":  # what Blender printed may still lie in C's buffer and would come out later
+        for stream in streams:  # what Blender printed may still lie in a buffer, Python's or C's, and would come out later
+            stream.flush()
+        if os.name == "posix":
             ctypes.CDLL(None).fflush(None)
         for number, copy in zip((1, 2), saved, strict=True):
             os.dup2(copy, number)
