@@ -133,7 +133,7 @@ def quiet() -> Iterator[None]:
             os.dup2(null, number)
         yield
     finally:
-        for stream in streams:  # what Blender printed may still lie in a buffer, Python's or C's, and would come out later
+        for stream in streams:  # what Blender printed may still lie in a buffer, Python's or C's, and come out later
             stream.flush()
         if os.name == "posix":
             ctypes.CDLL(None).fflush(None)
