@@ -18,7 +18,8 @@ from .rotation import euler_to_matrix, fit_rotation, matrix_to_euler
 from .tracking.result import TrackResult
 
 _CHIN = from_ibug(range(6, 11))
-_GAZE_LIMIT = np.radians((15.0, 25.0))
+_GAZE_LIMIT = np.radians((7.0, 22.0))
+"""Pitch and yaw: up and down much less, as the lids, which follow the performer's, would hide the iris."""
 _CAMERA_DISTANCE = 6.0
 
 

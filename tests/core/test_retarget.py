@@ -181,7 +181,7 @@ def test_the_jaw_turns_with_the_chin_and_the_head_with_the_pose(rig):
 
 
 @settings(max_examples=50)
-@given(st.floats(-0.2, 0.2), st.floats(-0.4, 0.4))
+@given(st.floats(-0.1, 0.1), st.floats(-0.35, 0.35))
 def test_eyes_stay_on_the_viewer_while_the_head_turns_a_little(pitch, yaw):
     rotation = euler_to_matrix(pitch, yaw, 0.0)
     forward = rotation @ gaze_at_viewer(rotation) @ np.array([0.0, 0.0, -1.0])
