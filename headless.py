@@ -78,8 +78,8 @@ def open_head(spec: str | None, fps: float) -> tuple[bpy.types.Scene, bpy.types.
         scene = bpy.context.scene
         set_rate(scene, fps)
         return scene, add_head(bpy.context)
-    path, _, name = spec.partition(".blend")
-    path, name = Path(path + ".blend"), name.removeprefix(":")
+    file, found, name = spec.rpartition(".blend:")
+    path = Path(file + ".blend") if found else Path(spec)
     if not path.is_file():
         raise SourceError(f"There is no file {path}. Give --head as FILE.blend:OBJECT.")
     try:
