@@ -134,6 +134,7 @@ def run_puppet(arguments: argparse.Namespace) -> int:
     ):
         if path is not None:
             check_writable(path, suffixes)
+    scene, head = headless.open_head(arguments.head)
     video = None if arguments.source.suffix == ".npz" else arguments.source
     take = load_take(arguments.source) if video is None else _track(video)
     if arguments.take is not None:
@@ -143,7 +144,7 @@ def run_puppet(arguments: argparse.Namespace) -> int:
         save_take(take, kept)
         print(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.", file=sys.stderr)
         return INTERRUPTED
-    headless.puppet(arguments, take, video)
+    headless.puppet(arguments, scene, head, take, video)
     return 0
 
 

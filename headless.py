@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .blender.bake import frames_of
 from .blender.head import add_head
+from .blender.meshes import read_rig
 from .blender.names import LANDMARKS_PROPERTY
 from .blender.preview_scene import setup_preview
 from .blender.rendering import quiet, render_frames, set_rate, write_video
@@ -34,9 +35,12 @@ SHEET_TILES = 9
 TILE_SIDE = 320
 
 
-def puppet(arguments: argparse.Namespace, take: Take, video: Path | None) -> PuppetReport:
+def puppet(
+    arguments: argparse.Namespace, scene: bpy.types.Scene, head: bpy.types.Object, take: Take, video: Path | None
+) -> PuppetReport:
     """Do all that `facemime puppet` does once there is a take; `video` is None where only the take is there."""
-    scene, head = open_head(arguments.head, float(take.info.get("fps", 25.0)))
+    if arguments.head is None:
+        set_rate(scene, float(take.info.get("fps", 25.0)))
     settings = PuppetSettings(
         mode=arguments.mode,
         neutral=arguments.neutral,
@@ -65,21 +69,20 @@ def puppet(arguments: argparse.Namespace, take: Take, video: Path | None) -> Pup
     return report
 
 
-def open_head(spec: str | None, fps: float) -> tuple[bpy.types.Scene, bpy.types.Object]:
+def open_head(spec: str | None) -> tuple[bpy.types.Scene, bpy.types.Object]:
     """The scene and the head to drive: the built-in one in a new file, or OBJECT of FILE.blend.
 
     Raises
     ------
     SourceError, HeadError
-        Where the file cannot be opened, or holds no such object, or none or several with landmarks.
+        Where the file cannot be opened, or holds no such object, or none or several with landmarks, or what driving
+        needs is missing.
     """
     if spec is None:
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-        scene = bpy.context.scene
-        set_rate(scene, fps)
-        return scene, add_head(bpy.context)
+        return bpy.context.scene, add_head(bpy.context)
     file, found, name = spec.rpartition(".blend:")
-    path = Path(file + ".blend") if found else Path(spec)
+    path, name = (Path(file + ".blend"), name) if found else (Path(spec), "")
     if not path.is_file():
         raise SourceError(f"There is no file {path}. Give --head as FILE.blend:OBJECT.")
     try:
@@ -97,6 +100,7 @@ def open_head(spec: str | None, fps: float) -> tuple[bpy.types.Scene, bpy.types.
         head = bound[0]
     else:
         raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Name one: --head {path}:OBJECT.")
+    read_rig(head)
     return bpy.context.scene, head
 
 
