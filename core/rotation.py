@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from math import cos, sin
+
 import numpy as np
 
 from .arrays import FloatArray
 
 
+def axis_rotations(pitch: float, yaw: float, roll: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rx(pitch), Ry(yaw), Rz(roll), each (3, 3); radians, signs as in `TrackResult`."""
+    cx, sx, cy, sy, cz, sz = cos(pitch), sin(pitch), cos(yaw), sin(yaw), cos(roll), sin(roll)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+    about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
+    return about_x, about_y, about_z
+
+
 def euler_to_matrix(pitch: float, yaw: float, roll: float) -> FloatArray:
-    """R = Rz(roll) Ry(yaw) Rx(pitch), (3, 3); radians, signs as in `TrackResult`."""
-    cx, sx, cy, sy, cz, sz = (f(a) for a in (pitch, yaw, roll) for f in (np.cos, np.sin))
-    return np.array(
-        [
-            [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-            [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-            [-sy, cy * sx, cy * cx],
-        ]
-    )
+    """R = Rz(roll) Ry(yaw) Rx(pitch), (3, 3): head frame to image axes."""
+    about_x, about_y, about_z = axis_rotations(pitch, yaw, roll)
+    return np.asarray(about_z @ about_y @ about_x)
 
 
 def matrix_to_euler(rotation: FloatArray) -> tuple[float, float, float]:

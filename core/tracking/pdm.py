@@ -8,28 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import cos, pi, sin
+from math import pi
 
 import numpy as np
 
 from ..arrays import FloatArray
+from ..rotation import axis_rotations, euler_to_matrix
 
 N_POSE = 6
 """`(s, pitch, yaw, roll, tx, ty)`, as in `TrackResult.pose`."""
-
-
-def _axis_rotations(pitch: float, yaw: float, roll: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    cx, sx, cy, sy, cz, sz = cos(pitch), sin(pitch), cos(yaw), sin(yaw), cos(roll), sin(roll)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
-    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
-    about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
-    return about_x, about_y, about_z
-
-
-def rotation_matrix(pitch: float, yaw: float, roll: float) -> FloatArray:
-    """(3, 3) `Rz(roll) Ry(yaw) Rx(pitch)`, radians, head frame to image axes."""
-    about_x, about_y, about_z = _axis_rotations(pitch, yaw, roll)
-    return about_z @ about_y @ about_x
 
 
 @dataclass(frozen=True)
@@ -79,14 +66,14 @@ class PointDistributionModel:
 
     def project(self, pose: FloatArray, shape_params: FloatArray) -> FloatArray:
         """(N, 2) landmarks in pixels."""
-        rotation = rotation_matrix(pose[1], pose[2], pose[3])
+        rotation = euler_to_matrix(pose[1], pose[2], pose[3])
         projected: FloatArray = pose[0] * self.shape(shape_params) @ rotation[:2].T + pose[4:6]
         return projected
 
     def jacobian(self, pose: FloatArray, shape_params: FloatArray) -> FloatArray:
         """(2, N, 6 + K) derivatives of the projected x and y by pose and coefficients."""
         shape = self.shape(shape_params)
-        about_x, about_y, about_z = _axis_rotations(pose[1], pose[2], pose[3])
+        about_x, about_y, about_z = axis_rotations(pose[1], pose[2], pose[3])
         scale = pose[0]
         tilted = shape @ about_x.T
         turned = tilted @ about_y.T

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.landmarks import from_ibug
-from facemime.core.tracking.pdm import PointDistributionModel, rotation_matrix
+from facemime.core.rotation import euler_to_matrix
+from facemime.core.tracking.pdm import PointDistributionModel
 from facemime.core.tracking.tracker import FaceTracker
 
 
@@ -46,10 +47,10 @@ def test_angles_turn_the_way_the_result_says(pdm: PointDistributionModel) -> Non
     tip = pdm.mean_shape[from_ibug([30])[0]]
     assert tip[2] < 0
     nose = np.array([0.0, 0.0, -1.0])
-    assert (rotation_matrix(0.3, 0, 0) @ nose)[1] > 0
-    assert (rotation_matrix(0, 0.3, 0) @ nose)[0] < 0
+    assert (euler_to_matrix(0.3, 0, 0) @ nose)[1] > 0
+    assert (euler_to_matrix(0, 0.3, 0) @ nose)[0] < 0
     right = np.array([1.0, 0.0, 0.0])
-    assert (rotation_matrix(0, 0, 0.3) @ right)[1] > 0
+    assert (euler_to_matrix(0, 0, 0.3) @ right)[1] > 0
 
 
 def test_an_unturned_face_projects_by_dropping_its_depth(pdm: PointDistributionModel) -> None:

@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 
 from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT
-from facemime.core.tracking.pdm import PointDistributionModel, rotation_matrix
+from facemime.core.rotation import euler_to_matrix
+from facemime.core.tracking.pdm import PointDistributionModel
 
 from .heads import FACE, IctHead
 from .raster import rasterise
@@ -53,7 +54,7 @@ def _fit_coefficients(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pose (6,), identity (100,) and expression (E,) of landmarks (66, 2), by ridge regression at the fitted pose."""
     pose = model.fit(landmarks, noise=0.015).pose
-    rotation = rotation_matrix(*pose[1:4])
+    rotation = euler_to_matrix(*pose[1:4])
     points = head.landmarks
     identity = head.identity[:, points].reshape(-1, 66, 3)
     expression = head.expression[:, points].reshape(-1, 66, 3)
@@ -112,7 +113,7 @@ def skin_head(
 ) -> SkinnedHead:
     """Fit the head to a grey photo (H, W) with landmarks (66, 2); `acting` where the face may not be neutral."""
     pose, identity, expression = _fit_coefficients(head, model, landmarks, acting)
-    rotation = rotation_matrix(*pose[1:4])
+    rotation = euler_to_matrix(*pose[1:4])
     own = np.tensordot(expression, head.expression, 1)
     vertices = head.neutral + np.tensordot(identity, head.identity, 1) + own
     projected = pose[0] * vertices[head.landmarks] @ rotation[:2].T + pose[4:6]
@@ -240,7 +241,7 @@ def render(
     `tongue` is the range of its brightness relative to the skin.
     """
     vertices = skinned.neutral + np.tensordot(expression, head.expression, 1)
-    turned = vertices @ rotation_matrix(*pose[1:4]).T
+    turned = vertices @ euler_to_matrix(*pose[1:4]).T
     screen = pose[0] * turned[:, :2] / (1.0 + perspective * turned[:, 2:]) + pose[4:6]
     triangles, material = _facing_triangles(head, screen)
     drawn = rasterise(screen, turned[:, 2], triangles, size)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from facemime.core.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, JAW, MIRROR, MOUTH_OUTER, N_LANDMARKS, OUTER_EYE_CORNERS
-from facemime.core.tracking.pdm import PointDistributionModel, rotation_matrix
+from facemime.core.rotation import euler_to_matrix
+from facemime.core.tracking.pdm import PointDistributionModel
 
 from .heads import IctHead, sample_expression
 from .sources import Photo
@@ -75,7 +76,7 @@ def _head_frame_residuals(model: PointDistributionModel, landmarks: list[np.ndar
         fitted = model.fit(points, noise=0.02)
         flat = np.zeros((N_LANDMARKS, 3))
         flat[:, :2] = points - model.project(fitted.pose, fitted.shape_params)
-        out[i] = flat @ rotation_matrix(*fitted.pose[1:4]) / fitted.pose[0]
+        out[i] = flat @ euler_to_matrix(*fitted.pose[1:4]) / fitted.pose[0]
     return out
 
 

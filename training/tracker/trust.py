@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from facemime.core.landmarks import INNER
-from facemime.core.tracking.pdm import PointDistributionModel, rotation_matrix
+from facemime.core.rotation import euler_to_matrix
+from facemime.core.tracking.pdm import PointDistributionModel
 
 from .shape_model import definition_bias
 from .sources import Photo
@@ -29,7 +30,7 @@ def trusted_photos(model: PointDistributionModel, photos: list[Photo]) -> list[P
     kept = []
     for photo in large:
         pose = model.fit(photo.landmarks, noise=0.02).pose
-        corrected = photo.landmarks - pose[0] * bias @ rotation_matrix(*pose[1:4])[:2].T
+        corrected = photo.landmarks - pose[0] * bias @ euler_to_matrix(*pose[1:4])[:2].T
         fitted = model.fit(corrected, noise=0.02)
         left = np.linalg.norm(corrected - model.project(fitted.pose, fitted.shape_params), axis=1)[INNER].mean()
         if left < LARGEST_RESIDUAL * fitted.pose[0]:
