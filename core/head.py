@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .deform.regions import REGIONS
 from .errors import ModelError
 from .landmarks import N_LANDMARKS
 
-REGION_NAMES = ("upper", "middle", "lower")
+REGION_NAMES = tuple(region.name for region in REGIONS)
 PART_NAMES = ("eye_left", "eye_right", "teeth_upper", "teeth_lower", "tongue")
 FORMAT = "facemime-head-1"
 
@@ -65,8 +66,7 @@ class Head:
     landmarks : (66,) intp
         Vertex of each landmark.
     regions : (3, V) float32
-        Share in 0..1 of the regions `region_names` in each vertex; their sum is at most 1 and 0 where nothing moves.
-    region_names : tuple of str
+        Share in 0..1 of the regions `REGION_NAMES` in each vertex; their sum is at most 1 and 0 where nothing moves.
     unit_names : tuple of str
         The 52 ARKit face units, alphabetically.
     units : (U, V, 3) float32
@@ -82,7 +82,6 @@ class Head:
     uv: NDArray[np.float32]
     landmarks: NDArray[np.intp]
     regions: NDArray[np.float32]
-    region_names: tuple[str, ...]
     unit_names: tuple[str, ...]
     units: NDArray[np.float32]
     parts: tuple[HeadPart, ...]
@@ -124,7 +123,6 @@ def _head(data: dict[str, NDArray[Any]]) -> Head:
         uv=data["uv"].astype(np.float32),
         landmarks=data["landmarks"].astype(np.intp),
         regions=data["regions"].astype(np.float32),
-        region_names=REGION_NAMES,
         unit_names=names,
         units=data["units"].astype(np.float32),
         parts=tuple(_part(name, data) for name in PART_NAMES),

@@ -17,7 +17,7 @@ def recorder_for(source: VideoSource, tracker: FaceTracker, image_size: tuple[in
     """An empty recording that names its source and the tracker's model."""
     return TakeRecorder(
         {
-            "source": Path(source.path).name,
+            "source": source.path.name,
             "fps": source.fps,
             "image_size": list(image_size),
             "model": tracker.model_id,

@@ -4,14 +4,14 @@
 set -eu
 video=$1
 out=build/demo
-key=$({ cat -- "$video"; cat -- *.py core/*.py core/*/*.py blender/*.py assets/*/*; } 2>/dev/null | sha256sum)
+made_from() {
+    { cat -- "$video" *.py core/*.py core/*/*.py blender/*.py assets/*/*; cat "$out"/demo.*; } 2>/dev/null | sha256sum
+}
 mkdir -p "$out"
-if [ -s "$out/demo.mp4" ] && [ -s "$out/demo.png" ] && [ -s "$out/demo.blend" ] \
-    && [ "$key" = "$(cat "$out/.made-from" 2>/dev/null)" ]; then
+if [ "$(made_from)" = "$(cat "$out/.made-from" 2>/dev/null)" ]; then
     echo "$out is up to date."
 else
-    rm -f "$out/.made-from"
     .venv/bin/facemime puppet "$video" -o "$out/demo.blend" --preview "$out/demo.mp4" --sheet "$out/demo.png"
-    echo "$key" >"$out/.made-from"
+    made_from >"$out/.made-from"
 fi
 echo "Look at $out/demo.mp4 and $out/demo.png; open $out/demo.blend in Blender."

@@ -8,7 +8,7 @@ Torre 2013).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from math import exp
 
 import cv2
@@ -52,10 +52,6 @@ class StartModel:
 
     box_offset: FloatArray
     steps: NDArray[np.float32]
-
-    @cached_property
-    def _n_modes(self) -> int:
-        return self.steps.shape[2] - N_POSE
 
     def pose_in_box(self, box: FloatArray, detector: int, roll: float = 0.0) -> FloatArray:
         """(6,) frontal pose for a box `(x, y, width, height)` in pixels, found by the given detector."""
