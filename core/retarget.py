@@ -8,19 +8,25 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .apertures import (
+    LOWER_LIDS,
+    LOWER_LIPS,
+    UPPER_LIDS,
+    UPPER_LIPS,
+    eye_apertures,
+    lid_gaps,
+    mouth_aperture,
+)
 from .arrays import FloatArray, IntArray, as_points
 from .deform.regions import REGIONS, membership
 from .errors import HeadError, SourceError
-from .landmarks import BROWS, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, N_LANDMARKS, from_ibug
+from .landmarks import BROWS, N_LANDMARKS, from_ibug
 from .rotation import euler_to_matrix
 from .takes.take import Take
 
 Mode = Literal["3d", "planar"]
 
-_UPPER_LIDS = from_ibug((37, 38, 43, 44))
-_LOWER_LIDS = from_ibug((41, 40, 47, 46))
-_MEETING_RIMS = ((_UPPER_LIDS, _LOWER_LIDS), (MOUTH_INNER_UPPER, MOUTH_INNER_LOWER[::-1]))
-"""Upper and lower landmarks that face each other across the eye slits and the mouth slit."""
+_MEETING_RIMS = ((UPPER_LIDS, LOWER_LIDS), (UPPER_LIPS, LOWER_LIPS))
 _NARROWEST_EYE = 0.15
 _SURELY_SHUT = 0.45
 _MOUTH_CORNERS = from_ibug((48, 54))
@@ -103,8 +109,8 @@ def _shut(neutral: FloatArray, shapes: FloatArray) -> float:
 
     The third smallest opening: a blink lasts some frames at any usual rate, a misplaced lid one or two.
     """
-    opening = (shapes[:, _LOWER_LIDS, 1] - shapes[:, _UPPER_LIDS, 1]).mean(axis=1)
-    at_rest = float((neutral[_LOWER_LIDS, 1] - neutral[_UPPER_LIDS, 1]).mean())
+    opening = eye_apertures(shapes).mean(axis=1)
+    at_rest = float(eye_apertures(neutral).mean())
     least = np.sort(opening)[min(2, len(opening) - 1)]
     left = float(np.clip(least / max(at_rest, 1e-9), 0.0, 1.0))
     return left if left < _SURELY_SHUT else 0.0
@@ -133,9 +139,9 @@ def _expression(shapes: FloatArray) -> FloatArray:
     A resting face has closed lips, a mouth that is not drawn wide, open eyes, and brows where they mostly are. A plain
     distance from the median would call a grin neutral in a clip of somebody who grins most of the time.
     """
-    gap = (shapes[:, MOUTH_INNER_LOWER[::-1], 1] - shapes[:, MOUTH_INNER_UPPER, 1]).mean(axis=1)
+    gap = mouth_aperture(shapes)
     width = np.linalg.norm(shapes[:, _MOUTH_CORNERS[1]] - shapes[:, _MOUTH_CORNERS[0]], axis=1)
-    lids = (shapes[:, _LOWER_LIDS, 1] - shapes[:, _UPPER_LIDS, 1]).mean(axis=1)
+    lids = eye_apertures(shapes).mean(axis=1)
     brows = shapes[:, BROWS]
     unusual = np.linalg.norm(brows - np.median(brows, axis=0), axis=2).mean(axis=1)
     closed, narrow, awake = np.percentile(gap, 5), np.percentile(width, 20), np.percentile(lids, 70)
@@ -184,8 +190,8 @@ class Retargeter:
         members = membership()
         self.scale *= ((members * gains[:, None]).sum(axis=0) / members.sum(axis=0))[:, None]
         self._rest_heights = self.head_landmarks[:, 1]
-        self._open = self.neutral[_LOWER_LIDS, 1] - self.neutral[_UPPER_LIDS, 1]
-        self._closing_gain = self.scale[_UPPER_LIDS, 1] * shut / (1.0 - shut)
+        self._open = lid_gaps(self.neutral)
+        self._closing_gain = self.scale[UPPER_LIDS, 1] * shut / (1.0 - shut)
         if mode == "planar":
             self.scale[:, 2] = 0.0
 
@@ -199,8 +205,7 @@ class Retargeter:
         """
         current = as_points(shape, "shape", count=N_LANDMARKS)
         moved = np.asarray(self.scale * (current - self.neutral))
-        opening = current[_LOWER_LIDS, 1] - current[_UPPER_LIDS, 1]
-        moved[_UPPER_LIDS, 1] += self._closing_gain * np.maximum(self._open - opening, 0.0)
+        moved[UPPER_LIDS, 1] += self._closing_gain * np.maximum(self._open - lid_gaps(current), 0.0)
         for upper, lower in _MEETING_RIMS:
             _keep_apart(moved, upper, lower, self._rest_heights)
         return moved
@@ -224,7 +229,7 @@ def _scale(neutral: FloatArray, head: FloatArray) -> FloatArray:
         row[2] = np.sqrt(row[0] * row[1])
     scale: FloatArray = np.asarray(members.T @ ratios / members.sum(axis=0)[:, None])
     opening = _opening(head) / _opening(neutral)
-    for lids in (_UPPER_LIDS, _LOWER_LIDS):
+    for lids in (UPPER_LIDS, LOWER_LIDS):
         scale[lids, 1] = np.repeat(opening, 2)
     return scale
 
@@ -239,6 +244,6 @@ def _spread(points: FloatArray) -> FloatArray:
 
 def _opening(points: FloatArray) -> FloatArray:
     """Mean height of the right and the left eye's opening, (2,); a squint counts as an eye that is open a little."""
-    height = (points[_LOWER_LIDS, 1] - points[_UPPER_LIDS, 1]).reshape(2, 2).mean(axis=1)
+    height = eye_apertures(points)
     width = np.linalg.norm(points[from_ibug((39, 45))] - points[from_ibug((36, 42))], axis=1)
     return np.asarray(np.maximum(height, _NARROWEST_EYE * width))

@@ -18,7 +18,7 @@ from .detect import EFFORTS, BoxDetector
 from .fit import MeanShiftOptions, regularised_mean_shift
 from .model_file import TrackerModel, load_model
 from .patch_experts import PatchExperts
-from .pdm import N_POSE, FittedShape, PointDistributionModel
+from .pdm import FittedShape, PointDistributionModel
 from .reference import warp_to_reference
 from .result import TrackResult
 
@@ -59,6 +59,7 @@ FRAME_TO_FRAME = (
 class _Candidate:
     fitted: FittedShape
     confidence: float
+    responses: NDArray[np.float32]
 
 
 class FaceTracker:
@@ -150,7 +151,7 @@ class FaceTracker:
 
     def _judged(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[Stage, ...]) -> _Candidate:
         fitted, features = self.fit(grey, start, stages)
-        return _Candidate(fitted, self._model.check.confidence(features))
+        return _Candidate(fitted, self._model.check.confidence(features), features[:N_LANDMARKS])
 
     def _fit_stage(
         self, grey: NDArray[np.uint8], start: FittedShape, stage: Stage
@@ -210,21 +211,18 @@ class FaceTracker:
 
     def _result(self, candidate: _Candidate) -> TrackResult:
         pose, shape_params = candidate.fitted.pose, candidate.fitted.shape_params
-        landmarks, shape = self.pdm.project(pose, shape_params), self.pdm.shape(shape_params)
-        return TrackResult(True, landmarks, pose, shape_params, shape, candidate.confidence)
+        return TrackResult(
+            found=True,
+            landmarks=self.pdm.project(pose, shape_params),
+            pose=pose,
+            shape_params=shape_params,
+            shape=self.pdm.shape(shape_params),
+            confidence=candidate.confidence,
+            landmark_confidence=candidate.responses.astype(np.float64),
+        )
 
     def _nothing(self) -> TrackResult:
-        def empty(*shape: int) -> FloatArray:
-            return np.full(shape, np.nan)
-
-        return TrackResult(
-            found=False,
-            landmarks=empty(N_LANDMARKS, 2),
-            pose=empty(N_POSE),
-            shape_params=empty(self.pdm.n_modes),
-            shape=empty(N_LANDMARKS, 3),
-            confidence=0.0,
-        )
+        return TrackResult.nothing(self.pdm.n_modes)
 
     def _start_timings(self) -> None:
         self.timings = dict.fromkeys(_STAGES, 0.0)

@@ -13,6 +13,7 @@ from time import perf_counter
 import cv2
 import numpy as np
 
+from facemime.core.apertures import eye_apertures, mouth_aperture
 from facemime.core.landmarks import EDGES, INNER
 from facemime.core.tracking.tracker import FaceTracker
 
@@ -99,17 +100,6 @@ class RenderedErrors:
     mouth_slope: float
 
 
-def eye_openings(landmarks: np.ndarray) -> np.ndarray:
-    """(..., 2) opening of the performer's right and left eye, in the landmarks' units."""
-    gaps = np.linalg.norm(landmarks[..., [37, 38, 43, 44], :] - landmarks[..., [41, 40, 47, 46], :], axis=-1)
-    return gaps.reshape(*gaps.shape[:-1], 2, 2).mean(-1)
-
-
-def mouth_opening(landmarks: np.ndarray) -> np.ndarray:
-    """(...) mean distance of the inner lips, in the landmarks' units."""
-    return np.linalg.norm(landmarks[..., [60, 61, 62], :] - landmarks[..., [65, 64, 63], :], axis=-1).mean(-1)
-
-
 def evaluate_rendered(tracker: FaceTracker, samples: Samples) -> RenderedErrors:
     """Locate every rendered face and compare with its exact landmarks."""
     found = np.stack([tracker.locate(image).landmarks for image in samples.images])
@@ -121,8 +111,11 @@ def evaluate_rendered(tracker: FaceTracker, samples: Samples) -> RenderedErrors:
     for low, high in ((0, 15), (15, 30), (30, 45), (45, 60)):
         rows = (yaw >= low) & (yaw < high)
         by_yaw[f"{low}-{high}"] = (float(np.median(error[rows & good])), float(1 - good[rows].mean()))
-    eyes, true_eyes = eye_openings(found[good]) / unit[good], eye_openings(samples.landmarks[good]) / unit[good]
-    lips, true_lips = mouth_opening(found[good]) / unit[good, 0], mouth_opening(samples.landmarks[good]) / unit[good, 0]
+    eyes, true_eyes = eye_apertures(found[good]) / unit[good], eye_apertures(samples.landmarks[good]) / unit[good]
+    lips, true_lips = (
+        mouth_aperture(found[good]) / unit[good, 0],
+        mouth_aperture(samples.landmarks[good]) / unit[good, 0],
+    )
     return RenderedErrors(
         by_yaw,
         float(np.median(eyes[true_eyes < 1.5])),
