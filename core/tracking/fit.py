@@ -2,13 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 
 from ..arrays import FloatArray
-from .patch_experts import ResponseMaps
-from .pdm import N_POSE, FittedShape, PointDistributionModel, solve_update
+from .experts import ResponseMaps
+from .pdm import N_POSE, FittedShape, PointDistributionModel
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Response maps, and how far each is trusted.
+
+    Attributes
+    ----------
+    maps : ResponseMaps
+    weights : (n,) float64
+        The diagonal of `W`.
+    coarse : bool
+        Whether the maps are too coarse for more than their means.
+    """
+
+    maps: ResponseMaps
+    weights: FloatArray
+    coarse: bool = False
 
 
 @dataclass(frozen=True)
@@ -18,63 +38,55 @@ class MeanShiftOptions:
     Attributes
     ----------
     variances : tuple of float
-        `rho` in px^2, one for each iteration: wide kernels first, so that no local maximum holds the shape.
+        `rho`, one for each iteration, in the squared unit of the fit's frame: wide kernels first, so that no local
+        maximum holds the shape; infinity goes to each map's mean.
     regularisation : float
-        Multiplies the prior's share `rho L`.
+        The `rho` of the prior's share `rho L`, in the same unit. One value for all iterations, so that the normal
+        matrix is factored once.
     """
 
     variances: tuple[float, ...]
-    regularisation: float = 1.0
-
-
-def mean_shifts(maps: ResponseMaps, landmarks: FloatArray, variance: float) -> FloatArray:
-    """(2, N) `v`: from each landmark (N, 2) to its responses' mean under a Gaussian round it (eq. 20).
-
-    The Gaussian is separable, so the weights are never formed.
-    """
-    side = maps.probability.shape[1]
-    steps = np.arange(side)
-    to_x = (maps.corner[:, :1] + steps - landmarks[:, :1]).astype(np.float32)
-    to_y = (maps.corner[:, 1:] + steps - landmarks[:, 1:]).astype(np.float32)
-    near_x, near_y = np.exp(to_x * to_x / (-2.0 * variance)), np.exp(to_y * to_y / (-2.0 * variance))
-    along = np.matmul(maps.probability, np.stack([near_x, near_x * to_x], axis=2))
-    down = np.stack([near_y, near_y * to_y], axis=1)
-    sums = np.matmul(down, along)
-    # A landmark far outside its window sees only zeros and is drawn nowhere.
-    total = np.maximum(sums[:, 0, 0], 1e-20)
-    shift: FloatArray = np.stack([sums[:, 0, 1] / total, sums[:, 1, 0] / total]).astype(np.float64)
-    return shift
+    regularisation: float
 
 
 def regularised_mean_shift(
-    model: PointDistributionModel,
-    start: FittedShape,
-    maps: ResponseMaps,
-    weights: FloatArray,
-    options: MeanShiftOptions,
+    model: PointDistributionModel, start: FittedShape, evidence: Sequence[Evidence], options: MeanShiftOptions
 ) -> FittedShape:
     """Move pose and shape to the peak of the responses that the shape model allows.
 
     Parameters
     ----------
     start : FittedShape
-        In the reference frame.
-    maps : ResponseMaps
-        Of the reference frame; not evaluated again between iterations.
-    weights : (N,)
-        Visibility and confidence, the diagonal of `W` (identity in the paper).
+        In the frame of the maps.
+    evidence : sequence of Evidence
+        A landmark may have several maps, or none.
 
     Notes
     -----
-    Each step solves `dp = -(rho L + J^T W J)^-1 (rho L p - J^T W v)` with `L = diag(0, 1 / lambda)`, and keeps the
-    coefficients within three standard deviations.
+    Each step is `dp = -(rho L + J^T W J)^-1 (rho L p - J^T W v)` with `L = diag(0, 1 / lambda)`, and keeps the
+    coefficients within three standard deviations. The maps and the Jacobian are those of the start: where the pose
+    turns far, call again from the result. About 0.15 ms and 0.07 ms a step.
     """
+    jacobian = model.jacobian(start.pose, start.shape_params)
+    size = jacobian.shape[2]
+    weights = np.zeros(jacobian.shape[1])
+    for e in evidence:
+        weights[e.maps.landmarks] += e.weights
+    prior = np.concatenate([np.zeros(N_POSE), options.regularisation / model.eigenvalues])
+    weighted = (jacobian * weights[None, :, None]).reshape(-1, size)
+    normal = weighted.T @ jacobian.reshape(-1, size)
+    normal[np.diag_indices(size)] += prior
+    # A landmark set of weight 0 leaves the pose free; this keeps the system solvable and the step then is 0.
+    normal[np.diag_indices(N_POSE)] += 1e-9
+    inverse = np.linalg.inv(normal)
     fitted = start
-    precision = np.concatenate([np.zeros(N_POSE), options.regularisation / model.eigenvalues])
     for variance in options.variances:
         landmarks = model.project(fitted.pose, fitted.shape_params)
-        shift = mean_shifts(maps, landmarks, variance)
-        jacobian = model.jacobian(fitted.pose, fitted.shape_params)
-        delta = solve_update(jacobian, shift, weights, variance * precision, fitted.shape_params)
-        fitted = model.step(fitted.pose, fitted.shape_params, delta)
+        pull = np.zeros((2, len(weights)))
+        for e in evidence:
+            shift = e.maps.shifts(landmarks[e.maps.landmarks], inf if e.coarse else variance)
+            pull[:, e.maps.landmarks] += e.weights * shift.T
+        right = pull.reshape(-1) @ jacobian.reshape(-1, size)
+        right[N_POSE:] -= prior[N_POSE:] * fitted.shape_params
+        fitted = model.step(fitted.pose, fitted.shape_params, inverse @ right)
     return fitted

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 from ..errors import ModelError, OutputError
 from .check import FaceCheck
-from .patch_experts import PatchExperts
+from .experts import FaceExperts, PartExperts
+from .network import Network
 from .pdm import PointDistributionModel
-from .start import StartModel
 
 MAGIC = b"FACEMIME TRACKER"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 _HEADER = struct.Struct("<16sIQ32s")
 _ADVICE = "Reinstall Facemime, or make the model again with `make model`."
 
@@ -32,48 +32,38 @@ class TrackerModel:
     Attributes
     ----------
     pdm : PointDistributionModel
-    frontal, side : tuple of PatchExperts
-        Coarse to fine. The side view's nose points to the viewer's left; the other side mirrors it.
+    face : FaceExperts
+    parts : tuple of PartExperts
+        The eyes with their brows, and the mouth with the nose's base.
     visibility : (2, 66) float64
-        How often each landmark is in sight, frontal and side.
-    start : StartModel
+        How often each landmark is in sight, in the frontal view and where the nose points to the viewer's left.
+    box_offset : (D, 3) float64
+        For each detector: the pose's translation from the box's centre (x, y) and its scale, in box widths.
     check : FaceCheck
     model_id : str
         First digits of the file's checksum.
     """
 
     pdm: PointDistributionModel
-    frontal: tuple[PatchExperts, ...]
-    side: tuple[PatchExperts, ...]
+    face: FaceExperts
+    parts: tuple[PartExperts, ...]
     visibility: FloatArray
-    start: StartModel
+    box_offset: FloatArray
     check: FaceCheck
     model_id: str = "unsaved"
 
 
-def _pack_experts(name: str, experts: tuple[PatchExperts, ...]) -> dict[str, NDArray[np.generic]]:
-    arrays: dict[str, NDArray[np.generic]] = {f"{name}_scales": np.array([e.scale for e in experts])}
-    for i, e in enumerate(experts):
-        # A column of weights at a time to 8 bits: the nets' own noise is larger than the rounding.
-        step = np.maximum(np.abs(e.hidden).max(axis=1), 1e-12) / 127.0
-        arrays[f"{name}_{i}_hidden"] = np.round(e.hidden / step[:, None]).astype(np.int8)
-        arrays[f"{name}_{i}_step"] = step.astype(np.float32)
-        arrays[f"{name}_{i}_hidden_bias"] = e.hidden_bias.astype(np.float16)
-        arrays[f"{name}_{i}_output"] = e.output.astype(np.float16)
-        arrays[f"{name}_{i}_output_bias"] = e.output_bias.astype(np.float16)
+def _pack_parts(parts: tuple[PartExperts, ...]) -> dict[str, NDArray[np.generic]]:
+    arrays: dict[str, NDArray[np.generic]] = {"part_scales": np.array([p.scale for p in parts])}
+    arrays["part_paired"] = np.array([p.paired for p in parts])
+    for i, part in enumerate(parts):
+        arrays[f"part_{i}_landmarks"] = part.landmarks.astype(np.int16)
+        arrays[f"part_{i}_network"] = _packed(part.network)
     return arrays
 
 
-def _unpack_experts(name: str, arrays: dict[str, NDArray[np.generic]]) -> tuple[PatchExperts, ...]:
-    experts = []
-    for i, scale in enumerate(arrays[f"{name}_scales"].tolist()):
-        hidden = (
-            arrays[f"{name}_{i}_hidden"].astype(np.float32) * arrays[f"{name}_{i}_step"].astype(np.float32)[:, None]
-        )
-        hidden -= hidden.mean(axis=1, keepdims=True)
-        rest = (arrays[f"{name}_{i}_{part}"].astype(np.float32) for part in ("hidden_bias", "output", "output_bias"))
-        experts.append(PatchExperts(float(scale), hidden, *rest))
-    return tuple(experts)
+def _packed(network: Network) -> NDArray[np.uint8]:
+    return np.frombuffer(network.onnx, np.uint8)
 
 
 def save_model(model: TrackerModel, path: Path) -> str:
@@ -83,11 +73,10 @@ def save_model(model: TrackerModel, path: Path) -> str:
         "basis": model.pdm.basis.astype(np.float32),
         "eigenvalues": model.pdm.eigenvalues.astype(np.float32),
         "visibility": model.visibility.astype(np.float32),
-        "box_offset": model.start.box_offset.astype(np.float32),
-        "start_steps": model.start.steps.astype(np.float16),
+        "box_offset": model.box_offset.astype(np.float32),
         "check_weights": model.check.weights.astype(np.float32),
-        **_pack_experts("frontal", model.frontal),
-        **_pack_experts("side", model.side),
+        "face_network": _packed(model.face.network),
+        **_pack_parts(model.parts),
     }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
@@ -146,12 +135,22 @@ def _assemble(arrays: dict[str, NDArray[np.generic]], model_id: str) -> TrackerM
     def real(name: str) -> FloatArray:
         return arrays[name].astype(np.float64)
 
+    scales, paired = real("part_scales").tolist(), arrays["part_paired"].tolist()
+    parts = [
+        PartExperts(
+            Network(arrays[f"part_{i}_network"].tobytes(), "maps"),
+            arrays[f"part_{i}_landmarks"].astype(np.intp),
+            scales[i],
+            paired[i],
+        )
+        for i in range(len(scales))
+    ]
     return TrackerModel(
         pdm=PointDistributionModel(real("mean_shape"), real("basis"), real("eigenvalues")),
-        frontal=_unpack_experts("frontal", arrays),
-        side=_unpack_experts("side", arrays),
+        face=FaceExperts(Network(arrays["face_network"].tobytes(), "maps", "face")),
+        parts=tuple(parts),
         visibility=real("visibility"),
-        start=StartModel(real("box_offset"), arrays["start_steps"].astype(np.float32)),
+        box_offset=real("box_offset"),
         check=FaceCheck(real("check_weights")),
         model_id=model_id,
     )

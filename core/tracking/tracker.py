@@ -1,9 +1,10 @@
-"""The face tracker: detect, start, fit, check; then from frame to frame."""
+"""The face tracker: detect, look, fit, check; then from frame to frame."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from math import atan2, hypot
+from math import inf
 from pathlib import Path
 from time import perf_counter
 
@@ -12,61 +13,86 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import FloatArray, as_image
-from ..landmarks import MIRROR, N_LANDMARKS
-from .check import check_features, response_at
-from .detect import EFFORTS, BoxDetector
-from .fit import MeanShiftOptions, regularised_mean_shift
+from ..landmarks import INNER, MIRROR, N_LANDMARKS
+from .check import N_FEATURES
+from .detect import BoxDetector
+from .experts import FACE_SIZE, NEAR_SIZE, ResponseMaps
+from .fit import Evidence, MeanShiftOptions, regularised_mean_shift
 from .model_file import TrackerModel, load_model
-from .patch_experts import PatchExperts
 from .pdm import FittedShape, PointDistributionModel
-from .reference import warp_to_reference
+from .reference import pose_in_image
 from .result import TrackResult
+from .search import search_faces
 
 DEFAULT_MODEL = Path(__file__).parents[2] / "assets" / "tracker" / "face.tracker"
 
 SIDE_YAW = 0.36
-"""Radians of yaw beyond which the side view's experts take over."""
-_TRACK_SCALE = 14.0
-"""Pixels an outer-eye distance at which the face's shift between frames is looked for."""
-_MAX_CANDIDATES = 6
-_BEYOND_DOUBT = 0.8
+"""Radians of yaw beyond which the side view's visibility counts."""
+QUICK, EFFORTS = 1, 5
+"""How many ways of finding a face are quick, and how many there are: Viola-Jones, coarse and fine; then the search with
+the face experts, upright and tilted to either side."""
+_TILTS = (0.0, 0.6, -0.6)
+_MOST_BOXES = 6
+_BEYOND_DOUBT = 0.85
 """Confidence of a detected face from which on no further effort is made."""
-_STAGES = ("detect", "start", "fit", "check")
+_CERTAIN = 0.08
+"""Standard deviation of a response map, in eye distances, at which its landmark is trusted half."""
+_REMEMBERED = 50
+"""Frames for which the place of a lost face makes its return more likely than another face's arrival."""
+_FAR = 0.05
+"""Eye distances by which a part may have moved since the last frame before it is looked at again."""
+_STAGES = ("detect", "look", "fit", "check")
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One scale of the fit: index of its experts, window radius in px, and the mean-shift's options."""
+    """One look and the fit to it.
 
-    level: int
-    radius: int
-    options: MeanShiftOptions
+    Attributes
+    ----------
+    parts : bool
+        Whether the parts' experts look too.
+    rounds : tuple of MeanShiftOptions
+        In eye distances; each starts from where the last one ended.
+    """
+
+    parts: bool
+    rounds: tuple[MeanShiftOptions, ...]
 
 
-COARSE_TO_FINE = (
-    Stage(0, 6, MeanShiftOptions((12.0, 8.0, 5.0, 3.0), 0.5)),
-    Stage(1, 5, MeanShiftOptions((8.0, 5.0, 3.0, 2.0), 0.3)),
-    Stage(2, 5, MeanShiftOptions((6.0, 4.0, 2.0, 1.5, 1.0, 1.0), 0.15)),
-)
-FRAME_TO_FRAME = (
-    Stage(1, 5, MeanShiftOptions((8.0, 5.0, 3.0, 2.0), 0.3)),
-    Stage(2, 4, MeanShiftOptions((4.0, 2.0, 1.5, 1.0, 1.0), 0.25)),
-)
-"""The weights are mostly below 1, so that the prior, too, counts less than in the paper: more, and lids stay open."""
+_TOWARDS = MeanShiftOptions((inf,), 0.006)
+COARSE = Stage(False, (_TOWARDS, _TOWARDS, _TOWARDS, MeanShiftOptions((0.02, 0.01), 0.006)))
+FINE = Stage(True, (MeanShiftOptions((inf, 3e-3, 1.5e-3), 3e-4),))
+DETECTED = (COARSE, COARSE, FINE, FINE)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where a fit ended (image frame), what the check looks at, and how certain each landmark is (66,)."""
+
+    fitted: FittedShape
+    features: FloatArray
+    certainty: FloatArray
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    fitted: FittedShape
+    fit: Fit
     confidence: float
-    responses: NDArray[np.float32]
+
+    @property
+    def pose(self) -> FloatArray:
+        return self.fit.fitted.pose
 
 
 class FaceTracker:
     """Finds one face and follows it: a constrained local model (METHOD section 3).
 
     `track` continues from the last frame, `locate` looks at one image by itself. `timings` holds the seconds that the
-    stages of the last call took: "detect", "start", "fit", "check".
+    stages of the last call took: "detect", "look", "fit", "check".
+
+    Of several faces the largest is followed, or the one that `choose` names. A face that was lost is taken up again
+    where it was before another one is; while it is followed, others may pass.
     """
 
     found_above = 0.5
@@ -77,14 +103,14 @@ class FaceTracker:
     def __init__(self, model: TrackerModel) -> None:
         self._model = model
         self._detector = BoxDetector()
-        self._views = {
-            -1: tuple(e.mirrored(MIRROR) for e in model.side),
-            0: model.frontal,
-            1: model.side,
-        }
         self._visibility = {-1: model.visibility[1][MIRROR], 0: model.visibility[0], 1: model.visibility[1]}
+        in_parts = np.zeros(N_LANDMARKS, bool)
+        for part in model.parts:
+            in_parts[part.landmarks] = True
+            in_parts[MIRROR[part.landmarks]] |= part.paired
+        self._face_weight = np.where(in_parts, 0.1, 0.4)
         self._last: FittedShape | None = None
-        self._template: NDArray[np.uint8] | None = None
+        self._wanted: FloatArray | None = None
         self._misses = 0
         self.timings: dict[str, float] = dict.fromkeys(_STAGES, 0.0)
 
@@ -104,147 +130,147 @@ class FaceTracker:
         return self._model.model_id
 
     def reset(self) -> None:
-        """Forget the face that was followed: the next `track` detects."""
-        self._last = None
-        self._template = None
+        """Forget the face that was followed and any choice: the next `track` detects."""
+        self._last = self._wanted = None
         self._misses = 0
+
+    def choose(self, x: float, y: float) -> None:
+        """Follow the face nearest to the place (x, y), pixels, from the next `track` on."""
+        self._last, self._wanted, self._misses = None, np.array([x, y], np.float64), 0
 
     def track(self, image: ArrayLike) -> TrackResult:
         """The face in the next frame of a video: (H, W) grey, (H, W, 3) BGR or (H, W, 4) BGRA.
 
         Follows the face of the last call; detects where there is none or it is lost.
         """
-        grey = _as_grey(image)
-        self._start_timings()
+        grey = self._begin(image)
         if self._last is not None:
             followed = self._follow(grey, self._last)
             if followed.confidence >= self.lost_below:
                 return self._keep(grey, followed)
+            self._wanted = self._last.pose[4:6].copy()
         # While nobody is in view, each frame makes the quick effort and one of the others, in turn.
-        found = self._detect(grey, EFFORTS if self._misses == 0 else (0, 1 + self._misses % 2))
+        later = QUICK + self._misses % (EFFORTS - QUICK)
+        efforts = range(EFFORTS) if self._misses == 0 else (*range(QUICK), later)
+        found = self._chosen(list(self._detect(grey, efforts)))
         if found is None:
             self._last = None
             self._misses += 1
-            return self._nothing()
+            if self._misses > _REMEMBERED:
+                self._wanted = None
+            return TrackResult.nothing(self.pdm.n_modes)
         return self._keep(grey, found)
 
     def locate(self, image: ArrayLike) -> TrackResult:
         """The largest face of a single image; what `track` follows is not touched."""
-        grey = _as_grey(image)
-        self._start_timings()
-        found = self._detect(grey, EFFORTS)
-        return self._nothing() if found is None else self._result(found)
+        grey = self._begin(image)
+        found = _largest(list(self._detect(grey, range(EFFORTS))))
+        return TrackResult.nothing(self.pdm.n_modes) if found is None else self._result(grey, found)
 
-    def fit(
-        self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[Stage, ...]
-    ) -> tuple[FittedShape, NDArray[np.float32]]:
-        """Fit a grey image (H, W) from `start` (image frame); returns the fit and what the check looks at."""
-        fitted, responses = start, np.zeros(N_LANDMARKS, np.float32)
-        began = perf_counter()
+    def fit(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[Stage, ...]) -> Fit:
+        """Fit a grey image (H, W) from `start` (image frame)."""
+        out = Fit(start, np.zeros(N_FEATURES), np.zeros(N_LANDMARKS))
         for stage in stages:
-            fitted, responses = self._fit_stage(grey, fitted, stage)
-        between = perf_counter()
-        features = check_features(grey, fitted.pose, responses)
-        self.timings["fit"] += between - began
-        self.timings["check"] += perf_counter() - between
-        return fitted, features
+            out = self._fit_stage(grey, out.fitted, stage)
+        return out
 
-    def _judged(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[Stage, ...]) -> _Candidate:
-        fitted, features = self.fit(grey, start, stages)
-        return _Candidate(fitted, self._model.check.confidence(features), features[:N_LANDMARKS])
+    def _begin(self, image: ArrayLike) -> NDArray[np.uint8]:
+        self.timings = dict.fromkeys(_STAGES, 0.0)
+        pixels = as_image(image)
+        return pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY).astype(np.uint8)
 
-    def _fit_stage(
-        self, grey: NDArray[np.uint8], start: FittedShape, stage: Stage
-    ) -> tuple[FittedShape, NDArray[np.float32]]:
-        view = int(np.sign(start.pose[2])) if abs(start.pose[2]) > SIDE_YAW else 0
-        experts: PatchExperts = self._views[view][stage.level]
-        frame = warp_to_reference(grey, start.pose, experts.scale)
-        local = FittedShape(frame.pose_to_reference(start.pose), start.shape_params)
-        centres = np.round(self.pdm.project(local.pose, local.shape_params)).astype(np.intp)
-        maps = experts.response_maps(frame.pixels, centres, stage.radius)
-        peaks = maps.probability.max(axis=(1, 2))
-        np.square(maps.probability, out=maps.probability)
-        weights = self._visibility[view] * peaks
-        fitted = regularised_mean_shift(self.pdm, local, maps, weights, stage.options)
-        landmarks = self.pdm.project(fitted.pose, fitted.shape_params)
-        return FittedShape(frame.pose_to_image(fitted.pose), fitted.shape_params), response_at(maps, landmarks)
+    def _fit_stage(self, grey: NDArray[np.uint8], start: FittedShape, stage: Stage) -> Fit:
+        began = perf_counter()
+        local = FittedShape(np.array([1.0, start.pose[1], start.pose[2], 0.0, 0.0, 0.0]), start.shape_params)
+        face, log_odds = self._model.face.look(grey, start.pose, NEAR_SIZE if stage.parts else FACE_SIZE)
+        maps = [face]
+        if stage.parts:
+            shape = self.pdm.project(local.pose, local.shape_params)
+            looks = [part.look(grey, start.pose, shape) for part in self._model.parts]
+            maps.append(ResponseMaps.join([m for look in looks for m in look]))
+        looked = perf_counter()
+        visible = self._visibility[int(np.sign(start.pose[2])) if abs(start.pose[2]) > SIDE_YAW else 0]
+        certainties = [_CERTAIN**2 / (_CERTAIN**2 + m.moments[1]) for m in maps]
+        evidence = [Evidence(m, c * visible[m.landmarks]) for m, c in zip(maps, certainties, strict=True)]
+        if stage.parts:
+            evidence[0] = Evidence(face, evidence[0].weights * self._face_weight, coarse=True)
+        for options in stage.rounds:
+            local = regularised_mean_shift(self.pdm, local, evidence, options)
+        fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
+        ended = perf_counter()
+        shape = self.pdm.project(local.pose, local.shape_params)
+        certainty, features = certainties[0].copy(), np.zeros(N_FEATURES)
+        features[:4] = 1.0, 0.2 * log_odds, certainty[INNER].mean(), 10.0 * _distance(face, shape)[INNER].mean()
+        if stage.parts:
+            certainty[maps[1].landmarks] = certainties[1]
+            features[4:] = certainties[1].mean(), 10.0 * _distance(maps[1], shape).mean()
+        self.timings["look"] += looked - began
+        self.timings["fit"] += ended - looked
+        self.timings["check"] += perf_counter() - ended
+        return Fit(fitted, features, certainty)
+
+    def _judged(self, fit: Fit) -> _Candidate:
+        return _Candidate(fit, self._model.check.confidence(fit.features))
 
     def _follow(self, grey: NDArray[np.uint8], last: FittedShape) -> _Candidate:
-        began = perf_counter()
-        pose = last.pose.copy()
-        if self._template is not None:
-            pose[4:6] += _shift_since(grey, pose, self._template)
-        self.timings["start"] += perf_counter() - began
-        return self._judged(grey, FittedShape(pose, last.shape_params), FRAME_TO_FRAME)
+        fit = self.fit(grey, last, (FINE,))
+        moved = self.pdm.project(fit.fitted.pose, fit.fitted.shape_params) - self.pdm.project(last.pose, last.shape_params)
+        if max(np.abs(moved[p.landmarks].mean(0)).max() for p in self._model.parts) > _FAR * last.pose[0]:
+            fit = self.fit(grey, fit.fitted, (FINE,))
+        return self._judged(fit)
 
-    def _detect(self, grey: NDArray[np.uint8], efforts: tuple[int, ...]) -> _Candidate | None:
-        """The largest face that convinces, tried box by box; efforts go on until one face is beyond doubt."""
-        convincing: list[_Candidate] = []
+    def _detect(self, grey: NDArray[np.uint8], efforts: range | tuple[int, ...]) -> Iterator[_Candidate]:
+        """Convincing faces, effort by effort; none is made after one that finds a face beyond doubt."""
         for effort in efforts:
             began = perf_counter()
-            boxes = self._detector.boxes(grey, effort)
-            boxes = sorted(boxes, key=lambda b: -b.box[2])[:_MAX_CANDIDATES]
+            poses = self._start_poses(grey, effort)
             self.timings["detect"] += perf_counter() - began
-            for face in boxes:
-                pose = self._model.start.pose_in_box(face.box, face.detector, face.roll)
-                candidate = self._fit_from(grey, pose)
+            certain = False
+            for pose in poses:
+                start = FittedShape(pose, np.zeros(self.pdm.n_modes))
+                candidate = self._judged(self.fit(grey, start, DETECTED))
                 if candidate.confidence >= self.found_above:
-                    convincing.append(candidate)
-            if any(c.confidence >= _BEYOND_DOUBT for c in convincing):
-                break
-        certain = [c for c in convincing if c.confidence >= _BEYOND_DOUBT] or convincing
-        if not certain:
-            return None
-        largest = max(c.fitted.pose[0] for c in certain)
-        return max((c for c in certain if c.fitted.pose[0] > 0.8 * largest), key=lambda c: c.confidence)
+                    certain |= candidate.confidence >= _BEYOND_DOUBT
+                    yield candidate
+            if certain:
+                return
 
-    def _fit_from(self, grey: NDArray[np.uint8], pose: FloatArray) -> _Candidate:
-        began = perf_counter()
-        start = self._model.start.refine(self.pdm, grey, pose)
-        self.timings["start"] += perf_counter() - began
-        return self._judged(grey, start, COARSE_TO_FINE)
+    def _start_poses(self, grey: NDArray[np.uint8], effort: int) -> list[FloatArray]:
+        if effort >= 2:
+            return search_faces(grey, self._model.face, _TILTS[effort - 2])
+        boxes = self._detector.boxes(grey, fine=effort > 0)
+        return [box.start_pose(self._model.box_offset) for box in boxes[:_MOST_BOXES]]
+
+    def _chosen(self, candidates: list[_Candidate]) -> _Candidate | None:
+        """The candidate that is wanted: the nearest to the place, where one is set and near enough."""
+        if self._wanted is None or not candidates:
+            return _largest(candidates)
+        nearest = min(candidates, key=lambda c: float(np.hypot(*(c.pose[4:6] - self._wanted))))
+        return nearest
 
     def _keep(self, grey: NDArray[np.uint8], candidate: _Candidate) -> TrackResult:
-        self._last, self._misses = candidate.fitted, 0
-        self._template = _tracking_window(grey, candidate.fitted.pose, 1.0)
-        return self._result(candidate)
+        self._last, self._wanted, self._misses = candidate.fit.fitted, None, 0
+        return self._result(grey, candidate)
 
-    def _result(self, candidate: _Candidate) -> TrackResult:
-        pose, shape_params = candidate.fitted.pose, candidate.fitted.shape_params
+    def _result(self, grey: NDArray[np.uint8], candidate: _Candidate) -> TrackResult:
+        pose, shape_params = candidate.fit.fitted.pose, candidate.fit.fitted.shape_params
+        landmarks, shape = self.pdm.project(pose, shape_params), self.pdm.shape(shape_params)
         return TrackResult(
-            found=True,
-            landmarks=self.pdm.project(pose, shape_params),
-            pose=pose,
-            shape_params=shape_params,
-            shape=self.pdm.shape(shape_params),
-            confidence=candidate.confidence,
-            landmark_confidence=candidate.responses.astype(np.float64),
+            True, landmarks, pose, shape_params, shape, candidate.confidence, candidate.fit.certainty
         )
 
-    def _nothing(self) -> TrackResult:
-        return TrackResult.nothing(self.pdm.n_modes)
 
-    def _start_timings(self) -> None:
-        self.timings = dict.fromkeys(_STAGES, 0.0)
-
-
-def _as_grey(image: ArrayLike) -> NDArray[np.uint8]:
-    pixels = as_image(image)
-    return pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY).astype(np.uint8)
+def _distance(maps: ResponseMaps, shape: FloatArray) -> FloatArray:
+    """(n,) from the maps' means to the landmarks `shape` (66, 2)."""
+    away = maps.moments[0] - shape[maps.landmarks]
+    out: FloatArray = np.hypot(away[:, 0], away[:, 1])
+    return out
 
 
-def _tracking_window(grey: NDArray[np.uint8], pose: FloatArray, reach: float) -> NDArray[np.uint8]:
-    size = 2 * round(reach * _TRACK_SCALE)
-    return warp_to_reference(grey, pose, _TRACK_SCALE, size).pixels.astype(np.uint8)
-
-
-def _shift_since(grey: NDArray[np.uint8], pose: FloatArray, template: NDArray[np.uint8]) -> FloatArray:
-    """(2,) how far the face, last seen at `pose` (6,) as `template`, has moved; image pixels."""
-    window = _tracking_window(grey, pose, 2.0)
-    score = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)
-    _, best, _, place = cv2.minMaxLoc(score)
-    if best < 0.5:
-        return np.zeros(2)
-    away = (np.array(place) - (window.shape[0] - template.shape[0]) / 2.0) / _TRACK_SCALE * pose[0]
-    length, angle = hypot(*away), atan2(away[1], away[0]) + pose[3]
-    return length * np.array([np.cos(angle), np.sin(angle)])
+def _largest(candidates: list[_Candidate]) -> _Candidate | None:
+    """The largest face; of fits that are about as large, which may be of the same face, the most convincing."""
+    certain = [c for c in candidates if c.confidence >= _BEYOND_DOUBT] or candidates
+    if not certain:
+        return None
+    largest = max(c.pose[0] for c in certain)
+    return max((c for c in certain if c.pose[0] > 0.8 * largest), key=lambda c: c.confidence)

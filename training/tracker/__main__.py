@@ -14,7 +14,7 @@ from time import perf_counter
 from facemime.core.tracking.model_file import save_model
 from facemime.core.tracking.tracker import DEFAULT_MODEL
 
-from .workshop import SCALES, Job, Workshop, run_job
+from .workshop import PARTS, Job, Workshop, run_job
 
 ROOT = Path(__file__).parents[2]
 _PHOTOS_A_PART = 12
@@ -43,12 +43,8 @@ def main() -> None:
         photos = workshop.photos(held_out)
         parts = [photos[i : i + _PHOTOS_A_PART] for i in range(0, len(photos), _PHOTOS_A_PART)]
         jobs += [Job(*where, "part", (i, part, held_out)) for i, part in enumerate(parts)]
-    by_hand = [photo for photo in photos if photo.by_hand]
-    parts = [by_hand[i : i + _PHOTOS_A_PART] for i in range(0, len(by_hand), _PHOTOS_A_PART)]
-    jobs += [Job(*where, "speech", (i, part)) for i, part in enumerate(parts)]
     _run_all(jobs, options.jobs)
-    steps = [Job(*where, "experts", (view, scale)) for view in ("frontal", "side") for scale in SCALES]
-    _run_all([Job(*where, "start"), *steps], options.jobs)
+    _run_all([Job(*where, "network", (name,)) for name in ("face", *PARTS)], options.jobs)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     name = save_model(workshop.assemble(workshop.check()), options.output)
     print(f"{options.output}: model {name}, {options.output.stat().st_size / 1e6:.1f} MB")

@@ -8,7 +8,7 @@ import numpy as np
 from facemime.core.landmarks import INNER
 from facemime.core.tracking.check import FaceCheck
 from facemime.core.tracking.pdm import FittedShape
-from facemime.core.tracking.tracker import COARSE_TO_FINE, FRAME_TO_FRAME, FaceTracker
+from facemime.core.tracking.tracker import DETECTED, FINE, FaceTracker
 
 from .samples import SCALE, SIZE, Samples
 from .sources import Photo
@@ -30,7 +30,7 @@ def _near(samples: Samples, i: int, spread: float, rng: np.random.Generator) -> 
     return FittedShape(pose, rng.normal(0, 0.3, samples.shapes.shape[1]) * samples.shapes[i])
 
 
-def _clutter(photos: list[Photo], count: int, rng: np.random.Generator) -> list[np.ndarray]:
+def clutter(photos: list[Photo], count: int, rng: np.random.Generator) -> list[np.ndarray]:
     """Pictures without an upright face: pieces of photos, turned upside down or sideways, and plain surfaces."""
     out = []
     for _ in range(count):
@@ -57,24 +57,24 @@ def _surface(rng: np.random.Generator) -> np.ndarray:
 def collect_features(
     tracker: FaceTracker, samples: Samples, photos: list[Photo], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Features (F, 1831) of good and bad fits and whether each is good (F,)."""
+    """Features (F, 6) of good and bad fits and whether each is good (F,)."""
     features, good = [], []
     for i in range(len(samples)):
         for spread in (0.4, 3.0):
-            stages = FRAME_TO_FRAME if rng.random() < 0.5 else COARSE_TO_FINE
-            fitted, seen = tracker.fit(samples.images[i], _near(samples, i, spread, rng), stages)
-            error = _error(tracker, fitted, samples.landmarks[i])
+            stages = (FINE,) if rng.random() < 0.5 else DETECTED
+            fit = tracker.fit(samples.images[i], _near(samples, i, spread, rng), stages)
+            error = _error(tracker, fit.fitted, samples.landmarks[i])
             if error < GOOD_BELOW or error > BAD_ABOVE:
-                features.append(seen)
+                features.append(fit.features)
                 good.append(error < GOOD_BELOW)
-    for grey in _clutter(photos, len(samples), rng):
+    for grey in clutter(photos, len(samples), rng):
         i = int(rng.integers(len(samples)))
-        features.append(tracker.fit(grey, _near(samples, i, 2.0, rng), COARSE_TO_FINE)[1])
+        features.append(tracker.fit(grey, _near(samples, i, 2.0, rng), DETECTED).features)
         good.append(False)
     return np.stack(features), np.array(good)
 
 
-def train_check(features: np.ndarray, good: np.ndarray, ridge: float = 30.0) -> FaceCheck:
+def train_check(features: np.ndarray, good: np.ndarray, ridge: float = 1.0) -> FaceCheck:
     """Logistic regression by Newton's method, both classes counting alike."""
     x = features.astype(np.float64)
     share = np.where(good, 0.5 / max(good.mean(), 1e-3), 0.5 / max(1 - good.mean(), 1e-3))

@@ -8,48 +8,58 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from facemime.core.tracking.check import FaceCheck
+from facemime.core.landmarks import MIRROR
+from facemime.core.tracking.check import N_FEATURES, FaceCheck
+from facemime.core.tracking.experts import FACE_SIZE, PART_SIZE, FaceExperts, PartExperts
 from facemime.core.tracking.model_file import TrackerModel
-from facemime.core.tracking.patch_experts import PatchExperts
+from facemime.core.tracking.network import Network
 from facemime.core.tracking.pdm import PointDistributionModel
-from facemime.core.tracking.start import StartModel
 from facemime.core.tracking.tracker import FaceTracker
 
-from .checks import collect_features, train_check
-from .experts import mirror_samples, reference_set, train_experts
+from .boxes import fit_box_offsets
+from .checks import clutter, collect_features, train_check
 from .heads import load_ict
 from .samples import Samples, photo_samples, render_samples
 from .shape_model import build_shape_model
 from .sources import AUTOMATIC, HAND_LABELLED, Photo, read_photos, split
-from .starts import fit_box_offsets, train_start
 from .trust import trusted_photos
 
 SEED = 2019
-SCALES = (24.0, 40.0, 72.0)
-FRONTAL_BELOW, SIDE_ABOVE = 0.5, 0.22
-"""Radians of yaw up to which and from which the views' training pictures reach; between them both learn."""
+SIDE_ABOVE = 0.22
+"""Radians of yaw from which a training picture tells what is hidden in the side view."""
+N_CLUTTER = 1500
+BATCH = {"face": 64, "eye": 96, "mouth": 96}
+STEPS = {"face": 8000, "eye": 7000, "mouth": 7000}
+VARIANCE = {"face": 0.6, "eye": 0.8, "mouth": 0.8}
+"""Of the wanted maps, in cells."""
+PARTS = {
+    "eye": (np.r_[17:22, 36:42], 60.0, True),
+    "mouth": (np.r_[31:36, 48:66], 50.0, False),
+}
+"""Landmarks, pixels an outer-eye distance, whether the other half of the face has it too."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How many training pictures a photo of a source gives, and how far its labels are trusted."""
+    """How many training pictures a photo of a source gives, and how far its labels are trusted.
 
-    rounds: int
+    `renders` show any expression, `speaking` ones an open mouth, `copies` are the photo itself, degraded.
+    """
+
     renders: int
+    speaking: int
     copies: int
     weight: float
 
 
 RECIPES = {
-    "london_neutral": Recipe(3, 20, 12, 1.0),
-    "canada": Recipe(3, 20, 12, 1.0),
-    "london_smiling": Recipe(1, 8, 10, 0.6),
-    "congress": Recipe(1, 4, 3, 0.3),
+    "london_neutral": Recipe(68, 22, 36, 1.0),
+    "canada": Recipe(68, 22, 36, 1.0),
+    "london_smiling": Recipe(18, 4, 10, 0.6),
+    "congress": Recipe(10, 4, 3, 0.3),
 }
-
-
-N_SPEAKING = 18
-"""Further renders of each hand-labelled photo, with an open mouth."""
+_RENDERS_A_SKIN = 24
+"""Renders of a photo until it is mirrored or not anew."""
 
 
 class Workshop:
@@ -87,81 +97,83 @@ class Workshop:
         parts = []
         for photo in photos:
             recipe = RECIPES[photo.source]
-            for _ in range(1 if held_out else recipe.rounds):
-                count = 6 if held_out else recipe.renders
+            plain, speaking = (6, 0) if held_out else (recipe.renders, recipe.speaking)
+            for first in range(0, plain, _RENDERS_A_SKIN):
+                count = min(_RENDERS_A_SKIN, plain - first)
                 parts.append(render_samples(head, model, photo, backgrounds, count, rng, recipe.weight))
+            if speaking:
+                parts.append(
+                    render_samples(head, model, photo, backgrounds, speaking, rng, recipe.weight, speaking=True)
+                )
             if not held_out:
                 parts.append(photo_samples(model, photo, recipe.copies, rng, recipe.weight))
         Samples.join(parts).save(path)
-        return path
-
-    def speech(self, number: int, photos: list[Photo]) -> Path:
-        """One file of training pictures of open mouths."""
-        path = self.work / "samples" / f"speech_{number:03d}.npz"
-        if not path.exists():
-            head, model = load_ict(self.data), self.shape()
-            backgrounds = split(read_photos(self.data, "congress"))[0]
-            rng = np.random.default_rng((SEED, number, 2))
-            shown = [render_samples(head, model, p, backgrounds, N_SPEAKING, rng, 1.0, speaking=True) for p in photos]
-            Samples.join(shown).save(path)
         return path
 
     def samples(self) -> Samples:
         """Every training picture."""
         return Samples.join([Samples.load(p) for p in sorted((self.work / "samples").glob("*[0-9].npz"))])
 
-    def experts(self, view: str, scale: float) -> tuple[PatchExperts, np.ndarray]:
-        """The patch experts of a view and scale, and how often each landmark is in sight there."""
-        path = self.work / f"experts_{view}_{scale:.0f}.npz"
+    def network(self, name: str) -> bytes:
+        """The face's network, or that of one of `PARTS`, in ONNX."""
+        path = self.work / f"{name}.onnx"
+        if not path.exists():
+            # Only the training needs PyTorch; the steps before it and the measuring do not.
+            from .crops import Crops
+            from .learn import train
+            from .networks import FaceNetwork, PartNetwork, to_onnx
+
+            rng = np.random.default_rng((SEED, len(name)))
+            crops = Crops(self.samples(), rng)
+            checkpoint, how = self.work / f"{name}.pt", (STEPS[name], VARIANCE[name])
+            if name == "face":
+                pictures = np.stack(clutter(self.photos(), N_CLUTTER, rng))
+                face = train(FaceNetwork(), lambda: crops.face(BATCH[name], pictures), *how, checkpoint, name)
+                onnx = to_onnx(face, FACE_SIZE)
+            else:
+                landmarks, scale, _ = PARTS[name]
+                part = PartNetwork(len(landmarks))
+                part = train(part, lambda: crops.part(BATCH[name], landmarks, scale), *how, checkpoint, name)
+                onnx = to_onnx(part, PART_SIZE)
+            path.write_bytes(onnx)
+        return path.read_bytes()
+
+    def visibility(self) -> np.ndarray:
+        """(2, 66) how often each landmark is in sight, frontal and with the nose to the viewer's left."""
+        path = self.work / "visibility.npz"
         if not path.exists():
             samples = self.samples()
             yaw = samples.poses[:, 2]
-            if view == "frontal":
-                chosen = samples.take(np.flatnonzero(np.abs(yaw) < FRONTAL_BELOW))
-                chosen = Samples.join([chosen, mirror_samples(chosen)])
-            else:
-                right = mirror_samples(samples.take(np.flatnonzero(yaw < -SIDE_ABOVE)))
-                chosen = Samples.join([samples.take(np.flatnonzero(yaw > SIDE_ABOVE)), right])
-            rng = np.random.default_rng((SEED, int(scale), view == "side"))
-            data = reference_set(chosen, scale, rng)
-            e, loss = train_experts(data, scale, rng)
-            print(f"experts {view} {scale:.0f} px: {len(chosen)} pictures, cross-entropy {loss:.4f}", flush=True)
-            _keep(path, w=e.hidden, b=e.hidden_bias, v=e.output, c=e.output_bias, seen=(data.weights > 0).mean(0))
-        raw = np.load(path)
-        return PatchExperts(scale, raw["w"], raw["b"], raw["v"], raw["c"]), raw["seen"]
+            seen = np.concatenate([samples.visible[yaw > SIDE_ABOVE], samples.visible[yaw < -SIDE_ABOVE][:, MIRROR]])
+            _keep(path, visibility=np.stack([np.ones(seen.shape[1]), seen.mean(0)]))
+        return np.load(path)["visibility"]
 
-    def start(self) -> StartModel:
-        """Box offsets and start regressions."""
-        path = self.work / "start.npz"
+    def boxes(self) -> np.ndarray:
+        """(D, 3) where a face lies in each detector's box."""
+        path = self.work / "boxes.npz"
         if not path.exists():
-            model, samples = self.shape(), self.samples()
+            model = self.shape()
             rng = np.random.default_rng((SEED, 7))
             photos = [p for p in self.photos() if p.source != "london_smiling"]
             shown = rng.permutation(len(photos))[:160]
             pictures = [(photos[i].grey(), model.fit(photos[i].landmarks).pose) for i in shown]
-            sides = np.flatnonzero(np.abs(samples.poses[:, 2]) > 0.5)[:80]
-            pictures += [(samples.images[i], samples.poses[i]) for i in sides]
-            chosen = samples.take(np.sort(rng.permutation(len(samples))[:9000]))
-            learnt = train_start(chosen, model, fit_box_offsets(pictures), rng, copies=2)
-            _keep(path, offsets=learnt.box_offset, steps=learnt.steps)
-        raw = np.load(path)
-        return StartModel(raw["offsets"], raw["steps"])
+            _keep(path, offsets=fit_box_offsets(pictures))
+        return np.load(path)["offsets"]
 
     def assemble(self, check: FaceCheck) -> TrackerModel:
         """The model with the given check."""
-        frontal, side = ([self.experts(view, s) for s in SCALES] for view in ("frontal", "side"))
-        visibility = np.stack([np.ones_like(side[0][1]), side[0][1]])
-        views = (tuple(e for e, _ in frontal), tuple(e for e, _ in side))
-        return TrackerModel(self.shape(), *views, visibility, self.start(), check)
+        face = FaceExperts(Network(self.network("face"), "maps", "face"))
+        parts = [PartExperts(Network(self.network(name), "maps"), *what) for name, what in PARTS.items()]
+        return TrackerModel(self.shape(), face, tuple(parts), self.visibility(), self.boxes(), check)
 
     def check(self) -> FaceCheck:
         """The learnt check, trained on what the fit makes of training pictures and of clutter."""
         path = self.work / "check.npz"
         if not path.exists():
-            blind = FaceTracker(self.assemble(FaceCheck(np.zeros(1))))
+            blind = FaceTracker(self.assemble(FaceCheck(np.zeros(N_FEATURES))))
             rng = np.random.default_rng((SEED, 8))
             samples = self.samples()
-            samples = samples.take(rng.permutation(len(samples))[:2500])
+            samples = samples.take(np.sort(rng.permutation(len(samples))[:2500]))
             features, good = collect_features(blind, samples, self.photos(), rng)
             apart = rng.random(len(good)) < 0.2
             tried = train_check(features[~apart], good[~apart])

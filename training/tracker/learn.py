@@ -1,0 +1,88 @@
+"""Trains the networks: AdamW with one cycle of the rate, an average of the weights, a checkpoint every few minutes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from .crops import Batch
+from .networks import FaceNetwork, MapLoss, PartNetwork
+
+RATE = 3e-3
+_AVERAGE = 0.005
+"""Share of the newest weights in the average that is kept in the end."""
+_REPORT, _CHECKPOINT = 100, 250
+
+
+def train(
+    network: FaceNetwork | PartNetwork,
+    draw: Callable[[], Batch],
+    steps: int,
+    variance: float,
+    checkpoint: Path,
+    name: str,
+) -> nn.Module:
+    """The network after `steps` batches, resumed from `checkpoint` where that exists.
+
+    `variance` is that of the maps' Gaussians, in cells. A sixth of the face network's loss is about whether there is a
+    face.
+    """
+    network.to(memory_format=torch.channels_last)
+    decayed = [p for p in network.parameters() if p.ndim > 1]
+    free = [p for p in network.parameters() if p.ndim <= 1]
+    optimiser = torch.optim.AdamW([{"params": decayed, "weight_decay": 1e-2}, {"params": free, "weight_decay": 0.0}])
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps, pct_start=0.08)
+    average = {k: v.clone() for k, v in network.state_dict().items()}
+    done = 0
+    if checkpoint.exists():
+        state = torch.load(checkpoint, weights_only=True)
+        network.load_state_dict(state["network"])
+        optimiser.load_state_dict(state["optimiser"])
+        schedule.load_state_dict(state["schedule"])
+        average, done = state["average"], state["done"]
+    began, away = perf_counter(), 0.0
+    while done < steps:
+        away += _step(network, draw(), optimiser, variance)
+        schedule.step()
+        with torch.no_grad():
+            for key, value in network.state_dict().items():
+                average[key].lerp_(value, _AVERAGE) if value.dtype.is_floating_point else average[key].copy_(value)
+        done += 1
+        if done % _REPORT == 0:
+            print(f"{name}: {done} of {steps}, {away / _REPORT:.3f} cells, {perf_counter() - began:.0f} s", flush=True)
+            away = 0.0
+        if done % _CHECKPOINT == 0 or done == steps:
+            state = {"network": network.state_dict(), "optimiser": optimiser.state_dict(), "average": average}
+            unfinished = checkpoint.with_suffix(".part")
+            torch.save({**state, "schedule": schedule.state_dict(), "done": done}, unfinished)
+            unfinished.replace(checkpoint)
+    network.load_state_dict(average)
+    return network
+
+
+def _step(
+    network: FaceNetwork | PartNetwork, batch: Batch, optimiser: torch.optim.Optimizer, variance: float
+) -> float:
+    """One step; returns the mean distance in cells."""
+    pictures = torch.from_numpy(batch.pictures).to(memory_format=torch.channels_last)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        out = network(pictures)
+    maps, face = out if isinstance(out, tuple) else (out, None)
+    loss, away = MapLoss.apply(maps, torch.from_numpy(batch.cells), torch.from_numpy(batch.weights), variance)
+    if face is not None:
+        loss = loss + 0.5 * _face_loss(face, torch.from_numpy(batch.face))
+    optimiser.zero_grad()
+    loss.backward()
+    torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
+    optimiser.step()
+    return float(away.detach())
+
+
+def _face_loss(log_odds: Tensor, face: Tensor) -> Tensor:
+    every = F.binary_cross_entropy_with_logits(log_odds.float().mean((1, 2, 3)), face[:, 0], reduction="none")
+    return (every * face[:, 1]).mean()

@@ -1,0 +1,156 @@
+"""The networks of the convolutional experts, in PyTorch, and their way to ONNX.
+
+Separable convolutions with skipped connections (Sandler et al. 2018) down to a coarse grid and up again (Ronneberger,
+Fischer & Brox 2015): a landmark's map is drawn from what the whole picture shows.
+"""
+
+from __future__ import annotations
+
+import io
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+FACE_CHANNELS, PART_CHANNELS = (16, 32, 64, 96), (16, 24, 48, 72)
+
+
+def _convolution(inputs: int, outputs: int, kernel: int, stride: int) -> nn.Sequential:
+    layer = nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False)
+    return nn.Sequential(layer, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
+
+
+class _Separable(nn.Module):
+    """A 3 x 3 convolution of each channel, then one that mixes them."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
+        super().__init__()
+        each = nn.Conv2d(inputs, inputs, 3, stride, 1, groups=inputs, bias=False)
+        self.each = nn.Sequential(each, nn.BatchNorm2d(inputs))
+        self.mixed = nn.Sequential(nn.Conv2d(inputs, outputs, 1, bias=False), nn.BatchNorm2d(outputs))
+        self.skipped = inputs == outputs and stride == 1
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, inputs, H, W) to (B, outputs, H / stride, W / stride)."""
+        y = self.mixed(self.each(x))
+        return F.relu(y + x if self.skipped else y)
+
+
+class _Up(nn.Module):
+    """Joins a coarse grid to one of twice its resolution."""
+
+    def __init__(self, coarse: int, fine: int) -> None:
+        super().__init__()
+        self.narrow = nn.Conv2d(coarse, fine, 1)
+        self.blend = _Separable(fine, fine)
+
+    def forward(self, coarse: Tensor, fine: Tensor) -> Tensor:
+        """(B, coarse, H, W) and (B, fine, 2 H, 2 W) to the latter's shape."""
+        return self.blend(F.relu(fine + F.interpolate(self.narrow(coarse), scale_factor=2, mode="nearest")))
+
+
+class FaceNetwork(nn.Module):
+    """(B, 1, S, S) to the scores of 66 maps (B, 66, S / 4, S / 4) and the log odds of a face (B, 1, S / 16, S / 16)."""
+
+    outputs = ("maps", "face")
+
+    def __init__(self) -> None:
+        super().__init__()
+        a, b, c, d = FACE_CHANNELS
+        self.quarter = nn.Sequential(_convolution(1, a, 5, 2), _convolution(a, b, 3, 2), _Separable(b, c))
+        self.eighth = nn.Sequential(_Separable(c, d, 2), _Separable(d, d), _Separable(d, d))
+        self.sixteenth = nn.Sequential(_Separable(d, d, 2), _Separable(d, d))
+        self.to_eighth, self.to_quarter = _Up(d, d), _Up(d, c)
+        self.maps, self.face = nn.Conv2d(c, 66, 1), nn.Conv2d(d, 1, 1)
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Scores before the softmax, and log odds whose mean counts."""
+        quarter = self.quarter(x)
+        eighth = self.eighth(quarter)
+        sixteenth = self.sixteenth(eighth)
+        up = self.to_quarter(self.to_eighth(sixteenth, eighth), quarter)
+        return self.maps(up), self.face(sixteenth)
+
+
+class PartNetwork(nn.Module):
+    """(B, 1, S, S) to the scores of a part's maps (B, n, S / 2, S / 2)."""
+
+    outputs = ("maps",)
+
+    def __init__(self, landmarks: int) -> None:
+        super().__init__()
+        a, b, c, d = PART_CHANNELS
+        self.half = nn.Sequential(_convolution(1, a, 5, 2), _Separable(a, b))
+        self.quarter = nn.Sequential(_Separable(b, c, 2), _Separable(c, c))
+        self.eighth = nn.Sequential(_Separable(c, d, 2), _Separable(d, d))
+        self.to_quarter, self.to_half = _Up(d, c), _Up(c, b)
+        self.maps = nn.Conv2d(b, landmarks, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Scores before the softmax."""
+        half = self.half(x)
+        quarter = self.quarter(half)
+        return self.maps(self.to_half(self.to_quarter(self.eighth(quarter), quarter), half))
+
+
+class MapLoss(torch.autograd.Function):
+    """How far maps are from their landmarks: cross-entropy to a Gaussian round each, plus `PULL` times the distance
+    of the map's mean (integral regression: Sun et al. 2018). One pass over the maps, and one back.
+
+    Inputs: scores (B, n, S, S), cells (B, n, 2) of the landmarks `(x, y)`, weights (B, n), the Gaussian's variance in
+    cells. Outputs: the loss, and the weighted mean distance in cells, which has no gradient.
+    """
+
+    PULL = 2.0
+
+    @staticmethod
+    def forward(
+        ctx: torch.autograd.function.FunctionCtx, scores: Tensor, cells: Tensor, weights: Tensor, variance: float
+    ) -> tuple[Tensor, Tensor]:
+        """Loss and mean distance."""
+        size = scores.shape[-1]
+        steps = torch.arange(size, dtype=torch.float32)
+        wanted_x, wanted_y = (torch.exp((steps - cells[..., k, None]) ** 2 / (-2.0 * variance)) for k in (0, 1))
+        wanted_x = wanted_x / wanted_x.sum(-1, keepdim=True).clamp_min(1e-6)
+        wanted_y = wanted_y / wanted_y.sum(-1, keepdim=True).clamp_min(1e-6)
+        full = scores.float()
+        at_target = torch.matmul(torch.matmul(wanted_y[..., None, :], full), wanted_x[..., None])[..., 0, 0]
+        highest = full.amax((2, 3), keepdim=True)
+        likely = (full - highest).exp_()
+        total = likely.sum((2, 3), keepdim=True)
+        likely.div_(total)
+        cross_entropy = (highest + total.log())[..., 0, 0] - at_target
+        mean_x, mean_y = (likely.sum(2) * steps).sum(-1), (likely.sum(3) * steps).sum(-1)
+        dx, dy = mean_x - cells[..., 0], mean_y - cells[..., 1]
+        away = torch.sqrt(dx * dx + dy * dy + 0.01)
+        share = weights / weights.sum().clamp_min(1e-6)
+        pull_x, pull_y = MapLoss.PULL * dx / away, MapLoss.PULL * dy / away
+        ctx.save_for_backward(likely, wanted_x, wanted_y, share, pull_x, pull_y, mean_x, mean_y)
+        ctx.kind = scores.dtype
+        return ((cross_entropy + MapLoss.PULL * away) * share).sum(), (away * share).sum()
+
+    @staticmethod
+    def backward(ctx: torch.autograd.function.FunctionCtx, grad: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
+        """Gradient of the loss by the scores."""
+        likely, wanted_x, wanted_y, share, pull_x, pull_y, mean_x, mean_y = ctx.saved_tensors
+        steps = torch.arange(likely.shape[-1], dtype=torch.float32)
+        by_x = (steps - mean_x[..., None]) * pull_x[..., None]
+        by_y = (steps - mean_y[..., None]) * pull_y[..., None]
+        out = likely * (1.0 + by_x[..., None, :] + by_y[..., None])
+        out.addcmul_(wanted_y[..., None], wanted_x[..., None, :], value=-1)
+        out.mul_((share * grad)[..., None, None])
+        return out.to(ctx.kind), None, None, None
+
+
+def to_onnx(network: FaceNetwork | PartNetwork, size: int) -> bytes:
+    """The network for pictures of a side of `size` pixels, as OpenCV reads it."""
+    buffer = io.BytesIO()
+    torch.onnx.export(
+        network.eval(),
+        (torch.zeros(1, 1, size, size),),
+        buffer,
+        dynamo=False,
+        opset_version=13,
+        output_names=list(network.outputs),
+    )
+    return buffer.getvalue()
