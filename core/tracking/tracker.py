@@ -16,6 +16,7 @@ from ..landmarks import MIRROR, N_LANDMARKS
 from .check import check_features, response_at
 from .detect import EFFORTS, BoxDetector
 from .fit import MeanShiftOptions, regularised_mean_shift
+from .gaze import find_gaze
 from .model_file import TrackerModel, load_model
 from .patch_experts import PatchExperts
 from .pdm import FittedShape, PointDistributionModel
@@ -31,7 +32,7 @@ _TRACK_SCALE = 14.0
 _MAX_CANDIDATES = 6
 _BEYOND_DOUBT = 0.8
 """Confidence of a detected face from which on no further effort is made."""
-_STAGES = ("detect", "start", "fit", "check")
+_STAGES = ("detect", "start", "fit", "check", "gaze")
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class FaceTracker:
     """Finds one face and follows it: a constrained local model (METHOD section 3).
 
     `track` continues from the last frame, `locate` looks at one image by itself. `timings` holds the seconds that the
-    stages of the last call took: "detect", "start", "fit", "check".
+    stages of the last call took: "detect", "start", "fit", "check", "gaze".
     """
 
     found_above = 0.5
@@ -133,7 +134,7 @@ class FaceTracker:
         grey = _as_grey(image)
         self._start_timings()
         found = self._detect(grey, EFFORTS)
-        return self._nothing() if found is None else self._result(found)
+        return self._nothing() if found is None else self._result(grey, found)
 
     def fit(
         self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[Stage, ...]
@@ -207,18 +208,24 @@ class FaceTracker:
     def _keep(self, grey: NDArray[np.uint8], candidate: _Candidate) -> TrackResult:
         self._last, self._misses = candidate.fitted, 0
         self._template = _tracking_window(grey, candidate.fitted.pose, 1.0)
-        return self._result(candidate)
+        return self._result(grey, candidate)
 
-    def _result(self, candidate: _Candidate) -> TrackResult:
+    def _result(self, grey: NDArray[np.uint8], candidate: _Candidate) -> TrackResult:
         pose, shape_params = candidate.fitted.pose, candidate.fitted.shape_params
+        landmarks, shape = self.pdm.project(pose, shape_params), self.pdm.shape(shape_params)
+        began = perf_counter()
+        gaze = find_gaze(grey, pose, landmarks, shape)
+        self.timings["gaze"] += perf_counter() - began
         return TrackResult(
             found=True,
-            landmarks=self.pdm.project(pose, shape_params),
+            landmarks=landmarks,
             pose=pose,
             shape_params=shape_params,
-            shape=self.pdm.shape(shape_params),
+            shape=shape,
             confidence=candidate.confidence,
             landmark_confidence=candidate.responses.astype(np.float64),
+            pupils=gaze.pupils,
+            gaze=gaze.direction,
         )
 
     def _nothing(self) -> TrackResult:
