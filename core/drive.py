@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, IntArray
+from .deform.expressions import informed_covariance
 from .deform.eyeballs import EyeballContact
-from .deform.rbf import RBFDeformer
-from .deform.regions import REGIONS, membership
+from .deform.kernels import kernel_named
+from .deform.rbf import IncrementalDeformer, RBFDeformer
+from .deform.regions import DEFAULT_KERNEL, membership, region_sigmas
 from .errors import HeadError
 from .landmarks import N_LANDMARKS, OUTER_EYE_CORNERS, from_ibug
 from .retarget import Mode, Neutral, Retargeter
@@ -21,6 +23,9 @@ _CHIN = from_ibug(range(6, 11))
 _GAZE_LIMIT = np.radians((7.0, 22.0))
 """Pitch and yaw: up and down much less, as the lids, which follow the performer's, would hide the iris."""
 _CAMERA_DISTANCE = 6.0
+
+INFORMED = "informed"
+"""The kernel that knows faces, by default; any name of `kernels.KERNELS` is one that knows distance alone."""
 
 
 @dataclass(frozen=True)
@@ -92,8 +97,13 @@ class HeadDriver:
         The performer's, from `calibrate`.
     mode, strength
         As for `Retargeter`.
-    sigma : float, optional
-        As for `RBFDeformer`.
+    kernel : str
+        "informed" for `DEFAULT_KERNEL` with what is learnt of faces beside it, or a name of `kernels.KERNELS`; the
+        paper's is "gaussian".
+    points : (3, 66) bool, optional
+        Which landmark controls which region, as `greedy_select` chooses; all by default.
+    incremental : bool
+        Fit every frame anew from the one before, as the paper does.
     """
 
     def __init__(
@@ -103,23 +113,18 @@ class HeadDriver:
         *,
         mode: Mode = "3d",
         strength: ArrayLike = (1.0, 1.0, 1.0),
-        sigma: float | None = None,
+        kernel: str = INFORMED,
+        points: NDArray[np.bool_] | None = None,
+        incremental: bool = False,
     ) -> None:
-        points = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
+        landmarks = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
         self.rig = rig
         self.neutral = neutral
-        self.retargeter = Retargeter(neutral.shape, points, mode=mode, strength=strength, shut=neutral.shut)
-        self.deformer = RBFDeformer(
-            rig.vertices,
-            points,
-            rig.region_weights,
-            membership(),
-            sigma=sigma,
-            spacing_factor=[region.spacing_factor for region in REGIONS],
-        )
+        self.retargeter = Retargeter(neutral.shape, landmarks, mode=mode, strength=strength, shut=neutral.shut)
+        self.deformer = head_deformer(rig, kernel, points, incremental=incremental)
         self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
-        self._chin = points[_CHIN] - rig.jaw_pivot
-        self._unit = float(np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS])))
+        self._chin = landmarks[_CHIN] - rig.jaw_pivot
+        self._unit = float(np.linalg.norm(np.subtract(*landmarks[OUTER_EYE_CORNERS])))
 
     def frame(self, result: TrackResult) -> HeadFrame:
         """The head for one tracking result in which a face was found."""
@@ -142,6 +147,31 @@ class HeadDriver:
         sideways = np.array([pose[4] - tx, pose[5] - ty]) / np.sqrt(s * scale)
         depth = _CAMERA_DISTANCE * (scale / s - 1.0)
         return np.asarray(self._unit * np.array([*sideways, depth]))
+
+
+def head_deformer(
+    rig: HeadRig,
+    kernel: str = INFORMED,
+    points: NDArray[np.bool_] | None = None,
+    *,
+    incremental: bool = False,
+) -> RBFDeformer | IncrementalDeformer:
+    """What moves the vertices of `rig` by the displacements of its 66 landmarks; parameters as for `HeadDriver`."""
+    places = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
+    members = membership() if points is None else np.asarray(points, dtype=np.bool_) & membership()
+    plain = DEFAULT_KERNEL if kernel == INFORMED else kernel
+    if incremental:
+        sigma = region_sigmas(places, kernel_named(plain))
+        return IncrementalDeformer(rig.vertices, places, rig.region_weights, members, kernel=plain, sigma=sigma)
+    return RBFDeformer(
+        rig.vertices,
+        places,
+        rig.region_weights,
+        members,
+        kernel=plain,
+        sigma=region_sigmas(places, kernel_named(plain)),
+        covariance=informed_covariance(rig.vertices, rig.landmarks, rig.region_weights) if kernel == INFORMED else None,
+    )
 
 
 def gaze_at_viewer(rotation: FloatArray) -> FloatArray:
