@@ -14,14 +14,13 @@ from .deform.kernels import kernel_named
 from .deform.rbf import IncrementalDeformer, RBFDeformer
 from .deform.regions import DEFAULT_KERNEL, membership, region_sigmas
 from .errors import HeadError
+from .eyes import EyeDriver
 from .landmarks import N_LANDMARKS, OUTER_EYE_CORNERS, from_ibug
 from .retarget import Mode, Neutral, Retargeter
-from .rotation import euler_to_matrix, fit_rotation, matrix_to_euler
+from .rotation import euler_to_matrix, fit_rotation
 from .tracking.result import TrackResult
 
 _CHIN = from_ibug(range(6, 11))
-_GAZE_LIMIT = np.radians((7.0, 22.0))
-"""Pitch and yaw: up and down much less, as the lids, which follow the performer's, would hide the iris."""
 _CAMERA_DISTANCE = 6.0
 
 INFORMED = "informed"
@@ -122,6 +121,7 @@ class HeadDriver:
         self.neutral = neutral
         self.retargeter = Retargeter(neutral.shape, landmarks, mode=mode, strength=strength, shut=neutral.shut)
         self.deformer = head_deformer(rig, kernel, points, incremental=incremental)
+        self.eyes = EyeDriver(neutral.gaze)
         self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
         self._chin = landmarks[_CHIN] - rig.jaw_pivot
         self._unit = float(np.linalg.norm(np.subtract(*landmarks[OUTER_EYE_CORNERS])))
@@ -137,7 +137,7 @@ class HeadDriver:
             rotation=rotation,
             translation=self._translation(result.pose),
             jaw=fit_rotation(self._chin, self._chin + displacements[_CHIN]),
-            gaze=gaze_at_viewer(rotation),
+            gaze=self.eyes.rotation(result.gaze, rotation),
         )
 
     def _translation(self, pose: FloatArray) -> FloatArray:
@@ -171,17 +171,4 @@ def head_deformer(
         kernel=plain,
         sigma=region_sigmas(places, kernel_named(plain)),
         covariance=informed_covariance(rig.vertices, rig.landmarks, rig.region_weights) if kernel == INFORMED else None,
-    )
-
-
-def gaze_at_viewer(rotation: FloatArray) -> FloatArray:
-    """Rotation of the eyes within a head turned by `rotation` that keeps them on the viewer, as far as eyes turn.
-
-    The landmarks do not tell the gaze; people mostly look at the screen that they perform to, and an avatar whose eyes
-    are fixed in its skull looks dead.
-    """
-    pitch, yaw, _ = matrix_to_euler(rotation.T)
-    pitch_limit, yaw_limit = _GAZE_LIMIT
-    return euler_to_matrix(
-        float(np.clip(pitch, -pitch_limit, pitch_limit)), float(np.clip(yaw, -yaw_limit, yaw_limit)), 0.0
     )
