@@ -6,7 +6,7 @@ BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
 
-.PHONY: setup check test test-core demo build bench model head sample try lock clean blenders
+.PHONY: setup check test test-core demo build bench model expressions head sample try lock clean blenders
 
 setup: $(STAMP)
 
@@ -51,6 +51,9 @@ bench: setup
 # What stands in assets/ is made again by these; the first needs ../shared/data.
 model: setup
 	$(BIN)/python -m training.tracker
+
+expressions: setup
+	$(BIN)/python -m training.expressions
 
 head: setup
 	$(BIN)/python -m training.head

@@ -8,19 +8,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, IntArray
+from .deform.expressions import informed_covariance
 from .deform.eyeballs import EyeballContact
-from .deform.rbf import RBFDeformer
-from .deform.regions import REGIONS, membership
+from .deform.kernels import kernel_named
+from .deform.rbf import IncrementalDeformer, RBFDeformer
+from .deform.regions import DEFAULT_KERNEL, membership, region_sigmas
 from .errors import HeadError
+from .eyes import EyeDriver
 from .landmarks import N_LANDMARKS, OUTER_EYE_CORNERS, from_ibug
 from .retarget import Mode, Neutral, Retargeter
-from .rotation import euler_to_matrix, fit_rotation, matrix_to_euler
+from .rotation import euler_to_matrix, fit_rotation
 from .tracking.result import TrackResult
 
 _CHIN = from_ibug(range(6, 11))
-_GAZE_LIMIT = np.radians((7.0, 22.0))
-"""Pitch and yaw: up and down much less, as the lids, which follow the performer's, would hide the iris."""
 _CAMERA_DISTANCE = 6.0
+
+INFORMED = "informed"
+"""The kernel that knows faces, by default; any name of `kernels.KERNELS` is one that knows distance alone."""
 
 
 @dataclass(frozen=True)
@@ -92,8 +96,13 @@ class HeadDriver:
         The performer's, from `calibrate`.
     mode, strength
         As for `Retargeter`.
-    sigma : float, optional
-        As for `RBFDeformer`.
+    kernel : str
+        "informed" for `DEFAULT_KERNEL` with what is learnt of faces beside it, or a name of `kernels.KERNELS`; the
+        paper's is "gaussian".
+    points : (3, 66) bool, optional
+        Which landmark controls which region, as `greedy_select` chooses; all by default.
+    incremental : bool
+        Fit every frame anew from the one before, as the paper does.
     """
 
     def __init__(
@@ -103,23 +112,19 @@ class HeadDriver:
         *,
         mode: Mode = "3d",
         strength: ArrayLike = (1.0, 1.0, 1.0),
-        sigma: float | None = None,
+        kernel: str = INFORMED,
+        points: NDArray[np.bool_] | None = None,
+        incremental: bool = False,
     ) -> None:
-        points = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
+        landmarks = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
         self.rig = rig
         self.neutral = neutral
-        self.retargeter = Retargeter(neutral.shape, points, mode=mode, strength=strength, shut=neutral.shut)
-        self.deformer = RBFDeformer(
-            rig.vertices,
-            points,
-            rig.region_weights,
-            membership(),
-            sigma=sigma,
-            spacing_factor=[region.spacing_factor for region in REGIONS],
-        )
+        self.retargeter = Retargeter(neutral.shape, landmarks, mode=mode, strength=strength, shut=neutral.shut)
+        self.deformer = head_deformer(rig, kernel, points, incremental=incremental)
+        self.eyes = EyeDriver(neutral.gaze)
         self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
-        self._chin = points[_CHIN] - rig.jaw_pivot
-        self._unit = float(np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS])))
+        self._chin = landmarks[_CHIN] - rig.jaw_pivot
+        self._unit = float(np.linalg.norm(np.subtract(*landmarks[OUTER_EYE_CORNERS])))
 
     def frame(self, result: TrackResult) -> HeadFrame:
         """The head for one tracking result in which a face was found."""
@@ -132,7 +137,7 @@ class HeadDriver:
             rotation=rotation,
             translation=self._translation(result.pose),
             jaw=fit_rotation(self._chin, self._chin + displacements[_CHIN]),
-            gaze=gaze_at_viewer(rotation),
+            gaze=self.eyes.rotation(result.gaze, rotation),
         )
 
     def _translation(self, pose: FloatArray) -> FloatArray:
@@ -144,14 +149,26 @@ class HeadDriver:
         return np.asarray(self._unit * np.array([*sideways, depth]))
 
 
-def gaze_at_viewer(rotation: FloatArray) -> FloatArray:
-    """Rotation of the eyes within a head turned by `rotation` that keeps them on the viewer, as far as eyes turn.
-
-    The landmarks do not tell the gaze; people mostly look at the screen that they perform to, and an avatar whose eyes
-    are fixed in its skull looks dead.
-    """
-    pitch, yaw, _ = matrix_to_euler(rotation.T)
-    pitch_limit, yaw_limit = _GAZE_LIMIT
-    return euler_to_matrix(
-        float(np.clip(pitch, -pitch_limit, pitch_limit)), float(np.clip(yaw, -yaw_limit, yaw_limit)), 0.0
+def head_deformer(
+    rig: HeadRig,
+    kernel: str = INFORMED,
+    points: NDArray[np.bool_] | None = None,
+    *,
+    incremental: bool = False,
+) -> RBFDeformer | IncrementalDeformer:
+    """What moves the vertices of `rig` by the displacements of its 66 landmarks; parameters as for `HeadDriver`."""
+    places = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
+    members = membership() if points is None else np.asarray(points, dtype=np.bool_) & membership()
+    plain = DEFAULT_KERNEL if kernel == INFORMED else kernel
+    if incremental:
+        sigma = region_sigmas(places, kernel_named(plain))
+        return IncrementalDeformer(rig.vertices, places, rig.region_weights, members, kernel=plain, sigma=sigma)
+    return RBFDeformer(
+        rig.vertices,
+        places,
+        rig.region_weights,
+        members,
+        kernel=plain,
+        sigma=region_sigmas(places, kernel_named(plain)),
+        covariance=informed_covariance(rig.vertices, rig.landmarks, rig.region_weights) if kernel == INFORMED else None,
     )

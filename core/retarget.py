@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -50,6 +50,8 @@ class Neutral:
     shut : float
         Opening of the eyes, as a fraction of the neutral one, at which the performer's eyes are shut: small, but not
         0, as lashes and blur keep a tracker's lids a little apart. 0 where the take shows no shut eyes.
+    gaze : (2,) float64
+        `(pitch, yaw)`, radians, median of the take: where the performer mostly looks. NaN where the take tells none.
     """
 
     shape: FloatArray
@@ -58,6 +60,7 @@ class Neutral:
     start: float
     end: float
     shut: float = 0.0
+    gaze: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
 
 
 def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> Neutral:
@@ -101,6 +104,7 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
         start=float(take.times[chosen][0]),
         end=float(take.times[chosen][-1]),
         shut=_shut(neutral, take.shape[take.found].astype(np.float64)),
+        gaze=_usual_gaze(take.gaze[take.found].astype(np.float64)),
     )
 
 
@@ -114,6 +118,12 @@ def _shut(neutral: FloatArray, shapes: FloatArray) -> float:
     least = np.sort(opening)[min(2, len(opening) - 1)]
     left = float(np.clip(least / max(at_rest, 1e-9), 0.0, 1.0))
     return left if left < _SURELY_SHUT else 0.0
+
+
+def _usual_gaze(gaze: FloatArray) -> FloatArray:
+    """(2,) median of the frames (N, 2) that tell a gaze, NaN where none does."""
+    told = gaze[np.isfinite(gaze).all(axis=1)]
+    return np.median(told, axis=0) if len(told) else np.full(2, np.nan)
 
 
 def _restful_second(take: Take, duration: float) -> float:

@@ -11,9 +11,13 @@ BROWS = from_ibug(range(17, 27))
 
 
 def make_take(
-    shapes: np.ndarray, fps: float = 25.0, pose: np.ndarray | None = None, found: np.ndarray | None = None
+    shapes: np.ndarray,
+    fps: float = 25.0,
+    pose: np.ndarray | None = None,
+    found: np.ndarray | None = None,
+    gaze: np.ndarray | None = None,
 ) -> Take:
-    """A take of (N, 66, 3) pose-free shapes, seen from the front unless a (N, 6) pose says otherwise."""
+    """A take of (N, 66, 3) pose-free shapes, seen from the front unless a (N, 6) pose says otherwise; no gaze known."""
     count = len(shapes)
     found = np.ones(count, bool) if found is None else found
     return Take(
@@ -24,6 +28,9 @@ def make_take(
         shape=shapes.astype(np.float32),
         confidence=found.astype(np.float32),
         found=found,
+        landmark_confidence=np.full((count, 66), np.nan, np.float32),
+        pupils=np.full((count, 2, 2), np.nan, np.float32),
+        gaze=np.full((count, 2), np.nan, np.float32) if gaze is None else gaze,
         info={"source": "performance.mp4", "fps": fps, "image_size": [640, 480]},
     )
 

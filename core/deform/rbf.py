@@ -1,4 +1,4 @@
-"""Gaussian radial basis functions, one for each region, prepared once so that a frame is a few matrix products.
+"""Radial basis functions, one for each region, prepared once so that a frame is a few matrix products.
 
 The paper refits the weights in every frame. Rest positions do not change, so neither does the matrix of the fit: it is
 solved once here, together with the evaluation at every vertex, and a frame costs the product alone. Solved, never
@@ -7,6 +7,7 @@ inverted: Gaussians become ill-conditioned as sigma grows.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,13 +15,43 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import FloatArray, as_points
 from ..errors import HeadError
+from .blocks import BlockProduct, RegionMatrix
+from .kernels import Kernel, distances, kernel_named
 
 MAX_CONDITION = 1e10
 
 
 @dataclass(frozen=True)
-class RegionBlock:
-    """One region's part of the deformer.
+class LearntCovariance:
+    """How alike two places of the face move, learnt from expressions: a term that the kernel of distance gains.
+
+    The kernel between places x and y becomes `phi(|x - y|) + amount u(x).u(y) exp(-|x - y|^2 / (2 reach^2))`.
+
+    Attributes
+    ----------
+    vertices : (V, K) float
+        Feature u of each vertex, of length at most one.
+    control_points : (P, K) float
+        Feature of each control point.
+    amount : (R,) float
+        Weight of the term in each region.
+    reach : float
+        Unit of the vertices.
+
+    References
+    ----------
+    Luethi, Gerig, Jud & Vetter 2018, *Gaussian Process Morphable Models*: sums and products of kernels.
+    """
+
+    vertices: FloatArray
+    control_points: FloatArray
+    amount: FloatArray
+    reach: float
+
+
+@dataclass(frozen=True)
+class RegionFit:
+    """One region's fit, as it came out.
 
     Attributes
     ----------
@@ -28,17 +59,14 @@ class RegionBlock:
         The vertices that the region moves.
     columns : (Pr,) intp
         The control points that move it.
-    matrix : (Vr, Pr) float32
-        `phi(|x - c|) Phi^-1`, times the vertex' share of the region.
     sigma : float
-        Width of the Gaussian, metres.
+        Width of the kernel, unit of the vertices.
     condition : float
         Condition number of the regularised Phi.
     """
 
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
-    matrix: NDArray[np.float32]
     sigma: float
     condition: float
 
@@ -60,14 +88,26 @@ class RBFDeformer:
         where the paint fades out moves less.
     membership : (R, P) array_like of bool
         Which control point controls which region.
-    sigma : float, optional
-        Width of the Gaussians; by default `spacing_factor` times the median distance of a region's control points to
-        their third nearest neighbour.
+    kernel : str
+        A name in `kernels.KERNELS`; the paper's Gaussian by default.
+    sigma : float or (R,) array_like, optional
+        Width of the kernel, one for all regions or one for each; by default chosen from the spacing of a region's
+        control points, times `spacing_factor`.
     spacing_factor : float or (R,) array_like
         One for all regions, or one for each.
     regularisation : float
         Added to the diagonal of Phi, whose entries are at most one. At 0.001 vertices between control points
         follow more smoothly than at nothing, and the points themselves are met within 0.05 mm on the face units.
+    covariance : LearntCovariance, optional
+        A learnt term beside the kernel of distance.
+
+    Attributes
+    ----------
+    rest : (V, 3) float32
+    fits : tuple of RegionFit
+        Of the regions that have vertices.
+    nbytes : int
+        Memory that the matrices take.
 
     Raises
     ------
@@ -76,7 +116,8 @@ class RBFDeformer:
 
     Notes
     -----
-    Preparation costs O(R P^3 + V P); a frame costs V P multiply-adds a coordinate.
+    Preparation costs O(R P^3 + V P); a frame costs V P multiply-adds a coordinate, P those of the vertex' regions.
+    An instance holds the buffers of a frame: threads need one each.
 
     References
     ----------
@@ -90,26 +131,33 @@ class RBFDeformer:
         region_weights: ArrayLike,
         membership: ArrayLike,
         *,
-        sigma: float | None = None,
+        kernel: str = "gaussian",
+        sigma: ArrayLike | None = None,
         spacing_factor: ArrayLike = 0.8,
         regularisation: float = 1e-3,
+        covariance: LearntCovariance | None = None,
     ) -> None:
         rest = as_points(vertices, "vertices", error=HeadError)
         points = as_points(control_points, "control_points", error=HeadError)
         members = np.asarray(membership, dtype=np.bool_)
-        weights = _shares(region_weights, len(members), len(rest))
-        if members.shape != (len(weights), len(points)):
-            raise HeadError(f"membership must be ({len(weights)}, {len(points)}); got {members.shape}.")
+        shares = _shares(region_weights, len(members), len(rest))
+        if members.shape != (len(shares), len(points)):
+            raise HeadError(f"membership must be ({len(shares)}, {len(points)}); got {members.shape}.")
         factors = np.broadcast_to(np.asarray(spacing_factor, dtype=np.float64), len(members))
+        widths = [None] * len(members) if sigma is None else np.broadcast_to(np.asarray(sigma), len(members)).tolist()
+        fit = _Fit(rest, points, kernel_named(kernel), regularisation, covariance)
+        regions = [
+            fit.region(row, shares[row], np.flatnonzero(members[row]), widths[row], float(factors[row]))
+            for row in range(len(members))
+            if shares[row].any()
+        ]
+        if not regions:
+            raise HeadError("No vertex lies in a region. Paint the regions Upper, Middle and Lower as vertex groups.")
         self.rest: NDArray[np.float32] = rest.astype(np.float32)
         self.n_control_points = len(points)
-        self.blocks = tuple(
-            _region_block(rest, points, share, np.flatnonzero(member), sigma, float(factor), regularisation)
-            for share, member, factor in zip(weights, members, factors, strict=True)
-            if share.any()
-        )
-        if not self.blocks:
-            raise HeadError("No vertex lies in a region. Paint the regions Upper, Middle and Lower as vertex groups.")
+        self.fits = tuple(found for found, _ in regions)
+        self._product = BlockProduct(self.rest, [matrix for _, matrix in regions], len(points))
+        self.nbytes = self._product.nbytes
 
     def deform(self, displacements: ArrayLike, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """Return the deformed vertices, (V, 3) float32, written into `out` where given.
@@ -118,18 +166,78 @@ class RBFDeformer:
         ----------
         displacements : (P, 3) array_like
             Of the control points from their rest positions, frame and unit of `vertices`.
+        out : (V, 3) float32, C-contiguous, optional
         """
-        moved = as_points(displacements, "displacements", count=self.n_control_points, dtype=np.float32)
+        moved = np.asarray(displacements, dtype=np.float32)
+        if moved.shape != (self.n_control_points, 3) or not math.isfinite(np.vdot(moved, moved)):
+            as_points(displacements, "displacements", count=self.n_control_points)
         result = np.empty_like(self.rest) if out is None else out
-        np.copyto(result, self.rest)
-        for block in self.blocks:
-            result[block.rows] += block.matrix @ moved[block.columns]
+        self._product.apply(moved, result)
         return result
 
+    def matrix(self) -> NDArray[np.float32]:
+        """The whole (V, P) matrix A of `rest + A d`: for analysis; a frame never needs it."""
+        columns = []
+        unit = np.zeros((self.n_control_points, 3), dtype=np.float32)
+        for column in range(self.n_control_points):
+            unit[column, 0] = 1.0
+            columns.append((self.deform(unit) - self.rest)[:, 0])
+            unit[column, 0] = 0.0
+        return np.stack(columns, axis=1)
 
-def gaussian(distance: FloatArray, sigma: float) -> FloatArray:
-    """phi(r) = exp(-r^2 / (2 sigma^2)), equation (2)."""
-    return np.asarray(np.exp(-np.square(distance) / (2.0 * sigma * sigma)))
+
+class IncrementalDeformer:
+    """The paper's own way: every frame is fitted anew from the coordinates of the one before (section 3.2).
+
+    It costs a hundred times as much as `RBFDeformer`, and what a frame gets wrong the next one keeps; here for
+    comparison.
+
+    Parameters
+    ----------
+    vertices, control_points, region_weights, membership, **options
+        As for `RBFDeformer`.
+    """
+
+    def __init__(
+        self,
+        vertices: ArrayLike,
+        control_points: ArrayLike,
+        region_weights: ArrayLike,
+        membership: ArrayLike,
+        *,
+        kernel: str = "gaussian",
+        sigma: ArrayLike | None = None,
+        spacing_factor: ArrayLike = 0.8,
+        regularisation: float = 1e-3,
+    ) -> None:
+        self._points = as_points(control_points, "control_points", error=HeadError)
+        self._regions = np.asarray(region_weights), np.asarray(membership)
+        self._options = (kernel, sigma, spacing_factor, regularisation)
+        self.rest: NDArray[np.float32] = as_points(vertices, "vertices", error=HeadError).astype(np.float32)
+        self.n_control_points = len(self._points)
+        self.reset()
+
+    def reset(self) -> None:
+        """Start again from rest."""
+        self._vertices = self.rest.astype(np.float64)
+        self._moved = np.zeros_like(self._points)
+
+    def deform(self, displacements: ArrayLike, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """As `RBFDeformer.deform`, from the frame before: the result hangs on all frames since `reset`."""
+        moved = as_points(displacements, "displacements", count=self.n_control_points)
+        kernel, sigma, factor, regularisation = self._options
+        step = RBFDeformer(
+            self._vertices,
+            self._points + self._moved,
+            *self._regions,
+            kernel=kernel,
+            sigma=sigma,
+            spacing_factor=factor,
+            regularisation=regularisation,
+        )
+        result = step.deform(moved - self._moved, out)
+        self._vertices, self._moved = result.astype(np.float64), np.asarray(moved)
+        return result
 
 
 def _shares(region_weights: ArrayLike, n_regions: int, n_vertices: int) -> FloatArray:
@@ -141,45 +249,59 @@ def _shares(region_weights: ArrayLike, n_regions: int, n_vertices: int) -> Float
     return np.asarray(weights / np.maximum(weights.sum(axis=0), 1.0))
 
 
-def _region_block(
-    rest: FloatArray,
-    points: FloatArray,
-    share: FloatArray,
-    columns: NDArray[np.intp],
-    sigma: float | None,
-    spacing_factor: float,
-    regularisation: float,
-) -> RegionBlock:
-    if len(columns) == 0:
-        raise HeadError("A region has vertices but no control point. Bind its landmarks, or clear its vertex group.")
-    centres = points[columns]
-    between = _distances(centres, centres)
+@dataclass(frozen=True)
+class _Fit:
+    """What the fits of all regions share."""
+
+    rest: FloatArray
+    points: FloatArray
+    kernel: Kernel
+    regularisation: float
+    covariance: LearntCovariance | None
+
+    def region(
+        self, row: int, share: FloatArray, columns: NDArray[np.intp], width: float | None, spacing_factor: float
+    ) -> tuple[RegionFit, RegionMatrix]:
+        """Fit region number `row`, of which vertices have `share` (V,), on the control points `columns`."""
+        if len(columns) == 0:
+            raise HeadError(
+                "A region has vertices but no control point. Bind its landmarks, or clear its vertex group."
+            )
+        centres = self.points[columns]
+        between = distances(centres, centres)
+        _refuse_coincident(between, columns)
+        sigma = self.kernel.width(between, spacing_factor) if width is None else width
+        phi = self._values(row, between, columns, None, sigma) + self.regularisation * np.eye(len(columns))
+        condition = float(np.linalg.cond(phi))
+        if not condition <= MAX_CONDITION:
+            raise HeadError(
+                f"The fit is ill-conditioned (condition number {condition:.1e} at sigma {sigma:.3g}). "
+                "Lower sigma, or raise the regularisation."
+            )
+        rows = np.flatnonzero(share)
+        evaluation = self._values(row, distances(self.rest[rows], centres), columns, rows, sigma)
+        matrix = np.linalg.solve(phi, evaluation.T).T * share[rows, None]
+        return (
+            RegionFit(rows, columns, float(sigma), condition),
+            RegionMatrix(rows, columns, np.ascontiguousarray(matrix, dtype=np.float32)),
+        )
+
+    def _values(
+        self, row: int, between: FloatArray, columns: NDArray[np.intp], rows: NDArray[np.intp] | None, sigma: float
+    ) -> FloatArray:
+        """The kernel between the control points `columns` and the vertices `rows`, or themselves."""
+        values = self.kernel.phi(between, sigma)
+        if self.covariance is not None:
+            learnt, centres = self.covariance, self.covariance.control_points[columns]
+            alike = (centres if rows is None else learnt.vertices[rows]) @ centres.T
+            values = values + learnt.amount[row] * alike * np.exp(-0.5 * np.square(between / learnt.reach))
+        return np.asarray(values)
+
+
+def _refuse_coincident(between: FloatArray, columns: NDArray[np.intp]) -> None:
+    if len(columns) < 2:
+        return
     nearest = np.where(np.eye(len(columns), dtype=bool), np.inf, between).min(axis=1)
-    if len(columns) > 1 and nearest.min() < 1e-6 * between.max():
+    if nearest.min() < 1e-6 * between.max():
         pair = columns[np.argmin(nearest)]
         raise HeadError(f"Control point {pair} lies on another one. Bind the two to different vertices.")
-    if sigma is None:
-        sigma = spacing_factor * _spacing(between)
-    kernel = gaussian(between, sigma) + regularisation * np.eye(len(columns))
-    condition = float(np.linalg.cond(kernel))
-    if condition > MAX_CONDITION:
-        raise HeadError(
-            f"The fit is ill-conditioned (condition number {condition:.1e} at sigma {sigma:.3g}). "
-            "Lower sigma, or raise the regularisation."
-        )
-    rows = np.flatnonzero(share)
-    evaluation = gaussian(_distances(rest[rows], centres), sigma)
-    matrix = np.linalg.solve(kernel, evaluation.T).T * share[rows, None]
-    return RegionBlock(rows, columns, np.ascontiguousarray(matrix, dtype=np.float32), float(sigma), condition)
-
-
-def _distances(a: FloatArray, b: FloatArray) -> FloatArray:
-    squared = (a * a).sum(1)[:, None] + (b * b).sum(1)[None] - 2.0 * (a @ b.T)
-    return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
-
-
-def _spacing(between: FloatArray) -> float:
-    if len(between) == 1:
-        return 1.0
-    rank = min(3, len(between) - 1)
-    return float(np.median(np.sort(between, axis=1)[:, rank]))

@@ -11,9 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..landmarks import N_LANDMARKS, from_ibug
+from .kernels import Kernel, distances
 
 UPPER, MIDDLE, LOWER = 0, 1, 2
+
+DEFAULT_KERNEL = "multiscale"
+"""Kernel that heads are driven with; the paper's is "gaussian"."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +31,9 @@ class Region:
     landmarks : (P,) intp
         The landmarks (positions in the 66) that control it.
     spacing_factor : float
-        Width of its Gaussians over the spacing of its landmarks, as `RBFDeformer` takes it. By measurement: with these
-        the vertex error on the built-in head's 52 face units, alone and mixed, is about least. The upper one is small,
-        as lids move close below brows that rest, and not smaller, as the rim between two of a lid's points would dent.
+        Width of its kernel over the spacing of its landmarks, as `RBFDeformer` takes it. By measurement: with these
+        the vertex error on two heads of known expressions (`bench/deformation.py`) is about least. The upper one is
+        small, as lids move close below brows that rest.
     """
 
     name: str
@@ -40,14 +45,14 @@ _EYE_CORNERS_AND_BRIDGE = (36, 39, 42, 45, 27, 28)
 _MOUTH_CORNERS = (48, 54)
 
 REGIONS: tuple[Region, Region, Region] = (
-    Region("upper", from_ibug([*range(17, 27), 37, 38, 43, 44, *_EYE_CORNERS_AND_BRIDGE]), 0.55),
+    Region("upper", from_ibug([*range(17, 27), 37, 38, 43, 44, *_EYE_CORNERS_AND_BRIDGE]), 0.5),
     Region(
         "middle",
         from_ibug(
             [40, 41, 46, 47, *range(29, 36), *range(49, 54), *range(61, 64), *range(0, 4), *range(13, 17)]
             + [*_EYE_CORNERS_AND_BRIDGE, *_MOUTH_CORNERS]
         ),
-        0.75,
+        0.8,
     ),
     Region("lower", from_ibug([*range(55, 60), *range(65, 68), *range(4, 13), *_MOUTH_CORNERS]), 0.85),
 )
@@ -59,3 +64,16 @@ def membership() -> NDArray[np.bool_]:
     for row, region in zip(table, REGIONS, strict=True):
         row[region.landmarks] = True
     return table
+
+
+def region_sigmas(landmarks: FloatArray, kernel: Kernel) -> FloatArray:
+    """(3,) width of the kernel in each region of a head with (66, 3) `landmarks`, unit of these.
+
+    From all landmarks of the region, whichever of them are control points: fewer points do not make the skin stiffer.
+    """
+    widths = [
+        kernel.width(distances(points, points), region.spacing_factor)
+        for region in REGIONS
+        for points in [landmarks[region.landmarks]]
+    ]
+    return np.array(widths)

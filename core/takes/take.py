@@ -23,7 +23,8 @@ from ..tracking.result import TrackResult
 from ..version import version
 
 FORMAT = "facemime-take"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""2 added landmark_confidence, pupils and gaze, which are NaN in a take of format 1."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,12 @@ class Take:
     confidence : (N,) float32
         0 to 1.
     found : (N,) bool
+    landmark_confidence : (N, 66) float32
+        0 to 1; NaN where not known.
+    pupils : (N, 2, 2) float32
+        Right and left, image frame, pixels; NaN where the eye is shut or the pupil not known.
+    gaze : (N, 2) float32
+        `(pitch, yaw)` as in `TrackResult`, radians; NaN where not known.
     info : dict
         `source` (file name), `fps` (nominal), `image_size` (width, height), `model` (checksum of the tracker's
         model), `facemime` (version).
@@ -57,6 +64,9 @@ class Take:
     shape: FloatArray
     confidence: FloatArray
     found: NDArray[np.bool_]
+    landmark_confidence: FloatArray
+    pupils: FloatArray
+    gaze: FloatArray
     info: dict[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -71,6 +81,9 @@ class Take:
             shape_params=self.shape_params[frame].astype(np.float64),
             shape=self.shape[frame].astype(np.float64),
             confidence=float(self.confidence[frame]),
+            landmark_confidence=self.landmark_confidence[frame].astype(np.float64),
+            pupils=self.pupils[frame].astype(np.float64),
+            gaze=self.gaze[frame].astype(np.float64),
         )
 
 
@@ -108,6 +121,9 @@ class TakeRecorder:
             shape=stack("shape", np.float32),
             confidence=stack("confidence", np.float32),
             found=stack("found", np.bool_),
+            landmark_confidence=stack("landmark_confidence", np.float32),
+            pupils=stack("pupils", np.float32),
+            gaze=stack("gaze", np.float32),
             info=dict(self.info),
         )
 
@@ -143,7 +159,8 @@ def load_take(path: Path) -> Take:
                 raise ValueError("it is not a take")
             if header["version"] > FORMAT_VERSION:
                 raise SourceError(f"{path} was written by a newer Facemime. Update Facemime to open it.")
-            take = Take(**{name: data[name] for name in _FIELDS}, info=header["info"])
+            arrays = {name: data[name] for name in _FIELDS if name in data or header["version"] > 1}
+            take = Take(**{**_unknown(len(arrays["times"])), **arrays}, info=header["info"])
         _check(take)
     except (ValueError, KeyError, TypeError, OSError, EOFError, AttributeError, zipfile.BadZipFile) as error:
         raise SourceError(
@@ -152,7 +169,16 @@ def load_take(path: Path) -> Take:
     return take
 
 
-_FIELDS = ("times", "landmarks", "pose", "shape_params", "shape", "confidence", "found")
+_FIELDS = (
+    *("times", "landmarks", "pose", "shape_params", "shape", "confidence", "found"),
+    *("landmark_confidence", "pupils", "gaze"),
+)
+
+
+def _unknown(count: int) -> dict[str, Any]:
+    """What a take of format 1 does not tell."""
+    shapes = {"landmark_confidence": (count, N_LANDMARKS), "pupils": (count, 2, 2), "gaze": (count, 2)}
+    return {name: np.full(shape, np.nan, np.float32) for name, shape in shapes.items()}
 
 
 def _arrays(take: Take) -> dict[str, Any]:
@@ -169,6 +195,9 @@ def _check(take: Take) -> None:
         "shape": (count, N_LANDMARKS, 3),
         "confidence": (count,),
         "found": (count,),
+        "landmark_confidence": (count, N_LANDMARKS),
+        "pupils": (count, 2, 2),
+        "gaze": (count, 2),
     }
     for name, expected in shapes.items():
         if (shape := getattr(take, name).shape) != expected:

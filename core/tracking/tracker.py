@@ -18,6 +18,7 @@ from .check import N_FEATURES
 from .detect import BoxDetector
 from .experts import FACE_SIZE, NEAR_SIZE, ResponseMaps
 from .fit import Evidence, MeanShiftOptions, regularised_mean_shift
+from .gaze import find_gaze
 from .model_file import TrackerModel, load_model
 from .pdm import FittedShape, PointDistributionModel
 from .reference import pose_in_image
@@ -41,7 +42,7 @@ _REMEMBERED = 50
 """Frames for which the place of a lost face makes its return more likely than another face's arrival."""
 _FAR = 0.05
 """Eye distances by which a part may have moved since the last frame before it is looked at again."""
-_STAGES = ("detect", "look", "fit", "check")
+_STAGES = ("detect", "look", "fit", "check", "gaze")
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class FaceTracker:
     """Finds one face and follows it: a constrained local model (METHOD section 3).
 
     `track` continues from the last frame, `locate` looks at one image by itself. `timings` holds the seconds that the
-    stages of the last call took: "detect", "look", "fit", "check".
+    stages of the last call took: "detect", "look", "fit", "check", "gaze".
 
     Of several faces the largest is followed, or the one that `choose` names. A face that was lost is taken up again
     where it was before another one is; while it is followed, others may pass.
@@ -255,8 +256,19 @@ class FaceTracker:
     def _result(self, grey: NDArray[np.uint8], candidate: _Candidate) -> TrackResult:
         pose, shape_params = candidate.fit.fitted.pose, candidate.fit.fitted.shape_params
         landmarks, shape = self.pdm.project(pose, shape_params), self.pdm.shape(shape_params)
+        began = perf_counter()
+        gaze = find_gaze(grey, pose, landmarks, shape)
+        self.timings["gaze"] += perf_counter() - began
         return TrackResult(
-            True, landmarks, pose, shape_params, shape, candidate.confidence, candidate.fit.certainty
+            found=True,
+            landmarks=landmarks,
+            pose=pose,
+            shape_params=shape_params,
+            shape=shape,
+            confidence=candidate.confidence,
+            landmark_confidence=candidate.fit.certainty,
+            pupils=gaze.pupils,
+            gaze=gaze.direction,
         )
 
 

@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.deform.eyeballs import EyeballContact
-from facemime.core.drive import HeadDriver, HeadRig, gaze_at_viewer
+from facemime.core.drive import HeadDriver, HeadRig
 from facemime.core.errors import HeadError, SourceError
+from facemime.core.eyes import EyeDriver, gaze_at_viewer
 from facemime.core.head import load_head
 from facemime.core.landmarks import from_ibug
 from facemime.core.retarget import Neutral, Retargeter, calibrate
@@ -186,6 +187,32 @@ def test_eyes_stay_on_the_viewer_while_the_head_turns_a_little(pitch, yaw):
     rotation = euler_to_matrix(pitch, yaw, 0.0)
     forward = rotation @ gaze_at_viewer(rotation) @ np.array([0.0, 0.0, -1.0])
     assert forward @ np.array([0.0, 0.0, -1.0]) > np.cos(np.radians(4.0))
+
+
+def test_eyes_turn_as_the_performers_do_from_where_they_mostly_look(rig):
+    face = performer(rig)
+    gaze = np.tile([0.05, -0.1], (60, 1))
+    gaze[50:] += (0.0, 0.2)
+    neutral = calibrate(make_take(np.tile(face, (60, 1, 1)), gaze=gaze))
+    np.testing.assert_allclose(neutral.gaze, (0.05, -0.1))
+    eyes = EyeDriver(neutral.gaze)
+    np.testing.assert_allclose(eyes.rotation(gaze[0], np.eye(3)), np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(matrix_to_euler(eyes.rotation(gaze[55], np.eye(3))), (0.0, 0.2, 0.0), atol=1e-9)
+
+
+def test_eyes_turn_no_farther_than_lids_allow_and_stay_where_they_were_while_shut():
+    eyes = EyeDriver(np.zeros(2))
+    far = eyes.rotation(np.array([1.0, -1.0]), np.eye(3))
+    np.testing.assert_allclose(matrix_to_euler(far), np.radians([7.0, -22.0, 0.0]), atol=1e-9)
+    np.testing.assert_allclose(eyes.rotation(np.full(2, np.nan), np.eye(3)), far)
+
+
+def test_without_a_known_gaze_eyes_stay_on_the_viewer(rig):
+    face = performer(rig)
+    neutral = calibrate(make_take(np.tile(face, (60, 1, 1))))
+    assert np.isnan(neutral.gaze).all()
+    head = euler_to_matrix(0.05, 0.2, 0.0)
+    np.testing.assert_allclose(EyeDriver(neutral.gaze).rotation(np.full(2, np.nan), head), gaze_at_viewer(head))
 
 
 def test_a_rig_whose_landmarks_do_not_fit_the_mesh_is_refused(rig):

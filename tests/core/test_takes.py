@@ -8,7 +8,7 @@ import pytest
 
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.files import check_writable, replacing
-from facemime.core.takes.take import TakeRecorder, load_take, save_take
+from facemime.core.takes.take import _FIELDS, TakeRecorder, load_take, save_take
 from facemime.core.tracking.result import TrackResult
 
 
@@ -28,6 +28,9 @@ def recording(count: int = 5) -> TakeRecorder:
                 fill * rng.normal(size=4),
                 fill * rng.normal(size=(66, 3)),
                 0.5,
+                fill * rng.random(66),
+                fill * rng.normal(size=(2, 2)),
+                fill * rng.normal(size=2),
             ),
         )
     return recorder
@@ -37,7 +40,7 @@ def test_a_saved_take_is_the_same_when_loaded(tmp_path):
     take = recording().finish()
     save_take(take, tmp_path / "take.npz")
     loaded = load_take(tmp_path / "take.npz")
-    for name in ("times", "landmarks", "pose", "shape_params", "shape", "confidence", "found"):
+    for name in _FIELDS:
         np.testing.assert_array_equal(getattr(loaded, name), getattr(take, name))
     assert loaded.info == take.info
     assert not loaded.result(1).found
@@ -52,6 +55,20 @@ def test_a_take_cut_at_any_point_is_refused_in_one_sentence(tmp_path):
         (tmp_path / "cut.npz").write_bytes(data[:cut])
         with pytest.raises(SourceError, match="not a take"):
             load_take(tmp_path / "cut.npz")
+
+
+def test_a_take_of_the_first_format_loads_and_tells_no_gaze(tmp_path):
+    save_take(recording().finish(), tmp_path / "take.npz")
+    with np.load(tmp_path / "take.npz") as file:
+        arrays = {name: file[name] for name in file.files if name not in ("landmark_confidence", "pupils", "gaze")}
+    arrays["header"] = np.array(str(arrays["header"]).replace('"version": 2', '"version": 1'))
+    np.savez(tmp_path / "old.npz", **arrays)
+    old = load_take(tmp_path / "old.npz")
+    assert len(old) == 5 and np.isnan(old.gaze).all() and np.isnan(old.landmark_confidence).all()
+    assert np.isnan(old.result(0).gaze).all()
+    np.savez(tmp_path / "new.npz", **{**arrays, "header": np.array(str(arrays["header"]).replace(": 1,", ": 2,"))})
+    with pytest.raises(SourceError, match="not a take"):
+        load_take(tmp_path / "new.npz")
 
 
 def test_foreign_files_and_inconsistent_takes_are_refused(tmp_path):

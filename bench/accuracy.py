@@ -1,0 +1,190 @@
+"""What is measured of a tracker, free of where the pictures come from.
+
+Errors are means over the 49 inner points, in percent of the face's outer-eye distance. A face counts as lost where none
+is found or where the error is above 10 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from time import perf_counter
+
+import cv2
+import numpy as np
+
+from bench.peers import Peer
+from facemime.core.apertures import eye_apertures, mouth_aperture
+from facemime.core.landmarks import INNER, OUTER_EYE_CORNERS
+
+LOST_ABOVE = 10.0
+_SLACK = 2
+"""Frames by which a blink that is found may lie beside the true one."""
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Found minus true landmarks of N pictures, (N, 66, 2) in percent and unrolled; NaN where no face was found."""
+
+    values: np.ndarray
+
+    def errors(self, offsets: np.ndarray | float = 0.0) -> np.ndarray:
+        """(N,) mean error of the inner points without `offsets` (66, 2); infinite where no face was found."""
+        error = np.linalg.norm(self.values - offsets, axis=2)[:, INNER].mean(axis=1)
+        return np.where(np.isnan(error), np.inf, error)
+
+    def offsets(self) -> np.ndarray:
+        """(66, 2) median of every point over the pictures in which the face is not lost."""
+        kept = self.values[self.errors() <= LOST_ABOVE]
+        return np.median(kept, axis=0) if len(kept) else np.zeros(self.values.shape[1:])
+
+
+def differences(found: np.ndarray, truth: np.ndarray, units: np.ndarray | float) -> Differences:
+    """Compare landmarks (N, 66, 2) in pixels; `units` (N,) pixels is the outer-eye distance of each face."""
+    across = np.diff(truth[:, OUTER_EYE_CORNERS], axis=1)[:, 0]
+    along = across / np.linalg.norm(across, axis=1, keepdims=True)
+    away = (found - truth) / (np.broadcast_to(units, len(found)) / 100.0)[:, None, None]
+    turn = np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=1)
+    return Differences(np.einsum("nij,npj->npi", turn, away))
+
+
+def eye_distances(landmarks: np.ndarray) -> np.ndarray:
+    """(N,) distance of the outer eye corners of landmarks (N, 66, 2)."""
+    return np.linalg.norm(np.diff(landmarks[:, OUTER_EYE_CORNERS], axis=1)[:, 0], axis=1)
+
+
+@dataclass(frozen=True)
+class Located:
+    """Landmarks (N, 66, 2) that a tracker found in N pictures by themselves, and the seconds (N,) each took."""
+
+    landmarks: np.ndarray
+    seconds: np.ndarray
+
+
+def locate_all(peer: Peer, images: Iterable[np.ndarray]) -> Located:
+    """Let a tracker look at every picture by itself."""
+    return _timed(peer.locate, images)
+
+
+def track_all(peer: Peer, frames: Iterable[np.ndarray]) -> Located:
+    """Let a tracker follow the face of a clip."""
+    peer.reset()
+    return _timed(peer.track, frames)
+
+
+def _timed(look: object, images: Iterable[np.ndarray]) -> Located:
+    landmarks, seconds = [], []
+    for image in images:
+        shown = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+        began = perf_counter()
+        landmarks.append(look(shown))
+        seconds.append(perf_counter() - began)
+    return Located(np.stack(landmarks), np.array(seconds))
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Of a still: mean standard deviation and mean second difference of the inner points, percent."""
+
+    position: float
+    second_difference: float
+
+
+def jitter(runs: Sequence[np.ndarray], unit: float) -> Jitter:
+    """How far landmarks (T, 66, 2) of faces that do not move do move; frames in which the face is lost are left out."""
+    deviations, seconds = [], []
+    for run in runs:
+        inner = run[np.isfinite(run[:, 0, 0])][:, INNER] / (unit / 100.0)
+        if len(inner) > 2:
+            deviations.append(np.linalg.norm(inner.std(axis=0), axis=1).mean())
+            seconds.append(second_differences(inner).mean())
+    return Jitter(float(np.mean(deviations)), float(np.mean(seconds))) if deviations else Jitter(np.nan, np.nan)
+
+
+def second_differences(points: np.ndarray) -> np.ndarray:
+    """(T - 2,) mean length of the points' second difference in time."""
+    return np.linalg.norm(points[2:] - 2.0 * points[1:-1] + points[:-2], axis=2).mean(axis=1)
+
+
+@dataclass(frozen=True)
+class Apertures:
+    """How lids and lips follow: medians of the absolute error and, where the truth is shut, of what is found; slopes.
+
+    In percent of the outer-eye distance; a slope of 1 follows fully, 0 not at all.
+    """
+
+    eye_error: float
+    shut_eye: float
+    eye_slope: float
+    mouth_error: float
+    shut_mouth: float
+    mouth_slope: float
+
+
+def aperture_errors(found: np.ndarray, truth: np.ndarray, units: np.ndarray | float) -> Apertures:
+    """Compare the apertures of landmarks (N, 66, 2); pictures without a face are left out."""
+    seen = np.isfinite(found[:, 0, 0])
+    scale = np.broadcast_to(units, len(found))[seen] / 100.0
+    eyes, true_eyes = (eye_apertures(x[seen]) / scale[:, None] for x in (found, truth))
+    lips, true_lips = (mouth_aperture(x[seen]) / scale for x in (found, truth))
+    return Apertures(
+        float(np.median(np.abs(eyes - true_eyes))),
+        _median(eyes[true_eyes < 1.5]),
+        _slope(true_eyes.ravel(), eyes.ravel()),
+        float(np.median(np.abs(lips - true_lips))),
+        _median(lips[true_lips < 1.5]),
+        _slope(true_lips, lips),
+    )
+
+
+def _median(values: np.ndarray) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
+
+
+def _slope(truth: np.ndarray, found: np.ndarray) -> float:
+    return float(np.polyfit(truth, found, 1)[0]) if np.ptp(truth) > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class BlinkCount:
+    """True blinks, those of them that were found, blinks that were told, and those of them that are true."""
+
+    true: int
+    found: int
+    told: int
+    right: int
+
+    def __add__(self, other: BlinkCount) -> BlinkCount:
+        return BlinkCount(*(a + b for a, b in zip(_counts(self), _counts(other), strict=True)))
+
+    @property
+    def recall(self) -> float:
+        """Share of the true blinks that were found."""
+        return self.found / self.true if self.true else float("nan")
+
+    @property
+    def precision(self) -> float:
+        """Share of the blinks told that are true."""
+        return self.right / self.told if self.told else float("nan")
+
+
+def _counts(count: BlinkCount) -> tuple[int, int, int, int]:
+    return count.true, count.found, count.told, count.right
+
+
+def count_blinks(found: np.ndarray, truth: np.ndarray) -> BlinkCount:
+    """Blinks in a clip's landmarks (T, 66, 2): spans in which the eyes are open less than half their median."""
+    told, true = _blinks(found), _blinks(truth)
+
+    def met(span: tuple[int, int], others: list[tuple[int, int]]) -> bool:
+        return any(span[0] <= end + _SLACK and start - _SLACK <= span[1] for start, end in others)
+
+    return BlinkCount(len(true), sum(met(s, told) for s in true), len(told), sum(met(s, true) for s in told))
+
+
+def _blinks(landmarks: np.ndarray) -> list[tuple[int, int]]:
+    """First and last frame of every blink."""
+    share = eye_apertures(landmarks).mean(axis=1) / eye_distances(landmarks)
+    shut = share < 0.5 * np.nanmedian(share)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], shut, [False]]).astype(int)))
+    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]

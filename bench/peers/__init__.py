@@ -1,0 +1,73 @@
+"""Other trackers, measured beside ours. None is shipped; each is left out where it is not installed.
+
+They are read as `Peer`: `locate` looks at a picture by itself, `track` follows a face through a clip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from facemime.core.tracking.tracker import FaceTracker
+
+
+class Peer(Protocol):
+    """What the measurements ask of a tracker."""
+
+    name: str
+
+    def locate(self, image: np.ndarray) -> np.ndarray:
+        """(66, 2) landmarks of the largest face in a BGR image (H, W, 3); NaN where there is none."""
+
+    def track(self, image: np.ndarray) -> np.ndarray:
+        """(66, 2) landmarks in the next frame of a clip; NaN where lost."""
+
+    def reset(self) -> None:
+        """Forget the clip."""
+
+
+class Ours:
+    """Our own tracker as a peer; `result` is its last result in full."""
+
+    name = "Facemime"
+
+    def __init__(self, tracker: FaceTracker) -> None:
+        self.tracker = tracker
+
+    def locate(self, image: np.ndarray) -> np.ndarray:
+        """As `Peer.locate`."""
+        self.result = self.tracker.locate(image)
+        return self.result.landmarks
+
+    def track(self, image: np.ndarray) -> np.ndarray:
+        """As `Peer.track`."""
+        self.result = self.tracker.track(image)
+        return self.result.landmarks
+
+    def reset(self) -> None:
+        """As `Peer.reset`."""
+        self.tracker.reset()
+
+
+def available_peers(data: Path, tracker: FaceTracker) -> tuple[list[Peer], list[str]]:
+    """The peers that are installed here, ours first, and why each of the others is left out."""
+    from .dlib68 import Dlib
+    from .mediapipe478 import MediaPipe
+    from .saragih import Saragih
+
+    makers: dict[str, Callable[[], Peer]] = {
+        Saragih.name: lambda: Saragih(data / "models" / "saragih_facetracker" / "model" / "face2.tracker", tracker),
+        Dlib.name: Dlib,
+        MediaPipe.name: MediaPipe,
+    }
+    peers: list[Peer] = [Ours(tracker)]
+    absent = []
+    for name, make in makers.items():
+        try:
+            peers.append(make())
+        except (ImportError, FileNotFoundError) as reason:
+            absent.append(f"{name} is left out: {reason}")
+    return peers, absent

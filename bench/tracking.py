@@ -1,0 +1,282 @@
+"""How exact, steady and fast the tracker is, beside others: `python -m bench.tracking [--model FILE]`.
+
+Held-out people with hand labels, the same people re-projected with exact truth, clips of known landmarks, and the clips
+of ../shared/data, of which nothing is known but that a face is in them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from bench.accuracy import (
+    LOST_ABOVE,
+    BlinkCount,
+    Differences,
+    aperture_errors,
+    count_blinks,
+    differences,
+    eye_distances,
+    jitter,
+    locate_all,
+    second_differences,
+    track_all,
+)
+from bench.exact import AXES, EYES, Clip, ExactFaces
+from bench.figures import draw_tracking
+from bench.peers import Ours, Peer, available_peers
+from bench.report import Table, finish, parser
+from facemime.core.landmarks import INNER
+from facemime.core.tracking.tracker import FaceTracker
+from training.tracker.sources import HAND_LABELLED, Photo, read_photos, split
+
+ROOT = Path(__file__).resolve().parents[1]
+PHOTO_WIDTH = 640
+JITTER_FRAMES = 30
+_WARM_UP = 5
+"""Frames of a still before its jitter counts."""
+
+
+def main() -> int:
+    """Measure, print, draw."""
+    arguments = _arguments()
+    cv2.setNumThreads(1)
+    tracker = FaceTracker.load(arguments.model)
+    peers, absent = available_peers(arguments.data, tracker)
+    if arguments.only:
+        peers = [p for p in peers if p.name in arguments.only]
+    print(f"model {tracker.model_id}", *absent, sep="\n", file=sys.stderr)
+    photos = split(read_photos(arguments.data, *HAND_LABELLED))[1]
+    exact = ExactFaces(arguments.data, ROOT / "build" / "bench" / "exact", arguments.people)
+    clips = [*(exact.clip(person) for person in range(min(arguments.people, 3))), sample_clip()]
+    videos = sorted((arguments.data / "videos").glob("*.mp4"))
+    measured = {peer.name: measure(peer, photos, exact, clips, videos) for peer in peers}
+    numbers: dict[str, object] = {"model": tracker.model_id, "people": arguments.people, "trackers": measured}
+    if any(isinstance(p, Ours) for p in peers):
+        numbers["stages"] = stage_times(tracker)
+    if arguments.figure is not None:
+        draw_tracking(arguments.figure, measured)
+    finish(arguments, tables(measured, numbers.get("stages")), numbers)
+    return 0
+
+
+def _arguments() -> argparse.Namespace:
+    command = parser(__doc__.splitlines()[0])
+    command.add_argument("--model", type=Path, help="tracker model; the shipped one by default")
+    command.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    command.add_argument("--people", type=int, default=12, help="held-out people who are re-projected")
+    command.add_argument("--only", action="append", metavar="TRACKER", help="leave out all others; may be repeated")
+    return command.parse_args()
+
+
+def measure(peer: Peer, photos: list[Photo], exact: ExactFaces, clips: list[Clip], videos: list[Path]) -> dict:
+    """Everything about one tracker, as it is written to JSON."""
+    print(f"measuring {peer.name}", file=sys.stderr)
+    studio, located = on_photos(peer, photos)
+    offsets = studio.offsets()
+    return {
+        "photos": {
+            "raw": _errors(studio.errors()),
+            "removed": _errors(studio.errors(offsets)),
+            "lost": _lost(studio.errors()),
+            "locate_ms": float(np.median(located.seconds) * 1e3),
+        },
+        "jitter": on_stills(peer, photos[::3]),
+        "axes": {axis: on_axis(peer, axis, exact, offsets) for axis in AXES},
+        "clips": on_clips(peer, clips),
+        "videos": {path.name: on_video(peer, path) for path in videos},
+    }
+
+
+def _errors(values: np.ndarray) -> list[float]:
+    """Sorted, those of lost faces as 100."""
+    return [round(float(v), 3) for v in np.sort(np.minimum(values, 100.0))]
+
+
+def _lost(errors: np.ndarray) -> float:
+    return float((errors > LOST_ABOVE).mean())
+
+
+def on_photos(peer: Peer, photos: list[Photo]) -> tuple[Differences, object]:
+    """Hand-labelled photos of held-out people, shrunk to a webcam's width."""
+    images, truth = [], []
+    for photo in photos:
+        image = cv2.imread(str(photo.path))
+        factor = PHOTO_WIDTH / image.shape[1]
+        images.append(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA))
+        truth.append((photo.landmarks + 0.5) * factor - 0.5)
+    located = locate_all(peer, images)
+    true = np.stack(truth)
+    return differences(located.landmarks, true, eye_distances(true)), located
+
+
+def on_stills(peer: Peer, photos: list[Photo]) -> dict[str, float]:
+    """Jitter on photos at 100 pixels between the eyes with fresh noise of 3 grey levels a frame."""
+    rng, runs = np.random.default_rng(0), []
+    for photo in photos:
+        factor = EYES / photo.eye_distance()
+        still = cv2.resize(photo.grey(), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+        frames = [np.clip(still + rng.normal(0, 3, still.shape), 0, 255).astype(np.uint8) for _ in range(JITTER_FRAMES)]
+        runs.append(track_all(peer, frames).landmarks[_WARM_UP:])
+    return asdict(jitter(runs, EYES))
+
+
+def on_axis(peer: Peer, axis: str, exact: ExactFaces, offsets: np.ndarray) -> dict[str, dict]:
+    """Errors on re-projected faces at every value of an axis: median raw, median without offsets, share lost."""
+    out = {}
+    for value, stills in exact.stills(axis).items():
+        found = locate_all(peer, stills.images).landmarks
+        unit = float(value) if axis == "size" else EYES
+        away = differences(found, stills.landmarks, unit)
+        raw, removed = away.errors(), away.errors(offsets)
+        out[str(value)] = {
+            "raw": float(np.median(np.minimum(raw, LOST_ABOVE))),
+            "removed": float(np.median(np.minimum(removed, LOST_ABOVE))),
+            "lost": _lost(removed),
+            "errors": _errors(removed),
+        }
+    return out
+
+
+def sample_clip() -> Clip:
+    """The sample clip and its exact landmarks."""
+    reader, frames = cv2.VideoCapture(str(ROOT / "assets" / "sample" / "sample.mp4")), []
+    while (read := reader.read())[0]:
+        frames.append(read[1])
+    with np.load(ROOT / "assets" / "sample" / "sample_landmarks.npz", allow_pickle=False) as truth:
+        return Clip("sample clip", frames, truth["landmarks"].astype(np.float64), truth["times"])
+
+
+def on_clips(peer: Peer, clips: list[Clip]) -> dict[str, object]:
+    """Clips of known landmarks: errors, apertures over all of them, blinks over all of them."""
+    found, true, units, blinks, each = [], [], [], BlinkCount(0, 0, 0, 0), {}
+    for clip in clips:
+        followed = track_all(peer, clip.frames)
+        unit = float(np.percentile(eye_distances(clip.landmarks), 95))
+        away = differences(followed.landmarks, clip.landmarks, unit)
+        each[clip.name] = {
+            "raw": float(np.median(away.errors())),
+            "removed": float(np.median(away.errors(away.offsets()))),
+            "lost": _lost(away.errors(away.offsets())),
+        }
+        blinks += count_blinks(followed.landmarks, clip.landmarks)
+        found.append(followed.landmarks)
+        true.append(clip.landmarks)
+        units.append(np.full(len(clip.frames), unit))
+    apertures = aperture_errors(*(np.concatenate(part) for part in (found, true, units)))
+    return {
+        "each": each,
+        "apertures": asdict(apertures),
+        "blinks": {**asdict(blinks), "recall": blinks.recall, "precision": blinks.precision},
+    }
+
+
+def on_video(peer: Peer, path: Path) -> dict[str, float]:
+    """A clip of which only is known that it shows a face: found, jitter of a moving face, milliseconds."""
+    reader, frames = cv2.VideoCapture(str(path)), []
+    while (read := reader.read())[0]:
+        frames.append(read[1])
+    followed = track_all(peer, frames)
+    points = followed.landmarks
+    moving = second_differences(points[:, INNER]) / np.nanmedian(eye_distances(points)) * 100.0
+    return {
+        "frames": len(frames),
+        "found": float(np.isfinite(points[:, 0, 0]).mean()),
+        "jitter": float(np.nanmedian(moving)),
+        "ms": float(np.median(followed.seconds) * 1e3),
+    }
+
+
+def stage_times(tracker: FaceTracker) -> dict[str, dict[str, float]]:
+    """Median milliseconds of our stages on the sample clip, 640 x 480: following, and looking anew."""
+    frames = sample_clip().frames
+    tracker.reset()
+    out: dict[str, dict[str, float]] = {}
+    for name, look, shown in (("tracking", tracker.track, frames), ("detecting", tracker.locate, frames[::10])):
+        rows = []
+        for frame in shown:
+            look(frame)
+            rows.append(list(tracker.timings.values()))
+        medians = 1e3 * np.median(rows[1:], axis=0)
+        out[name] = dict(zip(tracker.timings, (float(v) for v in medians), strict=True))
+    return out
+
+
+def tables(measured: dict[str, dict], stages: object) -> list[Table]:
+    """What is printed."""
+    names = list(measured)
+    rows = [
+        (
+            name,
+            float(np.median(m["photos"]["raw"])),
+            float(np.median(m["photos"]["removed"])),
+            f"{m['photos']['lost']:.0%}",
+            m["jitter"]["position"],
+            m["jitter"]["second_difference"],
+            m["photos"]["locate_ms"],
+            m["videos"][_FRONTAL_VIDEO]["ms"] if _FRONTAL_VIDEO in m["videos"] else float("nan"),
+        )
+        for name, m in measured.items()
+    ]
+    columns = (
+        "tracker",
+        "error, %",
+        "offset removed, %",
+        "lost",
+        "jitter",
+        "2nd difference",
+        "locate, ms",
+        "track, ms",
+    )
+    found = [Table("Held-out people, hand labels", columns, rows)]
+    rows = [
+        (
+            f"{axis}, {unit}" if unit else axis,
+            value,
+            *(_cell(measured[name]["axes"][axis][str(value)]) for name in names),
+        )
+        for axis, (unit, values) in AXES.items()
+        for value in values
+    ]
+    title = "Re-projected, exact truth: median error raw / offset removed (lost)"
+    found.append(Table(title, ("axis", "value", *names), rows))
+    apertures = [
+        (name, *m["clips"]["apertures"].values(), m["clips"]["blinks"]["recall"], m["clips"]["blinks"]["precision"])
+        for name, m in measured.items()
+    ]
+    columns = ("tracker", "lid error", "shut lids", "lid slope", "lip error", "shut lips", "lip slope")
+    title = "Clips of known landmarks: apertures in % of the eye distance, and blinks"
+    found.append(Table(title, (*columns, "blink recall", "blink precision"), apertures))
+    rows = [
+        (clip, name, c["raw"], c["removed"], f"{c['lost']:.0%}")
+        for name, m in measured.items()
+        for clip, c in m["clips"]["each"].items()
+    ]
+    found.append(Table("Clips of known landmarks", ("clip", "tracker", "error, %", "removed, %", "lost"), rows))
+    rows = [
+        (video, name, f"{v['found']:.1%}", v["jitter"], v["ms"])
+        for name, m in measured.items()
+        for video, v in m["videos"].items()
+    ]
+    found.append(Table("Clips of unknown landmarks", ("clip", "tracker", "found", "2nd difference, %", "ms"), rows))
+    if isinstance(stages, dict):
+        columns = ("", *next(iter(stages.values())), "sum")
+        rows = [(name, *times.values(), sum(times.values())) for name, times in stages.items()]
+        found.append(Table("Milliseconds a stage, sample clip", columns, rows))
+    return found
+
+
+_FRONTAL_VIDEO = "single_face.mp4"
+
+
+def _cell(level: dict) -> str:
+    return f"{level['raw']:.2f} / {level['removed']:.2f} ({level['lost']:.0%})"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,185 @@
+"""What moves together in a face, learnt from the expression shapes of other heads and carried to any mesh.
+
+A radial basis function is a Gaussian process with a kernel of distance. Distance does not know that a lower lid goes
+with the cheek and not with the bridge of the nose, as near as that is. So the kernel gains a term that is large between
+places which move alike in known expressions (Luethi et al. 2018): the correlation of their motions. The correlation and
+not the covariance, as how far a face moves differs from head to head much more than what goes with what.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray
+from ..errors import ModelError
+from ..head import load_head
+from ..landmarks import N_LANDMARKS, OUTER_EYE_CORNERS
+from .rbf import LearntCovariance
+from .warp import Warp
+
+FORMAT = "facemime-expressions-1"
+EXPRESSIONS_FILE = Path(__file__).parents[2] / "assets" / "expressions" / "ict.npz"
+
+AMOUNT = (1.2, 0.4, 0.4)
+REACH = 0.2
+"""Weight of the term in each region beside a kernel of 1, and how far it reaches, outer-eye distances."""
+_FEATURES = 24
+_STILL = 0.03
+"""Motion, in outer-eye distances, below which a place counts as resting: noise has no direction."""
+_SIDE = 0.2
+_NEIGHBOURS = 4
+
+
+@dataclass(frozen=True)
+class ExpressionModel:
+    """Which places of one head move alike.
+
+    Attributes
+    ----------
+    places : (S, 3) float32
+        Places on the skin: head frame, outer-eye distances, origin at the landmarks' mean.
+    sides : (S, 3) float32
+        Share of the regions in each place, so that a lip is never taken for the other one.
+    features : (S, K) float32
+        Their products are the correlations of the places' motions.
+    landmarks : (66, 3) float32
+        As `places`.
+    """
+
+    places: NDArray[np.float32]
+    sides: NDArray[np.float32]
+    features: NDArray[np.float32]
+    landmarks: NDArray[np.float32]
+
+    def carry(self, vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray) -> FloatArray:
+        """(V, K) features of the vertices of another head; 0 where no region moves them.
+
+        Parameters
+        ----------
+        vertices : (V, 3) array
+            Head frame, any unit.
+        landmarks : (66,) array of int
+        region_weights : (3, V) array
+        """
+        places = _normalised(vertices, landmarks)
+        moving = np.flatnonzero(region_weights.any(axis=0))
+        warped = Warp(places[landmarks], self.landmarks)(places[moving])
+        tree = {"algorithm": 4, "leaf_max_size": 10}  # one k-d tree, searched exactly
+        index = cv2.flann_Index(_with_sides(self.places, self.sides), tree)  # type: ignore[attr-defined] # stubs lack it
+        query = _with_sides(warped, _sides(region_weights)[moving])
+        nearest, squared = index.knnSearch(query, _NEIGHBOURS, params={"checks": -1})
+        closeness = 1.0 / (squared + 1e-6)
+        closeness /= closeness.sum(axis=1, keepdims=True)
+        features = np.zeros((len(places), self.features.shape[1]))
+        features[moving] = np.einsum("vn,vnk->vk", closeness, self.features[nearest])
+        return features
+
+
+def learn(
+    vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray, motions: FloatArray, every: int = 1
+) -> ExpressionModel:
+    """What moves together on a head whose expressions are known.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Head frame, any unit.
+    landmarks : (66,) array of int
+    region_weights : (3, V) array
+    motions : (E, V, 3) array
+        Displacements under each expression, unit of `vertices`.
+    every : int
+        Keep each that many-th vertex, for a small file.
+
+    Notes
+    -----
+    The correlation of places x and y over expressions and axes is `u(x).u(y)` with `u(x) = m(x) / |m(x)|` and m(x)
+    all coordinates of all motions of x; the features are u on its strongest singular vectors.
+    """
+    corners = np.asarray(vertices, dtype=np.float64)[landmarks[OUTER_EYE_CORNERS]]
+    unit = float(np.linalg.norm(corners[0] - corners[1]))
+    places = _normalised(vertices, landmarks)
+    moving = np.flatnonzero(region_weights.any(axis=0))[::every]
+    flat = motions[:, moving].transpose(1, 0, 2).reshape(len(moving), -1) / unit
+    size = np.sqrt(np.square(flat).sum(axis=1, keepdims=True) / 3.0 + _STILL**2)
+    alike = flat / (np.sqrt(3.0) * size)
+    _, axes = np.linalg.eigh(alike.T @ alike)
+    return ExpressionModel(
+        places=places[moving].astype(np.float32),
+        sides=_sides(region_weights)[moving].astype(np.float32),
+        features=(alike @ axes[:, ::-1][:, :_FEATURES]).astype(np.float32),
+        landmarks=places[landmarks].astype(np.float32),
+    )
+
+
+def informed_covariance(vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray) -> LearntCovariance:
+    """The term as it ships, from all heads whose expressions are known: ICT-FaceKit's and the built-in one."""
+    return learnt_covariance((load_expressions(), _built_in()), vertices, landmarks, region_weights)
+
+
+def learnt_covariance(
+    models: tuple[ExpressionModel, ...], vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray
+) -> LearntCovariance:
+    """The term that `RBFDeformer` takes, the mean of what `models` say, for a head with (66,) `landmarks`."""
+    scale = 1.0 / np.sqrt(len(models))
+    features = scale * np.concatenate([m.carry(vertices, landmarks, region_weights) for m in models], axis=1)
+    corners = np.asarray(vertices, dtype=np.float64)[landmarks[OUTER_EYE_CORNERS]]
+    unit = float(np.linalg.norm(corners[0] - corners[1]))
+    return LearntCovariance(features, features[landmarks], np.array(AMOUNT), REACH * unit)
+
+
+@lru_cache(maxsize=1)
+def load_expressions(path: Path = EXPRESSIONS_FILE) -> ExpressionModel:
+    """Read a model that `training.expressions` wrote.
+
+    Raises
+    ------
+    ModelError
+        The file is missing, damaged, or of another version.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            if str(data["format"]) != FORMAT:
+                raise ValueError("another version")
+            model = ExpressionModel(
+                *(data[name].astype(np.float32) for name in ("places", "sides", "features", "landmarks"))
+            )
+        count = len(model.places)
+        shapes = [model.places.shape, model.sides.shape, model.features.shape[:1], model.landmarks.shape]
+        if shapes != [(count, 3), (count, 3), (count,), (N_LANDMARKS, 3)]:
+            raise ValueError("its arrays do not fit together")
+    except FileNotFoundError as error:
+        raise ModelError(f"The expressions {path} are missing. Install Facemime again.") from error
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ModelError(f"The expressions {path} are damaged ({error}). Install Facemime again.") from error
+    return model
+
+
+@lru_cache(maxsize=1)
+def _built_in() -> ExpressionModel:
+    head = load_head()
+    return learn(head.vertices, head.landmarks, head.regions, head.units)
+
+
+def _normalised(vertices: FloatArray, landmarks: IntArray) -> FloatArray:
+    places = np.asarray(vertices, dtype=np.float64)
+    points = places[landmarks]
+    unit = float(np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS])))
+    return np.asarray((places - points.mean(axis=0)) / unit)
+
+
+def _sides(region_weights: FloatArray) -> FloatArray:
+    """(V, 3) share of each region in what moves a vertex."""
+    weights = np.asarray(region_weights, dtype=np.float64)
+    return np.asarray((weights / np.maximum(weights.sum(axis=0), 1e-9)).T)
+
+
+def _with_sides(places: FloatArray, sides: FloatArray) -> NDArray[np.float32]:
+    return np.ascontiguousarray(np.concatenate([places, _SIDE * sides], axis=1), dtype=np.float32)

@@ -1,0 +1,313 @@
+"""Which landmarks are needed as control points: chosen greedily over a whole take (METHOD section 7).
+
+Fewer points make a frame cheaper and let less of the tracker's noise through. The paper looks at one frame; here the
+error is the worst of all frames, so that an expression that comes once is not forgotten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray, as_points
+from ..errors import HeadError
+from ..landmarks import IBUG68_INDICES, N_LANDMARKS, from_ibug
+from .kernels import distances, kernel_named
+from .regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
+
+REGULARISATION = 1e-3
+DEFAULT_TOLERANCE = 0.01
+_FACE_SIDES = from_ibug((0, 16))
+
+START: tuple[Mapping[int, str], ...] = (
+    {
+        **{36: "orbicularis oculi, outer corner", 45: "orbicularis oculi, outer corner"},
+        **{39: "orbicularis oculi, inner corner", 42: "orbicularis oculi, inner corner"},
+        **{38: "upper orbicularis oculi", 43: "upper orbicularis oculi"},
+        **{21: "corrugator and procerus", 22: "corrugator and procerus"},
+        **{19: "frontalis, middle", 24: "frontalis, middle", 17: "frontalis, outer", 26: "frontalis, outer"},
+    },
+    {
+        **{48: "zygomaticus", 54: "zygomaticus", 51: "upper orbicularis oris"},
+        **{41: "lower orbicularis oculi", 46: "lower orbicularis oculi"},
+        **{31: "nasalis and levator labii", 35: "nasalis and levator labii"},
+        **{36: "orbicularis oculi, outer corner", 45: "orbicularis oculi, outer corner"},
+        **{39: "orbicularis oculi, inner corner", 42: "orbicularis oculi, inner corner"},
+        **{2: "origin of the zygomaticus", 14: "origin of the zygomaticus"},
+    },
+    {
+        **{48: "depressor anguli oris", 54: "depressor anguli oris", 57: "lower orbicularis oris", 8: "mentalis"},
+        **{66: "depressor labii", 5: "platysma", 11: "platysma"},
+    },
+)
+"""For each region, the iBUG landmarks to start from and the muscle that each stands for, the most needed first."""
+
+
+@dataclass(frozen=True)
+class GreedyStep:
+    """One change of the selection, and where the worst error is after it.
+
+    Attributes
+    ----------
+    action : {"start", "add", "drop"}
+    landmark, region : int
+        Position in the 66, row of `REGIONS`.
+    reason : str
+        A muscle, or the error that the point takes away.
+    points : int
+        Control points after the step.
+    error : float
+        Largest distance of any landmark in any frame from where it was, as a fraction of the face's width.
+    frame, worst : int
+        The frame and the landmark where that is.
+    """
+
+    action: str
+    landmark: int
+    region: int
+    reason: str
+    points: int
+    error: float
+    frame: int
+    worst: int
+
+
+@dataclass(frozen=True)
+class GreedySelection:
+    """The control points that were chosen.
+
+    Attributes
+    ----------
+    membership : (3, 66) bool
+        Which landmark controls which region.
+    steps : tuple of GreedyStep
+        In order; the curve of `error` over `points` is what the user sees.
+    tolerance : float
+        As a fraction of the face's width.
+    reached : bool
+        Whether the error fell to the tolerance before the points ran out.
+    """
+
+    membership: NDArray[np.bool_]
+    steps: tuple[GreedyStep, ...]
+    tolerance: float
+    reached: bool
+
+    @property
+    def landmarks(self) -> NDArray[np.intp]:
+        """(P,) the landmarks that control any region, ascending."""
+        return np.flatnonzero(self.membership.any(axis=0))
+
+    def reason(self, landmark: int) -> str:
+        """Why `landmark` was chosen; empty where it was not."""
+        chosen = [step for step in self.steps if step.landmark == landmark and self.membership[step.region, landmark]]
+        return "; ".join(dict.fromkeys(step.reason for step in chosen if step.action != "drop"))
+
+
+def greedy_select(
+    landmarks: FloatArray,
+    displacements: FloatArray,
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    max_points: int = N_LANDMARKS,
+    always: Iterable[int] = (),
+    never: Iterable[int] = (),
+    kernel: str = DEFAULT_KERNEL,
+) -> GreedySelection:
+    """Choose control points among the landmarks of a head for the motion of a take.
+
+    Parameters
+    ----------
+    landmarks : (66, 3) array
+        Rest positions.
+    displacements : (N, 66, 3) array
+        Of the landmarks in each frame, frame and unit of `landmarks`.
+    tolerance : float
+        Accepted distance of a landmark that is no control point from where it was, as a fraction of the face's width
+        (landmarks 0 to 16).
+    max_points : int
+        Landmarks at most.
+    always, never : iterable of int
+        Landmarks (positions in the 66) that the user adds or removes by hand.
+
+    Raises
+    ------
+    HeadError
+        Where less than one point a region is allowed, or the user removed all of a region.
+
+    Notes
+    -----
+    1. Start from the muscles' own points. 2. Fit on the points chosen so far and predict the others. 3. Add the
+    landmark with the largest error over all frames to the region where it errs; repeat until all are within the
+    tolerance. Where the points run out before, exchange the least needed one for the landmark with the largest error
+    as long as that lessens the worst error. 4. Drop points, the least needed first, as long as all stay within the
+    tolerance. Ties go to the lower number, so that the same take gives the same points.
+
+    References
+    ----------
+    Yao et al. 2019, section 4.2, equation (6); Rendall & Allen 2010.
+    """
+    points = as_points(landmarks, "landmarks", count=N_LANDMARKS, error=HeadError)
+    motion = np.asarray(displacements, dtype=np.float64)
+    if motion.ndim != 3 or motion.shape[1:] != (N_LANDMARKS, 3) or not len(motion) or not np.isfinite(motion).all():
+        raise HeadError(f"displacements must be finite and (N, {N_LANDMARKS}, 3); got {motion.shape}.")
+    if max_points < len(REGIONS):
+        raise HeadError(f"At least {len(REGIONS)} control points are needed, one a region; got {max_points}.")
+    search = _Search(points, motion, kernel, frozenset(always), frozenset(never))
+    search.start(max_points)
+    while search.worst() > tolerance and search.grow(max_points):
+        pass
+    while search.worst() > tolerance and search.exchange(max_points):
+        pass
+    reached = search.worst() <= tolerance
+    while reached and search.shrink(tolerance):
+        pass
+    return GreedySelection(search.members, tuple(search.steps), tolerance, reached)
+
+
+class _Search:
+    """The selection while it grows: `members` (3, 66), and the `error` (3, 66) and `frame` of each landmark's worst."""
+
+    def __init__(
+        self, points: FloatArray, motion: FloatArray, kernel: str, always: frozenset[int], never: frozenset[int]
+    ) -> None:
+        self.points, self.motion, self.kernel = points, motion, kernel_named(kernel)
+        self.width = float(np.linalg.norm(np.subtract(*points[_FACE_SIDES])))
+        self.sigmas = region_sigmas(points, self.kernel)
+        self.candidates = membership()
+        self.candidates[:, sorted(never)] = False
+        self.always = always - never
+        if not self.candidates.any(axis=1).all():
+            raise HeadError("A region lost all its landmarks. Leave at least one of each region.")
+        self.members = np.zeros_like(self.candidates)
+        at_rest = [self._errors(region, row) for region, row in enumerate(self.members)]
+        self.error, self.frame = (np.stack(each) for each in zip(*at_rest, strict=True))
+        self.steps: list[GreedyStep] = []
+
+    def start(self, max_points: int) -> None:
+        """The user's own points and the muscles', in turn over the regions, so that each has some."""
+        queues = []
+        for region, muscles in enumerate(START):
+            own = [(i, "added by hand") for i in sorted(self.always) if self.candidates[region, i]]
+            queue = own + [(int(from_ibug([n])[0]), muscle) for n, muscle in muscles.items()]
+            rest = [(int(i), "first of its region") for i in np.flatnonzero(self.candidates[region])]
+            allowed = [(i, why) for i, why in queue if self.candidates[region, i]]
+            queues.append(allowed or rest[:1])
+        for turn in range(max(map(len, queues))):
+            for region, queue in enumerate(queues):
+                if turn < len(queue) and not self.members[region, queue[turn][0]]:
+                    self._change("start", region, *queue[turn], max_points)
+
+    def worst(self) -> float:
+        """The largest error, as a fraction of the face's width."""
+        return float(self.error.max())
+
+    def grow(self, max_points: int) -> bool:
+        """Add the landmark with the largest error; whether one could be added."""
+        open_ = self.candidates & ~self.members
+        if self.members.any(axis=0).sum() >= max_points:
+            open_ &= self.members.any(axis=0)
+        if not open_.any():
+            return False
+        error = np.where(open_, self.error, -1.0)
+        region, landmark = np.unravel_index(int(np.argmax(error)), error.shape)
+        reason = f"was off by {100 * error.max():.2f} % in frame {self.frame[region, landmark]}"
+        return self._change("add", int(region), int(landmark), reason, max_points)
+
+    def exchange(self, max_points: int) -> bool:
+        """Give up a point for the landmark that is then worst, where the errors become less in all; whether one was."""
+        total = float(np.square(self.error).sum())
+        for landmark in np.argsort(self._losses(), kind="stable").tolist():
+            if landmark in self.always or not self.members[:, landmark].any():
+                continue
+            before = self.members.copy(), self.error.copy(), self.frame.copy(), len(self.steps)
+            for region in np.flatnonzero(self.members[:, landmark]).tolist():
+                self.members[region, landmark] = False
+                self._note("drop", region, landmark, "exchanged for one that is needed more")
+            while self.grow(max_points):
+                pass
+            if self.members.any(axis=1).all() and float(np.square(self.error).sum()) < total * (1.0 - 1e-6):
+                return True
+            self.members, self.error, self.frame = before[:3]
+            del self.steps[before[3] :]
+        return False
+
+    def _losses(self) -> FloatArray:
+        """(66,) sum of squared errors without each landmark; infinite for those that are no control points."""
+        losses = np.full(N_LANDMARKS, np.inf)
+        for landmark in np.flatnonzero(self.members.any(axis=0)).tolist():
+            losses[landmark] = 0.0
+            for region, members in enumerate(self.members):
+                chosen = members.copy()
+                chosen[landmark] = False
+                losses[landmark] += np.square(self._errors(region, chosen)[0]).sum()
+        return losses
+
+    def shrink(self, tolerance: float) -> bool:
+        """Drop the point whose loss costs least, where all stay within `tolerance`; whether one was dropped."""
+        return self._drop_cheapest(tolerance)
+
+    def _drop_cheapest(self, tolerance: float) -> bool:
+        best: tuple[float, int, int] | None = None
+        for region, landmark in np.argwhere(self.members).tolist():
+            chosen = self.members[region].copy()
+            chosen[landmark] = False
+            if landmark in self.always or not chosen.any():
+                continue
+            error = float(self._errors(region, chosen)[0].max())
+            if error <= tolerance and (best is None or error < best[0]):
+                best = (error, region, landmark)
+        if best is None:
+            return False
+        error_left, region, landmark = best
+        self.members[region, landmark] = False
+        self._note("drop", region, landmark, f"superfluous: without it {100 * error_left:.2f} %")
+        return True
+
+    def _change(self, action: str, region: int, landmark: int, reason: str, max_points: int) -> bool:
+        used = self.members.any(axis=0)
+        if not used[landmark] and used.sum() >= max_points:
+            return False
+        self.members[region, landmark] = True
+        self._note(action, region, landmark, reason)
+        return True
+
+    def _note(self, action: str, region: int, landmark: int, reason: str) -> None:
+        self.error[region], self.frame[region] = self._errors(region, self.members[region])
+        place = np.unravel_index(int(np.argmax(self.error)), self.error.shape)
+        self.steps.append(
+            GreedyStep(
+                action,
+                landmark,
+                region,
+                reason,
+                int(self.members.any(axis=0).sum()),
+                float(self.error[place]),
+                int(self.frame[place]),
+                int(place[1]),
+            )
+        )
+
+    def _errors(self, region: int, chosen: NDArray[np.bool_]) -> tuple[FloatArray, IntArray]:
+        """(66,) worst error of each landmark of the region, fraction of the face's width, and its frame."""
+        members = REGIONS[region].landmarks
+        centres = np.flatnonzero(chosen)
+        matrix = np.zeros((len(members), 0))
+        sigma = self.sigmas[region]
+        if len(centres):
+            between = distances(self.points[centres], self.points[centres])
+            phi = self.kernel.phi(between, sigma) + REGULARISATION * np.eye(len(centres))
+            evaluation = self.kernel.phi(distances(self.points[members], self.points[centres]), sigma)
+            matrix = np.linalg.solve(phi, evaluation.T).T
+        off = np.linalg.norm(matrix @ self.motion[:, centres] - self.motion[:, members], axis=2) / self.width
+        error, frame = np.zeros(N_LANDMARKS), np.zeros(N_LANDMARKS, dtype=np.intp)
+        error[members], frame[members] = off.max(axis=0), off.argmax(axis=0)
+        return error, frame
+
+
+def name_of(landmark: int) -> str:
+    """The landmark's iBUG number, which the literature and the user's overlay show."""
+    return str(int(IBUG68_INDICES[landmark]))

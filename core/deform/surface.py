@@ -1,0 +1,112 @@
+"""Ways along the surface of a mesh, and its openings: what tells lips and lids apart where they touch in space."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray
+
+
+class SurfaceGraph:
+    """Vertices joined by the edges of their faces.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Any frame and unit.
+    faces : (F, K) array of int
+        Vertices of each face, padded with -1.
+
+    Attributes
+    ----------
+    edges : (E, 2) intp
+        Each edge once, the smaller vertex first.
+    faces_at : (E,) intp
+        Number of faces at each edge; one on a border.
+    """
+
+    def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
+        self.vertices = np.asarray(vertices, dtype=np.float64)
+        self.edges, self.faces_at = _edges(np.asarray(faces, dtype=np.intp))
+        length = np.linalg.norm(np.subtract(*self.vertices[self.edges.T]), axis=1)
+        both = np.concatenate([self.edges, self.edges[:, ::-1]])
+        order = np.argsort(both[:, 0], kind="stable")
+        self._neighbours: list[int] = both[order, 1].tolist()
+        self._lengths: list[float] = np.tile(length, 2)[order].tolist()
+        self._starts: list[int] = np.searchsorted(both[order, 0], np.arange(len(self.vertices) + 1)).tolist()
+
+    def neighbours(self, vertex: int) -> list[int]:
+        """Vertices one edge away from `vertex`."""
+        return self._neighbours[self._starts[vertex] : self._starts[vertex + 1]]
+
+    def ways(self, seeds: Iterable[int], limit: float = np.inf) -> FloatArray:
+        """Length of the shortest way along edges from each vertex to any of `seeds`, (V,); inf beyond `limit`."""
+        way = np.full(len(self.vertices), np.inf)
+        for vertex, (length, _) in self._search(seeds, limit).items():
+            way[vertex] = length
+        return way
+
+    def path(self, start: int, end: int) -> list[int]:
+        """Vertices of the shortest way from `start` to `end`; the two alone where none leads there."""
+        reached = self._search([start], np.inf, end)
+        if end not in reached:
+            return [start, end]
+        path = [end]
+        while path[-1] != start:
+            path.append(reached[path[-1]][1])
+        return path[::-1]
+
+    def openings(self) -> list[NDArray[np.intp]]:
+        """The border of the mesh, an array of vertices a connected piece, the longest first."""
+        border = self.edges[self.faces_at == 1]
+        label = {int(v): int(v) for v in np.unique(border)}
+
+        def root(v: int) -> int:
+            while label[v] != v:
+                label[v] = label[label[v]]
+                v = label[v]
+            return v
+
+        for a, b in border.tolist():
+            label[root(a)] = root(b)
+        pieces: dict[int, list[int]] = {}
+        for v in label:
+            pieces.setdefault(root(v), []).append(v)
+        return sorted((np.array(piece) for piece in pieces.values()), key=len, reverse=True)
+
+    def _search(self, seeds: Iterable[int], limit: float, end: int = -1) -> dict[int, tuple[float, int]]:
+        """Dijkstra 1959: vertices within `limit` of `seeds` with their distance and the vertex before them."""
+        done: dict[int, tuple[float, int]] = {}
+        heap = [(0.0, int(seed), int(seed)) for seed in seeds]
+        heapq.heapify(heap)
+        while heap:
+            distance, vertex, before = heapq.heappop(heap)
+            if vertex in done:
+                continue
+            done[vertex] = (distance, before)
+            if vertex == end:
+                break
+            for i in range(self._starts[vertex], self._starts[vertex + 1]):
+                further = distance + self._lengths[i]
+                if further <= limit and self._neighbours[i] not in done:
+                    heapq.heappush(heap, (further, self._neighbours[i], vertex))
+        return done
+
+
+def _edges(faces: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Unique edges, (E, 2), and how many faces each belongs to, (E,)."""
+    counts = (faces >= 0).sum(axis=1)
+    pairs = [
+        np.stack([polygons, np.roll(polygons, -1, axis=1)], axis=-1).reshape(-1, 2)
+        for count in np.unique(counts)
+        if count > 1
+        for polygons in [faces[counts == count, :count]]
+    ]
+    every = np.sort(np.concatenate(pairs), axis=1) if pairs else np.empty((0, 2), dtype=np.intp)
+    width = int(every.max(initial=0)) + 1
+    keys, faces_at = np.unique(every[:, 0] * width + every[:, 1], return_counts=True)
+    return np.stack([keys // width, keys % width], axis=1), faces_at

@@ -1,0 +1,48 @@
+"""The product of a frame equals the plain dense one, however vertices are sorted."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facemime.core.deform.blocks import BlockProduct, RegionMatrix
+
+
+def random_regions(rng: np.random.Generator, count: int, points: int) -> list[RegionMatrix]:
+    """Three overlapping regions of random vertices and control points."""
+    regions = []
+    for _ in range(3):
+        rows = np.flatnonzero(rng.random(count) < 0.4)
+        columns = rng.permutation(points)[: max(1, points // 2)]
+        regions.append(RegionMatrix(rows, columns, rng.normal(size=(len(rows), len(columns))).astype(np.float32)))
+    return regions
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([3, 50, 2_000, 12_000]), st.sampled_from([3, 20, 66]))
+def test_the_blocks_give_what_the_dense_matrix_gives(seed, count, points):
+    rng = np.random.default_rng(seed)
+    rest = rng.normal(size=(count, 3)).astype(np.float32)
+    regions = random_regions(rng, count, points)
+    dense = np.zeros((count, points), np.float32)
+    for region in regions:
+        dense[np.ix_(region.rows, region.columns)] += region.matrix
+    product = BlockProduct(rest, regions, points)
+    out = np.empty_like(rest)
+    for _ in range(2):
+        moved = rng.normal(size=(points, 3)).astype(np.float32)
+        product.apply(moved, out)
+        np.testing.assert_allclose(out, rest + dense @ moved, atol=1e-3)
+
+
+@pytest.mark.parametrize("count", [1781, 26_000])
+def test_the_blocks_take_no_more_than_the_regions_and_half_as_much(count):
+    rng = np.random.default_rng(0)
+    rest = rng.normal(size=(count, 3)).astype(np.float32)
+    side = rest[:, 0] > 0
+    regions = [
+        RegionMatrix(rows, columns, np.ones((len(rows), len(columns)), np.float32))
+        for rows, columns in ((np.flatnonzero(side), np.arange(30)), (np.flatnonzero(~side), np.arange(30, 60)))
+    ]
+    product = BlockProduct(rest, regions, 60)
+    assert product.nbytes < 1.5 * sum(region.matrix.nbytes for region in regions)

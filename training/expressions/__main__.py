@@ -1,0 +1,58 @@
+"""`python -m training.expressions` learns which places of ICT-FaceKit's face move alike: assets/expressions/ict.npz."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from facemime.core.deform.expressions import EXPRESSIONS_FILE, FORMAT, ExpressionModel, learn
+from facemime.core.deform.propose import propose_regions
+from training.head.build import to_bytes
+from training.tracker.heads import FACE, load_ict
+
+ROOT = Path(__file__).resolve().parents[2]
+ARKIT_EXCEPTIONS = ("PupilDilate", "cheekRaiser")
+"""Shapes beyond ARKit's: what is left are ICT-FaceKit's 53 expressions."""
+_EVERY = 3
+
+
+def main() -> int:
+    """Learn and write."""
+    parser = argparse.ArgumentParser(prog="python -m training.expressions", description=__doc__)
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    arguments = parser.parse_args()
+    content = model_bytes(learn_ict(arguments.data, _EVERY))
+    EXPRESSIONS_FILE.parent.mkdir(parents=True, exist_ok=True)
+    EXPRESSIONS_FILE.write_bytes(content)
+    print(f"{EXPRESSIONS_FILE.relative_to(ROOT)}: {len(content) / 1024:.0f} KB")
+    return 0
+
+
+def learn_ict(data: Path, every: int = 1) -> ExpressionModel:
+    """The model of ICT-FaceKit's face, each `every`-th vertex."""
+    head = load_ict(data)
+    vertices, triangles = head.neutral[FACE], head.triangles
+    triangles = triangles[(triangles < FACE.stop).all(axis=1)]
+    chosen = [i for i, name in enumerate(head.names) if not name.startswith(ARKIT_EXCEPTIONS)]
+    regions = propose_regions(vertices, triangles, head.landmarks)
+    return learn(vertices, head.landmarks, regions, head.expression[chosen][:, FACE], every)
+
+
+def model_bytes(model: ExpressionModel) -> bytes:
+    """The file, features and sides as half floats."""
+    return to_bytes(
+        {
+            "format": np.array(FORMAT),
+            "places": model.places,
+            "sides": model.sides.astype(np.float16),
+            "features": model.features.astype(np.float16),
+            "landmarks": model.landmarks,
+        }
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
