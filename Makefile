@@ -10,10 +10,11 @@ export FACEMIME_CACHE := $(CACHE)
 
 setup: $(STAMP)
 
-$(STAMP): requirements/dev.txt pyproject.toml setup.py tools/system.sh
+$(STAMP): requirements/dev.txt requirements/oracles.txt pyproject.toml setup.py tools/system.sh
 	sh tools/system.sh
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r requirements/oracles.txt
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 

@@ -15,12 +15,17 @@ from pathlib import Path
 import numpy as np
 
 from .console import Progress
+from .core.control_points import from_json, parse_landmarks, select_for_take, to_json
+from .core.deform.kernels import KERNELS
+from .core.deform.regions import REGIONS
+from .core.drive import INFORMED, built_in_rig
 from .core.errors import FacemimeError, SourceError
 from .core.files import check_writable, replacing
 from .core.images import IMAGE_SUFFIXES, read_image, write_image
-from .core.landmarks import N_LANDMARKS
+from .core.landmarks import IBUG68_INDICES, N_LANDMARKS
 from .core.overlay import draw_landmarks
 from .core.pipeline import track_video
+from .core.retarget import calibrate
 from .core.takes.take import Take, load_take, save_take
 from .core.tracking.tracker import FaceTracker
 from .core.version import version
@@ -65,9 +70,21 @@ def _parser() -> argparse.ArgumentParser:
     puppet.add_argument("--take", type=Path, metavar="TAKE.npz", help="also keep the take")
     puppet.add_argument("--head", metavar="FILE.blend[:OBJECT]", help="your own head; the built-in one by default")
     puppet.add_argument("--mode", choices=("3d", "planar"), default="3d", help="planar keeps every depth (default 3d)")
+    puppet.add_argument("--kernel", choices=(INFORMED, *KERNELS), default=INFORMED, help="how skin follows landmarks")
+    puppet.add_argument("--points", type=Path, metavar="POINTS.json", help="control points that select chose")
     puppet.add_argument("--neutral", type=float, metavar="SECONDS", help="where the neutral second starts; else found")
     puppet.add_argument("--pose", choices=("rotation", "full", "none"), default="rotation", help="head pose to follow")
     puppet.set_defaults(run=run_puppet)
+
+    select = commands.add_parser("select", help="choose the control points that a take needs on the built-in head")
+    select.add_argument("take", type=Path, metavar="TAKE.npz")
+    select.add_argument("-o", "--output", type=Path, metavar="POINTS.json", help="for puppet --points")
+    select.add_argument("--tolerance", type=float, default=1.0, metavar="PERCENT", help="of the face's width (1)")
+    select.add_argument("--max-points", type=int, default=N_LANDMARKS, metavar="N", help="at most so many")
+    select.add_argument("--add", default="", metavar="17,19-21", help="landmarks to have in any case, iBUG numbers")
+    select.add_argument("--remove", default="", metavar="0-3,30", help="landmarks never to have")
+    select.add_argument("--neutral", type=float, metavar="SECONDS", help="where the neutral second starts; else found")
+    select.set_defaults(run=run_select)
     return parser
 
 
@@ -134,7 +151,10 @@ def run_puppet(arguments: argparse.Namespace) -> int:
     ):
         if path is not None:
             check_writable(path, suffixes)
+    points = None if arguments.points is None else from_json(_text(arguments.points))
     scene, head = headless.open_head(arguments.head)
+    if points is not None:
+        headless.write_selection(head.data, points)
     video = None if arguments.source.suffix == ".npz" else arguments.source
     take = load_take(arguments.source) if video is None else _track(video)
     if arguments.take is not None:
@@ -146,6 +166,46 @@ def run_puppet(arguments: argparse.Namespace) -> int:
         return INTERRUPTED
     headless.puppet(arguments, scene, head, take, video)
     return 0
+
+
+def run_select(arguments: argparse.Namespace) -> int:
+    """`facemime select`: a take to control points; the curve of error goes to the output, a line a step."""
+    if arguments.output is not None:
+        check_writable(arguments.output, {".json"})
+    if not arguments.tolerance > 0:
+        raise FacemimeError(f"The tolerance must be above 0 %; got {arguments.tolerance}.")
+    take = load_take(arguments.take)
+    selection = select_for_take(
+        built_in_rig(),
+        take,
+        neutral=calibrate(take, arguments.neutral),
+        tolerance=arguments.tolerance / 100.0,
+        max_points=arguments.max_points,
+        always=parse_landmarks(arguments.add),
+        never=parse_landmarks(arguments.remove),
+    )
+    print("action  landmark  region  points  worst error %  in frame  at landmark  reason")
+    for step in selection.steps:
+        landmark, worst = IBUG68_INDICES[[step.landmark, step.worst]]
+        print(
+            f"{step.action:6}  {landmark:8}  {REGIONS[step.region].name:6}  {step.points:6}  {100 * step.error:13.2f}  "
+            f"{step.frame:8}  {worst:11}  {step.reason}"
+        )
+    chosen = ", ".join(str(number) for number in IBUG68_INDICES[selection.landmarks])
+    print(f"{len(selection.landmarks)} control points: {chosen}")
+    if not selection.reached:
+        print("facemime: the tolerance was not reached; allow more points, or a larger one.", file=sys.stderr)
+    if arguments.output is not None:
+        with replacing(arguments.output) as temporary:
+            temporary.write_text(to_json(selection) + "\n", encoding="utf-8")
+    return 0
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SourceError(f"{path} cannot be read ({error}). Give a file that facemime select -o wrote.") from error
 
 
 def _track(video: Path) -> Take:

@@ -43,6 +43,7 @@ def puppet(
         set_rate(scene, float(take.info.get("fps", 25.0)))
     settings = PuppetSettings(
         mode=arguments.mode,
+        kernel=arguments.kernel,
         neutral=arguments.neutral,
         rotation=arguments.pose != "none",
         translation=arguments.pose == "full",

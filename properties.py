@@ -18,6 +18,18 @@ class FacemimeSettings(bpy.types.PropertyGroup):
         ),
         default="3d",
     )
+    kernel: EnumProperty(
+        name="Skin",
+        description="How the skin between the landmarks follows them",
+        items=(
+            ("informed", "Informed", "By distance and by what moves together in known expressions"),
+            ("multiscale", "Multiscale", "By distance, near and far"),
+            ("gaussian", "Gaussian", "By one Gaussian of distance a region: the paper's"),
+            ("wendland", "Wendland", "By a smooth function of distance that ends"),
+            ("biharmonic", "Biharmonic", "By distance as a thin plate would"),
+        ),
+        default="informed",
+    )
     strength_upper: FloatProperty(name="Brows and Upper Lids", default=1.0, min=0.0, soft_max=2.0, max=5.0)
     strength_middle: FloatProperty(name="Cheeks and Upper Lip", default=1.0, min=0.0, soft_max=2.0, max=5.0)
     strength_lower: FloatProperty(name="Lower Lip and Chin", default=1.0, min=0.0, soft_max=2.0, max=5.0)
@@ -45,6 +57,7 @@ def puppet_settings(settings: FacemimeSettings) -> PuppetSettings:
     """
     return PuppetSettings(
         mode=settings.mode,
+        kernel=settings.kernel,
         strength=(settings.strength_upper, settings.strength_middle, settings.strength_lower),
         neutral=None if settings.find_neutral else settings.neutral,
         rotation=settings.rotation,

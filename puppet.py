@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -10,7 +11,7 @@ import numpy as np
 from .blender.bake import bake_parts, bake_pose, bake_shape, clear_pose, frames_of, set_range
 from .blender.meshes import read_rig
 from .core.deform.basis import fit_basis
-from .core.drive import HeadDriver
+from .core.drive import INFORMED, HeadDriver
 from .core.landmarks import OUTER_EYE_CORNERS
 from .core.motion import HeadMotion, drive_take
 from .core.retarget import Mode, Neutral, calibrate
@@ -26,6 +27,8 @@ class PuppetSettings:
     Attributes
     ----------
     mode : {"3d", "planar"}
+    kernel : str
+        As for `HeadDriver`.
     strength : tuple of float
         Gains of the regions upper, middle and lower.
     neutral : float or None
@@ -35,6 +38,7 @@ class PuppetSettings:
     """
 
     mode: Mode = "3d"
+    kernel: str = INFORMED
     strength: tuple[float, float, float] = (1.0, 1.0, 1.0)
     neutral: float | None = None
     rotation: bool = True
@@ -72,7 +76,7 @@ def puppet_head(
     """
     rig = read_rig(obj)
     neutral = calibrate(take, settings.neutral)
-    driver = HeadDriver(rig, neutral, mode=settings.mode, strength=settings.strength)
+    driver = HeadDriver(rig, neutral, mode=settings.mode, strength=settings.strength, kernel=settings.kernel)
     motion = drive_take(driver, take)
     eyes = rig.vertices[rig.landmarks[OUTER_EYE_CORNERS]].astype(np.float64)
     unit = float(np.linalg.norm(eyes[0] - eyes[1]))
@@ -84,3 +88,12 @@ def puppet_head(
     bake_parts(obj, motion, frames)
     set_range(scene, frames_of(scene, take.times))
     return PuppetReport(len(basis.modes), basis.worst_error / unit, neutral, motion)
+
+
+def puppet_heads(
+    scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], take: Take, settings: PuppetSettings = PuppetSettings()
+) -> list[PuppetReport]:
+    """Drive many heads by one take, each with its own landmarks, regions and pose; all are checked before any moves."""
+    for obj in objects:
+        read_rig(obj)
+    return [puppet_head(scene, obj, take, settings) for obj in objects]

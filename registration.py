@@ -1,10 +1,23 @@
 """What Blender is told of: one ordered tuple of modules, registered forwards and unregistered backwards."""
 
 from . import commands, properties, session
-from .operators import head, puppet_video
+from .operators import control_points, facegen, head, own_head, puppet_video
 from .ui import menus, panel
+from .ui import own_head as own_head_panels
 
-_MODULES = (properties, head, puppet_video, menus, panel, commands, session)
+_MODULES = (
+    properties,
+    head,
+    facegen,
+    own_head,
+    control_points,
+    puppet_video,
+    menus,
+    panel,
+    own_head_panels,
+    commands,
+    session,
+)
 
 
 def register() -> None:

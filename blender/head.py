@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from ..core.head import HeadPart, load_head
 from .frames import to_blender
 from .materials import head_materials
-from .names import LANDMARKS_PROPERTY, PART_OBJECTS, PART_PROPERTY, REGION_GROUPS, UV_MAP
+from .meshes import write_landmarks, write_regions
+from .names import PART_OBJECTS, PART_PROPERTY, UV_MAP
 
 
 def add_head(context: bpy.types.Context, *, units: bool = False, name: str = "Facemime Head") -> bpy.types.Object:
@@ -21,10 +22,10 @@ def add_head(context: bpy.types.Context, *, units: bool = False, name: str = "Fa
     head = load_head()
     materials = head_materials()
     mesh = _mesh(name, head.vertices, head.faces, head.uv, materials["skin"])
-    mesh[LANDMARKS_PROPERTY] = [int(i) for i in head.landmarks]
+    write_landmarks(mesh, head.landmarks)
     skin = bpy.data.objects.new(name, mesh)
     context.collection.objects.link(skin)
-    _add_regions(skin, head.regions)
+    write_regions(skin, head.regions)
     parts = [_add_part(context, skin, part, materials[part.name]) for part in head.parts]
     if units:
         _add_units(skin, head.vertices, head.unit_names, head.units)
@@ -61,13 +62,6 @@ def _mesh(
     mesh.materials.append(material)
     mesh.update(calc_edges=True)
     return mesh
-
-
-def _add_regions(obj: bpy.types.Object, weights: NDArray[np.float32]) -> None:
-    for group_name, row in zip(REGION_GROUPS, weights, strict=True):
-        group = obj.vertex_groups.new(name=group_name)
-        for vertex in np.flatnonzero(row):
-            group.add([int(vertex)], float(row[vertex]), "REPLACE")
 
 
 def _add_part(

@@ -6,11 +6,13 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.control_points import from_json, to_json
+from ..core.deform.greedy import GreedySelection
 from ..core.drive import HeadRig
 from ..core.errors import HeadError
 from ..core.landmarks import N_LANDMARKS
 from .frames import from_blender, to_blender
-from .names import LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS
+from .names import COUNT_PROPERTY, LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 
 _JAW_SIDES = (2, 14)
 
@@ -22,6 +24,11 @@ def mesh_of(obj: bpy.types.Object | None) -> bpy.types.Mesh:
     if not isinstance(obj.data, bpy.types.Mesh):
         raise HeadError(f"{obj.name} is not a mesh. Select a head mesh, or add one with Add > Mesh > Facemime Head.")
     return obj.data
+
+
+def is_head(obj: bpy.types.Object) -> bool:
+    """Whether `obj` is a mesh with landmarks."""
+    return isinstance(obj.data, bpy.types.Mesh) and LANDMARKS_PROPERTY in obj.data
 
 
 def read_vertices(mesh: bpy.types.Mesh) -> NDArray[np.float32]:
@@ -45,6 +52,63 @@ def write_vertices(mesh: bpy.types.Mesh, vertices: NDArray[np.float32]) -> None:
     first.co = first.co
 
 
+def read_faces(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
+    """(F, K) vertices of each face, padded with -1."""
+    corners = np.empty(len(mesh.loops), dtype=np.int32)
+    mesh.loops.foreach_get("vertex_index", corners)
+    counts = np.empty(len(mesh.polygons), dtype=np.int32)
+    mesh.polygons.foreach_get("loop_total", counts)
+    faces = np.full((len(counts), max(3, int(counts.max(initial=3)))), -1, dtype=np.int32)
+    faces[np.arange(faces.shape[1]) < counts[:, None]] = corners
+    return faces
+
+
+def read_landmarks(obj: bpy.types.Object) -> NDArray[np.intp]:
+    """(66,) vertices of the landmarks of `obj`.
+
+    Raises
+    ------
+    HeadError
+        Where none are bound, or the mesh is no longer the one that they were bound on.
+    """
+    mesh = mesh_of(obj)
+    bound = mesh.get(LANDMARKS_PROPERTY)
+    if bound is None or len(bound) != N_LANDMARKS:
+        raise HeadError(
+            f"{obj.name} has no landmarks. Bind them (sidebar, Facemime, Your Own Head), or use the built-in head."
+        )
+    count, before = len(mesh.vertices), int(mesh.get(COUNT_PROPERTY, len(mesh.vertices)))
+    landmarks = np.array(bound, dtype=np.intp)
+    if count != before:
+        raise HeadError(
+            f"{obj.name} had {before} vertices when its landmarks were bound and has {count} now. "
+            "Undo that change, or bind the landmarks again."
+        )
+    if landmarks.min() < 0 or landmarks.max() >= count:
+        raise HeadError(f"The landmarks of {obj.name} name vertices that the mesh no longer has. Bind them again.")
+    return landmarks
+
+
+def write_landmarks(mesh: bpy.types.Mesh, landmarks: NDArray[np.integer]) -> None:
+    """Keep (66,) `landmarks` with `mesh`: they go with it through undo, saving, copying and renaming."""
+    mesh[LANDMARKS_PROPERTY] = [int(vertex) for vertex in landmarks]
+    mesh[COUNT_PROPERTY] = len(mesh.vertices)
+
+
+def read_selection(mesh: bpy.types.Mesh) -> GreedySelection | None:
+    """The control points chosen for `mesh`; None where all landmarks are."""
+    text = mesh.get(SELECTION_PROPERTY)
+    return None if text is None else from_json(str(text))
+
+
+def write_selection(mesh: bpy.types.Mesh, selection: GreedySelection | None) -> None:
+    """Keep the chosen control points with `mesh`; None goes back to all landmarks."""
+    if selection is not None:
+        mesh[SELECTION_PROPERTY] = to_json(selection)
+    elif SELECTION_PROPERTY in mesh:
+        del mesh[SELECTION_PROPERTY]
+
+
 def read_rig(obj: bpy.types.Object | None) -> HeadRig:
     """What driving `obj` needs, read from its mesh, landmark property and vertex groups.
 
@@ -54,12 +118,8 @@ def read_rig(obj: bpy.types.Object | None) -> HeadRig:
         Where the object is no mesh, or its landmarks or regions are missing or no longer fit the mesh.
     """
     mesh = mesh_of(obj)
-    bound = mesh.get(LANDMARKS_PROPERTY)
-    if bound is None or len(bound) != N_LANDMARKS:
-        raise HeadError(f"{obj.name} has no landmarks. Bind the {N_LANDMARKS} landmarks, or use the built-in head.")
-    landmarks = np.array(bound, dtype=np.intp)
-    if landmarks.min() < 0 or landmarks.max() >= len(mesh.vertices):
-        raise HeadError(f"The landmarks of {obj.name} name vertices that the mesh no longer has. Bind them again.")
+    landmarks = read_landmarks(obj)
+    selection = read_selection(mesh)
     vertices = read_vertices(mesh)
     return HeadRig(
         vertices=vertices,
@@ -67,6 +127,7 @@ def read_rig(obj: bpy.types.Object | None) -> HeadRig:
         region_weights=read_regions(obj),
         jaw_pivot=_jaw_pivot(obj, vertices[landmarks]),
         eyeballs=read_eyeballs(obj),
+        control_points=None if selection is None else selection.membership,
     )
 
 
@@ -105,3 +166,12 @@ def read_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
             f"The vertex groups {', '.join(empty)} of {obj.name} are empty. Paint these regions on the mesh."
         )
     return weights
+
+
+def write_regions(obj: bpy.types.Object, weights: NDArray[np.floating]) -> None:
+    """Make the vertex groups Upper, Middle and Lower of `obj` hold (3, V) `weights`; other groups stay."""
+    for name, row in zip(REGION_GROUPS, weights, strict=True):
+        group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
+        group.remove(np.flatnonzero(row == 0.0).tolist())
+        for vertex in np.flatnonzero(row).tolist():
+            group.add([vertex], float(row[vertex]), "REPLACE")

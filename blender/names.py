@@ -3,6 +3,15 @@
 LANDMARKS_PROPERTY = "facemime_landmarks"
 """Custom property of the mesh: 66 vertex indices, in the order of `core.landmarks`."""
 
+COUNT_PROPERTY = "facemime_vertex_count"
+"""Custom property of the mesh: its vertices when the landmarks were bound."""
+
+MARKS_PROPERTY = "facemime_marks"
+"""Custom property of the mesh: pairs of iBUG number and vertex that the user marked before binding."""
+
+SELECTION_PROPERTY = "facemime_control_points"
+"""Custom property of the mesh: the chosen control points and why, as `core.control_points.to_json` writes them."""
+
 PART_PROPERTY = "facemime_part"
 """Custom property of a child object that says which part of the head it is: one of `PART_OBJECTS`' keys."""
 

@@ -15,6 +15,7 @@ from .deform.rbf import IncrementalDeformer, RBFDeformer
 from .deform.regions import DEFAULT_KERNEL, membership, region_sigmas
 from .errors import HeadError
 from .eyes import EyeDriver
+from .head import load_head
 from .landmarks import N_LANDMARKS, OUTER_EYE_CORNERS, from_ibug
 from .retarget import Mode, Neutral, Retargeter
 from .rotation import euler_to_matrix, fit_rotation
@@ -43,6 +44,8 @@ class HeadRig:
         A point on the hinge of the jaw.
     eyeballs : (E, 4) float
         Centre and radius of each eyeball; none by default.
+    control_points : (3, 66) bool, optional
+        Which landmark controls which region, as `greedy_select` chooses; all of a region's by default.
     """
 
     vertices: FloatArray
@@ -50,6 +53,7 @@ class HeadRig:
     region_weights: FloatArray
     jaw_pivot: FloatArray
     eyeballs: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    control_points: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         landmarks = np.asarray(self.landmarks)
@@ -99,8 +103,6 @@ class HeadDriver:
     kernel : str
         "informed" for `DEFAULT_KERNEL` with what is learnt of faces beside it, or a name of `kernels.KERNELS`; the
         paper's is "gaussian".
-    points : (3, 66) bool, optional
-        Which landmark controls which region, as `greedy_select` chooses; all by default.
     incremental : bool
         Fit every frame anew from the one before, as the paper does.
     """
@@ -113,14 +115,13 @@ class HeadDriver:
         mode: Mode = "3d",
         strength: ArrayLike = (1.0, 1.0, 1.0),
         kernel: str = INFORMED,
-        points: NDArray[np.bool_] | None = None,
         incremental: bool = False,
     ) -> None:
         landmarks = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
         self.rig = rig
         self.neutral = neutral
         self.retargeter = Retargeter(neutral.shape, landmarks, mode=mode, strength=strength, shut=neutral.shut)
-        self.deformer = head_deformer(rig, kernel, points, incremental=incremental)
+        self.deformer = head_deformer(rig, kernel, incremental=incremental)
         self.eyes = EyeDriver(neutral.gaze)
         self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
         self._chin = landmarks[_CHIN] - rig.jaw_pivot
@@ -149,16 +150,25 @@ class HeadDriver:
         return np.asarray(self._unit * np.array([*sideways, depth]))
 
 
+def built_in_rig() -> HeadRig:
+    """The built-in head, as Blender's copy of it would be read."""
+    head = load_head()
+    eyes = [part for part in head.parts if part.name.startswith("eye")]
+    eyeballs = [[*eye.pivot, float(np.linalg.norm(eye.vertices - eye.pivot, axis=1).max())] for eye in eyes]
+    return HeadRig(head.vertices, head.landmarks, head.regions, head.jaw_pivot, np.array(eyeballs, dtype=np.float64))
+
+
 def head_deformer(
     rig: HeadRig,
     kernel: str = INFORMED,
-    points: NDArray[np.bool_] | None = None,
     *,
     incremental: bool = False,
 ) -> RBFDeformer | IncrementalDeformer:
     """What moves the vertices of `rig` by the displacements of its 66 landmarks; parameters as for `HeadDriver`."""
     places = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
-    members = membership() if points is None else np.asarray(points, dtype=np.bool_) & membership()
+    members = membership()
+    if rig.control_points is not None:
+        members &= rig.control_points
     plain = DEFAULT_KERNEL if kernel == INFORMED else kernel
     if incremental:
         sigma = region_sigmas(places, kernel_named(plain))

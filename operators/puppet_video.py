@@ -5,10 +5,10 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
-from ..blender.meshes import read_rig
+from ..blender.meshes import is_head, read_rig
 from ..core.takes.take import Take, load_take
 from ..properties import puppet_settings
-from ..puppet import puppet_head
+from ..puppet import puppet_head, puppet_heads
 from ..session import Session
 from .errors import ReportsErrors
 
@@ -16,7 +16,7 @@ _TICK = 0.1
 
 
 class FACEMIME_OT_puppet_video(ReportsErrors, bpy.types.Operator):
-    """Track the face in a video, or read a take, and bake its motion to the active head."""
+    """Track the face in a video, or read a take, and bake its motion to the active and the selected heads."""
 
     bl_idname = "facemime.puppet_video"
     bl_label = "Puppet from Video"
@@ -88,9 +88,11 @@ class FACEMIME_OT_puppet_video(ReportsErrors, bpy.types.Operator):
             self.cancel(context)
 
     def bake(self, context: bpy.types.Context, head: bpy.types.Object | None, take: Take) -> set[str]:
-        """Bake `take` to `head` and say what came out."""
+        """Bake `take` to `head`, and to the other selected heads, and say what came out."""
         settings = context.scene.facemime
+        others = [obj for obj in context.selected_objects if obj != head and is_head(obj)]
         report = puppet_head(context.scene, head, take, puppet_settings(settings), settings.pose_object)
+        puppet_heads(context.scene, others, take, puppet_settings(settings))
         lost = len(take) - int(take.found.sum())
         self.report(
             {"INFO"},

@@ -34,6 +34,7 @@ class FACEMIME_PT_puppet(bpy.types.Panel):
         column.prop(settings, "strength_middle", text="Middle")
         column.prop(settings, "strength_lower", text="Lower")
         layout.prop(settings, "mode")
+        layout.prop(settings, "kernel")
 
 
 def register() -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray, as_points
 from ..errors import HeadError
-from ..landmarks import IBUG68_INDICES, N_LANDMARKS, from_ibug
+from ..landmarks import N_LANDMARKS, from_ibug
 from .kernels import distances, kernel_named
 from .regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
 
@@ -306,8 +306,3 @@ class _Search:
         error, frame = np.zeros(N_LANDMARKS), np.zeros(N_LANDMARKS, dtype=np.intp)
         error[members], frame[members] = off.max(axis=0), off.argmax(axis=0)
         return error, frame
-
-
-def name_of(landmark: int) -> str:
-    """The landmark's iBUG number, which the literature and the user's overlay show."""
-    return str(int(IBUG68_INDICES[landmark]))

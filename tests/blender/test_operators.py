@@ -124,10 +124,22 @@ def test_ticks_of_the_timer_lead_from_tracking_to_the_bake(monkeypatch):
     statuses = []
     workspace = SimpleNamespace(status_text_set=statuses.append)
     context = SimpleNamespace(
-        scene=bpy.context.scene, workspace=workspace, window_manager=SimpleNamespace(progress_update=statuses.append)
+        scene=bpy.context.scene,
+        selected_objects=[],
+        workspace=workspace,
+        window_manager=SimpleNamespace(progress_update=statuses.append),
     )
     while (outcome := operator.modal(context, tick)) == {"PASS_THROUGH"}:
         if operator._session.done > 40:
             operator.modal(context, SimpleNamespace(type="ESC"))
     assert outcome == {"FINISHED"} and reports[0][0] == {"INFO"} and statuses
     assert bpy.context.active_object.data.shape_keys is not None
+
+
+def test_one_take_moves_all_selected_heads(tmp_path):
+    save_take(performance(), tmp_path / "take.npz")
+    first = add_head(bpy.context, name="First")
+    second = add_head(bpy.context, name="Second")
+    first.select_set(True)
+    assert bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.npz")) == {"FINISHED"}
+    np.testing.assert_allclose(key_coordinates(first), key_coordinates(second), atol=1e-6)

@@ -1,0 +1,185 @@
+"""Vertex error of deformers on heads whose true expressions are known, and the speed of ours.
+
+True expressions, alone and in 500 random mixtures; the displacements of 66 landmarks go in, the error over all vertices
+comes out: mean |error| / mean |motion|. Run as `python -m bench.deformation`; ICT-FaceKit's head needs --data.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.deformers import Method, all_methods, greedy_points
+from bench.heads import AREAS, TrueHead, built_in_head, ict_head
+from bench.report import Table, finish, parser
+from facemime.core.deform.expressions import learn
+from facemime.core.deform.greedy import GreedySelection
+from facemime.core.deform.rbf import RBFDeformer
+
+ROOT = Path(__file__).resolve().parents[1]
+HALF = 33
+SIZES = ((1_781, 30), (26_000, 60), (100_000, 60))
+_BATCH = 50
+_BATCHES, _FRAMES = 20, 50
+"""The fastest of twenty batches counts, as in timeit: what others do on the machine only ever adds."""
+_OPEN = 0.01
+"""Area, squared outer-eye distances, above which an opening counts as open."""
+
+
+def main() -> int:
+    """Measure, print, draw."""
+    command = parser(__doc__.splitlines()[0])
+    command.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", help="where heads/ lies")
+    command.add_argument("--pictures", type=Path, metavar="DIR", help="draw the comparison on the heads there")
+    arguments = command.parse_args()
+    heads = [ict_head(arguments.data), built_in_head()]
+    models = [learn(head.vertices, head.landmarks, head.regions, head.motions) for head in heads]
+    tables, numbers = [], {}
+    for head, model in zip(heads, reversed(models), strict=True):
+        selection = greedy_points(head, HALF)
+        methods = all_methods(head, model, selection)
+        mixed = {method.name: judge(head, method, head.mixtures) for method in methods}
+        alone = {method.name: judge(head, method, np.eye(len(head.names))) for method in methods}
+        tables += tables_of(head, methods, mixed, alone)
+        results = {
+            "errors": {name: score["errors"] for name, score in mixed.items()},
+            "alone": {name: score["errors"] for name, score in alone.items()},
+            "detail": {name: score["detail"] for name, score in mixed.items()},
+            "greedy": curve_of(selection),
+        }
+        numbers[head.title] = results
+        if arguments.pictures is not None:
+            from bench.deform_pictures import draw_head
+
+            draw_head(arguments.pictures, head, methods, selection)
+    speed = measure_speed()
+    tables.append(Table("Our deformer on one core", ("vertices", "points", "prepare ms", "frame µs", "MB"), speed))
+    columns = ("vertices", "points", "prepare_ms", "frame_us", "megabytes")
+    numbers = {
+        "errors": numbers[heads[0].title]["errors"],
+        "heads": numbers,
+        "speed": [dict(zip(columns, row, strict=True)) for row in speed],
+    }
+    finish(arguments, tables, numbers)
+    return 0
+
+
+def judge(head: TrueHead, method: Method, weights: NDArray[np.float64]) -> dict[str, dict[str, float]]:
+    """Errors by area, and opening ratios, worst vertex and crease, over the motions with (N, E) `weights`."""
+    wrong = dict.fromkeys(AREAS, 0.0)
+    motion = dict.fromkeys(AREAS, 0.0)
+    openings = {name: [0.0, 0.0] for name in ("mouth", "eyes")}
+    worst, creases = 0.0, []
+    border = _border_edges(head)
+    for start in range(0, len(weights), _BATCH):
+        true = head.true(weights[start : start + _BATCH])
+        found = method.predict(true[:, head.landmarks])
+        off, size = (np.linalg.norm(a, axis=2) for a in (found - true, true))
+        for area, mask in head.areas.items():
+            wrong[area] += float(off[:, mask].sum())
+            motion[area] += float(size[:, mask].sum())
+        worst = max(worst, float(off.max()))
+        for name, rim in head.rims.items():
+            truth, ours = (_opening(head.vertices[rim] + moved[:, rim]) for moved in (true, found))
+            chosen = truth > _OPEN
+            total = openings["mouth" if name == "mouth" else "eyes"]
+            total[0] += float(ours[chosen].sum())
+            total[1] += float(truth[chosen].sum())
+        creases.append(_bend(head, border, true, found))
+    return {
+        "errors": {area: wrong[area] / motion[area] for area in AREAS},
+        "detail": {
+            "mouth_opening": openings["mouth"][0] / max(openings["mouth"][1], 1e-12),
+            "eye_opening": openings["eyes"][0] / max(openings["eyes"][1], 1e-12),
+            "worst_vertex": worst,
+            "crease_degrees": float(np.percentile(np.concatenate(creases), 99)),
+            "points": method.points,
+            "prepare_s": method.prepare,
+            "frame_ms": method.frame,
+        },
+    }
+
+
+def _opening(outline: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) area of (N, K, 3) outlines in the front view, never below 0: rims that cross leave nothing open."""
+    x, y = outline[..., 0], outline[..., 1]
+    return np.maximum((x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y).sum(axis=1) / 2.0, 0.0)
+
+
+def _border_edges(head: TrueHead) -> NDArray[np.int64]:
+    """(E, 2) edges of the mesh along which what rules the vertices changes from one region to another."""
+    count = head.faces.shape[1]
+    pairs = np.concatenate([head.faces[:, [i, (i + 1) % count]] for i in range(count)])
+    pairs = pairs[(pairs >= 0).all(axis=1)]
+    moving = head.regions.any(axis=0)
+    differ = np.abs(head.regions[:, pairs[:, 0]] - head.regions[:, pairs[:, 1]]).max(axis=0) > 0.02
+    return pairs[differ & moving[pairs].all(axis=1)]
+
+
+def _bend(
+    head: TrueHead, edges: NDArray[np.int64], true: NDArray[np.float32], found: NDArray[np.float32]
+) -> NDArray[np.float64]:
+    """Degrees between the true and the found direction of each of `edges`, (N E,)."""
+    a, b = edges.T
+    along = head.vertices[b] - head.vertices[a]
+    right, ours = (along + moved[:, b] - moved[:, a] for moved in (true, found))
+    cosine = (right * ours).sum(axis=2) / (np.linalg.norm(right, axis=2) * np.linalg.norm(ours, axis=2) + 1e-12)
+    return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).ravel()
+
+
+def tables_of(head: TrueHead, methods: list[Method], mixed: dict, alone: dict) -> list[Table]:
+    """Errors of mixtures, errors alone, and what else was measured."""
+    count = len(head.names)
+    rows = [[[method.name, *scores[method.name]["errors"].values()] for method in methods] for scores in (mixed, alone)]
+    detail = [[method.name, *mixed[method.name]["detail"].values()] for method in methods]
+    columns = ("mouth opening", "eye opening", "worst vertex", "crease °", "points", "prepare s", "frame ms")
+    return [
+        Table(f"{head.title}: error in {len(head.mixtures)} mixtures", ("method", *AREAS), rows[0]),
+        Table(f"{head.title}: error in {count} expressions alone", ("method", *AREAS), rows[1]),
+        Table(f"{head.title}: what else, in the mixtures", ("method", *columns), detail),
+    ]
+
+
+def curve_of(selection: GreedySelection) -> list[dict[str, object]]:
+    """The greedy curve as plain values."""
+    return [
+        {"action": step.action, "landmark": step.landmark, "points": step.points, "error": step.error}
+        for step in selection.steps
+    ]
+
+
+def measure_speed() -> list[tuple[int, int, float, float, float]]:
+    """Preparation and time of a frame for meshes and numbers of points, by the three regions of a face."""
+    rows = []
+    for count, points in SIZES:
+        rng = np.random.default_rng(0)
+        vertices = rng.uniform(0.0, 1.0, (count, 3))
+        controls = vertices[rng.choice(count, points, replace=False)]
+        weights, members = _bands(vertices[:, 1], 0.03), _bands(controls[:, 1], 0.03) > 0
+        start = perf_counter()
+        deformer = RBFDeformer(vertices, controls, weights, members, spacing_factor=0.5)
+        prepare = perf_counter() - start
+        moved = rng.normal(0.0, 0.01, (points, 3)).astype(np.float32)
+        out = np.empty((count, 3), np.float32)
+        times = []
+        for _ in range(_BATCHES):
+            start = perf_counter()
+            for _ in range(_FRAMES):
+                deformer.deform(moved, out)
+            times.append((perf_counter() - start) / _FRAMES)
+        rows.append((count, points, 1e3 * prepare, 1e6 * min(times), deformer.nbytes / 1e6))
+    return rows
+
+
+def _bands(height: NDArray[np.float64], soft: float) -> NDArray[np.float64]:
+    """(3, N) soft thirds of the unit interval."""
+    first, second = (np.clip((height - cut) / (2.0 * soft) + 0.5, 0.0, 1.0) for cut in (1.0 / 3.0, 2.0 / 3.0))
+    return np.stack([1.0 - first, first * (1.0 - second), second])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

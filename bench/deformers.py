@@ -1,0 +1,247 @@
+"""The ways to deform a head that are compared: each takes landmark displacements and gives those of all vertices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, csc_matrix, diags
+from scipy.sparse.linalg import splu
+
+from bench.heads import Points, TrueHead
+from facemime.core.deform.expressions import ExpressionModel, learnt_covariance
+from facemime.core.deform.greedy import GreedySelection, greedy_select
+from facemime.core.deform.kernels import KERNELS
+from facemime.core.deform.rbf import RBFDeformer
+from facemime.core.deform.regions import DEFAULT_KERNEL, membership, region_sigmas
+from facemime.core.drive import head_deformer
+from facemime.core.landmarks import N_LANDMARKS, from_ibug
+
+Predict = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+_RIDGE = 1e-4
+
+
+@dataclass(frozen=True)
+class Method:
+    """One row of the comparison.
+
+    Attributes
+    ----------
+    name : str
+    points : int
+        Control points used.
+    predict : callable
+        (N, 66, 3) displacements of the landmarks to (N, V, 3) of the vertices.
+    prepare : float
+        Seconds that the preparation took.
+    frame : float
+        Milliseconds a frame.
+    """
+
+    name: str
+    points: int
+    predict: Predict
+    prepare: float
+    frame: float
+
+
+def all_methods(head: TrueHead, model: ExpressionModel, selection: GreedySelection) -> list[Method]:
+    """Every row, `model` being learnt on another head than `head`."""
+    builders: dict[str, tuple[int, Callable[[], Predict]]] = {
+        "whole": (N_LANDMARKS, lambda: whole(head)),
+        "split": (N_LANDMARKS, lambda: split(head)),
+        "gaussian": (N_LANDMARKS, lambda: regions(head, kernel="gaussian")),
+        "regions": (N_LANDMARKS, lambda: regions(head)),
+        "regions_greedy": (len(selection.landmarks), lambda: regions(head, selection.membership)),
+        "informed": (N_LANDMARKS, lambda: informed(head, model)),
+        "laplacian": (N_LANDMARKS, lambda: laplacian(head)),
+        "blender_laplacian": (N_LANDMARKS, lambda: blender_laplacian(head)),
+        "ridge": (N_LANDMARKS, lambda: ridge(head)),
+    }
+    methods = []
+    for name, (points, build) in builders.items():
+        start = perf_counter()
+        predict = build()
+        prepare = perf_counter() - start
+        methods.append(Method(name, points, predict, prepare, _milliseconds(head, predict)))
+    return methods
+
+
+def greedy_points(head: TrueHead, count: int) -> GreedySelection:
+    """Control points chosen on the head's own expressions, one at a time and mixed, as a take would show them."""
+    weights = np.concatenate([np.eye(len(head.names)), head.mixtures[:250]])
+    motion = head.true(weights)[:, head.landmarks]
+    return greedy_select(head.vertices[head.landmarks], motion, tolerance=0.002, max_points=count)
+
+
+def whole(head: TrueHead) -> Predict:
+    """One Gaussian over the whole face (Yu & Li 2005), at the sigma that is best for the expressions themselves."""
+    best = min(np.linspace(0.06, 0.3, 13), key=lambda sigma: _error_alone(head, _one_region(head, float(sigma))))
+    return _rbf(_one_region(head, float(best)))
+
+
+def split(head: TrueHead) -> Predict:
+    """Three bands, cut along the horizontal lines of eyes and mouth only (Zhang 2017): 0 or 1, no way along a slit."""
+    points = head.vertices[head.landmarks]
+    eyes, mouth = points[from_ibug((36, 39, 42, 45)), 1].mean(), points[from_ibug((48, 54)), 1].mean()
+
+    def bands(height: Points) -> NDArray[np.bool_]:
+        return np.stack([height <= eyes, (height >= eyes) & (height <= mouth), height >= mouth])
+
+    weights = bands(head.vertices[:, 1]) * head.regions.any(axis=0)
+    return _rbf(RBFDeformer(head.vertices, points, weights, bands(points[:, 1])))
+
+
+def regions(head: TrueHead, points: NDArray[np.bool_] | None = None, kernel: str = DEFAULT_KERNEL) -> Predict:
+    """Ours, with a kernel of distance alone."""
+    return _rbf(head_deformer(replace(head.rig, control_points=points), kernel))
+
+
+def informed(head: TrueHead, model: ExpressionModel) -> Predict:
+    """Ours, with what `model` learnt on another head."""
+    points = head.vertices[head.landmarks]
+    return _rbf(
+        RBFDeformer(
+            head.vertices,
+            points,
+            head.regions,
+            membership(),
+            kernel=DEFAULT_KERNEL,
+            sigma=region_sigmas(points, KERNELS[DEFAULT_KERNEL]),
+            covariance=learnt_covariance((model,), head.vertices, head.landmarks, head.regions),
+        )
+    )
+
+
+def laplacian(head: TrueHead) -> Predict:
+    """Bi-Laplacian editing with cotangent weights, `L M^-1 L x = 0`: landmarks move, what is in no region stays."""
+    count = len(head.vertices)
+    stiffness, mass = _cotangent(head)
+    system = csc_matrix(stiffness @ diags(1.0 / mass) @ stiffness)
+    free = np.setdiff1d(np.arange(count), _anchors(head))
+    moves = -system[free][:, head.landmarks].toarray()
+    matrix = np.zeros((count, N_LANDMARKS))
+    matrix[free] = splu(system[free][:, free].tocsc()).solve(moves)
+    matrix[head.landmarks] = np.eye(N_LANDMARKS)
+    return _linear(matrix.astype(np.float32))
+
+
+def blender_laplacian(head: TrueHead) -> Predict:
+    """Blender's own Laplacian Deform modifier with the same anchors."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    mesh = bpy.data.meshes.new("head")
+    mesh.from_pydata(head.vertices.tolist(), [], [[int(v) for v in face if v >= 0] for face in head.faces])
+    obj = bpy.data.objects.new("head", mesh)
+    bpy.context.collection.objects.link(obj)
+    bpy.context.view_layer.objects.active = obj
+    group = obj.vertex_groups.new(name="anchors")
+    group.add(_anchors(head).tolist(), 1.0, "REPLACE")
+    modifier = obj.modifiers.new("laplacian", "LAPLACIANDEFORM")
+    modifier.vertex_group = group.name
+    bpy.ops.object.laplaciandeform_bind(modifier=modifier.name)
+    if not modifier.is_bind:
+        raise RuntimeError("Blender could not bind its Laplacian Deform modifier")
+    rest = head.vertices.astype(np.float32)
+
+    def predict(displacements: NDArray[np.float32]) -> NDArray[np.float32]:
+        out = np.empty((len(displacements), *rest.shape), np.float32)
+        for moved, row in zip(displacements, out, strict=True):
+            anchors = rest.copy()
+            anchors[head.landmarks] += moved
+            mesh.attributes["position"].data.foreach_set("vector", anchors.reshape(-1))
+            mesh.update_tag()
+            evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+            flat = np.empty(rest.size, np.float32)
+            evaluated.data.attributes["position"].data.foreach_get("vector", flat)
+            np.subtract(flat.reshape(-1, 3), rest, out=row)
+        return out
+
+    return predict
+
+
+def ridge(head: TrueHead) -> Predict:
+    """A ridge regression from landmarks to vertices on the head's own expressions: what knowing the rig would give."""
+    inputs = head.motions[:, head.landmarks].reshape(len(head.names), -1).astype(np.float64)
+    gram = inputs @ inputs.T
+    targets = head.motions.reshape(len(head.names), -1)
+    coefficients = np.linalg.solve(gram + _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram)), inputs)
+
+    def predict(displacements: NDArray[np.float32]) -> NDArray[np.float32]:
+        weights = displacements.reshape(len(displacements), -1) @ coefficients.T.astype(np.float32)
+        return (weights @ targets).reshape(len(displacements), -1, 3)
+
+    return predict
+
+
+def _one_region(head: TrueHead, sigma: float) -> RBFDeformer:
+    everywhere = head.regions.any(axis=0)[None].astype(float)
+    return RBFDeformer(
+        head.vertices, head.vertices[head.landmarks], everywhere, np.ones((1, N_LANDMARKS), bool), sigma=sigma
+    )
+
+
+def _error_alone(head: TrueHead, deformer: RBFDeformer) -> float:
+    moved = np.einsum("vp,epc->evc", deformer.matrix(), head.motions[:, head.landmarks])
+    return float(np.linalg.norm(moved - head.motions, axis=2).sum())
+
+
+def _rbf(deformer: RBFDeformer) -> Predict:
+    def predict(displacements: NDArray[np.float32]) -> NDArray[np.float32]:
+        out = np.empty((len(displacements), *deformer.rest.shape), np.float32)
+        for moved, row in zip(displacements, out, strict=True):
+            deformer.deform(moved, row)
+        out -= deformer.rest
+        return out
+
+    return predict
+
+
+def _linear(matrix: NDArray[np.float32]) -> Predict:
+    return lambda displacements: np.einsum("vp,npc->nvc", matrix, displacements, optimize=True)
+
+
+def _anchors(head: TrueHead) -> NDArray[np.int64]:
+    return np.union1d(np.flatnonzero(~head.regions.any(axis=0)), head.landmarks)
+
+
+def _cotangent(head: TrueHead) -> tuple[csc_matrix, Points]:
+    """Stiffness matrix of the cotangents and the vertices' areas (Pinkall & Polthier 1993; Botsch & Sorkine 2008)."""
+    triangles = triangles_of(head.faces)
+    corners = head.vertices[triangles]
+    rows, columns, values = [], [], []
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        a, b = corners[:, j] - corners[:, i], corners[:, k] - corners[:, i]
+        cotangent = (a * b).sum(axis=1) / np.maximum(np.linalg.norm(np.cross(a, b), axis=1), 1e-12)
+        rows.append(triangles[:, j])
+        columns.append(triangles[:, k])
+        values.append(0.5 * np.clip(cotangent, -20.0, 20.0))
+    row, column, value = (np.concatenate(part) for part in (rows, columns, values))
+    count = len(head.vertices)
+    half = coo_matrix((value, (row, column)), shape=(count, count))
+    weights = (half + half.T).tocsc()
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 6.0
+    mass = np.bincount(triangles.ravel(), weights=np.repeat(area, 3), minlength=count)
+    return csc_matrix(diags(np.asarray(weights.sum(axis=1)).ravel()) - weights), np.maximum(mass, 1e-9)
+
+
+def triangles_of(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(T, 3) triangles of (F, 3 or 4) faces padded with -1."""
+    if faces.shape[1] == 3:
+        return faces
+    return np.concatenate([faces[:, :3], faces[faces[:, 3] >= 0][:, [0, 2, 3]]])
+
+
+def _milliseconds(head: TrueHead, predict: Predict) -> float:
+    """Median time of one frame."""
+    motion = head.true(head.mixtures[:20])[:, head.landmarks]
+    times = []
+    for moved in motion:
+        start = perf_counter()
+        predict(moved[None])
+        times.append(perf_counter() - start)
+    return 1e3 * float(np.median(times))

@@ -1,0 +1,160 @@
+"""Heads whose true expressions are known: what a deformer is judged on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facemime.core.deform.propose import propose_regions
+from facemime.core.deform.surface import SurfaceGraph
+from facemime.core.drive import HeadRig
+from facemime.core.head import load_head
+from facemime.core.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, MOUTH_OUTER, OUTER_EYE_CORNERS, from_ibug
+from training.expressions.__main__ import ARKIT_EXCEPTIONS
+from training.tracker.heads import FACE, load_ict
+
+Points = NDArray[np.float64]
+AREAS = ("all", "lips", "eyes", "brows", "cheeks", "jaw")
+MIXTURES = 500
+
+_LIPS, _EYES, _BROWS = 0.13, 0.12, 0.16
+"""How far lips, eyes and brows reach from their landmarks, outer-eye distances."""
+_RIMS = {
+    "mouth": (from_ibug((48, 61, 62, 63, 54)), from_ibug((54, 65, 66, 67, 48))),
+    "right eye": (from_ibug((36, 37, 38, 39)), from_ibug((39, 40, 41, 36))),
+    "left eye": (from_ibug((42, 43, 44, 45)), from_ibug((45, 46, 47, 42))),
+}
+
+
+@dataclass(frozen=True)
+class TrueHead:
+    """A head and how its vertices truly move; lengths in outer-eye distances, head frame.
+
+    Attributes
+    ----------
+    vertices : (V, 3)
+    faces : (F, K) int, padded with -1
+    landmarks : (66,) int
+    regions : (3, V)
+    names : names of the expressions
+    motions : (E, V, 3) float32
+    mixtures : (500, E) weights of random mixtures
+    areas : name to (V,) bool
+    rims : name to the closed outline of vertices round an opening
+    """
+
+    title: str
+    vertices: Points
+    faces: NDArray[np.int64]
+    landmarks: NDArray[np.int64]
+    regions: Points
+    names: list[str]
+    motions: NDArray[np.float32]
+    mixtures: Points
+    areas: dict[str, NDArray[np.bool_]]
+    rims: dict[str, NDArray[np.int64]]
+
+    @property
+    def rig(self) -> HeadRig:
+        """What driving it needs."""
+        points = self.vertices[self.landmarks]
+        return HeadRig(self.vertices, self.landmarks, self.regions, points[[2, 14]].mean(axis=0))
+
+    def true(self, weights: Points) -> NDArray[np.float32]:
+        """(N, V, 3) motion under (N, E) weights."""
+        return np.tensordot(weights.astype(np.float32), self.motions, axes=1)
+
+
+def ict_head(data: Path) -> TrueHead:
+    """ICT-FaceKit's face and its 53 expressions."""
+    head = load_ict(data)
+    triangles = head.triangles[(head.triangles < FACE.stop).all(axis=1)]
+    chosen = [i for i, name in enumerate(head.names) if not name.startswith(ARKIT_EXCEPTIONS)]
+    return _head(
+        "ICT-FaceKit",
+        head.neutral[FACE],
+        triangles,
+        head.landmarks,
+        [head.names[i] for i in chosen],
+        head.expression[chosen][:, FACE],
+    )
+
+
+def built_in_head() -> TrueHead:
+    """The built-in head and those of its 52 units that move its skin, with regions proposed as for any mesh."""
+    head = load_head()
+    chosen = [i for i, unit in enumerate(head.units) if np.abs(unit).max() > 1e-5]
+    return _head(
+        "built-in head",
+        head.vertices,
+        head.faces,
+        head.landmarks,
+        [head.unit_names[i] for i in chosen],
+        head.units[chosen],
+    )
+
+
+def _head(
+    title: str, vertices: Points, faces: Points, landmarks: Points, names: list[str], motions: Points
+) -> TrueHead:
+    corners = vertices[landmarks[OUTER_EYE_CORNERS]].astype(np.float64)
+    unit = float(np.linalg.norm(corners[0] - corners[1]))
+    vertices = (vertices - vertices[landmarks].mean(axis=0, dtype=np.float64)) / unit
+    regions = propose_regions(vertices, faces, landmarks)
+    graph = SurfaceGraph(vertices, faces)
+    return TrueHead(
+        title=title,
+        vertices=vertices,
+        faces=np.asarray(faces, dtype=np.int64),
+        landmarks=landmarks,
+        regions=regions,
+        names=names,
+        motions=(motions / unit).astype(np.float32),
+        mixtures=_mixtures(len(names)),
+        areas=_areas(vertices, vertices[landmarks], regions),
+        rims={name: _outline(graph, landmarks, *lines) for name, lines in _RIMS.items()},
+    )
+
+
+def _mixtures(count: int) -> Points:
+    """Two to five expressions at a time, each at 0.2 to 1."""
+    rng = np.random.default_rng(2019)
+    weights = np.zeros((MIXTURES, count))
+    for row in weights:
+        chosen = rng.choice(count, rng.integers(2, 6), replace=False)
+        row[chosen] = rng.uniform(0.2, 1.0, len(chosen))
+    return weights
+
+
+def _areas(vertices: Points, points: Points, regions: Points) -> dict[str, NDArray[np.bool_]]:
+    """Lips, eyes and brows by distance to their landmarks; cheeks and jaw are what else moves, above and below."""
+
+    def near(landmarks: NDArray[np.intp], reach: float) -> NDArray[np.bool_]:
+        return np.linalg.norm(vertices[:, None] - points[landmarks], axis=2).min(axis=1) < reach
+
+    eye_level = points[OUTER_EYE_CORNERS, 1].mean()
+    mouth_level = points[from_ibug((48, 54)), 1].mean()
+    height = vertices[:, 1]
+    lips = near(np.concatenate([MOUTH_OUTER, from_ibug((61, 62, 63, 65, 66, 67))]), _LIPS)
+    eyes = near(np.concatenate([EYE_RIGHT, EYE_LEFT]), _EYES) & ~lips
+    brows = near(BROWS, _BROWS) & ~eyes & (height < eye_level)
+    rest = regions.any(axis=0) & ~(lips | eyes | brows) & (height > eye_level)
+    return {
+        "all": np.ones(len(vertices), bool),
+        "lips": lips,
+        "eyes": eyes,
+        "brows": brows,
+        "cheeks": rest & (height <= mouth_level),
+        "jaw": rest & (height > mouth_level),
+    }
+
+
+def _outline(
+    graph: SurfaceGraph, landmarks: NDArray[np.int64], upper: NDArray[np.intp], lower: NDArray[np.intp]
+) -> NDArray[np.int64]:
+    line = landmarks[np.concatenate([upper, lower[1:]])].tolist()
+    return np.array([v for a, b in pairwise(line) for v in graph.path(a, b)[:-1]])

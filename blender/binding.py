@@ -1,0 +1,102 @@
+"""A mesh of the user's own becomes a head: landmarks bound, regions proposed, both kept with the mesh."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+from numpy.typing import NDArray
+
+from ..core.deform.binding import Binding, bind_landmarks
+from ..core.deform.check import Finding, check_head
+from ..core.deform.propose import propose_regions
+from ..core.errors import HeadError
+from .frames import HEAD_TO_BLENDER
+from .meshes import mesh_of, read_faces, read_landmarks, read_regions, read_vertices, write_landmarks, write_regions
+from .names import MARKS_PROPERTY, SELECTION_PROPERTY
+
+_UPRIGHT = np.cos(np.radians(20.0))
+"""A mesh that looks away from -Y by more than that is turned; less is how the head is held."""
+
+
+def bind_head(obj: bpy.types.Object | None) -> Binding:
+    """Find the landmarks of `obj` from the user's marks, or from none, and propose its regions.
+
+    Where the marks show that the mesh does not face -Y upright, its vertices are turned, and the object's transform
+    back, so that nothing moves in the scene.
+
+    Raises
+    ------
+    HeadError
+        Where no face is found, or a mesh that several objects share would have to be turned.
+    """
+    mesh = mesh_of(obj)
+    marks = read_marks(mesh)
+    binding = bind_landmarks(read_vertices(mesh), read_faces(mesh), marks)
+    if marks and float(np.trace(binding.rotation) - 1.0) / 2.0 < _UPRIGHT:
+        _turn(obj, HEAD_TO_BLENDER @ binding.rotation @ HEAD_TO_BLENDER.T)
+    write_landmarks(mesh, binding.landmarks)
+    if SELECTION_PROPERTY in mesh:
+        del mesh[SELECTION_PROPERTY]
+    propose_head_regions(obj)
+    return binding
+
+
+def propose_head_regions(obj: bpy.types.Object) -> None:
+    """Fill the region groups of `obj`, whose landmarks are bound, with the proposed weights."""
+    landmarks = read_landmarks(obj)
+    write_regions(obj, propose_regions(read_vertices(obj.data), read_faces(obj.data), landmarks))
+
+
+def check_object(obj: bpy.types.Object | None) -> list[Finding]:
+    """What would keep `obj` from being driven well; HeadError where landmarks or regions are not there at all."""
+    mesh = mesh_of(obj)
+    return check_head(read_vertices(mesh), read_faces(mesh), read_landmarks(obj), read_regions(obj))
+
+
+def read_marks(mesh: bpy.types.Mesh) -> dict[int, int]:
+    """The user's marks: iBUG number to vertex."""
+    flat = [int(i) for i in mesh.get(MARKS_PROPERTY, ())]
+    return dict(zip(flat[::2], flat[1::2], strict=True))
+
+
+def write_mark(mesh: bpy.types.Mesh, number: int, vertex: int) -> None:
+    """Keep that landmark `number` (iBUG) lies at `vertex`."""
+    marks = read_marks(mesh) | {number: vertex}
+    mesh[MARKS_PROPERTY] = [value for pair in marks.items() for value in pair]
+
+
+def clear_marks(mesh: bpy.types.Mesh) -> None:
+    """Forget all marks."""
+    if MARKS_PROPERTY in mesh:
+        del mesh[MARKS_PROPERTY]
+
+
+def picked_vertex(obj: bpy.types.Object) -> int:
+    """The one vertex that is selected in Edit mode; HeadError where it is not one."""
+    obj.update_from_editmode()
+    selected = np.empty(len(obj.data.vertices), dtype=bool)
+    obj.data.vertices.foreach_get("select", selected)
+    if selected.sum() != 1:
+        raise HeadError(f"Select one vertex in Edit mode; {int(selected.sum())} are selected.")
+    return int(np.flatnonzero(selected)[0])
+
+
+def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
+    """Bind `landmark` (position in the 66) of `obj` to `vertex`."""
+    landmarks = read_landmarks(obj)
+    taken = np.flatnonzero(landmarks == vertex)
+    if len(taken) and taken[0] != landmark:
+        raise HeadError("Another landmark lies on that vertex. Pick a vertex of its own.")
+    landmarks[landmark] = vertex
+    write_landmarks(obj.data, landmarks)
+
+
+def _turn(obj: bpy.types.Object, rotation: NDArray[np.floating]) -> None:
+    if obj.data.users > 1:
+        raise HeadError(f"The mesh of {obj.name} must be turned to face -Y, but others use it. Make it single-user.")
+    turn = Matrix(rotation.tolist()).to_4x4()
+    obj.data.transform(turn, shape_keys=True)
+    obj.matrix_world = obj.matrix_world @ turn.inverted()
+    for child in obj.children:
+        child.matrix_parent_inverse = turn @ child.matrix_parent_inverse

@@ -1,0 +1,109 @@
+"""Control points for a head from a recorded take, and their file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from .deform.greedy import DEFAULT_TOLERANCE, GreedySelection, GreedyStep, greedy_select
+from .drive import HeadRig
+from .errors import HeadError, SourceError
+from .landmarks import IBUG68_INDICES, N_LANDMARKS, from_ibug
+from .retarget import Neutral, Retargeter, calibrate
+from .takes.take import Take
+
+_FORMAT = "facemime-control-points-1"
+
+
+def select_for_take(
+    rig: HeadRig,
+    take: Take,
+    *,
+    neutral: Neutral | None = None,
+    tolerance: float = DEFAULT_TOLERANCE,
+    max_points: int = N_LANDMARKS,
+    always: Iterable[int] = (),
+    never: Iterable[int] = (),
+) -> GreedySelection:
+    """Choose the control points that `rig` needs for what happens in `take`; frames are numbered as in the take.
+
+    Parameters
+    ----------
+    neutral : optional
+        The performer's; found in the take by default.
+    tolerance, max_points, always, never
+        As for `greedy_select`.
+
+    Raises
+    ------
+    SourceError
+        Where no face was found in the take.
+    """
+    neutral = calibrate(take) if neutral is None else neutral
+    landmarks = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
+    retargeter = Retargeter(neutral.shape, landmarks, shut=neutral.shut)
+    found = np.flatnonzero(take.found)
+    motion = np.stack([retargeter.displacements(take.shape[frame]) for frame in found])
+    selection = greedy_select(landmarks, motion, tolerance=tolerance, max_points=max_points, always=always, never=never)
+    return replace(selection, steps=tuple(replace(step, frame=int(found[step.frame])) for step in selection.steps))
+
+
+def to_json(selection: GreedySelection) -> str:
+    """The selection as text, landmarks by their iBUG numbers."""
+    steps = [
+        asdict(replace(step, landmark=int(IBUG68_INDICES[step.landmark]), worst=int(IBUG68_INDICES[step.worst])))
+        for step in selection.steps
+    ]
+    regions = [IBUG68_INDICES[row].tolist() for row in selection.membership]
+    header = {"format": _FORMAT, "tolerance": selection.tolerance, "reached": selection.reached}
+    return json.dumps(header | {"regions": regions, "steps": steps})
+
+
+def from_json(text: str) -> GreedySelection:
+    """The selection that `to_json` wrote.
+
+    Raises
+    ------
+    SourceError
+        Where the text is something else.
+    """
+    try:
+        data: dict[str, Any] = json.loads(text)
+        if data["format"] != _FORMAT:
+            raise ValueError("another format")
+        membership = np.zeros((3, N_LANDMARKS), dtype=np.bool_)
+        for row, numbers in zip(membership, data["regions"], strict=True):
+            row[from_ibug(numbers)] = True
+        steps = tuple(_step(**step) for step in data["steps"])
+        return GreedySelection(membership, steps, float(data["tolerance"]), bool(data["reached"]))
+    except (ValueError, KeyError, TypeError) as error:
+        raise SourceError(
+            f"These are no control points of Facemime ({error}). Make some with: facemime select TAKE -o POINTS.json"
+        ) from error
+
+
+def _step(landmark: int, worst: int, **others: Any) -> GreedyStep:
+    here, there = from_ibug((landmark, worst)).tolist()
+    return GreedyStep(landmark=here, worst=there, **others)
+
+
+def parse_landmarks(text: str) -> list[int]:
+    """Positions in the 66 of iBUG numbers and ranges such as "17,19-21"; empty text gives none.
+
+    Raises
+    ------
+    HeadError
+        Where it is something else.
+    """
+    numbers: list[int] = []
+    try:
+        for part in filter(None, (part.strip() for part in text.split(","))):
+            first, _, last = part.partition("-")
+            numbers += range(int(first), int(last or first) + 1)
+        return [int(i) for i in from_ibug(numbers)]
+    except ValueError as error:
+        raise HeadError(f"{text!r} names no landmarks ({error}). Write iBUG numbers such as 17,19-21.") from error

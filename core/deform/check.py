@@ -1,0 +1,89 @@
+"""Is a head ready to be driven? Each finding says what is wrong and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+from ..landmarks import IBUG68_INDICES, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
+from .regions import REGIONS, membership
+from .surface import SurfaceGraph
+
+_MOUTH_CORNERS = from_ibug((48, 54))
+_JOINED = 0.35
+"""Of the mouth's width: lips whose middles are nearer to each other than that along the skin are one skin."""
+_STRANGER = 0.01
+_LISTED = 8
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong with a head, and what to do; each one sentence."""
+
+    problem: str
+    remedy: str
+
+
+def check_head(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> list[Finding]:
+    """What would keep a head from being driven well; empty where nothing does.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+    faces : (F, K) array of int
+        Vertices of each face, padded with -1.
+    landmarks : (66,) array of int
+    region_weights : (3, V) array
+    """
+    findings = []
+    unique, counts = np.unique(landmarks, return_counts=True)
+    if (counts > 1).any():
+        twins = np.flatnonzero(np.isin(landmarks, unique[counts > 1]))
+        findings.append(Finding(f"Landmarks {_list(twins)} share vertices.", "Bind each to a vertex of its own."))
+    findings += _region_findings(landmarks, region_weights)
+    findings += _lip_findings(vertices, faces, landmarks)
+    return findings
+
+
+def _region_findings(landmarks: IntArray, region_weights: FloatArray) -> list[Finding]:
+    findings = []
+    weights = np.asarray(region_weights)[:, landmarks]
+    outside = np.flatnonzero(weights.max(axis=0) < _STRANGER)
+    if len(outside):
+        findings.append(
+            Finding(
+                f"Landmarks {_list(outside)} lie in no region.", "Paint their regions over them, or bind them anew."
+            )
+        )
+    for region, members, row, whole in zip(REGIONS, membership(), weights, region_weights, strict=True):
+        if not np.asarray(whole).any():
+            findings.append(Finding(f"The region {region.name} is empty.", "Paint it, or propose the regions again."))
+        elif not (members & (row >= _STRANGER)).any():
+            findings.append(
+                Finding(
+                    f"The region {region.name} has none of its control points within.",
+                    "Paint it over its landmarks, or propose the regions again.",
+                )
+            )
+    return findings
+
+
+def _lip_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[Finding]:
+    graph = SurfaceGraph(vertices, faces)
+    width = float(np.linalg.norm(np.subtract(*graph.vertices[landmarks[_MOUTH_CORNERS]])))
+    ways = graph.ways([int(landmarks[MOUTH_INNER_UPPER[1]])], 2.0 * width)
+    if ways[landmarks[MOUTH_INNER_LOWER[1]]] < _JOINED * width:
+        return [
+            Finding(
+                "The lips are joined into one skin, so that the mouth cannot open.",
+                "Cut the mesh along the line between the lips (Edge > Edge Split), or model a slit.",
+            )
+        ]
+    return []
+
+
+def _list(landmarks: IntArray) -> str:
+    numbers = [str(int(IBUG68_INDICES[i])) for i in landmarks]
+    return ", ".join(numbers[:_LISTED]) + (f" and {len(numbers) - _LISTED} more" if len(numbers) > _LISTED else "")

@@ -1,0 +1,107 @@
+"""Choose the control points that a head needs for a take."""
+
+from pathlib import Path
+
+import bpy
+from bpy.props import FloatProperty, IntProperty, StringProperty
+
+from ..blender.meshes import read_rig, write_selection
+from ..core.control_points import parse_landmarks, select_for_take
+from ..core.landmarks import N_LANDMARKS
+from ..core.retarget import calibrate
+from ..core.takes.take import load_take
+from ..properties import puppet_settings
+from .errors import ReportsErrors
+
+
+class FACEMIME_OT_select_control_points(ReportsErrors, bpy.types.Operator):
+    """Choose, from a take, the landmarks that control the active head; the others follow."""
+
+    bl_idname = "facemime.select_control_points"
+    bl_label = "Select Control Points"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(name="Take", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.npz", options={"HIDDEN"})
+    tolerance: FloatProperty(
+        name="Tolerance",
+        description="How far a landmark that is no control point may end from where it was, of the face's width",
+        subtype="PERCENTAGE",
+        default=1.0,
+        min=0.01,
+        max=100.0,
+        soft_max=10.0,
+    )
+    max_points: IntProperty(name="At Most", description="Control points", default=N_LANDMARKS, min=3, max=N_LANDMARKS)
+    add: StringProperty(name="Add", description="Landmarks to have in any case, by iBUG number: 17,19-21")
+    remove: StringProperty(name="Remove", description="Landmarks never to have, by iBUG number: 0-3,30")
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only with a mesh active."""
+        if context.active_object is None or context.active_object.type != "MESH":
+            cls.poll_message_set("Select a head mesh")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the take."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Choose the points and keep them with the mesh."""
+        return self.reporting(self.select, context)
+
+    def select(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        rig = read_rig(context.active_object)
+        take = load_take(Path(bpy.path.abspath(self.filepath)))
+        selection = select_for_take(
+            rig,
+            take,
+            neutral=calibrate(take, puppet_settings(context.scene.facemime).neutral),
+            tolerance=self.tolerance / 100.0,
+            max_points=self.max_points,
+            always=parse_landmarks(self.add),
+            never=parse_landmarks(self.remove),
+        )
+        write_selection(context.active_object.data, selection)
+        worst = selection.steps[-1]
+        short = "" if selection.reached else ", short of the tolerance"
+        self.report(
+            {"INFO"},
+            f"{len(selection.landmarks)} control points, worst error {100 * worst.error:.2f} % of the face's width "
+            f"in frame {worst.frame}{short}",
+        )
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_use_all_landmarks(ReportsErrors, bpy.types.Operator):
+    """Let all 66 landmarks control the active head again."""
+
+    bl_idname = "facemime.use_all_landmarks"
+    bl_label = "Use All Landmarks"
+    bl_options = {"REGISTER", "UNDO"}
+
+    poll = FACEMIME_OT_select_control_points.poll
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Forget the selection."""
+        write_selection(context.active_object.data, None)
+        return {"FINISHED"}
+
+
+_CLASSES = (FACEMIME_OT_select_control_points, FACEMIME_OT_use_all_landmarks)
+
+
+def register() -> None:
+    """Register the operators."""
+    for operator in _CLASSES:
+        bpy.utils.register_class(operator)
+
+
+def unregister() -> None:
+    """Unregister the operators."""
+    for operator in reversed(_CLASSES):
+        bpy.utils.unregister_class(operator)

@@ -1,0 +1,55 @@
+"""Import a FaceGen head."""
+
+from pathlib import Path
+
+import bpy
+from bpy.props import FloatProperty, StringProperty
+
+from ..blender.facegen import MILLIMETRE, import_facegen
+from .errors import ReportsErrors
+
+
+class FACEMIME_OT_import_facegen(ReportsErrors, bpy.types.Operator):
+    """Import a FaceGen head: a .tri with its morphs, and the .egm beside it, or an OBJ in FaceGen's vertex order."""
+
+    bl_idname = "facemime.import_facegen"
+    bl_label = "FaceGen Head (.tri, .obj)"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.tri;*.obj", options={"HIDDEN"})
+    scale: FloatProperty(name="Scale", description="Metres a unit of the file", default=MILLIMETRE, min=1e-6)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only in Object mode."""
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Switch to Object mode first")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the file."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Import the head."""
+        return self.reporting(self.load, context)
+
+    def load(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        obj = import_facegen(context, Path(bpy.path.abspath(self.filepath)), self.scale)
+        keys = 0 if obj.data.shape_keys is None else len(obj.data.shape_keys.key_blocks) - 1
+        self.report({"INFO"}, f"{len(obj.data.vertices)} vertices, {keys} morphs")
+        return {"FINISHED"}
+
+
+def register() -> None:
+    """Register the operator."""
+    bpy.utils.register_class(FACEMIME_OT_import_facegen)
+
+
+def unregister() -> None:
+    """Unregister the operator."""
+    bpy.utils.unregister_class(FACEMIME_OT_import_facegen)

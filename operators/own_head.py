@@ -1,0 +1,167 @@
+"""Make a mesh of your own a head: mark points, bind landmarks, propose regions, check."""
+
+import bpy
+from bpy.props import EnumProperty, IntProperty
+
+from ..blender.binding import (
+    bind_head,
+    check_object,
+    clear_marks,
+    move_landmark,
+    picked_vertex,
+    propose_head_regions,
+    write_mark,
+)
+from ..core.deform.binding import MARKS
+from ..core.landmarks import from_ibug
+from .errors import ReportsErrors
+
+
+class _OnMesh(ReportsErrors):
+    """Operators on the active mesh."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only with a mesh active."""
+        if context.active_object is None or context.active_object.type != "MESH":
+            cls.poll_message_set("Select a head mesh")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Do the work on the active mesh."""
+        return self.reporting(self.work, context)
+
+
+class FACEMIME_OT_mark_point(_OnMesh, bpy.types.Operator):
+    """Say which point of the face the selected vertex is, in Edit mode; mark four or more, then bind."""
+
+    bl_idname = "facemime.mark_point"
+    bl_label = "Mark Point"
+    bl_options = {"REGISTER", "UNDO"}
+
+    point: EnumProperty(
+        name="Point",
+        description="Left and right are the head's own",
+        items=[(str(number), name.capitalize(), "") for number, name in MARKS.items()],
+    )
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        write_mark(context.active_object.data, int(self.point), picked_vertex(context.active_object))
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_clear_marks(_OnMesh, bpy.types.Operator):
+    """Forget the marked points."""
+
+    bl_idname = "facemime.clear_marks"
+    bl_label = "Clear Marks"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        clear_marks(context.active_object.data)
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_bind_landmarks(_OnMesh, bpy.types.Operator):
+    """Find the 66 landmarks of the active mesh and propose its regions; without marks it must face -Y upright."""
+
+    bl_idname = "facemime.bind_landmarks"
+    bl_label = "Bind Landmarks"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only in Object mode."""
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Switch to Object mode first")
+            return False
+        return super().poll(context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        binding = bind_head(context.active_object)
+        fit = f"{100 * binding.residual:.1f} % of the eye distance off the template"
+        self.report({"INFO"}, f"66 landmarks bound, {fit}{', symmetric' if binding.symmetric else ''}")
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_set_landmark(_OnMesh, bpy.types.Operator):
+    """Bind one landmark to the vertex that is selected in Edit mode."""
+
+    bl_idname = "facemime.set_landmark"
+    bl_label = "Set Landmark"
+    bl_options = {"REGISTER", "UNDO"}
+
+    number: IntProperty(name="Landmark", description="Its iBUG number (not 60 and 64)", min=0, max=67)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        if self.number in (60, 64):
+            self.report({"ERROR"}, "Landmarks 60 and 64 are not used. Choose another number.")
+            return {"CANCELLED"}
+        obj = context.active_object
+        move_landmark(obj, int(from_ibug([self.number])[0]), picked_vertex(obj))
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_propose_regions(_OnMesh, bpy.types.Operator):
+    """Paint the three regions anew from the landmarks and the openings of eyes and mouth."""
+
+    bl_idname = "facemime.propose_regions"
+    bl_label = "Propose Regions"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Not in Edit mode, where vertex groups cannot be written."""
+        if context.mode == "EDIT_MESH":
+            cls.poll_message_set("Leave Edit mode first")
+            return False
+        return super().poll(context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        propose_head_regions(context.active_object)
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_check_head(_OnMesh, bpy.types.Operator):
+    """Say what would keep the active mesh from being puppeted well, and what to do."""
+
+    bl_idname = "facemime.check_head"
+    bl_label = "Check Head"
+    bl_options = {"REGISTER"}
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        findings = check_object(context.active_object)
+        for finding in findings:
+            self.report({"WARNING"}, f"{finding.problem} {finding.remedy}")
+        if not findings:
+            self.report({"INFO"}, f"{context.active_object.name} is ready to be puppeted")
+        return {"FINISHED"}
+
+
+_CLASSES = (
+    FACEMIME_OT_mark_point,
+    FACEMIME_OT_clear_marks,
+    FACEMIME_OT_bind_landmarks,
+    FACEMIME_OT_set_landmark,
+    FACEMIME_OT_propose_regions,
+    FACEMIME_OT_check_head,
+)
+
+
+def register() -> None:
+    """Register the operators."""
+    for operator in _CLASSES:
+        bpy.utils.register_class(operator)
+
+
+def unregister() -> None:
+    """Unregister the operators."""
+    for operator in reversed(_CLASSES):
+        bpy.utils.unregister_class(operator)

@@ -1,0 +1,178 @@
+"""A mesh of the user's own becomes a head, and stays one."""
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+from facemime.blender.binding import bind_head, check_object, read_marks
+from facemime.blender.head import add_head
+from facemime.blender.meshes import read_landmarks, read_regions, read_rig, read_selection, read_vertices
+from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
+from facemime.core.control_points import select_for_take, to_json
+from facemime.core.deform.binding import MARKS
+from facemime.core.landmarks import OUTER_EYE_CORNERS, from_ibug
+from facemime.core.takes.take import save_take
+from takes import performance
+
+
+def bare_head() -> bpy.types.Object:
+    """The built-in head's mesh without anything that makes it a head."""
+    obj = add_head(bpy.context)
+    for name in (LANDMARKS_PROPERTY, COUNT_PROPERTY):
+        del obj.data[name]
+    obj.vertex_groups.clear()
+    return obj
+
+
+def off(obj: bpy.types.Object, landmarks: np.ndarray) -> np.ndarray:
+    """(66,) distance of the landmarks of `obj` from the vertices `landmarks`, in outer-eye distances."""
+    vertices = read_vertices(obj.data)
+    unit = np.linalg.norm(np.subtract(*vertices[landmarks[OUTER_EYE_CORNERS]]))
+    return np.linalg.norm(vertices[read_landmarks(obj)] - vertices[landmarks], axis=1) / unit
+
+
+@pytest.fixture
+def true() -> np.ndarray:
+    """Landmarks of the built-in head."""
+    return read_landmarks(add_head(bpy.context))
+
+
+def pick(obj: bpy.types.Object, vertex: int) -> None:
+    """Select one vertex in Edit mode, as a click does."""
+    if obj.mode != "EDIT":
+        bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="DESELECT")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    obj.data.vertices[vertex].select = True
+    bpy.ops.object.mode_set(mode="EDIT")
+
+
+def test_an_upright_mesh_is_bound_without_a_click_and_can_be_driven(true, tmp_path):
+    obj = bare_head()
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    assert off(obj, true).mean() < 0.02
+    assert read_regions(obj).any(axis=1).all()
+    assert check_object(obj) == []
+    save_take(performance(), tmp_path / "take.npz")
+    assert bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.npz")) == {"FINISHED"}
+
+
+def test_clicked_points_bind_a_mesh_that_lies_on_its_side_without_moving_it_in_the_scene(true):
+    obj = bare_head()
+    obj.data.transform(Matrix.Rotation(1.2, 4, "X") @ Matrix.Rotation(0.7, 4, "Z"))
+    before = [obj.matrix_world @ v.co for v in obj.data.vertices]
+    for number in MARKS:
+        pick(obj, int(true[from_ibug([number])[0]]))
+        assert bpy.ops.facemime.mark_point(point=str(number)) == {"FINISHED"}
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert len(read_marks(obj.data)) == len(MARKS)
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    assert off(obj, true).mean() < 0.03
+    assert max((a - obj.matrix_world @ v.co).length for a, v in zip(before, obj.data.vertices, strict=True)) < 1e-5
+    vertices = read_vertices(obj.data)
+    nose, chin = vertices[true[from_ibug([30, 8])]]
+    assert nose[2] == vertices[true].min(axis=0)[2] and chin[1] > nose[1]
+
+
+def test_a_landmark_is_moved_to_the_picked_vertex(true):
+    obj = add_head(bpy.context)
+    free = next(v for v in range(len(obj.data.vertices)) if v not in true)
+    pick(obj, free)
+    assert bpy.ops.facemime.set_landmark(number=30) == {"FINISHED"}
+    assert read_landmarks(obj)[30] == free
+    pick(obj, int(true[0]))
+    with pytest.raises(RuntimeError, match="Another landmark lies on that vertex"):
+        bpy.ops.facemime.set_landmark(number=30)
+
+
+def test_marking_needs_one_selected_vertex():
+    obj = add_head(bpy.context)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    with pytest.raises(RuntimeError, match="Select one vertex in Edit mode; 1781 are selected"):
+        bpy.ops.facemime.mark_point(point="30")
+    assert not read_marks(obj.data)
+
+
+def test_the_binding_survives_renaming_copying_saving_and_loading(true, tmp_path):
+    obj = add_head(bpy.context)
+    regions = read_regions(obj)
+    obj.name, obj.data.name = "Aunt", "Aunts Mesh"
+    bpy.ops.object.duplicate()
+    copy = bpy.context.active_object
+    assert copy.data != obj.data
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "heads.blend"))
+    names = obj.name, copy.name
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "heads.blend"))
+    for name in names:
+        loaded = bpy.data.objects[name]
+        np.testing.assert_array_equal(read_landmarks(loaded), true)
+        np.testing.assert_allclose(read_regions(loaded), regions, atol=1e-6)
+
+
+def test_undo_takes_a_binding_back_and_redo_brings_it_again(true):
+    obj = bare_head()
+    name = obj.name
+    bpy.ops.ed.undo_push(message="bare")
+    bind_head(obj)
+    bpy.ops.ed.undo_push(message="bound")
+    bpy.ops.ed.undo()
+    assert LANDMARKS_PROPERTY not in bpy.data.objects[name].data
+    bpy.ops.ed.redo()
+    assert len(read_landmarks(bpy.data.objects[name])) == 66
+
+
+def test_a_changed_vertex_count_is_told_in_numbers():
+    obj = add_head(bpy.context)
+    obj.data.vertices.add(5)
+    with pytest.raises(RuntimeError, match="had 1781 vertices when its landmarks were bound and has 1786 now"):
+        bpy.ops.facemime.check_head()
+
+
+def test_regions_are_proposed_again_after_they_were_lost():
+    obj = add_head(bpy.context)
+    for name in REGION_GROUPS:
+        obj.vertex_groups.remove(obj.vertex_groups[name])
+    assert bpy.ops.facemime.propose_regions() == {"FINISHED"}
+    assert read_regions(obj).any(axis=1).all()
+
+
+def test_a_landmark_that_was_painted_out_of_all_regions_is_named():
+    obj = add_head(bpy.context)
+    nose = int(read_landmarks(obj)[30])
+    for name in REGION_GROUPS:
+        obj.vertex_groups[name].remove([nose])
+    problems = [finding.problem for finding in check_object(obj)]
+    assert problems == ["Landmarks 30 lie in no region."]
+
+
+def test_the_operator_selects_the_points_that_the_function_selects(tmp_path):
+    save_take(performance(), tmp_path / "take.npz")
+    obj = add_head(bpy.context)
+    outcome = bpy.ops.facemime.select_control_points(
+        filepath=str(tmp_path / "take.npz"), tolerance=0.5, max_points=20, add="33", remove="0-2"
+    )
+    assert outcome == {"FINISHED"}
+    chosen = read_selection(obj.data)
+    del obj.data[SELECTION_PROPERTY]
+    never = [0, 1, 2]
+    expected = select_for_take(read_rig(obj), performance(), tolerance=0.005, max_points=20, always=[33], never=never)
+    np.testing.assert_array_equal(chosen.membership, expected.membership)
+    assert [(s.action, s.landmark) for s in chosen.steps] == [(s.action, s.landmark) for s in expected.steps]
+    assert len(chosen.landmarks) <= 20 and 33 in chosen.landmarks and not set(never) & set(chosen.landmarks)
+
+
+def test_selected_points_move_the_head_and_all_landmarks_come_back(tmp_path):
+    obj = add_head(bpy.context)
+    obj.data[SELECTION_PROPERTY] = to_json(select_for_take(read_rig(obj), performance(), max_points=15))
+    assert read_rig(obj).control_points.any(axis=0).sum() <= 15
+    assert bpy.ops.facemime.use_all_landmarks() == {"FINISHED"}
+    assert read_rig(obj).control_points is None
+
+
+def test_a_cube_is_no_face():
+    bpy.ops.mesh.primitive_cube_add()
+    with pytest.raises(RuntimeError, match="a head with 66 landmarks needs more"):
+        bpy.ops.facemime.bind_landmarks()
