@@ -93,8 +93,7 @@ def _distinct(boxes: list[FaceBox]) -> list[FaceBox]:
         x, y, w, _ = candidate.box
         centre = np.array([x + w / 2, y + candidate.box[3] / 2])
         repeated = any(
-            np.abs(centre - k.box[:2] - k.box[2:] / 2).max() < 0.15 * k.box[2]
-            and 0.8 < w / k.box[2] < 1.25
+            np.abs(centre - k.box[:2] - k.box[2:] / 2).max() < 0.15 * k.box[2] and 0.8 < w / k.box[2] < 1.25
             for k in kept
         )
         if not repeated:

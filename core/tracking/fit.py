@@ -88,5 +88,6 @@ def regularised_mean_shift(
             pull[:, e.maps.landmarks] += e.weights * shift.T
         right = pull.reshape(-1) @ jacobian.reshape(-1, size)
         right[N_POSE:] -= prior[N_POSE:] * fitted.shape_params
-        fitted = model.step(fitted.pose, fitted.shape_params, inverse @ right)
+        delta = np.asarray(inverse @ right, np.float64)
+        fitted = model.step(fitted.pose, fitted.shape_params, delta)
     return fitted

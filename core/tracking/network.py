@@ -34,4 +34,4 @@ class Network:
     def __call__(self, pictures: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
         """Outputs for standardised pictures (B, S, S), in the order in which they were named."""
         self._net.setInput(pictures[:, None])
-        return tuple(self._net.forward(self._outputs))
+        return tuple(np.asarray(out, np.float32) for out in self._net.forward(self._outputs))

@@ -33,9 +33,7 @@ def pose_in_image(relative: FloatArray, start: FloatArray) -> FloatArray:
     return np.array([start[0] * relative[0], relative[1], relative[2], start[3] + relative[3], *place])
 
 
-def warp_to_reference(
-    grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int
-) -> ReferenceFrame:
+def warp_to_reference(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int) -> ReferenceFrame:
     """Cut the face at `pose` (6,) out of a grey image (H, W), unrolled and at `scale` pixels an outer-eye distance.
 
     Only the part of the image that the frame shows is touched; it is shrunk by whole pixels first where the face is

@@ -38,8 +38,8 @@ _BEYOND_DOUBT = 0.85
 """Confidence of a detected face from which on no further effort is made."""
 _CERTAIN = 0.08
 """Standard deviation of a response map, in eye distances, at which its landmark is trusted half."""
-_REMEMBERED = 50
-"""Frames for which the place of a lost face makes its return more likely than another face's arrival."""
+_REMEMBERED = 25
+"""Frames for which a lost face is waited for where it was before another one is taken."""
 _FAR = 0.05
 """Eye distances by which a part may have moved since the last frame before it is looked at again."""
 _STAGES = ("detect", "look", "fit", "check", "gaze")
@@ -112,6 +112,7 @@ class FaceTracker:
         self._face_weight = np.where(in_parts, 0.1, 0.4)
         self._last: FittedShape | None = None
         self._wanted: FloatArray | None = None
+        self._lost: FittedShape | None = None
         self._misses = 0
         self.timings: dict[str, float] = dict.fromkeys(_STAGES, 0.0)
 
@@ -132,12 +133,13 @@ class FaceTracker:
 
     def reset(self) -> None:
         """Forget the face that was followed and any choice: the next `track` detects."""
-        self._last = self._wanted = None
+        self._last = self._lost = self._wanted = None
         self._misses = 0
 
     def choose(self, x: float, y: float) -> None:
         """Follow the face nearest to the place (x, y), pixels, from the next `track` on."""
-        self._last, self._wanted, self._misses = None, np.array([x, y], np.float64), 0
+        self.reset()
+        self._wanted = np.array([x, y], np.float64)
 
     def track(self, image: ArrayLike) -> TrackResult:
         """The face in the next frame of a video: (H, W) grey, (H, W, 3) BGR or (H, W, 4) BGRA.
@@ -149,7 +151,7 @@ class FaceTracker:
             followed = self._follow(grey, self._last)
             if followed.confidence >= self.lost_below:
                 return self._keep(grey, followed)
-            self._wanted = self._last.pose[4:6].copy()
+            self._lost = self._last
         # While nobody is in view, each frame makes the quick effort and one of the others, in turn.
         later = QUICK + self._misses % (EFFORTS - QUICK)
         efforts = range(EFFORTS) if self._misses == 0 else (*range(QUICK), later)
@@ -157,8 +159,6 @@ class FaceTracker:
         if found is None:
             self._last = None
             self._misses += 1
-            if self._misses > _REMEMBERED:
-                self._wanted = None
             return TrackResult.nothing(self.pdm.n_modes)
         return self._keep(grey, found)
 
@@ -215,7 +215,9 @@ class FaceTracker:
 
     def _follow(self, grey: NDArray[np.uint8], last: FittedShape) -> _Candidate:
         fit = self.fit(grey, last, (FINE,))
-        moved = self.pdm.project(fit.fitted.pose, fit.fitted.shape_params) - self.pdm.project(last.pose, last.shape_params)
+        moved = self.pdm.project(fit.fitted.pose, fit.fitted.shape_params) - self.pdm.project(
+            last.pose, last.shape_params
+        )
         if max(np.abs(moved[p.landmarks].mean(0)).max() for p in self._model.parts) > _FAR * last.pose[0]:
             fit = self.fit(grey, fit.fitted, (FINE,))
         return self._judged(fit)
@@ -243,14 +245,21 @@ class FaceTracker:
         return [box.start_pose(self._model.box_offset) for box in boxes[:_MOST_BOXES]]
 
     def _chosen(self, candidates: list[_Candidate]) -> _Candidate | None:
-        """The candidate that is wanted: the nearest to the place, where one is set and near enough."""
-        if self._wanted is None or not candidates:
-            return _largest(candidates)
-        nearest = min(candidates, key=lambda c: float(np.hypot(*(c.pose[4:6] - self._wanted))))
-        return nearest
+        """The face that the user named; else the one that was lost, while it is waited for; else the largest."""
+        if self._wanted is not None and candidates:
+            x, y = self._wanted
+            return min(candidates, key=lambda c: float(np.hypot(c.pose[4] - x, c.pose[5] - y)))
+        if self._lost is not None and self._misses < _REMEMBERED:
+            pose, reach = self._lost.pose, 1.5 + 0.2 * self._misses
+            candidates = [
+                c
+                for c in candidates
+                if np.hypot(*(c.pose[4:6] - pose[4:6])) < reach * pose[0] and 0.6 < c.pose[0] / pose[0] < 1.7
+            ]
+        return _largest(candidates)
 
     def _keep(self, grey: NDArray[np.uint8], candidate: _Candidate) -> TrackResult:
-        self._last, self._wanted, self._misses = candidate.fit.fitted, None, 0
+        self._last, self._lost, self._wanted, self._misses = candidate.fit.fitted, None, None, 0
         return self._result(grey, candidate)
 
     def _result(self, grey: NDArray[np.uint8], candidate: _Candidate) -> TrackResult:

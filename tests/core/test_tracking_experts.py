@@ -1,4 +1,4 @@
-"""Patch experts and the reference frame they look at."""
+"""Convolutional experts, the pictures they look at, and the frame in which they answer."""
 
 from __future__ import annotations
 
@@ -6,69 +6,128 @@ import cv2
 import numpy as np
 import pytest
 
+from facemime.core.errors import ModelError
 from facemime.core.landmarks import MIRROR
-from facemime.core.tracking.patch_experts import CONTRAST_FLOOR, HALF, PATCH, PatchExperts
-from facemime.core.tracking.reference import frame_size, warp_to_reference
+from facemime.core.tracking.experts import FACE_SCALE, NEAR_SIZE, ResponseMaps, standardised
+from facemime.core.tracking.model_file import TrackerModel, load_model
+from facemime.core.tracking.network import Network
+from facemime.core.tracking.reference import pose_in_image, warp_to_reference
+from facemime.core.tracking.tracker import DEFAULT_MODEL
 
 
-def random_experts(seed: int, units: int = 5) -> PatchExperts:
-    rng = np.random.default_rng(seed)
-    hidden = rng.normal(0, 0.1, (66, PATCH * PATCH, units)).astype(np.float32)
-    hidden -= hidden.mean(1, keepdims=True)
-    bias, output = rng.normal(0, 0.1, (2, 66, units)).astype(np.float32)
-    return PatchExperts(30.0, hidden, bias, output, rng.normal(0, 0.1, 66).astype(np.float32))
+@pytest.fixture(scope="module")
+def model() -> TrackerModel:
+    return load_model(DEFAULT_MODEL)
 
 
-def random_picture(seed: int, size: int = 90) -> np.ndarray:
-    noise = np.random.default_rng(seed).uniform(0, 255, (size, size)).astype(np.float32)
-    return cv2.GaussianBlur(noise, (0, 0), 1.5)
+def picture(seed: int, height: int = 300, width: int = 400) -> np.ndarray:
+    noise = np.random.default_rng(seed).uniform(0, 255, (height, width)).astype(np.float32)
+    return cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 4.0), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
 
 
-def test_the_batched_responses_are_those_of_each_patch_by_itself() -> None:
-    experts, pixels = random_experts(0), random_picture(1)
-    centres = np.random.default_rng(2).integers(15, 75, (66, 2))
-    maps = experts.response_maps(pixels, centres, 3)
-    for i in (0, 17, 40, 65):
-        for row, column in ((0, 0), (3, 3), (6, 2)):
-            x, y = maps.corner[i] + (column, row)
-            patch = pixels[y - HALF : y + HALF + 1, x - HALF : x + HALF + 1].ravel().astype(np.float64)
-            patch = (patch - patch.mean()) / np.sqrt(patch.var() + CONTRAST_FLOOR**2)
-            units = np.maximum(patch @ experts.hidden[i] + experts.hidden_bias[i], 0)
-            expected = 1 / (1 + np.exp(-(units @ experts.output[i] + experts.output_bias[i])))
-            assert maps.probability[i, row, column] == pytest.approx(expected, abs=1e-3)
+def maps_of(probability: np.ndarray, corner: tuple[float, float], stride: float) -> ResponseMaps:
+    count = len(probability)
+    whole = (probability / probability.sum((1, 2), keepdims=True)).astype(np.float32)
+    corners = np.tile(np.float32(corner), (count, 1))
+    return ResponseMaps(np.arange(count), whole, corners, np.full((count, 1), stride, np.float32))
 
 
-def test_windows_are_centred_and_stay_inside_the_picture() -> None:
-    experts, pixels = random_experts(0), random_picture(1)
-    centres = np.full((66, 2), 40)
-    centres[0] = (-500, 4000)
-    maps = experts.response_maps(pixels, centres, 4)
-    assert maps.probability.shape == (66, 9, 9)
-    np.testing.assert_array_equal(maps.corner[1] + 4, (40, 40))
-    assert (maps.corner >= HALF).all()
-    assert (maps.corner + 8 < 90 - HALF).all()
+def test_the_moments_of_a_map_are_those_of_its_cells_as_weights() -> None:
+    maps = maps_of(np.random.default_rng(0).random((4, 7, 7)), (-0.4, 1.5), 0.1)
+    mean, variance = maps.moments
+    y, x = np.mgrid[0:7, 0:7]
+    places = np.stack([x, y], -1) * 0.1 + (-0.4, 1.5)
+    for i in range(4):
+        expected = (maps.probability[i, ..., None] * places).sum((0, 1))
+        np.testing.assert_allclose(mean[i], expected, atol=1e-5)
+        spread = (maps.probability[i] * ((places - expected) ** 2).sum(-1)).sum()
+        assert variance[i] == pytest.approx(spread, rel=1e-3)
 
 
-def test_mirrored_experts_see_a_mirrored_picture_as_the_originals_see_the_picture() -> None:
-    experts, pixels = random_experts(3), random_picture(4)
-    centres = np.random.default_rng(5).integers(20, 70, (66, 2))
-    flipped_centres = centres[MIRROR].copy()
-    flipped_centres[:, 0] = 89 - flipped_centres[:, 0]
-    maps = experts.response_maps(pixels, centres, 3)
-    flipped = experts.mirrored(MIRROR).response_maps(np.ascontiguousarray(pixels[:, ::-1]), flipped_centres, 3)
-    np.testing.assert_allclose(flipped.probability, maps.probability[MIRROR][:, :, ::-1], atol=1e-4)
+def test_the_separable_mean_shift_is_the_weighted_mean_of_the_paper() -> None:
+    rng = np.random.default_rng(1)
+    maps = maps_of(rng.random((5, 9, 9)), (3.0, -2.0), 0.5)
+    landmarks = (3.0, -2.0) + rng.uniform(1, 3, (5, 2))
+    shift = maps.shifts(landmarks, 0.6)
+    y, x = np.mgrid[0:9, 0:9]
+    places = np.stack([x, y], -1) * 0.5 + (3.0, -2.0)
+    for i in range(5):
+        near = np.exp(-((places - landmarks[i]) ** 2).sum(-1) / 1.2) * maps.probability[i]
+        mean = (near[..., None] * places).sum((0, 1)) / near.sum()
+        np.testing.assert_allclose(shift[i], mean - landmarks[i], atol=1e-4)
+
+
+def test_infinite_variance_goes_to_the_mean_of_the_map() -> None:
+    maps = maps_of(np.random.default_rng(2).random((3, 8, 8)), (0.0, 0.0), 1.0)
+    places = np.full((3, 2), 2.0)
+    np.testing.assert_allclose(maps.shifts(places, np.inf), maps.moments[0] - places)
+    np.testing.assert_allclose(maps.shifts(places, 1e9), maps.moments[0] - places, atol=1e-3)
+
+
+def test_a_landmark_far_outside_its_map_is_drawn_nowhere() -> None:
+    maps = maps_of(np.ones((1, 9, 9)), (0.0, 0.0), 1.0)
+    np.testing.assert_allclose(maps.shifts(np.array([[500.0, 500.0]]), 1.0), 0.0)
+
+
+def test_brightness_and_contrast_do_not_change_what_the_experts_see() -> None:
+    grey = picture(3)[:96, :96].astype(np.float32)
+    np.testing.assert_allclose(standardised(0.5 * grey + 30, 0.0), standardised(grey, 0.0), atol=1e-4)
+    assert np.abs(standardised(np.full((96, 96), 77, np.float32), 8.0)).max() == 0.0
+
+
+def test_each_of_the_experts_maps_sums_to_one(model: TrackerModel) -> None:
+    pose = np.array([60.0, 0.1, -0.2, 0.3, 210.0, 130.0])
+    face, _ = model.face.look(picture(4), pose)
+    shape = model.pdm.project(np.array([1.0, 0.1, -0.2, 0.0, 0.0, 0.0]), np.zeros(model.pdm.n_modes))
+    for maps in (face, *(m for part in model.parts for m in part.look(picture(4), pose, shape))):
+        np.testing.assert_allclose(maps.probability.sum((1, 2)), 1.0, atol=1e-4)
+
+
+def test_a_pair_of_parts_sees_a_mirrored_picture_as_each_other(model: TrackerModel) -> None:
+    grey = picture(5)
+    eye = next(p for p in model.parts if p.paired)
+    shape = model.pdm.mean_shape[:, :2]
+    flipped_shape = shape[MIRROR] * (-1.0, 1.0)
+    right, left = eye.look(grey, np.array([70.0, 0, 0, 0, 199.5, 150.0]), shape)
+    mirrored = np.ascontiguousarray(grey[:, ::-1])
+    other_right, _ = eye.look(mirrored, np.array([70.0, 0, 0, 0, 199.5, 150.0]), flipped_shape)
+    np.testing.assert_array_equal(left.landmarks, MIRROR[right.landmarks])
+    np.testing.assert_allclose(other_right.moments[0] * (-1.0, 1.0), left.moments[0], atol=5e-3)
+
+
+def test_the_search_says_of_a_place_what_a_look_there_says(model: TrackerModel) -> None:
+    grey = picture(6, 16 * 12, 16 * 14)
+    odds = model.face.search(grey.astype(np.float32))
+    assert odds.shape == (12 - 5, 14 - 5)
+    assert np.isfinite(odds).all()
+    row, column = np.unravel_index(np.argmax(odds), odds.shape)
+    place = (column * 16 + 47.5, row * 16 + 47.5)
+    _, looked = model.face.look(grey, np.array([FACE_SCALE, 0, 0, 0, *place]))
+    assert looked == pytest.approx(float(odds[row, column]), abs=6.0)
+
+
+def test_a_smaller_picture_gives_maps_of_the_same_places(model: TrackerModel) -> None:
+    pose = np.array([60.0, 0.0, 0.0, 0.0, 200.0, 150.0])
+    whole, _ = model.face.look(picture(7), pose)
+    near, _ = model.face.look(picture(7), pose, NEAR_SIZE)
+    centre = [m.corner[0] + m.stride[0] * (m.probability.shape[1] - 1) / 2.0 for m in (whole, near)]
+    np.testing.assert_allclose(centre, 0.0, atol=1e-6)
+
+
+def test_what_is_not_a_network_is_a_model_error() -> None:
+    with pytest.raises(ModelError, match="cannot read a network"):
+        Network(b"not a network", "maps")
 
 
 @pytest.mark.parametrize("scale", [20.0, 60.0, 250.0])
-def test_poses_go_to_the_reference_frame_and_back(scale: float) -> None:
-    grey = np.zeros((300, 400), np.uint8)
-    pose = np.array([scale, 0.1, -0.2, 0.3, 210.0, 130.0])
-    frame = warp_to_reference(grey, pose, 40.0)
-    local = frame.pose_to_reference(pose)
-    assert local[0] == pytest.approx(40.0)
-    assert local[3] == pytest.approx(0.0, abs=1e-9)
-    np.testing.assert_allclose(local[4:6], (frame_size(40.0) - 1) / 2)
-    np.testing.assert_allclose(frame.pose_to_image(local), pose, atol=1e-9)
+def test_a_relative_pose_moves_points_as_the_start_and_then_it(model: TrackerModel, scale: float) -> None:
+    start = np.array([scale, 0.1, -0.2, 0.3, 210.0, 130.0])
+    relative = np.array([1.1, 0.2, 0.1, -0.05, 0.03, -0.02])
+    coefficients = np.zeros(model.pdm.n_modes)
+    in_face = model.pdm.project(relative, coefficients)
+    c, s = np.cos(start[3]), np.sin(start[3])
+    expected = scale * in_face @ np.array([[c, s], [-s, c]]) + start[4:6]
+    np.testing.assert_allclose(model.pdm.project(pose_in_image(relative, start), coefficients), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("scale", [30.0, 90.0, 190.0])
@@ -77,7 +136,7 @@ def test_a_spot_appears_where_the_similarity_says(scale: float) -> None:
     spot = np.array([330.0, 220.0])
     cv2.circle(grey, (330, 220), max(int(scale / 12), 2), 255, -1)
     pose = np.array([scale, 0.0, 0.0, 0.4, 300.0, 240.0])
-    frame = warp_to_reference(grey, pose, 40.0)
+    frame = warp_to_reference(grey, pose, 40.0, 136)
     y, x = np.mgrid[0 : frame.pixels.shape[0], 0 : frame.pixels.shape[1]]
     mass = frame.pixels / frame.pixels.sum()
     np.testing.assert_allclose(((mass * x).sum(), (mass * y).sum()), frame.linear @ spot + frame.offset, atol=0.25)
@@ -86,6 +145,6 @@ def test_a_spot_appears_where_the_similarity_says(scale: float) -> None:
 def test_a_face_beyond_the_image_still_gives_a_frame() -> None:
     grey = np.full((60, 80), 90, np.uint8)
     for place in ((-500.0, 20.0), (1e6, 1e6), (40.0, 30.0)):
-        frame = warp_to_reference(grey, np.array([50.0, 0, 0, 0.1, *place]), 40.0)
-        assert frame.pixels.shape == (frame_size(40.0),) * 2
+        frame = warp_to_reference(grey, np.array([50.0, 0, 0, 0.1, *place]), 40.0, 136)
+        assert frame.pixels.shape == (136, 136)
         assert np.isfinite(frame.pixels).all()

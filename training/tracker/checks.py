@@ -46,8 +46,8 @@ def clutter(photos: list[Photo], count: int, rng: np.random.Generator) -> list[n
 
 
 def _surface(rng: np.random.Generator) -> np.ndarray:
-    """A wall: one grey, or soft blotches, with or without noise."""
-    blotches = cv2.GaussianBlur(rng.normal(0, 1, (SIZE, SIZE)), (0, 0), rng.uniform(1.0, 40.0))
+    """A wall: one grey, or blotches as fine as noise or as soft as clouds, with or without noise."""
+    blotches = cv2.GaussianBlur(rng.normal(0, 1, (SIZE, SIZE)), (0, 0), float(np.exp(rng.uniform(-1.0, 3.7))))
     strength = rng.choice([0.0, rng.uniform(2.0, 60.0)])
     out = rng.uniform(20, 235) + strength * blotches / blotches.std()
     out += rng.choice([0.0, rng.uniform(0.5, 12.0)]) * rng.normal(0, 1, (SIZE, SIZE))

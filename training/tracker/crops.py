@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from facemime.core.landmarks import MIRROR
+from facemime.core.tracking.experts import FACE_SCALE as FACE_PIXELS
 from facemime.core.tracking.experts import (
     FACE_SIZE,
     FACE_STRIDE,
@@ -19,7 +20,6 @@ from facemime.core.tracking.experts import (
     first_cell,
     part_picture,
 )
-from facemime.core.tracking.experts import FACE_SCALE as FACE_PIXELS
 
 from .samples import SCALE, Samples
 

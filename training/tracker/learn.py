@@ -65,9 +65,7 @@ def train(
     return network
 
 
-def _step(
-    network: FaceNetwork | PartNetwork, batch: Batch, optimiser: torch.optim.Optimizer, variance: float
-) -> float:
+def _step(network: FaceNetwork | PartNetwork, batch: Batch, optimiser: torch.optim.Optimizer, variance: float) -> float:
     """One step; returns the mean distance in cells."""
     pictures = torch.from_numpy(batch.pictures).to(memory_format=torch.channels_last)
     with torch.autocast("cpu", dtype=torch.bfloat16):

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-FACE_CHANNELS, PART_CHANNELS = (16, 32, 64, 96), (16, 24, 48, 72)
+FACE_CHANNELS, PART_CHANNELS = (16, 32, 64, 96), (32, 32, 48, 72)
 
 
 def _convolution(inputs: int, outputs: int, kernel: int, stride: int) -> nn.Sequential:
@@ -57,17 +57,17 @@ class FaceNetwork(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         a, b, c, d = FACE_CHANNELS
-        self.quarter = nn.Sequential(_convolution(1, a, 5, 2), _convolution(a, b, 3, 2), _Separable(b, c))
-        self.eighth = nn.Sequential(_Separable(c, d, 2), _Separable(d, d), _Separable(d, d))
-        self.sixteenth = nn.Sequential(_Separable(d, d, 2), _Separable(d, d))
+        self.at_quarter = nn.Sequential(_convolution(1, a, 5, 2), _convolution(a, b, 3, 2), _Separable(b, c))
+        self.at_eighth = nn.Sequential(_Separable(c, d, 2), _Separable(d, d), _Separable(d, d))
+        self.at_sixteenth = nn.Sequential(_Separable(d, d, 2), _Separable(d, d))
         self.to_eighth, self.to_quarter = _Up(d, d), _Up(d, c)
         self.maps, self.face = nn.Conv2d(c, 66, 1), nn.Conv2d(d, 1, 1)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Scores before the softmax, and log odds whose mean counts."""
-        quarter = self.quarter(x)
-        eighth = self.eighth(quarter)
-        sixteenth = self.sixteenth(eighth)
+        quarter = self.at_quarter(x)
+        eighth = self.at_eighth(quarter)
+        sixteenth = self.at_sixteenth(eighth)
         up = self.to_quarter(self.to_eighth(sixteenth, eighth), quarter)
         return self.maps(up), self.face(sixteenth)
 
@@ -80,17 +80,17 @@ class PartNetwork(nn.Module):
     def __init__(self, landmarks: int) -> None:
         super().__init__()
         a, b, c, d = PART_CHANNELS
-        self.half = nn.Sequential(_convolution(1, a, 5, 2), _Separable(a, b))
-        self.quarter = nn.Sequential(_Separable(b, c, 2), _Separable(c, c))
-        self.eighth = nn.Sequential(_Separable(c, d, 2), _Separable(d, d))
+        self.at_half = nn.Sequential(_convolution(1, a, 5, 2), _Separable(a, b))
+        self.at_quarter = nn.Sequential(_Separable(b, c, 2), _Separable(c, c))
+        self.at_eighth = nn.Sequential(_Separable(c, d, 2), _Separable(d, d))
         self.to_quarter, self.to_half = _Up(d, c), _Up(c, b)
         self.maps = nn.Conv2d(b, landmarks, 1)
 
     def forward(self, x: Tensor) -> Tensor:
         """Scores before the softmax."""
-        half = self.half(x)
-        quarter = self.quarter(half)
-        return self.maps(self.to_half(self.to_quarter(self.eighth(quarter), quarter), half))
+        half = self.at_half(x)
+        quarter = self.at_quarter(half)
+        return self.maps(self.to_half(self.to_quarter(self.at_eighth(quarter), quarter), half))
 
 
 class MapLoss(torch.autograd.Function):

@@ -29,8 +29,8 @@ SIDE_ABOVE = 0.22
 """Radians of yaw from which a training picture tells what is hidden in the side view."""
 N_CLUTTER = 1500
 BATCH = {"face": 64, "eye": 96, "mouth": 96}
-STEPS = {"face": 8000, "eye": 7000, "mouth": 7000}
-VARIANCE = {"face": 0.6, "eye": 0.8, "mouth": 0.8}
+STEPS = {"face": 7000, "eye": 6000, "mouth": 6000}
+VARIANCE = {"face": 0.6, "eye": 0.5, "mouth": 0.5}
 """Of the wanted maps, in cells."""
 PARTS = {
     "eye": (np.r_[17:22, 36:42], 60.0, True),
