@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 from ..errors import ModelError
 
-DETECTORS = ("haarcascade_frontalface_default", "haarcascade_frontalface_alt2")
+DETECTORS = ("haarcascade_frontalface_default", "haarcascade_frontalface_alt2", "haarcascade_profileface")
+EFFORTS = (0, 1, 2, 3, 4)
+"""0: faces as a camera mostly shows them. 1: also small, dim and odd ones. 2: profiles. 3: tilted heads. 4: wherever a
+single window looked like a face, which is nearly everywhere: for the tracker to sort out."""
 _QUICK_SIDE, _FINE_SIDE = 320, 480
 """Pixels to which the longer side of an image is shrunk before it is searched."""
 _SMALLEST = 28
+_TILTS = (0.5, -0.5)
 
 
 @dataclass(frozen=True)
@@ -26,19 +30,23 @@ class FaceBox:
     Attributes
     ----------
     box : (4,) float64
-        `(x, y, width, height)`, pixels.
+        `(x, y, width, height)`, pixels; its centre is exact also where the image was turned.
     detector : int
         Index into `DETECTORS`.
+    roll : float
+        Radians by which the image was turned back for the detector.
     """
 
     box: FloatArray
     detector: int
+    roll: float = 0.0
 
     def start_pose(self, offsets: FloatArray) -> FloatArray:
         """(6,) frontal pose, by each detector's learnt offset (D, 3) of translation and scale in box widths."""
         dx, dy, scale = offsets[self.detector]
         x, y, width, height = self.box
-        return np.array([scale * width, 0.0, 0.0, 0.0, x + width * (0.5 + dx), y + 0.5 * height + width * dy])
+        place = (x + width * (0.5 + dx), y + 0.5 * height + width * dy)
+        return np.array([scale * width, 0.0, 0.0, self.roll, *place])
 
 
 class BoxDetector:
@@ -54,29 +62,55 @@ class BoxDetector:
             )
         return cascades
 
-    def boxes(self, grey: NDArray[np.uint8], fine: bool) -> list[FaceBox]:
-        """Boxes in the grey image (H, W), largest first.
+    def boxes(self, grey: NDArray[np.uint8], effort: int) -> list[FaceBox]:
+        """Boxes that one of `EFFORTS` sees in the grey image (H, W), largest first.
 
-        At 640 x 480 some 10 ms for faces as a camera mostly shows them, 50 ms where `fine` looks for small, dim and odd
-        ones too.
+        10 to 100 ms an effort at 640 x 480; the first finds most faces.
         """
-        plain, factor = _shrink(grey, _FINE_SIDE if fine else _QUICK_SIDE)
+        plain, factor = _shrink(grey, _FINE_SIDE if effort in (1, 4) else _QUICK_SIDE)
         if min(plain.shape) < _SMALLEST:
             return []
         even = cv2.equalizeHist(plain).astype(np.uint8)
-        if fine:
+        if effort == 0:
+            found = [FaceBox(b, 1) for b in self._run(even, 1, neighbours=3)]
+        elif effort == 1:
             local = cv2.createCLAHE(4.0, (6, 6)).apply(plain).astype(np.uint8)
             found = [FaceBox(b, 0) for b in self._run(even, 0, neighbours=2)]
             found += [FaceBox(b, 1) for b in self._run(local, 1, neighbours=1)]
+        elif effort == 2:
+            found = self._profiles(even)
+        elif effort == 3:
+            found = [b for roll in _TILTS for b in self._tilted(even, roll)]
         else:
-            found = [FaceBox(b, 1) for b in self._run(even, 1, neighbours=3)]
-        distinct = _distinct([FaceBox(f.box * factor, f.detector) for f in found])
+            local = cv2.createCLAHE(4.0, (6, 6)).apply(plain).astype(np.uint8)
+            seen = [(d, b) for d in (0, 1) for picture in (plain, local) for b in self._run(picture, d, neighbours=0)]
+            found = [FaceBox(b, d) for d, b in seen]
+        distinct = _distinct([FaceBox(f.box * factor, f.detector, f.roll) for f in found])
         return sorted(distinct, key=lambda f: -f.box[2])
 
     def _run(self, grey: NDArray[np.uint8], detector: int, neighbours: int) -> list[FloatArray]:
         size = (_SMALLEST, _SMALLEST)
         boxes = self._cascades[detector].detectMultiScale(grey, 1.12, neighbours, minSize=size)
         return [np.array(b, np.float64) for b in boxes]
+
+    def _profiles(self, grey: NDArray[np.uint8]) -> list[FaceBox]:
+        flipped = np.ascontiguousarray(grey[:, ::-1])
+        boxes = [FaceBox(b, 2) for b in self._run(grey, 2, 2)]
+        for b in self._run(flipped, 2, 2):
+            boxes.append(FaceBox(np.array([grey.shape[1] - b[0] - b[2], *b[1:]]), 2))
+        return boxes
+
+    def _tilted(self, grey: NDArray[np.uint8], roll: float) -> list[FaceBox]:
+        height, width = grey.shape
+        middle = ((width - 1) / 2.0, (height - 1) / 2.0)
+        forth = cv2.getRotationMatrix2D(middle, float(np.degrees(roll)), 1.0)
+        turned = cv2.warpAffine(grey, forth, (width, height)).astype(np.uint8)
+        back = cv2.invertAffineTransform(forth)
+        out = []
+        for x, y, w, h in self._run(turned, 1, 3):
+            cx, cy = back @ np.array([x + w / 2, y + h / 2, 1.0])
+            out.append(FaceBox(np.array([cx - w / 2, cy - h / 2, w, h]), 1, roll))
+        return out
 
 
 def _shrink(grey: NDArray[np.uint8], side: int) -> tuple[NDArray[np.uint8], float]:
@@ -87,13 +121,15 @@ def _shrink(grey: NDArray[np.uint8], side: int) -> tuple[NDArray[np.uint8], floa
 
 
 def _distinct(boxes: list[FaceBox]) -> list[FaceBox]:
-    """Without those that repeat an earlier one's place and size."""
+    """Without those that repeat an earlier one's place, size and roll."""
     kept: list[FaceBox] = []
     for candidate in boxes:
         x, y, w, _ = candidate.box
         centre = np.array([x + w / 2, y + candidate.box[3] / 2])
         repeated = any(
-            np.abs(centre - k.box[:2] - k.box[2:] / 2).max() < 0.15 * k.box[2] and 0.8 < w / k.box[2] < 1.25
+            np.abs(centre - k.box[:2] - k.box[2:] / 2).max() < 0.15 * k.box[2]
+            and 0.8 < w / k.box[2] < 1.25
+            and abs(candidate.roll - k.roll) < 0.3
             for k in kept
         )
         if not repeated:

@@ -151,21 +151,6 @@ class FaceExperts:
         stride = np.full((len(self._landmarks), 1), FACE_STRIDE / FACE_SCALE, np.float32)
         return ResponseMaps(self._landmarks, _softmax(maps[0]), corner, stride), float(face.mean())
 
-    def search(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Log odds of a face round each place of a grey image (16 a, 16 b), one every 16 pixels: (a - 5, b - 5).
-
-        The faces looked for are upright, with `FACE_SCALE` pixels an outer-eye distance. The contrast is evened out
-        over windows as large as the picture that `look` standardises.
-        """
-        window = (FACE_SIZE, FACE_SIZE)
-        centred = image - cv2.blur(image, window)
-        spread = np.sqrt(np.maximum(cv2.blur(centred * centred, window), 0.0))
-        _, face = self.network((centred / (spread + np.float32(_FACE_FLOOR)))[None])
-        cells = FACE_SIZE // 16
-        mean = cv2.blur(face[0, 0], (cells, cells), anchor=(0, 0))
-        out: NDArray[np.float32] = mean[: mean.shape[0] - cells + 1, : mean.shape[1] - cells + 1].astype(np.float32)
-        return out
-
 
 @dataclass(frozen=True)
 class PartExperts:

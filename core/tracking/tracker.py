@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import FloatArray, as_image
 from ..landmarks import INNER, MIRROR, N_LANDMARKS
 from .check import N_FEATURES
-from .detect import BoxDetector
+from .detect import EFFORTS, BoxDetector
 from .experts import FACE_SIZE, NEAR_SIZE, ResponseMaps
 from .fit import Evidence, MeanShiftOptions, regularised_mean_shift
 from .gaze import find_gaze
@@ -23,17 +23,13 @@ from .model_file import TrackerModel, load_model
 from .pdm import FittedShape, PointDistributionModel
 from .reference import pose_in_image
 from .result import TrackResult
-from .search import search_faces
 
 DEFAULT_MODEL = Path(__file__).parents[2] / "assets" / "tracker" / "face.tracker"
 
 SIDE_YAW = 0.36
 """Radians of yaw beyond which the side view's visibility counts."""
-QUICK, EFFORTS = 1, 5
-"""How many ways of finding a face are quick, and how many there are: Viola-Jones, coarse and fine; then the search with
-the face experts, upright and tilted to either side."""
-_TILTS = (0.0, 0.6, -0.6)
-_MOST_BOXES = 6
+_MOST_BOXES, _MOST_FACES = 60, 4
+"""How many boxes of an effort are looked at, and how many of them are fitted to the end."""
 _BEYOND_DOUBT = 0.85
 """Confidence of a detected face from which on no further effort is made."""
 _CERTAIN = 0.08
@@ -64,7 +60,8 @@ class Stage:
 _TOWARDS = MeanShiftOptions((inf,), 0.006)
 COARSE = Stage(False, (_TOWARDS, _TOWARDS, _TOWARDS, MeanShiftOptions((0.02, 0.01), 0.006)))
 FINE = Stage(True, (MeanShiftOptions((inf, 3e-3, 1.5e-3), 3e-4),))
-DETECTED = (COARSE, COARSE, FINE, FINE)
+REFINED = (COARSE, FINE, FINE)
+DETECTED = (COARSE, *REFINED)
 
 
 @dataclass(frozen=True)
@@ -153,8 +150,7 @@ class FaceTracker:
                 return self._keep(grey, followed)
             self._lost = self._last
         # While nobody is in view, each frame makes the quick effort and one of the others, in turn.
-        later = QUICK + self._misses % (EFFORTS - QUICK)
-        efforts = range(EFFORTS) if self._misses == 0 else (*range(QUICK), later)
+        efforts = EFFORTS if self._misses == 0 else (0, 1 + self._misses % (len(EFFORTS) - 1))
         found = self._chosen(list(self._detect(grey, efforts)))
         if found is None:
             self._last = None
@@ -165,7 +161,7 @@ class FaceTracker:
     def locate(self, image: ArrayLike) -> TrackResult:
         """The largest face of a single image; what `track` follows is not touched."""
         grey = self._begin(image)
-        found = _largest(list(self._detect(grey, range(EFFORTS))))
+        found = _largest(list(self._detect(grey, EFFORTS)))
         return TrackResult.nothing(self.pdm.n_modes) if found is None else self._result(grey, found)
 
     def fit(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[Stage, ...]) -> Fit:
@@ -222,27 +218,26 @@ class FaceTracker:
             fit = self.fit(grey, fit.fitted, (FINE,))
         return self._judged(fit)
 
-    def _detect(self, grey: NDArray[np.uint8], efforts: range | tuple[int, ...]) -> Iterator[_Candidate]:
+    def _detect(self, grey: NDArray[np.uint8], efforts: tuple[int, ...]) -> Iterator[_Candidate]:
         """Convincing faces, effort by effort; none is made after one that finds a face beyond doubt."""
         for effort in efforts:
             began = perf_counter()
-            poses = self._start_poses(grey, effort)
+            boxes = self._detector.boxes(grey, effort)[:_MOST_BOXES]
             self.timings["detect"] += perf_counter() - began
             certain = False
-            for pose in poses:
-                start = FittedShape(pose, np.zeros(self.pdm.n_modes))
-                candidate = self._judged(self.fit(grey, start, DETECTED))
+            for start in self._promising(grey, [box.start_pose(self._model.box_offset) for box in boxes]):
+                candidate = self._judged(self.fit(grey, start, REFINED))
                 if candidate.confidence >= self.found_above:
                     certain |= candidate.confidence >= _BEYOND_DOUBT
                     yield candidate
             if certain:
                 return
 
-    def _start_poses(self, grey: NDArray[np.uint8], effort: int) -> list[FloatArray]:
-        if effort >= 2:
-            return search_faces(grey, self._model.face, _TILTS[effort - 2])
-        boxes = self._detector.boxes(grey, fine=effort > 0)
-        return [box.start_pose(self._model.box_offset) for box in boxes[:_MOST_BOXES]]
+    def _promising(self, grey: NDArray[np.uint8], poses: list[FloatArray]) -> list[FittedShape]:
+        """Coarse fits from the given poses (6,), those first that the face experts think most of."""
+        fits = [self.fit(grey, FittedShape(pose, np.zeros(self.pdm.n_modes)), (COARSE,)) for pose in poses]
+        fits.sort(key=lambda f: -f.features[1])
+        return [f.fitted for f in fits[:_MOST_FACES]]
 
     def _chosen(self, candidates: list[_Candidate]) -> _Candidate | None:
         """The face that the user named; else the one that was lost, while it is waited for; else the largest."""

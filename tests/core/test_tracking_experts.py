@@ -8,7 +8,7 @@ import pytest
 
 from facemime.core.errors import ModelError
 from facemime.core.landmarks import MIRROR
-from facemime.core.tracking.experts import FACE_SCALE, NEAR_SIZE, ResponseMaps, standardised
+from facemime.core.tracking.experts import NEAR_SIZE, ResponseMaps, standardised
 from facemime.core.tracking.model_file import TrackerModel, load_model
 from facemime.core.tracking.network import Network
 from facemime.core.tracking.reference import pose_in_image, warp_to_reference
@@ -93,17 +93,6 @@ def test_a_pair_of_parts_sees_a_mirrored_picture_as_each_other(model: TrackerMod
     other_right, _ = eye.look(mirrored, np.array([70.0, 0, 0, 0, 199.5, 150.0]), flipped_shape)
     np.testing.assert_array_equal(left.landmarks, MIRROR[right.landmarks])
     np.testing.assert_allclose(other_right.moments[0] * (-1.0, 1.0), left.moments[0], atol=5e-3)
-
-
-def test_the_search_says_of_a_place_what_a_look_there_says(model: TrackerModel) -> None:
-    grey = picture(6, 16 * 12, 16 * 14)
-    odds = model.face.search(grey.astype(np.float32))
-    assert odds.shape == (12 - 5, 14 - 5)
-    assert np.isfinite(odds).all()
-    row, column = np.unravel_index(np.argmax(odds), odds.shape)
-    place = (column * 16 + 47.5, row * 16 + 47.5)
-    _, looked = model.face.look(grey, np.array([FACE_SCALE, 0, 0, 0, *place]))
-    assert looked == pytest.approx(float(odds[row, column]), abs=6.0)
 
 
 def test_a_smaller_picture_gives_maps_of_the_same_places(model: TrackerModel) -> None:

@@ -157,6 +157,9 @@ class Workshop:
             photos = [p for p in self.photos() if p.source != "london_smiling"]
             shown = rng.permutation(len(photos))[:160]
             pictures = [(photos[i].grey(), model.fit(photos[i].landmarks).pose) for i in shown]
+            samples = self.samples()
+            sides = np.flatnonzero(np.abs(samples.poses[:, 2]) > 0.5)[:80]
+            pictures += [(samples.images[i], samples.poses[i]) for i in sides]
             _keep(path, offsets=fit_box_offsets(pictures))
         return np.load(path)["offsets"]
 
