@@ -6,7 +6,7 @@ BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
 
-.PHONY: setup check test test-core demo build bench model expressions head sample try lock clean blenders
+.PHONY: setup check test test-core demo build bench bench-deformation model expressions head sample try lock clean blenders
 
 setup: $(STAMP)
 
@@ -48,6 +48,10 @@ blenders: setup
 bench: setup
 	mkdir -p build/bench
 	$(BIN)/python -m bench.pipeline --figure docs/images/pipeline.png --json build/bench/pipeline.json
+
+bench-deformation: setup
+	mkdir -p build/bench
+	$(BIN)/python -m bench.deformation --pictures docs/images --json build/bench/deformation.json
 
 # What stands in assets/ is made again by these; the first needs ../shared/data.
 model: setup

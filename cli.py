@@ -152,9 +152,7 @@ def run_puppet(arguments: argparse.Namespace) -> int:
         if path is not None:
             check_writable(path, suffixes)
     points = None if arguments.points is None else from_json(_text(arguments.points))
-    scene, head = headless.open_head(arguments.head)
-    if points is not None:
-        headless.write_selection(head.data, points)
+    scene, head = headless.open_head(arguments.head, points)
     video = None if arguments.source.suffix == ".npz" else arguments.source
     take = load_take(arguments.source) if video is None else _track(video)
     if arguments.take is not None:

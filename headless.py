@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from .blender.bake import frames_of
 from .blender.head import add_head
-from .blender.meshes import read_rig
+from .blender.meshes import read_rig, write_selection
 from .blender.names import LANDMARKS_PROPERTY
 from .blender.preview_scene import setup_preview
 from .blender.rendering import quiet, render_frames, set_rate, write_video
 from .console import Progress
 from .core.capture import Frame, VideoSource, at_constant_rate
+from .core.deform.greedy import GreedySelection
 from .core.errors import HeadError, SourceError
 from .core.files import replacing
 from .core.images import write_image
@@ -70,8 +71,8 @@ def puppet(
     return report
 
 
-def open_head(spec: str | None) -> tuple[bpy.types.Scene, bpy.types.Object]:
-    """The scene and the head to drive: the built-in one in a new file, or OBJECT of FILE.blend.
+def open_head(spec: str | None, points: GreedySelection | None = None) -> tuple[bpy.types.Scene, bpy.types.Object]:
+    """The scene and the head to drive, by `points` if given: the built-in one in a new file, or OBJECT of FILE.blend.
 
     Raises
     ------
@@ -81,7 +82,10 @@ def open_head(spec: str | None) -> tuple[bpy.types.Scene, bpy.types.Object]:
     """
     if spec is None:
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-        return bpy.context.scene, add_head(bpy.context)
+        head = add_head(bpy.context)
+        if points is not None:
+            write_selection(head.data, points)
+        return bpy.context.scene, head
     file, found, name = spec.rpartition(".blend:")
     path, name = (Path(file + ".blend"), name) if found else (Path(spec), "")
     if not path.is_file():
@@ -101,6 +105,8 @@ def open_head(spec: str | None) -> tuple[bpy.types.Scene, bpy.types.Object]:
         head = bound[0]
     else:
         raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Name one: --head {path}:OBJECT.")
+    if points is not None:
+        write_selection(head.data, points)
     read_rig(head)
     return bpy.context.scene, head
 

@@ -36,6 +36,8 @@ def main() -> int:
     command.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", help="where heads/ lies")
     command.add_argument("--pictures", type=Path, metavar="DIR", help="draw the comparison on the heads there")
     arguments = command.parse_args()
+    if not (arguments.data / "heads").is_dir():
+        command.error(f"{arguments.data} has no heads/ict_facekit_light.npz; say with --data where ICT-FaceKit lies")
     heads = [ict_head(arguments.data), built_in_head()]
     models = [learn(head.vertices, head.landmarks, head.regions, head.motions) for head in heads]
     tables, numbers = [], {}

@@ -83,7 +83,11 @@ class ExpressionModel:
 
 
 def learn(
-    vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray, motions: FloatArray, every: int = 1
+    vertices: FloatArray,
+    landmarks: IntArray,
+    region_weights: FloatArray,
+    motions: FloatArray,
+    kept: IntArray | None = None,
 ) -> ExpressionModel:
     """What moves together on a head whose expressions are known.
 
@@ -95,8 +99,8 @@ def learn(
     region_weights : (3, V) array
     motions : (E, V, 3) array
         Displacements under each expression, unit of `vertices`.
-    every : int
-        Keep each that many-th vertex, for a small file.
+    kept : (S,) array of int, optional
+        Vertices to keep, for a small file; all that move by default.
 
     Notes
     -----
@@ -106,7 +110,7 @@ def learn(
     corners = np.asarray(vertices, dtype=np.float64)[landmarks[OUTER_EYE_CORNERS]]
     unit = float(np.linalg.norm(corners[0] - corners[1]))
     places = _normalised(vertices, landmarks)
-    moving = np.flatnonzero(region_weights.any(axis=0))[::every]
+    moving = np.flatnonzero(region_weights.any(axis=0)) if kept is None else np.asarray(kept)
     flat = motions[:, moving].transpose(1, 0, 2).reshape(len(moving), -1) / unit
     size = np.sqrt(np.square(flat).sum(axis=1, keepdims=True) / 3.0 + _STILL**2)
     alike = flat / (np.sqrt(3.0) * size)

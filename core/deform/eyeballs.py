@@ -32,19 +32,24 @@ class EyeballContact:
     """
 
     def __init__(self, rest: FloatArray, weights: FloatArray, eyeballs: FloatArray) -> None:
-        self._contacts: list[tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]] = []
+        rows, centres, nearest = [], [], []
         for x, y, z, radius in np.asarray(eyeballs, dtype=np.float64).reshape(-1, 4):
-            centre = np.array([x, y, z])
-            distance = np.linalg.norm(rest - centre, axis=1)
-            rows = np.flatnonzero((weights > 0) & (distance < _REACH * radius))
-            nearest = np.minimum(distance[rows], radius)
-            self._contacts.append((rows, centre.astype(np.float32), nearest.astype(np.float32)))
+            distance = np.linalg.norm(rest - (x, y, z), axis=1)
+            near = np.flatnonzero((weights > 0) & (distance < _REACH * radius))
+            rows.append(near)
+            centres.append(np.tile([x, y, z], (len(near), 1)))
+            nearest.append(np.minimum(distance[near], radius))
+        self._rows: NDArray[np.intp] = np.concatenate([np.empty(0, dtype=np.intp), *rows])
+        self._centres = np.concatenate([np.empty((0, 3)), *centres]).astype(np.float32)
+        self._nearest = np.concatenate([np.empty(0), *nearest]).astype(np.float32)
+        self._squared = np.square(self._nearest)
 
     def resolve(self, vertices: NDArray[np.float32]) -> None:
         """Push what lies too deep out along the radius, in place; (V, 3) float32."""
-        for rows, centre, nearest in self._contacts:
-            outward = vertices[rows] - centre
-            distance = np.sqrt(np.einsum("ij,ij->i", outward, outward))
-            deep = (distance < nearest) & (distance > 0)
-            stretch = nearest[deep] / distance[deep]
-            vertices[rows[deep]] = centre + outward[deep] * stretch[:, None]
+        outward = vertices.take(self._rows, axis=0)
+        outward -= self._centres
+        squared = np.einsum("ij,ij->i", outward, outward)
+        deep = np.flatnonzero((squared < self._squared) & (squared > 0))
+        if len(deep):
+            stretch = self._nearest[deep] / np.sqrt(squared[deep])
+            vertices[self._rows[deep]] = self._centres[deep] + outward[deep] * stretch[:, None]

@@ -44,6 +44,8 @@ def main() -> dict:
         "largest": moved,
         "frames": bpy.context.scene.frame_end,
     }
+    head.vertex_groups.clear()
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"} and bpy.ops.facemime.check_head() == {"FINISHED"}
     for _ in range(2):
         addon_utils.disable(MODULE)
         assert not hasattr(bpy.types.Scene, "facemime")

@@ -145,3 +145,40 @@ def test_ctrl_c_keeps_what_was_tracked(tmp_path):
     assert process.returncode == 130 and b"Traceback" not in heard
     take = load_take(output)
     assert 1 <= len(take) < 240 and take.info["interrupted"] and str(len(take)).encode() in heard
+
+
+def test_select_prints_the_curve_and_puppet_takes_the_points(tmp_path):
+    save_take(performance(), tmp_path / "take.npz")
+    points = tmp_path / "points.json"
+    done = run("select", tmp_path / "take.npz", "-o", points, "--max-points", 12, "--add", "33", "--remove", "0-1")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("action") and lines[-1].startswith("12 control points:") and " 33" in lines[-1]
+    assert all(re.match(r"(start|add|drop) +\d+ +(upper|middle|lower) +\d+ +\d+\.\d\d ", line) for line in lines[1:-1])
+    done = run(
+        "puppet", tmp_path / "take.npz", "-o", tmp_path / "out.blend", "--points", points, "--kernel", "gaussian"
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--max-points", "2"], "At least 3 control points"),
+        (["--tolerance", "0"], "must be above 0"),
+        (["--add", "nose"], "names no landmarks"),
+        (["-o", "points.txt"], "json"),
+    ],
+)
+def test_select_tells_what_it_cannot_do(tmp_path, arguments, message):
+    save_take(performance(), tmp_path / "take.npz")
+    done = run("select", tmp_path / "take.npz", *arguments)
+    assert done.returncode == 1 and message in done.stderr and "Traceback" not in done.stderr
+
+
+def test_points_that_are_none_are_refused_before_anything_is_written(tmp_path):
+    save_take(performance(), tmp_path / "take.npz")
+    (tmp_path / "points.json").write_text("{}")
+    done = run("puppet", tmp_path / "take.npz", "-o", tmp_path / "out.blend", "--points", tmp_path / "points.json")
+    assert done.returncode == 1 and "no control points of Facemime" in done.stderr
+    assert not (tmp_path / "out.blend").exists()

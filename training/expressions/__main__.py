@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from facemime.core.deform.expressions import EXPRESSIONS_FILE, FORMAT, ExpressionModel, learn
 from facemime.core.deform.propose import propose_regions
@@ -24,21 +25,24 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m training.expressions", description=__doc__)
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
     arguments = parser.parse_args()
-    content = model_bytes(learn_ict(arguments.data, _EVERY))
+    content = model_bytes(learn_ict(arguments.data))
     EXPRESSIONS_FILE.parent.mkdir(parents=True, exist_ok=True)
     EXPRESSIONS_FILE.write_bytes(content)
     print(f"{EXPRESSIONS_FILE.relative_to(ROOT)}: {len(content) / 1024:.0f} KB")
     return 0
 
 
-def learn_ict(data: Path, every: int = 1) -> ExpressionModel:
-    """The model of ICT-FaceKit's face, each `every`-th vertex."""
+def learn_ict(data: Path) -> ExpressionModel:
+    """The model of ICT-FaceKit's face: each third vertex of the right half, and the ones across."""
     head = load_ict(data)
     vertices, triangles = head.neutral[FACE], head.triangles
     triangles = triangles[(triangles < FACE.stop).all(axis=1)]
     chosen = [i for i, name in enumerate(head.names) if not name.startswith(ARKIT_EXCEPTIONS)]
     regions = propose_regions(vertices, triangles, head.landmarks)
-    return learn(vertices, head.landmarks, regions, head.expression[chosen][:, FACE], every)
+    right = np.flatnonzero(regions.any(axis=0) & (vertices[:, 0] <= 1e-4))[::_EVERY]
+    _, across = cKDTree(vertices).query(vertices[right] * [-1, 1, 1])
+    kept = np.union1d(right, across)
+    return learn(vertices, head.landmarks, regions, head.expression[chosen][:, FACE], kept)
 
 
 def model_bytes(model: ExpressionModel) -> bytes:

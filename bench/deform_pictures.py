@@ -1,0 +1,166 @@
+"""Pictures of deformed heads: expressions beside their landmarks, methods side by side, the greedy curve."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.deformers import Method, triangles_of
+from bench.heads import TrueHead
+from facemime.core.deform.greedy import GreedySelection
+from facemime.core.landmarks import EDGES
+
+Image = NDArray[np.uint8]
+
+EXPRESSIONS: dict[str, tuple[str, ...]] = {
+    "jaw open": ("jawOpen",),
+    "smile": ("mouthSmile", "cheekSquint"),
+    "pucker": ("mouthPucker",),
+    "blink": ("eyeBlink",),
+    "brows up": ("browInnerUp", "browOuterUp", "eyeWide"),
+    "frown": ("browDown", "mouthFrown"),
+    "sneer": ("noseSneer", "mouthUpperUp"),
+    "laugh": ("jawOpen", "mouthSmile", "mouthUpperUp", "eyeSquint"),
+    "to the left": ("mouthLeft", "jawLeft"),
+}
+_COMPARED = ("jaw open", "smile", "blink", "frown")
+_COLUMNS = ("whole", "split", "gaussian", "regions", "informed", "laplacian", "blender_laplacian")
+_SIDE = (230, 290)
+_ZOOM, _MIDDLE = 0.47, (0.12, 0.02)
+"""Of the picture's width an outer-eye distance; what of the head lies in the middle, in these."""
+_SKIN = np.array([150.0, 180.0, 210.0])
+_BACKGROUND = (30, 28, 26)
+_WORST = 0.08
+"""Outer-eye distances that the error's colours end at."""
+_LIGHT = np.array([0.25, -0.45, -0.85])
+
+
+def draw_head(folder: Path, head: TrueHead, methods: list[Method], selection: GreedySelection) -> None:
+    """Write the sheet, the comparison and the curve for `head` into `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    name = "ict" if head.title.startswith("ICT") else "built-in"
+    by_name = {method.name: method for method in methods}
+    _write(folder / f"deformation-sheet-{name}.jpg", _sheet(head, by_name["informed"]))
+    _write(folder / f"deformation-methods-{name}.jpg", _comparison(head, by_name))
+    _curve(folder / f"deformation-greedy-{name}.png", head, selection)
+
+
+def _weights(head: TrueHead, units: tuple[str, ...]) -> NDArray[np.float64]:
+    """(E,) 1 for each expression whose name, without its side, is among `units`."""
+    bare = [
+        name.removesuffix("_L").removesuffix("_R").removesuffix("Left").removesuffix("Right") for name in head.names
+    ]
+    sided = ("mouthLeft", "jawLeft")
+    return np.array(
+        [
+            float(name in units if name in sided or any(unit in sided for unit in units) else short in units)
+            for name, short in zip(head.names, bare, strict=True)
+        ]
+    )
+
+
+def _sheet(head: TrueHead, method: Method) -> Image:
+    tiles = []
+    for title, units in EXPRESSIONS.items():
+        true = head.true(_weights(head, units)[None])
+        found = method.predict(true[:, head.landmarks])[0]
+        tiles.append(np.hstack([_landmarks(head, true[0], title), _render(head, found, None)]))
+    rows = [np.hstack(tiles[i : i + 3]) for i in range(0, len(tiles), 3)]
+    return np.vstack(rows)
+
+
+def _comparison(head: TrueHead, methods: dict[str, Method]) -> Image:
+    rows = []
+    for title in _COMPARED:
+        true = head.true(_weights(head, EXPRESSIONS[title])[None])
+        row = [_titled(_render(head, true[0], None), f"true: {title}")]
+        for name in _COLUMNS:
+            found = methods[name].predict(true[:, head.landmarks])[0]
+            off = np.linalg.norm(found - true[0], axis=1)
+            share = off.sum() / np.linalg.norm(true[0], axis=1).sum()
+            row.append(_titled(_render(head, found, off / _WORST), f"{name} {share:.2f}"))
+        rows.append(np.hstack(row))
+    return np.vstack(rows)
+
+
+def _project(points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Pixels of the head frame's x and y, a little from the side and above so that depth shows."""
+    yaw, pitch = 0.35, -0.08
+    turn = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
+    tilt = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
+    turned = (np.asarray(points, dtype=np.float64) @ (tilt @ turn).T - (*_MIDDLE, 0.0)) * (_ZOOM * _SIDE[0])
+    turned[..., :2] += np.array(_SIDE) / 2.0
+    return turned
+
+
+def _render(head: TrueHead, moved: NDArray[np.float32], error: NDArray[np.floating] | None) -> Image:
+    """The head with its vertices moved, flat triangles from back to front; `error` 0 to 1 as colours."""
+    scale = 2
+    points = _project(head.vertices + moved)
+    triangles = triangles_of(head.faces)
+    corners = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    light = np.clip(normals @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0) * 0.75 + 0.3
+    colours = np.tile(_SKIN, (len(triangles), 1))
+    if error is not None:
+        level = np.clip(error[triangles].mean(axis=1) * 255.0, 0, 255).astype(np.uint8)
+        colours = cv2.applyColorMap(level[:, None], cv2.COLORMAP_TURBO)[:, 0].astype(float)
+    colours = np.clip(colours * light[:, None], 0, 255)
+    canvas = np.full((scale * _SIDE[1], scale * _SIDE[0], 3), _BACKGROUND, np.uint8)
+    pixels = np.round(corners[..., :2] * scale * 16).astype(np.int32)
+    towards = normals[:, 2] < 0.0
+    for i in np.argsort(-corners[..., 2].mean(axis=1)):
+        if towards[i]:
+            cv2.fillConvexPoly(canvas, pixels[i], colours[i].tolist(), cv2.LINE_AA, 4)
+    return np.asarray(cv2.resize(canvas, _SIDE, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _landmarks(head: TrueHead, moved: NDArray[np.float32], title: str) -> Image:
+    """The landmarks that go in, as a drawing."""
+    canvas = np.full((_SIDE[1], _SIDE[0], 3), _BACKGROUND, np.uint8)
+    points = _project((head.vertices + moved)[head.landmarks])[:, :2]
+    fixed = np.round(points * 16).astype(np.int32)
+    for a, b in EDGES:
+        cv2.line(canvas, fixed[a].tolist(), fixed[b].tolist(), (80, 220, 120), 1, cv2.LINE_AA, 4)
+    for point in fixed:
+        cv2.circle(canvas, point.tolist(), 26, (255, 255, 255), -1, cv2.LINE_AA, 4)
+    return _titled(canvas, title)
+
+
+def _titled(image: Image, title: str) -> Image:
+    cv2.putText(image, title, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (235, 235, 235), 1, cv2.LINE_AA)
+    return image
+
+
+def _write(path: Path, image: Image) -> None:
+    cv2.imwrite(str(path), image, (cv2.IMWRITE_JPEG_QUALITY, 88))
+
+
+def _curve(path: Path, head: TrueHead, selection: GreedySelection) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7.0, 3.4), layout="constrained")
+    steps = selection.steps
+    colours = {"start": "#3a7d6b", "add": "#c8642d", "drop": "#777777"}
+    axes.plot(range(1, len(steps) + 1), [100 * step.error for step in steps], color="#bbbbbb", zorder=1)
+    for action, colour in colours.items():
+        chosen = [(i + 1, 100 * step.error) for i, step in enumerate(steps) if step.action == action]
+        if chosen:
+            axes.scatter(*zip(*chosen, strict=True), s=18, color=colour, label=action, zorder=2)
+    axes.set_xlabel("step")
+    axes.set_ylabel("worst error, % of the face's width")
+    axes.set_yscale("log")
+    axes.set_title(
+        f"{head.title}: {len(selection.landmarks)} control points, over all its expressions and 250 mixtures"
+    )
+    axes.legend(frameon=False)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)

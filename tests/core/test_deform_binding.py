@@ -1,0 +1,155 @@
+"""Landmarks, regions and checks on meshes that nobody has labelled."""
+
+import numpy as np
+import pytest
+
+from facemime.core.deform.binding import MARKS, bind_landmarks
+from facemime.core.deform.check import check_head
+from facemime.core.deform.propose import propose_regions
+from facemime.core.deform.surface import SurfaceGraph
+from facemime.core.deform.warp import Warp
+from facemime.core.errors import HeadError
+from facemime.core.head import load_head
+from facemime.core.landmarks import MIRROR, OUTER_EYE_CORNERS, from_ibug
+from facemime.core.rotation import euler_to_matrix
+
+HEAD = load_head()
+VERTICES = HEAD.vertices.astype(float)
+POINTS = VERTICES[HEAD.landmarks]
+UNIT = float(np.linalg.norm(np.subtract(*POINTS[OUTER_EYE_CORNERS])))
+
+
+def stylised() -> np.ndarray:
+    """The head with a wide skull, a long chin and big eyes."""
+    places = VERTICES.copy()
+    places[:, 0] *= 1.25
+    below = np.maximum(places[:, 1] - POINTS[from_ibug([33])[0], 1], 0.0)
+    places[:, 1] += 0.4 * below
+    for corner in ((36, 39), (42, 45)):
+        centre = POINTS[from_ibug(corner)].mean(axis=0) * [1.25, 1, 1]
+        reach = np.exp(-np.square(np.linalg.norm(places - centre, axis=1) / (0.25 * UNIT)))
+        places[:, :2] += 0.3 * reach[:, None] * (places - centre)[:, :2]
+    return places
+
+
+def mean_error(vertices: np.ndarray, found: np.ndarray) -> float:
+    """Mean distance from the true landmarks, in outer-eye distances."""
+    points = vertices[HEAD.landmarks]
+    unit = np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS]))
+    return float(np.linalg.norm(vertices[found] - points, axis=1).mean() / unit)
+
+
+def marks() -> dict[int, int]:
+    return {number: int(HEAD.landmarks[from_ibug([number])[0]]) for number in MARKS}
+
+
+def test_an_upright_head_of_any_size_and_place_is_bound_without_marks():
+    moved = VERTICES * 170.0 + [5.0, -30.0, 2.0]
+    binding = bind_landmarks(moved, HEAD.faces)
+    assert mean_error(moved, binding.landmarks) < 0.01
+    assert binding.symmetric and binding.residual < 0.01
+
+
+def test_a_stylised_head_is_bound_with_marks():
+    places = stylised()
+    binding = bind_landmarks(places, HEAD.faces, marks())
+    assert mean_error(places, binding.landmarks) < 0.06
+    for number, vertex in marks().items():
+        assert binding.landmarks[from_ibug([number])[0]] == vertex
+
+
+def test_marks_tell_how_a_mesh_is_turned():
+    turn = euler_to_matrix(1.1, -0.6, 2.0)
+    binding = bind_landmarks(VERTICES @ turn.T, HEAD.faces, marks())
+    assert mean_error(VERTICES, binding.landmarks) < 0.02
+    assert np.abs(binding.rotation @ turn - np.eye(3)).max() < 0.05
+
+
+def test_landmarks_of_a_symmetric_mesh_are_symmetric_and_all_different():
+    binding = bind_landmarks(VERTICES, HEAD.faces)
+    found = VERTICES[binding.landmarks]
+    np.testing.assert_allclose(found[MIRROR] * [-1, 1, 1], found, atol=1e-3 * UNIT)
+    assert len(set(binding.landmarks.tolist())) == 66
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        ({36: 1, 45: 2}, "at least 4 points, or none; got 2"),
+        ({36: 0, 39: 1, 42: 2, 45: 99_999}, "no vertex of the mesh"),
+    ],
+)
+def test_marks_that_do_not_suffice_are_refused(chosen, message):
+    with pytest.raises(HeadError, match=message):
+        bind_landmarks(VERTICES, HEAD.faces, chosen)
+
+
+def test_proposed_regions_part_lids_and_lips_and_leave_the_skull_alone():
+    regions = propose_regions(VERTICES, HEAD.faces, HEAD.landmarks)
+    assert regions.min() >= 0.0 and regions.sum(axis=0).max() <= 1.0 + 1e-6
+    of_landmarks = regions[:, HEAD.landmarks]
+    for row, numbers in ((0, (37, 38, 43, 44)), (1, (40, 41, 46, 47, 61, 62, 63)), (2, (65, 66, 67, 57))):
+        assert of_landmarks[row, from_ibug(numbers)].min() > 0.95
+    assert not regions[:, VERTICES[:, 1].argmin()].any()
+
+
+def test_proposed_regions_nearly_agree_with_those_of_the_built_in_head():
+    regions = propose_regions(VERTICES, HEAD.faces, HEAD.landmarks)
+    both = (HEAD.regions.sum(axis=0) > 0.9) & (regions.sum(axis=0) > 0.9)
+    assert (regions.argmax(axis=0) == HEAD.regions.argmax(axis=0))[both].mean() > 0.97
+
+
+def test_a_sound_head_has_no_findings():
+    assert check_head(VERTICES, HEAD.faces, HEAD.landmarks, HEAD.regions) == []
+
+
+def test_the_check_names_what_is_wrong_and_what_to_do():
+    twins = HEAD.landmarks.copy()
+    twins[0] = twins[1]
+    weights = HEAD.regions.copy()
+    weights[:, HEAD.landmarks[from_ibug([30])]] = 0.0
+    weights[2] = 0.0
+    findings = check_head(VERTICES, HEAD.faces, twins, weights)
+    told = " ".join(finding.problem for finding in findings)
+    assert "Landmarks 0, 1 share vertices" in told and "The region lower is empty" in told and "30" in told
+    assert all(finding.remedy.endswith(".") for finding in findings)
+
+
+def test_lips_joined_into_one_skin_are_found():
+    upper, lower = HEAD.landmarks[from_ibug([62, 66])]
+    nearest = HEAD.faces[(HEAD.faces == upper).any(axis=1)][0]
+    bridge = np.array([[upper, lower, int(nearest[nearest != upper][0]), -1]])
+    findings = check_head(VERTICES, np.concatenate([HEAD.faces, bridge]), HEAD.landmarks, HEAD.regions)
+    assert [finding.problem for finding in findings] == [
+        "The lips are joined into one skin, so that the mouth cannot open."
+    ]
+
+
+def test_ways_along_a_strip_go_round_its_slit():
+    # two rows of squares, joined at the left end only
+    x = np.arange(6.0)
+    top, bottom = np.stack([x, 0 * x, 0 * x], 1), np.stack([x, 0.1 + 0 * x, 0 * x], 1)
+    outer_top, outer_bottom = top - [0, 1, 0], bottom + [0, 1, 0]
+    vertices = np.concatenate([outer_top, top, bottom, outer_bottom])
+    quads = [[r * 6 + i, r * 6 + i + 1, (r + 1) * 6 + i + 1, (r + 1) * 6 + i] for r in (0, 2) for i in range(5)]
+    quads.append([6, 12, 12, 6])
+    graph = SurfaceGraph(vertices, np.array(quads))
+    assert graph.ways([11])[17] == pytest.approx(10.1)
+    assert graph.path(11, 17) == [*range(11, 5, -1), *range(12, 18)]
+    assert np.isinf(graph.ways([11], limit=3.0)[17])
+
+
+def test_a_warp_meets_its_points_and_carries_affine_maps_everywhere():
+    rng = np.random.default_rng(0)
+    source, elsewhere = rng.normal(size=(20, 3)), rng.normal(size=(50, 3))
+    matrix, shift = rng.normal(size=(3, 3)), rng.normal(size=3)
+    warp = Warp(source, source @ matrix + shift, smoothing=0.0)
+    np.testing.assert_allclose(warp(elsewhere), elsewhere @ matrix + shift, atol=1e-8)
+    bent = source + rng.normal(0.0, 0.1, source.shape)
+    np.testing.assert_allclose(Warp(source, bent, smoothing=0.0)(source), bent, atol=1e-8)
+
+
+def test_a_warp_between_points_of_one_plane_is_refused():
+    flat = np.random.default_rng(0).normal(size=(20, 3)) * [1, 1, 0]
+    with pytest.raises(HeadError, match="lie in one plane"):
+        Warp(flat, flat, smoothing=0.0)

@@ -1,0 +1,117 @@
+"""Greedy choice of control points."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facemime.core.control_points import from_json, parse_landmarks, select_for_take, to_json
+from facemime.core.deform.greedy import START, greedy_select
+from facemime.core.deform.regions import REGIONS, membership
+from facemime.core.drive import built_in_rig
+from facemime.core.errors import HeadError, SourceError
+from facemime.core.head import load_head
+from facemime.core.landmarks import from_ibug
+from takes import performance
+
+HEAD = load_head()
+POINTS = HEAD.vertices[HEAD.landmarks].astype(float)
+UNITS = HEAD.units[:, HEAD.landmarks].astype(float)
+
+
+def test_a_loose_tolerance_needs_fewer_points_than_a_tight_one():
+    loose, tight = (greedy_select(POINTS, UNITS, tolerance=t) for t in (0.05, 0.005))
+    assert loose.reached and tight.reached
+    assert len(loose.landmarks) < len(tight.landmarks)
+    assert loose.steps[-1].error <= 0.05 and tight.steps[-1].error <= 0.005
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 1000), st.integers(3, 66))
+def test_never_more_points_than_asked_and_each_region_has_one(seed, count):
+    motion = np.random.default_rng(seed).normal(0.0, 0.002, (4, 66, 3))
+    selection = greedy_select(POINTS, motion, tolerance=1e-5, max_points=count)
+    assert len(selection.landmarks) <= count
+    assert selection.membership.any(axis=1).all()
+    assert not (selection.membership & ~membership()).any()
+
+
+def test_the_same_take_gives_the_same_steps():
+    assert greedy_select(POINTS, UNITS, max_points=25).steps == greedy_select(POINTS, UNITS, max_points=25).steps
+
+
+def test_the_last_step_tells_the_true_worst_error_and_where_it_is():
+    selection = greedy_select(POINTS, UNITS, tolerance=0.02)
+    last = selection.steps[-1]
+    assert 0 <= last.frame < len(UNITS) and last.points == len(selection.landmarks)
+    more = UNITS.copy()
+    more[last.frame] *= 2.0
+    width = np.linalg.norm(POINTS[0] - POINTS[16])
+    assert np.linalg.norm(UNITS[last.frame, last.worst]) / width >= last.error / 3.0
+
+
+def test_a_still_take_keeps_no_point_beyond_one_a_region():
+    selection = greedy_select(POINTS, np.zeros((3, 66, 3)))
+    assert selection.reached
+    np.testing.assert_array_equal(selection.membership.sum(axis=1), [1, 1, 1])
+
+
+def test_points_added_by_hand_stay_and_removed_ones_never_come():
+    always, never = from_ibug([33, 7]).tolist(), from_ibug([17, 57]).tolist()
+    selection = greedy_select(POINTS, UNITS, tolerance=0.01, always=always, never=never)
+    assert set(always) <= set(selection.landmarks.tolist())
+    assert not set(never) & set(selection.landmarks.tolist())
+    assert selection.reason(always[0]) == "added by hand"
+
+
+def test_every_starting_point_names_its_muscle_and_belongs_to_its_region():
+    for muscles, region in zip(START, REGIONS, strict=True):
+        assert set(from_ibug(muscles)) <= set(region.landmarks)
+        assert all(muscles.values())
+    assert len(START[0]) == 12
+
+
+def test_a_point_in_the_selection_has_a_reason():
+    selection = greedy_select(POINTS, UNITS, max_points=30)
+    assert all(selection.reason(int(landmark)) for landmark in selection.landmarks)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"max_points": 2}, "At least 3"), ({"never": range(66)}, "lost all its landmarks")],
+)
+def test_impossible_wishes_are_refused(options, message):
+    with pytest.raises(HeadError, match=message):
+        greedy_select(POINTS, UNITS, **options)
+
+
+def test_a_motion_that_is_no_motion_is_refused():
+    with pytest.raises(HeadError, match="displacements must be finite"):
+        greedy_select(POINTS, np.full((1, 66, 3), np.nan))
+
+
+def test_frames_are_numbered_as_in_the_take_lost_ones_included():
+    take = performance()
+    selection = select_for_take(built_in_rig(), take, tolerance=0.003)
+    assert all(take.found[step.frame] for step in selection.steps)
+
+
+def test_a_selection_written_and_read_is_the_same():
+    selection = greedy_select(POINTS, UNITS, max_points=20)
+    again = from_json(to_json(selection))
+    np.testing.assert_array_equal(again.membership, selection.membership)
+    assert again.steps == selection.steps and again.tolerance == selection.tolerance
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"format": "other"}', "[1, 2]"])
+def test_text_that_is_no_selection_is_refused(text):
+    with pytest.raises(SourceError, match="no control points of Facemime"):
+        from_json(text)
+
+
+def test_landmarks_are_written_as_ibug_numbers_and_ranges():
+    assert parse_landmarks("17, 19-21,61") == from_ibug([17, 19, 20, 21, 61]).tolist()
+    assert parse_landmarks("") == []
+    for text in ("nose", "60", "99"):
+        with pytest.raises(HeadError, match="names no landmarks"):
+            parse_landmarks(text)

@@ -1,0 +1,156 @@
+"""What any deformer of a face must do, whatever the kernel."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facemime.core.deform.kernels import KERNELS, distances
+from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer
+from facemime.core.deform.regions import membership, region_sigmas
+from facemime.core.drive import INFORMED, HeadRig, built_in_rig, head_deformer
+from facemime.core.errors import HeadError
+from facemime.core.landmarks import MIRROR
+from facemime.core.rotation import euler_to_matrix
+
+ALL_KERNELS = [INFORMED, *KERNELS]
+RIG = built_in_rig()
+LANDMARKS = np.asarray(RIG.vertices, float)[RIG.landmarks]
+UNIT = 0.09
+
+
+def motion(seed: int) -> np.ndarray:
+    """(66, 3) displacements of up to some millimetres."""
+    return np.random.default_rng(seed).normal(0.0, 0.003, (66, 3))
+
+
+@pytest.fixture(scope="module", params=ALL_KERNELS)
+def deformer(request):
+    return head_deformer(RIG, request.param)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10_000))
+@pytest.mark.parametrize("kernel", list(KERNELS))
+def test_control_points_are_met_exactly_without_regularisation(kernel, seed):
+    sigma = region_sigmas(LANDMARKS, KERNELS[kernel])
+    shares = np.maximum(np.asarray(RIG.region_weights), 1e-3)
+    exact = RBFDeformer(
+        LANDMARKS, LANDMARKS, shares[:, RIG.landmarks] * membership(), membership(),
+        kernel=kernel, sigma=sigma, regularisation=0.0,
+    )  # fmt: skip
+    moving = (shares[:, RIG.landmarks] * membership()).sum(axis=0) >= 0.999
+    moved = exact.deform(motion(seed))[moving] - LANDMARKS[moving]
+    np.testing.assert_allclose(moved, motion(seed)[moving], atol=2e-5)
+
+
+def test_a_still_face_stays_at_rest(deformer):
+    np.testing.assert_array_equal(deformer.deform(np.zeros((66, 3))), deformer.rest)
+
+
+@pytest.mark.parametrize("kernel", ALL_KERNELS)
+def test_a_rigid_motion_of_the_rest_mesh_carries_through(kernel):
+    turn, shift = euler_to_matrix(0.02, -0.03, 0.01), np.array([0.3, -0.2, 1.0])
+    displaced = motion(1)
+    plain = head_deformer(RIG, "multiscale" if kernel == INFORMED else kernel).deform(displaced)
+    moved_rig = replace(RIG, vertices=np.asarray(RIG.vertices, float) @ turn.T + shift)
+    moved = head_deformer(moved_rig, "multiscale" if kernel == INFORMED else kernel).deform(displaced @ turn.T)
+    np.testing.assert_allclose(moved, plain @ turn.T + shift, atol=1e-5)
+
+
+@pytest.mark.parametrize("kernel", ALL_KERNELS)
+def test_a_mirrored_motion_gives_a_mirrored_face(kernel):
+    flip = np.array([-1.0, 1.0, 1.0])
+    rest = np.asarray(RIG.vertices, float)
+    mirror = distances(rest * flip, rest).argmin(axis=1)
+    even = replace(RIG, region_weights=(RIG.region_weights + RIG.region_weights[:, mirror]) / 2.0)
+    deformer = head_deformer(even, kernel)
+    one = deformer.deform(motion(2))
+    other = deformer.deform((motion(2) * flip)[MIRROR])
+    tolerance = 3e-4 if kernel == INFORMED else 1e-5  # the learnt head is not quite symmetric
+    np.testing.assert_allclose(other, one[mirror] * flip, atol=tolerance)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 60))
+def test_another_control_point_never_worsens_the_error_at_the_control_points(seed, count):
+    rng = np.random.default_rng(seed)
+    points, moved = rng.uniform(0.0, 1.0, (61, 3)), rng.normal(0.0, 0.1, (61, 3))
+    used = slice(0, count)
+
+    def error(chosen: slice) -> float:
+        weights, members = np.ones((1, len(points))), np.ones((1, len(points[chosen])), bool)
+        deformer = RBFDeformer(points, points[chosen], weights, members, sigma=0.1, regularisation=0.0)
+        return float(np.abs(deformer.deform(moved[chosen])[used] - points[used] - moved[used]).max())
+
+    assert error(slice(0, count + 1)) <= error(used) + 1e-4
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(1.0, 50.0))
+def test_region_weights_scaled_together_change_nothing(factor):
+    borders = np.maximum(RIG.region_weights, 0.0) / np.maximum(RIG.region_weights.sum(axis=0), 1e-9)
+    one = head_deformer(replace(RIG, region_weights=borders), "multiscale").deform(motion(3))
+    other = head_deformer(replace(RIG, region_weights=factor * borders), "multiscale").deform(motion(3))
+    np.testing.assert_allclose(one, other, atol=1e-5)
+
+
+def test_one_control_point_moves_its_region_as_far_as_itself_at_most():
+    vertices = np.random.default_rng(0).uniform(0.0, 1.0, (50, 3))
+    deformer = RBFDeformer(vertices, vertices[:1], np.ones((1, 50)), np.ones((1, 1), bool), regularisation=0.0)
+    moved = deformer.deform([[0.1, 0.0, 0.0]]) - deformer.rest
+    assert moved[0, 0] == pytest.approx(0.1, abs=1e-5)
+    assert np.abs(moved[:, 0]).max() <= 0.1 + 1e-5
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_displacements_that_are_no_numbers_are_refused(deformer, value):
+    broken = motion(0)
+    broken[5, 1] = value
+    with pytest.raises(Exception, match="displacements must be finite; 1 rows are not, the first is row 5"):
+        deformer.deform(broken)
+
+
+def test_an_unknown_kernel_is_refused_with_the_known_ones():
+    with pytest.raises(HeadError, match=r"no kernel 'magic'\. Choose one of gaussian, multiscale"):
+        head_deformer(RIG, "magic")
+
+
+def test_the_fit_reports_sigma_and_condition_of_each_region(deformer):
+    assert len(deformer.fits) == 3
+    for fit in deformer.fits:
+        assert fit.sigma > 0.0 and 1.0 <= fit.condition < 1e10
+
+
+def test_a_region_that_lost_its_control_points_is_refused():
+    chosen = membership()
+    chosen[2] = False
+    with pytest.raises(HeadError, match="no control point"):
+        head_deformer(replace(RIG, control_points=chosen))
+
+
+def test_the_incremental_way_starts_like_the_rest_based_one_and_depends_on_the_path():
+    incremental = head_deformer(RIG, "gaussian", incremental=True)
+    assert isinstance(incremental, IncrementalDeformer)
+    plain = head_deformer(RIG, "gaussian")
+    np.testing.assert_allclose(incremental.deform(motion(4)), plain.deform(motion(4)), atol=1e-6)
+    after_detour = incremental.deform(motion(5))
+    incremental.reset()
+    np.testing.assert_allclose(incremental.deform(motion(5)), plain.deform(motion(5)), atol=1e-6)
+    assert np.abs(after_detour - plain.deform(motion(5))).max() > 1e-4
+
+
+def test_the_informed_kernel_takes_any_mesh_and_stays_between_its_landmarks():
+    coarse = np.unique(np.concatenate([RIG.landmarks, np.arange(0, 1781, 3)]))
+    place = {int(v): i for i, v in enumerate(coarse)}
+    part = HeadRig(
+        np.asarray(RIG.vertices)[coarse] * 100.0,
+        np.array([place[int(v)] for v in RIG.landmarks]),
+        np.asarray(RIG.region_weights)[:, coarse],
+        np.zeros(3),
+    )
+    displaced = motion(6) * 100.0
+    moved = head_deformer(part).deform(displaced) - np.asarray(part.vertices)
+    assert np.linalg.norm(moved, axis=1).max() < 3.0 * np.linalg.norm(displaced, axis=1).max()
