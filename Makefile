@@ -55,6 +55,7 @@ bench-deformation: setup
 
 # What stands in assets/ is made again by these; the first needs ../shared/data.
 model: setup
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/training.txt
 	$(BIN)/python -m training.tracker
 
 expressions: setup

@@ -20,8 +20,14 @@ def axis_rotations(pitch: float, yaw: float, roll: float) -> tuple[FloatArray, F
 
 def euler_to_matrix(pitch: float, yaw: float, roll: float) -> FloatArray:
     """R = Rz(roll) Ry(yaw) Rx(pitch), (3, 3): head frame to image axes."""
-    about_x, about_y, about_z = axis_rotations(pitch, yaw, roll)
-    return np.asarray(about_z @ about_y @ about_x)
+    cx, sx, cy, sy, cz, sz = cos(pitch), sin(pitch), cos(yaw), sin(yaw), cos(roll), sin(roll)
+    return np.array(
+        [
+            [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+            [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+            [-sy, cy * sx, cy * cx],
+        ]
+    )
 
 
 def matrix_to_euler(rotation: FloatArray) -> tuple[float, float, float]:

@@ -13,7 +13,7 @@ distances.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
 
@@ -28,7 +28,7 @@ from .reference import warp_to_reference
 
 FACE_SCALE, FACE_SIZE, FACE_STRIDE = 36.0, 96, 4
 """Pixels an outer-eye distance, side of the picture, and pixels a cell of the maps, of the face experts."""
-NEAR_SIZE = 96
+NEAR_SIZE = 80
 """Side of the picture where the face is known to be in its middle."""
 PART_SIZE, PART_STRIDE = 48, 2
 _FACE_FLOOR, _PART_FLOOR = 8.0, 6.0
@@ -65,6 +65,10 @@ class ResponseMaps:
             np.concatenate([p.corner for p in parts]),
             np.concatenate([p.stride for p in parts]),
         )
+
+    def moved(self, by: FloatArray) -> ResponseMaps:
+        """The same maps, each landmark's moved by its row of `by` (66, 2)."""
+        return replace(self, corner=self.corner + by[self.landmarks].astype(np.float32))
 
     @cached_property
     def moments(self) -> tuple[FloatArray, FloatArray]:
@@ -175,8 +179,10 @@ class PartExperts:
     def look(self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> list[ResponseMaps]:
         """Maps in the face frame of `pose` (6,), looked for round landmarks `shape` (66, 2) of that frame."""
         sides = [self.landmarks, MIRROR[self.landmarks]] if self.paired else [self.landmarks]
-        centres = [shape[side].mean(0) for side in sides]
-        pictures = np.stack([part_picture(grey, _moved(pose, c), self.scale) for c in centres])
+        centres = [shape[side].sum(0) / len(side) for side in sides]
+        pictures = np.empty((len(sides), PART_SIZE, PART_SIZE), np.float32)
+        for picture, centre in zip(pictures, centres, strict=True):
+            picture[...] = part_picture(grey, _moved(pose, centre), self.scale)
         if self.paired:
             pictures[1] = pictures[1, :, ::-1]
         maps = _softmax(self.network(pictures)[0])
@@ -188,7 +194,7 @@ class PartExperts:
             ResponseMaps(
                 side,
                 maps[i],
-                np.tile(centre + reach, (len(side), 1)).astype(np.float32),
+                np.full((len(side), 2), centre + reach, np.float32),
                 np.full((len(side), 1), stride, np.float32),
             )
             for i, (side, centre) in enumerate(zip(sides, centres, strict=True))

@@ -68,25 +68,24 @@ def regularised_mean_shift(
     turns far, call again from the result. About 0.15 ms and 0.07 ms a step.
     """
     jacobian = model.jacobian(start.pose, start.shape_params)
-    size = jacobian.shape[2]
+    flat = jacobian.reshape(-1, jacobian.shape[2])
     weights = np.zeros(jacobian.shape[1])
     for e in evidence:
         weights[e.maps.landmarks] += e.weights
-    prior = np.concatenate([np.zeros(N_POSE), options.regularisation / model.eigenvalues])
-    weighted = (jacobian * weights[None, :, None]).reshape(-1, size)
-    normal = weighted.T @ jacobian.reshape(-1, size)
-    normal[np.diag_indices(size)] += prior
-    # A landmark set of weight 0 leaves the pose free; this keeps the system solvable and the step then is 0.
-    normal[np.diag_indices(N_POSE)] += 1e-9
+    prior = np.zeros(flat.shape[1])
+    prior[N_POSE:] = options.regularisation / model.eigenvalues
+    normal = flat.T @ (flat * np.concatenate([weights, weights])[:, None])
+    # A landmark set of weight 0 leaves the pose free; the small number keeps the system solvable, and the step is 0.
+    normal[np.diag_indices(len(prior))] += prior + 1e-9
     inverse = np.linalg.inv(normal)
     fitted = start
     for variance in options.variances:
         landmarks = model.project(fitted.pose, fitted.shape_params)
-        pull = np.zeros((2, len(weights)))
+        pull = np.zeros(landmarks.shape)
         for e in evidence:
             shift = e.maps.shifts(landmarks[e.maps.landmarks], inf if e.coarse else variance)
-            pull[:, e.maps.landmarks] += e.weights * shift.T
-        right = pull.reshape(-1) @ jacobian.reshape(-1, size)
+            pull[e.maps.landmarks] += e.weights[:, None] * shift
+        right = pull.T.reshape(-1) @ flat
         right[N_POSE:] -= prior[N_POSE:] * fitted.shape_params
         delta = np.asarray(inverse @ right, np.float64)
         fitted = model.step(fitted.pose, fitted.shape_params, delta)

@@ -35,6 +35,8 @@ class TrackerModel:
     face : FaceExperts
     parts : tuple of PartExperts
         The eyes with their brows, and the mouth with the nose's base.
+    definition : (66, 3) float64
+        From the places that the experts were taught to the places where `pdm` has the landmarks, head frame.
     visibility : (2, 66) float64
         How often each landmark is in sight, in the frontal view and where the nose points to the viewer's left.
     box_offset : (D, 3) float64
@@ -47,6 +49,7 @@ class TrackerModel:
     pdm: PointDistributionModel
     face: FaceExperts
     parts: tuple[PartExperts, ...]
+    definition: FloatArray
     visibility: FloatArray
     box_offset: FloatArray
     check: FaceCheck
@@ -72,6 +75,7 @@ def save_model(model: TrackerModel, path: Path) -> str:
         "mean_shape": model.pdm.mean_shape.astype(np.float32),
         "basis": model.pdm.basis.astype(np.float32),
         "eigenvalues": model.pdm.eigenvalues.astype(np.float32),
+        "definition": model.definition.astype(np.float32),
         "visibility": model.visibility.astype(np.float32),
         "box_offset": model.box_offset.astype(np.float32),
         "check_weights": model.check.weights.astype(np.float32),
@@ -149,6 +153,7 @@ def _assemble(arrays: dict[str, NDArray[np.generic]], model_id: str) -> TrackerM
         pdm=PointDistributionModel(real("mean_shape"), real("basis"), real("eigenvalues")),
         face=FaceExperts(Network(arrays["face_network"].tobytes(), "maps", "face")),
         parts=tuple(parts),
+        definition=real("definition"),
         visibility=real("visibility"),
         box_offset=real("box_offset"),
         check=FaceCheck(real("check_weights")),

@@ -59,6 +59,10 @@ class PointDistributionModel:
     def _shape_basis(self) -> FloatArray:
         return np.ascontiguousarray(self.basis).reshape(-1, self.n_modes)
 
+    @cached_property
+    def _deviations(self) -> FloatArray:
+        return np.sqrt(self.eigenvalues)
+
     def shape(self, shape_params: FloatArray) -> FloatArray:
         """(N, 3) landmarks in the head frame for coefficients (K,)."""
         offset: FloatArray = (self._shape_basis @ shape_params).reshape(-1, 3)
@@ -93,8 +97,9 @@ class PointDistributionModel:
 
     def clamp(self, shape_params: FloatArray, limit: float = 3.0) -> FloatArray:
         """Coefficients (K,) kept within `limit` standard deviations."""
-        bound = limit * np.sqrt(self.eigenvalues)
-        return np.clip(shape_params, -bound, bound)
+        bound = limit * self._deviations
+        clamped: FloatArray = np.minimum(np.maximum(shape_params, -bound), bound)
+        return clamped
 
     def step(self, pose: FloatArray, shape_params: FloatArray, delta: FloatArray) -> FittedShape:
         """Add an update (6 + K,): scale stays positive, angles in -pi..pi, coefficients within 3 deviations."""

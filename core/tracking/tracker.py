@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import FloatArray, as_image
 from ..landmarks import INNER, MIRROR, N_LANDMARKS
+from ..rotation import euler_to_matrix
 from .check import N_FEATURES
 from .detect import EFFORTS, BoxDetector
 from .experts import FACE_SIZE, NEAR_SIZE, ResponseMaps
@@ -185,19 +186,21 @@ class FaceTracker:
             shape = self.pdm.project(local.pose, local.shape_params)
             looks = [part.look(grey, start.pose, shape) for part in self._model.parts]
             maps.append(ResponseMaps.join([m for look in looks for m in look]))
+        by = self._model.definition @ euler_to_matrix(*local.pose[1:4])[:2].T
+        maps = [m.moved(by) for m in maps]
         looked = perf_counter()
         visible = self._visibility[int(np.sign(start.pose[2])) if abs(start.pose[2]) > SIDE_YAW else 0]
         certainties = [_CERTAIN**2 / (_CERTAIN**2 + m.moments[1]) for m in maps]
         evidence = [Evidence(m, c * visible[m.landmarks]) for m, c in zip(maps, certainties, strict=True)]
         if stage.parts:
-            evidence[0] = Evidence(face, evidence[0].weights * self._face_weight, coarse=True)
+            evidence[0] = Evidence(maps[0], evidence[0].weights * self._face_weight, coarse=True)
         for options in stage.rounds:
             local = regularised_mean_shift(self.pdm, local, evidence, options)
         fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
         ended = perf_counter()
         shape = self.pdm.project(local.pose, local.shape_params)
         certainty, features = certainties[0].copy(), np.zeros(N_FEATURES)
-        features[:4] = 1.0, 0.2 * log_odds, certainty[INNER].mean(), 10.0 * _distance(face, shape)[INNER].mean()
+        features[:4] = 1.0, 0.2 * log_odds, certainty[INNER].mean(), 10.0 * _distance(maps[0], shape)[INNER].mean()
         if stage.parts:
             certainty[maps[1].landmarks] = certainties[1]
             features[4:] = certainties[1].mean(), 10.0 * _distance(maps[1], shape).mean()
@@ -214,7 +217,10 @@ class FaceTracker:
         moved = self.pdm.project(fit.fitted.pose, fit.fitted.shape_params) - self.pdm.project(
             last.pose, last.shape_params
         )
-        if max(np.abs(moved[p.landmarks].mean(0)).max() for p in self._model.parts) > _FAR * last.pose[0]:
+        if (
+            max(np.abs(moved[p.landmarks].sum(0)).max() / len(p.landmarks) for p in self._model.parts)
+            > _FAR * last.pose[0]
+        ):
             fit = self.fit(grey, fit.fitted, (FINE,))
         return self._judged(fit)
 

@@ -49,9 +49,10 @@ def train(
     while done < steps:
         away += _step(network, draw(), optimiser, variance)
         schedule.step()
+        share = max(_AVERAGE, 2.0 / (done + 2.0))  # what there was before the first steps soon counts nothing
         with torch.no_grad():
             for key, value in network.state_dict().items():
-                average[key].lerp_(value, _AVERAGE) if value.dtype.is_floating_point else average[key].copy_(value)
+                average[key].lerp_(value, share) if value.dtype.is_floating_point else average[key].copy_(value)
         done += 1
         if done % _REPORT == 0:
             print(f"{name}: {done} of {steps}, {away / _REPORT:.3f} cells, {perf_counter() - began:.0f} s", flush=True)

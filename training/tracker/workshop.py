@@ -18,6 +18,7 @@ from facemime.core.tracking.tracker import FaceTracker
 
 from .boxes import fit_box_offsets
 from .checks import clutter, collect_features, train_check
+from .definition import definition_offset
 from .heads import load_ict
 from .samples import Samples, photo_samples, render_samples
 from .shape_model import build_shape_model
@@ -167,7 +168,9 @@ class Workshop:
         """The model with the given check."""
         face = FaceExperts(Network(self.network("face"), "maps", "face"))
         parts = [PartExperts(Network(self.network(name), "maps"), *what) for name, what in PARTS.items()]
-        return TrackerModel(self.shape(), face, tuple(parts), self.visibility(), self.boxes(), check)
+        taught, definition = self.shape(), definition_offset()
+        reported = PointDistributionModel(taught.mean_shape + definition, taught.basis, taught.eigenvalues)
+        return TrackerModel(reported, face, tuple(parts), definition, self.visibility(), self.boxes(), check)
 
     def check(self) -> FaceCheck:
         """The learnt check, trained on what the fit makes of training pictures and of clutter."""

@@ -1,0 +1,67 @@
+"""The networks' training; left out where PyTorch is not installed, which only `make model` needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed; `make model` does it")
+pytest.importorskip("onnx", reason="ONNX is not installed; `make model` does it")
+
+from facemime.core.tracking.network import Network  # noqa: E402
+from facemime.training.tracker.crops import Batch  # noqa: E402
+from facemime.training.tracker.learn import train  # noqa: E402
+from facemime.training.tracker.networks import FaceNetwork, MapLoss, PartNetwork, to_onnx  # noqa: E402
+
+
+def test_the_loss_has_the_gradient_of_its_definition() -> None:
+    torch.manual_seed(0)
+    scores = torch.randn(2, 3, 8, 8, requires_grad=True)
+    cells, weights = torch.rand(2, 3, 2) * 7, torch.rand(2, 3)
+    MapLoss.apply(scores, cells, weights, 0.7)[0].backward()
+    steps = torch.arange(8).float()
+    wanted = [torch.softmax((steps - cells[..., k, None]) ** 2 / -1.4, -1) for k in (0, 1)]
+    free = scores.detach().clone().requires_grad_()
+    log_likely = torch.log_softmax(free.flatten(2), -1).view(2, 3, 8, 8)
+    likely = log_likely.exp()
+    cross_entropy = -torch.einsum("bnyx,bnx,bny->bn", log_likely, *wanted)
+    mean = torch.stack([(likely.sum(2) * steps).sum(-1), (likely.sum(3) * steps).sum(-1)], -1)
+    away = torch.sqrt(((mean - cells) ** 2).sum(-1) + 0.01)
+    (((cross_entropy + MapLoss.PULL * away) * weights).sum() / weights.sum()).backward()
+    torch.testing.assert_close(scores.grad, free.grad, atol=1e-6, rtol=1e-4)
+
+
+@pytest.mark.parametrize("size", [96, 80])
+def test_opencv_runs_the_face_network_as_pytorch_does(size: int) -> None:
+    torch.manual_seed(1)
+    network = FaceNetwork().eval()
+    picture = np.random.default_rng(0).normal(0, 1, (1, size, size)).astype(np.float32)
+    with torch.no_grad():
+        expected = network(torch.from_numpy(picture[:, None]))
+    shown = Network(to_onnx(network, 96), "maps", "face")(picture)
+    for ours, theirs in zip(shown, expected, strict=True):
+        np.testing.assert_allclose(ours, theirs.numpy(), atol=1e-4)
+
+
+def test_training_resumes_from_its_checkpoint_and_learns_a_spot(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+
+    def draw() -> Batch:
+        cells = rng.uniform(3, 12, (16, 1, 2)).astype(np.float32)
+        y, x = np.mgrid[0:32, 0:32].astype(np.float32)
+        spots = [np.exp(((x - 2 * cx - 0.5) ** 2 + (y - 2 * cy - 0.5) ** 2) / -6.0) for cx, cy in cells[:, 0]]
+        return Batch(np.stack(spots)[:, None] * 4, cells, np.ones((16, 1), np.float32), np.ones((16, 2), np.float32))
+
+    checkpoint = tmp_path / "spot.pt"
+    torch.manual_seed(3)
+    train(PartNetwork(1), draw, 120, 0.5, checkpoint, "spot")
+    done = torch.load(checkpoint, weights_only=True)["done"]
+    assert done == 120
+    network = train(PartNetwork(1), draw, 120, 0.5, checkpoint, "spot").eval()
+    batch = draw()
+    with torch.no_grad():
+        scores = network(torch.from_numpy(batch.pictures))
+    away = MapLoss.apply(scores, torch.from_numpy(batch.cells), torch.from_numpy(batch.weights), 0.5)[1]
+    assert float(away) < 1.0
