@@ -30,7 +30,7 @@ FACE_SCALE, FACE_SIZE, FACE_STRIDE = 36.0, 96, 4
 """Pixels an outer-eye distance, side of the picture, and pixels a cell of the maps, of the face experts."""
 NEAR_SIZE = 80
 """Side of the picture where the face is known to be in its middle."""
-PART_SIZE, PART_STRIDE = 48, 2
+PART_STRIDE = 2
 _FACE_FLOOR, _PART_FLOOR = 8.0, 6.0
 """Grey levels added to a picture's standard deviation: flat pictures are noise, and stay small."""
 
@@ -120,9 +120,9 @@ def face_picture(grey: NDArray[np.uint8], pose: FloatArray, size: int = FACE_SIZ
     return standardised(warp_to_reference(grey, pose, FACE_SCALE, size).pixels, _FACE_FLOOR)
 
 
-def part_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float) -> NDArray[np.float32]:
-    """(48, 48) what a part's experts see; the pose's translation is the part's centre."""
-    return standardised(warp_to_reference(grey, pose, scale, PART_SIZE).pixels, _PART_FLOOR)
+def part_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int) -> NDArray[np.float32]:
+    """(size, size) what a part's experts see; the pose's translation is the part's centre."""
+    return standardised(warp_to_reference(grey, pose, scale, size).pixels, _PART_FLOOR)
 
 
 def first_cell(size: int, stride: int) -> float:
@@ -167,6 +167,8 @@ class PartExperts:
         Of the part; of the viewer's left one where there are two.
     scale : float
         Pixels an outer-eye distance.
+    size : int
+        Side of the picture in pixels, a multiple of 8.
     paired : bool
         Whether the other half of the face has the same part, seen in a mirror.
     """
@@ -174,21 +176,22 @@ class PartExperts:
     network: Network
     landmarks: IntArray
     scale: float
+    size: int
     paired: bool
 
     def look(self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> list[ResponseMaps]:
         """Maps in the face frame of `pose` (6,), looked for round landmarks `shape` (66, 2) of that frame."""
         sides = [self.landmarks, MIRROR[self.landmarks]] if self.paired else [self.landmarks]
         centres = [shape[side].sum(0) / len(side) for side in sides]
-        pictures = np.empty((len(sides), PART_SIZE, PART_SIZE), np.float32)
+        pictures = np.empty((len(sides), self.size, self.size), np.float32)
         for picture, centre in zip(pictures, centres, strict=True):
-            picture[...] = part_picture(grey, _moved(pose, centre), self.scale)
+            picture[...] = part_picture(grey, _moved(pose, centre), self.scale, self.size)
         if self.paired:
             pictures[1] = pictures[1, :, ::-1]
         maps = _softmax(self.network(pictures)[0])
         if self.paired:
             maps[1] = maps[1, :, :, ::-1]
-        reach = first_cell(PART_SIZE, PART_STRIDE) / self.scale
+        reach = first_cell(self.size, PART_STRIDE) / self.scale
         stride = PART_STRIDE / self.scale
         return [
             ResponseMaps(

@@ -58,6 +58,7 @@ class TrackerModel:
 
 def _pack_parts(parts: tuple[PartExperts, ...]) -> dict[str, NDArray[np.generic]]:
     arrays: dict[str, NDArray[np.generic]] = {"part_scales": np.array([p.scale for p in parts])}
+    arrays["part_sizes"] = np.array([p.size for p in parts], np.int32)
     arrays["part_paired"] = np.array([p.paired for p in parts])
     for i, part in enumerate(parts):
         arrays[f"part_{i}_landmarks"] = part.landmarks.astype(np.int16)
@@ -139,12 +140,13 @@ def _assemble(arrays: dict[str, NDArray[np.generic]], model_id: str) -> TrackerM
     def real(name: str) -> FloatArray:
         return arrays[name].astype(np.float64)
 
-    scales, paired = real("part_scales").tolist(), arrays["part_paired"].tolist()
+    scales, sizes, paired = (arrays[f"part_{name}"].tolist() for name in ("scales", "sizes", "paired"))
     parts = [
         PartExperts(
             Network(arrays[f"part_{i}_network"].tobytes(), "maps"),
             arrays[f"part_{i}_landmarks"].astype(np.intp),
             scales[i],
+            sizes[i],
             paired[i],
         )
         for i in range(len(scales))

@@ -175,12 +175,48 @@ def test_locating_does_not_disturb_what_is_followed(tracker: FaceTracker, photo:
     np.testing.assert_array_equal(tracker.track(image).landmarks, expected)
 
 
-@needs_photos
-def test_of_two_faces_the_larger_is_taken(tracker: FaceTracker, photo: tuple[np.ndarray, np.ndarray]) -> None:
+@pytest.fixture(scope="module")
+def two_faces(photo: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A picture of a small face on the left and a large one, and the landmarks of each."""
     image, truth = photo
     small = cv2.resize(image, None, fx=0.55, fy=0.55, interpolation=cv2.INTER_AREA)
     both = np.full((image.shape[0], image.shape[1] + small.shape[1], 3), 200, np.uint8)
     both[: small.shape[0], : small.shape[1]] = small
     both[:, small.shape[1] :] = image
-    result = tracker.locate(both)
-    assert error_percent(result.landmarks, truth + (small.shape[1], 0)) < 4.0
+    return both, (truth + 0.5) * 0.55 - 0.5, truth + (small.shape[1], 0)
+
+
+@needs_photos
+def test_the_face_that_is_chosen_is_followed_although_another_is_larger(
+    tracker: FaceTracker, two_faces: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> None:
+    both, small, _ = two_faces
+    tracker.reset()
+    tracker.choose(*small.mean(0))
+    for _ in range(3):
+        assert error_percent(tracker.track(both).landmarks, small) < 5.0
+
+
+@needs_photos
+def test_a_lost_face_is_waited_for_before_another_is_taken(
+    tracker: FaceTracker, two_faces: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> None:
+    both, small, large = two_faces
+    hidden = both.copy()
+    hidden[:, : int(large[:, 0].min()) - 30] = 120
+    tracker.reset()
+    tracker.choose(*small.mean(0))
+    assert tracker.track(both).found
+    for _ in range(4):
+        assert not tracker.track(hidden).found
+    assert error_percent(tracker.track(both).landmarks, small) < 5.0
+    results = [tracker.track(hidden) for _ in range(40)]
+    assert error_percent(results[-1].landmarks, large) < 5.0
+
+
+@needs_photos
+def test_of_two_faces_the_larger_is_taken(
+    tracker: FaceTracker, two_faces: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> None:
+    both, _, large = two_faces
+    assert error_percent(tracker.locate(both).landmarks, large) < 4.0

@@ -14,7 +14,6 @@ from facemime.core.tracking.experts import (
     FACE_SIZE,
     FACE_STRIDE,
     NEAR_SIZE,
-    PART_SIZE,
     PART_STRIDE,
     face_picture,
     first_cell,
@@ -78,7 +77,7 @@ class Crops:
 
         return self._batch(count, np.arange(len(MIRROR)), size, size // FACE_STRIDE, draw)
 
-    def part(self, count: int, landmarks: np.ndarray, scale: float) -> Batch:
+    def part(self, count: int, landmarks: np.ndarray, scale: float, size: int) -> Batch:
         """One part of faces, seen about where it is."""
         rng = self._rng
 
@@ -90,11 +89,11 @@ class Crops:
             pose[0] *= np.exp(rng.normal(0, growth))
             pose[3] += rng.normal(0, turn)
             pose[4:6] += rng.normal(0, move, 2) * SCALE
-            picture = part_picture(_spoilt_source(sample.image, rng), pose, scale)
-            cells = _in_crop(sample.landmarks, pose, scale, PART_SIZE, PART_STRIDE)
+            picture = part_picture(_spoilt_source(sample.image, rng), pose, scale, size)
+            cells = _in_crop(sample.landmarks, pose, scale, size, PART_STRIDE)
             return picture, cells, sample.weights, (1.0, 1.0)
 
-        return self._batch(count, landmarks, PART_SIZE, PART_SIZE // PART_STRIDE, draw)
+        return self._batch(count, landmarks, size, size // PART_STRIDE, draw)
 
     def _batch(
         self,

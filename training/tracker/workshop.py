@@ -10,7 +10,7 @@ import numpy as np
 
 from facemime.core.landmarks import MIRROR
 from facemime.core.tracking.check import N_FEATURES, FaceCheck
-from facemime.core.tracking.experts import FACE_SIZE, PART_SIZE, FaceExperts, PartExperts
+from facemime.core.tracking.experts import FACE_SIZE, FaceExperts, PartExperts
 from facemime.core.tracking.model_file import TrackerModel
 from facemime.core.tracking.network import Network
 from facemime.core.tracking.pdm import PointDistributionModel
@@ -34,10 +34,10 @@ STEPS = {"face": 7000, "eye": 6000, "mouth": 6000}
 VARIANCE = {"face": 0.6, "eye": 0.5, "mouth": 0.5}
 """Of the wanted maps, in cells."""
 PARTS = {
-    "eye": (np.r_[17:22, 36:42], 60.0, True),
-    "mouth": (np.r_[31:36, 48:66], 50.0, False),
+    "eye": (np.r_[17:22, 36:42], 60.0, 48, True),
+    "mouth": (np.r_[31:36, 48:66], 66.0, 64, False),
 }
-"""Landmarks, pixels an outer-eye distance, whether the other half of the face has it too."""
+"""Landmarks, pixels an outer-eye distance, side of the picture, whether the other half of the face has it too."""
 
 
 @dataclass(frozen=True)
@@ -132,10 +132,10 @@ class Workshop:
                 face = train(FaceNetwork(), lambda: crops.face(BATCH[name], pictures), *how, checkpoint, name)
                 onnx = to_onnx(face, FACE_SIZE)
             else:
-                landmarks, scale, _ = PARTS[name]
+                landmarks, scale, size, _ = PARTS[name]
                 part = PartNetwork(len(landmarks))
-                part = train(part, lambda: crops.part(BATCH[name], landmarks, scale), *how, checkpoint, name)
-                onnx = to_onnx(part, PART_SIZE)
+                part = train(part, lambda: crops.part(BATCH[name], landmarks, scale, size), *how, checkpoint, name)
+                onnx = to_onnx(part, size)
             path.write_bytes(onnx)
         return path.read_bytes()
 
