@@ -69,7 +69,8 @@ class FACEMIME_PT_control_points(bpy.types.Panel):
         curve = layout.column(align=True)
         curve.label(text=f"Worst error, tolerance {100 * selection.tolerance:.2f} %")
         largest = max(step.error for step in selection.steps)
-        for step in selection.steps[:: -(-len(selection.steps) // _ROWS)]:
+        every = -(-len(selection.steps) // _ROWS)
+        for step in selection.steps[::-1][::every][::-1]:
             text = f"{step.points} points: {100 * step.error:.2f} %"
             curve.progress(factor=step.error / max(largest, 1e-9), text=text)
         points = layout.column(align=True)
