@@ -6,6 +6,7 @@ from ..blender.binding import read_marks
 from ..blender.meshes import read_selection
 from ..blender.names import LANDMARKS_PROPERTY
 from ..core.landmarks import IBUG68_INDICES
+from ..operators.on_mesh import register_all, unregister_all
 
 _ROWS = 14
 
@@ -84,11 +85,9 @@ _CLASSES = (FACEMIME_PT_own_head, FACEMIME_PT_control_points)
 
 def register() -> None:
     """Register the panels."""
-    for panel in _CLASSES:
-        bpy.utils.register_class(panel)
+    register_all(_CLASSES)
 
 
 def unregister() -> None:
     """Unregister the panels."""
-    for panel in reversed(_CLASSES):
-        bpy.utils.unregister_class(panel)
+    unregister_all(_CLASSES)
