@@ -18,7 +18,7 @@ _CALL = 8000
 """What one more product costs, in multiply-adds of a coordinate: below that, classes are merged."""
 _SORTING = 24000
 """What putting sorted vertices back costs on top of 4 a vertex, in the same unit."""
-_CHUNK = 4096
+_CHUNK = 5000
 """Vertices of a product: block and result together stay in the processor's second cache."""
 
 
