@@ -67,15 +67,19 @@ class BlockProduct:
         self._mixed[0, :, :3] = rest[order]
         self._sorted = np.empty((1, min(_CHUNK, count), 4), dtype=np.float32)
         self._products: list[_Product] = []
-        row = column = 0
+        # One array for all blocks: numpy asks for huge pages where an array is large, and a frame walks through it all.
+        store = np.empty(sum((len(columns) + 3) * len(rows) for rows, columns in classes), dtype=np.float32)
+        row = column = used = 0
         for rows, columns in classes:
             block = np.concatenate([_gather(regions, rows, columns, count), rest[rows].T])
             inputs = self._gathered[:, column : column + len(block)]
             for part in np.array_split(np.arange(len(rows)), -(-len(rows) // _CHUNK)):
-                matrix = np.ascontiguousarray(block[:, part[0] : part[-1] + 1])
+                matrix = store[used : used + len(block) * len(part)].reshape(len(block), len(part))
+                matrix[:] = block[:, part[0] : part[-1] + 1]
+                used += matrix.size
                 self._products.append(_Product(inputs, matrix, row + int(part[0]), self._mixed))
             row, column = row + len(rows), column + len(block)
-        self.nbytes = sum(product.matrix.nbytes for product in self._products)
+        self.nbytes = store.nbytes
 
     def apply(self, displacements: NDArray[np.float32], out: NDArray[np.float32]) -> None:
         """Write `rest + A displacements` for (P, 3) float32 displacements into (V, 3) float32 contiguous `out`."""
