@@ -3,7 +3,8 @@
 A sparse matrix would be four times slower: its rows are short and its columns are always the same few. So vertices
 that hang on the same control points are put side by side, and each such class is one dense block. The blocks lie as
 (P, V): four rows of displacements (three and one of zeros, which the matrix product's inner loop likes better than
-three) times a block write coordinates as planes, which are then interleaved and put back into the mesh's order.
+three) times a block write coordinates as planes, which are then interleaved and put back into the mesh's order. On a
+small mesh the sorting would cost more than it saves, and one block over all vertices is used.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_CALL = 8000
+_CALL = 25_000
 """What one more product costs, in multiply-adds of a coordinate: below that, classes are merged."""
-_SORTING = 24000
+_SORTING = 40_000
 """What putting sorted vertices back costs on top of 4 a vertex, in the same unit."""
 _CHUNK = 5000
 """Vertices of a product: block and result together stay in the processor's second cache."""
