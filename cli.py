@@ -24,7 +24,7 @@ from .core.files import check_writable, replacing
 from .core.images import IMAGE_SUFFIXES, read_image, write_image
 from .core.landmarks import IBUG68_INDICES, N_LANDMARKS
 from .core.overlay import draw_landmarks
-from .core.pipeline import track_video
+from .core.pipeline import smooth_take, track_video
 from .core.retarget import calibrate
 from .core.takes.take import Take, load_take, save_take
 from .core.tracking.tracker import FaceTracker
@@ -60,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     track = commands.add_parser("track", help="track a face through a video")
     track.add_argument("video", type=Path)
     track.add_argument("-o", "--output", type=Path, required=True, metavar="TAKE.npz")
+    track.add_argument("--smooth", action="store_true", help="hold still what does not move")
     track.set_defaults(run=run_track)
 
     puppet = commands.add_parser("puppet", help="move a head by a video or a take, as Blender animation")
@@ -73,6 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     puppet.add_argument("--kernel", choices=(INFORMED, *KERNELS), default=INFORMED, help="how skin follows landmarks")
     puppet.add_argument("--points", type=Path, metavar="POINTS.json", help="control points that select chose")
     puppet.add_argument("--neutral", type=float, metavar="SECONDS", help="where the neutral second starts; else found")
+    puppet.add_argument("--smooth", action="store_true", help="hold still what does not move; a kept take stays raw")
     puppet.add_argument("--pose", choices=("rotation", "full", "none"), default="rotation", help="head pose to follow")
     puppet.set_defaults(run=run_puppet)
 
@@ -128,7 +130,7 @@ def run_track(arguments: argparse.Namespace) -> int:
     """`facemime track`: a video to a take."""
     check_writable(arguments.output, {".npz"})
     take = _track(arguments.video)
-    save_take(take, arguments.output)
+    save_take(smooth_take(take) if arguments.smooth else take, arguments.output)
     if take.info.get("interrupted"):
         print(f"facemime: interrupted; the {len(take)} frames tracked are in {arguments.output}.", file=sys.stderr)
         return INTERRUPTED

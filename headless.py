@@ -46,6 +46,7 @@ def puppet(
         mode=arguments.mode,
         kernel=arguments.kernel,
         neutral=arguments.neutral,
+        smooth=arguments.smooth,
         rotation=arguments.pose != "none",
         translation=arguments.pose == "full",
     )

@@ -14,6 +14,7 @@ from .core.deform.basis import fit_basis
 from .core.drive import INFORMED, HeadDriver
 from .core.landmarks import OUTER_EYE_CORNERS
 from .core.motion import HeadMotion, drive_take
+from .core.pipeline import smooth_take
 from .core.retarget import Mode, Neutral, calibrate
 from .core.takes.take import Take
 
@@ -33,6 +34,8 @@ class PuppetSettings:
         Gains of the regions upper, middle and lower.
     neutral : float or None
         Seconds at which the performer's neutral second starts; None finds it.
+    smooth : bool
+        Whether the take is smoothed first.
     rotation, translation : bool
         Whether the head's pose follows the performer's.
     """
@@ -41,6 +44,7 @@ class PuppetSettings:
     kernel: str = INFORMED
     strength: tuple[float, float, float] = (1.0, 1.0, 1.0)
     neutral: float | None = None
+    smooth: bool = False
     rotation: bool = True
     translation: bool = False
 
@@ -75,6 +79,7 @@ def puppet_head(
         Where the mesh cannot be driven or the take holds no face.
     """
     rig = read_rig(obj)
+    take = smooth_take(take) if settings.smooth else take
     neutral = calibrate(take, settings.neutral)
     driver = HeadDriver(rig, neutral, mode=settings.mode, strength=settings.strength, kernel=settings.kernel)
     motion = drive_take(driver, take)

@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 from bench.deformers import Method, all_methods, greedy_points
 from bench.heads import AREAS, TrueHead, built_in_head, ict_head
 from bench.report import Table, finish, parser
+from facemime.core.deform.binding import MARKS, bind_landmarks
 from facemime.core.deform.expressions import learn
 from facemime.core.deform.greedy import GreedySelection
 from facemime.core.deform.rbf import RBFDeformer
+from facemime.core.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, INNER, MOUTH_OUTER, from_ibug
 
 ROOT = Path(__file__).resolve().parents[1]
 HALF = 33
 SIZES = ((1_781, 30), (26_000, 60), (100_000, 60))
+BOUND_COLUMNS = ("marked points", "inner 49", "brows", "lids", "lips", "seconds")
 _BATCH = 50
 _BATCHES, _FRAMES = 20, 50
 """The fastest of twenty batches counts, as in timeit: what others do on the machine only ever adds."""
@@ -60,10 +63,17 @@ def main() -> int:
             draw_head(arguments.pictures, head, methods, selection)
     speed = measure_speed()
     tables.append(Table("Our deformer on one core", ("vertices", "points", "prepare ms", "frame µs", "MB"), speed))
+    rows, differing = bound_rows(heads[0]), rig_difference(*heads)
+    tables.append(Table("Landmarks found on ICT-FaceKit, off by % of the eye distance", BOUND_COLUMNS, rows))
+    tables.append(
+        Table("Shapes of one name on the two heads, difference at the landmarks", ("shape", "difference"), differing)
+    )
     columns = ("vertices", "points", "prepare_ms", "frame_us", "megabytes")
     numbers = {
         "errors": numbers[heads[0].title]["errors"],
         "heads": numbers,
+        "bound": [dict(zip(BOUND_COLUMNS, row, strict=True)) for row in rows],
+        "rig_difference": dict(differing),
         "speed": [dict(zip(columns, row, strict=True)) for row in speed],
     }
     finish(arguments, tables, numbers)
@@ -151,6 +161,39 @@ def curve_of(selection: GreedySelection) -> list[dict[str, object]]:
     return [
         {"action": step.action, "landmark": step.landmark, "points": step.points, "error": step.error}
         for step in selection.steps
+    ]
+
+
+def bound_rows(head: TrueHead) -> list[tuple[object, ...]]:
+    """How far landmarks that were found lie from the head's own, without and with marked points."""
+    own = head.landmarks
+    marks = {number: int(own[from_ibug([number])[0]]) for number in MARKS}
+    rows: list[tuple[object, ...]] = []
+    for title, given in (("none", None), (f"{len(marks)}", marks)):
+        start = perf_counter()
+        found = bind_landmarks(head.vertices, head.faces, given).landmarks
+        seconds = perf_counter() - start
+        off = 100.0 * np.linalg.norm(head.vertices[found] - head.vertices[own], axis=1)
+        parts = (INNER, BROWS, np.concatenate([EYE_RIGHT, EYE_LEFT]), np.arange(MOUTH_OUTER[0], len(off)))
+        rows.append((title, *(float(off[part].mean()) for part in parts), seconds))
+    return rows
+
+
+def rig_difference(one: TrueHead, other: TrueHead) -> list[tuple[str, float]]:
+    """Of shapes that both heads have: |b - s a| / |b| over the landmarks at the best scale s; the jaw's, the mean."""
+    shapes = {
+        name.replace("_L", "Left").replace("_R", "Right"): motion[one.landmarks]
+        for name, motion in zip(one.names, one.motions, strict=True)
+    }
+    differences = {}
+    for name, motion in zip(other.names, other.motions, strict=True):
+        if name in shapes:
+            a, b = shapes[name], motion[other.landmarks]
+            off = b - (a * b).sum() / (a * a).sum() * a
+            differences[name] = float(np.linalg.norm(off, axis=1).sum() / np.linalg.norm(b, axis=1).sum())
+    return [
+        ("jawOpen", differences["jawOpen"]),
+        (f"mean of {len(differences)}", float(np.mean([*differences.values()]))),
     ]
 
 

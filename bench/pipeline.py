@@ -27,7 +27,6 @@ ROOT = Path(__file__).resolve().parents[1]
 STAGES = {
     "decode": "decode",
     "detect": "detect (Viola-Jones), first frame",
-    "start": "learnt start, first frame",
     "track": "track, frame to frame",
     "retarget": "retarget",
     "deform": "deform, 1,781 vertices",
@@ -79,8 +78,7 @@ def measure(video: Path) -> tuple[dict[str, list[float]], int, float]:
         for frame in source:
             if frame.index % 10 == 0:
                 tracker.locate(frame.image)
-                for stage in ("detect", "start"):
-                    times[stage].append(tracker.timings[stage])
+                times["detect"].append(tracker.timings["detect"])
     tracker.reset()
     begin = last = perf_counter()
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -21,6 +22,11 @@ def to_blender(points: ArrayLike) -> FloatArray:
     """(..., 3) points or displacements of the head frame as (x, z, -y), a copy of the same type."""
     points = np.asarray(points)
     return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
+
+
+def flat_in_blender(vertices: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(3 V,) what `foreach_set` takes, of (V, 3) C-contiguous vertices: twice a copy's time, where numpy takes five."""
+    return cv2.transform(vertices.reshape(1, -1, 3), HEAD_TO_BLENDER).reshape(-1)
 
 
 def from_blender(points: ArrayLike) -> FloatArray:

@@ -11,7 +11,7 @@ from ..core.deform.greedy import GreedySelection
 from ..core.drive import HeadRig
 from ..core.errors import HeadError
 from ..core.landmarks import N_LANDMARKS
-from .frames import from_blender, to_blender
+from .frames import flat_in_blender, from_blender
 from .names import COUNT_PROPERTY, LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 
 _JAW_SIDES = (2, 14)
@@ -46,7 +46,7 @@ def write_vertices(mesh: bpy.types.Mesh, vertices: NDArray[np.float32]) -> None:
 
     The assignment of one vertex to itself renews normals and bounds, which the fast write leaves stale before 5.2.
     """
-    flat = np.ascontiguousarray(to_blender(vertices), dtype=np.float32).reshape(-1)
+    flat = flat_in_blender(np.ascontiguousarray(vertices, dtype=np.float32))
     mesh.attributes["position"].data.foreach_set("vector", flat)
     first = mesh.vertices[0]
     first.co = first.co

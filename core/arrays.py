@@ -41,12 +41,14 @@ def as_points(
 
 
 def as_image(frame: ArrayLike, name: str = "image") -> NDArray[np.uint8]:
-    """Return `frame` as an 8-bit grey (H, W) or BGR (H, W, 3) image; BGRA drops its alpha, 16 bit its low byte.
+    """Return `frame` as an 8-bit grey (H, W) or BGR (H, W, 3) image.
+
+    BGRA drops its alpha, 16 bit its low byte; floats reach from 0 to 1, and what is not finite among them is black.
 
     Raises
     ------
     FacemimeError
-        Where the array is not an image of at least one pixel. Non-finite floats count as black.
+        Where the array is not an image of at least one pixel.
     """
     image = np.asarray(frame)
     if image.ndim == 3 and image.shape[2] == 1:
@@ -60,7 +62,8 @@ def as_image(frame: ArrayLike, name: str = "image") -> NDArray[np.uint8]:
     if image.dtype == np.uint16:
         return np.ascontiguousarray((image >> 8).astype(np.uint8))
     if np.issubdtype(image.dtype, np.floating):
-        return np.ascontiguousarray((np.clip(np.nan_to_num(image), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
+        known = np.nan_to_num(image, posinf=0.0, neginf=0.0)
+        return np.ascontiguousarray((np.clip(known, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
     if image.dtype == np.bool_:
         return np.ascontiguousarray(image.astype(np.uint8) * 255)
     raise FacemimeError(f"{name} must be 8 or 16 bit, or float in 0..1; got {image.dtype}.")

@@ -1,4 +1,7 @@
-"""From a video to a take: the frames of a source through a tracker, in order, each with the media's own time."""
+"""From a video to a take: the frames of a source through a tracker, in order, each with the media's own time.
+
+And from a take to a smooth one.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from .capture import VideoSource
-from .takes.take import TakeRecorder
+from .takes.take import Take, TakeRecorder
 from .tracking.result import TrackResult
+from .tracking.smoothing import ResultSmoother
 from .tracking.tracker import FaceTracker
 
 OnFrame = Callable[[int, int, TrackResult], bool | None]
@@ -59,3 +63,13 @@ def track_video(path: Path, tracker: FaceTracker, on_frame: OnFrame | None = Non
         except KeyboardInterrupt:
             recorder.info["interrupted"] = True
         return recorder
+
+
+def smooth_take(take: Take) -> Take:
+    """`take` with every frame smoothed as `ResultSmoother` does live; a take that is smooth already is given back."""
+    if take.info.get("smoothed"):
+        return take
+    smoother, recorder = ResultSmoother(), TakeRecorder({**take.info, "smoothed": True})
+    for frame, time in enumerate(take.times.tolist()):
+        recorder.append(time, smoother.smooth(take.result(frame), time))
+    return recorder.finish()

@@ -11,10 +11,10 @@ from ..core.landmarks import N_LANDMARKS
 from ..core.retarget import calibrate
 from ..core.takes.take import load_take
 from ..properties import puppet_settings
-from .errors import ReportsErrors
+from .on_mesh import OnMesh, register_all, unregister_all
 
 
-class FACEMIME_OT_select_control_points(ReportsErrors, bpy.types.Operator):
+class FACEMIME_OT_select_control_points(OnMesh, bpy.types.Operator):
     """Choose, from a take, the landmarks that control the active head; the others follow."""
 
     bl_idname = "facemime.select_control_points"
@@ -36,24 +36,12 @@ class FACEMIME_OT_select_control_points(ReportsErrors, bpy.types.Operator):
     add: StringProperty(name="Add", description="Landmarks to have in any case, by iBUG number: 17,19-21")
     remove: StringProperty(name="Remove", description="Landmarks never to have, by iBUG number: 0-3,30")
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with a mesh active."""
-        if context.active_object is None or context.active_object.type != "MESH":
-            cls.poll_message_set("Select a head mesh")
-            return False
-        return True
-
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for the take."""
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Choose the points and keep them with the mesh."""
-        return self.reporting(self.select, context)
-
-    def select(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> set[str]:
         """The work of `execute`."""
         rig = read_rig(context.active_object)
         take = load_take(Path(bpy.path.abspath(self.filepath)))
@@ -77,17 +65,15 @@ class FACEMIME_OT_select_control_points(ReportsErrors, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FACEMIME_OT_use_all_landmarks(ReportsErrors, bpy.types.Operator):
+class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
     """Let all 66 landmarks control the active head again."""
 
     bl_idname = "facemime.use_all_landmarks"
     bl_label = "Use All Landmarks"
     bl_options = {"REGISTER", "UNDO"}
 
-    poll = FACEMIME_OT_select_control_points.poll
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Forget the selection."""
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
         write_selection(context.active_object.data, None)
         return {"FINISHED"}
 
@@ -97,11 +83,9 @@ _CLASSES = (FACEMIME_OT_select_control_points, FACEMIME_OT_use_all_landmarks)
 
 def register() -> None:
     """Register the operators."""
-    for operator in _CLASSES:
-        bpy.utils.register_class(operator)
+    register_all(_CLASSES)
 
 
 def unregister() -> None:
     """Unregister the operators."""
-    for operator in reversed(_CLASSES):
-        bpy.utils.unregister_class(operator)
+    unregister_all(_CLASSES)

@@ -14,26 +14,10 @@ from ..blender.binding import (
 )
 from ..core.deform.binding import MARKS
 from ..core.landmarks import from_ibug
-from .errors import ReportsErrors
+from .on_mesh import OnMesh, register_all, unregister_all
 
 
-class _OnMesh(ReportsErrors):
-    """Operators on the active mesh."""
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with a mesh active."""
-        if context.active_object is None or context.active_object.type != "MESH":
-            cls.poll_message_set("Select a head mesh")
-            return False
-        return True
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Do the work on the active mesh."""
-        return self.reporting(self.work, context)
-
-
-class FACEMIME_OT_mark_point(_OnMesh, bpy.types.Operator):
+class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
     """Say which point of the face the selected vertex is, in Edit mode; mark four or more, then bind."""
 
     bl_idname = "facemime.mark_point"
@@ -52,7 +36,7 @@ class FACEMIME_OT_mark_point(_OnMesh, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FACEMIME_OT_clear_marks(_OnMesh, bpy.types.Operator):
+class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
     """Forget the marked points."""
 
     bl_idname = "facemime.clear_marks"
@@ -65,7 +49,7 @@ class FACEMIME_OT_clear_marks(_OnMesh, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FACEMIME_OT_bind_landmarks(_OnMesh, bpy.types.Operator):
+class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
     """Find the 66 landmarks of the active mesh and propose its regions; without marks it must face -Y upright."""
 
     bl_idname = "facemime.bind_landmarks"
@@ -88,7 +72,7 @@ class FACEMIME_OT_bind_landmarks(_OnMesh, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FACEMIME_OT_set_landmark(_OnMesh, bpy.types.Operator):
+class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
     """Bind one landmark to the vertex that is selected in Edit mode."""
 
     bl_idname = "facemime.set_landmark"
@@ -107,7 +91,7 @@ class FACEMIME_OT_set_landmark(_OnMesh, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FACEMIME_OT_propose_regions(_OnMesh, bpy.types.Operator):
+class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
     """Paint the three regions anew from the landmarks and the openings of eyes and mouth."""
 
     bl_idname = "facemime.propose_regions"
@@ -128,7 +112,7 @@ class FACEMIME_OT_propose_regions(_OnMesh, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FACEMIME_OT_check_head(_OnMesh, bpy.types.Operator):
+class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
     """Say what would keep the active mesh from being puppeted well, and what to do."""
 
     bl_idname = "facemime.check_head"
@@ -157,11 +141,9 @@ _CLASSES = (
 
 def register() -> None:
     """Register the operators."""
-    for operator in _CLASSES:
-        bpy.utils.register_class(operator)
+    register_all(_CLASSES)
 
 
 def unregister() -> None:
     """Unregister the operators."""
-    for operator in reversed(_CLASSES):
-        bpy.utils.unregister_class(operator)
+    unregister_all(_CLASSES)

@@ -6,6 +6,7 @@ from ..blender.binding import read_marks
 from ..blender.meshes import read_selection
 from ..blender.names import LANDMARKS_PROPERTY
 from ..core.landmarks import IBUG68_INDICES
+from ..operators.on_mesh import register_all, unregister_all
 
 _ROWS = 14
 
@@ -69,7 +70,8 @@ class FACEMIME_PT_control_points(bpy.types.Panel):
         curve = layout.column(align=True)
         curve.label(text=f"Worst error, tolerance {100 * selection.tolerance:.2f} %")
         largest = max(step.error for step in selection.steps)
-        for step in selection.steps[:: -(-len(selection.steps) // _ROWS)]:
+        every = -(-len(selection.steps) // _ROWS)
+        for step in selection.steps[::-1][::every][::-1]:
             text = f"{step.points} points: {100 * step.error:.2f} %"
             curve.progress(factor=step.error / max(largest, 1e-9), text=text)
         points = layout.column(align=True)
@@ -83,11 +85,9 @@ _CLASSES = (FACEMIME_PT_own_head, FACEMIME_PT_control_points)
 
 def register() -> None:
     """Register the panels."""
-    for panel in _CLASSES:
-        bpy.utils.register_class(panel)
+    register_all(_CLASSES)
 
 
 def unregister() -> None:
     """Unregister the panels."""
-    for panel in reversed(_CLASSES):
-        bpy.utils.unregister_class(panel)
+    unregister_all(_CLASSES)

@@ -3,7 +3,8 @@
 A sparse matrix would be four times slower: its rows are short and its columns are always the same few. So vertices
 that hang on the same control points are put side by side, and each such class is one dense block. The blocks lie as
 (P, V): four rows of displacements (three and one of zeros, which the matrix product's inner loop likes better than
-three) times a block write coordinates as planes, which are then interleaved and put back into the mesh's order.
+three) times a block write coordinates as planes, which are then interleaved and put back into the mesh's order. On a
+small mesh the sorting would cost more than it saves, and one block over all vertices is used.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_CALL = 8000
+_CALL = 25_000
 """What one more product costs, in multiply-adds of a coordinate: below that, classes are merged."""
-_SORTING = 24000
+_SORTING = 40_000
 """What putting sorted vertices back costs on top of 4 a vertex, in the same unit."""
-_CHUNK = 4096
+_CHUNK = 5000
 """Vertices of a product: block and result together stay in the processor's second cache."""
 
 
@@ -67,15 +68,19 @@ class BlockProduct:
         self._mixed[0, :, :3] = rest[order]
         self._sorted = np.empty((1, min(_CHUNK, count), 4), dtype=np.float32)
         self._products: list[_Product] = []
-        row = column = 0
+        # One array for all blocks: numpy asks for huge pages where an array is large, and a frame walks through it all.
+        store = np.empty(sum((len(columns) + 3) * len(rows) for rows, columns in classes), dtype=np.float32)
+        row = column = used = 0
         for rows, columns in classes:
             block = np.concatenate([_gather(regions, rows, columns, count), rest[rows].T])
             inputs = self._gathered[:, column : column + len(block)]
             for part in np.array_split(np.arange(len(rows)), -(-len(rows) // _CHUNK)):
-                matrix = np.ascontiguousarray(block[:, part[0] : part[-1] + 1])
+                matrix = store[used : used + len(block) * len(part)].reshape(len(block), len(part))
+                matrix[:] = block[:, part[0] : part[-1] + 1]
+                used += matrix.size
                 self._products.append(_Product(inputs, matrix, row + int(part[0]), self._mixed))
             row, column = row + len(rows), column + len(block)
-        self.nbytes = sum(product.matrix.nbytes for product in self._products)
+        self.nbytes = store.nbytes
 
     def apply(self, displacements: NDArray[np.float32], out: NDArray[np.float32]) -> None:
         """Write `rest + A displacements` for (P, 3) float32 displacements into (V, 3) float32 contiguous `out`."""

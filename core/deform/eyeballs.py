@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 
 _REACH = 1.8
+_SLACK = 1e-5
+"""Of the squared distance: what rounding may take from a vertex that has not moved."""
 
 
 class EyeballContact:
@@ -42,14 +44,17 @@ class EyeballContact:
         self._rows: NDArray[np.intp] = np.concatenate([np.empty(0, dtype=np.intp), *rows])
         self._centres = np.concatenate([np.empty((0, 3)), *centres]).astype(np.float32)
         self._nearest = np.concatenate([np.empty(0), *nearest]).astype(np.float32)
-        self._squared = np.square(self._nearest)
+        self._squared = np.square(self._nearest) * (1.0 - _SLACK)
+        self._outward = np.empty_like(self._centres)
+        self._products = np.empty_like(self._centres)
+        self._ones = np.ones(3, dtype=np.float32)
 
     def resolve(self, vertices: NDArray[np.float32]) -> None:
         """Push what lies too deep out along the radius, in place; (V, 3) float32."""
-        outward = vertices.take(self._rows, axis=0)
-        outward -= self._centres
-        squared = np.einsum("ij,ij->i", outward, outward)
-        deep = np.flatnonzero((squared < self._squared) & (squared > 0))
+        outward = vertices.take(self._rows, axis=0, out=self._outward, mode="clip")
+        np.subtract(outward, self._centres, out=outward)
+        squared = np.multiply(outward, outward, out=self._products) @ self._ones
+        deep = (squared < self._squared).nonzero()[0]
         if len(deep):
-            stretch = self._nearest[deep] / np.sqrt(squared[deep])
+            stretch = self._nearest[deep] / np.sqrt(np.maximum(squared[deep], np.finfo(np.float32).tiny))
             vertices[self._rows[deep]] = self._centres[deep] + outward[deep] * stretch[:, None]

@@ -97,7 +97,7 @@ class RBFDeformer:
         One for all regions, or one for each.
     regularisation : float
         Added to the diagonal of Phi, whose entries are at most one. At 0.001 vertices between control points
-        follow more smoothly than at nothing, and the points themselves are met within 0.05 mm on the face units.
+        follow more smoothly than at nothing, and the points themselves are met within 0.5 mm on the face units.
     covariance : LearntCovariance, optional
         A learnt term beside the kernel of distance.
 
@@ -144,6 +144,8 @@ class RBFDeformer:
         if members.shape != (len(shares), len(points)):
             raise HeadError(f"membership must be ({len(shares)}, {len(points)}); got {members.shape}.")
         factors = np.broadcast_to(np.asarray(spacing_factor, dtype=np.float64), len(members))
+        if sigma is not None and not (np.asarray(sigma) > 0).all():
+            raise HeadError(f"sigma must be above 0; got {sigma!r}.")
         widths = [None] * len(members) if sigma is None else np.broadcast_to(np.asarray(sigma), len(members)).tolist()
         fit = _Fit(rest, points, kernel_named(kernel), regularisation, covariance)
         regions = [
@@ -172,6 +174,8 @@ class RBFDeformer:
         if moved.shape != (self.n_control_points, 3) or not math.isfinite(np.vdot(moved, moved)):
             as_points(displacements, "displacements", count=self.n_control_points)
         result = np.empty_like(self.rest) if out is None else out
+        if result.shape != self.rest.shape or result.dtype != np.float32 or not result.flags.c_contiguous:
+            raise ValueError(f"out must be {self.rest.shape}, float32 and C-contiguous")
         self._product.apply(moved, result)
         return result
 

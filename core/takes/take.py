@@ -54,7 +54,7 @@ class Take:
         `(pitch, yaw)` as in `TrackResult`, radians; NaN where not known.
     info : dict
         `source` (file name), `fps` (nominal), `image_size` (width, height), `model` (checksum of the tracker's
-        model), `facemime` (version).
+        model), `facemime` (version), and `smoothed` where it is.
     """
 
     times: FloatArray

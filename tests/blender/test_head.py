@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mathutils import Vector
 
-from facemime.blender.frames import HEAD_TO_BLENDER, from_blender, rotation_to_blender, to_blender
+from facemime.blender.frames import HEAD_TO_BLENDER, flat_in_blender, from_blender, rotation_to_blender, to_blender
 from facemime.blender.head import add_head
 from facemime.blender.meshes import read_rig, read_vertices
 from facemime.blender.names import LANDMARKS_PROPERTY, PART_OBJECTS, PART_PROPERTY, REGION_GROUPS
@@ -111,6 +111,12 @@ def test_the_preview_takes_any_mesh_wherever_it_stands():
 @given(POINTS)
 def test_changing_axes_forth_and_back_changes_nothing(points):
     assert np.array_equal(from_blender(to_blender(points)), np.array(points))
+
+
+@given(POINTS)
+def test_the_fast_change_of_axes_is_the_same(points):
+    points = np.array(points, np.float32)
+    np.testing.assert_array_equal(flat_in_blender(points), to_blender(points).reshape(-1))
 
 
 @given(ANGLES, POINTS)

@@ -154,3 +154,16 @@ def test_the_informed_kernel_takes_any_mesh_and_stays_between_its_landmarks():
     displaced = motion(6) * 100.0
     moved = head_deformer(part).deform(displaced) - np.asarray(part.vertices)
     assert np.linalg.norm(moved, axis=1).max() < 3.0 * np.linalg.norm(displaced, axis=1).max()
+
+
+@pytest.mark.parametrize("out", [np.empty((1781, 3)), np.empty((3, 1781), np.float32).T, np.empty((5, 3), np.float32)])
+def test_a_result_is_never_written_beside_the_array_that_was_given(deformer, out):
+    with pytest.raises(ValueError, match="out must be"):
+        deformer.deform(motion(0), out)
+
+
+@pytest.mark.parametrize("sigma", [0.0, -1.0, np.nan])
+def test_a_width_that_is_none_is_refused(sigma):
+    points = np.random.default_rng(0).uniform(size=(5, 3))
+    with pytest.raises(HeadError, match="sigma must be above 0"):
+        RBFDeformer(points, points, np.ones((1, 5)), np.ones((1, 5), bool), sigma=sigma)

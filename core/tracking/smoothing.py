@@ -1,0 +1,154 @@
+"""Smoothing of results over time, a stage of its own behind the tracker: one-euro filters, one a part of the face.
+
+A low-pass filter whose cutoff rises with speed (Casiez, Roussel & Vogel, "1 Euro Filter", CHI 2012): what rests is held
+still, what moves fast passes. Each part has cutoffs of its own and a single speed, so that its landmarks stay together,
+and a blink passes while the brows above it are held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+from ..landmarks import (
+    BROWS,
+    EYE_LEFT,
+    EYE_RIGHT,
+    JAW,
+    MOUTH_INNER_LOWER,
+    MOUTH_INNER_UPPER,
+    MOUTH_OUTER,
+    NOSE,
+)
+from ..rotation import euler_to_matrix
+from .result import TrackResult
+
+
+@dataclass(frozen=True)
+class Cutoffs:
+    """How one part is smoothed.
+
+    Attributes
+    ----------
+    at_rest : float
+        Cutoff in Hz of a part that does not move (`f_cmin` of the paper).
+    by_speed : float
+        Hz by which the cutoff rises for each unit a second (`beta`). A unit is an outer-eye distance or a radian.
+    speed : float
+        Cutoff in Hz of the speed itself (`d_cutoff`).
+    """
+
+    at_rest: float
+    by_speed: float
+    speed: float
+
+
+SHAPE_PARTS: dict[str, tuple[NDArray[np.intp], Cutoffs]] = {
+    "brows": (BROWS, Cutoffs(1.0, 25.0, 3.0)),
+    "right eye": (EYE_RIGHT, Cutoffs(1.0, 120.0, 8.0)),
+    "left eye": (EYE_LEFT, Cutoffs(1.0, 120.0, 8.0)),
+    "nose": (NOSE, Cutoffs(0.8, 15.0, 3.0)),
+    "mouth": (np.concatenate([MOUTH_OUTER, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER]), Cutoffs(1.2, 60.0, 8.0)),
+    "jaw": (JAW, Cutoffs(1.0, 30.0, 5.0)),
+}
+"""Every landmark belongs to one part."""
+ROTATION = Cutoffs(1.5, 30.0, 4.0)
+PLACE = Cutoffs(1.5, 60.0, 4.0)
+GAZE = Cutoffs(1.5, 8.0, 8.0)
+
+
+class OneEuroFilter:
+    """Filters a vector (D,) that is seen at increasing times; all its components share one cutoff.
+
+    Notes
+    -----
+    With `a(f) = 1 / (1 + 1 / (2 pi f dt))`:
+
+        v <- v + a(d_cutoff) (dx / dt - v)
+        x <- x + a(f_cmin + beta |v|) (new - x)
+
+    where `|v|` is the root mean square over the vector's points of `dims` components each. The first value passes.
+    """
+
+    def __init__(self, cutoffs: Cutoffs, dims: int = 1) -> None:
+        self.cutoffs, self._dims = cutoffs, dims
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: the next value passes unchanged."""
+        self._time = -np.inf
+        self._seen: FloatArray | None = None
+        self._value: FloatArray | None = None
+        self._velocity: FloatArray | None = None
+
+    def __call__(self, seen: FloatArray, time: float) -> FloatArray:
+        """The smoothed vector for what is seen at `time`, seconds."""
+        if self._seen is None or self._value is None or self._velocity is None:
+            self._velocity, self._value = np.zeros_like(seen), seen
+        elif time > self._time:
+            step = time - self._time
+            towards = _share(self.cutoffs.speed, step)
+            self._velocity = self._velocity + towards * ((seen - self._seen) / step - self._velocity)
+            speed = float(np.sqrt(np.square(self._velocity).mean() * self._dims))
+            share = _share(self.cutoffs.at_rest + self.cutoffs.by_speed * speed, step)
+            self._value = self._value + share * (seen - self._value)
+        self._seen, self._time = seen, time
+        return self._value
+
+
+def _share(cutoff: float, step: float) -> float:
+    return 1.0 / (1.0 + 1.0 / (2.0 * pi * cutoff * step))
+
+
+class ResultSmoother:
+    """Smooths the results of one performance, frame by frame.
+
+    Pose, shape and gaze are smoothed, and the landmarks follow from pose and shape. What states what the tracker itself
+    found stays: shape parameters, pupils, confidences. Where the face is lost everything is forgotten, so nothing is
+    drawn from where it was lost to where it is found again.
+    """
+
+    def __init__(self) -> None:
+        self._shape = [(rows, OneEuroFilter(cutoffs, 3)) for rows, cutoffs in SHAPE_PARTS.values()]
+        self._rotation, self._place, self._gaze = (OneEuroFilter(c) for c in (ROTATION, PLACE, GAZE))
+        self._unit = 0.0
+
+    def reset(self) -> None:
+        """Forget the past."""
+        for each in (self._rotation, self._place, self._gaze, *(part for _, part in self._shape)):
+            each.reset()
+        self._unit = 0.0
+
+    def smooth(self, result: TrackResult, time: float) -> TrackResult:
+        """The smoothed result of the frame at `time` seconds; times must increase."""
+        if not result.found:
+            self.reset()
+            return result
+        shape = result.shape.copy()
+        for rows, part in self._shape:
+            shape[rows] = part(result.shape[rows].ravel(), time).reshape(-1, 3)
+        pose = self._smooth_pose(result.pose, time)
+        return replace(
+            result,
+            landmarks=pose[0] * shape @ euler_to_matrix(*pose[1:4])[:2].T + pose[4:6],
+            pose=pose,
+            shape=shape,
+            gaze=self._smooth_gaze(result.gaze, time),
+        )
+
+    def _smooth_pose(self, pose: FloatArray, time: float) -> FloatArray:
+        """Scale as its logarithm, place in eye distances of the first frame, so that speeds mean the same for all."""
+        self._unit = self._unit or float(pose[0])
+        rotation = self._rotation(pose[1:4], time)
+        size, x, y = self._place(np.array([np.log(pose[0]), pose[4] / self._unit, pose[5] / self._unit]), time)
+        return np.array([np.exp(size), *rotation, x * self._unit, y * self._unit])
+
+    def _smooth_gaze(self, gaze: FloatArray, time: float) -> FloatArray:
+        if not np.isfinite(gaze).all():
+            self._gaze.reset()
+            return gaze
+        return self._gaze(gaze, time)

@@ -1,0 +1,95 @@
+"""The panels draw in every state that they can meet; a window is not needed to see that."""
+
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+from facemime.blender.binding import write_mark
+from facemime.blender.head import add_head
+from facemime.blender.meshes import read_rig, write_selection
+from facemime.core.control_points import select_for_take
+from facemime.ui.own_head import FACEMIME_PT_control_points, FACEMIME_PT_own_head
+from facemime.ui.panel import FACEMIME_PT_puppet
+from takes import performance
+
+
+class Layout:
+    """Stands in for a layout: every call is noted and gives the layout again."""
+
+    def __init__(self):
+        self.calls = []
+
+    def __getattr__(self, name):
+        def call(*arguments, **options):
+            self.calls.append((name, *arguments, *options.values()))
+            return self
+
+        return call
+
+    def texts(self) -> str:
+        """All that was drawn."""
+        return " ".join(str(part) for call in self.calls for part in call)
+
+
+def draw(panel: type) -> str:
+    """What `panel` draws for the context as it is."""
+    layout = Layout()
+    panel.draw(SimpleNamespace(layout=layout), bpy.context)
+    return layout.texts()
+
+
+def nothing() -> None:
+    """An empty scene."""
+
+
+def cube() -> None:
+    bpy.ops.mesh.primitive_cube_add()
+
+
+def marked_head() -> None:
+    write_mark(add_head(bpy.context).data, 30, 5)
+
+
+def editing() -> None:
+    marked_head()
+    bpy.ops.object.mode_set(mode="EDIT")
+
+
+@pytest.mark.parametrize(
+    ("state", "expected"),
+    [
+        (nothing, "Select a mesh"),
+        (cube, "facemime.bind_landmarks"),
+        (marked_head, "1 points marked"),
+        (editing, "facemime.set_landmark"),
+    ],
+)
+def test_the_panel_of_ones_own_head_draws(state, expected):
+    state()
+    assert expected in draw(FACEMIME_PT_own_head)
+
+
+def test_control_points_show_curve_and_reasons():
+    head = add_head(bpy.context)
+    assert FACEMIME_PT_control_points.poll(bpy.context)
+    assert "All 66 landmarks" in draw(FACEMIME_PT_control_points)
+    write_selection(head.data, select_for_take(read_rig(head), performance(), max_points=12))
+    drawn = draw(FACEMIME_PT_control_points)
+    assert "12 points:" in drawn and "orbicularis oris" in drawn
+
+
+def test_the_main_panel_draws():
+    assert "kernel" in draw(FACEMIME_PT_puppet)
+
+
+def test_what_the_panels_draw_exists():
+    head = add_head(bpy.context)
+    write_selection(head.data, select_for_take(read_rig(head), performance(), max_points=12))
+    layout = Layout()
+    for panel in (FACEMIME_PT_puppet, FACEMIME_PT_own_head, FACEMIME_PT_control_points):
+        panel.draw(SimpleNamespace(layout=layout), bpy.context)
+    operators = {call[1] for call in layout.calls if call[0] == "operator"}
+    for name in operators:
+        assert hasattr(bpy.types, f"FACEMIME_OT_{name.split('.')[1]}"), name
+    assert {call[0] for call in layout.calls} <= set(bpy.types.UILayout.bl_rna.functions.keys())
