@@ -6,7 +6,7 @@ BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
 
-.PHONY: setup check test test-core demo build bench bench-deformation model expressions head sample try lock clean blenders
+.PHONY: setup check test test-core demo build bench bench-deformation bench-tracking model expressions head sample try lock clean blenders
 
 setup: $(STAMP)
 
@@ -52,6 +52,17 @@ bench: setup
 bench-deformation: setup
 	mkdir -p build/bench
 	$(BIN)/python -m bench.deformation --pictures docs/images --json build/bench/deformation.json
+
+# With the peers from PyPI, which live in an environment of their own; needs ../shared/data.
+bench-tracking: build/peers/.ready
+	mkdir -p build/bench
+	build/peers/bin/python -m bench.tracking --figure docs/images/tracking_curves.png --json build/bench/tracking.json
+
+build/peers/.ready: requirements/peers.txt | setup
+	$(PYTHON) -m venv build/peers
+	build/peers/bin/pip install --quiet --disable-pip-version-check --require-hashes -r $<
+	build/peers/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
 
 # What stands in assets/ is made again by these; the first needs ../shared/data.
 model: setup

@@ -188,3 +188,11 @@ def _blinks(landmarks: np.ndarray) -> list[tuple[int, int]]:
     shut = share < 0.5 * np.nanmedian(share)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], shut, [False]]).astype(int)))
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
+
+
+def delay(motion: np.ndarray, late: np.ndarray) -> float:
+    """Frames by which a signal (T,) must be held back to come nearest to its late copy (T,), to a twentieth."""
+    times = np.arange(len(motion))
+    shifts = np.arange(-1.0, 6.0, 0.05)
+    misses = [np.square(np.interp(times - s, times, motion) - late)[8:-8].sum() for s in shifts]
+    return float(shifts[int(np.argmin(misses))])

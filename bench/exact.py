@@ -54,8 +54,16 @@ AXES: dict[str, tuple[str, tuple[float | str, ...]]] = {
     "compression": ("JPEG quality", (90, 50, 30, 20, 10, 5)),
     "occlusion": ("% of the face's height or width", (0, 10, 20, 30, 40, 50)),
     "size": ("pixels between the eyes", (140, 100, 70, 50, 35, 25, 18)),
+    "all at once": ("share of the hardest", (0.2, 0.4, 0.6, 0.8, 1.0)),
 }
 """What varies, its unit, and its values. Yaw, roll, light and covers come from either side, person by person."""
+
+
+def shown_size(axis: str, value: float | str) -> float:
+    """Pixels between the outer eye corners at a value of an axis."""
+    if axis == "size":
+        return float(value)
+    return EYES - 60.0 * float(value) if axis == "all at once" else EYES
 
 
 @dataclass(frozen=True)
@@ -124,10 +132,25 @@ class ExactFaces:
             light = Light(1.0 - float(value), 1.3 * float(value), towards / np.linalg.norm(towards))
         elif axis == "size" and float(value) > EYES:
             pose[0] = float(value)
+        elif axis == "all at once":
+            return self._hard(person, float(value), pose, side)
         image, landmarks = self._shown(person, _EXPRESSIONS[expression], pose, light)
         if axis in _DEGRADE:
             image, landmarks = _DEGRADE[axis](image, landmarks, float(value), person, rng)
         return image, landmarks
+
+    def _hard(self, person: int, share: float, pose: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
+        """Turned, acting, lit from the side, small, blurred, noisy and packed, up to `share` of the worst."""
+        rng = np.random.default_rng((person, 5))
+        pose[1:4] = np.radians([25.0, 45.0, 30.0]) * share * np.array([rng.choice([-1, 1]), side, rng.choice([-1, 1])])
+        actions = {k: v * min(1.0, 1.5 * share) for k, v in _EXPRESSIONS[str(rng.choice(list(_EXPRESSIONS)))].items()}
+        towards = np.array([0.95 * side, -0.3, -0.3])
+        light = Light(1.0 - 0.7 * share, 0.9 * share, towards / np.linalg.norm(towards))
+        image, landmarks = self._shown(person, actions, pose, light)
+        image, landmarks = _blurred(image, landmarks, 1.5 * share, person, rng)
+        image, landmarks = _shrunk(image, landmarks, shown_size("all at once", share), person, rng)
+        image, landmarks = _noisy(image, landmarks, 10.0 * share, person, rng)
+        return _packed(image, landmarks, 90 - 65 * share, person, rng)
 
     def _shown(
         self, person: int, actions: dict[str, float], pose: np.ndarray, light: Light

@@ -26,7 +26,7 @@ def draw_tracking(path: Path, measured: dict[str, dict]) -> None:
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplot_mosaic(
-        [["photos", "photos", "all", "all"], *_rows([*AXES, "legend"])], figsize=(13.0, 12.5), layout="constrained"
+        [["photos", "photos", "all", "all"], *_rows(list(AXES))], figsize=(13.0, 12.5), layout="constrained"
     )
     for colour, (name, m) in zip(_COLOURS, measured.items(), strict=False):
         _cumulative(axes["photos"], m["photos"]["raw"], colour, name)
@@ -47,8 +47,7 @@ def draw_tracking(path: Path, measured: dict[str, dict]) -> None:
     for panel in axes.values():
         panel.grid(alpha=0.25)
         panel.spines[["top", "right"]].set_visible(False)
-    axes["legend"].axis("off")
-    axes["legend"].legend(*axes["photos"].get_legend_handles_labels(), loc="center", frameon=False)
+    axes["photos"].legend(loc="lower right", frameon=False)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=100)
     plt.close(figure)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from bench.accuracy import (
     Differences,
     aperture_errors,
     count_blinks,
+    delay,
     differences,
     eye_distances,
     jitter,
@@ -27,11 +29,13 @@ from bench.accuracy import (
     second_differences,
     track_all,
 )
-from bench.exact import AXES, EYES, Clip, ExactFaces
+from bench.exact import AXES, EYES, FPS, Clip, ExactFaces, shown_size
 from bench.figures import draw_tracking
 from bench.peers import Ours, Peer, available_peers
 from bench.report import Table, finish, parser
-from facemime.core.landmarks import INNER
+from facemime.core.landmarks import BROWS, INNER, JAW
+from facemime.core.tracking.result import TrackResult
+from facemime.core.tracking.smoothing import ResultSmoother
 from facemime.core.tracking.tracker import FaceTracker
 from training.tracker.sources import HAND_LABELLED, Photo, read_photos, split
 
@@ -59,9 +63,10 @@ def main() -> int:
     numbers: dict[str, object] = {"model": tracker.model_id, "people": arguments.people, "trackers": measured}
     if any(isinstance(p, Ours) for p in peers):
         numbers["stages"] = stage_times(tracker)
+        numbers["smoothing"] = on_smoothing(tracker, photos[::3], clips)
     if arguments.figure is not None:
         draw_tracking(arguments.figure, measured)
-    finish(arguments, tables(measured, numbers.get("stages")), numbers)
+    finish(arguments, tables(measured, numbers), numbers)
     return 0
 
 
@@ -116,14 +121,19 @@ def on_photos(peer: Peer, photos: list[Photo]) -> tuple[Differences, object]:
 
 
 def on_stills(peer: Peer, photos: list[Photo]) -> dict[str, float]:
-    """Jitter on photos at 100 pixels between the eyes with fresh noise of 3 grey levels a frame."""
-    rng, runs = np.random.default_rng(0), []
+    """Jitter on photos that do not move."""
+    runs = []
     for photo in photos:
-        factor = EYES / photo.eye_distance()
-        still = cv2.resize(photo.grey(), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-        frames = [np.clip(still + rng.normal(0, 3, still.shape), 0, 255).astype(np.uint8) for _ in range(JITTER_FRAMES)]
-        runs.append(track_all(peer, frames).landmarks[_WARM_UP:])
+        runs.append(track_all(peer, noisy_still(photo)).landmarks[_WARM_UP:])
     return asdict(jitter(runs, EYES))
+
+
+def noisy_still(photo: Photo) -> list[np.ndarray]:
+    """The same photo again and again, 100 pixels between the eyes, with fresh noise of 3 grey levels."""
+    rng = np.random.default_rng(0)
+    factor = EYES / photo.eye_distance()
+    still = cv2.resize(photo.grey(), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    return [np.clip(still + rng.normal(0, 3, still.shape), 0, 255).astype(np.uint8) for _ in range(JITTER_FRAMES)]
 
 
 def on_axis(peer: Peer, axis: str, exact: ExactFaces, offsets: np.ndarray) -> dict[str, dict]:
@@ -131,8 +141,7 @@ def on_axis(peer: Peer, axis: str, exact: ExactFaces, offsets: np.ndarray) -> di
     out = {}
     for value, stills in exact.stills(axis).items():
         found = locate_all(peer, stills.images).landmarks
-        unit = float(value) if axis == "size" else EYES
-        away = differences(found, stills.landmarks, unit)
+        away = differences(found, stills.landmarks, shown_size(axis, value))
         raw, removed = away.errors(), away.errors(offsets)
         out[str(value)] = {
             "raw": float(np.median(np.minimum(raw, LOST_ABOVE))),
@@ -207,7 +216,46 @@ def stage_times(tracker: FaceTracker) -> dict[str, dict[str, float]]:
     return out
 
 
-def tables(measured: dict[str, dict], stages: object) -> list[Table]:
+def on_smoothing(tracker: FaceTracker, photos: list[Photo], clips: list[Clip]) -> dict[str, dict]:
+    """What the smoothing stage takes from the jitter of stills, and by how many milliseconds it delays each motion."""
+    stills: dict[str, list[np.ndarray]] = {"raw": [], "smoothed": []}
+    for photo in photos:
+        runs = followed(tracker, noisy_still(photo), np.arange(JITTER_FRAMES) / FPS)
+        for name, run in zip(stills, runs, strict=True):
+            stills[name].append(np.stack([r.landmarks for r in run])[_WARM_UP:])
+    delays: dict[str, list[float]] = {name: [] for name in MOTIONS}
+    for clip in clips:
+        raw, smooth = followed(tracker, clip.frames, clip.times)
+        for name, motion in MOTIONS.items():
+            delays[name].append(delay(*(np.array([motion(r) for r in run]) for run in (raw, smooth))) / FPS * 1e3)
+    return {
+        "jitter": {name: asdict(jitter(runs, EYES)) for name, runs in stills.items()},
+        "delay_ms": {name: float(np.mean(values)) for name, values in delays.items()},
+    }
+
+
+def followed(
+    tracker: FaceTracker, frames: list[np.ndarray], times: np.ndarray
+) -> tuple[list[TrackResult], list[TrackResult]]:
+    """The results of a clip, and the same smoothed."""
+    tracker.reset()
+    smoother = ResultSmoother()
+    raw = [tracker.track(frame) for frame in frames]
+    return raw, [smoother.smooth(r, float(t)) for r, t in zip(raw, times, strict=True)]
+
+
+MOTIONS: dict[str, Callable[[TrackResult], float]] = {
+    "lids": lambda r: float(r.eye_apertures.mean()),
+    "lips": lambda r: r.mouth_aperture,
+    "brows": lambda r: float(r.shape[BROWS, 1].mean()),
+    "jaw": lambda r: float(r.shape[JAW[8], 1]),
+    "turn": lambda r: float(r.pose[2]),
+    "place": lambda r: float(r.pose[4]),
+}
+"""One number of each part that is smoothed by itself."""
+
+
+def tables(measured: dict[str, dict], numbers: dict) -> list[Table]:
     """What is printed."""
     names = list(measured)
     rows = [
@@ -264,10 +312,14 @@ def tables(measured: dict[str, dict], stages: object) -> list[Table]:
         for video, v in m["videos"].items()
     ]
     found.append(Table("Clips of unknown landmarks", ("clip", "tracker", "found", "2nd difference, %", "ms"), rows))
-    if isinstance(stages, dict):
-        columns = ("", *next(iter(stages.values())), "sum")
-        rows = [(name, *times.values(), sum(times.values())) for name, times in stages.items()]
+    if "stages" in numbers:
+        columns = ("", *next(iter(numbers["stages"].values())), "sum")
+        rows = [(name, *times.values(), sum(times.values())) for name, times in numbers["stages"].items()]
         found.append(Table("Milliseconds a stage, sample clip", columns, rows))
+        still, delays = numbers["smoothing"]["jitter"], numbers["smoothing"]["delay_ms"]
+        rows = [(name, *values.values()) for name, values in still.items()]
+        found.append(Table("Jitter on a still, smoothed and not, %", ("", "position", "2nd difference"), rows))
+        found.append(Table("Delay by smoothing, milliseconds", tuple(delays), [tuple(delays.values())]))
     return found
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from facemime.core.landmarks import N_LANDMARKS
+from facemime.core.landmarks import INNER, N_LANDMARKS
 from facemime.core.tracking.experts import ResponseMaps
 from facemime.core.tracking.fit import Evidence, MeanShiftOptions, regularised_mean_shift
 from facemime.core.tracking.pdm import FittedShape, PointDistributionModel
@@ -100,12 +100,16 @@ def _filters(words: Iterator[str], expect: object) -> tuple[Filter, ...]:
 
 
 def _onto(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled rotation (3, 3) that brings points (N, 3) nearest to the target, and the points moved there (Umeyama)."""
-    a, b = points - points.mean(0), target - target.mean(0)
+    """Scaled rotation (3, 3) that brings points (66, 3) nearest to the target, and the points moved there (Umeyama).
+
+    By the inner points, since the jaw line is a contour in one model and a place on the skin in the other.
+    """
+    centre, aim = points[INNER].mean(0), target[INNER].mean(0)
+    a, b = points[INNER] - centre, target[INNER] - aim
     u, spread, vt = np.linalg.svd(b.T @ a)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     turn = (spread * sign).sum() / (a * a).sum() * (u * sign) @ vt
-    return turn, a @ turn.T + target.mean(0)
+    return turn, (points - centre) @ turn.T + aim
 
 
 class PeerExperts:

@@ -1,0 +1,97 @@
+"""What the tracker's measurements measure, on landmarks whose errors are known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.accuracy import aperture_errors, count_blinks, delay, differences, eye_distances, jitter
+from bench.peers.saragih import read_peer
+from facemime.core.apertures import LOWER_LIDS, UPPER_LIDS
+from facemime.core.landmarks import INNER, OUTER_EYE_CORNERS
+from facemime.core.tracking.tracker import FaceTracker
+
+PEER = Path(__file__).parents[3] / "shared/data/models/saragih_facetracker/model/face2.tracker"
+
+
+@pytest.fixture(scope="module")
+def face() -> np.ndarray:
+    """(66, 2) pixels, 100 between the outer eye corners."""
+    return 100.0 * FaceTracker.load().pdm.mean_shape[:, :2] + (320.0, 240.0)
+
+
+def test_a_face_that_lies_two_percent_aside_has_that_error_and_none_without_its_offset(face):
+    truth = np.stack([face, 3.0 * face])
+    found = truth + np.array([2.0, 6.0])[:, None, None] * (1.0, 0.0)
+    away = differences(found, truth, eye_distances(truth))
+    np.testing.assert_allclose(away.errors(), 2.0, rtol=1e-3)
+    np.testing.assert_allclose(away.errors(away.offsets()), 0.0, atol=1e-9)
+
+
+def test_offsets_turn_with_the_head(face):
+    angle = 0.7
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    truth = np.stack([face, face @ turn.T])
+    found = np.stack([face + (0.0, 3.0), (face + (0.0, 3.0)) @ turn.T])
+    away = differences(found, truth, 100.0)
+    np.testing.assert_allclose(away.values[0], away.values[1], atol=1e-9)
+
+
+def test_a_face_that_is_not_found_is_lost_and_does_not_spoil_the_offsets(face):
+    truth = np.stack([face] * 3)
+    found = truth + 1.0
+    found[1] = np.nan
+    away = differences(found, truth, 100.0)
+    assert np.isinf(away.errors()[1])
+    np.testing.assert_allclose(away.errors(away.offsets())[[0, 2]], 0.0, atol=1e-9)
+
+
+def test_a_still_that_is_found_in_one_place_has_no_jitter_and_noise_has_its_own(face):
+    still = np.stack([face] * 40)
+    assert jitter([still], 100.0).position == 0.0
+    noisy = still + np.random.default_rng(0).normal(0, 0.5, still.shape)
+    assert jitter([noisy], 100.0).position == pytest.approx(0.5 * np.sqrt(2.0), rel=0.1)
+    assert jitter([noisy], 200.0).position == pytest.approx(0.25 * np.sqrt(2.0), rel=0.1)
+
+
+def blinking(face: np.ndarray, spans: list[tuple[int, int]], length: int = 80) -> np.ndarray:
+    clip = np.stack([face] * length)
+    for start, end in spans:
+        clip[start:end, UPPER_LIDS] = clip[start:end, LOWER_LIDS]
+    return clip
+
+
+def test_blinks_are_counted_as_found_missed_and_made_up(face):
+    truth = blinking(face, [(10, 13), (30, 34), (50, 53)])
+    found = blinking(face, [(11, 14), (31, 33), (70, 73)])
+    count = count_blinks(found, truth)
+    assert (count.true, count.found, count.told, count.right) == (3, 2, 3, 2)
+    assert count.recall == pytest.approx(2 / 3) and (count + count).precision == pytest.approx(2 / 3)
+
+
+def test_lids_that_follow_by_half_have_half_the_slope(face):
+    truth, found = np.stack([face] * 10), np.stack([face] * 10)
+    closing = np.linspace(0.0, 6.0, 10)[:, None]
+    truth[:, UPPER_LIDS, 1] += closing
+    found[:, UPPER_LIDS, 1] += 0.5 * closing
+    assert aperture_errors(found, truth, 100.0).eye_slope == pytest.approx(0.5, rel=1e-3)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.6, 2.0])
+def test_a_delay_is_measured_to_a_twentieth_of_a_frame(late):
+    times = np.arange(100.0)
+    assert delay(np.sin(0.2 * times), np.sin(0.2 * (times - late))) == pytest.approx(late, abs=0.05)
+
+
+@pytest.mark.skipif(not PEER.exists(), reason="the peer's model of ../shared/data is not here")
+def test_the_peers_model_lies_in_our_head_frame():
+    ours = FaceTracker.load().pdm.mean_shape
+    peer = read_peer(PEER, FaceTracker.load().pdm)
+    assert np.linalg.norm(np.diff(peer.pdm.mean_shape[OUTER_EYE_CORNERS], axis=0)) == pytest.approx(1.0, abs=0.06)
+    assert np.linalg.norm(peer.pdm.mean_shape - ours, axis=1)[INNER].mean() < 0.05
+    shown = [[bool(filters) for filters in view] for view in peer.views]
+    assert all(shown[0])
+    assert not any(shown[1][:8]) and all(shown[1][9:17])
+    assert all(shown[2][:8]) and not any(shown[2][9:17])
