@@ -12,7 +12,6 @@ distances.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
@@ -55,16 +54,6 @@ class ResponseMaps:
     probability: NDArray[np.float32]
     corner: NDArray[np.float32]
     stride: NDArray[np.float32]
-
-    @classmethod
-    def join(cls, parts: Sequence[ResponseMaps]) -> ResponseMaps:
-        """All maps of several parts, which have equal sides."""
-        return cls(
-            np.concatenate([p.landmarks for p in parts]),
-            np.concatenate([p.probability for p in parts]),
-            np.concatenate([p.corner for p in parts]),
-            np.concatenate([p.stride for p in parts]),
-        )
 
     def moved(self, by: FloatArray) -> ResponseMaps:
         """The same maps, each landmark's moved by its row of `by` (66, 2)."""
@@ -179,7 +168,7 @@ class PartExperts:
     size: int
     paired: bool
 
-    def look(self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> list[ResponseMaps]:
+    def look(self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> ResponseMaps:
         """Maps in the face frame of `pose` (6,), looked for round landmarks `shape` (66, 2) of that frame."""
         sides = [self.landmarks, MIRROR[self.landmarks]] if self.paired else [self.landmarks]
         centres = [shape[side].sum(0) / len(side) for side in sides]
@@ -193,15 +182,12 @@ class PartExperts:
             maps[1] = maps[1, :, :, ::-1]
         reach = first_cell(self.size, PART_STRIDE) / self.scale
         stride = PART_STRIDE / self.scale
-        return [
-            ResponseMaps(
-                side,
-                maps[i],
-                np.full((len(side), 2), centre + reach, np.float32),
-                np.full((len(side), 1), stride, np.float32),
-            )
-            for i, (side, centre) in enumerate(zip(sides, centres, strict=True))
-        ]
+        return ResponseMaps(
+            np.concatenate(sides),
+            maps.reshape(-1, *maps.shape[2:]),
+            np.repeat(np.array(centres, np.float32) + np.float32(reach), len(self.landmarks), axis=0),
+            np.full((len(sides) * len(self.landmarks), 1), stride, np.float32),
+        )
 
 
 def _moved(pose: FloatArray, by: FloatArray) -> FloatArray:

@@ -17,10 +17,12 @@ from ..errors import ModelError, OutputError
 from .check import FaceCheck
 from .experts import FaceExperts, PartExperts
 from .network import Network
+from .patch_experts import PatchExperts
 from .pdm import PointDistributionModel
 
 MAGIC = b"FACEMIME TRACKER"
 FORMAT_VERSION = 2
+_VIEWS = ("frontal", "side")
 _HEADER = struct.Struct("<16sIQ32s")
 _ADVICE = "Reinstall Facemime, or make the model again with `make model`."
 
@@ -35,6 +37,8 @@ class TrackerModel:
     face : FaceExperts
     parts : tuple of PartExperts
         The eyes with their brows, and the mouth with the nose's base.
+    patches : (PatchExperts, PatchExperts)
+        Frontal, and with the nose to the viewer's left, which in a mirror serves the other side.
     definition : (66, 3) float64
         From the places that the experts were taught to the places where `pdm` has the landmarks, head frame.
     visibility : (2, 66) float64
@@ -49,6 +53,7 @@ class TrackerModel:
     pdm: PointDistributionModel
     face: FaceExperts
     parts: tuple[PartExperts, ...]
+    patches: tuple[PatchExperts, PatchExperts]
     definition: FloatArray
     visibility: FloatArray
     box_offset: FloatArray
@@ -64,6 +69,26 @@ def _pack_parts(parts: tuple[PartExperts, ...]) -> dict[str, NDArray[np.generic]
         arrays[f"part_{i}_landmarks"] = part.landmarks.astype(np.int16)
         arrays[f"part_{i}_network"] = _packed(part.network)
     return arrays
+
+
+def _pack_patches(patches: tuple[PatchExperts, PatchExperts]) -> dict[str, NDArray[np.generic]]:
+    arrays: dict[str, NDArray[np.generic]] = {"patch_scale": np.array(patches[0].scale)}
+    for name, e in zip(_VIEWS, patches, strict=True):
+        # A column of weights at a time to 8 bits: the nets' own noise is larger than the rounding.
+        step = np.maximum(np.abs(e.hidden).max(axis=1), 1e-12) / 127.0
+        arrays[f"{name}_hidden"] = np.round(e.hidden / step[:, None]).astype(np.int8)
+        arrays[f"{name}_step"] = step.astype(np.float32)
+        arrays[f"{name}_hidden_bias"] = e.hidden_bias.astype(np.float16)
+        arrays[f"{name}_output"] = e.output.astype(np.float16)
+        arrays[f"{name}_output_bias"] = e.output_bias.astype(np.float16)
+    return arrays
+
+
+def _unpack_patches(name: str, arrays: dict[str, NDArray[np.generic]]) -> PatchExperts:
+    hidden = arrays[f"{name}_hidden"].astype(np.float32) * arrays[f"{name}_step"].astype(np.float32)[:, None]
+    hidden -= hidden.mean(axis=1, keepdims=True)
+    rest = (arrays[f"{name}_{part}"].astype(np.float32) for part in ("hidden_bias", "output", "output_bias"))
+    return PatchExperts(float(arrays["patch_scale"].item()), hidden, *rest)
 
 
 def _packed(network: Network) -> NDArray[np.uint8]:
@@ -82,6 +107,7 @@ def save_model(model: TrackerModel, path: Path) -> str:
         "check_weights": model.check.weights.astype(np.float32),
         "face_network": _packed(model.face.network),
         **_pack_parts(model.parts),
+        **_pack_patches(model.patches),
     }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
@@ -155,6 +181,7 @@ def _assemble(arrays: dict[str, NDArray[np.generic]], model_id: str) -> TrackerM
         pdm=PointDistributionModel(real("mean_shape"), real("basis"), real("eigenvalues")),
         face=FaceExperts(Network(arrays["face_network"].tobytes(), "maps", "face")),
         parts=tuple(parts),
+        patches=(_unpack_patches(_VIEWS[0], arrays), _unpack_patches(_VIEWS[1], arrays)),
         definition=real("definition"),
         visibility=real("visibility"),
         box_offset=real("box_offset"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
 from time import perf_counter
@@ -28,7 +28,7 @@ from .result import TrackResult
 DEFAULT_MODEL = Path(__file__).parents[2] / "assets" / "tracker" / "face.tracker"
 
 SIDE_YAW = 0.36
-"""Radians of yaw beyond which the side view's visibility counts."""
+"""Radians of yaw beyond which the side view's visibility and patch experts count."""
 _MOST_BOXES, _MOST_FACES = 60, 4
 """How many boxes of an effort are looked at, and how many of them are fitted to the end."""
 _BEYOND_DOUBT = 0.85
@@ -61,6 +61,7 @@ class Stage:
 _TOWARDS = MeanShiftOptions((inf,), 0.006)
 COARSE = Stage(False, (_TOWARDS, _TOWARDS, _TOWARDS, MeanShiftOptions((0.02, 0.01), 0.006)))
 FINE = Stage(True, (MeanShiftOptions((inf, 3e-3, 1.5e-3), 3e-4),))
+_EDGES = MeanShiftOptions((4e-4, 2e-4, 2e-4), 4e-5)
 REFINED = (COARSE, FINE, FINE)
 DETECTED = (COARSE, *REFINED)
 
@@ -96,13 +97,15 @@ class FaceTracker:
 
     found_above = 0.5
     """Confidence from which on a detected face counts."""
-    lost_below = 0.45
+    lost_below = 0.15
     """Confidence below which a followed face counts as lost."""
 
     def __init__(self, model: TrackerModel) -> None:
         self._model = model
         self._detector = BoxDetector()
         self._visibility = {-1: model.visibility[1][MIRROR], 0: model.visibility[0], 1: model.visibility[1]}
+        frontal, side = model.patches
+        self._patches = {-1: side.mirrored(MIRROR), 0: frontal, 1: side}
         in_parts = np.zeros(N_LANDMARKS, bool)
         for part in model.parts:
             in_parts[part.landmarks] = True
@@ -170,7 +173,7 @@ class FaceTracker:
         out = Fit(start, np.zeros(N_FEATURES), np.zeros(N_LANDMARKS))
         for stage in stages:
             out = self._fit_stage(grey, out.fitted, stage)
-        return out
+        return self._on_edges(grey, out) if stages[-1].parts else out
 
     def _begin(self, image: ArrayLike) -> NDArray[np.uint8]:
         self.timings = dict.fromkeys(_STAGES, 0.0)
@@ -184,12 +187,11 @@ class FaceTracker:
         maps = [face]
         if stage.parts:
             shape = self.pdm.project(local.pose, local.shape_params)
-            looks = [part.look(grey, start.pose, shape) for part in self._model.parts]
-            maps.append(ResponseMaps.join([m for look in looks for m in look]))
+            maps += [part.look(grey, start.pose, shape) for part in self._model.parts]
         by = self._model.definition @ euler_to_matrix(*local.pose[1:4])[:2].T
         maps = [m.moved(by) for m in maps]
         looked = perf_counter()
-        visible = self._visibility[int(np.sign(start.pose[2])) if abs(start.pose[2]) > SIDE_YAW else 0]
+        visible = self._visibility[_view(start.pose)]
         certainties = [_CERTAIN**2 / (_CERTAIN**2 + m.moments[1]) for m in maps]
         evidence = [Evidence(m, c * visible[m.landmarks]) for m, c in zip(maps, certainties, strict=True)]
         if stage.parts:
@@ -202,12 +204,31 @@ class FaceTracker:
         certainty, features = certainties[0].copy(), np.zeros(N_FEATURES)
         features[:4] = 1.0, 0.2 * log_odds, certainty[INNER].mean(), 10.0 * _distance(maps[0], shape)[INNER].mean()
         if stage.parts:
-            certainty[maps[1].landmarks] = certainties[1]
-            features[4:] = certainties[1].mean(), 10.0 * _distance(maps[1], shape).mean()
+            for m, c in zip(maps[1:], certainties[1:], strict=True):
+                certainty[m.landmarks] = c
+            away = np.concatenate([_distance(m, shape) for m in maps[1:]])
+            features[4:] = np.concatenate(certainties[1:]).mean(), 10.0 * away.mean()
         self.timings["look"] += looked - began
         self.timings["fit"] += ended - looked
         self.timings["check"] += perf_counter() - ended
         return Fit(fitted, features, certainty)
+
+    def _on_edges(self, grey: NDArray[np.uint8], fit: Fit) -> Fit:
+        """The fit after the patch experts had their last word."""
+        began = perf_counter()
+        start = fit.fitted
+        local = FittedShape(np.array([1.0, start.pose[1], start.pose[2], 0.0, 0.0, 0.0]), start.shape_params)
+        view = _view(start.pose)
+        by = self._model.definition @ euler_to_matrix(*local.pose[1:4])[:2].T
+        shape = self.pdm.project(local.pose, local.shape_params)
+        maps, highest = self._patches[view].look(grey, start.pose, shape - by)
+        looked = perf_counter()
+        evidence = [Evidence(maps.moved(by), self._visibility[view] * highest)]
+        local = regularised_mean_shift(self.pdm, local, evidence, _EDGES)
+        fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
+        self.timings["look"] += looked - began
+        self.timings["fit"] += perf_counter() - looked
+        return replace(fit, fitted=fitted)
 
     def _judged(self, fit: Fit) -> _Candidate:
         return _Candidate(fit, self._model.check.confidence(fit.features))
@@ -280,6 +301,11 @@ class FaceTracker:
             pupils=gaze.pupils,
             gaze=gaze.direction,
         )
+
+
+def _view(pose: FloatArray) -> int:
+    """0 frontal, 1 with the nose to the viewer's left, -1 to the right."""
+    return int(np.sign(pose[2])) if abs(pose[2]) > SIDE_YAW else 0
 
 
 def _distance(maps: ResponseMaps, shape: FloatArray) -> FloatArray:

@@ -45,6 +45,7 @@ def main() -> None:
         jobs += [Job(*where, "part", (i, part, held_out)) for i, part in enumerate(parts)]
     _run_all(jobs, options.jobs)
     _run_all([Job(*where, "network", (name,)) for name in ("face", *PARTS)], options.jobs)
+    _run_all([Job(*where, "patches", (view,)) for view in ("frontal", "side")], options.jobs)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     name = save_model(workshop.assemble(workshop.check()), options.output)
     print(f"{options.output}: model {name}, {options.output.stat().st_size / 1e6:.1f} MB")

@@ -10,11 +10,14 @@ from facemime.core.tracking.check import FaceCheck
 from facemime.core.tracking.pdm import FittedShape
 from facemime.core.tracking.tracker import DETECTED, FINE, FaceTracker
 
-from .samples import SCALE, SIZE, Samples
+from .samples import SCALE, SIZE, Samples, occlude
 from .sources import Photo
 
 GOOD_BELOW, BAD_ABOVE = 0.05, 0.12
 """Mean error of the inner landmarks in outer-eye distances; fits in between teach nothing."""
+OCCLUDED, OCCLUDED_GOOD_BELOW = 0.4, 0.08
+"""Share of the faces before which a hand is held, and the error up to which these are good fits: what is hidden is a
+guess, and the face is still there."""
 
 
 def _error(tracker: FaceTracker, fitted: FittedShape, truth: np.ndarray) -> float:
@@ -62,11 +65,14 @@ def collect_features(
     for i in range(len(samples)):
         for spread in (0.4, 3.0):
             stages = (FINE,) if rng.random() < 0.5 else DETECTED
-            fit = tracker.fit(samples.images[i], _near(samples, i, spread, rng), stages)
+            image, good_below = samples.images[i], GOOD_BELOW
+            if spread < 1.0 and rng.random() < OCCLUDED:
+                image, good_below = occlude(image, samples.landmarks[i], rng, 2.0)[0], OCCLUDED_GOOD_BELOW
+            fit = tracker.fit(image, _near(samples, i, spread, rng), stages)
             error = _error(tracker, fit.fitted, samples.landmarks[i])
-            if error < GOOD_BELOW or error > BAD_ABOVE:
+            if error < good_below or error > BAD_ABOVE:
                 features.append(fit.features)
-                good.append(error < GOOD_BELOW)
+                good.append(error < good_below)
     for grey in clutter(photos, len(samples), rng):
         i = int(rng.integers(len(samples)))
         features.append(tracker.fit(grey, _near(samples, i, 2.0, rng), DETECTED).features)

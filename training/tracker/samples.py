@@ -155,11 +155,16 @@ def _background(
     return piece[:, ::-1] if rng.random() < 0.5 else np.ascontiguousarray(piece[::-1])
 
 
-def _occlude(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Something before the face: an ellipse of the picture's own texture. Returns it and which landmarks it hides."""
+def occlude(
+    image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator, size: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Something before the face: an ellipse of the picture's own texture. Returns it and which landmarks it hides.
+
+    At size 1 it is as large as two fingers up to as a fist.
+    """
     mask = np.zeros_like(image)
     centre = landmarks[rng.integers(len(landmarks))] + rng.normal(0, 15, 2)
-    axes = (int(rng.uniform(8, 40)), int(rng.uniform(12, 60)))
+    axes = (int(size * rng.uniform(8, 40)), int(size * rng.uniform(12, 60)))
     cv2.ellipse(mask, tuple(int(v) for v in centre), axes, rng.uniform(0, 180), 0, 360, 255, -1)
     shifted = np.roll(image, tuple(int(v) for v in rng.integers(60, 200, 2)), (0, 1))
     blend = cv2.GaussianBlur(mask, (0, 0), 1.0).astype(np.float32) / 255.0
@@ -204,7 +209,7 @@ def render_samples(
         image = np.where(picture.covered, picture.image * soft + behind * (1 - soft), behind).astype(np.uint8)
         visible = picture.visible
         if rng.random() < 0.2:
-            image, hidden = _occlude(image, picture.landmarks, rng)
+            image, hidden = occlude(image, picture.landmarks, rng)
             visible = visible & ~hidden
         rows.append((degrade(image, rng), picture.landmarks, visible, pose, weight))
     return _stack(model, rows)

@@ -13,6 +13,7 @@ from facemime.core.tracking.check import N_FEATURES, FaceCheck
 from facemime.core.tracking.experts import FACE_SIZE, FaceExperts, PartExperts
 from facemime.core.tracking.model_file import TrackerModel
 from facemime.core.tracking.network import Network
+from facemime.core.tracking.patch_experts import PatchExperts
 from facemime.core.tracking.pdm import PointDistributionModel
 from facemime.core.tracking.tracker import FaceTracker
 
@@ -20,14 +21,17 @@ from .boxes import fit_box_offsets
 from .checks import clutter, collect_features, train_check
 from .definition import definition_offset
 from .heads import load_ict
+from .patches import mirror_samples, reference_set, train_experts
 from .samples import Samples, photo_samples, render_samples
 from .shape_model import build_shape_model
 from .sources import AUTOMATIC, HAND_LABELLED, Photo, read_photos, split
 from .trust import trusted_photos
 
 SEED = 2019
-SIDE_ABOVE = 0.22
-"""Radians of yaw from which a training picture tells what is hidden in the side view."""
+PATCH_SCALE = 72.0
+"""Pixels an outer-eye distance of the patch experts."""
+FRONTAL_BELOW, SIDE_ABOVE = 0.5, 0.22
+"""Radians of yaw up to which and from which the views' training pictures reach; between them both learn."""
 N_CLUTTER = 1500
 BATCH = {"face": 64, "eye": 96, "mouth": 96}
 STEPS = {"face": 7000, "eye": 6000, "mouth": 6000}
@@ -35,7 +39,7 @@ VARIANCE = {"face": 0.6, "eye": 0.5, "mouth": 0.5}
 """Of the wanted maps, in cells."""
 PARTS = {
     "eye": (np.r_[17:22, 36:42], 60.0, 48, True),
-    "mouth": (np.r_[31:36, 48:66], 66.0, 64, False),
+    "mouth": (np.r_[31:36, 48:66], 50.0, 48, False),
 }
 """Landmarks, pixels an outer-eye distance, side of the picture, whether the other half of the face has it too."""
 
@@ -139,6 +143,25 @@ class Workshop:
             path.write_bytes(onnx)
         return path.read_bytes()
 
+    def patches(self, view: str) -> PatchExperts:
+        """The patch experts of a view."""
+        path = self.work / f"experts_{view}_{PATCH_SCALE:.0f}.npz"
+        if not path.exists():
+            samples = self.samples()
+            yaw = samples.poses[:, 2]
+            if view == "frontal":
+                chosen = samples.take(np.flatnonzero(np.abs(yaw) < FRONTAL_BELOW))
+                chosen = Samples.join([chosen, mirror_samples(chosen)])
+            else:
+                right = mirror_samples(samples.take(np.flatnonzero(yaw < -SIDE_ABOVE)))
+                chosen = Samples.join([samples.take(np.flatnonzero(yaw > SIDE_ABOVE)), right])
+            rng = np.random.default_rng((SEED, int(PATCH_SCALE), view == "side"))
+            e, loss = train_experts(reference_set(chosen, PATCH_SCALE, rng), PATCH_SCALE, rng)
+            print(f"patch experts, {view}: {len(chosen)} pictures, cross-entropy {loss:.4f}", flush=True)
+            _keep(path, w=e.hidden, b=e.hidden_bias, v=e.output, c=e.output_bias)
+        raw = np.load(path)
+        return PatchExperts(PATCH_SCALE, raw["w"], raw["b"], raw["v"], raw["c"])
+
     def visibility(self) -> np.ndarray:
         """(2, 66) how often each landmark is in sight, frontal and with the nose to the viewer's left."""
         path = self.work / "visibility.npz"
@@ -168,9 +191,10 @@ class Workshop:
         """The model with the given check."""
         face = FaceExperts(Network(self.network("face"), "maps", "face"))
         parts = [PartExperts(Network(self.network(name), "maps"), *what) for name, what in PARTS.items()]
+        patches = (self.patches("frontal"), self.patches("side"))
         taught, definition = self.shape(), definition_offset()
         reported = PointDistributionModel(taught.mean_shape + definition, taught.basis, taught.eigenvalues)
-        return TrackerModel(reported, face, tuple(parts), definition, self.visibility(), self.boxes(), check)
+        return TrackerModel(reported, face, tuple(parts), patches, definition, self.visibility(), self.boxes(), check)
 
     def check(self) -> FaceCheck:
         """The learnt check, trained on what the fit makes of training pictures and of clutter."""
