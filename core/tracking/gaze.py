@@ -90,16 +90,19 @@ def _directions(pupils: FloatArray, pose: FloatArray, middles: FloatArray) -> Fl
 
 def _pupils(grey: NDArray[np.uint8], pose: FloatArray, outlines: FloatArray) -> FloatArray:
     """(E, 2) pupil centres in the image of the eyes with the given outlines (E, 6, 2)."""
-    place = np.array([*pose[:4], *outlines.reshape(-1, 2).mean(axis=0)])
+    middle = outlines.reshape(-1, 2).sum(axis=0) / (6 * len(outlines))
+    place = np.array([*pose[:4], *middle])
     frame = warp_to_reference(grey, place, _SCALE, _WIDTH)
     top = (_WIDTH - _HEIGHT) // 2
     band = frame.pixels[top : top + _HEIGHT]
     offset = frame.offset - (0.0, top)
     corners = np.round((outlines @ frame.linear.T + offset) * 16.0).astype(np.int32)
     masks = np.zeros((len(outlines), *band.shape), np.uint8)
+    inside = np.zeros(band.shape, np.uint8)
     for mask, polygon in zip(masks, corners, strict=True):
-        cv2.fillConvexPoly(mask, polygon, (1,), cv2.LINE_8, 4)
-    votes = _votes(band, np.asarray(cv2.dilate(masks.max(axis=0), _NEAR), np.uint8))
+        for canvas in (mask, inside):
+            cv2.fillConvexPoly(canvas, polygon, (1,), cv2.LINE_8, 4)
+    votes = _votes(band, np.asarray(cv2.dilate(inside, _NEAR), np.uint8))
     peaks = np.array([_peak(votes, mask) for mask in masks])
     return np.asarray((peaks - offset) @ frame.linear * (pose[0] / _SCALE) ** 2)
 
