@@ -60,7 +60,7 @@ class Stage:
 
 _TOWARDS = MeanShiftOptions((inf,), 0.006)
 COARSE = Stage(False, (_TOWARDS, _TOWARDS, _TOWARDS, MeanShiftOptions((0.02, 0.01), 0.006)))
-FINE = Stage(True, (MeanShiftOptions((inf, 3e-3, 1.5e-3), 3e-4),))
+FINE = Stage(True, (MeanShiftOptions((inf,), 3e-4),))
 _EDGES = MeanShiftOptions((4e-4, 2e-4, 2e-4), 4e-5)
 REFINED = (COARSE, FINE, FINE)
 DETECTED = (COARSE, *REFINED)
@@ -97,8 +97,8 @@ class FaceTracker:
 
     found_above = 0.5
     """Confidence from which on a detected face counts."""
-    lost_below = 0.15
-    """Confidence below which a followed face counts as lost."""
+    lost_below = 0.3
+    """Confidence below which a followed face counts as lost: a hand before it is no reason to let go."""
 
     def __init__(self, model: TrackerModel) -> None:
         self._model = model

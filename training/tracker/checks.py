@@ -57,6 +57,16 @@ def _surface(rng: np.random.Generator) -> np.ndarray:
     return np.clip(out, 0, 255).astype(np.uint8)
 
 
+def _erased(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A head without a face: what lies within its outline is blurred beyond recognition, as on a head turned away."""
+    blank = cv2.GaussianBlur(image, (0, 0), SCALE * rng.uniform(0.2, 0.5))
+    mask = np.zeros_like(image)
+    centre, axes = landmarks.mean(0), SCALE * rng.uniform(0.75, 1.1) * np.array([0.85, 1.1])
+    cv2.ellipse(mask, tuple(int(v) for v in centre), tuple(int(v) for v in axes), 0, 0, 360, 255, -1)
+    share = cv2.GaussianBlur(mask, (0, 0), SCALE * 0.08).astype(np.float32) / 255.0
+    return (image * (1 - share) + blank * share).astype(np.uint8)
+
+
 def collect_features(
     tracker: FaceTracker, samples: Samples, photos: list[Photo], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -73,6 +83,10 @@ def collect_features(
             if error < good_below or error > BAD_ABOVE:
                 features.append(fit.features)
                 good.append(error < good_below)
+        if i % 2:
+            erased = _erased(samples.images[i], samples.landmarks[i], rng)
+            features.append(tracker.fit(erased, _near(samples, i, 0.4, rng), (FINE,)).features)
+            good.append(False)
     for grey in clutter(photos, len(samples), rng):
         i = int(rng.integers(len(samples)))
         features.append(tracker.fit(grey, _near(samples, i, 2.0, rng), DETECTED).features)
