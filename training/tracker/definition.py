@@ -27,7 +27,7 @@ TO_IBUG = {
 }
 """For landmarks on the viewer's left, to the middle of the face and down, in percent of the outer-eye distance: the
 way from the hand labels to the iBUG figure. It is the mean distance, over the training people's photos, between the
-labels and the points of a tracker that was taught by the figure (dlib's), rounded, and looked at on enlarged pictures."""
+labels and the points of a tracker that was taught by the figure (dlib's), rounded, and looked at on enlargements."""
 
 
 def definition_offset() -> np.ndarray:
