@@ -27,8 +27,6 @@ from .reference import warp_to_reference
 
 FACE_SCALE, FACE_SIZE, FACE_STRIDE = 36.0, 96, 4
 """Pixels an outer-eye distance, side of the picture, and pixels a cell of the maps, of the face experts."""
-NEAR_SIZE = 80
-"""Side of the picture where the face is known to be in its middle."""
 PART_STRIDE = 2
 _FACE_FLOOR, _PART_FLOOR = 8.0, 6.0
 """Grey levels added to a picture's standard deviation: flat pictures are noise, and stay small."""
@@ -104,9 +102,9 @@ def standardised(picture: NDArray[np.float32], floor: float) -> NDArray[np.float
     return out
 
 
-def face_picture(grey: NDArray[np.uint8], pose: FloatArray, size: int = FACE_SIZE) -> NDArray[np.float32]:
-    """(size, size) what the face experts see of a grey image (H, W) at a pose (6,)."""
-    return standardised(warp_to_reference(grey, pose, FACE_SCALE, size).pixels, _FACE_FLOOR)
+def face_picture(grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float32]:
+    """(96, 96) what the face experts see of a grey image (H, W) at a pose (6,)."""
+    return standardised(warp_to_reference(grey, pose, FACE_SCALE, FACE_SIZE).pixels, _FACE_FLOOR)
 
 
 def part_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int) -> NDArray[np.float32]:
@@ -134,13 +132,13 @@ class FaceExperts:
         self.network = network
         self._landmarks = np.arange(len(MIRROR))
 
-    def look(self, grey: NDArray[np.uint8], pose: FloatArray, size: int = FACE_SIZE) -> tuple[ResponseMaps, float]:
+    def look(self, grey: NDArray[np.uint8], pose: FloatArray) -> tuple[ResponseMaps, float]:
         """Maps in the face frame of `pose` (6,), and the log odds that a face is there at about that pose.
 
-        `size` is the side of the picture that is looked at, a multiple of 16. About 1 ms.
+        About 1 ms.
         """
-        maps, face = self.network(face_picture(grey, pose, size)[None])
-        corner = np.full((len(self._landmarks), 2), first_cell(size, FACE_STRIDE) / FACE_SCALE, np.float32)
+        maps, face = self.network(face_picture(grey, pose)[None])
+        corner = np.full((len(self._landmarks), 2), first_cell(FACE_SIZE, FACE_STRIDE) / FACE_SCALE, np.float32)
         stride = np.full((len(self._landmarks), 1), FACE_STRIDE / FACE_SCALE, np.float32)
         return ResponseMaps(self._landmarks, _softmax(maps[0]), corner, stride), float(face.mean())
 

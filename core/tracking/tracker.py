@@ -17,7 +17,7 @@ from ..landmarks import INNER, MIRROR, N_LANDMARKS
 from ..rotation import euler_to_matrix
 from .check import N_FEATURES
 from .detect import EFFORTS, BoxDetector
-from .experts import FACE_SIZE, NEAR_SIZE, ResponseMaps
+from .experts import ResponseMaps
 from .fit import Evidence, MeanShiftOptions, regularised_mean_shift
 from .gaze import find_gaze
 from .model_file import TrackerModel, load_model
@@ -183,7 +183,7 @@ class FaceTracker:
     def _fit_stage(self, grey: NDArray[np.uint8], start: FittedShape, stage: Stage) -> Fit:
         began = perf_counter()
         local = FittedShape(np.array([1.0, start.pose[1], start.pose[2], 0.0, 0.0, 0.0]), start.shape_params)
-        face, log_odds = self._model.face.look(grey, start.pose, NEAR_SIZE if stage.parts else FACE_SIZE)
+        face, log_odds = self._model.face.look(grey, start.pose)
         maps = [face]
         if stage.parts:
             shape = self.pdm.project(local.pose, local.shape_params)

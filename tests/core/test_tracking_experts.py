@@ -8,7 +8,7 @@ import pytest
 
 from facemime.core.errors import ModelError
 from facemime.core.landmarks import MIRROR
-from facemime.core.tracking.experts import NEAR_SIZE, ResponseMaps, standardised
+from facemime.core.tracking.experts import ResponseMaps, standardised
 from facemime.core.tracking.model_file import TrackerModel, load_model
 from facemime.core.tracking.network import Network
 from facemime.core.tracking.reference import pose_in_image, warp_to_reference
@@ -94,14 +94,6 @@ def test_a_pair_of_parts_sees_a_mirrored_picture_as_each_other(model: TrackerMod
     count = len(eye.landmarks)
     np.testing.assert_array_equal(maps.landmarks[count:], MIRROR[maps.landmarks[:count]])
     np.testing.assert_allclose(mirrored.moments[0][:count] * (-1.0, 1.0), maps.moments[0][count:], atol=5e-3)
-
-
-def test_a_smaller_picture_gives_maps_of_the_same_places(model: TrackerModel) -> None:
-    pose = np.array([60.0, 0.0, 0.0, 0.0, 200.0, 150.0])
-    whole, _ = model.face.look(picture(7), pose)
-    near, _ = model.face.look(picture(7), pose, NEAR_SIZE)
-    centre = [m.corner[0] + m.stride[0] * (m.probability.shape[1] - 1) / 2.0 for m in (whole, near)]
-    np.testing.assert_allclose(centre, 0.0, atol=1e-6)
 
 
 def test_what_is_not_a_network_is_a_model_error() -> None:

@@ -13,7 +13,6 @@ from facemime.core.tracking.experts import FACE_SCALE as FACE_PIXELS
 from facemime.core.tracking.experts import (
     FACE_SIZE,
     FACE_STRIDE,
-    NEAR_SIZE,
     PART_STRIDE,
     face_picture,
     first_cell,
@@ -62,20 +61,19 @@ class Crops:
     def face(self, count: int, clutter: np.ndarray) -> Batch:
         """Whole faces, some far off; `clutter` (C, S, S) are pictures without one."""
         rng = self._rng
-        size = FACE_SIZE if rng.random() < 0.5 else NEAR_SIZE
 
         def draw(sample: _Sample) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[float, float]]:
             fate = rng.random()
             absent, far = fate < _CLUTTER, _CLUTTER <= fate < _MISPLACED
             image = clutter[rng.integers(len(clutter))] if absent else sample.image
             pose = _misplaced(sample.pose, rng) if far else _perturbed(sample.pose, rng.random() < 0.4, rng)
-            picture = face_picture(_spoilt_source(image, rng), pose, size)
-            cells = _in_crop(sample.landmarks, pose, FACE_PIXELS, size, FACE_STRIDE)
+            picture = face_picture(_spoilt_source(image, rng), pose)
+            cells = _in_crop(sample.landmarks, pose, FACE_PIXELS, FACE_SIZE, FACE_STRIDE)
             shown = not (absent or far)
             known = absent or far or _is_near(pose, sample.pose)
             return picture, cells, sample.weights * shown, (float(shown), float(known))
 
-        return self._batch(count, np.arange(len(MIRROR)), size, size // FACE_STRIDE, draw)
+        return self._batch(count, np.arange(len(MIRROR)), FACE_SIZE, FACE_SIZE // FACE_STRIDE, draw)
 
     def part(self, count: int, landmarks: np.ndarray, scale: float, size: int) -> Batch:
         """One part of faces, seen about where it is."""
