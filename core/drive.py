@@ -170,15 +170,8 @@ def head_deformer(
     if rig.control_points is not None:
         members &= rig.control_points
     plain = DEFAULT_KERNEL if kernel == INFORMED else kernel
+    sigma = region_sigmas(places, kernel_named(plain))
     if incremental:
-        sigma = region_sigmas(places, kernel_named(plain))
         return IncrementalDeformer(rig.vertices, places, rig.region_weights, members, kernel=plain, sigma=sigma)
-    return RBFDeformer(
-        rig.vertices,
-        places,
-        rig.region_weights,
-        members,
-        kernel=plain,
-        sigma=region_sigmas(places, kernel_named(plain)),
-        covariance=informed_covariance(rig.vertices, rig.landmarks, rig.region_weights) if kernel == INFORMED else None,
-    )
+    learnt = informed_covariance(rig.vertices, rig.landmarks, rig.region_weights) if kernel == INFORMED else None
+    return RBFDeformer(rig.vertices, places, rig.region_weights, members, kernel=plain, sigma=sigma, covariance=learnt)

@@ -11,10 +11,10 @@ from ..core.landmarks import N_LANDMARKS
 from ..core.retarget import calibrate
 from ..core.takes.take import load_take
 from ..properties import puppet_settings
-from .on_mesh import OnMesh, register_all, unregister_all
+from .shared import AsksForFile, OnMesh, register_all, unregister_all
 
 
-class FACEMIME_OT_select_control_points(OnMesh, bpy.types.Operator):
+class FACEMIME_OT_select_control_points(AsksForFile, OnMesh, bpy.types.Operator):
     """Choose, from a take, the landmarks that control the active head; the others follow."""
 
     bl_idname = "facemime.select_control_points"
@@ -35,11 +35,6 @@ class FACEMIME_OT_select_control_points(OnMesh, bpy.types.Operator):
     max_points: IntProperty(name="At Most", description="Control points", default=N_LANDMARKS, min=3, max=N_LANDMARKS)
     add: StringProperty(name="Add", description="Landmarks to have in any case, by iBUG number: 17,19-21")
     remove: StringProperty(name="Remove", description="Landmarks never to have, by iBUG number: 0-3,30")
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the take."""
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """The work of `execute`."""

@@ -6,10 +6,10 @@ import bpy
 from bpy.props import FloatProperty, StringProperty
 
 from ..blender.facegen import MILLIMETRE, import_facegen
-from .errors import ReportsErrors
+from .shared import AsksForFile, ReportsErrors, in_object_mode
 
 
-class FACEMIME_OT_import_facegen(ReportsErrors, bpy.types.Operator):
+class FACEMIME_OT_import_facegen(AsksForFile, ReportsErrors, bpy.types.Operator):
     """Import a FaceGen head: a .tri with its morphs, and the .egm beside it, or an OBJ in FaceGen's vertex order."""
 
     bl_idname = "facemime.import_facegen"
@@ -23,15 +23,7 @@ class FACEMIME_OT_import_facegen(ReportsErrors, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only in Object mode."""
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Switch to Object mode first")
-            return False
-        return True
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the file."""
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return in_object_mode(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Import the head."""

@@ -4,7 +4,7 @@ import bpy
 from bpy.props import BoolProperty
 
 from ..blender.head import add_head
-from .errors import ReportsErrors
+from .shared import ReportsErrors, in_object_mode
 
 
 class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
@@ -23,10 +23,7 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only in Object mode."""
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Switch to Object mode first")
-            return False
-        return True
+        return in_object_mode(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Add the head at the 3D cursor."""

@@ -14,7 +14,7 @@ from ..blender.binding import (
 )
 from ..core.deform.binding import MARKS
 from ..core.landmarks import from_ibug
-from .on_mesh import OnMesh, register_all, unregister_all
+from .shared import OnMesh, in_object_mode, register_all, unregister_all
 
 
 class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
@@ -58,11 +58,8 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only in Object mode."""
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Switch to Object mode first")
-            return False
-        return super().poll(context)
+        """Only with a mesh active, in Object mode."""
+        return in_object_mode(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """The work of `execute`."""

@@ -10,12 +10,12 @@ from ..core.takes.take import Take, load_take
 from ..properties import puppet_settings
 from ..puppet import puppet_head, puppet_heads
 from ..session import Session
-from .errors import ReportsErrors
+from .shared import AsksForFile, ReportsErrors, in_object_mode
 
 _TICK = 0.1
 
 
-class FACEMIME_OT_puppet_video(ReportsErrors, bpy.types.Operator):
+class FACEMIME_OT_puppet_video(AsksForFile, ReportsErrors, bpy.types.Operator):
     """Track the face in a video, or read a take, and bake its motion to the active and the selected heads."""
 
     bl_idname = "facemime.puppet_video"
@@ -32,18 +32,12 @@ class FACEMIME_OT_puppet_video(ReportsErrors, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only with a mesh active, in Object mode."""
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Switch to Object mode first")
+        if not in_object_mode(cls, context):
             return False
         if context.active_object is None or context.active_object.type != "MESH":
             cls.poll_message_set("Select a head mesh, or add one with Add > Mesh > Facemime Head")
             return False
         return True
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the video."""
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Track in the background and bake when it ends; in one go where there is no window."""

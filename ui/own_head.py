@@ -6,7 +6,7 @@ from ..blender.binding import read_marks
 from ..blender.meshes import read_selection
 from ..blender.names import LANDMARKS_PROPERTY
 from ..core.landmarks import IBUG68_INDICES
-from ..operators.on_mesh import register_all, unregister_all
+from ..operators.shared import register_all, unregister_all
 
 _ROWS = 14
 

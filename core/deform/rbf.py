@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -208,15 +209,11 @@ class IncrementalDeformer:
         control_points: ArrayLike,
         region_weights: ArrayLike,
         membership: ArrayLike,
-        *,
-        kernel: str = "gaussian",
-        sigma: ArrayLike | None = None,
-        spacing_factor: ArrayLike = 0.8,
-        regularisation: float = 1e-3,
+        **options: Any,
     ) -> None:
         self._points = as_points(control_points, "control_points", error=HeadError)
         self._regions = np.asarray(region_weights), np.asarray(membership)
-        self._options = (kernel, sigma, spacing_factor, regularisation)
+        self._options = options
         self.rest: NDArray[np.float32] = as_points(vertices, "vertices", error=HeadError).astype(np.float32)
         self.n_control_points = len(self._points)
         self.reset()
@@ -229,16 +226,7 @@ class IncrementalDeformer:
     def deform(self, displacements: ArrayLike, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """As `RBFDeformer.deform`, from the frame before: the result hangs on all frames since `reset`."""
         moved = as_points(displacements, "displacements", count=self.n_control_points)
-        kernel, sigma, factor, regularisation = self._options
-        step = RBFDeformer(
-            self._vertices,
-            self._points + self._moved,
-            *self._regions,
-            kernel=kernel,
-            sigma=sigma,
-            spacing_factor=factor,
-            regularisation=regularisation,
-        )
+        step = RBFDeformer(self._vertices, self._points + self._moved, *self._regions, **self._options)
         result = step.deform(moved - self._moved, out)
         self._vertices, self._moved = result.astype(np.float64), np.asarray(moved)
         return result

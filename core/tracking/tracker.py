@@ -180,15 +180,19 @@ class FaceTracker:
         pixels = as_image(image)
         return pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY).astype(np.uint8)
 
+    def _in_face_frame(self, start: FittedShape) -> tuple[FittedShape, FloatArray]:
+        """`start` in its own face frame, and how far each landmark (66, 2) lies there from where its expert looks."""
+        local = FittedShape(np.array([1.0, start.pose[1], start.pose[2], 0.0, 0.0, 0.0]), start.shape_params)
+        return local, self._model.definition @ euler_to_matrix(*local.pose[1:4])[:2].T
+
     def _fit_stage(self, grey: NDArray[np.uint8], start: FittedShape, stage: Stage) -> Fit:
         began = perf_counter()
-        local = FittedShape(np.array([1.0, start.pose[1], start.pose[2], 0.0, 0.0, 0.0]), start.shape_params)
+        local, by = self._in_face_frame(start)
         face, log_odds = self._model.face.look(grey, start.pose)
         maps = [face]
         if stage.parts:
             shape = self.pdm.project(local.pose, local.shape_params)
             maps += [part.look(grey, start.pose, shape) for part in self._model.parts]
-        by = self._model.definition @ euler_to_matrix(*local.pose[1:4])[:2].T
         maps = [m.moved(by) for m in maps]
         looked = perf_counter()
         visible = self._visibility[_view(start.pose)]
@@ -217,9 +221,8 @@ class FaceTracker:
         """The fit after the patch experts had their last word."""
         began = perf_counter()
         start = fit.fitted
-        local = FittedShape(np.array([1.0, start.pose[1], start.pose[2], 0.0, 0.0, 0.0]), start.shape_params)
+        local, by = self._in_face_frame(start)
         view = _view(start.pose)
-        by = self._model.definition @ euler_to_matrix(*local.pose[1:4])[:2].T
         shape = self.pdm.project(local.pose, local.shape_params)
         maps, highest = self._patches[view].look(grey, start.pose, shape - by)
         looked = perf_counter()
@@ -235,15 +238,16 @@ class FaceTracker:
 
     def _follow(self, grey: NDArray[np.uint8], last: FittedShape) -> _Candidate:
         fit = self.fit(grey, last, (FINE,))
-        moved = self.pdm.project(fit.fitted.pose, fit.fitted.shape_params) - self.pdm.project(
-            last.pose, last.shape_params
-        )
-        if (
-            max(np.abs(moved[p.landmarks].sum(0)).max() / len(p.landmarks) for p in self._model.parts)
-            > _FAR * last.pose[0]
-        ):
+        if self._moved_far(last, fit.fitted):
             fit = self.fit(grey, fit.fitted, (FINE,))
         return self._judged(fit)
+
+    def _moved_far(self, before: FittedShape, now: FittedShape) -> bool:
+        """Whether some part left the middle of the picture in which its experts looked for it."""
+        shapes = [self.pdm.project(f.pose, f.shape_params) for f in (before, now)]
+        moved = shapes[1] - shapes[0]
+        parts = [np.abs(moved[part.landmarks].mean(0)).max() for part in self._model.parts]
+        return bool(max(parts) > _FAR * before.pose[0])
 
     def _detect(self, grey: NDArray[np.uint8], efforts: tuple[int, ...]) -> Iterator[_Candidate]:
         """Convincing faces, effort by effort; none is made after one that finds a face beyond doubt."""

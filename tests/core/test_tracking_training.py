@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from facemime.training.tracker.patches import mirror_samples
 from facemime.training.tracker.raster import rasterise
-from facemime.training.tracker.samples import SIZE, degrade
+from facemime.training.tracker.samples import SIZE, Samples, degrade
 from facemime.training.tracker.sources import Photo, held_out_people, mirrored, person_of, split
 
 
@@ -34,6 +35,23 @@ def test_twenty_people_of_london_and_seven_of_canada_are_held_out() -> None:
 def test_mirroring_labels_twice_gives_them_back() -> None:
     landmarks = np.random.default_rng(0).uniform(0, 100, (66, 2))
     np.testing.assert_allclose(mirrored(mirrored(landmarks, 120), 120), landmarks)
+
+
+def test_mirroring_samples_twice_gives_them_back() -> None:
+    rng = np.random.default_rng(1)
+    samples = Samples(
+        rng.integers(0, 255, (2, SIZE, SIZE), np.uint8),
+        rng.uniform(0, SIZE, (2, 66, 2)).astype(np.float32),
+        rng.random((2, 66)) < 0.5,
+        rng.normal(0, 1, (2, 6)).astype(np.float32),
+        np.zeros((2, 4), np.float32),
+        np.ones(2, np.float32),
+    )
+    again = mirror_samples(mirror_samples(samples))
+    np.testing.assert_array_equal(again.images, samples.images)
+    np.testing.assert_allclose(again.landmarks, samples.landmarks, atol=1e-4)
+    np.testing.assert_allclose(again.poses, samples.poses, atol=1e-4)
+    np.testing.assert_array_equal(again.visible, samples.visible)
 
 
 def test_the_rasteriser_fills_a_triangle_and_lets_the_nearer_one_win() -> None:

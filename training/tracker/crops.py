@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from facemime.core.landmarks import MIRROR
-from facemime.core.tracking.experts import FACE_SCALE as FACE_PIXELS
 from facemime.core.tracking.experts import (
+    FACE_SCALE,
     FACE_SIZE,
     FACE_STRIDE,
     PART_STRIDE,
@@ -68,7 +68,7 @@ class Crops:
             image = clutter[rng.integers(len(clutter))] if absent else sample.image
             pose = _misplaced(sample.pose, rng) if far else _perturbed(sample.pose, rng.random() < 0.4, rng)
             picture = face_picture(_spoilt_source(image, rng), pose)
-            cells = _in_crop(sample.landmarks, pose, FACE_PIXELS, FACE_SIZE, FACE_STRIDE)
+            cells = _in_crop(sample.landmarks, pose, FACE_SCALE, FACE_SIZE, FACE_STRIDE)
             shown = not (absent or far)
             known = absent or far or _is_near(pose, sample.pose)
             return picture, cells, sample.weights * shown, (float(shown), float(known))

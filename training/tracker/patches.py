@@ -30,22 +30,21 @@ class ReferenceSet:
     weights: np.ndarray
 
 
-def reference_set(samples: Samples, scale: float, rng: np.random.Generator, copies: int = 1) -> ReferenceSet:
-    """Warp the samples as the tracker will: at slightly wrong pose, each `copies` times, half of them mirrored."""
-    size, count = 2 * round(_REACH * scale), len(samples) * copies
+def reference_set(samples: Samples, scale: float, rng: np.random.Generator) -> ReferenceSet:
+    """Warp the samples as the tracker will, at slightly wrong pose."""
+    size, count = 2 * round(_REACH * scale), len(samples)
     pictures = np.empty((count, size, size), np.uint8)
     landmarks = np.empty((count, N_LANDMARKS, 2), np.float32)
     weights = np.empty((count, N_LANDMARKS), np.float32)
-    for row in range(count):
-        i = row % len(samples)
+    for i in range(count):
         pose = samples.poses[i].astype(np.float64)
         pose[0] *= np.exp(rng.normal(0, 0.06))
         pose[3] += rng.normal(0, 0.07)
         pose[4:6] += rng.normal(0, 0.04, 2) * pose[0]
         frame = warp_to_reference(samples.images[i], pose, scale, size)
-        pictures[row] = frame.pixels
-        landmarks[row] = samples.landmarks[i] @ frame.linear.T + frame.offset
-        weights[row] = samples.visible[i] * samples.weights[i]
+        pictures[i] = frame.pixels
+        landmarks[i] = samples.landmarks[i] @ frame.linear.T + frame.offset
+        weights[i] = samples.visible[i] * samples.weights[i]
     return ReferenceSet(pictures, landmarks, weights)
 
 
