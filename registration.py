@@ -2,8 +2,11 @@
 
 from . import commands, properties, session
 from .operators import control_points, facegen, head, own_head, puppet_video
-from .ui import menus, panel
-from .ui import own_head as own_head_panels
+from .ui import control_points as control_points_panel
+from .ui import expression as expression_panel
+from .ui import head as head_panels
+from .ui import menus
+from .ui import puppet as puppet_panel
 
 _MODULES = (
     properties,
@@ -13,8 +16,10 @@ _MODULES = (
     control_points,
     puppet_video,
     menus,
-    panel,
-    own_head_panels,
+    head_panels,
+    control_points_panel,
+    expression_panel,
+    puppet_panel,
     commands,
     session,
 )

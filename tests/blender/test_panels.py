@@ -9,8 +9,10 @@ from facemime.blender.binding import write_mark
 from facemime.blender.head import add_head
 from facemime.blender.meshes import read_rig, write_selection
 from facemime.core.control_points import select_for_take
-from facemime.ui.own_head import FACEMIME_PT_control_points, FACEMIME_PT_own_head
-from facemime.ui.panel import FACEMIME_PT_puppet
+from facemime.ui.control_points import FACEMIME_PT_control_points
+from facemime.ui.expression import FACEMIME_PT_expression
+from facemime.ui.head import FACEMIME_PT_head, FACEMIME_PT_own_head
+from facemime.ui.puppet import FACEMIME_PT_puppet
 from takes import performance
 
 
@@ -79,15 +81,25 @@ def test_control_points_show_curve_and_reasons():
     assert "12 points:" in drawn and "orbicularis oris" in drawn
 
 
-def test_the_main_panel_draws():
-    assert "kernel" in draw(FACEMIME_PT_puppet)
+@pytest.mark.parametrize(
+    ("panel", "expected"),
+    [
+        (FACEMIME_PT_head, "facemime.add_head"),
+        (FACEMIME_PT_expression, "kernel"),
+        (FACEMIME_PT_puppet, "facemime.puppet_video"),
+    ],
+)
+def test_every_step_has_its_panel(panel, expected):
+    assert expected in draw(panel)
 
 
 def test_what_the_panels_draw_exists():
     head = add_head(bpy.context)
     write_selection(head.data, select_for_take(read_rig(head), performance(), max_points=12))
     layout = Layout()
-    for panel in (FACEMIME_PT_puppet, FACEMIME_PT_own_head, FACEMIME_PT_control_points):
+    for panel in bpy.types.Panel.__subclasses__():
+        if not panel.__name__.startswith("FACEMIME"):
+            continue
         panel.draw(SimpleNamespace(layout=layout), bpy.context)
     operators = {call[1] for call in layout.calls if call[0] == "operator"}
     for name in operators:

@@ -1,15 +1,15 @@
-"""The sidebar's tab Facemime."""
+"""The last step: a performance moves the head."""
 
 import bpy
 
+from .sidebar import Sidebar, place
 
-class FACEMIME_PT_puppet(bpy.types.Panel):
-    """Head, settings and the button that puppets it."""
 
-    bl_label = "Facemime"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "Facemime"
+class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
+    """The button that puppets the head, and what its pose goes to."""
+
+    bl_label = "Puppet"
+    bl_order = place(__name__)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -17,7 +17,6 @@ class FACEMIME_PT_puppet(bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         settings = context.scene.facemime
-        layout.operator("facemime.add_head", text="Add Head", icon="MONKEY")
         layout.operator("facemime.puppet_video", icon="FILE_MOVIE")
         column = layout.column(heading="Head Pose")
         column.prop(settings, "rotation", text="Rotation")
@@ -28,13 +27,6 @@ class FACEMIME_PT_puppet(bpy.types.Panel):
         row = column.row()
         row.active = not settings.find_neutral
         row.prop(settings, "neutral", text="At")
-        column = layout.column(align=True)
-        column.label(text="Strength")
-        column.prop(settings, "strength_upper", text="Upper")
-        column.prop(settings, "strength_middle", text="Middle")
-        column.prop(settings, "strength_lower", text="Lower")
-        layout.prop(settings, "mode")
-        layout.prop(settings, "kernel")
 
 
 def register() -> None:

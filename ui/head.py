@@ -1,0 +1,59 @@
+"""The first step: a head, the built-in one or a mesh of the user's own."""
+
+import bpy
+
+from ..blender.binding import read_marks
+from ..operators.shared import register_all, unregister_all
+from .sidebar import Sidebar, place
+
+
+class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
+    """The button that adds a head."""
+
+    bl_label = "Head"
+    bl_order = place(__name__)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        self.layout.operator("facemime.add_head", text="Add Head", icon="MONKEY")
+
+
+class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
+    """Buttons that make the active mesh a head."""
+
+    bl_label = "Your Own Head"
+    bl_parent_id = "FACEMIME_PT_head"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        obj = context.active_object
+        if obj is None or obj.type != "MESH":
+            layout.label(text="Select a mesh")
+            return
+        marks = read_marks(obj.data)
+        column = layout.column(align=True)
+        if context.mode == "EDIT_MESH":
+            column.operator_menu_enum("facemime.mark_point", "point", text=f"Mark Point ({len(marks)} marked)")
+            column.operator("facemime.set_landmark")
+        else:
+            column.label(text=f"{len(marks)} points marked" if marks else "No points marked: facing -Y, upright")
+            column.operator("facemime.bind_landmarks", icon="OUTLINER_DATA_ARMATURE")
+            column.operator("facemime.propose_regions", icon="GROUP_VERTEX")
+            column.operator("facemime.check_head", icon="CHECKMARK")
+        if marks:
+            column.operator("facemime.clear_marks")
+
+
+_CLASSES = (FACEMIME_PT_head, FACEMIME_PT_own_head)
+
+
+def register() -> None:
+    """Register the panels."""
+    register_all(_CLASSES)
+
+
+def unregister() -> None:
+    """Unregister the panels."""
+    unregister_all(_CLASSES)
