@@ -13,6 +13,7 @@ from math import pi
 import numpy as np
 
 from ..arrays import FloatArray
+from ..landmarks import MIRROR
 from ..rotation import axis_rotations, euler_to_matrix
 
 N_POSE = 6
@@ -62,6 +63,18 @@ class PointDistributionModel:
     @cached_property
     def _deviations(self) -> FloatArray:
         return np.sqrt(self.eigenvalues)
+
+    @cached_property
+    def mirror_signs(self) -> FloatArray:
+        """(K,) factors of the coefficients of a face seen in a mirror: 1 for a symmetric mode, -1 for an opposed one.
+
+        NaN for a mode that is neither, as those of a model are that was not learnt from faces and their mirror images.
+        """
+        flipped = self.basis[MIRROR] * np.array([-1.0, 1.0, 1.0])[:, None]
+        size = np.square(self.basis).sum(axis=(0, 1))
+        signs = np.sign((flipped * self.basis).sum(axis=(0, 1)))
+        pure = np.square(flipped - signs * self.basis).sum(axis=(0, 1)) <= 1e-12 * size
+        return np.where(pure, signs, np.nan)
 
     def shape(self, shape_params: FloatArray) -> FloatArray:
         """(N, 3) landmarks in the head frame for coefficients (K,)."""
