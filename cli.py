@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,11 +27,13 @@ from .core.landmarks import IBUG68_INDICES, N_LANDMARKS
 from .core.overlay import draw_landmarks
 from .core.pipeline import smooth_take, track_video
 from .core.retarget import calibrate
-from .core.takes.take import Take, load_take, save_take
+from .core.takes.file import SUFFIX, load_take, save_take
+from .core.takes.take import Take
 from .core.tracking.tracker import FaceTracker
 from .core.version import version
 
 INTERRUPTED = 130
+_UNFINISHED = f".unfinished{SUFFIX}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -59,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
 
     track = commands.add_parser("track", help="track a face through a video")
     track.add_argument("video", type=Path)
-    track.add_argument("-o", "--output", type=Path, required=True, metavar="TAKE.npz")
+    track.add_argument("-o", "--output", type=Path, required=True, metavar="TAKE.facetake")
     track.add_argument("--smooth", action="store_true", help="hold still what does not move")
     track.set_defaults(run=run_track)
 
@@ -68,7 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     puppet.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.blend")
     puppet.add_argument("--preview", type=Path, metavar="OUT.mp4", help="video of performer and avatar side by side")
     puppet.add_argument("--sheet", type=Path, metavar="OUT.png", help="contact sheet of the most different expressions")
-    puppet.add_argument("--take", type=Path, metavar="TAKE.npz", help="also keep the take")
+    puppet.add_argument("--take", type=Path, metavar="TAKE.facetake", help="also keep the take")
     puppet.add_argument("--head", metavar="FILE.blend[:OBJECT]", help="your own head; the built-in one by default")
     puppet.add_argument("--mode", choices=("3d", "planar"), default="3d", help="planar keeps every depth (default 3d)")
     puppet.add_argument("--kernel", choices=(INFORMED, *KERNELS), default=INFORMED, help="how skin follows landmarks")
@@ -79,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     puppet.set_defaults(run=run_puppet)
 
     select = commands.add_parser("select", help="choose the control points that a take needs on the built-in head")
-    select.add_argument("take", type=Path, metavar="TAKE.npz")
+    select.add_argument("take", type=Path, metavar="TAKE.facetake")
     select.add_argument("-o", "--output", type=Path, metavar="POINTS.json", help="for puppet --points")
     select.add_argument("--tolerance", type=float, default=1.0, metavar="PERCENT", help="of the face's width (1)")
     select.add_argument("--max-points", type=int, default=N_LANDMARKS, metavar="N", help="at most so many")
@@ -128,9 +131,12 @@ def run_landmarks(arguments: argparse.Namespace) -> int:
 
 def run_track(arguments: argparse.Namespace) -> int:
     """`facemime track`: a video to a take."""
-    check_writable(arguments.output, {".npz"})
-    take = _track(arguments.video)
-    save_take(smooth_take(take) if arguments.smooth else take, arguments.output)
+    check_writable(arguments.output, {SUFFIX})
+    unfinished = arguments.output.with_suffix(_UNFINISHED)
+    take = _track(arguments.video, unfinished)
+    _settle(unfinished, arguments.output)
+    if arguments.smooth:
+        save_take(smooth_take(take), arguments.output)
     if take.info.get("interrupted"):
         print(f"facemime: interrupted; the {len(take)} frames tracked are in {arguments.output}.", file=sys.stderr)
         return INTERRUPTED
@@ -149,22 +155,27 @@ def run_puppet(arguments: argparse.Namespace) -> int:
         (arguments.output, {".blend"}),
         (arguments.preview, {".mp4"}),
         (arguments.sheet, {".png", ".jpg"}),
-        (arguments.take, {".npz"}),
+        (arguments.take, {SUFFIX}),
     ):
         if path is not None:
             check_writable(path, suffixes)
     points = None if arguments.points is None else from_json(_text(arguments.points))
     scene, head = headless.open_head(arguments.head, points)
-    video = None if arguments.source.suffix == ".npz" else arguments.source
-    take = load_take(arguments.source) if video is None else _track(video)
-    if arguments.take is not None:
-        save_take(take, arguments.take)
-    if take.info.get("interrupted") and video is not None:
-        kept = arguments.take or arguments.output.with_suffix(".take.npz")
-        save_take(take, kept)
+    if arguments.source.suffix == SUFFIX:
+        take = _load(arguments.source)
+        if arguments.take is not None:
+            save_take(take, arguments.take)
+        headless.puppet(arguments, scene, head, take, None)
+        return 0
+    unfinished = (arguments.take or arguments.output).with_suffix(_UNFINISHED)
+    take = _track(arguments.source, unfinished)
+    interrupted = bool(take.info.get("interrupted"))
+    kept = arguments.take or (arguments.output.with_suffix(f".interrupted{SUFFIX}") if interrupted else None)
+    _settle(unfinished, kept)
+    if interrupted:
         print(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.", file=sys.stderr)
         return INTERRUPTED
-    headless.puppet(arguments, scene, head, take, video)
+    headless.puppet(arguments, scene, head, take, arguments.source)
     return 0
 
 
@@ -174,7 +185,7 @@ def run_select(arguments: argparse.Namespace) -> int:
         check_writable(arguments.output, {".json"})
     if not arguments.tolerance > 0:
         raise FacemimeError(f"The tolerance must be above 0 %; got {arguments.tolerance}.")
-    take = load_take(arguments.take)
+    take = _load(arguments.take)
     selection = select_for_take(
         built_in_rig(),
         take,
@@ -208,17 +219,38 @@ def _text(path: Path) -> str:
         raise SourceError(f"{path} cannot be read ({error}). Give a file that facemime select -o wrote.") from error
 
 
-def _track(video: Path) -> Take:
+def _load(path: Path) -> Take:
+    take = load_take(path)
+    if told := take.info.get("recovered"):
+        print(f"facemime: {path}: {told}", file=sys.stderr)
+    return take
+
+
+def _track(video: Path, unfinished: Path) -> Take:
+    """The take of `video`, written to `unfinished` as it grows; what an earlier run left there is replaced."""
     tracker = FaceTracker.load()
     progress = Progress(f"Tracking {video.name}")
-    recorder = track_video(video, tracker, lambda done, total, _: progress.update(done, total))
-    take = recorder.finish()
+    unfinished.unlink(missing_ok=True)
+    track_video(video, tracker, lambda done, total, _: progress.update(done, total), unfinished)
+    if not unfinished.exists():
+        raise FacemimeError(f"Interrupted before the first frame of {video}. Start it again.")
+    take = load_take(unfinished)
     progress.finish(f"a face in {int(take.found.sum())} of {len(take)}")
     if not take.found.any() and not take.info.get("interrupted"):
+        unfinished.unlink()
         raise SourceError(
             f"No face was found in any frame of {video}. Use a video with one face, well lit and towards the camera."
         )
     return take
+
+
+def _settle(unfinished: Path, kept: Path | None) -> None:
+    """Give a finished take its name, or none."""
+    if kept is None:
+        unfinished.unlink()
+        return
+    with replacing(kept) as temporary:
+        os.replace(unfinished, temporary)
 
 
 def _images(paths: Sequence[Path]) -> list[Path]:

@@ -6,10 +6,12 @@ And from a take to a smooth one.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 from .capture import VideoSource
-from .takes.take import Take, TakeRecorder
+from .takes.file import TakeWriter
+from .takes.take import Take, TakeRecorder, describe
 from .tracking.result import TrackResult
 from .tracking.smoothing import ResultSmoother
 from .tracking.tracker import FaceTracker
@@ -17,25 +19,17 @@ from .tracking.tracker import FaceTracker
 OnFrame = Callable[[int, int, TrackResult], bool | None]
 
 
-def recorder_for(source: VideoSource, tracker: FaceTracker, image_size: tuple[int, int]) -> TakeRecorder:
-    """An empty recording that names its source and the tracker's model."""
-    return TakeRecorder(
-        {
-            "source": source.path.name,
-            "fps": source.fps,
-            "image_size": list(image_size),
-            "model": tracker.model_id,
-        }
-    )
-
-
-def track_video(path: Path, tracker: FaceTracker, on_frame: OnFrame | None = None) -> TakeRecorder:
+def track_video(
+    path: Path, tracker: FaceTracker, on_frame: OnFrame | None = None, output: Path | None = None
+) -> TakeRecorder:
     """Track every frame of the video at `path`.
 
     Parameters
     ----------
     on_frame : callable, optional
         Called after each frame with (frames done, frames stated by the file, result); returning False stops.
+    output : Path, optional
+        A take that is written while tracking, so that whatever happens what was tracked is there; must not exist yet.
 
     Returns
     -------
@@ -47,16 +41,25 @@ def track_video(path: Path, tracker: FaceTracker, on_frame: OnFrame | None = Non
     ------
     SourceError
         Where the video cannot be read.
+    OutputError
+        Where `output` cannot be written.
     """
-    with VideoSource(path) as source:
+    with ExitStack() as stack:
+        source = stack.enter_context(VideoSource(path))
         recorder = TakeRecorder({})
+        writer = None if output is None else stack.enter_context(TakeWriter(output, {}))
         tracker.reset()
         try:
             for frame in source:
                 if len(recorder) == 0:
-                    recorder = recorder_for(source, tracker, (frame.image.shape[1], frame.image.shape[0]))
+                    height, width = frame.image.shape[:2]
+                    recorder.info.update(describe(source.path.name, source.fps, (width, height), tracker.model_id))
+                    if writer is not None:
+                        writer.info = recorder.info
                 result = tracker.track(frame.image)
                 recorder.append(frame.time, result)
+                if writer is not None:
+                    writer.append(frame.time, result)
                 if on_frame is not None and on_frame(len(recorder), source.frame_count, result) is False:
                     recorder.info["interrupted"] = True
                     break

@@ -9,7 +9,7 @@ from ..blender.meshes import read_rig, write_selection
 from ..core.control_points import parse_landmarks, select_for_take
 from ..core.landmarks import N_LANDMARKS
 from ..core.retarget import calibrate
-from ..core.takes.take import load_take
+from ..core.takes.file import load_take
 from ..properties import puppet_settings
 from .shared import AsksForFile, OnMesh, register_all, unregister_all
 
@@ -22,7 +22,7 @@ class FACEMIME_OT_select_control_points(AsksForFile, OnMesh, bpy.types.Operator)
     bl_options = {"REGISTER", "UNDO"}
 
     filepath: StringProperty(name="Take", subtype="FILE_PATH", options={"SKIP_SAVE"})
-    filter_glob: StringProperty(default="*.npz", options={"HIDDEN"})
+    filter_glob: StringProperty(default="*.facetake", options={"HIDDEN"})
     tolerance: FloatProperty(
         name="Tolerance",
         description="How far a landmark that is no control point may end from where it was, of the face's width",

@@ -6,7 +6,8 @@ import bpy
 from bpy.props import StringProperty
 
 from ..blender.meshes import is_head, read_rig
-from ..core.takes.take import Take, load_take
+from ..core.takes.file import SUFFIX, load_take
+from ..core.takes.take import Take
 from ..properties import puppet_settings
 from ..puppet import puppet_head, puppet_heads
 from ..session import Session
@@ -23,7 +24,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, ReportsErrors, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     filepath: StringProperty(name="Video", subtype="FILE_PATH", options={"SKIP_SAVE"})
-    filter_glob: StringProperty(default="*.mp4;*.mov;*.avi;*.mkv;*.webm;*.m4v;*.npz", options={"HIDDEN"})
+    filter_glob: StringProperty(default="*.mp4;*.mov;*.avi;*.mkv;*.webm;*.m4v;*.facetake", options={"HIDDEN"})
 
     _session: Session | None = None
     _timer: bpy.types.Timer | None = None
@@ -47,7 +48,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, ReportsErrors, bpy.types.Operator):
         """The work of `execute`."""
         read_rig(context.active_object)
         path = Path(bpy.path.abspath(self.filepath))
-        if path.suffix == ".npz":
+        if path.suffix == SUFFIX:
             return self.bake(context, context.active_object, load_take(path))
         self._session = Session(path)
         self._head = context.active_object.name

@@ -6,10 +6,9 @@ when the tracker's model has changed.
 
 from __future__ import annotations
 
-import json
-import zipfile
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -17,14 +16,9 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..errors import SourceError
-from ..files import replacing
 from ..landmarks import N_LANDMARKS
 from ..tracking.result import TrackResult
 from ..version import version
-
-FORMAT = "facemime-take"
-FORMAT_VERSION = 2
-"""2 added landmark_confidence, pupils and gaze, which are NaN in a take of format 1."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +47,9 @@ class Take:
     gaze : (N, 2) float32
         `(pitch, yaw)` as in `TrackResult`, radians; NaN where not known.
     info : dict
-        `source` (file name), `fps` (nominal), `image_size` (width, height), `model` (checksum of the tracker's
-        model), `facemime` (version), and `smoothed` where it is.
+        How it was made, as `describe` begins it. Later steps add `interrupted` (stopped before the source's end),
+        `recovered` (what a damaged or cut file has lost), `calibration` (a neutral that was chosen), `bridged` (spans
+        in seconds that were invented), `smoothed`, and `reference_video` and `sound` (paths relative to the take).
     """
 
     times: FloatArray
@@ -86,12 +81,50 @@ class Take:
             gaze=self.gaze[frame].astype(np.float64),
         )
 
+    def part(self, chosen: slice | NDArray[np.bool_]) -> Take:
+        """The take of the chosen frames alone."""
+        return replace(self, **{name: getattr(self, name)[chosen] for name in FIELDS})
+
+
+FIELDS = (
+    *("times", "landmarks", "pose", "shape_params", "shape", "confidence", "found"),
+    *("landmark_confidence", "pupils", "gaze"),
+)
+"""The arrays of a take, each with a row a frame."""
+
+
+def describe(source: str, fps: float, image_size: tuple[int, int], model: str, clock: str = "media") -> dict[str, Any]:
+    """What a take's `info` begins with.
+
+    Parameters
+    ----------
+    source : str
+        Name of the file or the camera.
+    fps : float
+        Nominal rate of the source.
+    image_size : (width, height)
+        Pixels.
+    model : str
+        Checksum of the tracker's model.
+    clock : {"media", "monotonic"}
+        What the times count: the media's own presentation times, or the computer's clock from the first frame on.
+    """
+    return {
+        "source": source,
+        "fps": float(fps),
+        "image_size": [int(side) for side in image_size],
+        "model": model,
+        "clock": clock,
+        "facemime": version(),
+        "started": datetime.now().astimezone().isoformat(timespec="seconds"),
+    }
+
 
 class TakeRecorder:
     """Collects results frame by frame; `finish` may be called at any time and gives what has come so far."""
 
     def __init__(self, info: dict[str, Any]) -> None:
-        self.info = {**info, "facemime": version()}
+        self.info = dict(info)
         self._times: list[float] = []
         self._results: list[TrackResult] = []
 
@@ -100,8 +133,7 @@ class TakeRecorder:
 
     def append(self, time: float, result: TrackResult) -> None:
         """Add one frame at `time` seconds; times must increase."""
-        if self._times and not time > self._times[-1]:
-            raise ValueError(f"times must increase; got {time} after {self._times[-1]}")
+        check_increase(self._times[-1] if self._times else -np.inf, time)
         self._times.append(time)
         self._results.append(result)
 
@@ -128,64 +160,21 @@ class TakeRecorder:
         )
 
 
-def save_take(take: Take, path: Path) -> None:
-    """Write `take` as an .npz that numpy alone reads; a failure leaves what was there before.
-
-    Raises
-    ------
-    OutputError
-        Where `path` cannot be written.
-    """
-    header = json.dumps({"format": FORMAT, "version": FORMAT_VERSION, "info": take.info})
-    with replacing(Path(path)) as temporary, open(temporary, "wb") as stream:
-        np.savez_compressed(stream, header=np.array(header), **_arrays(take))
+def check_increase(last: float, time: float) -> None:
+    """Raise ValueError where the frame at `time` cannot follow the one at `last`, seconds."""
+    if not last < time < np.inf:
+        raise ValueError(f"times must increase; got {time} after {last}")
 
 
-def load_take(path: Path) -> Take:
-    """Read a take written by `save_take`.
-
-    Raises
-    ------
-    SourceError
-        Where the file is missing, damaged, foreign, or of a later format.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise SourceError(f"There is no take {path}. Make one with: facemime track VIDEO -o {path.name}")
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            header = json.loads(str(data["header"]))
-            if header.get("format") != FORMAT:
-                raise ValueError("it is not a take")
-            if header["version"] > FORMAT_VERSION:
-                raise SourceError(f"{path} was written by a newer Facemime. Update Facemime to open it.")
-            arrays = {name: data[name] for name in _FIELDS if name in data or header["version"] > 1}
-            take = Take(**{**_unknown(len(arrays["times"])), **arrays}, info=header["info"])
-        _check(take)
-    except (ValueError, KeyError, TypeError, OSError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise SourceError(
-            f"{path} is not a take of Facemime, or it is damaged ({error}). Track the video again."
-        ) from error
-    return take
+def join(takes: Sequence[Take]) -> Take:
+    """One take of several that follow each other in time, with the first one's info."""
+    return Take(
+        **{name: np.concatenate([getattr(take, name) for take in takes]) for name in FIELDS}, info=dict(takes[0].info)
+    )
 
 
-_FIELDS = (
-    *("times", "landmarks", "pose", "shape_params", "shape", "confidence", "found"),
-    *("landmark_confidence", "pupils", "gaze"),
-)
-
-
-def _unknown(count: int) -> dict[str, Any]:
-    """What a take of format 1 does not tell."""
-    shapes = {"landmark_confidence": (count, N_LANDMARKS), "pupils": (count, 2, 2), "gaze": (count, 2)}
-    return {name: np.full(shape, np.nan, np.float32) for name, shape in shapes.items()}
-
-
-def _arrays(take: Take) -> dict[str, Any]:
-    return {name: getattr(take, name) for name in _FIELDS}
-
-
-def _check(take: Take) -> None:
+def check_take(take: Take) -> None:
+    """Raise ValueError, saying why, where the arrays of `take` do not belong together."""
     count = len(take.times)
     shapes = {
         "times": (count,),

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import facemime
-from facemime.core.takes.take import load_take, save_take
+from facemime.core.takes.file import load_take, save_take
 from takes import performance
 
 SAMPLE = Path(facemime.__file__).parent / "assets" / "sample"
@@ -51,14 +51,14 @@ def faceless(tmp_path_factory) -> Path:
 
 
 def test_puppet_leaves_a_blend_a_video_a_sheet_and_a_take(clip, tmp_path):
-    out = {name: tmp_path / name for name in ("out.blend", "out.mp4", "out.png", "take.npz")}
+    out = {name: tmp_path / name for name in ("out.blend", "out.mp4", "out.png", "take.facetake")}
     done = run(
         "puppet", clip, "-o", out["out.blend"], "--preview", out["out.mp4"], "--sheet", out["out.png"],
-        "--take", out["take.npz"],
+        "--take", out["take.facetake"],
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "worst vertex error" in done.stderr and "Traceback" not in done.stderr and done.stdout == ""
-    take = load_take(out["take.npz"])
+    take = load_take(out["take.facetake"])
     assert len(take) == 50 and take.found.all()
     video = cv2.VideoCapture(str(out["out.mp4"]))
     fourcc = int(video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little")
@@ -69,14 +69,16 @@ def test_puppet_leaves_a_blend_a_video_a_sheet_and_a_take(clip, tmp_path):
 
 
 def test_a_take_drives_a_head_of_ones_own(tmp_path):
-    save_take(performance(), tmp_path / "take.npz")
-    assert run("puppet", tmp_path / "take.npz", "-o", tmp_path / "own.blend").returncode == 0
-    again = run("puppet", tmp_path / "take.npz", "-o", tmp_path / "b.blend", "--head", tmp_path / "own.blend")
+    save_take(performance(), tmp_path / "take.facetake")
+    assert run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "own.blend").returncode == 0
+    again = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "b.blend", "--head", tmp_path / "own.blend")
     assert again.returncode == 0, again.stderr
     named = f"{tmp_path / 'own.blend'}:Eye.L"
-    refused = run("puppet", tmp_path / "take.npz", "-o", tmp_path / "c.blend", "--head", named)
+    refused = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "c.blend", "--head", named)
     assert refused.returncode == 1 and "has no landmarks" in refused.stderr
-    missing = run("puppet", tmp_path / "take.npz", "-o", tmp_path / "c.blend", "--head", f"{tmp_path}/own.blend:Nobody")
+    missing = run(
+        "puppet", tmp_path / "take.facetake", "-o", tmp_path / "c.blend", "--head", f"{tmp_path}/own.blend:Nobody"
+    )
     assert missing.returncode == 1 and "has no object Nobody" in missing.stderr
 
 
@@ -102,8 +104,8 @@ def test_landmarks_of_a_folder_are_nan_where_there_is_no_face(clip, tmp_path):
 def test_what_cannot_work_is_one_line_and_leaves_the_old_output(clip, faceless, tmp_path):
     (tmp_path / "text.mp4").write_text("no video")
     (tmp_path / "empty.mp4").write_bytes(b"")
-    (tmp_path / "broken.npz").write_bytes(b"PK broken")
-    good = tmp_path / "good.npz"
+    (tmp_path / "broken.facetake").write_bytes(b"PK broken")
+    good = tmp_path / "good.facetake"
     good.write_text("good")
     for arguments, words in (
         (("track", tmp_path / "none.mp4", "-o", good), "There is no file"),
@@ -111,11 +113,11 @@ def test_what_cannot_work_is_one_line_and_leaves_the_old_output(clip, faceless, 
         (("track", tmp_path / "empty.mp4", "-o", good), "not a video"),
         (("track", tmp_path, "-o", good), "not a file"),
         (("track", faceless, "-o", good), "No face was found"),
-        (("track", clip, "-o", "/proc/take.npz"), "Cannot write"),
-        (("landmarks", tmp_path / "none", "-o", good), "There is no file"),
-        (("landmarks", tmp_path, "-o", good), "no picture"),
+        (("track", clip, "-o", "/proc/take.facetake"), "Cannot write"),
+        (("landmarks", tmp_path / "none", "-o", tmp_path / "o.npz"), "There is no file"),
+        (("landmarks", tmp_path, "-o", tmp_path / "o.npz"), "no picture"),
         (("puppet", clip, "-o", good), "suffix .blend"),
-        (("puppet", tmp_path / "broken.npz", "-o", tmp_path / "o.blend"), "not a take"),
+        (("puppet", tmp_path / "broken.facetake", "-o", tmp_path / "o.blend"), "not a take"),
         (("puppet", faceless, "-o", tmp_path / "o.blend"), "No face was found"),
         (("puppet", clip, "-o", tmp_path / "o.blend", "--head", tmp_path / "no.blend"), "There is no file"),
     ):
@@ -124,11 +126,11 @@ def test_what_cannot_work_is_one_line_and_leaves_the_old_output(clip, faceless, 
         assert done.returncode == 1 and len(told) == 1 and words in told[0], done.stderr
         assert "Traceback" not in done.stderr
     assert good.read_text() == "good"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["broken.npz", "empty.mp4", "good.npz", "text.mp4"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["broken.facetake", "empty.mp4", "good.facetake", "text.mp4"]
 
 
 def test_ctrl_c_keeps_what_was_tracked(tmp_path):
-    output = tmp_path / "take.npz"
+    output = tmp_path / "take.facetake"
     try:
         terminal, side = pty.openpty()
     except OSError as error:
@@ -148,15 +150,15 @@ def test_ctrl_c_keeps_what_was_tracked(tmp_path):
 
 
 def test_select_prints_the_curve_and_puppet_takes_the_points(tmp_path):
-    save_take(performance(), tmp_path / "take.npz")
+    save_take(performance(), tmp_path / "take.facetake")
     points = tmp_path / "points.json"
-    done = run("select", tmp_path / "take.npz", "-o", points, "--max-points", 12, "--add", "33", "--remove", "0-1")
+    done = run("select", tmp_path / "take.facetake", "-o", points, "--max-points", 12, "--add", "33", "--remove", "0-1")
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert lines[0].startswith("action") and lines[-1].startswith("12 control points:") and " 33" in lines[-1]
     assert all(re.match(r"(start|add|drop) +\d+ +(upper|middle|lower) +\d+ +\d+\.\d\d ", line) for line in lines[1:-1])
     done = run(
-        "puppet", tmp_path / "take.npz", "-o", tmp_path / "out.blend", "--points", points, "--kernel", "gaussian"
+        "puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", "--points", points, "--kernel", "gaussian"
     )
     assert done.returncode == 0, done.stderr
 
@@ -171,14 +173,14 @@ def test_select_prints_the_curve_and_puppet_takes_the_points(tmp_path):
     ],
 )
 def test_select_tells_what_it_cannot_do(tmp_path, arguments, message):
-    save_take(performance(), tmp_path / "take.npz")
-    done = run("select", tmp_path / "take.npz", *arguments)
+    save_take(performance(), tmp_path / "take.facetake")
+    done = run("select", tmp_path / "take.facetake", *arguments)
     assert done.returncode == 1 and message in done.stderr and "Traceback" not in done.stderr
 
 
 def test_points_that_are_none_are_refused_before_anything_is_written(tmp_path):
-    save_take(performance(), tmp_path / "take.npz")
+    save_take(performance(), tmp_path / "take.facetake")
     (tmp_path / "points.json").write_text("{}")
-    done = run("puppet", tmp_path / "take.npz", "-o", tmp_path / "out.blend", "--points", tmp_path / "points.json")
+    done = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", "--points", tmp_path / "points.json")
     assert done.returncode == 1 and "no control points of Facemime" in done.stderr
     assert not (tmp_path / "out.blend").exists()

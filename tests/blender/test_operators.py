@@ -10,7 +10,7 @@ import pytest
 import facemime
 from facemime import commands
 from facemime.blender.head import add_head
-from facemime.core.takes.take import save_take
+from facemime.core.takes.file import load_take, save_take
 from facemime.operators.puppet_video import FACEMIME_OT_puppet_video
 from facemime.puppet import puppet_head
 from facemime.session import Session
@@ -37,7 +37,7 @@ def test_registering_unregistering_and_registering_again_works():
 
 
 def test_blenders_own_command_line_reaches_the_command(tmp_path, capfd):
-    assert commands._run(["track", str(tmp_path / "none.mp4"), "-o", str(tmp_path / "take.npz")]) == 1
+    assert commands._run(["track", str(tmp_path / "none.mp4"), "-o", str(tmp_path / "take.facetake")]) == 1
     assert "There is no file" in capfd.readouterr().err
 
 
@@ -49,31 +49,31 @@ def test_add_head_adds_the_head_at_the_cursor():
 
 
 def test_the_operator_and_the_function_agree(tmp_path):
-    save_take(performance(), tmp_path / "take.npz")
+    save_take(performance(), tmp_path / "take.facetake")
     bpy.ops.facemime.add_head()
     by_operator = bpy.context.active_object
-    assert bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.npz")) == {"FINISHED"}
+    assert bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.facetake")) == {"FINISHED"}
     by_function = add_head(bpy.context)
-    puppet_head(bpy.context.scene, by_function, performance())
+    puppet_head(bpy.context.scene, by_function, load_take(tmp_path / "take.facetake"))
     np.testing.assert_allclose(key_coordinates(by_operator), key_coordinates(by_function), atol=1e-6)
 
 
 def test_settings_of_the_scene_reach_the_function(tmp_path):
-    save_take(performance(), tmp_path / "take.npz")
+    save_take(performance(), tmp_path / "take.facetake")
     bpy.ops.facemime.add_head()
     head = bpy.context.active_object
     settings = bpy.context.scene.facemime
     settings.rotation = False
     settings.strength_lower = settings.strength_middle = settings.strength_upper = 0.0
-    bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.npz"))
+    bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.facetake"))
     assert head.animation_data is None
     assert len(head.data.shape_keys.key_blocks) == 1
 
 
-@pytest.mark.parametrize("name", ["missing.mp4", "missing.npz", "broken.mp4", "broken.npz"])
+@pytest.mark.parametrize("name", ["missing.mp4", "missing.facetake", "broken.mp4", "broken.facetake"])
 def test_a_file_that_cannot_be_read_is_reported_and_changes_nothing(tmp_path, name):
     (tmp_path / "broken.mp4").write_bytes(b"nothing")
-    (tmp_path / "broken.npz").write_bytes(b"nothing")
+    (tmp_path / "broken.facetake").write_bytes(b"nothing")
     bpy.ops.facemime.add_head()
     with pytest.raises(RuntimeError, match=name.split(".")[0]):
         bpy.ops.facemime.puppet_video(filepath=str(tmp_path / name))
@@ -82,10 +82,10 @@ def test_a_file_that_cannot_be_read_is_reported_and_changes_nothing(tmp_path, na
 
 
 def test_a_mesh_without_landmarks_is_reported(tmp_path):
-    save_take(performance(), tmp_path / "take.npz")
+    save_take(performance(), tmp_path / "take.facetake")
     bpy.ops.mesh.primitive_cube_add()
     with pytest.raises(RuntimeError, match="has no landmarks"):
-        bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.npz"))
+        bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.facetake"))
 
 
 def test_without_a_mesh_the_button_is_grey():
@@ -137,9 +137,9 @@ def test_ticks_of_the_timer_lead_from_tracking_to_the_bake(monkeypatch):
 
 
 def test_one_take_moves_all_selected_heads(tmp_path):
-    save_take(performance(), tmp_path / "take.npz")
+    save_take(performance(), tmp_path / "take.facetake")
     first = add_head(bpy.context, name="First")
     second = add_head(bpy.context, name="Second")
     first.select_set(True)
-    assert bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.npz")) == {"FINISHED"}
+    assert bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.facetake")) == {"FINISHED"}
     np.testing.assert_allclose(key_coordinates(first), key_coordinates(second), atol=1e-6)

@@ -12,7 +12,7 @@ from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, REGION_GR
 from facemime.core.control_points import select_for_take, to_json
 from facemime.core.deform.binding import MARKS
 from facemime.core.landmarks import OUTER_EYE_CORNERS, from_ibug
-from facemime.core.takes.take import save_take
+from facemime.core.takes.file import save_take
 from takes import performance
 
 
@@ -54,8 +54,8 @@ def test_an_upright_mesh_is_bound_without_a_click_and_can_be_driven(true, tmp_pa
     assert off(obj, true).mean() < 0.02
     assert read_regions(obj).any(axis=1).all()
     assert check_object(obj) == []
-    save_take(performance(), tmp_path / "take.npz")
-    assert bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.npz")) == {"FINISHED"}
+    save_take(performance(), tmp_path / "take.facetake")
+    assert bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.facetake")) == {"FINISHED"}
 
 
 def test_clicked_points_bind_a_mesh_that_lies_on_its_side_without_moving_it_in_the_scene(true):
@@ -149,10 +149,10 @@ def test_a_landmark_that_was_painted_out_of_all_regions_is_named():
 
 
 def test_the_operator_selects_the_points_that_the_function_selects(tmp_path):
-    save_take(performance(), tmp_path / "take.npz")
+    save_take(performance(), tmp_path / "take.facetake")
     obj = add_head(bpy.context)
     outcome = bpy.ops.facemime.select_control_points(
-        filepath=str(tmp_path / "take.npz"), tolerance=0.5, max_points=20, add="33", remove="0-2"
+        filepath=str(tmp_path / "take.facetake"), tolerance=0.5, max_points=20, add="33", remove="0-2"
     )
     assert outcome == {"FINISHED"}
     chosen = read_selection(obj.data)
