@@ -25,9 +25,10 @@ from .core.files import check_writable, replacing
 from .core.images import IMAGE_SUFFIXES, read_image, write_image
 from .core.landmarks import IBUG68_INDICES, N_LANDMARKS
 from .core.overlay import draw_landmarks
-from .core.pipeline import smooth_take, track_video
+from .core.pipeline import track_video
 from .core.retarget import calibrate
 from .core.takes.file import SUFFIX, load_take, save_take
+from .core.takes.smooth import smooth_take
 from .core.takes.take import Take
 from .core.tracking.tracker import FaceTracker
 from .core.version import version

@@ -14,8 +14,8 @@ from .core.deform.basis import fit_basis
 from .core.drive import INFORMED, HeadDriver
 from .core.landmarks import OUTER_EYE_CORNERS
 from .core.motion import HeadMotion, drive_take
-from .core.pipeline import smooth_take
 from .core.retarget import Mode, Neutral, calibrate
+from .core.takes.smooth import smooth_take
 from .core.takes.take import Take
 
 TOLERANCE = 0.009

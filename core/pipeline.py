@@ -1,7 +1,4 @@
-"""From a video to a take: the frames of a source through a tracker, in order, each with the media's own time.
-
-And from a take to a smooth one.
-"""
+"""From a video to a take: the frames of a source through a tracker, in order, each with the media's own time."""
 
 from __future__ import annotations
 
@@ -11,9 +8,8 @@ from pathlib import Path
 
 from .capture import VideoSource
 from .takes.file import TakeWriter
-from .takes.take import Take, TakeRecorder, describe
+from .takes.take import TakeRecorder, describe
 from .tracking.result import TrackResult
-from .tracking.smoothing import ResultSmoother
 from .tracking.tracker import FaceTracker
 
 OnFrame = Callable[[int, int, TrackResult], bool | None]
@@ -66,13 +62,3 @@ def track_video(
         except KeyboardInterrupt:
             recorder.info["interrupted"] = True
         return recorder
-
-
-def smooth_take(take: Take) -> Take:
-    """`take` with every frame smoothed as `ResultSmoother` does live; a take that is smooth already is given back."""
-    if take.info.get("smoothed"):
-        return take
-    smoother, recorder = ResultSmoother(), TakeRecorder({**take.info, "smoothed": True})
-    for frame, time in enumerate(take.times.tolist()):
-        recorder.append(time, smoother.smooth(take.result(frame), time))
-    return recorder.finish()

@@ -81,7 +81,7 @@ class Take:
             gaze=self.gaze[frame].astype(np.float64),
         )
 
-    def part(self, chosen: slice | NDArray[np.bool_]) -> Take:
+    def part(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Take:
         """The take of the chosen frames alone."""
         return replace(self, **{name: getattr(self, name)[chosen] for name in FIELDS})
 

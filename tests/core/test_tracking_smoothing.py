@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from facemime.core.apertures import LOWER_LIDS, LOWER_LIPS, UPPER_LIDS, UPPER_LIPS
 from facemime.core.landmarks import N_LANDMARKS
-from facemime.core.pipeline import smooth_take
 from facemime.core.rotation import euler_to_matrix
+from facemime.core.takes.smooth import smooth_take
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.smoothing import SHAPE_PARTS, Cutoffs, OneEuroFilter, ResultSmoother
 from facemime.core.tracking.tracker import FaceTracker
