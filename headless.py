@@ -21,6 +21,7 @@ from .blender.rendering import quiet, render_frames, set_rate, write_video
 from .console import Progress
 from .core.capture import Frame, VideoSource, at_constant_rate
 from .core.deform.greedy import GreedySelection
+from .core.drive import DriveOptions
 from .core.errors import HeadError, SourceError
 from .core.files import replacing
 from .core.images import write_image
@@ -43,8 +44,7 @@ def puppet(
     if arguments.head is None:
         set_rate(scene, float(take.info.get("fps", 25.0)))
     settings = PuppetSettings(
-        mode=arguments.mode,
-        kernel=arguments.kernel,
+        drive=DriveOptions(mode=arguments.mode, kernel=arguments.kernel),
         neutral=arguments.neutral,
         smooth=arguments.smooth,
         rotation=arguments.pose != "none",

@@ -1,9 +1,91 @@
-"""Settings that belong to the scene."""
+"""Settings that belong to the scene. Plain values for the functions that use them come from `settings.py`."""
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, PointerProperty
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
 
-from .puppet import PuppetSettings
+from .core.live.camera import list_cameras
+from .operators.shared import register_all, unregister_all
+
+
+def _cameras(self: bpy.types.PropertyGroup, context: bpy.types.Context, typed: str) -> list[str]:
+    return [str(camera) for camera in list_cameras()]
+
+
+class FacemimeSource(bpy.types.PropertyGroup):
+    """Where the face is seen."""
+
+    kind: EnumProperty(
+        name="Source",
+        description="Where the face is seen",
+        items=(
+            ("CAMERA", "Camera", "A webcam, or the stream of a telephone", "CAMERA_DATA", 0),
+            ("VIDEO", "Video", "A video file", "FILE_MOVIE", 1),
+            ("PICTURES", "Image Sequence", "The pictures of a folder, in the order of their names", "IMAGE_DATA", 2),
+            ("TAKE", "Take", "A recorded take", "ACTION", 3),
+            ("SAMPLE", "Sample Clip", "The clip that comes with Facemime: to try it without a camera", "PLAY", 4),
+        ),
+        default="SAMPLE",
+    )
+    camera: StringProperty(
+        name="Camera",
+        description="The camera's number or name, or the address of a stream, such as a telephone's",
+        default="0",
+        search=_cameras,
+        search_options={"SUGGESTION"},
+    )
+    width: IntProperty(name="Width", subtype="PIXEL", default=640, min=160, max=7680)
+    height: IntProperty(name="Height", subtype="PIXEL", default=480, min=120, max=4320)
+    rate: FloatProperty(name="Rate", description="Frames a second", default=30.0, min=1.0, max=240.0)
+    video: StringProperty(name="Video", subtype="FILE_PATH")
+    folder: StringProperty(name="Folder", subtype="DIR_PATH")
+    take: StringProperty(name="Take", subtype="FILE_PATH")
+    loop: BoolProperty(name="Loop", description="Start over at the end", default=True)
+    speed: FloatProperty(name="Speed", description="1 is as recorded", default=1.0, min=0.05, max=20.0, soft_max=4.0)
+    preview: BoolProperty(
+        name="Preview", description="Show the picture and the landmarks in the viewport's corner", default=True
+    )
+    preview_size: IntProperty(name="Size", description="Of the preview", subtype="PIXEL", default=240, min=80, max=640)
+
+
+class FacemimePosing(bpy.types.PropertyGroup):
+    """How head and eyes follow, and what takes their pose."""
+
+    rotation_strength: FloatProperty(name="Rotation", default=1.0, min=0.0, soft_max=2.0, max=10.0)
+    rotation_limit: FloatProperty(
+        name="Rotation Limit", subtype="ANGLE", default=3.141593, min=0.0, max=3.141593, precision=0, step=100
+    )
+    location_strength: FloatProperty(name="Location", default=1.0, min=0.0, soft_max=2.0, max=10.0)
+    location_limit: FloatProperty(
+        name="Location Limit", description="In eye distances of the head", default=10.0, min=0.0, max=10.0
+    )
+    eyes_strength: FloatProperty(name="Eyes", default=1.0, min=0.0, soft_max=2.0, max=10.0)
+    eyes_limit: FloatProperty(
+        name="Eyes Limit", subtype="ANGLE", default=0.5235988, min=0.0, max=1.570796, precision=0, step=100
+    )
+    object: PointerProperty(
+        name="Pose Object",
+        description="Takes the head's pose instead of the head itself: an empty, or an armature and its bone",
+        type=bpy.types.Object,
+    )
+    bone: StringProperty(name="Bone", description="Of the armature that takes the pose")
+    eye_left: PointerProperty(name="Left Eye", description="Takes the gaze", type=bpy.types.Object)
+    eye_left_bone: StringProperty(name="Left Bone")
+    eye_right: PointerProperty(name="Right Eye", description="Takes the gaze", type=bpy.types.Object)
+    eye_right_bone: StringProperty(name="Right Bone")
+
+
+class FacemimePerformer(bpy.types.PropertyGroup):
+    """A performer's calibration, by `name`."""
+
+    calibration: StringProperty(options={"HIDDEN"})
 
 
 class FacemimeSettings(bpy.types.PropertyGroup):
@@ -33,6 +115,8 @@ class FacemimeSettings(bpy.types.PropertyGroup):
     strength_upper: FloatProperty(name="Brows and Upper Lids", default=1.0, min=0.0, soft_max=2.0, max=5.0)
     strength_middle: FloatProperty(name="Cheeks and Upper Lip", default=1.0, min=0.0, soft_max=2.0, max=5.0)
     strength_lower: FloatProperty(name="Lower Lip and Chin", default=1.0, min=0.0, soft_max=2.0, max=5.0)
+    smooth: BoolProperty(name="Smooth", description="Hold still what does not move", default=True)
+    mirror: BoolProperty(name="Mirror", description="The head is the performer's mirror image", default=False)
     find_neutral: BoolProperty(
         name="Find Neutral",
         description="Find the second in which the performer's face is at rest; else say where it starts",
@@ -43,35 +127,25 @@ class FacemimeSettings(bpy.types.PropertyGroup):
     )
     rotation: BoolProperty(name="Head Rotation", description="Turn the head as the performer does", default=True)
     translation: BoolProperty(name="Head Location", description="Move the head as the performer does", default=False)
-    pose_object: PointerProperty(
-        name="Pose Object",
-        description="Takes the head's pose instead of the head itself: an empty, say",
-        type=bpy.types.Object,
+    keep_pose: BoolProperty(
+        name="Keep Pose", description="Leave the head as it is when the puppet is stopped; else it rests", default=False
     )
+    performer: IntProperty(name="Performer", default=-1, min=-1)
+    performers: CollectionProperty(type=FacemimePerformer)
+    source: PointerProperty(type=FacemimeSource)
+    posing: PointerProperty(type=FacemimePosing)
 
 
-def puppet_settings(settings: FacemimeSettings) -> PuppetSettings:
-    """The scene's settings as plain values.
-
-    Not a method: Blender 4.2 ends in a crash after an extension was removed whose property group had one.
-    """
-    return PuppetSettings(
-        mode=settings.mode,
-        kernel=settings.kernel,
-        strength=(settings.strength_upper, settings.strength_middle, settings.strength_lower),
-        neutral=None if settings.find_neutral else settings.neutral,
-        rotation=settings.rotation,
-        translation=settings.translation,
-    )
+_CLASSES = (FacemimeSource, FacemimePosing, FacemimePerformer, FacemimeSettings)
 
 
 def register() -> None:
     """Add the settings to every scene."""
-    bpy.utils.register_class(FacemimeSettings)
+    register_all(_CLASSES)
     bpy.types.Scene.facemime = PointerProperty(type=FacemimeSettings)
 
 
 def unregister() -> None:
     """Take the settings away."""
     del bpy.types.Scene.facemime
-    bpy.utils.unregister_class(FacemimeSettings)
+    unregister_all(_CLASSES)

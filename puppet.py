@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
@@ -11,10 +11,10 @@ import numpy as np
 from .blender.bake import bake_parts, bake_pose, bake_shape, clear_pose, frames_of, set_range
 from .blender.meshes import read_rig
 from .core.deform.basis import fit_basis
-from .core.drive import INFORMED, HeadDriver
+from .core.drive import DriveOptions, HeadDriver
 from .core.landmarks import OUTER_EYE_CORNERS
 from .core.motion import HeadMotion, drive_take
-from .core.retarget import Mode, Neutral, calibrate
+from .core.retarget import Neutral, calibrate
 from .core.takes.smooth import smooth_take
 from .core.takes.take import Take
 
@@ -27,11 +27,7 @@ class PuppetSettings:
 
     Attributes
     ----------
-    mode : {"3d", "planar"}
-    kernel : str
-        As for `HeadDriver`.
-    strength : tuple of float
-        Gains of the regions upper, middle and lower.
+    drive : DriveOptions
     neutral : float or None
         Seconds at which the performer's neutral second starts; None finds it.
     smooth : bool
@@ -40,11 +36,9 @@ class PuppetSettings:
         Whether the head's pose follows the performer's.
     """
 
-    mode: Mode = "3d"
-    kernel: str = INFORMED
-    strength: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    drive: DriveOptions = field(default_factory=DriveOptions)
     neutral: float | None = None
-    smooth: bool = False
+    smooth: bool = True
     rotation: bool = True
     translation: bool = False
 
@@ -81,7 +75,7 @@ def puppet_head(
     rig = read_rig(obj)
     take = smooth_take(take) if settings.smooth else take
     neutral = calibrate(take, settings.neutral)
-    driver = HeadDriver(rig, neutral, mode=settings.mode, strength=settings.strength, kernel=settings.kernel)
+    driver = HeadDriver(rig, neutral, settings.drive)
     motion = drive_take(driver, take)
     eyes = rig.vertices[rig.landmarks[OUTER_EYE_CORNERS]].astype(np.float64)
     unit = float(np.linalg.norm(eyes[0] - eyes[1]))

@@ -1,7 +1,7 @@
 """What Blender is told of: one ordered tuple of modules, registered forwards and unregistered backwards."""
 
 from . import commands, properties, session
-from .operators import control_points, facegen, head, own_head, puppet_video
+from .operators import calibrate, control_points, facegen, head, own_head, puppet, puppet_video
 from .ui import control_points as control_points_panel
 from .ui import expression as expression_panel
 from .ui import head as head_panels
@@ -15,6 +15,8 @@ _MODULES = (
     own_head,
     control_points,
     puppet_video,
+    puppet,
+    calibrate,
     menus,
     head_panels,
     control_points_panel,

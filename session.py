@@ -1,21 +1,60 @@
-"""The one thing with a lifetime: a worker thread that captures and tracks, and never touches bpy."""
+"""What has a lifetime: a worker thread that captures and tracks and never touches bpy, and what it moves.
+
+One session runs at a time. Whatever ends it (a button, ESC, another file, an undo, the extension disabled, Blender
+quitting) ends in `Session.close`.
+"""
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import threading
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
+from time import perf_counter
 
 import bpy
 from bpy.app.handlers import persistent
 
-from .core.errors import FacemimeError
+from .blender.live import LiveHeadObject
+from .core.drive import HeadFrame
+from .core.errors import FacemimeError, HeadError
+from .core.live.sources import LiveSource
+from .core.live.timing import Delays, Stopwatch
+from .core.live.worker import LiveHead, LiveOptions, LiveResult, LiveWorker, Recorder
 from .core.pipeline import track_video
+from .core.retarget import Neutral
 from .core.takes.take import Take, TakeRecorder
 from .core.tracking.result import TrackResult
 from .core.tracking.tracker import FaceTracker
 
+COUNTDOWN = 3.0
+"""Seconds between asking for a calibration and taking it."""
+_DEFAULTS = LiveOptions()
+
 
 class Session:
+    """Base: the one session that runs."""
+
+    current: Session | None = None
+
+    def __init__(self) -> None:
+        if Session.current is not None:
+            Session.current.close()
+        Session.current = self
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+        if Session.current is self:
+            Session.current = None
+
+    def abandon(self) -> None:
+        """End its threads alone, where Blender's data is gone already."""
+        self.close()
+
+
+class TrackingSession(Session):
     """Tracks a video in a thread of its own; `close` ends it at any time and keeps what was tracked.
 
     Attributes
@@ -24,18 +63,14 @@ class Session:
         Frames tracked, and frames stated by the file.
     """
 
-    current: Session | None = None
-
     def __init__(self, video: Path) -> None:
-        if Session.current is not None:
-            Session.current.close()
+        super().__init__()
         self.video = Path(video)
         self.done, self.total = 0, 0
         self._stop = threading.Event()
         self._recorder: TakeRecorder | None = None
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._work, name="facemime-tracking", daemon=True)
-        Session.current = self
         self._thread.start()
 
     @property
@@ -63,11 +98,10 @@ class Session:
         return self._recorder.finish()
 
     def close(self) -> None:
-        """End the worker and wait for it; may be called twice."""
+        """End the worker and wait for it."""
         self.stop()
         self._thread.join()
-        if Session.current is self:
-            Session.current = None
+        super().close()
 
     def _work(self) -> None:
         try:
@@ -80,18 +114,214 @@ class Session:
         return not self._stop.is_set()
 
 
+class LiveSession(Session):
+    """Moves heads by a live source, until `close`.
+
+    `step` is all that happens in Blender's main thread: it takes the worker's newest result and writes it.
+
+    Parameters
+    ----------
+    source : LiveSource
+    heads : sequence of (LiveHeadObject, LiveHead)
+        In the scene, and for the worker.
+    neutral : Neutral, optional
+        The performer's; without one the first second with a face is taken.
+    on_calibrated : callable, optional
+        Hears of a calibration that the user asked for.
+
+    Attributes
+    ----------
+    stopwatch : Stopwatch
+    keep : bool
+        Whether the heads stay as they are at the end.
+    writing : float
+        Seconds that the last `step` took in the main thread.
+    """
+
+    def __init__(
+        self,
+        source: LiveSource,
+        heads: Sequence[tuple[LiveHeadObject, LiveHead]],
+        *,
+        neutral: Neutral | None = None,
+        options: LiveOptions = _DEFAULTS,
+        on_calibrated: Callable[[Neutral], object] = lambda neutral: None,
+    ) -> None:
+        super().__init__()
+        self.stopwatch, self.keep = Stopwatch(), False
+        self._objects = [shown for shown, _ in heads]
+        self._gone: list[LiveHeadObject] = []
+        self._on_calibrated = on_calibrated
+        self._at: float | None = None
+        self._range = False
+        self._waiting = False
+        self._number = 0
+        self.worker = LiveWorker(source, neutral=neutral, heads=tuple(head for _, head in heads), options=options)
+        try:
+            for shown in self._objects:
+                shown.attach()
+        except Exception:
+            self.close()
+            raise
+        self.worker.start()
+
+    @property
+    def objects(self) -> Sequence[LiveHeadObject]:
+        """The heads in the scene."""
+        return self._objects
+
+    @property
+    def latest(self) -> LiveResult | None:
+        """The worker's newest result."""
+        return self.worker.latest
+
+    def step(self) -> bool:
+        """Show the newest result, if there is a new one; whether there was.
+
+        Raises
+        ------
+        Exception
+            What ended the worker; HeadError where a head was changed, or all are gone.
+        """
+        self._count_down()
+        latest = self.worker.latest
+        if latest is None or latest.number == self._number:
+            if self.worker.error is not None:
+                raise self.worker.error
+            return False
+        asked = perf_counter()
+        self._number = latest.number
+        for shown, frame in zip(self._objects, latest.heads, strict=False):
+            if shown not in self._gone:
+                self._write(shown, frame)
+        self._note(latest, asked)
+        return True
+
+    @property
+    def ended(self) -> bool:
+        """Whether the source has no more frames and all is shown."""
+        return not self.worker.running and self.worker.error is None
+
+    def update(self, heads: Sequence[LiveHead]) -> None:
+        """Drive the same objects by other rigs or options."""
+        self.worker.heads = tuple(heads)
+
+    def calibrate(self, *, range_of: bool = False, countdown: float = COUNTDOWN) -> None:
+        """After `countdown` seconds take the performer's neutral, or with `range_of` how far eyes and mouth go.
+
+        Raises
+        ------
+        HeadError
+            Where the range is asked for before there is a neutral.
+        """
+        if range_of and self.worker.neutral is None:
+            raise HeadError("The range needs the neutral face first. Calibrate that.")
+        self._at, self._range, self._waiting = perf_counter() + countdown, range_of, True
+        self.worker.quality = None
+
+    @property
+    def countdown(self) -> float | None:
+        """Seconds until the calibration begins, 0 while it is taken, None where none is asked for."""
+        if not self._waiting:
+            return None
+        return 0.0 if self._at is None else max(0.0, self._at - perf_counter())
+
+    def close(self) -> None:
+        """End the worker, release the source, and leave the heads as `keep` says."""
+        self.worker.close()
+        for shown in self._objects:
+            with contextlib.suppress(ReferenceError):  # the user deleted it
+                shown.detach(keep=self.keep)
+        super().close()
+
+    def abandon(self) -> None:
+        """End the worker and release the source alone."""
+        self.worker.close()
+        super().close()
+
+    def suspend(self) -> None:
+        """Put the heads back for a moment: to save the file without what is only shown."""
+        for shown in self._objects:
+            shown.detach(keep=False)
+
+    def resume(self) -> None:
+        """Show the heads again after `suspend`."""
+        for shown in self._objects:
+            shown.attach()
+        self._number = 0
+
+    def record(self, recorder: Recorder) -> None:
+        """Write what is tracked from now on."""
+        self.worker.record(recorder)
+
+    def _write(self, shown: LiveHeadObject, frame: HeadFrame) -> None:
+        try:
+            shown.write(frame)
+        except ReferenceError:  # the user deleted it
+            self._gone.append(shown)
+            if len(self._gone) == len(self._objects):
+                raise HeadError("The head was deleted.") from None
+
+    def _count_down(self) -> None:
+        if not self._waiting:
+            return
+        if self._at is not None:
+            if perf_counter() >= self._at:
+                self._at = None
+                self.worker.calibrate(range_of=self.worker.neutral if self._range else None)
+        elif not self.worker.calibrating:
+            self._waiting = False
+            if self.worker.neutral is not None and self.worker.quality is not None:
+                self._on_calibrated(self.worker.neutral)
+
+    def _note(self, latest: LiveResult, asked: float) -> None:
+        marks = (latest.taken, latest.began, latest.tracked, latest.driven, asked, perf_counter())
+        self.stopwatch.add(Delays(tuple(after - before for before, after in pairwise(marks))))
+
+
 @persistent
 def _close_current(*_: object) -> None:
     if Session.current is not None:
         Session.current.close()
 
 
+@persistent
+def _suspend(*_: object) -> None:
+    if isinstance(Session.current, LiveSession):
+        Session.current.suspend()
+
+
+@persistent
+def _resume(*_: object) -> None:
+    if isinstance(Session.current, LiveSession):
+        Session.current.resume()
+
+
+def _abandon_current() -> None:
+    if Session.current is not None:
+        Session.current.abandon()
+
+
+_HANDLERS = {
+    "load_pre": _close_current,
+    "undo_pre": _close_current,
+    "redo_pre": _close_current,
+    "save_pre": _suspend,
+    "save_post": _resume,
+    "save_post_fail": _resume,
+}
+
+
 def register() -> None:
-    """End a running session before another file is loaded."""
-    bpy.app.handlers.load_pre.append(_close_current)
+    """End a running session before another file is loaded or a step undone, and at Blender's end."""
+    for name, handler in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(handler)
+    atexit.register(_abandon_current)
 
 
 def unregister() -> None:
     """End a running session with the extension."""
     _close_current()
-    bpy.app.handlers.load_pre.remove(_close_current)
+    for name, handler in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).remove(handler)
+    atexit.unregister(_abandon_current)

@@ -47,6 +47,16 @@ def remove_curves(owner: bpy.types.ID, prefix: str) -> None:
         fcurves.remove(fcurve)
 
 
+def mute_curves(owner: bpy.types.ID, prefix: str) -> list[bpy.types.FCurve]:
+    """Silence the curves of `owner` whose data path starts with `prefix`; returns those that were not silent before."""
+    if owner.animation_data is None or owner.animation_data.action is None:
+        return []
+    audible = [fcurve for fcurve in _fcurves(owner, "") if fcurve.data_path.startswith(prefix) and not fcurve.mute]
+    for fcurve in audible:
+        fcurve.mute = True
+    return audible
+
+
 def _fcurves(owner: bpy.types.ID, name: str):
     data = owner.animation_data or owner.animation_data_create()
     if data.action is None:

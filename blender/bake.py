@@ -15,8 +15,8 @@ from .names import PART_PROPERTY
 
 BAKED_KEY_PREFIX = "Facemime "
 
-_JAW_PARTS = frozenset({"teeth_lower", "tongue"})
-_EYE_PARTS = frozenset({"eye_left", "eye_right"})
+JAW_PARTS = frozenset({"teeth_lower", "tongue"})
+EYE_PARTS = frozenset({"eye_left", "eye_right"})
 
 
 def frames_of(scene: bpy.types.Scene, times: NDArray[np.floating], start: float = 1.0) -> NDArray[np.floating]:
@@ -87,8 +87,8 @@ def bake_parts(obj: bpy.types.Object, motion: HeadMotion, frames: NDArray[np.flo
     jaw, gaze = (rotation_to_blender(r) for r in (motion.jaw, motion.gaze))
     for child in obj.children:
         part = child.get(PART_PROPERTY)
-        if part in _JAW_PARTS or part in _EYE_PARTS:
-            turns = jaw if part in _JAW_PARTS else gaze
+        if part in JAW_PARTS or part in EYE_PARTS:
+            turns = jaw if part in JAW_PARTS else gaze
             write_curves(child, f"{child.name} Motion", frames, _rotation_curves(child, turns))
 
 

@@ -13,7 +13,7 @@ from .deform.greedy import DEFAULT_TOLERANCE, GreedySelection, GreedyStep, greed
 from .drive import HeadRig
 from .errors import HeadError, SourceError
 from .landmarks import IBUG68_INDICES, N_LANDMARKS, from_ibug
-from .retarget import Neutral, Retargeter, calibrate
+from .retarget import Neutral, calibrate, retargeter_for
 from .takes.take import Take
 
 _FORMAT = "facemime-control-points-1"
@@ -45,7 +45,7 @@ def select_for_take(
     """
     neutral = calibrate(take) if neutral is None else neutral
     landmarks = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
-    retargeter = Retargeter(neutral.shape, landmarks, shut=neutral.shut)
+    retargeter = retargeter_for(neutral, landmarks)
     found = np.flatnonzero(take.found)
     motion = np.stack([retargeter.displacements(take.shape[frame]) for frame in found])
     selection = greedy_select(landmarks, motion, tolerance=tolerance, max_points=max_points, always=always, never=never)

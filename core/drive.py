@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .arrays import FloatArray, IntArray
 from .deform.expressions import informed_covariance
@@ -17,8 +17,10 @@ from .errors import HeadError
 from .eyes import EyeDriver
 from .head import load_head
 from .landmarks import N_LANDMARKS, OUTER_EYE_CORNERS, from_ibug
-from .retarget import Mode, Neutral, Retargeter
+from .posing import Posing, limited_rotation, limited_vector
+from .retarget import MIRROR_WIDTH, Mode, Neutral, retargeter_for
 from .rotation import euler_to_matrix, fit_rotation
+from .tracking.mirror import mirror_result
 from .tracking.result import TrackResult
 
 _CHIN = from_ibug(range(6, 11))
@@ -90,6 +92,34 @@ class HeadFrame:
     gaze: FloatArray
 
 
+@dataclass(frozen=True)
+class DriveOptions:
+    """How a performance moves a head.
+
+    Attributes
+    ----------
+    mode : {"3d", "planar"}
+    strength : tuple of float
+        Gains of the regions upper, middle and lower.
+    kernel : str
+        "informed" for `DEFAULT_KERNEL` with what is learnt of faces beside it, or a name of `kernels.KERNELS`; the
+        paper's is "gaussian".
+    incremental : bool
+        Fit every frame anew from the one before, as the paper does.
+    mirror : bool
+        Whether the head is the performer's mirror image.
+    posing : Posing
+        Strength and limits of head and eyes.
+    """
+
+    mode: Mode = "3d"
+    strength: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    kernel: str = INFORMED
+    incremental: bool = False
+    mirror: bool = False
+    posing: Posing = field(default_factory=Posing)
+
+
 class HeadDriver:
     """Drives one head from one performer; prepared once, then a few matrix products a frame.
 
@@ -98,56 +128,62 @@ class HeadDriver:
     rig : HeadRig
     neutral : Neutral
         The performer's, from `calibrate`.
-    mode, strength
-        As for `Retargeter`.
-    kernel : str
-        "informed" for `DEFAULT_KERNEL` with what is learnt of faces beside it, or a name of `kernels.KERNELS`; the
-        paper's is "gaussian".
-    incremental : bool
-        Fit every frame anew from the one before, as the paper does.
+    options : DriveOptions
+    like : HeadDriver, optional
+        Drove the same rig before: where its kernel is the same too, what was prepared for it is used again.
     """
 
     def __init__(
         self,
         rig: HeadRig,
         neutral: Neutral,
+        options: DriveOptions = DriveOptions(),
         *,
-        mode: Mode = "3d",
-        strength: ArrayLike = (1.0, 1.0, 1.0),
-        kernel: str = INFORMED,
-        incremental: bool = False,
+        like: HeadDriver | None = None,
     ) -> None:
         landmarks = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
         self.rig = rig
-        self.neutral = neutral
-        self.retargeter = Retargeter(neutral.shape, landmarks, mode=mode, strength=strength, shut=neutral.shut)
-        self.deformer = head_deformer(rig, kernel, incremental=incremental)
-        self.eyes = EyeDriver(neutral.gaze)
-        self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
+        self.options = options
+        self.neutral = neutral.mirrored() if options.mirror else neutral
+        self.retargeter = retargeter_for(self.neutral, landmarks, mode=options.mode, strength=options.strength)
+        self.deformer: RBFDeformer | IncrementalDeformer
+        self.contact: EyeballContact
+        if like is not None and like.rig is rig and _same_skin(like.options, options):
+            self.deformer, self.contact = like.deformer, like.contact
+        else:
+            self.deformer = head_deformer(rig, options.kernel, incremental=options.incremental)
+            self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
+        self.eyes = EyeDriver(self.neutral.gaze)
         self._chin = landmarks[_CHIN] - rig.jaw_pivot
         self._unit = float(np.linalg.norm(np.subtract(*landmarks[OUTER_EYE_CORNERS])))
 
     def frame(self, result: TrackResult) -> HeadFrame:
         """The head for one tracking result in which a face was found."""
+        result = mirror_result(result, MIRROR_WIDTH) if self.options.mirror else result
+        posing = self.options.posing
         displacements = self.retargeter.displacements(result.shape)
-        rotation = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
+        turned = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
+        rotation = limited_rotation(turned, posing.rotation, posing.rotation_limit)
         vertices = self.deformer.deform(displacements)
         self.contact.resolve(vertices)
         return HeadFrame(
             vertices=vertices,
             rotation=rotation,
-            translation=self._translation(result.pose),
+            translation=self._unit * limited_vector(self._moved(result.pose), posing.location, posing.location_limit),
             jaw=fit_rotation(self._chin, self._chin + displacements[_CHIN]),
-            gaze=self.eyes.rotation(result.gaze, rotation),
+            gaze=limited_rotation(self.eyes.rotation(result.gaze, rotation), posing.eyes, posing.eyes_limit),
         )
 
-    def _translation(self, pose: FloatArray) -> FloatArray:
-        """Weak perspective: sideways in eye distances, depth from the scale's change at an ordinary webcam distance."""
+    def _moved(self, pose: FloatArray) -> FloatArray:
+        """(3,) outer-eye distances from the neutral place: weak perspective at an ordinary webcam distance."""
         scale, tx, ty = self.neutral.position
         s = float(pose[0])
         sideways = np.array([pose[4] - tx, pose[5] - ty]) / np.sqrt(s * scale)
-        depth = _CAMERA_DISTANCE * (scale / s - 1.0)
-        return np.asarray(self._unit * np.array([*sideways, depth]))
+        return np.array([*sideways, _CAMERA_DISTANCE * (scale / s - 1.0)])
+
+
+def _same_skin(one: DriveOptions, other: DriveOptions) -> bool:
+    return one.kernel == other.kernel and not one.incremental and not other.incremental
 
 
 def built_in_rig() -> HeadRig:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +19,9 @@ from .apertures import (
     mouth_aperture,
 )
 from .arrays import FloatArray, IntArray, as_points
-from .deform.regions import REGIONS, membership
+from .deform.regions import LOWER, REGIONS, membership
 from .errors import HeadError, SourceError
-from .landmarks import BROWS, N_LANDMARKS, from_ibug
+from .landmarks import BROWS, MIRROR, N_LANDMARKS, from_ibug
 from .rotation import euler_to_matrix
 from .takes.take import Take
 
@@ -29,6 +30,10 @@ Mode = Literal["3d", "planar"]
 _MEETING_RIMS = ((UPPER_LIDS, LOWER_LIDS), (UPPER_LIPS, LOWER_LIPS))
 _NARROWEST_EYE = 0.15
 _SURELY_SHUT = 0.45
+_HARDLY_OPEN, _WIDE_OPEN, _MOST_GAIN = 0.12, 0.35, 1.4
+"""Of the mouth, outer-eye distances from neutral."""
+MIRROR_WIDTH = 1.0
+"""Pixels: the width of which a mirrored picture has its middle at x = 0, as has a mirrored `Neutral`."""
 _MOUTH_CORNERS = from_ibug((48, 54))
 
 
@@ -52,6 +57,8 @@ class Neutral:
         0, as lashes and blur keep a tracker's lids a little apart. 0 where the take shows no shut eyes.
     gaze : (2,) float64
         `(pitch, yaw)`, radians, median of the take: where the performer mostly looks. NaN where the take tells none.
+    open_mouth : float
+        Aperture of the mouth when it was opened as wide as it goes, outer-eye distances; NaN where nobody asked.
     """
 
     shape: FloatArray
@@ -61,6 +68,58 @@ class Neutral:
     end: float
     shut: float = 0.0
     gaze: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
+    open_mouth: float = np.nan
+
+    @property
+    def mouth_gain(self) -> float:
+        """By how much the lower face moves more, so that the widest opening shown opens the avatar's mouth well too."""
+        opened = self.open_mouth - float(mouth_aperture(self.shape))
+        if not opened > _HARDLY_OPEN:
+            return 1.0
+        return float(np.clip(_WIDE_OPEN / opened, 1.0, _MOST_GAIN))
+
+    def mirrored(self) -> Neutral:
+        """The neutral of the performer's mirror image; of a picture `MIRROR_WIDTH` wide, as `mirror_result` has it."""
+        flip = np.array([-1.0, 1.0, 1.0])
+        return replace(
+            self,
+            shape=(self.shape * flip)[MIRROR],
+            rotation=self.rotation * np.outer(flip, flip),
+            position=self.position * (1.0, -1.0, 1.0),
+            gaze=self.gaze * (1.0, -1.0),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain lists and numbers, for JSON; what is not known is None."""
+        return {f.name: _plain(np.asarray(getattr(self, f.name), dtype=np.float64)) for f in fields(self)}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Neutral:
+        """From what `to_dict` gave.
+
+        Raises
+        ------
+        SourceError
+            Where something is missing, has another shape, or is no number.
+        """
+        shapes = {"shape": (N_LANDMARKS, 3), "rotation": (3, 3), "position": (3,), "gaze": (2,)}
+        values: dict[str, Any] = {}
+        for name in (f.name for f in fields(cls)):
+            try:
+                value = np.array(data[name], dtype=np.float64)
+            except (KeyError, TypeError, ValueError) as error:
+                raise SourceError(f"The stored calibration is damaged ({name}). Calibrate again.") from error
+            known = name in ("gaze", "open_mouth") or np.isfinite(value).all()
+            if value.shape != shapes.get(name, ()) or not known:
+                raise SourceError(f"The stored calibration is damaged ({name}). Calibrate again.")
+            values[name] = value if name in shapes else float(value)
+        return cls(**values)
+
+
+def _plain(value: FloatArray) -> Any:
+    if value.ndim:
+        return [_plain(item) for item in value]
+    return float(value) if np.isfinite(value) else None
 
 
 def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> Neutral:
@@ -103,13 +162,13 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
         position=np.median(take.pose[take.found][:, [0, 4, 5]], axis=0),
         start=float(take.times[chosen][0]),
         end=float(take.times[chosen][-1]),
-        shut=_shut(neutral, take.shape[take.found].astype(np.float64)),
+        shut=shut_level(neutral, take.shape[take.found].astype(np.float64)),
         gaze=_usual_gaze(take.gaze[take.found].astype(np.float64)),
     )
 
 
-def _shut(neutral: FloatArray, shapes: FloatArray) -> float:
-    """The fraction of the neutral opening that is left when the eyes of (N, 66, 3) shapes are most closed.
+def shut_level(neutral: FloatArray, shapes: FloatArray) -> float:
+    """`Neutral.shut`: the fraction of the neutral opening left when the eyes of (N, 66, 3) shapes are most closed.
 
     The third smallest opening: a blink lasts some frames at any usual rate, a misplaced lid one or two.
     """
@@ -174,6 +233,8 @@ class Retargeter:
         Gain of the regions upper, middle and lower.
     shut : float
         As in `Neutral`: where the performer's lids stop, the avatar's meet.
+    mouth_gain : float
+        As in `Neutral`: what the lower region's motion down and up is multiplied by beside its strength.
 
     Notes
     -----
@@ -190,6 +251,7 @@ class Retargeter:
         mode: Mode = "3d",
         strength: ArrayLike = (1.0, 1.0, 1.0),
         shut: float = 0.0,
+        mouth_gain: float = 1.0,
     ) -> None:
         if mode not in ("3d", "planar"):
             raise HeadError(f'mode must be "3d" or "planar"; got {mode!r}.')
@@ -199,6 +261,7 @@ class Retargeter:
         gains = np.asarray(strength, dtype=np.float64)
         members = membership()
         self.scale *= ((members * gains[:, None]).sum(axis=0) / members.sum(axis=0))[:, None]
+        self.scale[REGIONS[LOWER].landmarks, 1] *= mouth_gain
         self._rest_heights = self.head_landmarks[:, 1]
         self._open = lid_gaps(self.neutral)
         self._closing_gain = self.scale[UPPER_LIDS, 1] * shut / (1.0 - shut)
@@ -219,6 +282,14 @@ class Retargeter:
         for upper, lower in _MEETING_RIMS:
             _keep_apart(moved, upper, lower, self._rest_heights)
         return moved
+
+
+def retargeter_for(
+    neutral: Neutral, head_landmarks: ArrayLike, *, mode: Mode = "3d", strength: ArrayLike = (1.0, 1.0, 1.0)
+) -> Retargeter:
+    """The retargeter that knows all that `neutral` tells; the rest as for `Retargeter`."""
+    gain = neutral.mouth_gain
+    return Retargeter(neutral.shape, head_landmarks, mode=mode, strength=strength, shut=neutral.shut, mouth_gain=gain)
 
 
 def _keep_apart(moved: FloatArray, upper: IntArray, lower: IntArray, rest: FloatArray) -> None:

@@ -10,7 +10,7 @@ from ..core.control_points import parse_landmarks, select_for_take
 from ..core.landmarks import N_LANDMARKS
 from ..core.retarget import calibrate
 from ..core.takes.file import load_take
-from ..properties import puppet_settings
+from ..settings import puppet_settings
 from .shared import AsksForFile, OnMesh, register_all, unregister_all
 
 

@@ -8,9 +8,9 @@ from bpy.props import StringProperty
 from ..blender.meshes import is_head, read_rig
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
-from ..properties import puppet_settings
 from ..puppet import puppet_head, puppet_heads
-from ..session import Session
+from ..session import TrackingSession
+from ..settings import puppet_settings
 from .shared import AsksForFile, ReportsErrors, in_object_mode
 
 _TICK = 0.1
@@ -26,7 +26,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, ReportsErrors, bpy.types.Operator):
     filepath: StringProperty(name="Video", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.mp4;*.mov;*.avi;*.mkv;*.webm;*.m4v;*.facetake", options={"HIDDEN"})
 
-    _session: Session | None = None
+    _session: TrackingSession | None = None
     _timer: bpy.types.Timer | None = None
     _head: str = ""
 
@@ -50,7 +50,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, ReportsErrors, bpy.types.Operator):
         path = Path(bpy.path.abspath(self.filepath))
         if path.suffix == SUFFIX:
             return self.bake(context, context.active_object, load_take(path))
-        self._session = Session(path)
+        self._session = TrackingSession(path)
         self._head = context.active_object.name
         if bpy.app.background:
             return self.finish(context)
@@ -86,7 +86,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, ReportsErrors, bpy.types.Operator):
         """Bake `take` to `head`, and to the other selected heads, and say what came out."""
         settings = context.scene.facemime
         others = [obj for obj in context.selected_objects if obj != head and is_head(obj)]
-        report = puppet_head(context.scene, head, take, puppet_settings(settings), settings.pose_object)
+        report = puppet_head(context.scene, head, take, puppet_settings(settings), settings.posing.object)
         puppet_heads(context.scene, others, take, puppet_settings(settings))
         lost = len(take) - int(take.found.sum())
         self.report(

@@ -21,7 +21,7 @@ class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
         column = layout.column(heading="Head Pose")
         column.prop(settings, "rotation", text="Rotation")
         column.prop(settings, "translation", text="Location")
-        column.prop(settings, "pose_object", text="On")
+        column.prop(settings.posing, "object", text="On")
         column = layout.column(align=True, heading="Neutral")
         column.prop(settings, "find_neutral", text="Find")
         row = column.row()

@@ -13,7 +13,7 @@ from facemime.blender.head import add_head
 from facemime.core.takes.file import load_take, save_take
 from facemime.operators.puppet_video import FACEMIME_OT_puppet_video
 from facemime.puppet import puppet_head
-from facemime.session import Session
+from facemime.session import Session, TrackingSession
 from takes import performance
 
 SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
@@ -93,7 +93,7 @@ def test_without_a_mesh_the_button_is_grey():
 
 
 def test_a_session_that_is_stopped_keeps_what_it_tracked():
-    session = Session(SAMPLE)
+    session = TrackingSession(SAMPLE)
     while session.running and session.done < 5:
         pass
     session.stop()
@@ -105,7 +105,7 @@ def test_a_session_that_is_stopped_keeps_what_it_tracked():
 
 
 def test_loading_a_file_ends_the_session():
-    session = Session(SAMPLE)
+    session = TrackingSession(SAMPLE)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     assert not session.running and Session.current is None
 
@@ -115,7 +115,10 @@ def test_ticks_of_the_timer_lead_from_tracking_to_the_bake(monkeypatch):
     bpy.ops.facemime.add_head()
     reports = []
     operator = SimpleNamespace(
-        _session=Session(SAMPLE), _head=bpy.context.active_object.name, _timer=None, report=lambda *a: reports.append(a)
+        _session=TrackingSession(SAMPLE),
+        _head=bpy.context.active_object.name,
+        _timer=None,
+        report=lambda *a: reports.append(a),
     )
     for name in ("modal", "finish", "bake", "cancel", "reporting"):
         method = getattr(FACEMIME_OT_puppet_video, name)

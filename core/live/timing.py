@@ -1,0 +1,76 @@
+"""How long the steps of a live frame take, and which of them is slow."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from ..arrays import FloatArray
+
+STAGES = ("wait", "track", "drive", "hand over", "write")
+"""Until the worker takes the frame; landmarks; vertices; until Blender's main thread asks; into the mesh."""
+_KEPT = 300
+_RECENT = 2.0
+_NOTABLE = 0.004
+
+
+@dataclass(frozen=True)
+class Delays:
+    """Seconds of one frame, from when the camera had it to when it was written, by stage of `STAGES`."""
+
+    stages: tuple[float, ...]
+
+    @property
+    def total(self) -> float:
+        """Camera to vertices."""
+        return sum(self.stages)
+
+
+class Stopwatch:
+    """The delays of the last frames; one thread adds, any reads."""
+
+    def __init__(self) -> None:
+        self._delays: deque[tuple[float, ...]] = deque(maxlen=_KEPT)
+        self._when: deque[float] = deque(maxlen=_KEPT)
+
+    def add(self, delays: Delays) -> None:
+        """Note one frame."""
+        self._delays.append(delays.stages)
+        self._when.append(perf_counter())
+
+    def __len__(self) -> int:
+        return len(self._delays)
+
+    @property
+    def latency(self) -> float:
+        """Median seconds from the camera to the vertices; NaN before the first frame."""
+        return float(np.median(self._table().sum(axis=1))) if self._delays else float("nan")
+
+    @property
+    def rate(self) -> float:
+        """Frames a second that reached the mesh lately."""
+        since = perf_counter() - _RECENT
+        return sum(when > since for when in tuple(self._when)) / _RECENT
+
+    def medians(self) -> Mapping[str, float]:
+        """Median seconds of each stage; empty before the first frame."""
+        return dict(zip(STAGES, np.median(self._table(), axis=0).tolist(), strict=True)) if self._delays else {}
+
+    def percentiles(self, *wanted: float) -> Mapping[str, tuple[float, ...]]:
+        """Seconds of each stage, and of "total", at the `wanted` percentiles."""
+        table = self._table()
+        rows = np.percentile(np.column_stack([table, table.sum(axis=1)]), wanted, axis=0).T
+        return {name: tuple(row) for name, row in zip((*STAGES, "total"), rows.tolist(), strict=True)}
+
+    def slowest(self) -> str:
+        """The stage that takes longest, where it takes long enough to be worth naming; else ""."""
+        medians = self.medians()
+        name = max(medians, key=lambda stage: medians[stage], default="")
+        return name if name and medians[name] > _NOTABLE else ""
+
+    def _table(self) -> FloatArray:
+        return np.array(tuple(self._delays), dtype=np.float64).reshape(-1, len(STAGES))

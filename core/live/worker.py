@@ -1,0 +1,290 @@
+"""The worker of a live session: takes the newest frame, tracks it, drives the heads, and leaves the result to be taken.
+
+It runs in a thread of its own and knows nothing of Blender. What the user sets reaches it as whole values, assigned at
+once; what it finds leaves it the same way, so neither side waits for the other.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..drive import DriveOptions, HeadDriver, HeadFrame, HeadRig
+from ..errors import FacemimeError, OutputError
+from ..overlay import preview_of
+from ..retarget import Neutral
+from ..tracking.result import TrackResult
+from ..tracking.smoothing import ResultSmoother
+from ..tracking.tracker import FaceTracker
+from .calibration import NeutralCalibration, Quality, RangeCalibration
+from .sources import LiveFrame, LiveSource
+
+_PATIENCE = 0.1
+
+
+class Recorder(Protocol):
+    """What a recording needs: `takes.writer.TakeWriter`."""
+
+    def append(self, time: float, result: TrackResult) -> None:
+        """Take in a frame."""
+
+    def close(self) -> None:
+        """End the recording."""
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """What may change while a session runs.
+
+    Attributes
+    ----------
+    smooth : bool
+        Whether one-euro filters run behind the tracker.
+    preview : int
+        Width of the annotated picture in pixels; 0 for none.
+    """
+
+    smooth: bool = True
+    preview: int = 0
+
+
+@dataclass(frozen=True)
+class LiveResult:
+    """What one frame gave.
+
+    Attributes
+    ----------
+    number : int
+        Grows by 1 with each frame.
+    time : float
+        Seconds of the source.
+    result : TrackResult
+        Smoothed as asked.
+    heads : tuple of HeadFrame
+        In the order of the heads asked for; empty where no face was found.
+    taken, began, tracked, driven : float
+        `time.perf_counter()` when the frame was there, the worker had it, had the landmarks, had the heads.
+    preview : (H, W, 4) float32 or None
+        RGBA, 0 to 1, the last row first, as graphics cards want it.
+    """
+
+    number: int
+    time: float
+    result: TrackResult
+    heads: tuple[HeadFrame, ...]
+    taken: float
+    began: float
+    tracked: float
+    driven: float
+    preview: NDArray[np.float32] | None = None
+
+
+@dataclass
+class Counts:
+    """Frames so far: `tracked` of them `lost`, and `dropped` before they could be tracked."""
+
+    tracked: int = 0
+    lost: int = 0
+    dropped: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class LiveHead:
+    """A head to drive: its rig, and how. A rig that was read anew is another one, and its driver is prepared again."""
+
+    rig: HeadRig
+    options: DriveOptions = field(default_factory=DriveOptions)
+
+
+class LiveWorker:
+    """Tracks a source in a thread until `close`, the source's end, or an error before the first frame.
+
+    Parameters
+    ----------
+    source : LiveSource
+        Closed with the worker.
+    neutral : Neutral, optional
+        The performer's. Without one the first second with a face is taken.
+    load_tracker : callable
+        Gives the tracker; called in the thread, as that takes a moment.
+
+    Attributes
+    ----------
+    options : LiveOptions
+        May be assigned at any time, as may `heads`.
+    latest : LiveResult or None
+    counts : Counts
+    message : str
+        What keeps frames from coming; "" while all is well.
+    error : Exception or None
+        What ended the worker.
+    recording_error : OutputError or None
+        What ended a recording; what was written before is safe.
+    quality : Quality or None
+        Of the last calibration.
+    """
+
+    def __init__(
+        self,
+        source: LiveSource,
+        *,
+        neutral: Neutral | None = None,
+        heads: tuple[LiveHead, ...] = (),
+        options: LiveOptions = LiveOptions(),
+        load_tracker: Callable[[], FaceTracker] = FaceTracker.load,
+    ) -> None:
+        self.source, self.heads, self.options = source, heads, options
+        self.latest: LiveResult | None = None
+        self.counts = Counts()
+        self.message = ""
+        self.error: Exception | None = None
+        self.recording_error: OutputError | None = None
+        self.quality: Quality | None = None
+        self.neutral = neutral
+        self._load_tracker = load_tracker
+        self._calibration: NeutralCalibration | RangeCalibration | None = None
+        self._first = None if neutral is not None else NeutralCalibration()
+        self._recorder: Recorder | None = None
+        self._recording = threading.Lock()
+        self._drivers: list[HeadDriver] = []
+        self._driven_heads: tuple[LiveHead, ...] = ()
+        self._driven_by: Neutral | None = None
+        self._smoother = ResultSmoother()
+        self._size: tuple[int, ...] = ()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="facemime-live", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether the thread is still at it."""
+        return self._thread.is_alive()
+
+    @property
+    def calibrating(self) -> bool:
+        """Whether a calibration that was asked for is under way."""
+        return self._calibration is not None
+
+    def close(self) -> None:
+        """End the thread, the source and a recording; may be called twice, and before `start`."""
+        self._stop.set()
+        self.source.close()
+        if self._thread.is_alive():
+            self._thread.join()
+        self.stop_recording()
+
+    def calibrate(self, *, range_of: Neutral | None = None) -> None:
+        """Take the next second as the performer's neutral, or the next seconds as the range of `range_of`."""
+        self.quality = None
+        self._calibration = NeutralCalibration() if range_of is None else RangeCalibration(range_of)
+
+    def record(self, recorder: Recorder) -> None:
+        """Write every frame from now on to `recorder`, which is closed with the recording."""
+        self.stop_recording()
+        with self._recording:
+            self._recorder = recorder
+
+    def stop_recording(self) -> None:
+        """End the recording, if there is one; OutputError where its end cannot be written."""
+        with self._recording:
+            recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            recorder.close()
+
+    def _work(self) -> None:
+        try:
+            tracker = self._load_tracker()
+            while not self._stop.is_set() and not self.source.ended:
+                frame = self._read()
+                if frame is not None:
+                    self._frame(tracker, frame)
+        except Exception as error:  # for the thread that asks
+            self.error = error
+
+    def _read(self) -> LiveFrame | None:
+        try:
+            frame = self.source.read(_PATIENCE)
+        except FacemimeError as error:
+            if self.counts.tracked == 0:
+                raise
+            self.message = str(error)
+            return None
+        if frame is not None:
+            self.message = ""
+            self.counts.dropped += frame.dropped
+        return frame
+
+    def _frame(self, tracker: FaceTracker, frame: LiveFrame) -> None:
+        began = perf_counter()
+        options = self.options
+        seen = self._tracked(tracker, frame)
+        self._record(frame.time, seen)
+        result = self._smoother.smooth(seen, frame.time) if options.smooth else seen
+        if not options.smooth:
+            self._smoother.reset()
+        tracked = perf_counter()
+        self._calibrate(frame.time, result)
+        heads = self._driven(result)
+        driven = perf_counter()
+        preview = preview_of(frame.image, result, options.preview) if options.preview else None
+        self.counts.tracked += 1
+        self.counts.lost += not result.found
+        self.latest = LiveResult(
+            self.counts.tracked, frame.time, result, heads, frame.taken, began, tracked, driven, preview
+        )
+
+    def _tracked(self, tracker: FaceTracker, frame: LiveFrame) -> TrackResult:
+        if frame.result is not None:
+            return frame.result
+        assert frame.image is not None
+        if frame.image.shape != self._size:
+            tracker.reset()
+            self._size = frame.image.shape
+        return tracker.track(frame.image)
+
+    def _record(self, time: float, result: TrackResult) -> None:
+        with self._recording:
+            if self._recorder is None:
+                return
+            try:
+                self._recorder.append(time, result)
+            except OutputError as error:
+                self._recorder = None
+                self.recording_error = error
+
+    def _calibrate(self, time: float, result: TrackResult) -> None:
+        """Feed the calibration that was asked for; without a neutral, the first one, from where a face is found."""
+        asked = self._calibration
+        if asked is not None and asked.add(time, result):
+            self._calibration = None
+            self.quality = asked.quality()
+            try:
+                self.neutral = asked.neutral()
+            except FacemimeError as error:
+                self.quality = Quality(False, str(error))
+        if self.neutral is not None:
+            self._first = None
+        elif self._first is not None and (result.found or len(self._first)) and self._first.add(time, result):
+            self.neutral, self._first = self._first.neutral(), None
+
+    def _driven(self, result: TrackResult) -> tuple[HeadFrame, ...]:
+        if self.neutral is None or not result.found:
+            return ()
+        if self._driven_heads is not self.heads or self._driven_by is not self.neutral:
+            self._prepare(self.heads, self.neutral)
+        return tuple(driver.frame(result) for driver in self._drivers)
+
+    def _prepare(self, heads: tuple[LiveHead, ...], neutral: Neutral) -> None:
+        """Drivers for `heads`; where one is the same but for its options, its costly parts are taken over."""
+        before = {id(driver.rig): driver for driver in self._drivers}
+        self._drivers = [HeadDriver(head.rig, neutral, head.options, like=before.get(id(head.rig))) for head in heads]
+        self._driven_heads, self._driven_by = heads, neutral

@@ -1,0 +1,200 @@
+"""Puppet the heads live: by a camera, a video, pictures or a take."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import bpy
+
+from ..core.errors import FacemimeError
+from ..live import follow_rigs, follow_settings, heads_in, start_session
+from ..session import LiveSession, Session
+from .shared import ReportsErrors, register_all, unregister_all
+
+_TICK = 1.0 / 60.0
+_STATUS = 0.25
+
+
+def running() -> LiveSession | None:
+    """The live session that runs."""
+    return Session.current if isinstance(Session.current, LiveSession) else None
+
+
+class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
+    """Move the active and the selected heads by the face in the source, until stopped; ESC over the viewport stops."""
+
+    bl_idname = "facemime.puppet"
+    bl_label = "Start Puppet"
+    bl_options = {"REGISTER"}
+
+    instance: ClassVar[FACEMIME_OT_puppet | None] = None
+    """The operator that runs; Blender itself keeps it only where there is a window."""
+
+    _session: LiveSession | None = None
+    _timer: bpy.types.Timer | None = None
+    _scene = ""
+    _clicked = False
+    _told = 0.0
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only with a head chosen, not in Edit mode, and while nothing else runs."""
+        if Session.current is not None:
+            cls.poll_message_set("It is running already. Stop it first")
+            return False
+        if context.mode == "EDIT_MESH":
+            cls.poll_message_set("Leave Edit mode first")
+            return False
+        if not heads_in(context):
+            cls.poll_message_set("Select a head, or add one: step Head, above")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Begin, and go on with every tick of a timer."""
+        return self.reporting(self.start, context)
+
+    def start(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        if not context.scene.facemime.keep_pose:
+            # So that an undo while it runs undoes the session and not what came before.
+            bpy.ops.ed.undo_push(message="Puppet")
+        self._session = start_session(context.scene, heads_in(context))
+        self._scene = context.scene.name
+        FACEMIME_OT_puppet.instance = self
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(_TICK, window=context.window)
+        manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """One tick, or the end; everything else passes."""
+        if self._session is None or Session.current is not self._session:
+            return self.finish(context)
+        if event.type == "ESC" and event.value == "PRESS" and _over_viewport(context, event):
+            return self.finish(context)
+        if event.type == "Z" and event.value == "PRESS" and (event.ctrl or event.oskey):
+            self._session.keep = False
+            return self.finish(context)
+        if event.value in ("PRESS", "CLICK"):
+            self._clicked = True
+        if event.type == "TIMER":
+            return self.reporting(self.tick, context)
+        return {"PASS_THROUGH"}
+
+    def reporting(self, work, context: bpy.types.Context) -> set[str]:
+        """As everywhere, but the session ends with the error."""
+        try:
+            return work(context)
+        except FacemimeError as error:
+            self.finish(context)
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        except Exception:
+            self.finish(context)
+            raise
+
+    def tick(self, context: bpy.types.Context) -> set[str]:
+        """Show the newest result and follow the settings."""
+        session = self._session
+        if (scene := bpy.data.scenes.get(self._scene)) is not None:
+            follow_settings(session, scene.facemime)
+        if self._clicked and not _painting(context):
+            self._clicked = False
+            follow_rigs(session)
+        if session.step():
+            _redraw(context, "WINDOW")
+        if session.ended:
+            return self.finish(context)
+        if abs(self._timer_seconds() - self._told) > _STATUS:
+            self._told = self._timer_seconds()
+            _redraw(context, "UI")
+        return {"PASS_THROUGH"}
+
+    def finish(self, context: bpy.types.Context) -> set[str]:
+        """End the session and the timer, one undo step where the heads keep their pose."""
+        session = self._session
+        kept = session is not None and session.keep and Session.current is session
+        self.cancel(context)
+        if kept:
+            bpy.ops.ed.undo_push(message="Puppet")
+        _redraw(context, "UI")
+        return {"FINISHED"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """End the session and the timer; may be called twice."""
+        if self._session is not None:
+            self._session.close()
+        self._session = None
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+        self._timer = None
+        FACEMIME_OT_puppet.instance = None
+
+    def _timer_seconds(self) -> float:
+        return float(self._timer.time_duration) if self._timer is not None else 0.0
+
+
+class FACEMIME_OT_stop_puppet(bpy.types.Operator):
+    """Stop the puppet; the heads rest again, or stay as they are where Keep Pose is on."""
+
+    bl_idname = "facemime.stop_puppet"
+    bl_label = "Stop Puppet"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only while it runs."""
+        if running() is None:
+            cls.poll_message_set("Nothing is running")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """End the session; the modal operator ends with its next tick."""
+        if FACEMIME_OT_puppet.instance is not None:
+            return FACEMIME_OT_puppet.instance.finish(context)
+        Session.current.close()
+        return {"FINISHED"}
+
+
+def _over_viewport(context: bpy.types.Context, event: bpy.types.Event) -> bool:
+    if context.screen is None:
+        return False
+    return any(
+        region.type == "WINDOW"
+        and 0 <= event.mouse_x - region.x < region.width
+        and 0 <= event.mouse_y - region.y < region.height
+        for area in context.screen.areas
+        if area.type == "VIEW_3D"
+        for region in area.regions
+    )
+
+
+def _painting(context: bpy.types.Context) -> bool:
+    """Whether a stroke of a brush is under way."""
+    window = context.window
+    return window is not None and any(op.bl_idname.startswith("PAINT_OT") for op in window.modal_operators)
+
+
+def _redraw(context: bpy.types.Context, kind: str) -> None:
+    """Draw the 3D viewports of all windows anew, "WINDOW", or their sidebars, "UI"."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                for region in area.regions:
+                    if region.type == kind:
+                        region.tag_redraw()
+
+
+_CLASSES = (FACEMIME_OT_puppet, FACEMIME_OT_stop_puppet)
+
+
+def register() -> None:
+    """Register the operators."""
+    register_all(_CLASSES)
+
+
+def unregister() -> None:
+    """Unregister the operators."""
+    unregister_all(_CLASSES)

@@ -1,0 +1,153 @@
+"""The scene's settings as the plain values that functions take.
+
+Functions, not methods of the property groups: Blender 4.2 ends in a crash after an extension was removed whose property
+group had one.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import bpy
+
+from .blender.targets import PoseTarget
+from .core.drive import DriveOptions
+from .core.errors import FacemimeError, SourceError
+from .core.live.camera import Camera, CameraSettings, device_of, list_cameras
+from .core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
+from .core.posing import Posing
+from .core.retarget import Neutral
+from .core.takes.file import load_take
+from .properties import FacemimePosing, FacemimeSettings, FacemimeSource
+from .puppet import PuppetSettings
+
+SAMPLE = Path(__file__).parent / "assets" / "sample" / "sample.mp4"
+
+
+def drive_options(settings: FacemimeSettings) -> DriveOptions:
+    """How a frame moves a head."""
+    posing = settings.posing
+    return DriveOptions(
+        mode=settings.mode,
+        strength=(settings.strength_upper, settings.strength_middle, settings.strength_lower),
+        kernel=settings.kernel,
+        mirror=settings.mirror,
+        posing=Posing(
+            rotation=posing.rotation_strength,
+            rotation_limit=posing.rotation_limit,
+            location=posing.location_strength,
+            location_limit=posing.location_limit,
+            eyes=posing.eyes_strength,
+            eyes_limit=posing.eyes_limit,
+        ),
+    )
+
+
+def puppet_settings(settings: FacemimeSettings) -> PuppetSettings:
+    """How a take is baked."""
+    return PuppetSettings(
+        drive=drive_options(settings),
+        neutral=None if settings.find_neutral else settings.neutral,
+        smooth=settings.smooth,
+        rotation=settings.rotation,
+        translation=settings.translation,
+    )
+
+
+def open_source(source: FacemimeSource) -> LiveSource:
+    """What a live session is to look at.
+
+    Raises
+    ------
+    SourceError
+        Where nothing is chosen, or what is chosen is not there. A camera is opened only by its first `read`.
+    """
+    playing = {"loop": source.loop, "speed": source.speed}
+    if source.kind == "CAMERA":
+        return _camera(source)
+    if source.kind == "SAMPLE":
+        return VideoPlayer(SAMPLE, **playing)
+    if source.kind == "VIDEO":
+        return VideoPlayer(_chosen(source.video, "video"), **playing)
+    if source.kind == "PICTURES":
+        return PicturePlayer(_chosen(source.folder, "folder of pictures"), rate=source.rate, **playing)
+    path = _chosen(source.take, "take")
+    return TakePlayer(load_take(path), path.name, **playing)
+
+
+def _camera(source: FacemimeSource) -> Camera:
+    device = device_of(source.camera, list_cameras())
+    if not device:
+        raise SourceError("No camera is named. Give its number: 0 is the first.")
+    if "://" in device and not bpy.app.online_access:
+        raise SourceError(
+            f"{device} is on the network, and Blender may not go there. Allow Online Access in Preferences > System."
+        )
+    return Camera(CameraSettings(device, source.width, source.height, source.rate))
+
+
+def _chosen(path: str, what: str) -> Path:
+    if not path:
+        raise SourceError(f"No {what} is chosen. Choose one under Source.")
+    return Path(bpy.path.abspath(path))
+
+
+def pose_targets(posing: FacemimePosing, head: bpy.types.Object) -> dict[str, PoseTarget]:
+    """What takes the pose of the head, "head", and where they are named of the eyes, "eye_left" and "eye_right".
+
+    Raises
+    ------
+    HeadError
+        Where a bone is named that the object does not have.
+    """
+    targets = {"head": PoseTarget.of(posing.object or head, posing.bone if posing.object else "")}
+    for eye in ("eye_left", "eye_right"):
+        if (obj := getattr(posing, eye)) is not None:
+            targets[eye] = PoseTarget.of(obj, getattr(posing, f"{eye}_bone"))
+    return targets
+
+
+def read_calibration(settings: FacemimeSettings) -> Neutral | None:
+    """The neutral of the performer who is chosen; None where nobody is, or calibrated nothing yet.
+
+    Raises
+    ------
+    SourceError
+        Where what is stored is damaged.
+    """
+    if not 0 <= settings.performer < len(settings.performers):
+        return None
+    text = settings.performers[settings.performer].calibration
+    if not text:
+        return None
+    try:
+        return Neutral.from_dict(json.loads(text))
+    except ValueError as error:
+        raise SourceError("The stored calibration is damaged. Calibrate again.") from error
+
+
+def write_calibration(settings: FacemimeSettings, neutral: Neutral) -> str:
+    """Keep `neutral` for the performer who is chosen, or for a new one; returns the performer's name."""
+    if not 0 <= settings.performer < len(settings.performers):
+        add_performer(settings)
+    performer = settings.performers[settings.performer]
+    performer.calibration = json.dumps(neutral.to_dict())
+    return str(performer.name)
+
+
+def add_performer(settings: FacemimeSettings, name: str = "") -> None:
+    """Add a performer, who is chosen then."""
+    taken = {performer.name for performer in settings.performers}
+    performer = settings.performers.add()
+    number = len(settings.performers)
+    performer.name = name or next(f"Performer {n}" for n in range(number, number + 99) if f"Performer {n}" not in taken)
+    settings.performer = len(settings.performers) - 1
+
+
+def remove_performer(settings: FacemimeSettings) -> None:
+    """Remove the performer who is chosen."""
+    if not 0 <= settings.performer < len(settings.performers):
+        raise FacemimeError("No performer is chosen.")
+    settings.performers.remove(settings.performer)
+    settings.performer = min(settings.performer, len(settings.performers) - 1)
