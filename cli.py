@@ -15,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .cli_takes import add_commands as add_take_commands
+from .cli_takes import load_telling
 from .console import Progress
 from .core.control_points import from_json, parse_landmarks, select_for_take, to_json
 from .core.deform.kernels import KERNELS
@@ -91,6 +93,8 @@ def _parser() -> argparse.ArgumentParser:
     select.add_argument("--remove", default="", metavar="0-3,30", help="landmarks never to have")
     select.add_argument("--neutral", type=float, metavar="SECONDS", help="where the neutral second starts; else found")
     select.set_defaults(run=run_select)
+
+    add_take_commands(commands)
     return parser
 
 
@@ -163,7 +167,7 @@ def run_puppet(arguments: argparse.Namespace) -> int:
     points = None if arguments.points is None else from_json(_text(arguments.points))
     scene, head = headless.open_head(arguments.head, points)
     if arguments.source.suffix == SUFFIX:
-        take = _load(arguments.source)
+        take = load_telling(arguments.source)
         if arguments.take is not None:
             save_take(take, arguments.take)
         headless.puppet(arguments, scene, head, take, None)
@@ -186,7 +190,7 @@ def run_select(arguments: argparse.Namespace) -> int:
         check_writable(arguments.output, {".json"})
     if not arguments.tolerance > 0:
         raise FacemimeError(f"The tolerance must be above 0 %; got {arguments.tolerance}.")
-    take = _load(arguments.take)
+    take = load_telling(arguments.take)
     selection = select_for_take(
         built_in_rig(),
         take,
@@ -218,13 +222,6 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise SourceError(f"{path} cannot be read ({error}). Give a file that facemime select -o wrote.") from error
-
-
-def _load(path: Path) -> Take:
-    take = load_take(path)
-    if told := take.info.get("recovered"):
-        print(f"facemime: {path}: {told}", file=sys.stderr)
-    return take
 
 
 def _track(video: Path, unfinished: Path) -> Take:

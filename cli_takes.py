@@ -1,0 +1,141 @@
+"""The commands of `facemime` that work on takes: mend, export, import."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from .core.errors import FacemimeError
+from .core.files import check_writable
+from .core.images import write_image
+from .core.takes.figure import draw_before_after
+from .core.takes.file import SUFFIX, load_take, save_take
+from .core.takes.mend import bridge_gaps, mirror_take, remove_outliers, renew_neutral
+from .core.takes.smooth import CUTOFFS, smooth_take, smooth_zero_phase
+from .core.takes.spreadsheet import from_csv, to_csv
+from .core.takes.take import Take
+from .core.takes.timing import punch_in, resample, shift_time, trim
+from .core.tracking.tracker import FaceTracker
+
+Commands = argparse._SubParsersAction  # argparse names the type of what add_subparsers gives in no other way
+
+
+def add_commands(commands: Commands) -> None:
+    """Make the commands known to the parser."""
+    mend = commands.add_parser("mend", help="mend a take: gaps, outliers, noise, times; done in the order listed")
+    mend.add_argument("take", type=Path, metavar="TAKE.facetake")
+    mend.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.facetake")
+    mend.add_argument("--punch-in", type=Path, metavar="OTHER.facetake", help="put a part of another take in")
+    mend.add_argument("--at", metavar="A:B", help="seconds of the part that is put in; by default all of it")
+    mend.add_argument("--blend", type=float, default=0.2, metavar="S", help="over which it passes over (0.2)")
+    mend.add_argument("--outliers", action="store_true", help="drop frames that jump out of line")
+    gaps = mend.add_mutually_exclusive_group()
+    gaps.add_argument("--bridge", action="store_true", help="move through gaps without a face")
+    gaps.add_argument("--hold", action="store_true", help="stay still through gaps without a face")
+    mend.add_argument("--longest", type=float, default=1.0, metavar="S", help="longest gap to be filled (1)")
+    mend.add_argument("--smooth", choices=("one-euro", "zero-phase"), help="as it is done live, or without delay")
+    mend.add_argument("--cutoff", default="", metavar="PART=HZ,...", help=f"for zero-phase; {', '.join(CUTOFFS)}")
+    mend.add_argument("--mirror", action="store_true", help="swap left and right")
+    mend.add_argument("--neutral", type=float, metavar="S", help="the face at this time is the neutral one")
+    mend.add_argument("--trim", metavar="A:B", help="keep these seconds; either may be left out")
+    mend.add_argument("--shift", type=float, default=0.0, metavar="S", help="seconds later")
+    mend.add_argument("--rate", type=float, metavar="FPS", help="frames at an even rate")
+    mend.add_argument("--figure", type=Path, metavar="CURVES.png", help="draw every part before and after")
+    mend.set_defaults(run=run_mend)
+
+    export = commands.add_parser("export", help="a take as a table of comma-separated values")
+    export.add_argument("take", type=Path, metavar="TAKE.facetake")
+    export.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.csv")
+    export.set_defaults(run=run_export)
+
+    read = commands.add_parser("import", help="a table as a take")
+    read.add_argument("table", type=Path, metavar="TABLE.csv")
+    read.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.facetake")
+    read.set_defaults(run=run_import)
+
+
+def load_telling(path: Path) -> Take:
+    """The take at `path`; what its file has lost goes to standard error."""
+    take = load_take(path)
+    if told := take.info.get("recovered"):
+        print(f"facemime: {path}: {told}", file=sys.stderr)
+    return take
+
+
+def run_mend(arguments: argparse.Namespace) -> int:
+    """`facemime mend`: a take to a better one."""
+    check_writable(arguments.output, {SUFFIX})
+    if arguments.figure is not None:
+        check_writable(arguments.figure, {".png", ".jpg"})
+    take = load_telling(arguments.take)
+    mended = _mended(take, arguments)
+    save_take(mended, arguments.output)
+    if arguments.figure is not None:
+        write_image(arguments.figure, draw_before_after(take, mended))
+    lost = len(mended) - int(mended.found.sum())
+    print(f"{len(mended)} frames, {lost} without a face ({len(take) - int(take.found.sum())} before)", file=sys.stderr)
+    return 0
+
+
+def _mended(take: Take, arguments: argparse.Namespace) -> Take:
+    if arguments.punch_in is not None:
+        insert = load_telling(arguments.punch_in)
+        start, end = parse_span(arguments.at or ":", (float(insert.times[0]), float(insert.times[-1])))
+        take = punch_in(take, insert, start, end, arguments.blend)
+    if arguments.outliers:
+        take = remove_outliers(take)
+    if arguments.bridge or arguments.hold:
+        take = bridge_gaps(take, "bridge" if arguments.bridge else "hold", arguments.longest)
+    if arguments.smooth == "one-euro":
+        take = smooth_take(take)
+    elif arguments.smooth == "zero-phase":
+        take = smooth_zero_phase(take, parse_cutoffs(arguments.cutoff))
+    if arguments.mirror:
+        tracker = FaceTracker.load()
+        take = mirror_take(take, tracker.pdm.mirror_signs if tracker.model_id == take.info.get("model") else None)
+    if arguments.neutral is not None:
+        take = renew_neutral(take, arguments.neutral)
+    if arguments.trim is not None:
+        take = trim(take, *parse_span(arguments.trim))
+    if arguments.shift:
+        take = shift_time(take, arguments.shift)
+    return take if arguments.rate is None else resample(take, arguments.rate)
+
+
+def run_export(arguments: argparse.Namespace) -> int:
+    """`facemime export`: a take to a table."""
+    check_writable(arguments.output, {".csv"})
+    to_csv(load_telling(arguments.take), arguments.output)
+    return 0
+
+
+def run_import(arguments: argparse.Namespace) -> int:
+    """`facemime import`: a table to a take."""
+    check_writable(arguments.output, {SUFFIX})
+    save_take(from_csv(arguments.table), arguments.output)
+    return 0
+
+
+def parse_span(text: str, default: tuple[float, float] = (float("-inf"), float("inf"))) -> tuple[float, float]:
+    """`A:B` as two numbers of seconds, either of which may be left out for the default."""
+    first, colon, last = text.partition(":")
+    try:
+        start, end = float(first) if first else default[0], float(last) if last else default[1]
+    except ValueError:
+        colon = ""
+    if not colon or not start < end:
+        raise FacemimeError(f"{text!r} is no span of time. Give seconds as 1.5:4, 1.5: or :4.")
+    return start, end
+
+
+def parse_cutoffs(text: str) -> dict[str, float]:
+    """`mouth=6,jaw=4` as Hz by part."""
+    cutoffs = {}
+    for item in filter(None, text.split(",")):
+        part, _, value = item.partition("=")
+        try:
+            cutoffs[part.strip()] = float(value)
+        except ValueError:
+            raise FacemimeError(f"{item!r} is no cutoff. Give them as mouth=6,jaw=4.") from None
+    return cutoffs

@@ -1,0 +1,43 @@
+"""The picture of what mending has changed: a strip a part of the face, before in grey, after in green."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+from .smooth import CUTOFFS, before_after
+from .take import Take
+
+_WIDTH, _HEIGHT, _LEFT, _EDGE = 1200, 110, 130, 12
+_BEFORE, _AFTER, _INK = (170, 170, 170), (80, 130, 30), (60, 60, 60)
+
+
+def draw_before_after(take: Take, mended: Take) -> NDArray[np.uint8]:
+    """(H, W, 3) BGR picture of `before_after` for every part, over the time of both takes together."""
+    times = np.concatenate([take.times, mended.times])
+    start, length = float(times.min()), max(float(np.ptp(times)), 1e-9)
+    strips = []
+    for part in CUTOFFS:
+        strip = np.full((_HEIGHT, _WIDTH, 3), 255, np.uint8)
+        curves = before_after(take, mended, part)
+        known = np.concatenate([curves.before, curves.after])
+        known = known[np.isfinite(known)]
+        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+        for at, values, colour in ((curves.times, curves.before, _BEFORE), (curves.mended_times, curves.after, _AFTER)):
+            x = _LEFT + (at - start) / length * (_WIDTH - _LEFT - _EDGE)
+            y = _EDGE + (high - values) / max(high - low, 1e-9) * (_HEIGHT - 2 * _EDGE)
+            _draw(strip, x, y, colour)
+        cv2.putText(strip, part, (_EDGE, _HEIGHT // 2), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA)
+        cv2.line(strip, (0, _HEIGHT - 1), (_WIDTH, _HEIGHT - 1), (230, 230, 230), 1)
+        strips.append(strip)
+    return np.vstack(strips)
+
+
+def _draw(strip: NDArray[np.uint8], x: FloatArray, y: FloatArray, colour: tuple[int, int, int]) -> None:
+    """A line through the points that are known, broken where one is not."""
+    known = np.flatnonzero(np.isfinite(y))
+    for run in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+        points = (np.column_stack([x[run], y[run]]) * 16.0).round().astype(np.int32)
+        cv2.polylines(strip, [points], False, colour, 1, cv2.LINE_AA, shift=4)

@@ -1,0 +1,138 @@
+"""A take as a table of comma-separated values, for spreadsheets and scripts; docs/takes.md lists the columns."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..apertures import eye_apertures, mouth_aperture
+from ..errors import SourceError
+from ..files import replacing
+from ..landmarks import IBUG68_INDICES
+from .format import info_content, info_of
+from .take import Take, check_take
+from .timing import project
+
+_NOTE = "# facemime take "
+_POSE = ("scale", "pitch", "yaw", "roll", "tx", "ty")
+_SHOWN = ("eye_right_aperture", "eye_left_aperture", "mouth_aperture")
+"""Follow from the shape: written to be looked at, not read."""
+
+
+def _columns(modes: int) -> dict[str, list[str]]:
+    """The names of the columns of each of a take's arrays."""
+    numbers = IBUG68_INDICES.tolist()
+    return {
+        "times": ["time"],
+        "found": ["found"],
+        "confidence": ["confidence"],
+        "pose": list(_POSE),
+        "gaze": ["gaze_pitch", "gaze_yaw"],
+        "pupils": [f"pupil_{side}_{axis}" for side in ("right", "left") for axis in "xy"],
+        "shape": [f"shape_{n}_{axis}" for n in numbers for axis in "xyz"],
+        "landmarks": [f"landmark_{n}_{axis}" for n in numbers for axis in "xy"],
+        "landmark_confidence": [f"confidence_{n}" for n in numbers],
+        "shape_params": [f"mode_{n}" for n in range(modes)],
+    }
+
+
+def to_csv(take: Take, path: Path) -> None:
+    """Write `take` as a table, a row a frame, that `from_csv` reads back exactly.
+
+    Raises
+    ------
+    OutputError
+        Where `path` cannot be written.
+    """
+    columns = _columns(take.shape_params.shape[1])
+    arrays = [getattr(take, name).reshape(len(take), -1) for name in columns]
+    shown = np.column_stack([eye_apertures(take.shape), mouth_aperture(take.shape)]).astype(np.float32)
+    with replacing(Path(path)) as temporary, open(temporary, "w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow([_NOTE + info_content(take.info, len(take)).decode()])
+        table.writerow([*(name for names in columns.values() for name in names), *_SHOWN])
+        for row in range(len(take)):
+            table.writerow([_text(value) for array in (*arrays, shown) for value in array[row]])
+
+
+def _text(value: Any) -> str:
+    """The shortest text that is read back as the same number; nothing for an unknown one."""
+    if isinstance(value, np.bool_):
+        return str(int(value))
+    return str(value) if np.isfinite(value) else ""
+
+
+def from_csv(path: Path) -> Take:
+    """Read a table such as `to_csv` writes, or one made elsewhere with at least time, pose and shape.
+
+    Columns may stand in any order and others may stand among them. Without `found`, a face is where pose and shape are
+    numbers; without landmarks, these follow from the shape at its pose; what else is missing is unknown.
+
+    Raises
+    ------
+    SourceError
+        Where the file cannot be read, lacks a column, or holds what is no number; the message names it.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise SourceError(f"There is no table {path}. Make one with: facemime export TAKE -o {path.name}")
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as stream:
+            take = _read(csv.reader(stream))
+        check_take(take)
+    except (ValueError, OSError, csv.Error) as error:
+        raise SourceError(f"{path} cannot be read as a take: {error}. Compare it with an exported one.") from error
+    return take
+
+
+def _read(lines: Iterator[list[str]]) -> Take:
+    head = next(lines, [])
+    info: dict[str, Any] = {}
+    if head and head[0].startswith(_NOTE):
+        info = info_of(head[0][len(_NOTE) :].encode())[0]
+        head = next(lines, [])
+    place = {name: column for column, name in enumerate(head) if name}
+    columns = _columns(sum(name.startswith("mode_") for name in place))
+    if missing := [n for key in ("times", "pose", "shape") for n in columns[key] if n not in place]:
+        raise ValueError(f"it has no column {missing[0]!r}")
+    cells = [line for line in lines if any(line)]
+    if not cells:
+        raise ValueError("it has no rows")
+    arrays = {name: _values(cells, names, place) for name, names in columns.items()}
+    complete = np.isfinite(np.concatenate([arrays["pose"], arrays["shape"]], axis=1)).all(axis=1)
+    found = complete & (arrays["found"][:, 0] != 0.0 if "found" in place else True)
+    shape = arrays["shape"].reshape(-1, len(IBUG68_INDICES), 3)
+    landmarks = arrays["landmarks"].reshape(len(cells), -1, 2)
+    if not any(name in place for name in columns["landmarks"]):
+        landmarks[found] = project(shape[found], arrays["pose"][found])
+    return Take(
+        times=arrays["times"][:, 0],
+        landmarks=landmarks.astype(np.float32),
+        pose=arrays["pose"],
+        shape_params=arrays["shape_params"].astype(np.float32),
+        shape=shape.astype(np.float32),
+        confidence=np.nan_to_num(arrays["confidence"][:, 0], nan=1.0).astype(np.float32) * found,
+        found=found,
+        landmark_confidence=arrays["landmark_confidence"].astype(np.float32),
+        pupils=arrays["pupils"].reshape(-1, 2, 2).astype(np.float32),
+        gaze=arrays["gaze"].astype(np.float32),
+        info=info,
+    )
+
+
+def _values(cells: list[list[str]], names: list[str], place: dict[str, int]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """(N, columns) numbers; NaN for an empty cell and a column that is not there."""
+    values = np.full((len(cells), len(names)), np.nan)
+    for column, name in enumerate(names):
+        at = place.get(name)
+        for row, line in enumerate(cells):
+            text = line[at].strip() if at is not None and at < len(line) else ""
+            try:
+                values[row, column] = float(text) if text else np.nan
+            except ValueError:
+                raise ValueError(f"row {row + 1} has {text!r} for {name}, which is no number") from None
+    return values
