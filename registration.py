@@ -2,11 +2,13 @@
 
 from . import commands, properties, session
 from .operators import calibrate, control_points, facegen, head, own_head, puppet, puppet_video
+from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
 from .ui import expression as expression_panel
 from .ui import head as head_panels
-from .ui import menus
+from .ui import menus, preview
 from .ui import puppet as puppet_panel
+from .ui import source as source_panel
 
 _MODULES = (
     properties,
@@ -19,9 +21,12 @@ _MODULES = (
     calibrate,
     menus,
     head_panels,
+    source_panel,
+    calibration_panel,
     control_points_panel,
     expression_panel,
     puppet_panel,
+    preview,
     commands,
     session,
 )

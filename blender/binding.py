@@ -13,7 +13,7 @@ from ..core.deform.propose import propose_regions
 from ..core.errors import HeadError
 from .frames import HEAD_TO_BLENDER
 from .meshes import mesh_of, read_faces, read_landmarks, read_regions, read_vertices, write_landmarks, write_regions
-from .names import MARKS_PROPERTY, SELECTION_PROPERTY
+from .names import COUNT_PROPERTY, LANDMARKS_PROPERTY, MARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 
 _UPRIGHT = np.cos(np.radians(20.0))
 """A mesh that looks away from -Y by more than that is turned; less is how the head is held."""
@@ -52,6 +52,21 @@ def check_object(obj: bpy.types.Object | None) -> list[Finding]:
     """What would keep `obj` from being driven well; HeadError where landmarks or regions are not there at all."""
     mesh = mesh_of(obj)
     return check_head(read_vertices(mesh), read_faces(mesh), read_landmarks(obj), read_regions(obj))
+
+
+def what_is_missing(obj: bpy.types.Object) -> list[tuple[str, str]]:
+    """What the mesh `obj` lacks to be driven, in the order of mending: a sentence and the operator that mends it.
+
+    A look at names alone, cheap enough for a panel's every drawing; `check_object` looks at the mesh itself.
+    """
+    mesh = obj.data
+    if LANDMARKS_PROPERTY not in mesh:
+        return [("This mesh has no landmarks yet", "facemime.bind_landmarks")]
+    if int(mesh.get(COUNT_PROPERTY, len(mesh.vertices))) != len(mesh.vertices):
+        return [("The mesh was edited since its landmarks were bound", "facemime.bind_landmarks")]
+    if any(name not in obj.vertex_groups for name in REGION_GROUPS):
+        return [("The face's regions are missing", "facemime.propose_regions")]
+    return []
 
 
 def read_marks(mesh: bpy.types.Mesh) -> dict[int, int]:

@@ -2,20 +2,29 @@
 
 import bpy
 
-from ..blender.binding import read_marks
+from ..blender.binding import read_marks, what_is_missing
 from ..operators.shared import register_all, unregister_all
-from .sidebar import Sidebar, place
+from .sidebar import Sidebar, labels, place
 
 
 class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
-    """The button that adds a head."""
+    """The button that adds a head, and what the active mesh lacks to be one."""
 
     bl_label = "Head"
     bl_order = place(__name__)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        self.layout.operator("facemime.add_head", text="Add Head", icon="MONKEY")
+        layout, obj = self.layout, context.active_object
+        layout.operator("facemime.add_head", text="Add Head", icon="MONKEY")
+        if obj is None or obj.type != "MESH":
+            return
+        missing = what_is_missing(obj)
+        if not missing:
+            layout.label(text=obj.name, icon="CHECKMARK", translate=False)
+        for problem, remedy in missing:
+            labels(layout, context, problem, "ERROR")
+            layout.operator(remedy)
 
 
 class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):

@@ -2,26 +2,78 @@
 
 import bpy
 
-from .sidebar import Sidebar, place
+from ..operators.puppet import running
+from ..operators.shared import register_all, unregister_all
+from .sidebar import Sidebar, labels, place
+from .status import status_lines
 
 
 class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
-    """The button that puppets the head, and what its pose goes to."""
+    """The buttons that puppet the head, and how it goes."""
 
     bl_label = "Puppet"
     bl_order = place(__name__)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        layout = self.layout
+        layout, settings, session = self.layout, context.scene.facemime, running()
+        column = layout.column()
+        column.scale_y = 1.4
+        if session is None:
+            column.operator("facemime.puppet", icon="PLAY")
+        else:
+            column.operator("facemime.stop_puppet", icon="PAUSE", depress=True)
+            for text, icon in status_lines(session):
+                labels(layout, context, text, icon)
+        row = layout.row()
+        row.prop(settings, "smooth")
+        row.prop(settings, "mirror")
+        layout.prop(settings, "keep_pose")
+
+
+class FACEMIME_PT_pose(Sidebar, bpy.types.Panel):
+    """What of the head's pose is followed, how far, and by which object or bone."""
+
+    bl_label = "Head and Eyes"
+    bl_parent_id = "FACEMIME_PT_puppet"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, settings = self.layout, context.scene.facemime
         layout.use_property_split = True
         layout.use_property_decorate = False
-        settings = context.scene.facemime
+        posing = settings.posing
+        for switch, what in (("rotation", "rotation"), ("translation", "location")):
+            layout.prop(settings, switch)
+            column = layout.column(align=True)
+            column.active = getattr(settings, switch)
+            column.prop(posing, f"{what}_strength", text="Strength")
+            column.prop(posing, f"{what}_limit", text="Limit")
+        column = layout.column(align=True)
+        column.prop(posing, "eyes_strength", text="Eyes Strength")
+        column.prop(posing, "eyes_limit", text="Limit")
+        for target, bone in (("object", "bone"), ("eye_left", "eye_left_bone"), ("eye_right", "eye_right_bone")):
+            column = layout.column(align=True)
+            column.prop(posing, target)
+            obj = getattr(posing, target)
+            if obj is not None and obj.type == "ARMATURE":
+                column.prop_search(posing, bone, obj.data, "bones", text="Bone")
+
+
+class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
+    """A whole video, or a take, as animation."""
+
+    bl_label = "Whole Video"
+    bl_parent_id = "FACEMIME_PT_puppet"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, settings = self.layout, context.scene.facemime
+        layout.use_property_split = True
+        layout.use_property_decorate = False
         layout.operator("facemime.puppet_video", icon="FILE_MOVIE")
-        column = layout.column(heading="Head Pose")
-        column.prop(settings, "rotation", text="Rotation")
-        column.prop(settings, "translation", text="Location")
-        column.prop(settings.posing, "object", text="On")
         column = layout.column(align=True, heading="Neutral")
         column.prop(settings, "find_neutral", text="Find")
         row = column.row()
@@ -29,11 +81,14 @@ class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
         row.prop(settings, "neutral", text="At")
 
 
+_CLASSES = (FACEMIME_PT_puppet, FACEMIME_PT_pose, FACEMIME_PT_bake)
+
+
 def register() -> None:
-    """Register the panel."""
-    bpy.utils.register_class(FACEMIME_PT_puppet)
+    """Register the panels."""
+    register_all(_CLASSES)
 
 
 def unregister() -> None:
-    """Unregister the panel."""
-    bpy.utils.unregister_class(FACEMIME_PT_puppet)
+    """Unregister the panels."""
+    unregister_all(_CLASSES)

@@ -9,10 +9,12 @@ from facemime.blender.binding import write_mark
 from facemime.blender.head import add_head
 from facemime.blender.meshes import read_rig, write_selection
 from facemime.core.control_points import select_for_take
+from facemime.ui.calibration import FACEMIME_PT_calibration
 from facemime.ui.control_points import FACEMIME_PT_control_points
 from facemime.ui.expression import FACEMIME_PT_expression
 from facemime.ui.head import FACEMIME_PT_head, FACEMIME_PT_own_head
-from facemime.ui.puppet import FACEMIME_PT_puppet
+from facemime.ui.puppet import FACEMIME_PT_bake, FACEMIME_PT_pose, FACEMIME_PT_puppet
+from facemime.ui.source import FACEMIME_PT_source
 from takes import performance
 
 
@@ -86,7 +88,11 @@ def test_control_points_show_curve_and_reasons():
     [
         (FACEMIME_PT_head, "facemime.add_head"),
         (FACEMIME_PT_expression, "kernel"),
-        (FACEMIME_PT_puppet, "facemime.puppet_video"),
+        (FACEMIME_PT_source, "speed"),
+        (FACEMIME_PT_calibration, "facemime.calibrate"),
+        (FACEMIME_PT_puppet, "facemime.puppet"),
+        (FACEMIME_PT_pose, "rotation_limit"),
+        (FACEMIME_PT_bake, "facemime.puppet_video"),
     ],
 )
 def test_every_step_has_its_panel(panel, expected):

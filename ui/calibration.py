@@ -1,0 +1,58 @@
+"""Who performs, and how that face looks at rest and at its widest."""
+
+import bpy
+from bpy.app.translations import pgettext_iface as _
+
+from ..operators.puppet import running
+from ..operators.shared import register_all, unregister_all
+from ..session import COUNTDOWN
+from .sidebar import Sidebar, labels, place
+
+
+class FACEMIME_UL_performers(bpy.types.UIList):
+    """Performers by name; a tick for who is calibrated."""
+
+    def draw_item(self, context, layout, data, item, icon, active_data, active_property) -> None:
+        """Draw one performer."""
+        layout.prop(item, "name", text="", emboss=False, icon="CHECKMARK" if item.calibration else "USER")
+
+
+class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
+    """The performers, and the buttons that calibrate."""
+
+    bl_label = "Calibration"
+    bl_order = place(__name__)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, settings, session = self.layout, context.scene.facemime, running()
+        row = layout.row()
+        row.template_list(
+            "FACEMIME_UL_performers", "", settings, "performers", settings, "performer", rows=2, maxrows=5
+        )
+        buttons = row.column(align=True)
+        buttons.operator("facemime.add_performer", text="", icon="ADD")
+        buttons.operator("facemime.remove_performer", text="", icon="REMOVE")
+        column = layout.column(align=True)
+        column.operator("facemime.calibrate", text="Neutral Face", icon="USER").pose = "NEUTRAL"
+        column.operator("facemime.calibrate", text="Eyes and Mouth", icon="HIDE_OFF").pose = "RANGE"
+        if session is None:
+            return
+        if session.countdown is not None:
+            ahead = session.countdown
+            layout.progress(factor=1.0 - min(ahead / COUNTDOWN, 1.0), text=f"{ahead:.0f} s" if ahead else _("Hold"))
+        elif (quality := session.worker.quality) is not None:
+            labels(layout, context, quality.message, "CHECKMARK" if quality.good else "ERROR")
+
+
+_CLASSES = (FACEMIME_UL_performers, FACEMIME_PT_calibration)
+
+
+def register() -> None:
+    """Register the panel and its list."""
+    register_all(_CLASSES)
+
+
+def unregister() -> None:
+    """Unregister them."""
+    unregister_all(_CLASSES)

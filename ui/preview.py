@@ -1,0 +1,95 @@
+"""What the camera sees, in the viewport's corner: the picture, the landmarks coloured by confidence, and the delays.
+
+The worker has drawn the landmarks into the picture; here it only goes to the graphics card. Nothing is done, and
+nothing costs, where no session runs or the preview is off.
+"""
+
+from __future__ import annotations
+
+import blf
+import bpy
+import numpy as np
+
+from ..operators.puppet import running
+from ..session import LiveSession
+from .status import latency_text
+
+_MARGIN = 16
+_TEXT = (1.0, 1.0, 1.0, 0.9)
+_FONT = 0
+
+
+class _Corner:
+    """Keeps the texture of the newest picture, and the handler that draws it."""
+
+    handle: object = None
+    texture: object = None
+    number = -1
+
+
+def _draw() -> None:
+    session = running()
+    if session is None:
+        _Corner.texture = None
+        return
+    context, latest = bpy.context, session.latest
+    if latest is None or context.region is None:
+        return
+    scale = context.preferences.system.ui_scale
+    left = _left(context) + _MARGIN * scale
+    if latest.preview is not None:
+        height, width = latest.preview.shape[:2]
+        _draw_picture(latest.number, latest.preview, (left, _MARGIN * scale), (width * scale, height * scale))
+        _draw_text(latency_text(session), (left, height * scale + (_MARGIN + 6) * scale), 11 * scale)
+    _draw_countdown(context.region, session, scale)
+
+
+def _draw_picture(number: int, picture: np.ndarray, place: tuple[float, float], size: tuple[float, float]) -> None:
+    import gpu
+    from gpu_extras.presets import draw_texture_2d
+
+    if number != _Corner.number or _Corner.texture is None:
+        height, width = picture.shape[:2]
+        buffer = gpu.types.Buffer("FLOAT", picture.size, np.ascontiguousarray(picture).reshape(-1))
+        _Corner.texture = gpu.types.GPUTexture((width, height), format="RGBA8", data=buffer)
+        _Corner.number = number
+    gpu.state.blend_set("NONE")
+    draw_texture_2d(_Corner.texture, place, *size)
+
+
+def _draw_text(text: str, place: tuple[float, float], size: float) -> None:
+    blf.size(_FONT, size)
+    blf.color(_FONT, *_TEXT)
+    blf.enable(_FONT, blf.SHADOW)
+    blf.shadow(_FONT, 3, 0.0, 0.0, 0.0, 0.8)
+    blf.position(_FONT, *place, 0.0)
+    blf.draw(_FONT, text)
+    blf.disable(_FONT, blf.SHADOW)
+
+
+def _draw_countdown(region: bpy.types.Region, session: LiveSession, scale: float) -> None:
+    left = session.countdown
+    if left is None:
+        return
+    text = str(int(left) + 1) if left > 0 else bpy.app.translations.pgettext_iface("Hold")
+    blf.size(_FONT, 96 * scale)
+    width, height = blf.dimensions(_FONT, text)
+    _draw_text(text, ((region.width - width) / 2, (region.height - height) / 2), 96 * scale)
+
+
+def _left(context: bpy.types.Context) -> float:
+    """Where the viewport begins that no toolbar covers."""
+    tools = [region for region in context.area.regions if region.type == "TOOLS" and region.alignment == "LEFT"]
+    overlaps = context.preferences.system.use_region_overlap
+    return float(sum(region.width for region in tools if region.width > 1)) if overlaps else 0.0
+
+
+def register() -> None:
+    """Draw in every 3D viewport."""
+    _Corner.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
+
+
+def unregister() -> None:
+    """Stop drawing."""
+    bpy.types.SpaceView3D.draw_handler_remove(_Corner.handle, "WINDOW")
+    _Corner.handle = _Corner.texture = None

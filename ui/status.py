@@ -1,0 +1,46 @@
+"""What a running session says of itself, as text."""
+
+from __future__ import annotations
+
+from bpy.app.translations import pgettext_iface as _
+
+from ..session import LiveSession
+
+_NAMES = {
+    "wait": "the source",
+    "track": "tracking",
+    "drive": "the heads' skin",
+    "hand over": "Blender's drawing",
+    "write": "writing to the mesh",
+}
+
+
+def latency_text(session: LiveSession) -> str:
+    """Delay from the camera to the vertices, and frames a second; "" before the first frame."""
+    watch = session.stopwatch
+    if len(watch) == 0:
+        return ""
+    return f"{1000 * watch.latency:.0f} ms   {watch.rate:.0f} fps"
+
+
+def status_lines(session: LiveSession) -> list[tuple[str, str]]:
+    """(text, icon) of each line: what is wrong first, then the delays, then the counts."""
+    worker, lines = session.worker, []
+    if worker.message:
+        lines.append((worker.message, "ERROR"))
+    if worker.recording_error is not None:
+        lines.append((str(worker.recording_error), "ERROR"))
+    latest = session.latest
+    if latest is None:
+        return [*lines, (_("Waiting for the first frame"), "TIME")]
+    if not latest.result.found:
+        lines.append((_("No face in view"), "QUESTION"))
+    elif worker.neutral is None:
+        lines.append((_("Taking the first second as the neutral face"), "TIME"))
+    counts = worker.counts
+    lines.append((latency_text(session), "PREVIEW_RANGE"))
+    if slowest := session.stopwatch.slowest():
+        lines.append((_("Most of it: {name}").format(name=_(_NAMES[slowest])), "BLANK1"))
+    numbers = {"tracked": counts.tracked, "dropped": counts.dropped, "lost": counts.lost}
+    lines.append((_("{tracked} tracked, {dropped} dropped, {lost} lost").format(**numbers), "BLANK1"))
+    return lines
