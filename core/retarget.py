@@ -128,8 +128,8 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
     Parameters
     ----------
     start : float, optional
-        Seconds. By default the second with the least expression: lips closed, mouth not drawn wide, eyes open, brows
-        where they mostly are, head towards the camera.
+        Seconds. By default the take's own calibration, if it carries one, or else the second with the least
+        expression: lips closed, mouth not drawn wide, eyes open, brows where they mostly are, head towards the camera.
     duration : float
         Seconds to average.
 
@@ -145,6 +145,8 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
     """
     if not take.found.any():
         raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")
+    if start is None and "calibration" in take.info:
+        return Neutral.from_dict(take.info["calibration"])
     if start is None:
         start = _restful_second(take, duration)
     chosen = take.found & (take.times >= start - 1e-9) & (take.times <= start + duration)

@@ -12,7 +12,7 @@ from scipy import signal
 import facemime
 from facemime.core.errors import FacemimeError, SourceError
 from facemime.core.pipeline import track_video
-from facemime.core.retarget import Neutral
+from facemime.core.retarget import Neutral, calibrate
 from facemime.core.takes.mend import bridge_gaps, find_outliers, mirror_take, remove_outliers, renew_neutral
 from facemime.core.takes.smooth import CUTOFFS, before_after, low_pass, smooth_zero_phase
 from facemime.core.takes.take import FIELDS, Take, check_take
@@ -157,7 +157,10 @@ def test_mirrored_twice_a_take_is_itself_with_its_neutral(tracked):
 
 def test_the_neutral_chosen_is_the_face_at_that_time(tracked):
     row = int(np.argmin(np.abs(tracked.times - 3.0)))
-    stored = Neutral.from_dict(renew_neutral(tracked, 3.0).info["calibration"])
+    renewed = renew_neutral(tracked, 3.0)
+    stored = Neutral.from_dict(renewed.info["calibration"])
+    np.testing.assert_array_equal(calibrate(renewed).shape, stored.shape)
+    assert np.abs(calibrate(renewed, 0.5).shape - stored.shape).max() > 0.01
     assert np.abs(stored.shape - tracked.shape[row]).max() < 0.08
     assert abs((stored.start + stored.end) / 2 - 3.0) < 0.1
     with pytest.raises(SourceError, match="Choose another neutral"):
