@@ -18,6 +18,7 @@ _LINE = (80, 220, 120)
 _POINT = (255, 255, 255)
 _TEXT = (235, 235, 235)
 _BACKGROUND = (24, 24, 24)
+_LINEAR = (np.arange(256) / 255.0) ** np.float32(2.2)
 _SURE, _GUESSED = np.array((90.0, 230.0, 90.0)), np.array((60.0, 60.0, 240.0))
 _SHIFT = 4
 
@@ -69,7 +70,7 @@ def preview_of(image: Image | None, result: TrackResult, width: int) -> NDArray[
     Returns
     -------
     (H, `width`, 4) float32 or None
-        RGBA, 0 to 1, the bottom row first; None where there is no `image`.
+        RGBA, 0 to 1, linear light, the bottom row first; None where there is no `image`.
     """
     if image is None:
         return None
@@ -77,13 +78,13 @@ def preview_of(image: Image | None, result: TrackResult, width: int) -> NDArray[
     size = (width, max(1, round(image.shape[0] * scale)))
     canvas = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
     if result.found:
-        sure = np.nan_to_num(result.landmark_confidence, nan=1.0)[:, None]
+        sure = np.sqrt(np.nan_to_num(result.landmark_confidence, nan=1.0))[:, None]
         colours = (1.0 - sure) * _GUESSED + sure * _SURE
         fixed = np.round(np.clip(scale * result.landmarks, -1e4, 1e4) * (1 << _SHIFT)).astype(np.int32)
         for point, colour in zip(fixed.tolist(), colours.tolist(), strict=True):
             cv2.circle(canvas, point, 28, colour, -1, cv2.LINE_AA, _SHIFT)
     rgba = cv2.cvtColor(canvas[::-1], cv2.COLOR_BGR2RGBA)
-    return np.asarray(rgba, dtype=np.float32) / np.float32(255.0)
+    return np.asarray(_LINEAR[rgba], dtype=np.float32)
 
 
 def label(image: Image, text: str) -> Image:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import blf
 import bpy
+import bpy.utils.previews
 import numpy as np
 
 from ..operators.puppet import running
@@ -17,14 +18,16 @@ from .status import latency_text
 _MARGIN = 16
 _TEXT = (1.0, 1.0, 1.0, 0.9)
 _FONT = 0
+_ICON = "face"
 
 
 class _Corner:
-    """Keeps the texture of the newest picture, and the handler that draws it."""
+    """Keeps the texture of the newest picture, the panel's icon, and the handler that draws."""
 
     handle: object = None
     texture: object = None
     number = -1
+    icons: object = None
 
 
 def _draw() -> None:
@@ -42,6 +45,19 @@ def _draw() -> None:
         _draw_picture(latest.number, latest.preview, (left, _MARGIN * scale), (width * scale, height * scale))
         _draw_text(latency_text(session), (left, height * scale + (_MARGIN + 6) * scale), 11 * scale)
     _draw_countdown(context.region, session, scale)
+
+
+def panel_icon(session: LiveSession) -> int:
+    """The newest picture as the value of an icon, for `template_icon`; 0 where there is none."""
+    latest = session.latest
+    if latest is None or latest.preview is None or _Corner.icons is None:
+        return 0
+    height, width = latest.preview.shape[:2]
+    icon = _Corner.icons.get(_ICON) or _Corner.icons.new(_ICON)
+    if tuple(icon.image_size) != (width, height):
+        icon.image_size = (width, height)
+    icon.image_pixels_float.foreach_set(np.sqrt(latest.preview).reshape(-1))
+    return icon.icon_id
 
 
 def _draw_picture(number: int, picture: np.ndarray, place: tuple[float, float], size: tuple[float, float]) -> None:
@@ -86,10 +102,12 @@ def _left(context: bpy.types.Context) -> float:
 
 def register() -> None:
     """Draw in every 3D viewport."""
+    _Corner.icons = bpy.utils.previews.new()
     _Corner.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
 
 
 def unregister() -> None:
     """Stop drawing."""
     bpy.types.SpaceView3D.draw_handler_remove(_Corner.handle, "WINDOW")
-    _Corner.handle = _Corner.texture = None
+    bpy.utils.previews.remove(_Corner.icons)
+    _Corner.handle = _Corner.texture = _Corner.icons = None

@@ -5,6 +5,8 @@ import sys
 import bpy
 
 from ..core.live.camera import list_cameras
+from ..operators.puppet import running
+from .preview import panel_icon
 from .sidebar import Sidebar, labels, place
 
 
@@ -36,6 +38,9 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
         size = row.row(align=True)
         size.active = source.preview
         size.prop(source, "preview_size", text="")
+        session = running()
+        if source.preview and session is not None and (icon := panel_icon(session)):
+            layout.template_icon(icon_value=icon, scale=7.0)
 
 
 def _draw_camera(layout: bpy.types.UILayout, context: bpy.types.Context, source: bpy.types.PropertyGroup) -> None:
