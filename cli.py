@@ -15,13 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
+from .cli_batch import add_commands as add_batch_commands
+from .cli_batch import add_head_options
 from .cli_takes import add_commands as add_take_commands
 from .cli_takes import load_telling
 from .console import Progress
 from .core.control_points import from_json, parse_landmarks, select_for_take, to_json
-from .core.deform.kernels import KERNELS
 from .core.deform.regions import REGIONS
-from .core.drive import INFORMED, built_in_rig
+from .core.drive import built_in_rig
 from .core.errors import FacemimeError, SourceError
 from .core.files import check_writable, replacing
 from .core.images import IMAGE_SUFFIXES, read_image, write_image
@@ -75,13 +76,8 @@ def _parser() -> argparse.ArgumentParser:
     puppet.add_argument("--preview", type=Path, metavar="OUT.mp4", help="video of performer and avatar side by side")
     puppet.add_argument("--sheet", type=Path, metavar="OUT.png", help="contact sheet of the most different expressions")
     puppet.add_argument("--take", type=Path, metavar="TAKE.facetake", help="also keep the take")
-    puppet.add_argument("--head", metavar="FILE.blend[:OBJECT]", help="your own head; the built-in one by default")
-    puppet.add_argument("--mode", choices=("3d", "planar"), default="3d", help="planar keeps every depth (default 3d)")
-    puppet.add_argument("--kernel", choices=(INFORMED, *KERNELS), default=INFORMED, help="how skin follows landmarks")
-    puppet.add_argument("--points", type=Path, metavar="POINTS.json", help="control points that select chose")
     puppet.add_argument("--neutral", type=float, metavar="SECONDS", help="where the neutral second starts; else found")
-    puppet.add_argument("--smooth", action="store_true", help="hold still what does not move; a kept take stays raw")
-    puppet.add_argument("--pose", choices=("rotation", "full", "none"), default="rotation", help="head pose to follow")
+    add_head_options(puppet)
     puppet.set_defaults(run=run_puppet)
 
     select = commands.add_parser("select", help="choose the control points that a take needs on the built-in head")
@@ -95,6 +91,7 @@ def _parser() -> argparse.ArgumentParser:
     select.set_defaults(run=run_select)
 
     add_take_commands(commands)
+    add_batch_commands(commands)
     return parser
 
 

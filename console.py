@@ -16,10 +16,13 @@ class Progress:
         What is being done.
     total : int
         Steps expected; 0 where unknown.
+    unit : str
+        What the steps are.
     """
 
-    def __init__(self, title: str, total: int = 0, stream: TextIO | None = None) -> None:
+    def __init__(self, title: str, total: int = 0, stream: TextIO | None = None, unit: str = "frames") -> None:
         self.title, self.total, self.done = title, total, 0
+        self._unit, self._rate = unit, "fps" if unit == "frames" else f"{unit}/s"
         self._stream = sys.stderr if stream is None else stream
         self._live = self._stream.isatty()
         self._start = time.perf_counter()
@@ -46,11 +49,11 @@ class Progress:
         elapsed = max(time.perf_counter() - self._start, 1e-6)
         rate = self.done / elapsed
         if ended:
-            return f"{self.title}: {self.done} frames in {elapsed:.1f} s, {rate:.1f} fps"
+            return f"{self.title}: {self.done} {self._unit} in {elapsed:.1f} s, {rate:.1f} {self._rate}"
         text = f"{self.title} {self.done}"
         if self.total > 0:
             filled = min(20, round(20 * self.done / self.total))
             left = max(0.0, (self.total - self.done) / rate) if rate > 0 else 0.0
             text = f"{self.title} [{'#' * filled}{'.' * (20 - filled)}] {self.done}/{self.total}"
-            return f"{text}  {rate:.1f} fps  {left:.0f} s left"
-        return f"{text}  {rate:.1f} fps"
+            return f"{text}  {rate:.1f} {self._rate}  {left:.0f} s left"
+        return f"{text}  {rate:.1f} {self._rate}"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from io import FileIO
 from pathlib import Path
 
 from .errors import OutputError
@@ -62,6 +64,52 @@ def check_writable(path: Path, suffixes: Collection[str] = ()) -> None:
             pass
     except OSError as error:
         raise _refused(path, error) from error
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Keep others that ask for the same `path` waiting, whatever process they are in; the file is gone afterwards.
+
+    The lock goes with the process that has it, however that ends.
+
+    Raises
+    ------
+    OutputError
+        Where the file cannot be made or locked.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        stream = _lock(path)
+    except OSError as error:
+        raise _refused(path, error) from error
+    with stream:
+        yield
+        if sys.platform != "win32":  # there an open file cannot be taken away
+            path.unlink(missing_ok=True)
+    if sys.platform == "win32":
+        with suppress(OSError):  # the next one has it open already
+            path.unlink()
+
+
+def _lock(path: Path) -> FileIO:
+    """The locked file; it is opened again where the one that was waited for has been taken away meanwhile."""
+    while True:
+        stream = FileIO(path, "a")
+        if sys.platform == "win32":
+            import msvcrt
+
+            with suppress(OSError):  # it gives up after ten seconds
+                msvcrt.locking(stream.fileno(), msvcrt.LK_LOCK, 1)
+                return stream
+        else:
+            import fcntl
+
+            fcntl.flock(stream, fcntl.LOCK_EX)
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(stream.fileno()), os.stat(path)):
+                    return stream
+        stream.close()
 
 
 def _refused(path: Path, error: OSError) -> OutputError:

@@ -1,0 +1,185 @@
+"""The commands of `facemime` for many clips: batch, and clip, of which batch runs one a process."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from .batch.clips import Job, Namer, find_clips, read_record, worst_frames, write_record
+from .batch.report import Entry, jpeg_of, write_report
+from .batch.run import DaskRunner, LocalRunner, Runner
+from .cli_takes import Commands
+from .console import Progress
+from .core.capture import VideoSource
+from .core.deform.kernels import KERNELS
+from .core.drive import INFORMED
+from .core.errors import FacemimeError, SourceError
+from .core.files import check_writable, locked
+from .core.overlay import picture_of_frame
+from .core.takes.file import SUFFIX, load_take
+from .core.takes.take import Take
+
+_THUMBNAIL = (240, 180)
+_MOST_FAILED = 99
+_INTERRUPTED = 130
+
+
+def add_head_options(parser: argparse.ArgumentParser) -> None:
+    """The options that say which head is moved and how; `puppet`, `clip` and `batch` have them in common."""
+    parser.add_argument("--head", metavar="FILE.blend[:OBJECT]", help="your own head; the built-in one by default")
+    parser.add_argument("--mode", choices=("3d", "planar"), default="3d", help="planar keeps every depth (default 3d)")
+    parser.add_argument("--kernel", choices=(INFORMED, *KERNELS), default=INFORMED, help="how skin follows landmarks")
+    parser.add_argument("--points", type=Path, metavar="POINTS.json", help="control points that select chose")
+    parser.add_argument("--smooth", action="store_true", help="hold still what does not move; a kept take stays raw")
+    parser.add_argument("--pose", choices=("rotation", "full", "none"), default="rotation", help="head pose to follow")
+
+
+def add_commands(commands: Commands) -> None:
+    """Make the commands known to the parser."""
+    clip = commands.add_parser("clip", help="puppet one of many clips, if that is not done yet; what batch runs")
+    clip.add_argument("source", type=Path, metavar="VIDEO|FOLDER|LIST")
+    clip.add_argument("--number", type=int, metavar="N", help="which clip of the folder or the list, from 1")
+    clip.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    add_head_options(clip)
+    clip.set_defaults(run=run_clip)
+
+    batch = commands.add_parser("batch", help="puppet many clips; the exit status is how many failed, 99 at most")
+    batch.add_argument("sources", nargs="+", type=Path, metavar="FOLDER|LIST|VIDEO")
+    batch.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    batch.add_argument("--jobs", type=int, default=max(1, (os.cpu_count() or 2) // 2), metavar="N", help="at a time")
+    batch.add_argument("--dask", metavar="ADDRESS", help="on the workers of this Dask scheduler instead of here")
+    add_head_options(batch)
+    batch.set_defaults(run=run_batch)
+
+
+def run_clip(arguments: argparse.Namespace) -> int:
+    """`facemime clip`: one clip to a head, a take, a sheet and a record; two at once do it once."""
+    from . import cli
+
+    job = Namer(_settings(arguments)).job(_chosen(find_clips([arguments.source]), arguments.number))
+    folder = arguments.output
+    outputs = {suffix: str(job.output(folder, suffix)) for suffix in (".blend", SUFFIX, ".png")}
+    with locked(job.output(folder, ".lock")):
+        if read_record(job, folder) is not None:
+            return 0
+        started = time.monotonic()
+        line = [
+            str(job.clip.absolute()),
+            "-o",
+            outputs[".blend"],
+            "--take",
+            outputs[SUFFIX],
+            "--sheet",
+            outputs[".png"],
+        ]
+        if status := cli.main(["puppet", *line, *_options(arguments)]):
+            return status
+        take = load_take(Path(outputs[SUFFIX]))
+        write_record(job, folder, take, time.monotonic() - started, _thumbnails(job.clip, take))
+    return 0
+
+
+def run_batch(arguments: argparse.Namespace) -> int:
+    """`facemime batch`: every clip that is not done yet, and a report of all."""
+    folder: Path = arguments.output
+    clips = find_clips(arguments.sources)
+    check_writable(folder / "report.json")
+    if arguments.jobs < 1:
+        raise FacemimeError(f"At least one clip has to run at a time; got {arguments.jobs}. Give --jobs 1 or more.")
+    if arguments.dask is None and importlib.util.find_spec("bpy") is None:
+        raise FacemimeError("batch needs Blender. Run: blender --command facemime batch ..., or install bpy.")
+    folder.mkdir(parents=True, exist_ok=True)
+    runner: Runner = LocalRunner(arguments.jobs) if arguments.dask is None else DaskRunner(arguments.dask)
+    jobs, failures = _jobs(clips, Namer(_settings(arguments)))
+    before = {name for name, job in jobs.items() if read_record(job, folder) is not None}
+    todo = [job for name, job in jobs.items() if name not in before]
+    said, interrupted = _run(runner, todo, len(jobs), arguments)
+    entries = failures + [_entry(job, folder, job.name in before, said.get(job.name)) for job in jobs.values()]
+    write_report(entries, folder)
+    failed = [entry for entry in entries if entry.status == "failed"]
+    for entry in failed:
+        print(f"facemime: {entry.clip}: {(entry.said.splitlines() or ['no reason was told'])[-1]}", file=sys.stderr)
+    print(f"facemime: {len(failed)} of {len(entries)} clips failed; see {folder / 'report.html'}.", file=sys.stderr)
+    return _INTERRUPTED if interrupted else min(len(failed), _MOST_FAILED)
+
+
+def _run(runner: Runner, todo: Sequence[Job], total: int, arguments: argparse.Namespace) -> tuple[dict[str, str], bool]:
+    """What each clip that ended said, by its job's name, and whether the user stopped before all had."""
+    output = ["-o", str(arguments.output.absolute())]
+    lines = [["clip", str(job.clip.absolute()), *output, *_options(arguments)] for job in todo]
+    progress = Progress("Puppeting", total, unit="clips")
+    done = total - len(todo)
+    progress.update(done)
+    said: dict[str, str] = {}
+    try:
+        for outcome in runner.run(lines):
+            said[todo[outcome.index].name] = outcome.said or f"ended with status {outcome.status}"
+            done += 1
+            progress.update(done)
+    except KeyboardInterrupt:
+        return said, True
+    finally:
+        runner.close()
+        progress.finish()
+    return said, False
+
+
+def _jobs(clips: Sequence[Path], namer: Namer) -> tuple[dict[str, Job], list[Entry]]:
+    """The jobs by name, the same content once, and an entry for each clip that cannot be read."""
+    jobs: dict[str, Job] = {}
+    failures: list[Entry] = []
+    for clip in clips:
+        try:
+            job = namer.job(clip)
+        except SourceError as error:
+            failures.append(Entry(clip.name, "failed", said=str(error)))
+        else:
+            jobs.setdefault(job.name.rpartition("-")[2], job)
+    return {job.name: job for job in jobs.values()}, failures
+
+
+def _entry(job: Job, folder: Path, before: bool, said: str | None) -> Entry:
+    """What the report tells of a clip: that it is done is known by its record alone."""
+    if (record := read_record(job, folder)) is not None:
+        return Entry(job.clip.name, "skipped" if before else "done", job.name, record=record)
+    return Entry(job.clip.name, "not reached" if said is None else "failed", job.name, said or "")
+
+
+def _chosen(clips: Sequence[Path], number: int | None) -> Path:
+    if number is None and len(clips) == 1:
+        return clips[0]
+    if number is None or not 1 <= number <= len(clips):
+        raise SourceError(f"There are {len(clips)} clips. Choose one: --number 1 to --number {len(clips)}.")
+    return clips[number - 1]
+
+
+def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The options of the head; one that is empty, as a farm's template gives it, is not given."""
+    return {name: getattr(arguments, name) or None for name in ("head", "mode", "kernel", "points", "smooth", "pose")}
+
+
+def _options(arguments: argparse.Namespace) -> list[str]:
+    """`_settings` as they are given on a command line, with paths that hold in any folder."""
+    given = {name: value for name, value in _settings(arguments).items() if value is not None}
+    flags = ["--smooth"] if given.pop("smooth", False) else []
+    given |= {name: os.path.abspath(given[name]) for name in ("head", "points") if name in given}
+    return flags + [part for name, value in given.items() for part in (f"--{name}", str(value))]
+
+
+def _thumbnails(clip: Path, take: Take) -> list[bytes]:
+    """The frames of which the tracker was least sure, with its landmarks, as JPEG."""
+    wanted, pictures = worst_frames(take), []
+    with VideoSource(clip) as source:
+        for frame in source:
+            if frame.index in wanted:
+                landmarks = take.landmarks[frame.index].astype(float)
+                pictures.append(jpeg_of(picture_of_frame(frame.image, landmarks, *_THUMBNAIL)))
+            if len(pictures) == len(wanted):
+                break
+    return pictures
