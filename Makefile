@@ -6,7 +6,7 @@ BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
 
-.PHONY: setup check test test-core demo build bench bench-deformation bench-tracking model expressions head sample try lock clean blenders
+.PHONY: setup check test test-core test-gui demo build bench bench-deformation bench-tracking model expressions head sample try lock clean blenders windows
 
 setup: $(STAMP)
 
@@ -23,13 +23,17 @@ check: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-test: setup build blenders build/head/.ready
+test: setup build blenders windows build/head/.ready
 	timeout 1500 $(BIN)/python -m pytest tests
 
 # The head's source, so that its build can be tested.
 build/head/.ready: requirements/head.txt | setup
 	$(BIN)/pip download --quiet --disable-pip-version-check --no-deps --require-hashes -r $< -d build/head
 	touch $@
+
+# What a user does, by mouse, in Blender's own window; screenshots are left in build/gui.
+test-gui: setup build windows
+	timeout 1200 $(BIN)/python -m pytest tests/gui
 
 test-core: setup
 	$(BIN)/python -m pytest tests/core
@@ -44,6 +48,10 @@ build: setup
 # Blender in the versions that the extension is tested with, each in an environment of its own.
 blenders: setup
 	sh tools/blenders.sh
+
+# Blender with a window but without a screen, from Debian's packages.
+windows:
+	sh tools/windows.sh
 
 bench: setup
 	mkdir -p build/bench

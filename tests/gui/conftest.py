@@ -1,0 +1,84 @@
+"""One Blender a version for all tests of a module, with the zip installed as a user installs it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from sidebar import Sidebar
+from window import ROOT, SHOTS, Blender, places
+
+MODULE = "bl_ext.user_default.facemime"
+SUITES = ("trixie", "sid")
+_INSTALL = """
+class FACEMIME_PT_install(bpy.types.Panel):
+    bl_label = "Install"
+    bl_space_type, bl_region_type, bl_category = "VIEW_3D", "UI", "Facemime"
+    def draw(self, context):
+        button = self.layout.operator("extensions.package_install_files", text="Install from Disk...")
+        button.filepath = {path!r}
+        button.repo = "user_default"
+bpy.utils.register_class(FACEMIME_PT_install)
+"""
+"""The button of Blender's preferences, in a panel of its own, where it is nearer."""
+_BROWSER = "any(area.type == 'FILE_BROWSER' for area in bpy.context.window.screen.areas)"
+_ENABLED = f"__import__('addon_utils').check({MODULE!r}) == (True, True)"
+
+
+def archive() -> Path:
+    """The built zip."""
+    found = sorted((ROOT / "dist").glob("facemime-*-linux_x64.zip"))
+    if not found:
+        pytest.skip("the extension is not built: make build")
+    return found[-1]
+
+
+def place_of(suite: str) -> Path:
+    """The chroot of a suite; skips, and says why, where it is not there."""
+    place = places()[suite]
+    if not place.exists():
+        reason = SHOTS / "no-windows.txt"
+        said = reason.read_text(encoding="utf-8").strip() if reason.exists() else "They are set up by: make test-gui"
+        pytest.skip(f"Blender's window of Debian {suite} is missing. {said}")
+    return place
+
+
+def install(blender: Blender) -> None:
+    """Install the zip by the interface's button and the file browser that it opens."""
+    shutil.copy(archive(), blender.folder / "facemime.zip")
+    blender.do(_INSTALL.format(path=str(blender.inside / "facemime.zip")))
+    Sidebar(blender).press("bpy.ops.extensions.package_install_files")
+    blender.wait_for(_BROWSER)
+    blender.shot("install")
+    blender.move(blender.size[0] * 0.4, blender.size[1] * 0.6)
+    blender.redraw()
+    blender.key("Return")
+    blender.wait_for(_ENABLED, 120.0)
+    blender.do("bpy.utils.unregister_class(FACEMIME_PT_install)")
+    blender.redraw()
+
+
+def started(suite: str, name: str) -> Blender:
+    """A Blender that is not running yet; its screenshots go to build/gui/<suite>/<name>."""
+    return Blender(place_of(suite), f"{suite}/{name}")
+
+
+@pytest.fixture(scope="module", params=SUITES)
+def blender(request: pytest.FixtureRequest) -> Iterator[Blender]:
+    """A window with the extension installed. Tests begin with a new file each."""
+    with started(request.param, Path(request.module.__file__).stem.removeprefix("test_")) as window:
+        install(window)
+        yield window
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo) -> Iterator[None]:
+    """Photograph what a test that fails leaves."""
+    report = yield
+    window = getattr(item, "funcargs", {}).get("blender")
+    if report.failed and call.when == "call" and window is not None and window.process.poll() is None:
+        window.shot(f"failed-{item.originalname}")
+    return report

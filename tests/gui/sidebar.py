@@ -1,0 +1,159 @@
+"""The sidebar's tab Facemime, by mouse.
+
+Blender tells nobody where its buttons are. But Ctrl-C over a button puts its Python command on the clipboard, over a
+property its value, and Shift-Ctrl-C the property's path: so the mouse feels its way down the sidebar.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from window import Blender, GuiError, wait
+
+TAB = "Facemime"
+_REGION = """
+area = max((a for a in bpy.context.window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width)
+region = next(r for r in area.regions if r.type == "{kind}")
+value = [region.x, bpy.context.window.height - region.y - region.height, region.width, region.height]
+"""
+_CATEGORY = _REGION.format(kind="UI") + 'value = region.active_panel_category if region.width > 1 else ""\n'
+_PANELS = """
+panels = [cls for cls in bpy.types.Panel.__subclasses__() if getattr(cls, "bl_category", "") == "Facemime"]
+panels = [cls for cls in panels if cls.is_registered]
+for cls in panels:
+    if not hasattr(cls, "watched"):
+        cls.draw, cls.watched = watched(cls.__name__, cls.draw), True
+top = [cls for cls in panels if not getattr(cls, "bl_parent_id", "")]
+top.sort(key=lambda cls: getattr(cls, "bl_order", 0))
+value = [cls.__name__ for cls in top if not hasattr(cls, "poll") or cls.poll(bpy.context)]
+"""
+_WATCH = """
+drawn = set()
+def watched(name, draw):
+    def drawing(self, context):
+        drawn.add(name)
+        draw(self, context)
+    return drawing
+"""
+"""Which panels are open nobody tells either, but only open ones are drawn."""
+_NOTHING = "(nothing)"
+
+
+@dataclass(frozen=True)
+class Box:
+    """A rectangle of the window: pixels from the top left."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+class Sidebar:
+    """Opens the tab, its panels, and presses what is in them."""
+
+    def __init__(self, blender: Blender) -> None:
+        self.blender = blender
+        self.unit = 20.0 * blender.get("bpy.context.preferences.system.ui_scale")
+        blender.do(_WATCH)
+        self.show()
+
+    def box(self, kind: str = "UI") -> Box:
+        """Where a region of the largest viewport is: "UI" is the sidebar, "WINDOW" the view."""
+        return Box(*self.blender.do(_REGION.format(kind=kind)))
+
+    def view(self, right: float = 0.4, down: float = 0.6) -> tuple[float, float]:
+        """A place in the viewport, of its width and height."""
+        view = self.box("WINDOW")
+        return view.x + right * view.width, view.y + down * view.height
+
+    def show(self) -> None:
+        """Open the sidebar by its key, and the tab by a click."""
+        wait(self._shown, "the sidebar")
+        tabs = self.box()
+        x = tabs.x + tabs.width - self.unit / 2
+        for y in range(tabs.y + round(self.unit), tabs.y + tabs.height, round(self.unit)):
+            if self.blender.do(_CATEGORY) == TAB:
+                return
+            self.blender.click(x, y)
+            self.blender.redraw()
+        raise GuiError(f"The sidebar has no tab {TAB}.")
+
+    def _shown(self) -> bool:
+        if self.box().width > 1:
+            return True
+        self.blender.move(*self.view(0.39))
+        self.blender.move(*self.view())
+        self.blender.key("n")
+        self.blender.redraw()
+        return self.box().width > 1
+
+    def widen(self, by: float) -> None:
+        """Drag the sidebar's edge to the left."""
+        box = self.box()
+        start = (box.x + 1, box.y + box.height * 0.9)
+        self.blender.drag(start, (start[0] - by / 2, start[1]), (start[0] - by, start[1]))
+        self.blender.redraw()
+
+    def under_mouse(self, x: float, y: float, keys: str = "ctrl+c") -> str:
+        """What the button there leaves on the clipboard."""
+        self.blender.do(f"bpy.context.window_manager.clipboard = {_NOTHING!r}")
+        self.blender.input("mousemove", round(x), round(y), "key", keys)
+        return str(self.blender.get("bpy.context.window_manager.clipboard"))
+
+    def places(self) -> Iterator[tuple[float, float]]:
+        """Where buttons may be: down the sidebar, in three columns."""
+        box = self.box()
+        for y in range(box.y + round(self.unit / 2), box.y + box.height, round(self.unit / 2)):
+            for part in (0.5, 0.25, 0.8):
+                yield box.x + part * (box.width - self.unit), y
+
+    def panels(self) -> list[str]:
+        """The panels that the tab shows, in their order."""
+        return list(self.blender.do(_PANELS))
+
+    def open_panel(self, name: str, children: bool = False) -> None:
+        """Fold all panels but one, by clicks on their headers; `children` unfolds what is in it too."""
+        box = self.box()
+        self.blender.input("mousemove", box.x + 60, box.y + 60, *("click", 4) * 20)
+        header = [box.x + 3 * self.unit, box.y + 0.85 * self.unit]
+        for panel in self.panels():
+            if panel == name:
+                wanted = list(header)
+            if self._is_open(panel):
+                self._toggle(panel, header)
+            header[1] += 1.4 * self.unit
+        self._toggle(name, wanted, "ctrl" if children else None)
+
+    def _is_open(self, panel: str) -> bool:
+        self.blender.do("drawn.clear()")
+        self.blender.redraw()
+        return panel in self.blender.get("sorted(drawn)")
+
+    def _toggle(self, panel: str, header: list[float], key: str | None = None) -> None:
+        before = self._is_open(panel)
+        held = [["keydown", key], ["keyup", key]] if key else [[], []]
+        self.blender.move(*header)
+        self.blender.redraw()
+        self.blender.input(*held[0], "click", 1, *held[1])
+        wait(lambda: self._is_open(panel) != before, f"panel {panel} folds or unfolds", 10.0)
+
+    def find(self, name: str) -> tuple[float, float]:
+        """Where the button of an operator, or the field of a property, lies; GuiError where nothing shows it.
+
+        `name` is an operator with its arguments as Blender writes them, the arguments' beginning, or a property's path.
+        """
+        keys = "ctrl+c" if name.startswith("bpy.ops.") else "ctrl+shift+c"
+        seen = []
+        for place in self.places():
+            found = self.under_mouse(*place, keys)
+            if name in found:
+                return place
+            seen.append(found)
+        raise GuiError(f"No button of the sidebar is {name}; there are {sorted({*seen} - {_NOTHING})}")
+
+    def press(self, name: str) -> None:
+        """Click the button or field that `find` finds."""
+        self.blender.click(*self.find(name))
+        self.blender.redraw()

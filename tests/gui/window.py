@@ -1,0 +1,217 @@
+"""A Blender with a window on a screen that nobody sees: started, asked, clicked, photographed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+SHOTS = ROOT / "build" / "gui"
+_DEADLINE = 60.0
+
+
+class GuiError(AssertionError):
+    """Blender did not do what a test waited for."""
+
+
+def places() -> dict[str, Path]:
+    """Where `tools/windows.sh` keeps each Blender, by Debian's name."""
+    cache = Path(os.environ.get("FACEMIME_CACHE", Path.home() / ".cache" / "facemime"))
+    listed = subprocess.run(
+        ["sh", str(ROOT / "tools" / "windows.sh"), "places"],
+        env=os.environ | {"FACEMIME_CACHE": str(cache)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return {suite: Path(place) for suite, place in (line.split(" ", 1) for line in listed.stdout.splitlines())}
+
+
+class Blender:
+    """Blender in a chroot, its window at the corner of a screen of its own; a context manager.
+
+    Parameters
+    ----------
+    place : Path
+        The chroot.
+    shots : str
+        Folder under build/gui for screenshots.
+    size : tuple of int
+        Of screen and window, pixels.
+    """
+
+    def __init__(self, place: Path, shots: str, size: tuple[int, int] = (1280, 800)) -> None:
+        self.place, self.size = place, size
+        self.shots = SHOTS / shots
+        shutil.rmtree(self.shots, ignore_errors=True)
+        self.shots.mkdir(parents=True)
+        self.folder = Path(tempfile.mkdtemp(prefix="facemime-", dir=place / "tmp"))
+        self.inside = Path("/") / self.folder.relative_to(place)
+        self._link: socket.socket | None = None
+        self._received = b""
+        self._count = 0
+
+    def __enter__(self) -> Blender:
+        try:
+            self._start_screen()
+            self._start_blender()
+            self.do("pass")
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _environment(self) -> dict[str, str]:
+        return {
+            "PATH": "/usr/sbin:/usr/bin:/sbin:/bin",
+            "HOME": str(self.inside),
+            "TMPDIR": str(self.inside),
+            "BLENDER_USER_RESOURCES": str(self.inside / "profile"),
+            "LIBGL_ALWAYS_SOFTWARE": "1",
+            "PYTHONUNBUFFERED": "1",
+            "LANG": "C.UTF-8",
+        }
+
+    def _start_screen(self) -> None:
+        read, write = os.pipe()
+        width, height = self.size
+        self.screen = subprocess.Popen(
+            ["chroot", str(self.place), "Xvfb", "-displayfd", str(write), "-screen", "0", f"{width}x{height}x24"]
+            + ["-nolisten", "tcp"],
+            env=self._environment(),
+            pass_fds=(write,),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(write)
+        with os.fdopen(read) as numbers:
+            self.display = f":{numbers.readline().strip()}"
+
+    def _start_blender(self) -> None:
+        shutil.copy(HERE / "driver.py", self.folder)
+        ours, theirs = socket.socketpair()
+        self._link = ours
+        self.log = self.folder / "log.txt"
+        with self.log.open("wb") as log:
+            self.process = subprocess.Popen(
+                ["chroot", str(self.place), "blender", "--factory-startup", "--gpu-backend", "opengl"]
+                + ["-p", "0", "0", str(self.size[0]), str(self.size[1])]
+                + ["--python", str(self.inside / "driver.py")],
+                env=self._environment() | {"DISPLAY": self.display, "FACEMIME_GUI_LINK": str(theirs.fileno())},
+                pass_fds=(theirs.fileno(),),
+                stdout=log,
+                stderr=subprocess.STDOUT,
+            )
+        theirs.close()
+
+    def close(self) -> None:
+        """End Blender and the screen, whatever they do, and keep what Blender printed."""
+        for name in ("process", "screen"):
+            process = getattr(self, name, None)
+            if process is not None and process.poll() is None:
+                process.kill()
+                process.wait()
+        if self._link is not None:
+            self._link.close()
+        if getattr(self, "log", None) is not None and self.log.exists():
+            shutil.copy(self.log, self.shots / "log.txt")
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def printed(self) -> str:
+        """What Blender printed so far."""
+        return self.log.read_text(errors="replace")
+
+    def do(self, code: str) -> Any:
+        """Run statements in Blender, between two of its events; returns what they leave in the name `value`."""
+        answer = self._ask({"code": code})
+        if "error" in answer:
+            raise GuiError(answer["error"])
+        return answer["value"]
+
+    def get(self, expression: str) -> Any:
+        """What `expression` is in Blender, as far as JSON can say it."""
+        return self.do(f"value = {expression}")
+
+    def wait_for(self, expression: str, seconds: float = _DEADLINE) -> Any:
+        """Wait until `expression` is true in Blender, and return it."""
+        return wait(lambda: self.get(expression), expression, seconds)
+
+    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
+        self._link.settimeout(_DEADLINE * 2)
+        try:
+            self._link.sendall(json.dumps(request).encode() + b"\n")
+            while b"\n" not in self._received:
+                part = self._link.recv(1 << 20)
+                if not part:
+                    raise GuiError(f"Blender ended with status {self.process.wait()}:\n{self.printed()[-4000:]}")
+                self._received += part
+        except (TimeoutError, BrokenPipeError, ConnectionResetError) as error:
+            raise GuiError(f"Blender does not answer ({error!r}):\n{self.printed()[-4000:]}") from error
+        line, _, self._received = self._received.partition(b"\n")
+        return json.loads(line)
+
+    def redraw(self) -> None:
+        """Let Blender handle its events and draw everything once."""
+        self.do("bpy.ops.wm.redraw_timer(type='DRAW_WIN_SWAP', iterations=1)")
+
+    def input(self, *words: object) -> None:
+        """Real events: what xdotool takes, mouse in the window's pixels from its top left."""
+        command = ["chroot", str(self.place), "xdotool", *map(str, words)]
+        subprocess.run(command, env=self._environment() | {"DISPLAY": self.display}, check=True, timeout=30)
+
+    def move(self, x: float, y: float) -> None:
+        """The mouse to a place, pixels from the top left; in two steps, as Blender looks only at what moves."""
+        self.input("mousemove", round(x) - 1, round(y), "mousemove", round(x), round(y))
+
+    def click(self, x: float, y: float) -> None:
+        """A click of the left button."""
+        self.move(x, y)
+        self.redraw()
+        self.input("click", 1)
+
+    def drag(self, *points: tuple[float, float]) -> None:
+        """Press at the first point, go to the others, release."""
+        words: list[object] = ["mousemove", *map(round, points[0]), "sleep", 0.1, "mousedown", 1]
+        for x, y in points[1:]:
+            words += ["sleep", 0.05, "mousemove", round(x), round(y)]
+        self.input(*words, "sleep", 0.05, "mouseup", 1)
+
+    def key(self, *keys: str) -> None:
+        """Press keys, such as ctrl+z."""
+        self.input("key", *keys)
+
+    def shot(self, name: str) -> Path:
+        """Keep what the screen shows as build/gui/…/NN-name.png."""
+        self._count += 1
+        path = self.shots / f"{self._count:02d}-{name}.png"
+        self.redraw()
+        subprocess.run(
+            ["chroot", str(self.place), "import", "-window", "root", str(self.inside / "shot.png")],
+            env=self._environment() | {"DISPLAY": self.display},
+            check=True,
+            timeout=60,
+        )
+        shutil.move(self.folder / "shot.png", path)
+        return path
+
+
+def wait(condition: Callable[[], Any], what: str, seconds: float = _DEADLINE) -> Any:
+    """Wait until `condition` holds, and return what it gave; GuiError after `seconds`."""
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        if time.monotonic() > end:
+            raise GuiError(f"waited {seconds:.0f} s in vain for: {what}")
+        time.sleep(0.02)
+    return found
