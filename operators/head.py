@@ -20,6 +20,12 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
         default=False,
     )
 
+    show_textures: BoolProperty(
+        name="Show Textures",
+        description="Let solid shading show the head's painted skin and eyes",
+        default=True,
+    )
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only in Object mode."""
@@ -33,6 +39,9 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
         """The work of `execute`."""
         head = add_head(context, units=self.units)
         head.location = context.scene.cursor.location
+        space = context.space_data
+        if self.show_textures and isinstance(space, bpy.types.SpaceView3D) and space.shading.color_type == "MATERIAL":
+            space.shading.color_type = "TEXTURE"
         return {"FINISHED"}
 
 

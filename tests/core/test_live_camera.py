@@ -1,0 +1,167 @@
+"""A camera is read in a process of its own; whatever becomes of that, the user reads one sentence and it goes on.
+
+No machine that tests has a camera. OpenCV reads a file through the same call as a camera's stream, so a clip stands for
+the device; drivers that hang or crash are programs that do.
+"""
+
+import os
+import sys
+from pathlib import Path
+from time import perf_counter
+
+import cv2
+import numpy as np
+import pytest
+
+import facemime
+from facemime.core.errors import SourceError
+from facemime.core.live import camera as camera_module
+from facemime.core.live.camera import Camera, CameraName, CameraSettings, device_of, explained, python_executable
+
+SAMPLE = str(Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4")
+
+
+def until(camera: Camera, condition, seconds: float = 30.0):
+    """Read until `condition` of a frame holds, or an error comes; returns the frame."""
+    end = perf_counter() + seconds
+    while perf_counter() < end:
+        frame = camera.read(0.2)
+        if frame is not None and condition(frame):
+            return frame
+    raise AssertionError("waited in vain")
+
+
+@pytest.fixture
+def camera():
+    """Makes cameras and closes them."""
+    made = []
+
+    def make(*arguments, **options) -> Camera:
+        made.append(Camera(*arguments, **options))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def program(tmp_path: Path, text: str) -> tuple[str, ...]:
+    """A command that runs `text` in place of the camera's process."""
+    path = tmp_path / "driver.py"
+    path.write_text(text)
+    return (sys.executable, str(path))
+
+
+def test_frames_reach_the_reader_with_a_clock_that_both_processes_share(camera):
+    source = camera(CameraSettings(SAMPLE))
+    first = until(source, lambda frame: True)
+    later = until(source, lambda frame: frame.time > 0.2)
+    assert first.image.shape == (480, 640, 3) and first.image.std() > 10
+    assert first.time == 0.0 and 0.0 <= perf_counter() - later.taken < 10.0
+    assert source.clock == "monotonic"
+
+
+def test_a_stream_that_ends_is_said_and_taken_up_again_when_it_is_back(camera, monkeypatch):
+    monkeypatch.setattr(camera_module, "_AGAIN", 0.1)
+    source = camera(CameraSettings(SAMPLE))
+    before = until(source, lambda frame: True)
+    source._process.kill()
+    with pytest.raises(SourceError, match="driver of camera"):
+        until(source, lambda frame: False)
+    after = until(source, lambda frame: True)
+    assert after.time > before.time
+
+
+def test_a_driver_that_hangs_is_ended_and_said(camera, tmp_path):
+    source = camera(
+        CameraSettings("7"), command=program(tmp_path, "import time; time.sleep(600)"), opening=0.5, silence=0.5
+    )
+    with pytest.raises(SourceError, match="does not answer"):
+        until(source, lambda frame: True)
+    assert source._process is None
+
+
+def test_a_driver_that_hangs_after_some_frames_is_ended_too(camera, tmp_path):
+    folder = Path(camera_module.__file__).parent
+    text = f"""
+import sys, time
+sys.path.insert(0, {str(folder)!r})
+from camera_process import HEADER, FRAME
+sys.stdout.buffer.write(HEADER.pack(FRAME, time.perf_counter(), 2, 3, 18) + bytes(18))
+sys.stdout.flush()
+time.sleep(600)
+"""
+    source = camera(CameraSettings("7"), command=program(tmp_path, text), silence=0.5)
+    assert until(source, lambda frame: True).image.shape == (2, 3, 3)
+    with pytest.raises(SourceError, match="does not answer"):
+        until(source, lambda frame: False)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "import os; os.abort()",
+        "import sys; sys.stdout.write('rubbish' * 1000)",
+        "import sys; sys.stdout.buffer.write(b'FRAM' + bytes([255]) * 40)",
+        "pass",
+    ],
+)
+def test_a_driver_that_breaks_down_or_writes_rubbish_is_said(camera, tmp_path, text):
+    source = camera(CameraSettings("7"), command=program(tmp_path, text))
+    with pytest.raises(SourceError, match=r"broke down|cannot be opened|There is no"):
+        until(source, lambda frame: True)
+
+
+def test_a_camera_that_is_not_there_is_said(camera):
+    if os.path.exists("/dev/video97"):
+        pytest.skip("this machine has a camera 97")
+    with pytest.raises(SourceError, match="camera 97"):
+        until(camera(CameraSettings("97")), lambda frame: True)
+
+
+def test_the_size_of_frames_may_change_on_the_way(camera, tmp_path):
+    """As some cameras do where the light falls: a driver that does is made of the real messages."""
+    folder = Path(camera_module.__file__).parent
+    text = f"""
+import sys, time
+sys.path.insert(0, {str(folder)!r})
+from camera_process import HEADER, FRAME
+for height, width in ((4, 6), (8, 10)):
+    sys.stdout.buffer.write(HEADER.pack(FRAME, time.perf_counter(), height, width, 3 * height * width))
+    sys.stdout.buffer.write(bytes(3 * height * width))
+    sys.stdout.flush()
+    time.sleep(0.3)
+time.sleep(600)
+"""
+    source = camera(CameraSettings("7"), command=program(tmp_path, text))
+    assert until(source, lambda frame: True).image.shape == (4, 6, 3)
+    assert until(source, lambda frame: True).image.shape == (8, 10, 3)
+
+
+def test_the_process_ends_with_the_camera(camera):
+    source = camera(CameraSettings(SAMPLE))
+    until(source, lambda frame: True)
+    process = source._process
+    source.close()
+    source.close()
+    assert process.poll() is not None
+    assert source.read(0.1) is None
+
+
+def test_a_camera_is_found_by_its_name_where_its_number_changed():
+    cameras = [CameraName("0", "Built-in"), CameraName("4", "Desk: HD")]
+    assert device_of("2: Desk: HD", cameras) == "4"
+    assert device_of("1: Gone", cameras) == "1"
+    assert device_of(" 3 ", cameras) == "3"
+    assert device_of("http://phone:8080/video", cameras) == "http://phone:8080/video"
+
+
+def test_every_failure_is_explained_in_two_sentences():
+    for failure in ("closed", "silent", "gone", "hangs", "died", "no python", "something new"):
+        text = explained(failure, "http://phone/video")
+        assert text.endswith(".") and 30 < len(text) < 200
+
+
+def test_the_python_that_is_started_can_import_opencv():
+    assert Path(python_executable()).exists()
+    assert np.__version__ and cv2.__version__

@@ -1,0 +1,132 @@
+"""Live sources keep to the clock, drop what is late, and say what is wrong."""
+
+from pathlib import Path
+from time import perf_counter
+
+import cv2
+import numpy as np
+import pytest
+
+import facemime
+from facemime.core.capture import VideoSource
+from facemime.core.errors import SourceError
+from facemime.core.live.sources import LiveFrame, LiveSource, PacedSource, PicturePlayer, TakePlayer, VideoPlayer
+from takes import performance
+
+SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
+
+
+def played(source: LiveSource, count: int | None = None) -> list[LiveFrame]:
+    """The frames of `source` until its end, or the first `count`."""
+    frames: list[LiveFrame] = []
+    while not source.ended and (count is None or len(frames) < count):
+        frame = source.read(1.0)
+        if frame is not None:
+            frames.append(frame)
+    source.close()
+    return frames
+
+
+class Numbers(PacedSource):
+    """Ten frames, a hundredth of a second apart."""
+
+    def __init__(self, **options):
+        super().__init__("numbers", **options)
+        self.opened = 0
+
+    def frames(self):
+        self.opened += 1
+        for index in range(10):
+            yield LiveFrame(index / 100.0, np.full((2, 2, 3), index, np.uint8))
+
+
+def test_a_video_is_played_with_its_own_times_and_pictures():
+    with VideoSource(SAMPLE) as source:
+        wanted = [frame for frame, _ in zip(source, range(6), strict=False)]
+    frames = played(VideoPlayer(SAMPLE, speed=0.25), 6)
+    assert [frame.dropped for frame in frames] == [0] * 6
+    for frame, other in zip(frames, wanted, strict=True):
+        assert frame.time == pytest.approx(other.time)
+        np.testing.assert_array_equal(frame.image, other.image)
+
+
+def test_frames_come_no_sooner_than_the_clock_allows_and_all_are_accounted_for():
+    began = perf_counter()
+    frames = played(Numbers(speed=0.5))
+    for frame in frames:
+        assert frame.taken - began >= 2.0 * frame.time - 1e-3
+    assert len(frames) + sum(frame.dropped for frame in frames) == 10
+    assert np.all(np.diff([frame.time for frame in frames]) > 0)
+
+
+def test_what_came_due_while_nobody_looked_is_dropped_and_counted():
+    source = Numbers()
+    source.read(1.0)
+    end = perf_counter() + 0.06
+    while perf_counter() < end:
+        pass
+    late = source.read(1.0)
+    assert late.dropped >= 4 and late.image[0, 0, 0] == late.dropped + 1
+
+
+def test_a_loop_goes_on_in_one_growing_time():
+    source = Numbers(loop=True, speed=5.0)
+    frames = played(source, 25)
+    assert source.opened >= 3 and not source.ended
+    times = np.array([frame.time for frame in frames])
+    assert np.all(np.diff(times) > 0)
+    shown = [int(frame.image[0, 0, 0]) for frame in frames]
+    np.testing.assert_allclose(times, [round(time * 100) / 100 for time in times], atol=1e-9)
+    assert [round(time * 100) % 10 for time in times] == shown
+
+
+def test_closing_wakes_a_reader_and_nothing_comes_afterwards():
+    source = VideoPlayer(SAMPLE, speed=0.05)
+    source.read(1.0)
+    source.close()
+    began = perf_counter()
+    assert source.read(60.0) is None
+    assert perf_counter() - began < 30.0
+    source.close()
+
+
+def test_pictures_of_a_folder_are_played_in_the_order_of_their_names(tmp_path):
+    for index in (2, 0, 1):
+        cv2.imwrite(str(tmp_path / f"face{index}.png"), np.full((4, 4, 3), 50 * index, np.uint8))
+    (tmp_path / "notes.txt").write_text("no picture")
+    frames = played(PicturePlayer(tmp_path, rate=20.0))
+    assert [int(frame.image[0, 0, 0]) for frame in frames] == [0, 50, 100]
+    assert [frame.time for frame in frames] == pytest.approx([0.0, 0.05, 0.1])
+
+
+def test_a_take_is_played_without_pictures():
+    take = performance()
+    frames = played(TakePlayer(take, "take", speed=20.0))
+    assert all(frame.image is None for frame in frames)
+    last = frames[-1]
+    index = int(np.argmin(np.abs(take.times - take.times[0] - last.time)))
+    np.testing.assert_array_equal(last.result.landmarks, take.landmarks[index])
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        (lambda folder: VideoPlayer(folder / "none.mp4"), "There is no file"),
+        (lambda folder: VideoPlayer(folder / "broken.mp4"), "not a video"),
+        (lambda folder: PicturePlayer(folder / "none"), "There is no folder"),
+        (PicturePlayer, "There is no picture"),
+    ],
+)
+def test_what_cannot_be_played_is_said_and_asked_for_again(tmp_path, source, said):
+    (tmp_path / "broken.mp4").write_bytes(b"nothing")
+    opened = source(tmp_path)
+    for _ in range(2):
+        with pytest.raises(SourceError, match=said):
+            opened.read(0.1)
+    opened.close()
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), 1e9])
+def test_a_speed_that_makes_no_sense_is_refused(speed):
+    with pytest.raises(SourceError, match="speed"):
+        VideoPlayer(SAMPLE, speed=speed)

@@ -1,0 +1,228 @@
+"""The worker tracks the newest frame, drives the heads, and survives what sources and disks do."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import facemime
+from facemime.core.apertures import LOWER_LIPS, UPPER_LIDS, lid_gaps
+from facemime.core.capture import VideoSource
+from facemime.core.drive import DriveOptions, HeadDriver, built_in_rig
+from facemime.core.errors import OutputError, SourceError
+from facemime.core.live.calibration import RangeCalibration
+from facemime.core.live.sources import LiveFrame, LiveSource, TakePlayer, VideoPlayer
+from facemime.core.live.timing import STAGES, Delays, Stopwatch
+from facemime.core.live.worker import LiveHead, LiveOptions, LiveWorker
+from facemime.core.retarget import calibrate
+from facemime.core.tracking.tracker import FaceTracker
+from takes import make_take, performance
+
+SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
+
+
+class Listed(LiveSource):
+    """Gives what it is told to, one thing a read: frames, errors to raise, or None."""
+
+    name = "list"
+
+    def __init__(self, things):
+        self._things = list(things)
+        self.closed = False
+
+    def read(self, timeout):
+        if not self._things:
+            self.ended = True
+            return None
+        thing = self._things.pop(0)
+        if isinstance(thing, Exception):
+            raise thing
+        return thing
+
+    def close(self):
+        self.closed = True
+
+
+class Recorded(list):
+    """Keeps what is recorded; full after `room` frames."""
+
+    def __init__(self, room=10**9):
+        super().__init__()
+        self.room, self.closed = room, False
+
+    def append(self, at, result):
+        if len(self) >= self.room:
+            raise OutputError("The disk is full. Free some space.")
+        super().append((at, result))
+
+    def close(self):
+        self.closed = True
+
+
+def frames_of(take) -> list[LiveFrame]:
+    """The frames of a take as a source gives them."""
+    return [LiveFrame(float(t), None, take.result(i)) for i, t in enumerate(take.times)]
+
+
+def run(worker: LiveWorker) -> LiveWorker:
+    """Start, and wait for the end of the source."""
+    worker.start()
+    end = time.monotonic() + 60.0
+    while worker.running and time.monotonic() < end:
+        time.sleep(0.002)
+    assert not worker.running
+    return worker
+
+
+def test_the_heads_are_those_that_the_same_frames_give_without_a_worker():
+    take, rig = performance(), built_in_rig()
+    neutral = calibrate(take)
+    options = DriveOptions(strength=(1.0, 0.5, 1.2))
+    worker = run(
+        LiveWorker(
+            Listed(frames_of(take)),
+            neutral=neutral,
+            heads=(LiveHead(rig), LiveHead(rig, options)),
+            options=LiveOptions(smooth=False),
+        )
+    )
+    last = take.result(len(take) - 1)
+    assert worker.latest.number == worker.counts.tracked == len(take) and worker.counts.lost == 1
+    for head, wanted in zip(worker.latest.heads, (DriveOptions(), options), strict=True):
+        np.testing.assert_array_equal(head.vertices, HeadDriver(rig, neutral, wanted).frame(last).vertices)
+
+
+def test_a_real_clip_is_tracked_as_offline():
+    source = VideoPlayer(SAMPLE, speed=0.05)
+    worker = LiveWorker(source, heads=(LiveHead(built_in_rig()),), options=LiveOptions(smooth=False, preview=160))
+    recorded = Recorded()
+    worker.record(recorded)
+    worker.start()
+    end = time.monotonic() + 60.0
+    while worker.counts.tracked < 8 and time.monotonic() < end:
+        time.sleep(0.01)
+    worker.close()
+    tracker = FaceTracker.load()
+    with VideoSource(SAMPLE) as video:
+        for (at, result), frame in zip(recorded, video, strict=False):
+            assert at == pytest.approx(frame.time)
+            np.testing.assert_allclose(result.landmarks, tracker.track(frame.image).landmarks, atol=1e-6)
+    assert len(recorded) >= 8 and recorded.closed and source.read(0.0) is None
+    assert worker.latest.preview.shape == (120, 160, 4) and worker.latest.preview.dtype == np.float32
+
+
+def test_without_a_neutral_the_first_second_with_a_face_is_taken():
+    take = performance()
+    worker = run(LiveWorker(Listed(frames_of(take)), heads=(LiveHead(built_in_rig()),)))
+    assert worker.neutral is not None and len(worker.latest.heads) == 1
+    np.testing.assert_allclose(worker.neutral.shape, take.shape[:10].mean(axis=0), atol=1e-3)
+
+
+def test_an_error_before_the_first_frame_ends_the_worker_and_a_later_one_is_waited_out():
+    first = run(LiveWorker(Listed([SourceError("no camera. Plug one in.")])))
+    assert "no camera" in str(first.error)
+    frames = frames_of(performance())
+    later = run(LiveWorker(Listed([*frames[:3], SourceError("gone. Plug it in."), *frames[3:6]])))
+    assert later.error is None and later.counts.tracked == 6 and later.message == ""
+
+
+def test_a_source_that_is_away_is_named_while_it_is():
+    frames = frames_of(performance())
+    worker = run(LiveWorker(Listed([*frames[:3], SourceError("gone. Plug it in.")])))
+    assert worker.message == "gone. Plug it in."
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_puppet():
+    worker = LiveWorker(Listed(frames_of(performance())))
+    recorded = Recorded(room=5)
+    worker.record(recorded)
+    run(worker)
+    assert "disk is full" in str(worker.recording_error)
+    assert len(recorded) == 5 and worker.counts.tracked == 60 and worker.error is None
+
+
+def test_what_is_recorded_is_what_was_tracked_not_what_was_smoothed():
+    take, recorded = performance(), Recorded()
+    worker = LiveWorker(Listed(frames_of(take)), options=LiveOptions(smooth=True))
+    worker.record(recorded)
+    run(worker)
+    np.testing.assert_array_equal([r.landmarks for _, r in recorded], take.landmarks)
+
+
+def test_options_and_heads_may_change_while_it_runs_and_what_is_costly_is_kept():
+    take, rig = performance(), built_in_rig()
+    worker = LiveWorker(TakePlayer(take, "take", loop=True, speed=4.0), neutral=calibrate(take), heads=(LiveHead(rig),))
+    worker.start()
+    wait_for(lambda: worker.latest is not None and worker.latest.heads)
+    deformer = worker._drivers[0].deformer
+    worker.heads = (LiveHead(rig, DriveOptions(strength=(0.0, 0.0, 0.0))),)
+    at_rest = rig.vertices
+    wait_for(lambda: worker.latest.heads and np.abs(worker.latest.heads[0].vertices - at_rest).max() < 1e-6)
+    assert worker._drivers[0].deformer is deformer
+    worker.heads = (LiveHead(rig, DriveOptions(kernel="gaussian")),)
+    wait_for(lambda: worker._drivers[0].deformer is not deformer)
+    worker.close()
+
+
+def wait_for(condition) -> None:
+    """Until `condition` holds."""
+    end = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.002)
+
+
+def test_calibration_takes_the_next_second_and_is_refused_where_the_performer_moves():
+    take = performance(200)
+    still = calibrate(take)
+    worker = LiveWorker(Listed(frames_of(take)), neutral=still)
+    worker.calibrate()
+    run(worker)
+    assert worker.quality.good and worker.neutral is not still and not worker.calibrating
+    rng = np.random.default_rng(1)
+    shaken = make_take(take.shape[:30] + rng.normal(0.0, 0.05, take.shape[:30].shape))
+    restless = LiveWorker(Listed(frames_of(shaken)), neutral=still)
+    restless.calibrate()
+    assert "moved" in run(restless).quality.message
+
+
+def test_calibration_without_a_face_says_so_and_keeps_the_neutral():
+    take = performance()
+    blind = make_take(take.shape[:40], found=np.zeros(40, bool))
+    worker = LiveWorker(Listed(frames_of(blind)), neutral=calibrate(take))
+    before = worker.neutral
+    worker.calibrate()
+    run(worker)
+    assert not worker.quality.good and worker.neutral is before
+
+
+def test_the_range_of_eyes_and_mouth_is_learnt_and_what_was_not_shown_is_asked_for():
+    neutral = calibrate(performance(), 0.0)
+    shut, opened = neutral.shape.copy(), neutral.shape.copy()
+    shut[UPPER_LIDS, 1] += 0.9 * lid_gaps(neutral.shape)
+    opened[LOWER_LIPS, 1] += 0.3
+    said = []
+    for shown in ([], [shut] * 20, [shut] * 20 + [opened] * 20):
+        take = make_take(np.array([neutral.shape] * 70 + shown))
+        calibration = RangeCalibration(neutral)
+        assert [calibration.add(float(t), take.result(i)) for i, t in enumerate(take.times)].count(True) <= 11
+        said.append(calibration.quality())
+    assert [quality.good for quality in said] == [False, False, True]
+    assert "eyes were not seen" in said[0].message and "mouth was hardly opened" in said[1].message
+    learnt = calibration.neutral()
+    assert learnt.shut == pytest.approx(0.1, abs=0.02) and learnt.mouth_gain > 1.1
+
+
+def test_the_stopwatch_names_what_is_slow_and_only_that():
+    watch = Stopwatch()
+    assert watch.slowest() == "" and np.isnan(watch.latency) and watch.medians() == {}
+    for _ in range(5):
+        watch.add(Delays((0.001, 0.002, 0.001, 0.001, 0.001)))
+    assert watch.slowest() == "" and watch.latency == pytest.approx(0.006)
+    for _ in range(20):
+        watch.add(Delays((0.001, 0.02, 0.001, 0.001, 0.001)))
+    assert watch.slowest() == "track" and watch.rate > 0
+    assert set(watch.percentiles(50.0, 95.0)) == {*STAGES, "total"}
