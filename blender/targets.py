@@ -97,7 +97,7 @@ class PoseTarget:
 def own_rotation(obj: bpy.types.Object) -> Matrix:
     """(3, 3) rotation of `obj` within its parent, without its delta rotation."""
     if obj.rotation_mode == "QUATERNION":
-        return obj.rotation_quaternion.to_matrix()
+        return obj.rotation_quaternion.normalized().to_matrix()
     if obj.rotation_mode == "AXIS_ANGLE":
         angle, *axis = obj.rotation_axis_angle
         return Matrix.Rotation(angle, 3, axis)

@@ -196,5 +196,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Unregister the operators."""
+    """Unregister the operators; one that runs ends first."""
+    if FACEMIME_OT_puppet.instance is not None:
+        FACEMIME_OT_puppet.instance.cancel(bpy.context)
     unregister_all(_CLASSES)
