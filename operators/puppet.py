@@ -11,7 +11,7 @@ from ..live import follow_rigs, follow_settings, heads_in, start_session
 from ..session import LiveSession, Session
 from .shared import ReportsErrors, register_all, unregister_all
 
-_TICK = 1.0 / 60.0
+_TICK = 1.0 / 120.0
 _STATUS = 0.25
 
 

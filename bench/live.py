@@ -1,0 +1,115 @@
+"""A live session from the frame to the vertices: delay by stage, and what the main thread spends on a tick.
+
+The sample clip plays at its own speed and is tracked as live; the heads are the built-in one and two that are
+subdivided. Drawing is not in it: that is Blender's, and needs a window. Run as `python -m bench.live`.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+from time import perf_counter
+
+import bpy
+import cv2
+import numpy as np
+
+import facemime
+from bench.report import Table, bars, finish, parser
+from facemime.blender.head import add_head
+from facemime.blender.meshes import read_landmarks, write_landmarks
+from facemime.core.live.timing import STAGES
+from facemime.live import follow_settings, start_session
+from facemime.session import LiveSession
+
+LEVELS = {0: "1,781", 2: "26k", 3: "100k"}
+_PERIOD = 1.0 / 120.0
+_PERCENTILES = (50.0, 95.0, 99.0)
+_WARM = 30
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Of one head: delays by stage, (stage: percentiles), the ticks' seconds, and how long the worker prepared."""
+
+    vertices: int
+    preview: bool
+    delays: dict[str, tuple[float, ...]]
+    ticks: tuple[float, ...]
+    rate: float
+
+
+def main() -> int:
+    """Measure, print, draw."""
+    command = parser(__doc__.splitlines()[0])
+    command.add_argument("--seconds", type=float, default=9.0, help="for each head (default 9)")
+    arguments = command.parse_args()
+    cv2.setNumThreads(1)
+    facemime.register()
+    try:
+        measured = [measure(level, preview, arguments.seconds) for level in LEVELS for preview in (False, True)]
+    finally:
+        facemime.unregister()
+    tables = [_table(one) for one in measured]
+    ticks = [
+        (f"{one.vertices:,}", "yes" if one.preview else "no", *(1e3 * t for t in one.ticks), one.rate)
+        for one in measured
+    ]
+    columns = ("vertices", "preview", "median", "95 %", "99 %", "frames a second")
+    tables.insert(0, Table("The main thread's share of a tick, ms", columns, ticks))
+    if arguments.figure is not None:
+        plain = [one for one in measured if not one.preview]
+        names = [f"{one.vertices:,} vertices" for one in plain]
+        bars(arguments.figure, "Main thread, 95 % of ticks", names, [1e3 * one.ticks[1] for one in plain], "ms")
+    finish(arguments, tables, {f"{one.vertices} {one.preview}": one.ticks for one in measured})
+    return 0
+
+
+def measure(level: int, preview: bool, seconds: float) -> Measured:
+    """Puppet a head of `level` subdivisions for `seconds`, with ticks as Blender's timer gives them."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    head = dense_head(level)
+    settings = bpy.context.scene.facemime
+    settings.source.kind, settings.source.loop, settings.source.preview = "SAMPLE", True, preview
+    session = start_session(bpy.context.scene, [head])
+    try:
+        return _ticked(session, settings, seconds, len(head.data.vertices), preview)
+    finally:
+        session.close()
+
+
+def _ticked(session: LiveSession, settings, seconds: float, vertices: int, preview: bool) -> Measured:
+    ticks: list[float] = []
+    while len(ticks) < _WARM + seconds / _PERIOD / 3 and session.worker.error is None:
+        began = perf_counter()
+        follow_settings(session, settings)
+        if session.step() and session.latest.heads:
+            ticks.append(perf_counter() - began)
+        bpy.context.view_layer.update()
+        time.sleep(max(0.0, _PERIOD - (perf_counter() - began)))
+    kept = np.percentile(ticks[_WARM:], _PERCENTILES)
+    delays = session.stopwatch.percentiles(*_PERCENTILES)
+    return Measured(vertices, preview, dict(delays), tuple(kept.tolist()), session.stopwatch.rate)
+
+
+def dense_head(level: int) -> bpy.types.Object:
+    """The built-in head, each face divided `level` times; the first vertices stay what they were."""
+    head = add_head(bpy.context)
+    if level:
+        landmarks = read_landmarks(head)
+        modifier = head.modifiers.new("Dense", "SUBSURF")
+        modifier.levels, modifier.subdivision_type = level, "SIMPLE"
+        bpy.ops.object.modifier_apply(modifier=modifier.name)
+        write_landmarks(head.data, landmarks)
+    return head
+
+
+def _table(one: Measured) -> Table:
+    title = f"Delay by stage at {one.vertices:,} vertices, {'with' if one.preview else 'without'} preview, ms"
+    rows = [(stage, *(1e3 * t for t in one.delays[stage])) for stage in (*STAGES, "total")]
+    return Table(title, ("stage", "median", "95 %", "99 %"), rows)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
