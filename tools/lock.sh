@@ -5,6 +5,7 @@ cd "$(dirname "$0")/../requirements"
 uv() { ../.venv/bin/uv pip compile --quiet --no-header --generate-hashes "$@"; }
 ../.venv/bin/pip install --quiet uv
 uv --universal --python-version 3.11 dev.in -o dev.txt
+uv --universal --python-version 3.11 farm.in -o farm.txt
 uv --python-version 3.11 training.in -o training.txt
 uv --python-version 3.11 --allow-unsafe peers.in -o peers.txt
 uv --universal --python-version 3.11 --no-deps wheels.in -o wheels.txt

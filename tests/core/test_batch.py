@@ -1,0 +1,199 @@
+"""Many clips: which there are, what they are called, how their processes end, what is told of them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from facemime import cli
+from facemime.batch import run
+from facemime.batch.clips import Job, Namer, confidence_curve, find_clips, read_record, worst_frames, write_record
+from facemime.batch.report import Entry, write_report
+from facemime.core.errors import FacemimeError, OutputError, SourceError
+from facemime.core.files import locked
+from facemime.core.images import write_image
+from takes import performance
+
+SETTINGS = {"head": None, "points": None, "mode": "3d"}
+
+
+def test_clips_are_found_in_folders_and_in_lists_in_a_fixed_order(tmp_path):
+    for name in ("b.mp4", "a.MOV", "notes.txt", "deep/c.webm"):
+        (tmp_path / "clips" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "clips" / name).write_text(name)
+    folder = [tmp_path / "clips" / name for name in ("a.MOV", "b.mp4", "deep/c.webm")]
+    assert find_clips([tmp_path / "clips"]) == folder
+    (tmp_path / "list.txt").write_text("# mine\nclips/b.mp4\n\nnowhere.mp4\n")
+    assert find_clips([tmp_path / "list.txt"]) == [tmp_path / "clips" / "b.mp4", tmp_path / "nowhere.mp4"]
+    assert len(find_clips([tmp_path / "clips", tmp_path / "clips" / "b.mp4"])) == 4
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
+    for source, words in (("empty", "no clip in"), ("missing", "no list of clips"), ("binary", "no list of clips")):
+        with pytest.raises(SourceError, match=words):
+            find_clips([tmp_path / source])
+
+
+def test_a_clip_keeps_its_name_until_its_content_or_a_setting_changes(tmp_path):
+    clip, copy, head = tmp_path / "a.mp4", tmp_path / "b.mp4", tmp_path / "own.blend"
+    for path in (clip, copy, head):
+        path.write_text("one")
+    name = Namer(SETTINGS).job(clip).name
+    assert name.startswith("a-") and Namer(dict(SETTINGS)).job(clip).name == name
+    assert Namer(SETTINGS).job(copy).name[2:] == name[2:]
+    assert Namer({**SETTINGS, "mode": "planar"}).job(clip).name != name
+    own = Namer({**SETTINGS, "head": f"{head}:Face"}).job(clip).name
+    assert Namer({**SETTINGS, "head": f"{head}:Other"}).job(clip).name != own != name
+    head.write_text("two")
+    assert Namer({**SETTINGS, "head": f"{head}:Face"}).job(clip).name != own
+    clip.write_text("two")
+    assert Namer(SETTINGS).job(clip).name != name
+    with pytest.raises(SourceError, match="no such file"):
+        Namer(SETTINGS).job(tmp_path / "none.mp4")
+    with pytest.raises(SourceError, match="no such file"):
+        Namer({**SETTINGS, "head": "none.blend:Face"})
+
+
+def test_a_clip_is_done_when_its_record_and_its_outputs_are_there(tmp_path):
+    job = Job(tmp_path / "a.mp4", "a-0")
+    assert read_record(job, tmp_path) is None
+    write_record(job, tmp_path, performance(), 1.0, [b"jpeg"])
+    assert read_record(job, tmp_path) is None
+    for suffix in (".blend", ".facetake", ".png"):
+        job.output(tmp_path, suffix).touch()
+    record = read_record(job, tmp_path)
+    assert (record["frames"], record["found"], record["clip"]) == (60, 59, "a.mp4")
+    for broken in ("", "[]", '{"outputs": ', "{}"):
+        job.output(tmp_path, ".json").write_text(broken)
+        assert read_record(job, tmp_path) is None
+
+
+def test_the_worst_frames_are_the_least_sure_ones_some_time_apart():
+    take = performance(100)
+    take.confidence[:] = 0.9
+    take.confidence[[10, 11, 70]] = (0.1, 0.2, 0.3)
+    assert worst_frames(take) == [10, 50, 70]
+    curve = confidence_curve(performance(1000))
+    assert len(curve) == 300 and min(curve) == 0.0 and max(curve) == 1.0
+    assert len(worst_frames(performance(2))) == 1
+
+
+def test_the_report_stands_for_itself_and_names_what_failed_first(tmp_path):
+    write_image(tmp_path / "good-1.png", np.full((60, 90, 3), 128, np.uint8))
+    write_record(job := Job(tmp_path / "good.mp4", "good-1"), tmp_path, performance(), 1.0, [b"jpeg"] * 2)
+    record = json.loads(job.output(tmp_path, ".json").read_text())
+    entries = [
+        Entry("good.mp4", "done", "good-1", record=record),
+        Entry("<b>.mp4", "failed", "b-1", said="a < b"),
+        Entry("late.mp4", "not reached"),
+    ]
+    write_report(entries, tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "3 clips: 1 done, 1 failed, 1 not reached" in page
+    assert page.index("&lt;b&gt;.mp4: failed") < page.index("good.mp4: done") and "a &lt; b" in page
+    assert page.count("data:image/jpeg;base64,") == 3 and "<polyline" in page and "http" not in page
+    told = json.loads((tmp_path / "report.json").read_text())
+    assert told["counts"] == {"done": 1, "skipped": 0, "failed": 1, "not reached": 1}
+    assert "thumbnails" not in told["clips"][0]["record"]
+
+
+@pytest.fixture
+def python_lines(monkeypatch):
+    """Command lines are a piece of Python each."""
+    monkeypatch.setattr(run, "own_command", lambda: [sys.executable, "-c", "import sys; exec(sys.argv[1])"])
+
+
+def test_a_process_that_crashes_or_fails_stops_no_other(python_lines):
+    lines = ["import os; os.abort()", "sys.exit('no head')", "pass", "print('so', file=sys.stderr)", "sys.exit(7)"]
+    runner = run.LocalRunner(2)
+    ended = sorted(runner.run([[line] for line in lines]), key=lambda outcome: outcome.index)
+    runner.close()
+    runner.close()
+    assert [outcome.status for outcome in ended][1:] == [1, 0, 0, 7] and ended[0].status != 0
+    assert ended[1].said == "no head" and ended[3].said == "so"
+    assert run.run_line(["sys.exit('there too')"]) == (1, "there too")
+
+
+def test_closing_a_runner_ends_what_runs_and_forgets_what_waits(python_lines, tmp_path):
+    script = f"open({str(tmp_path / 'started')!r}, 'w').close(); import time; time.sleep(600)"
+    runner = run.LocalRunner(1)
+    lines = [[script], [f"open({str(tmp_path / 'second')!r}, 'w').close()"]]
+    thread = threading.Thread(target=lambda: ended.append(next(runner.run(lines))))
+    ended: list[run.Outcome] = []
+    thread.start()
+    while not (tmp_path / "started").exists():
+        time.sleep(0.01)
+    runner.close()
+    thread.join()
+    assert ended[0].index == 0 and ended[0].status != 0
+    assert not (tmp_path / "second").exists()
+
+
+def test_it_calls_blender_where_it_runs_inside_blender(monkeypatch):
+    monkeypatch.setitem(sys.modules, "bpy", SimpleNamespace(app=SimpleNamespace(binary_path="/opt/blender")))
+    assert run.own_command() == ["/opt/blender", "--command", "facemime"]
+    monkeypatch.setitem(sys.modules, "bpy", SimpleNamespace(app=SimpleNamespace(binary_path="")))
+    assert run.own_command() == [sys.executable, "-m", "facemime.cli"]
+
+
+def test_without_dask_and_without_a_scheduler_that_is_said(monkeypatch):
+    with pytest.raises(FacemimeError, match="There is no Dask scheduler at nowhere"):
+        run.DaskRunner("nowhere://")
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(FacemimeError, match="pip install distributed"):
+        run.DaskRunner("tcp://127.0.0.1:1")
+
+
+def test_dask_is_imported_only_when_asked_for():
+    code = "import sys, facemime.cli; sys.exit('distributed' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_lock_lets_one_in_at_a_time_and_goes_with_its_process(tmp_path):
+    lock, log = tmp_path / "a.lock", tmp_path / "log"
+    script = (
+        "import sys, time; from pathlib import Path; from facemime.core.files import locked\n"
+        "log = open(sys.argv[2], 'a')\n"
+        "for i in range(10):\n"
+        "    with locked(Path(sys.argv[1])):\n"
+        "        log.write('in\\n'); log.flush(); time.sleep(0.005); log.write('out\\n'); log.flush()\n"
+    )
+    several = [subprocess.Popen([sys.executable, "-c", script, lock, log]) for _ in range(3)]
+    assert [process.wait() for process in several] == [0, 0, 0]
+    assert log.read_text() == "in\nout\n" * 30 and not lock.exists()
+    holding = script.split("log =")[0] + "\nwith locked(Path(sys.argv[1])): print('in', flush=True); time.sleep(600)"
+    with subprocess.Popen([sys.executable, "-c", holding, lock], stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        process.kill()
+    with locked(lock):
+        assert lock.exists()
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError), locked(tmp_path / "file" / "a.lock"):
+        raise AssertionError
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["batch", "{0}", "-o", "{0}/out"], "no clip in"),
+        (["batch", "{0}/a.mp4", "-o", "{0}/out", "--jobs", "0"], "one clip has to run"),
+        (["batch", "{0}/a.mp4", "-o", "{0}/a.mp4"], "read-only|not a directory|folder"),
+        (["clip", "{0}/list", "-o", "{0}/out"], "--number 1 to --number 2"),
+        (["clip", "{0}/list", "--number", "3", "-o", "{0}/out"], "--number 1 to --number 2"),
+        (["clip", "{0}/list", "--number", "2", "-o", "{0}/out"], "cannot be read"),
+    ],
+)
+def test_what_cannot_be_done_is_said_before_anything_is_made(tmp_path, capsys, arguments, words):
+    import re
+
+    (tmp_path / "list").write_text("a.mp4\nb.mp4\n")
+    if "no clip" not in words:
+        (tmp_path / "a.mp4").write_text("x")
+    assert cli.main([argument.format(tmp_path) for argument in arguments]) == 1
+    assert re.search(words, capsys.readouterr().err) and not (tmp_path / "out").exists()
