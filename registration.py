@@ -1,20 +1,23 @@
 """What Blender is told of: one ordered tuple of modules, registered forwards and unregistered backwards."""
 
-from . import commands, properties, session
-from .operators import calibrate, control_points, facegen, head, own_head, puppet, puppet_video
+from . import commands, panel_properties, properties, session
+from .operators import calibrate, control_points, facegen, head, own_head, puppet, puppet_video, regions
 from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
 from .ui import expression as expression_panel
 from .ui import head as head_panels
-from .ui import menus, preview
+from .ui import menus, point_overlay, preview, region_overlay
 from .ui import puppet as puppet_panel
+from .ui import regions as regions_panel
 from .ui import source as source_panel
 
 _MODULES = (
     properties,
+    panel_properties,
     head,
     facegen,
     own_head,
+    regions,
     control_points,
     puppet_video,
     puppet,
@@ -23,10 +26,13 @@ _MODULES = (
     head_panels,
     source_panel,
     calibration_panel,
+    regions_panel,
     control_points_panel,
     expression_panel,
     puppet_panel,
     preview,
+    region_overlay,
+    point_overlay,
     commands,
     session,
 )

@@ -3,15 +3,19 @@
 from pathlib import Path
 
 import bpy
+import numpy as np
 from bpy.props import FloatProperty, IntProperty, StringProperty
 
-from ..blender.meshes import read_rig, write_selection
+from ..blender.landmark_places import NEAR, landmark_places, nearest_landmark
+from ..blender.meshes import is_head, read_rig, read_selection, write_selection
 from ..core.control_points import parse_landmarks, select_for_take
+from ..core.errors import HeadError
 from ..core.landmarks import N_LANDMARKS
+from ..core.point_table import add_by_hand, drop_by_hand
 from ..core.retarget import calibrate
 from ..core.takes.file import load_take
 from ..settings import puppet_settings
-from .shared import AsksForFile, OnMesh, register_all, unregister_all
+from .shared import AsksForFile, OnHead, OnMesh, register_all, unregister_all
 
 
 class FACEMIME_OT_select_control_points(AsksForFile, OnMesh, bpy.types.Operator):
@@ -60,6 +64,103 @@ class FACEMIME_OT_select_control_points(AsksForFile, OnMesh, bpy.types.Operator)
         return {"FINISHED"}
 
 
+class OnLandmark(OnHead):
+    """Mixin: needs the landmark that is picked in the panel."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only with a landmark picked."""
+        if not super().poll(context):
+            return False
+        if not 0 <= context.scene.facemime_steps.landmark < N_LANDMARKS:
+            cls.poll_message_set("Pick a landmark in the list or on the head first")
+            return False
+        return True
+
+
+class FACEMIME_OT_add_control_point(OnLandmark, bpy.types.Operator):
+    """Make the picked landmark a control point"""
+
+    bl_idname = "facemime.add_control_point"
+    bl_label = "Add Control Point"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        mesh = context.active_object.data
+        selection = read_selection(mesh)
+        if selection is None:
+            raise HeadError("All landmarks are control points already. Drop some first, or select from a take.")
+        write_selection(mesh, add_by_hand(selection, context.scene.facemime_steps.landmark))
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_drop_control_point(OnLandmark, bpy.types.Operator):
+    """Let the picked landmark follow the others: it is no control point any longer"""
+
+    bl_idname = "facemime.drop_control_point"
+    bl_label = "Drop Control Point"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        mesh = context.active_object.data
+        write_selection(mesh, drop_by_hand(read_selection(mesh), context.scene.facemime_steps.landmark))
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
+    """Pick a landmark by a click on the head"""
+
+    bl_idname = "facemime.pick_landmark"
+    bl_label = "Pick on Head"
+    bl_options = {"REGISTER"}
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """Wait for the click."""
+        if bpy.app.background:
+            raise HeadError("There is no window to click in. Set the landmark's number instead.")
+        context.scene.facemime_steps.show_points = True
+        context.window.cursor_modal_set("CROSSHAIR")
+        context.workspace.status_text_set("Click a landmark; ESC or the right button to leave")
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Pick with the click; let everything else pass, such as turning the view."""
+        if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
+            return self.leave(context, {"CANCELLED"})
+        if event.type != "LEFTMOUSE" or event.value != "PRESS":
+            return {"PASS_THROUGH"}
+        if context.active_object is None or not is_head(context.active_object):
+            return self.leave(context, {"CANCELLED"})
+        return self.leave(context, self.reporting(lambda now: self.pick(now, event), context))
+
+    def pick(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Pick what is nearest to the click."""
+        seen = viewport_under(context, event.mouse_x, event.mouse_y)
+        if seen is None:
+            raise HeadError("That was not in a 3D viewport. Press the button again and click on the head.")
+        region, view = seen
+        size = (region.width, region.height)
+        places = landmark_places(
+            context.active_object, context.evaluated_depsgraph_get(), np.array(view.perspective_matrix), size
+        )
+        pixel = (event.mouse_x - region.x, event.mouse_y - region.y)
+        landmark = nearest_landmark(places, pixel, NEAR * context.preferences.system.ui_scale)
+        if landmark < 0:
+            raise HeadError("No landmark is near that place. Click one of the dots.")
+        context.scene.facemime_steps.landmark = landmark
+        return {"FINISHED"}
+
+    def leave(self, context: bpy.types.Context, outcome: set[str]) -> set[str]:
+        """Give the cursor back."""
+        context.window.cursor_modal_restore()
+        context.workspace.status_text_set(None)
+        tag_viewports(context)
+        return outcome
+
+
 class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
     """Let all 66 landmarks control the active head again."""
 
@@ -73,7 +174,32 @@ class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
         return {"FINISHED"}
 
 
-_CLASSES = (FACEMIME_OT_select_control_points, FACEMIME_OT_use_all_landmarks)
+def viewport_under(
+    context: bpy.types.Context, x: int, y: int
+) -> tuple[bpy.types.Region, bpy.types.RegionView3D] | None:
+    """The 3D view under a place of the window, and how it looks; None where there is another thing."""
+    for area in context.window.screen.areas:
+        inside = 0 <= x - area.x < area.width and 0 <= y - area.y < area.height
+        if area.type == "VIEW_3D" and inside:
+            region = next(region for region in area.regions if region.type == "WINDOW")
+            return region, area.spaces.active.region_3d
+    return None
+
+
+def tag_viewports(context: bpy.types.Context) -> None:
+    """Draw all 3D viewports of the window anew."""
+    for area in context.window.screen.areas:
+        if area.type == "VIEW_3D":
+            area.tag_redraw()
+
+
+_CLASSES = (
+    FACEMIME_OT_select_control_points,
+    FACEMIME_OT_use_all_landmarks,
+    FACEMIME_OT_add_control_point,
+    FACEMIME_OT_drop_control_point,
+    FACEMIME_OT_pick_landmark,
+)
 
 
 def register() -> None:

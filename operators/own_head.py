@@ -14,6 +14,7 @@ from ..blender.binding import (
 )
 from ..core.deform.binding import MARKS
 from ..core.landmarks import from_ibug
+from ..panel_properties import keep_findings
 from .shared import OnMesh, in_object_mode, register_all, unregister_all
 
 
@@ -119,6 +120,7 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> set[str]:
         """The work of `execute`."""
         findings = check_object(context.active_object)
+        keep_findings(context.window_manager, context.active_object.name, findings)
         for finding in findings:
             self.report({"WARNING"}, f"{finding.problem} {finding.remedy}")
         if not findings:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import bpy
 
+from ..blender.meshes import is_head
 from ..core.errors import FacemimeError
 
 
@@ -50,6 +51,23 @@ class OnMesh(ReportsErrors):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Do the work on the active mesh."""
         return self.reporting(self.work, context)
+
+
+class OnHead(OnMesh):
+    """Mixin: needs a head active, not in Edit mode, where vertex groups cannot be written."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only with a head active, outside Edit mode."""
+        if not super().poll(context):
+            return False
+        if not is_head(context.active_object):
+            cls.poll_message_set("Bind the landmarks first: step Head, above")
+            return False
+        if context.mode == "EDIT_MESH":
+            cls.poll_message_set("Leave Edit mode first")
+            return False
+        return True
 
 
 def register_all(classes: tuple[type, ...]) -> None:

@@ -1,16 +1,73 @@
-"""The control points of the active head."""
+"""The control points of the active head: chosen from a take, listed, shown, changed by hand."""
+
+from __future__ import annotations
+
+from functools import lru_cache
 
 import bpy
+import bpy.utils.previews
 
 from ..blender.meshes import is_head, read_selection
+from ..blender.names import SELECTION_PROPERTY
+from ..core.control_points import from_json
+from ..core.deform.greedy import GreedySelection
+from ..core.deform.regions import REGIONS
+from ..core.errors import FacemimeError
 from ..core.landmarks import IBUG68_INDICES
-from .sidebar import Sidebar, place
+from ..core.point_table import PointRow, draw_curve, point_rows
+from ..operators.shared import register_all, unregister_all
+from .sidebar import Sidebar, labels, place
 
-_ROWS = 14
+_CURVE = "curve"
+
+
+class _Icons:
+    """The picture of the curve, and of which selection it is."""
+
+    previews: object = None
+    of: str = ""
+
+
+@lru_cache(maxsize=8)
+def _selection_rows(text: str) -> list[PointRow]:
+    return point_rows(from_json(text) if text else None)
+
+
+def shown_rows(obj: bpy.types.Object) -> list[PointRow]:
+    """A row for each landmark of the head `obj`; read anew only when the selection has changed."""
+    return _selection_rows(str(obj.data.get(SELECTION_PROPERTY, "")))
+
+
+class FACEMIME_UL_landmarks(bpy.types.UIList):
+    """Landmarks: number, regions, order and error left, and why each was chosen."""
+
+    def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
+        """Draw one landmark."""
+        if context.active_object is None or not is_head(context.active_object):
+            return
+        row = shown_rows(context.active_object)[index]
+        layout.active = bool(row.regions)
+        line = layout.split(factor=0.16)
+        line.label(text=str(IBUG68_INDICES[index]), translate=False)
+        line = line.split(factor=0.28)
+        names = ", ".join(bpy.app.translations.pgettext_iface(REGIONS[r].name.capitalize()) for r in row.regions)
+        line.label(text=names or "-", translate=False)
+        line = line.split(factor=0.42)
+        line.label(text=f"{row.order}: {100 * row.error:.2f} %" if row.order and row.error == row.error else "")
+        line.label(text=row.reason)
+
+    def filter_items(self, context, data, property_name) -> tuple[list[int], list[int]]:
+        """Control points first, as they were chosen; the others on demand."""
+        rows = shown_rows(context.active_object)
+        all_listed = not context.scene.facemime_steps.only_chosen
+        flags = [self.bitflag_filter_item if row.regions or all_listed else 0 for row in rows]
+        wanted = sorted(rows, key=lambda row: (not row.regions, row.order or len(rows), row.landmark))
+        places = {row.landmark: n for n, row in enumerate(wanted)}
+        return flags, [places[n] for n in range(len(rows))]
 
 
 class FACEMIME_PT_control_points(Sidebar, bpy.types.Panel):
-    """The control points of the active head, the error after each step, and why each was chosen."""
+    """How control points are chosen, the curve of the error, the list."""
 
     bl_label = "Control Points"
     bl_order = place(__name__)
@@ -23,31 +80,79 @@ class FACEMIME_PT_control_points(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        layout = self.layout
-        layout.operator("facemime.select_control_points", text="Select from a Take", icon="CURVE_DATA")
-        selection = read_selection(context.active_object.data)
+        layout, obj, steps = self.layout, context.active_object, context.scene.facemime_steps
+        _draw_choice(layout, steps)
+        try:
+            selection = read_selection(obj.data)
+        except FacemimeError as error:
+            labels(layout, context, str(error), "ERROR")
+            layout.operator("facemime.use_all_landmarks")
+            return
         if selection is None:
             layout.label(text="All 66 landmarks")
-            return
-        layout.operator("facemime.use_all_landmarks")
-        curve = layout.column(align=True)
-        curve.label(text=f"Worst error, tolerance {100 * selection.tolerance:.2f} %")
-        largest = max(step.error for step in selection.steps)
-        every = -(-len(selection.steps) // _ROWS)
-        for step in selection.steps[::-1][::every][::-1]:
-            text = f"{step.points} points: {100 * step.error:.2f} %"
-            curve.progress(factor=step.error / max(largest, 1e-9), text=text)
-        points = layout.column(align=True)
-        points.label(text="Why each was chosen")
-        for landmark in selection.landmarks:
-            points.label(text=f"{IBUG68_INDICES[landmark]}: {selection.reason(int(landmark))}")
+        else:
+            _draw_curve(layout, str(obj.data[SELECTION_PROPERTY]), selection)
+            layout.operator("facemime.use_all_landmarks")
+        _draw_list(layout, context, steps)
+
+
+def _draw_choice(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) -> None:
+    column = layout.column()
+    column.use_property_split = True
+    column.use_property_decorate = False
+    column.prop(steps, "tolerance")
+    column.prop(steps, "max_points")
+    button = layout.operator("facemime.select_control_points", text="Select from a Take", icon="CURVE_DATA")
+    button.tolerance, button.max_points = steps.tolerance, steps.max_points
+
+
+def _draw_curve(layout: bpy.types.UILayout, text: str, selection: GreedySelection) -> None:
+    if icon := _curve_icon(text, selection):
+        layout.template_icon(icon_value=icon, scale=7.0)
+    points = bpy.app.translations.pgettext_iface("{count} control points, tolerance {tolerance:.2f} %")
+    shown = points.format(count=len(selection.landmarks), tolerance=100 * selection.tolerance)
+    layout.label(text=shown, translate=False)
+
+
+def _curve_icon(text: str, selection: GreedySelection) -> int:
+    """The picture of the curve as the value of an icon, drawn anew only where the selection has changed."""
+    if _Icons.previews is None:
+        return 0
+    icon = _Icons.previews.get(_CURVE) or _Icons.previews.new(_CURVE)
+    if _Icons.of != text:
+        picture = draw_curve(selection)
+        icon.image_size = picture.shape[1::-1]
+        icon.image_pixels_float.foreach_set(picture.reshape(-1))
+        _Icons.of = text
+    return icon.icon_id
+
+
+def _draw_list(layout: bpy.types.UILayout, context: bpy.types.Context, steps: bpy.types.PropertyGroup) -> None:
+    row = layout.row()
+    row.template_list(
+        "FACEMIME_UL_landmarks", "", context.window_manager.facemime, "landmarks", steps, "landmark", rows=5
+    )
+    column = row.column(align=True)
+    column.operator("facemime.add_control_point", text="", icon="ADD")
+    column.operator("facemime.drop_control_point", text="", icon="REMOVE")
+    column.separator()
+    column.prop(steps, "only_chosen", text="", icon="FILTER")
+    row = layout.row(align=True)
+    row.prop(steps, "show_points", icon="HIDE_OFF" if steps.show_points else "HIDE_ON")
+    row.operator("facemime.pick_landmark", icon="EYEDROPPER")
+
+
+_CLASSES = (FACEMIME_UL_landmarks, FACEMIME_PT_control_points)
 
 
 def register() -> None:
-    """Register the panel."""
-    bpy.utils.register_class(FACEMIME_PT_control_points)
+    """Register list and panel."""
+    _Icons.previews = bpy.utils.previews.new()
+    register_all(_CLASSES)
 
 
 def unregister() -> None:
-    """Unregister the panel."""
-    bpy.utils.unregister_class(FACEMIME_PT_control_points)
+    """Unregister list and panel."""
+    unregister_all(_CLASSES)
+    bpy.utils.previews.remove(_Icons.previews)
+    _Icons.previews, _Icons.of = None, ""

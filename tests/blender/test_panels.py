@@ -8,12 +8,15 @@ import pytest
 from facemime.blender.binding import write_mark
 from facemime.blender.head import add_head
 from facemime.blender.meshes import read_rig, write_selection
+from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
 from facemime.core.control_points import select_for_take
+from facemime.core.landmarks import from_ibug
 from facemime.ui.calibration import FACEMIME_PT_calibration
-from facemime.ui.control_points import FACEMIME_PT_control_points
+from facemime.ui.control_points import FACEMIME_PT_control_points, FACEMIME_UL_landmarks
 from facemime.ui.expression import FACEMIME_PT_expression
 from facemime.ui.head import FACEMIME_PT_head, FACEMIME_PT_own_head
 from facemime.ui.puppet import FACEMIME_PT_bake, FACEMIME_PT_pose, FACEMIME_PT_puppet
+from facemime.ui.regions import FACEMIME_PT_regions
 from facemime.ui.source import FACEMIME_PT_source
 from takes import performance
 
@@ -74,13 +77,45 @@ def test_the_panel_of_ones_own_head_draws(state, expected):
     assert expected in draw(FACEMIME_PT_own_head)
 
 
-def test_control_points_show_curve_and_reasons():
+def test_control_points_show_curve_and_list():
     head = add_head(bpy.context)
     assert FACEMIME_PT_control_points.poll(bpy.context)
-    assert "All 66 landmarks" in draw(FACEMIME_PT_control_points)
+    drawn = draw(FACEMIME_PT_control_points)
+    assert "All 66 landmarks" in drawn and "template_icon" not in drawn
     write_selection(head.data, select_for_take(read_rig(head), performance(), max_points=12))
     drawn = draw(FACEMIME_PT_control_points)
-    assert "12 points:" in drawn and "orbicularis oris" in drawn
+    assert "12 control points" in drawn and "FACEMIME_UL_landmarks" in drawn
+
+
+def test_each_line_of_the_list_has_number_region_order_error_and_reason():
+    head = add_head(bpy.context)
+    write_selection(head.data, select_for_take(read_rig(head), performance(), max_points=12))
+    layout, corner = Layout(), int(from_ibug([48])[0])
+    FACEMIME_UL_landmarks.draw_item(None, bpy.context, layout, None, None, 0, None, "", corner)
+    for part in ("48", "Middle, Lower", "zygomaticus", "%"):
+        assert part in layout.texts()
+
+
+def test_control_points_that_are_damaged_are_said_and_can_be_thrown_away():
+    head = add_head(bpy.context)
+    head.data[SELECTION_PROPERTY] = "{"
+    drawn = draw(FACEMIME_PT_control_points)
+    assert "no control points of Facemime" in drawn and "facemime.use_all_landmarks" in drawn
+
+
+def test_regions_show_the_paint_buttons_and_what_the_check_found():
+    head = add_head(bpy.context)
+    assert FACEMIME_PT_regions.poll(bpy.context)
+    assert "facemime.paint_region" in draw(FACEMIME_PT_regions)
+    head.vertex_groups[REGION_GROUPS[0]].remove(range(len(head.data.vertices)))
+    head.vertex_groups[REGION_GROUPS[0]].add([0], 1.0, "REPLACE")
+    bpy.ops.facemime.check_head()
+    assert "none of its control points" in draw(FACEMIME_PT_regions)
+    bpy.ops.facemime.propose_regions()
+    bpy.ops.facemime.check_head()
+    assert "No fault was found" in draw(FACEMIME_PT_regions)
+    bpy.ops.facemime.paint_region(region="LOWER")
+    assert "facemime.leave_painting" in draw(FACEMIME_PT_regions)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,120 @@
+"""Regions painted, mirrored, smoothed, checked and coloured."""
+
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.blender.head import add_head
+from facemime.blender.meshes import read_landmarks, read_regions
+from facemime.blender.names import REGION_GROUPS
+from facemime.core.landmarks import from_ibug
+from facemime.ui import region_overlay
+from facemime.ui.region_overlay import coloured_triangles, shown_regions
+
+BROW_RIGHT, BROW_LEFT = from_ibug((19, 24))
+
+
+@pytest.mark.parametrize(("region", "name"), [*zip(("UPPER", "MIDDLE", "LOWER"), REGION_GROUPS, strict=True)])
+def test_a_paint_button_leads_to_weight_paint_on_its_group_with_a_brush(region, name):
+    head = add_head(bpy.context)
+    assert bpy.ops.facemime.paint_region(region=region) == {"FINISHED"}
+    assert bpy.context.mode == "PAINT_WEIGHT" and head.vertex_groups.active.name == name
+    assert bpy.context.tool_settings.weight_paint.brush is not None
+    assert bpy.ops.facemime.paint_region(region="UPPER") == {"FINISHED"}
+    assert head.vertex_groups.active.name == REGION_GROUPS[0]
+    assert bpy.ops.facemime.leave_painting() == {"FINISHED"} and bpy.context.mode == "OBJECT"
+
+
+def test_painting_makes_a_group_that_was_lost():
+    head = add_head(bpy.context)
+    head.vertex_groups.remove(head.vertex_groups[REGION_GROUPS[1]])
+    assert bpy.ops.facemime.paint_region(region="MIDDLE") == {"FINISHED"}
+    assert head.vertex_groups.active.name == REGION_GROUPS[1]
+
+
+def test_a_half_is_mirrored_and_undone():
+    head = add_head(bpy.context)
+    landmarks = read_landmarks(head)
+    right, left = int(landmarks[BROW_RIGHT]), int(landmarks[BROW_LEFT])
+    head.vertex_groups[REGION_GROUPS[2]].add([right], 0.25, "REPLACE")
+    name = head.name
+    bpy.ops.ed.undo_push(message="painted")
+    assert bpy.ops.facemime.mirror_regions(source="right") == {"FINISHED"}
+    bpy.ops.ed.undo_push(message="mirrored")
+    assert read_regions(bpy.data.objects[name])[2, left] == pytest.approx(0.25)
+    bpy.ops.ed.undo()
+    assert read_regions(bpy.data.objects[name])[2, left] == 0.0
+
+
+def test_smoothing_softens_the_borders():
+    head = add_head(bpy.context)
+    before = read_regions(head)
+    assert bpy.ops.facemime.smooth_regions(repeat=4) == {"FINISHED"}
+    after = read_regions(head)
+    steps = np.array([edge.vertices for edge in head.data.edges])
+    jump = [np.abs(weights[:, steps[:, 0]] - weights[:, steps[:, 1]]).max() for weights in (before, after)]
+    assert jump[1] < jump[0]
+
+
+def test_buttons_are_grey_and_say_why():
+    bpy.ops.mesh.primitive_cube_add()
+    assert not bpy.ops.facemime.paint_region.poll() and not bpy.ops.facemime.leave_painting.poll()
+    add_head(bpy.context)
+    assert bpy.ops.facemime.mirror_regions.poll() and bpy.ops.facemime.smooth_regions.poll()
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert not bpy.ops.facemime.mirror_regions.poll()
+
+
+def test_the_last_check_is_remembered_until_the_next():
+    head = add_head(bpy.context)
+    memory = bpy.context.window_manager.facemime
+    for name in REGION_GROUPS:
+        head.vertex_groups[name].remove([int(read_landmarks(head)[30])])
+    bpy.ops.facemime.check_head()
+    assert memory.checked == head.name
+    assert [line.problem for line in memory.findings] == ["Landmarks 30 lie in no region."]
+    bpy.ops.facemime.propose_regions()
+    bpy.ops.facemime.check_head()
+    assert memory.checked == head.name and len(memory.findings) == 0
+
+
+def test_the_coloured_triangles_are_those_of_the_regions_with_or_without_modifiers():
+    head = add_head(bpy.context)
+    triangles, colours = coloured_triangles(head, 0.5)
+    inside = read_regions(head).any(axis=0)
+    assert set(triangles.reshape(-1)) >= set(np.flatnonzero(inside)) and len(colours) == len(head.data.vertices)
+    assert len(triangles) < len(head.data.loop_triangles)
+    head.modifiers.new("Subdivision", "SUBSURF").levels = 1
+    finer = head.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    many, colours = coloured_triangles(finer, 0.5)
+    assert len(many) > 3 * len(triangles) and many.max() < len(colours) == len(finer.data.vertices)
+
+
+def test_nothing_is_shown_when_off_while_painting_or_without_a_head():
+    add_head(bpy.context)
+    steps = bpy.context.scene.facemime_steps
+    assert shown_regions(bpy.context) is None
+    steps.show_regions = True
+    assert shown_regions(bpy.context) == bpy.context.active_object
+    bpy.ops.facemime.paint_region(region="LOWER")
+    assert shown_regions(bpy.context) is None
+    bpy.ops.facemime.leave_painting()
+    bpy.ops.mesh.primitive_cube_add()
+    assert shown_regions(bpy.context) is None
+
+
+def test_weights_are_read_again_after_the_mesh_was_changed_and_only_then():
+    head = add_head(bpy.context)
+    bpy.context.scene.facemime_steps.show_regions = True
+    bpy.context.view_layer.update()
+    region_overlay._Kept.stale = False
+    head.location.x += 1.0
+    bpy.context.view_layer.update()
+    assert not region_overlay._Kept.stale
+    bpy.ops.facemime.smooth_regions()
+    bpy.context.view_layer.update()
+    assert region_overlay._Kept.stale
+    region_overlay._on_update(bpy.context.scene, SimpleNamespace(updates=[]))
+    assert region_overlay._Kept.stale

@@ -1,0 +1,69 @@
+"""The regions of the face: painted, mirrored, smoothed, proposed, checked."""
+
+import bpy
+
+from ..blender.meshes import is_head
+from ..blender.names import REGION_GROUPS
+from .sidebar import Sidebar, labels, place
+
+_BUTTONS = (("UPPER", "Upper"), ("MIDDLE", "Middle"), ("LOWER", "Lower"))
+
+
+class FACEMIME_PT_regions(Sidebar, bpy.types.Panel):
+    """Buttons that paint and mend the regions, and what the last check found."""
+
+    bl_label = "Regions"
+    bl_order = place(__name__)
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only for a head."""
+        return context.active_object is not None and is_head(context.active_object)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, obj, steps = self.layout, context.active_object, context.scene.facemime_steps
+        row = layout.row(align=True)
+        active = obj.vertex_groups.active if context.mode == "PAINT_WEIGHT" else None
+        for (region, text), name in zip(_BUTTONS, REGION_GROUPS, strict=True):
+            depress = active is not None and active.name == name
+            row.operator("facemime.paint_region", text=text, depress=depress).region = region
+        if context.mode == "PAINT_WEIGHT":
+            layout.operator("facemime.leave_painting", icon="LOOP_BACK")
+        row = layout.row(align=True)
+        row.prop(steps, "show_regions", icon="HIDE_OFF" if steps.show_regions else "HIDE_ON")
+        opacity = row.row(align=True)
+        opacity.active = steps.show_regions
+        opacity.prop(steps, "regions_opacity", text="")
+        column = layout.column(align=True)
+        row = column.row(align=True)
+        row.operator("facemime.mirror_regions", text="Left to Right", icon="MOD_MIRROR").source = "left"
+        row.operator("facemime.mirror_regions", text="Right to Left").source = "right"
+        row = column.row(align=True)
+        row.operator("facemime.smooth_regions", icon="MOD_SMOOTH").repeat = steps.smooth_repeat
+        row.prop(steps, "smooth_repeat", text="")
+        column.operator("facemime.propose_regions", icon="GROUP_VERTEX")
+        column.operator("facemime.check_head", icon="CHECKMARK")
+        _draw_findings(layout, context)
+
+
+def _draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    memory = context.window_manager.facemime
+    if memory.checked != context.active_object.name:
+        return
+    if not memory.findings:
+        labels(layout, context, "No fault was found", "CHECKMARK")
+    for finding in memory.findings:
+        labels(layout, context, finding.problem, "ERROR")
+        labels(layout, context, finding.remedy, "BLANK1")
+
+
+def register() -> None:
+    """Register the panel."""
+    bpy.utils.register_class(FACEMIME_PT_regions)
+
+
+def unregister() -> None:
+    """Unregister the panel."""
+    bpy.utils.unregister_class(FACEMIME_PT_regions)
