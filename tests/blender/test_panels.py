@@ -10,9 +10,9 @@ from facemime.blender.head import add_head
 from facemime.blender.meshes import read_rig, write_selection
 from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
 from facemime.core.control_points import select_for_take
-from facemime.core.landmarks import from_ibug
+from facemime.core.landmarks import IBUG68_INDICES
 from facemime.ui.calibration import FACEMIME_PT_calibration
-from facemime.ui.control_points import FACEMIME_PT_control_points, FACEMIME_UL_landmarks
+from facemime.ui.control_points import FACEMIME_PT_control_points, FACEMIME_UL_landmarks, shown_rows
 from facemime.ui.expression import FACEMIME_PT_expression
 from facemime.ui.head import FACEMIME_PT_head, FACEMIME_PT_own_head
 from facemime.ui.puppet import FACEMIME_PT_bake, FACEMIME_PT_pose, FACEMIME_PT_puppet
@@ -90,9 +90,9 @@ def test_control_points_show_curve_and_list():
 def test_each_line_of_the_list_has_number_region_order_error_and_reason():
     head = add_head(bpy.context)
     write_selection(head.data, select_for_take(read_rig(head), performance(), max_points=12))
-    layout, corner = Layout(), int(from_ibug([48])[0])
-    FACEMIME_UL_landmarks.draw_item(None, bpy.context, layout, None, None, 0, None, "", corner)
-    for part in ("48", "Middle, Lower", "zygomaticus", "%"):
+    layout, first = Layout(), next(row for row in shown_rows(head) if row.order == 1)
+    FACEMIME_UL_landmarks.draw_item(None, bpy.context, layout, None, None, 0, None, "", first.landmark)
+    for part in (str(IBUG68_INDICES[first.landmark]), "Upper", first.reason, f"1: {100 * first.error:.2f} %"):
         assert part in layout.texts()
 
 
