@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
+import struct
 import subprocess
 import sys
 import tracemalloc
@@ -170,8 +172,6 @@ def test_missing_empty_and_newer_files_are_refused_in_one_sentence(written, tmp_
 
 def hostile_header(length: int) -> bytes:
     """A header with right checksum that states `length` bytes of content, and a wrong checksum of that."""
-    import struct
-
     head = HEADER.pack(MARKER, 1, b"F", 1, 0, length, 1, 0)[:-4]
     return head + struct.pack("<I", zlib.crc32(head))
 
@@ -291,3 +291,29 @@ def test_what_is_told_last_is_what_is_read(tmp_path):
         writer.info["interrupted"] = True
     writer.close()
     assert load_take(tmp_path / "take.facetake").info == {"source": "a", "gaze": [None, 1.0], "interrupted": True}
+
+
+def test_the_reader_in_the_document_reads_what_facemime_reads_with_numpy_alone(written, tmp_path):
+    document = (Path(facemime.__file__).parent / "docs" / "takes.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", document, flags=re.DOTALL)
+    assert set(re.findall(r"\b(?:import|from) (.+)", code)) == {"json, struct, sys, zlib", "numpy as np"}
+    (tmp_path / "take.facetake").write_bytes(written)
+    out = tmp_path / "out.npz"
+    code += f"\nnp.savez({str(out)!r}, times=times, source=info['source'], **take)"
+    subprocess.run([sys.executable, "-I", "-c", code, str(tmp_path / "take.facetake")], check=True)
+    expected = take_of(written)
+    with np.load(out) as read:
+        assert read["source"] == "performance.mp4"
+        for name in FIELDS:
+            values = getattr(expected, name)
+            np.testing.assert_array_equal(read[name], values.reshape(read[name].shape))
+
+
+def test_the_document_states_the_columns_and_steps_that_are_written():
+    document = (Path(facemime.__file__).parent / "docs" / "takes.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^columns = .*?\n(?=times)", document, flags=re.DOTALL | re.MULTILINE)
+    stated: dict = {}
+    exec(code, stated)
+    assert list(stated["columns"]) == [name for name, _, _ in LAYOUT]
+    np.testing.assert_array_equal(stated["steps"], layout._steps(0)[: len(stated["steps"])])
+    assert (layout._steps(9)[len(stated["steps"]) :] == 2.0**-13).all()

@@ -1,0 +1,174 @@
+"""Many real clips: here, on Dask's workers, and by the command lines of the farms' templates."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import pytest
+import quickjs
+
+import facemime
+from facemime.core.takes.file import load_take
+
+ROOT = Path(facemime.__file__).parent
+BIN = Path(sys.prefix) / "bin"
+ENVIRONMENT = {**os.environ, "PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"}
+
+
+def batch(*arguments: object) -> subprocess.CompletedProcess:
+    """Run `facemime batch` with arguments."""
+    command = [BIN / "facemime", "batch", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+def records(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob("*.json") if path.name != "report.json")
+
+
+def write_clips(folder: Path, count: int) -> Path:
+    """So many clips of 12 frames, each another part of the sample clip."""
+    folder.mkdir()
+    source = cv2.VideoCapture(str(ROOT / "assets" / "sample" / "sample.mp4"))
+    for number in range(count):
+        writer = cv2.VideoWriter(str(folder / f"{number}.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (640, 480))
+        for _ in range(12):
+            writer.write(source.read()[1])
+        writer.release()
+    return folder
+
+
+def test_good_clips_are_done_bad_ones_told_and_nothing_is_done_again(tmp_path):
+    clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
+    shutil.copy(clips / "0.mp4", clips / "copy.mp4")
+    (clips / "broken.mp4").write_text("nothing")
+    (tmp_path / "list.txt").write_text(
+        "clips/0.mp4\nclips/1.mp4\nclips/broken.mp4\nclips/copy.mp4\nclips/missing.mp4\n"
+    )
+    done = batch(tmp_path / "list.txt", "-o", out, "--jobs", "2")
+    assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
+    assert "broken.mp4 is not a video" in done.stderr and "missing.mp4 cannot be read" in done.stderr
+    first = {path.name: path.stat().st_mtime_ns for path in records(out)}
+    assert len(first) == 2 and not list(out.glob("*.lock")) and not list(out.glob("*unfinished*"))
+    told = json.loads((out / "report.json").read_text())
+    assert told["counts"] == {"done": 2, "skipped": 0, "failed": 2, "not reached": 0}
+    assert {len(load_take(path)) for path in out.glob("*.facetake")} == {12}
+    page = (out / "report.html").read_text()
+    assert page.count("data:image/jpeg;base64,") == 4 and page.count("<svg") == 2
+    assert batch(clips, "-o", out).returncode == 1
+    assert {path.name: path.stat().st_mtime_ns for path in records(out)} == first
+    assert json.loads((out / "report.json").read_text())["counts"]["skipped"] == 2
+
+
+def test_ctrl_c_ends_it_and_the_next_run_does_the_rest(tmp_path):
+    clips, out = write_clips(tmp_path / "clips", 3), tmp_path / "out"
+    command = [BIN / "facemime", "batch", clips, "-o", out, "--jobs", "1"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        while not records(out):
+            assert process.poll() is None
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        said = process.stderr.read()
+    assert process.returncode == 130 and "Traceback" not in said, said
+    counts = json.loads((out / "report.json").read_text())["counts"]
+    assert 1 <= counts["done"] < 3 and counts["failed"] <= 1
+    assert batch(clips, "-o", out).returncode == 0 and len(records(out)) == 3
+
+
+@pytest.fixture
+def scheduler(tmp_path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
+    """A Dask scheduler and two workers: its address, and the workers' processes."""
+    file = tmp_path / "scheduler.json"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+    dask = [sys.executable, "-m", "dask"]
+    started = [
+        subprocess.Popen([*dask, "scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", file], **quiet)
+    ]
+    try:
+        worker = [*dask, "worker", "--scheduler-file", file, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        started += [subprocess.Popen(worker, **quiet) for _ in range(2)]
+        while not file.exists() or not file.read_text():
+            assert started[0].poll() is None
+            time.sleep(0.05)
+        yield json.loads(file.read_text())["address"], started[1:]
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+def test_a_worker_killed_in_the_middle_loses_nothing_and_nothing_is_done_twice(tmp_path, scheduler):
+    address, workers = scheduler
+    clips, out = write_clips(tmp_path / "clips", 4), tmp_path / "out"
+    command = [BIN / "facemime", "batch", clips, "-o", out, "--dask", address]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        while not list(out.glob("*.unfinished.facetake")) and not records(out):
+            assert process.poll() is None
+            time.sleep(0.02)
+        workers[0].kill()
+        written = {}
+        while process.poll() is None:
+            for path in records(out):
+                written.setdefault(path.name, path.stat().st_mtime_ns)
+            time.sleep(0.05)
+        said = process.stderr.read()
+    assert process.returncode == 0, said
+    now = {path.name: path.stat().st_mtime_ns for path in records(out)}
+    assert len(now) == 4 and all(now[name] == at for name, at in written.items())
+    assert json.loads((out / "report.json").read_text())["counts"]["done"] == 4
+
+
+def flamenco_tasks(settings: dict) -> list[dict]:
+    """The tasks that the Flamenco job type makes of `settings`: name, command, and the names that it waits for."""
+    engine = quickjs.Context()
+    engine.eval(
+        "const author = { Task: (name, type) => ({ name, type, commands: [], after: [],"
+        " addCommand(c) { this.commands.push(c) }, addDependency(t) { this.after.push(t.name) } }),"
+        " Command: (name, parameters) => ({ name, parameters }) };"
+    )
+    engine.eval((ROOT / "farm" / "facemime.js").read_text())
+    engine.eval(
+        f"const tasks = [];compileJob({{ settings: {json.dumps(settings)}, addTask: (task) => tasks.push(task) }});"
+    )
+    return json.loads(engine.eval("JSON.stringify(tasks)"))
+
+
+def test_the_command_lines_of_the_flamenco_job_do_every_clip_and_the_report(tmp_path):
+    clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
+    tasks = flamenco_tasks({"clips": str(clips), "count": 2, "output": str(out), "smooth": True})
+    assert [task["name"] for task in tasks] == ["clip-1", "clip-2", "report"]
+    assert tasks[-1]["after"] == ["clip-1", "clip-2"]
+    for task in tasks:
+        (command,) = task["commands"]
+        assert command["name"] == "exec"
+        line = [command["parameters"]["exe"], *command["parameters"]["args"]]
+        done = subprocess.run(line, env=ENVIRONMENT, capture_output=True, text=True, timeout=300, check=False)
+        assert done.returncode == 0, done.stderr
+    assert json.loads((out / "report.json").read_text())["counts"]["skipped"] == 2 and len(records(out)) == 2
+
+
+def test_the_flamenco_job_states_its_settings():
+    engine = quickjs.Context()
+    engine.eval((ROOT / "farm" / "facemime.js").read_text())
+    settings = json.loads(engine.eval("JSON.stringify(JOB_TYPE)"))["settings"]
+    assert [item["key"] for item in settings if item.get("required")] == ["clips", "count", "output"]
+
+
+def test_the_open_job_description_runs_every_clip_and_the_report(tmp_path):
+    clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
+    template = ROOT / "farm" / "facemime.openjd.yaml"
+    line = [BIN / "openjd", "run", template, "--step", "Report", "--run-dependencies"]
+    for parameter in (f"Clips={clips}", "Count=2", f"Output={out}"):
+        line += ["-p", parameter]
+    done = subprocess.run(line, env=ENVIRONMENT, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert json.loads((out / "report.json").read_text())["counts"]["skipped"] == 2
+    assert len(records(out)) == 2 and "Chunks run: 3" in done.stdout
