@@ -26,7 +26,7 @@ def ensure_brush(context: bpy.types.Context) -> None:
     paint = context.tool_settings.weight_paint
     if paint.brush is not None:
         return
-    if not hasattr(bpy.types, "BRUSH_OT_asset_activate"):  # before 4.3
+    if bpy.app.version < (4, 3, 0):
         paint.brush = bpy.data.brushes.get("Draw") or bpy.data.brushes.new("Draw", mode="WEIGHT_PAINT")
         return
     brush = bpy.data.brushes.get(_BRUSH) or bpy.data.brushes.new(_BRUSH, mode="WEIGHT_PAINT")

@@ -47,12 +47,12 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
             return
         row = shown_rows(context.active_object)[index]
         layout.active = bool(row.regions)
-        line = layout.split(factor=0.16)
+        line = layout.split(factor=0.14)
         line.label(text=str(IBUG68_INDICES[index]), translate=False)
-        line = line.split(factor=0.28)
+        line = line.split(factor=0.32)
         names = ", ".join(bpy.app.translations.pgettext_iface(REGIONS[r].name.capitalize()) for r in row.regions)
         line.label(text=names or "-", translate=False)
-        line = line.split(factor=0.42)
+        line = line.split(factor=0.45)
         line.label(text=f"{row.order}: {100 * row.error:.2f} %" if row.order and row.error == row.error else "")
         line.label(text=row.reason)
 
