@@ -1,0 +1,114 @@
+"""`python -m bench.takes`: how fast takes are written and read, how large they are, and what is left of a cut one.
+
+The sample clip is tracked once; its frames, repeated to a minute at 30 a second, are written as a recording is.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from bench.report import Table, bars, finish, parser
+from facemime.core.pipeline import track_video
+from facemime.core.takes.file import TakeWriter, load_take, save_take, take_of
+from facemime.core.takes.format import HEADER, LAYOUT, Chunk, chunks_in, frames_content
+from facemime.core.takes.spreadsheet import to_csv
+from facemime.core.takes.take import FIELDS, Take
+from facemime.core.tracking.tracker import FaceTracker
+
+ROOT = Path(__file__).resolve().parents[1]
+FPS, MINUTE = 30.0, 1800
+
+
+def main() -> int:
+    """Measure and print; returns the exit status, 1 where a cut file was not read as it must be."""
+    arguments = parser(__doc__ or "").parse_args()
+    take = a_minute(track_video(ROOT / "assets" / "sample" / "sample.mp4", FaceTracker.load()).finish())
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "take.facetake"
+        rates = measure_rates(take, path)
+        sizes = measure_sizes(take, path)
+        save_take(take.part(slice(0, 2 * int(FPS))), path)  # reading a minute for each of the cuts would take many
+        recovery = measure_recovery(path.read_bytes())
+    tables = [
+        Table("Written and read, a minute at 30 frames a second", ("what", "s", "frames/s"), rates),
+        Table("Size of a minute", ("what", "kB"), sizes),
+        Table("Two seconds, cut at every byte of the last chunk", ("what is left", "cuts"), sorted(recovery.items())),
+    ]
+    finish(arguments, tables, {"rates": rates, "sizes": sizes, "recovery": recovery})
+    if arguments.figure is not None:
+        bars(arguments.figure, "A take's minute, by what it holds", *zip(*sizes[2:], strict=True), "kB deflated alone")
+    return int(any("wrong" in what for what in recovery))
+
+
+def a_minute(take: Take) -> Take:
+    """`take` there and back again until it is a minute at 30 frames a second."""
+    rows = np.resize(np.concatenate([np.arange(len(take)), np.arange(len(take))[::-1]]), MINUTE)
+    return replace(take.part(rows), times=np.arange(MINUTE) / FPS)
+
+
+def measure_rates(take: Take, path: Path) -> list[tuple[str, float, float]]:
+    """Seconds and frames a second of writing and reading; leaves the take at `path`."""
+    results = [take.result(frame) for frame in range(len(take))]
+    rows = []
+
+    def measure(what: str, work) -> None:
+        start = time.perf_counter()
+        work()
+        seconds = time.perf_counter() - start
+        rows.append((what, seconds, len(take) / seconds))
+
+    def record(sync: bool) -> None:
+        path.unlink(missing_ok=True)
+        with TakeWriter(path, take.info, sync=sync) as writer:
+            for when, result in zip(take.times.tolist(), results, strict=True):
+                writer.append(when, result)
+
+    measure("recorded, each second forced onto the disk", lambda: record(True))
+    measure("recorded, left to the system", lambda: record(False))
+    measure("saved", lambda: save_take(take, path))
+    measure("loaded", lambda: load_take(path))
+    measure("exported as a table", lambda: to_csv(take, path.with_suffix(".csv")))
+    return rows
+
+
+def measure_sizes(take: Take, path: Path) -> list[tuple[str, float]]:
+    """Kilobytes of the file, of the same numbers in numpy's own, and of each array alone."""
+    np.savez_compressed(path.with_suffix(".npz"), **{name: getattr(take, name) for name in FIELDS})
+    rows = [("the take", path.stat().st_size / 1e3), ("as .npz", path.with_suffix(".npz").stat().st_size / 1e3)]
+    nothing = replace(take, **{name: np.zeros_like(getattr(take, name)) for name, _, _ in LAYOUT})
+    empty = sum(len(frames_content(part)) for part in seconds_of(nothing))
+    for name, _, _ in LAYOUT:
+        alone = replace(nothing, **{name: getattr(take, name)})
+        rows.append((name, (sum(len(frames_content(part)) for part in seconds_of(alone)) - empty) / 1e3))
+    return rows
+
+
+def seconds_of(take: Take) -> list[Take]:
+    """The take in parts as long as a chunk."""
+    return [take.part(slice(first, first + int(FPS))) for first in range(0, len(take), int(FPS))]
+
+
+def measure_recovery(data: bytes) -> Counter[str]:
+    """How many cuts within the last chunk of frames leave what; each is read and compared with the whole."""
+    whole = take_of(data)
+    chunks = [chunk for chunk in chunks_in(data) if isinstance(chunk, Chunk)]
+    start = sum(HEADER.size + len(chunk.content) for chunk in chunks[:-2])
+    length = HEADER.size + len(chunks[-2].content)
+    outcomes: Counter[str] = Counter()
+    for cut in range(start, start + length + 1):
+        part = take_of(data[:cut])
+        same = all(np.array_equal(getattr(part, f), getattr(whole, f)[: len(part)], equal_nan=True) for f in FIELDS)
+        told = "told" if "recovered" in part.info else "wrong: not told"
+        outcomes[f"{len(part)} of {len(whole)} frames, {told}" if same else "wrong: other numbers"] += 1
+    return outcomes
+
+
+if __name__ == "__main__":
+    sys.exit(main())
