@@ -44,6 +44,6 @@ def test_the_command_and_all_of_core_can_be_imported_without_blender():
 
 
 def test_modules_import_each_other_relatively_so_that_they_work_as_an_extension():
-    for folder in ("core", "blender", "operators", "ui"):
+    for folder in ("batch", "core", "blender", "operators", "ui"):
         for path in (ROOT / folder).rglob("*.py"):
             assert all(level or module.split(".")[0] != "facemime" for level, module in imports(path)), path
