@@ -46,7 +46,7 @@ def puppet(
     settings = PuppetSettings(
         drive=DriveOptions(mode=arguments.mode, kernel=arguments.kernel),
         neutral=arguments.neutral,
-        smooth=arguments.smooth,
+        smoothing=float(arguments.smooth),
         rotation=arguments.pose != "none",
         translation=arguments.pose == "full",
     )

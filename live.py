@@ -61,7 +61,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
 def live_options(settings: FacemimeSettings) -> LiveOptions:
     """What the worker does beside driving."""
     source = settings.source
-    return LiveOptions(smooth=settings.smooth, preview=source.preview_size if source.preview else 0)
+    return LiveOptions(smoothing=settings.smoothing, preview=source.preview_size if source.preview else 0)
 
 
 def follow_settings(session: LiveSession, settings: FacemimeSettings) -> None:

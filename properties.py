@@ -115,7 +115,14 @@ class FacemimeSettings(bpy.types.PropertyGroup):
     strength_upper: FloatProperty(name="Brows and Upper Lids", default=1.0, min=0.0, soft_max=2.0, max=5.0)
     strength_middle: FloatProperty(name="Cheeks and Upper Lip", default=1.0, min=0.0, soft_max=2.0, max=5.0)
     strength_lower: FloatProperty(name="Lower Lip and Chin", default=1.0, min=0.0, soft_max=2.0, max=5.0)
-    smooth: BoolProperty(name="Smooth", description="Hold still what does not move", default=True)
+    smoothing: FloatProperty(
+        name="Smoothing",
+        description="How much is held still what hardly moves; 0 for nothing, more than 1 lags behind",
+        default=1.0,
+        min=0.0,
+        soft_max=3.0,
+        max=20.0,
+    )
     mirror: BoolProperty(name="Mirror", description="The head is the performer's mirror image", default=False)
     find_neutral: BoolProperty(
         name="Find Neutral",

@@ -30,15 +30,15 @@ class PuppetSettings:
     drive : DriveOptions
     neutral : float or None
         Seconds at which the performer's neutral second starts; None finds it.
-    smooth : bool
-        Whether the take is smoothed first.
+    smoothing : float
+        As for `ResultSmoother`; 0 leaves the take as it is.
     rotation, translation : bool
         Whether the head's pose follows the performer's.
     """
 
     drive: DriveOptions = field(default_factory=DriveOptions)
     neutral: float | None = None
-    smooth: bool = True
+    smoothing: float = 1.0
     rotation: bool = True
     translation: bool = False
 
@@ -73,7 +73,7 @@ def puppet_head(
         Where the mesh cannot be driven or the take holds no face.
     """
     rig = read_rig(obj)
-    take = smooth_take(take) if settings.smooth else take
+    take = smooth_take(take, settings.smoothing)
     neutral = calibrate(take, settings.neutral)
     driver = HeadDriver(rig, neutral, settings.drive)
     motion = drive_take(driver, take)

@@ -1,7 +1,7 @@
 """What Blender is told of: one ordered tuple of modules, registered forwards and unregistered backwards."""
 
 from . import commands, panel_properties, properties, session
-from .operators import calibrate, control_points, facegen, head, own_head, puppet, puppet_video, regions
+from .operators import calibrate, control_points, facegen, head, own_head, presets, puppet, puppet_video, regions
 from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
 from .ui import expression as expression_panel
@@ -22,6 +22,7 @@ _MODULES = (
     puppet_video,
     puppet,
     calibrate,
+    presets,
     menus,
     head_panels,
     source_panel,

@@ -49,7 +49,7 @@ def puppet_settings(settings: FacemimeSettings) -> PuppetSettings:
     return PuppetSettings(
         drive=drive_options(settings),
         neutral=None if settings.find_neutral else settings.neutral,
-        smooth=settings.smooth,
+        smoothing=settings.smoothing,
         rotation=settings.rotation,
         translation=settings.translation,
     )

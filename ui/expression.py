@@ -2,7 +2,40 @@
 
 import bpy
 
+from .. import presets
+from ..operators.shared import register_all, unregister_all
 from .sidebar import Sidebar, place
+
+
+class FACEMIME_MT_presets(bpy.types.Menu):
+    """The user's presets"""
+
+    bl_label = "Presets"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw one line a preset, then what can be done."""
+        layout, known = self.layout, presets.names()
+        for name in known:
+            layout.operator("facemime.load_preset", text=name, translate=False).name = name
+        if known:
+            layout.separator()
+        layout.operator("facemime.save_preset", icon="ADD")
+        if known:
+            layout.menu("FACEMIME_MT_remove_preset", icon="REMOVE")
+        layout.separator()
+        layout.operator("facemime.import_preset", icon="IMPORT")
+        layout.operator("facemime.export_preset", icon="EXPORT")
+
+
+class FACEMIME_MT_remove_preset(bpy.types.Menu):
+    """Presets to remove"""
+
+    bl_label = "Remove Preset"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw one line a preset."""
+        for name in presets.names():
+            self.layout.operator("facemime.remove_preset", text=name, translate=False).name = name
 
 
 class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
@@ -10,6 +43,10 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
 
     bl_label = "Expression"
     bl_order = place(__name__)
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """Draw the menu of presets in the header."""
+        self.layout.menu("FACEMIME_MT_presets", text="", icon="PRESET")
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -21,15 +58,19 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
         column.prop(settings, "strength_upper", text="Strength Upper")
         column.prop(settings, "strength_middle", text="Middle")
         column.prop(settings, "strength_lower", text="Lower")
+        layout.prop(settings, "smoothing")
         layout.prop(settings, "mode")
         layout.prop(settings, "kernel")
 
 
+_CLASSES = (FACEMIME_MT_remove_preset, FACEMIME_MT_presets, FACEMIME_PT_expression)
+
+
 def register() -> None:
-    """Register the panel."""
-    bpy.utils.register_class(FACEMIME_PT_expression)
+    """Register the panel and its menus."""
+    register_all(_CLASSES)
 
 
 def unregister() -> None:
-    """Unregister the panel."""
-    bpy.utils.unregister_class(FACEMIME_PT_expression)
+    """Unregister them."""
+    unregister_all(_CLASSES)

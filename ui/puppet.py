@@ -26,9 +26,8 @@ class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
             for text, icon in status_lines(session):
                 labels(layout, context, text, icon)
         row = layout.row()
-        row.prop(settings, "smooth")
         row.prop(settings, "mirror")
-        layout.prop(settings, "keep_pose")
+        row.prop(settings, "keep_pose")
 
 
 class FACEMIME_PT_pose(Sidebar, bpy.types.Panel):

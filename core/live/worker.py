@@ -44,13 +44,13 @@ class LiveOptions:
 
     Attributes
     ----------
-    smooth : bool
-        Whether one-euro filters run behind the tracker.
+    smoothing : float
+        Of the one-euro filters behind the tracker: 1 as tuned, 0 for none.
     preview : int
         Width of the annotated picture in pixels; 0 for none.
     """
 
-    smooth: bool = True
+    smoothing: float = 1.0
     preview: int = 0
 
 
@@ -228,9 +228,7 @@ class LiveWorker:
         options = self.options
         seen = self._tracked(tracker, frame)
         self._record(frame.time, seen)
-        result = self._smoother.smooth(seen, frame.time) if options.smooth else seen
-        if not options.smooth:
-            self._smoother.reset()
+        result = self._smoothed(seen, frame.time, options.smoothing)
         tracked = perf_counter()
         self._calibrate(frame.time, result)
         heads = self._driven(result)
@@ -250,6 +248,14 @@ class LiveWorker:
             tracker.reset()
             self._size = frame.image.shape
         return tracker.track(frame.image)
+
+    def _smoothed(self, seen: TrackResult, time: float, amount: float) -> TrackResult:
+        if amount <= 0.0:
+            self._smoother.reset()
+            return seen
+        if amount != self._smoother.amount:
+            self._smoother = ResultSmoother(amount)
+        return self._smoother.smooth(seen, time)
 
     def _record(self, time: float, result: TrackResult) -> None:
         with self._recording:

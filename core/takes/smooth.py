@@ -32,11 +32,11 @@ _LONGEST_STEP = 0.25
 _FEWEST = 5
 
 
-def smooth_take(take: Take) -> Take:
+def smooth_take(take: Take, amount: float = 1.0) -> Take:
     """`take` with every frame smoothed as `ResultSmoother` does live; a take that is smooth already is given back."""
-    if take.info.get("smoothed"):
+    if amount <= 0.0 or take.info.get("smoothed"):
         return take
-    smoother, recorder = ResultSmoother(), TakeRecorder({**take.info, "smoothed": "one-euro"})
+    smoother, recorder = ResultSmoother(amount), TakeRecorder({**take.info, "smoothed": "one-euro"})
     for frame, time in enumerate(take.times.tolist()):
         recorder.append(time, smoother.smooth(take.result(frame), time))
     return recorder.finish()

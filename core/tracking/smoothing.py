@@ -46,6 +46,10 @@ class Cutoffs:
     by_speed: float
     speed: float
 
+    def softer(self, amount: float) -> Cutoffs:
+        """The cutoffs at rest and by speed divided by `amount`, which is above 0."""
+        return replace(self, at_rest=self.at_rest / amount, by_speed=self.by_speed / amount)
+
 
 SHAPE_PARTS: dict[str, tuple[NDArray[np.intp], Cutoffs]] = {
     "brows": (BROWS, Cutoffs(1.0, 25.0, 3.0)),
@@ -110,11 +114,17 @@ class ResultSmoother:
     Pose, shape and gaze are smoothed, and the landmarks follow from pose and shape. What states what the tracker itself
     found stays: shape parameters, pupils, confidences. Where the face is lost everything is forgotten, so nothing is
     drawn from where it was lost to where it is found again.
+
+    Parameters
+    ----------
+    amount : float
+        1 as tuned; 2 has half the cutoffs, so twice the delay; towards 0 everything passes.
     """
 
-    def __init__(self) -> None:
-        self._shape = [(rows, OneEuroFilter(cutoffs, 3)) for rows, cutoffs in SHAPE_PARTS.values()]
-        self._rotation, self._place, self._gaze = (OneEuroFilter(c) for c in (ROTATION, PLACE, GAZE))
+    def __init__(self, amount: float = 1.0) -> None:
+        self.amount = amount
+        self._shape = [(rows, OneEuroFilter(cutoffs.softer(amount), 3)) for rows, cutoffs in SHAPE_PARTS.values()]
+        self._rotation, self._place, self._gaze = (OneEuroFilter(c.softer(amount)) for c in (ROTATION, PLACE, GAZE))
         self._unit = 0.0
 
     def reset(self) -> None:

@@ -48,7 +48,7 @@ def take(tmp_path):
     save_take(performance(), path)
     settings = bpy.context.scene.facemime
     settings.source.kind, settings.source.take = "TAKE", str(path)
-    settings.source.loop, settings.source.speed, settings.smooth = False, 20.0, False
+    settings.source.loop, settings.source.speed, settings.smoothing = False, 20.0, 0.0
     write_calibration(settings, calibrate(performance()))
     return performance()
 

@@ -86,7 +86,7 @@ def test_the_heads_are_those_that_the_same_frames_give_without_a_worker():
             Listed(frames_of(take)),
             neutral=neutral,
             heads=(LiveHead(rig), LiveHead(rig, options)),
-            options=LiveOptions(smooth=False),
+            options=LiveOptions(smoothing=0.0),
         )
     )
     last = take.result(len(take) - 1)
@@ -97,7 +97,7 @@ def test_the_heads_are_those_that_the_same_frames_give_without_a_worker():
 
 def test_a_real_clip_is_tracked_as_offline():
     source = VideoPlayer(SAMPLE, speed=0.05)
-    worker = LiveWorker(source, heads=(LiveHead(built_in_rig()),), options=LiveOptions(smooth=False, preview=160))
+    worker = LiveWorker(source, heads=(LiveHead(built_in_rig()),), options=LiveOptions(smoothing=0.0, preview=160))
     recorded = Recorded()
     worker.record(recorded)
     worker.start()
@@ -146,7 +146,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_puppet():
 
 def test_what_is_recorded_is_what_was_tracked_not_what_was_smoothed():
     take, recorded = performance(), Recorded()
-    worker = LiveWorker(Listed(frames_of(take)), options=LiveOptions(smooth=True))
+    worker = LiveWorker(Listed(frames_of(take)), options=LiveOptions(smoothing=1.0))
     worker.record(recorded)
     run(worker)
     np.testing.assert_array_equal([r.landmarks for _, r in recorded], take.landmarks)

@@ -1,0 +1,135 @@
+"""Save, choose and share presets."""
+
+from pathlib import Path
+
+import bpy
+from bpy.props import StringProperty
+
+from .. import presets
+from .shared import AsksForFile, ReportsErrors, register_all, unregister_all
+
+
+class FACEMIME_OT_save_preset(ReportsErrors, bpy.types.Operator):
+    """Save strength, smoothing and limits as a preset of yours"""
+
+    bl_idname = "facemime.save_preset"
+    bl_label = "Save Preset"
+    bl_options = {"REGISTER"}
+
+    name: StringProperty(name="Name", default="My Preset")
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the name."""
+        return context.window_manager.invoke_props_dialog(self)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Save under the name, over what was there."""
+        return self.reporting(self.work, context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        presets.save(context.scene.facemime, presets.path_of(self.name))
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_load_preset(ReportsErrors, bpy.types.Operator):
+    """Set strength, smoothing and limits as this preset has them"""
+
+    bl_idname = "facemime.load_preset"
+    bl_label = "Load Preset"
+    bl_options = {"REGISTER", "UNDO"}
+
+    name: StringProperty(name="Name")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Load the preset of that name."""
+        return self.reporting(self.work, context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        presets.load(context.scene.facemime, presets.path_of(self.name))
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_remove_preset(ReportsErrors, bpy.types.Operator):
+    """Remove this preset of yours"""
+
+    bl_idname = "facemime.remove_preset"
+    bl_label = "Remove Preset"
+    bl_options = {"REGISTER"}
+
+    name: StringProperty(name="Name")
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask first: a file cannot be undone."""
+        return context.window_manager.invoke_confirm(self, event)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Remove the file."""
+        return self.reporting(self.work, context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        presets.path_of(self.name).unlink(missing_ok=True)
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_import_preset(AsksForFile, ReportsErrors, bpy.types.Operator):
+    """Set strength, smoothing and limits as a file has them that somebody shared"""
+
+    bl_idname = "facemime.import_preset"
+    bl_label = "Import Preset"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Load it, and keep it among the presets."""
+        return self.reporting(self.work, context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        path = Path(bpy.path.abspath(self.filepath))
+        presets.load(context.scene.facemime, path)
+        presets.save(context.scene.facemime, presets.path_of(path.stem))
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_export_preset(AsksForFile, ReportsErrors, bpy.types.Operator):
+    """Write strength, smoothing and limits to a file that you can share"""
+
+    bl_idname = "facemime.export_preset"
+    bl_label = "Export Preset"
+    bl_options = {"REGISTER"}
+
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Write the file."""
+        return self.reporting(self.work, context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        presets.save(context.scene.facemime, Path(bpy.path.abspath(self.filepath)).with_suffix(presets.SUFFIX))
+        return {"FINISHED"}
+
+
+_CLASSES = (
+    FACEMIME_OT_save_preset,
+    FACEMIME_OT_load_preset,
+    FACEMIME_OT_remove_preset,
+    FACEMIME_OT_import_preset,
+    FACEMIME_OT_export_preset,
+)
+
+
+def register() -> None:
+    """Register the operators."""
+    register_all(_CLASSES)
+
+
+def unregister() -> None:
+    """Unregister the operators."""
+    unregister_all(_CLASSES)

@@ -1,0 +1,64 @@
+"""Presets keep how a performance moves a head, and can be shared."""
+
+import json
+
+import bpy
+import pytest
+
+from facemime import presets
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(presets, "folder", lambda: tmp_path / "presets")
+
+
+def test_a_saved_preset_brings_everything_back():
+    settings = bpy.context.scene.facemime
+    settings.strength_lower, settings.kernel, settings.mirror = 1.7, "gaussian", True
+    settings.posing.rotation_limit, settings.smoothing = 0.5, 2.5
+    assert bpy.ops.facemime.save_preset(name="Lively") == {"FINISHED"}
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    settings = bpy.context.scene.facemime
+    assert presets.names() == ["Lively"] and settings.strength_lower == 1.0
+    assert bpy.ops.facemime.load_preset(name="Lively") == {"FINISHED"}
+    assert settings.strength_lower == pytest.approx(1.7) and settings.kernel == "gaussian" and settings.mirror
+    assert settings.posing.rotation_limit == pytest.approx(0.5) and settings.smoothing == pytest.approx(2.5)
+    assert bpy.ops.facemime.remove_preset(name="Lively") == {"FINISHED"} and presets.names() == []
+
+
+def test_a_preset_is_shared_as_a_file(tmp_path):
+    settings = bpy.context.scene.facemime
+    settings.smoothing = 0.25
+    assert bpy.ops.facemime.export_preset(filepath=str(tmp_path / "Calm")) == {"FINISHED"}
+    settings.smoothing = 1.0
+    assert bpy.ops.facemime.import_preset(filepath=str(tmp_path / "Calm.json")) == {"FINISHED"}
+    assert settings.smoothing == pytest.approx(0.25) and presets.names() == ["Calm"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"format": "other"}',
+        '{"format": "facemime-preset"}',
+        '{"format": "facemime-preset", "settings": 3}',
+    ]
+    + [
+        json.dumps({"format": "facemime-preset", "settings": {"smoothing": 0.5, name: value}, "posing": {}})
+        for name, value in (("kernel", "magic"), ("strength_upper", "much"), ("mirror", 1), ("strength_lower", True))
+    ],
+)
+def test_a_file_that_is_no_preset_changes_nothing(tmp_path, text):
+    (tmp_path / "bad.json").write_text(text)
+    with pytest.raises(RuntimeError, match="not a preset"):
+        bpy.ops.facemime.import_preset(filepath=str(tmp_path / "bad.json"))
+    assert bpy.context.scene.facemime.smoothing == 1.0
+
+
+@pytest.mark.parametrize("name", ["", "  ", "../outside", "a/b", ".hidden", "what?"])
+def test_a_name_that_cannot_be_a_files_is_refused(name):
+    with pytest.raises(RuntimeError, match="cannot be the name"):
+        bpy.ops.facemime.save_preset(name=name)
