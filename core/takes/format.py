@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -144,11 +144,29 @@ def info_content(info: dict[str, Any], frames: int) -> bytes:
 
 
 def info_of(content: bytes) -> tuple[dict[str, Any], int]:
-    """What `info_content` was given; ValueError where it is something else."""
-    told = json.loads(content)
+    """What `info_content` was given, without what cannot be; ValueError where it is something else."""
+    try:
+        told = json.loads(content)
+    except RecursionError as error:
+        raise ValueError("what it tells is nested too deeply") from error
     if not isinstance(told, dict) or not isinstance(told.get("info"), dict) or not isinstance(told.get("frames"), int):
         raise ValueError("it does not tell how it was made")
-    return told["info"], told["frames"]
+    info = {key: value for key, value in told["info"].items() if key not in _KINDS or _KINDS[key](value)}
+    return info, told["frames"]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and 0 < value < 1e6
+
+
+_KINDS: dict[str, Callable[[Any], bool]] = {
+    "fps": _is_number,
+    "image_size": lambda value: isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)),
+    "calibration": lambda value: isinstance(value, dict),
+    "bridged": lambda value: isinstance(value, list),
+    "punched_in": lambda value: isinstance(value, list),
+}
+"""Of what is computed with, what it may be: a file may say anything."""
 
 
 def _plain(value: Any) -> Any:

@@ -198,8 +198,16 @@ def test_headers_within_headers_are_given_up():
 def test_content_that_is_none_behind_a_right_checksum_is_left_out(written):
     first = starts(written)[1]
     nonsense = chunk_bytes(b"S", b"[]") + chunk_bytes(b"S", b"\xff") + chunk_bytes(b"F", b"nothing", count=3)
+    nonsense += chunk_bytes(b"S", b"[" * 100_000)
     take = take_of(written[:first] + nonsense + written[first:])
     assert len(take) == 60 and "recovered" not in take.info
+
+
+def test_what_a_file_tells_is_left_out_where_it_cannot_be(written):
+    wrong = {"fps": "fast", "image_size": [640, -1], "calibration": 3, "bridged": {}, "source": "x", "my own": [1]}
+    end = starts(written)[-1]
+    take = take_of(written[:end] + chunk_bytes(b"E", info_content(wrong, 60)))
+    assert take.info == {"source": "x", "my own": [1]}
 
 
 def test_times_that_go_back_are_left_out(written):
