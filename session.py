@@ -134,8 +134,8 @@ class LiveSession(Session):
     stopwatch : Stopwatch
     keep : bool
         Whether the heads stay as they are at the end.
-    writing : float
-        Seconds that the last `step` took in the main thread.
+    shown : LiveResult or None
+        What the heads show: the worker's newest result may be newer.
     """
 
     def __init__(
@@ -149,6 +149,7 @@ class LiveSession(Session):
     ) -> None:
         super().__init__()
         self.stopwatch, self.keep = Stopwatch(), False
+        self.shown: LiveResult | None = None
         self._objects = [shown for shown, _ in heads]
         self._gone: list[LiveHeadObject] = []
         self._on_calibrated = on_calibrated
@@ -170,11 +171,6 @@ class LiveSession(Session):
         """The heads in the scene."""
         return self._objects
 
-    @property
-    def latest(self) -> LiveResult | None:
-        """The worker's newest result."""
-        return self.worker.latest
-
     def step(self) -> bool:
         """Show the newest result, if there is a new one; whether there was.
 
@@ -190,7 +186,7 @@ class LiveSession(Session):
                 raise self.worker.error
             return False
         asked = perf_counter()
-        self._number = latest.number
+        self._number, self.shown = latest.number, latest
         for shown, frame in zip(self._objects, latest.heads, strict=False):
             if shown not in self._gone:
                 self._write(shown, frame)

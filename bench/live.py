@@ -84,7 +84,7 @@ def _ticked(session: LiveSession, settings, seconds: float, vertices: int, previ
     while len(ticks) < _WARM + seconds / _PERIOD / 3 and session.worker.error is None:
         began = perf_counter()
         follow_settings(session, settings)
-        if session.step() and session.latest.heads:
+        if session.step() and session.shown.heads:
             ticks.append(perf_counter() - began)
         bpy.context.view_layer.update()
         time.sleep(max(0.0, _PERIOD - (perf_counter() - began)))

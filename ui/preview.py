@@ -35,7 +35,7 @@ def _draw() -> None:
     if session is None:
         _Corner.texture = None
         return
-    context, latest = bpy.context, session.latest
+    context, latest = bpy.context, session.shown
     if latest is None or context.region is None:
         return
     scale = context.preferences.system.ui_scale
@@ -49,7 +49,7 @@ def _draw() -> None:
 
 def panel_icon(session: LiveSession) -> int:
     """The newest picture as the value of an icon, for `template_icon`; 0 where there is none."""
-    latest = session.latest
+    latest = session.shown
     if latest is None or latest.preview is None or _Corner.icons is None:
         return 0
     height, width = latest.preview.shape[:2]

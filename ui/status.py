@@ -30,7 +30,7 @@ def status_lines(session: LiveSession) -> list[tuple[str, str]]:
         lines.append((worker.message, "ERROR"))
     if worker.recording_error is not None:
         lines.append((str(worker.recording_error), "ERROR"))
-    latest = session.latest
+    latest = session.shown
     if latest is None:
         return [*lines, (_("Waiting for the first frame"), "TIME")]
     if not latest.result.found:

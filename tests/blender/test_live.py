@@ -90,7 +90,7 @@ def shown(obj: bpy.types.Object) -> np.ndarray:
 def moving() -> bool:
     """Whether a frame with a face has been shown."""
     session = running()
-    return session is not None and session.latest is not None and session._number > 30 and bool(session.latest.heads)
+    return session is not None and session.shown is not None and session._number > 30 and bool(session.shown.heads)
 
 
 def test_ticks_show_what_the_same_frame_gives_headless_and_the_end_puts_all_back(take):
@@ -102,7 +102,7 @@ def test_ticks_show_what_the_same_frame_gives_headless_and_the_end_puts_all_back
     ticks_until(moving)
     running().worker.close()
     running().step()
-    latest = running().latest
+    latest = running().shown
     wanted = HeadDriver(rig, calibrate(take), drive_options(bpy.context.scene.facemime)).frame(latest.result)
     np.testing.assert_allclose(shown(head), to_blender(wanted.vertices), atol=1e-6)
     assert np.abs(shown(head) - before).max() > 1e-3
@@ -276,7 +276,7 @@ def test_head_pose_goes_to_a_bone_and_the_eyes_to_objects(take):
     assert bpy.ops.facemime.puppet() == {"RUNNING_MODAL"}
     bone = armature.pose.bones["Bone"]
     ticks_until(lambda: bone.rotation_quaternion.angle > 0.05)
-    frame = running().latest.heads
+    frame = running().shown.heads
     assert frame and tuple(head.delta_rotation_euler) == (0.0, 0.0, 0.0)
     bpy.ops.facemime.stop_puppet()
     assert bone.rotation_quaternion.angle < 1e-6
