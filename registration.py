@@ -6,12 +6,13 @@ from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
 from .ui import expression as expression_panel
 from .ui import head as head_panels
-from .ui import menus, point_overlay, preview, region_overlay
+from .ui import menus, point_overlay, preview, region_overlay, translations
 from .ui import puppet as puppet_panel
 from .ui import regions as regions_panel
 from .ui import source as source_panel
 
 _MODULES = (
+    translations,
     properties,
     panel_properties,
     head,

@@ -19,7 +19,7 @@ from .shared import AsksForFile, OnHead, OnMesh, register_all, unregister_all
 
 
 class FACEMIME_OT_select_control_points(AsksForFile, OnMesh, bpy.types.Operator):
-    """Choose, from a take, the landmarks that control the active head; the others follow."""
+    """Choose, from a take, the landmarks that control the active head; the others follow"""
 
     bl_idname = "facemime.select_control_points"
     bl_label = "Select Control Points"
@@ -162,7 +162,7 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
 
 
 class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
-    """Let all 66 landmarks control the active head again."""
+    """Let all 66 landmarks control the active head again"""
 
     bl_idname = "facemime.use_all_landmarks"
     bl_label = "Use All Landmarks"

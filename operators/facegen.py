@@ -10,7 +10,7 @@ from .shared import AsksForFile, ReportsErrors, in_object_mode
 
 
 class FACEMIME_OT_import_facegen(AsksForFile, ReportsErrors, bpy.types.Operator):
-    """Import a FaceGen head: a .tri with its morphs, and the .egm beside it, or an OBJ in FaceGen's vertex order."""
+    """Import a FaceGen head: a .tri with its morphs, and the .egm beside it, or an OBJ in FaceGen's vertex order"""
 
     bl_idname = "facemime.import_facegen"
     bl_label = "FaceGen Head (.tri, .obj)"

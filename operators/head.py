@@ -8,7 +8,7 @@ from .shared import ReportsErrors, in_object_mode
 
 
 class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
-    """Add a head that is ready to be puppeted: landmarks, regions, eyes, teeth and tongue."""
+    """Add a head that is ready to be puppeted: landmarks, regions, eyes, teeth and tongue"""
 
     bl_idname = "facemime.add_head"
     bl_label = "Facemime Head"

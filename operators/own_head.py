@@ -19,7 +19,7 @@ from .shared import OnMesh, in_object_mode, register_all, unregister_all
 
 
 class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
-    """Say which point of the face the selected vertex is, in Edit mode; mark four or more, then bind."""
+    """Say which point of the face the selected vertex is, in Edit mode; mark four or more, then bind"""
 
     bl_idname = "facemime.mark_point"
     bl_label = "Mark Point"
@@ -38,7 +38,7 @@ class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
 
 
 class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
-    """Forget the marked points."""
+    """Forget the marked points"""
 
     bl_idname = "facemime.clear_marks"
     bl_label = "Clear Marks"
@@ -51,7 +51,7 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
 
 
 class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
-    """Find the 66 landmarks of the active mesh and propose its regions; without marks it must face -Y upright."""
+    """Find the 66 landmarks of the active mesh and propose its regions; without marks it must face -Y upright"""
 
     bl_idname = "facemime.bind_landmarks"
     bl_label = "Bind Landmarks"
@@ -71,7 +71,7 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
 
 
 class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
-    """Bind one landmark to the vertex that is selected in Edit mode."""
+    """Bind one landmark to the vertex that is selected in Edit mode"""
 
     bl_idname = "facemime.set_landmark"
     bl_label = "Set Landmark"
@@ -90,7 +90,7 @@ class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
 
 
 class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
-    """Paint the three regions anew from the landmarks and the openings of eyes and mouth."""
+    """Paint the three regions anew from the landmarks and the openings of eyes and mouth"""
 
     bl_idname = "facemime.propose_regions"
     bl_label = "Propose Regions"
@@ -111,7 +111,7 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
 
 
 class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
-    """Say what would keep the active mesh from being puppeted well, and what to do."""
+    """Say what would keep the active mesh from being puppeted well, and what to do"""
 
     bl_idname = "facemime.check_head"
     bl_label = "Check Head"

@@ -21,7 +21,7 @@ def running() -> LiveSession | None:
 
 
 class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
-    """Move the active and the selected heads by the face in the source, until stopped; ESC over the viewport stops."""
+    """Move the active and the selected heads by the face in the source, until stopped; ESC over the viewport stops"""
 
     bl_idname = "facemime.puppet"
     bl_label = "Start Puppet"
@@ -136,7 +136,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
 
 
 class FACEMIME_OT_stop_puppet(bpy.types.Operator):
-    """Stop the puppet; the heads rest again, or stay as they are where Keep Pose is on."""
+    """Stop the puppet; the heads rest again, or stay as they are where Keep Pose is on"""
 
     bl_idname = "facemime.stop_puppet"
     bl_label = "Stop Puppet"

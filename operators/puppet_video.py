@@ -17,7 +17,7 @@ _TICK = 0.1
 
 
 class FACEMIME_OT_puppet_video(AsksForFile, ReportsErrors, bpy.types.Operator):
-    """Track the face in a video, or read a take, and bake its motion to the active and the selected heads."""
+    """Track the face in a video, or read a take, and bake its motion to the active and the selected heads"""
 
     bl_idname = "facemime.puppet_video"
     bl_label = "Puppet from Video"

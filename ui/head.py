@@ -1,6 +1,7 @@
 """The first step: a head, the built-in one or a mesh of the user's own."""
 
 import bpy
+from bpy.app.translations import pgettext_iface as _
 
 from ..blender.binding import read_marks, what_is_missing
 from ..operators.shared import register_all, unregister_all
@@ -44,10 +45,13 @@ class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
         marks = read_marks(obj.data)
         column = layout.column(align=True)
         if context.mode == "EDIT_MESH":
-            column.operator_menu_enum("facemime.mark_point", "point", text=f"Mark Point ({len(marks)} marked)")
+            column.operator_menu_enum(
+                "facemime.mark_point", "point", text=_("Mark Point ({count} marked)").format(count=len(marks))
+            )
             column.operator("facemime.set_landmark")
         else:
-            column.label(text=f"{len(marks)} points marked" if marks else "No points marked: facing -Y, upright")
+            marked = _("{count} points marked").format(count=len(marks))
+            column.label(text=marked if marks else _("No points marked: facing -Y, upright"), translate=False)
             column.operator("facemime.bind_landmarks", icon="OUTLINER_DATA_ARMATURE")
             column.operator("facemime.propose_regions", icon="GROUP_VERTEX")
             column.operator("facemime.check_head", icon="CHECKMARK")

@@ -1,0 +1,38 @@
+"""Every text of the interface is ready to be said in another language, and is said in Chinese."""
+
+import importlib.util
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+_SPEC = importlib.util.spec_from_file_location("strings", ROOT / "tools" / "strings.py")
+strings = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(strings)
+LANGUAGES = sorted(strings.TRANSLATIONS.glob("*.json"))
+
+
+def test_chinese_lacks_nothing():
+    assert strings.lacking("zh_HANS") == []
+
+
+def test_the_texts_are_found_in_the_sources():
+    wanted = strings.wanted()
+    for text in ("Start Puppet", "No face in view", "Sample Clip", "Leave Edit mode first", "Calibration"):
+        assert text in wanted
+
+
+@pytest.mark.parametrize("path", LANGUAGES, ids=lambda path: path.stem)
+def test_what_is_filled_in_stands_in_the_translation_too(path):
+    for english, other in json.loads(path.read_text(encoding="utf-8")).items():
+        assert sorted(re.findall(r"\{[^}]*\}", english)) == sorted(re.findall(r"\{[^}]*\}", other)), english
+        assert english.count("%") == other.count("%"), english
+
+
+def test_tooltips_of_operators_end_without_a_full_stop():
+    for path in strings.sources():
+        for text in strings.strings(path):
+            assert "\n" not in text, text
+            assert not (text.endswith(".") and path.parent.name == "operators" and ". " not in text), text
