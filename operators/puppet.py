@@ -1,9 +1,5 @@
 """Puppet the heads live: by a camera, a video, pictures or a take."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 import bpy
 
 from ..core.errors import FacemimeError
@@ -27,8 +23,11 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     bl_label = "Start Puppet"
     bl_options = {"REGISTER"}
 
-    instance: ClassVar[FACEMIME_OT_puppet | None] = None
-    """The operator that runs; Blender itself keeps it only where there is a window."""
+    instance = None
+    """The operator that runs; Blender itself keeps it only where there is a window.
+
+    Without an annotation: one that names its own class keeps the class alive, and Blender 4 does not end any more.
+    """
 
     _session: LiveSession | None = None
     _timer: bpy.types.Timer | None = None

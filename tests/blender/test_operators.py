@@ -1,5 +1,7 @@
 """The operators do what the functions do, and say so when they cannot."""
 
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -34,6 +36,12 @@ def test_registering_unregistering_and_registering_again_works():
     assert not hasattr(bpy.types.Scene, "facemime")
     facemime.register()
     assert bpy.context.scene.facemime.rotation
+
+
+def test_blender_ends_after_the_extension_was_taken_away():
+    code = "import bpy, facemime; facemime.register(); facemime.unregister()"
+    done = subprocess.run([sys.executable, "-c", code], timeout=120, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "Not freed" not in done.stdout + done.stderr
 
 
 def test_blenders_own_command_line_reaches_the_command(tmp_path, capfd):
