@@ -15,9 +15,11 @@ from pathlib import Path
 from time import perf_counter
 
 import bpy
+import numpy as np
 from bpy.app.handlers import persistent
+from numpy.typing import NDArray
 
-from .blender.live import LiveHeadObject
+from .blender.live import LiveHeadObject, as_keys_take_it
 from .core.drive import HeadFrame
 from .core.errors import FacemimeError, HeadError
 from .core.live.sources import LiveSource
@@ -157,7 +159,9 @@ class LiveSession(Session):
         self._range = False
         self._waiting = False
         self._number = 0
-        self.worker = LiveWorker(source, neutral=neutral, heads=tuple(head for _, head in heads), options=options)
+        self.worker = LiveWorker(
+            source, neutral=neutral, heads=tuple(head for _, head in heads), options=options, prepare=as_keys_take_it
+        )
         try:
             for shown in self._objects:
                 shown.attach()
@@ -187,9 +191,9 @@ class LiveSession(Session):
             return False
         asked = perf_counter()
         self._number, self.shown = latest.number, latest
-        for shown, frame in zip(self._objects, latest.heads, strict=False):
+        for shown, frame, flat in zip(self._objects, latest.heads, latest.prepared, strict=False):
             if shown not in self._gone:
-                self._write(shown, frame)
+                self._write(shown, frame, flat)
         self._note(latest, asked)
         return True
 
@@ -250,9 +254,9 @@ class LiveSession(Session):
         """Write what is tracked from now on."""
         self.worker.record(recorder)
 
-    def _write(self, shown: LiveHeadObject, frame: HeadFrame) -> None:
+    def _write(self, shown: LiveHeadObject, frame: HeadFrame, flat: NDArray[np.float32]) -> None:
         try:
-            shown.write(frame)
+            shown.write(frame, flat)
         except ReferenceError:  # the user deleted it
             self._gone.append(shown)
             if len(self._gone) == len(self._objects):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.drive import HeadFrame
 from ..core.errors import HeadError
@@ -56,7 +57,7 @@ class LiveHeadObject:
                 "Make it local: Object > Relations > Make Local."
             )
         self._parts = [(child, _kind(child)) for child in self.obj.children if _kind(child)]
-        self._flat = np.empty(3 * len(mesh.vertices), np.float32)
+        self._count = len(mesh.vertices)
         self._had_keys = mesh.shape_keys is not None
         self._muted: list = []
         self._shown = False
@@ -64,7 +65,7 @@ class LiveHeadObject:
     @property
     def vertices(self) -> int:
         """How many vertices the mesh had when this began."""
-        return len(self._flat) // 3
+        return self._count
 
     def attach(self) -> None:
         """Make the live key, and silence what an earlier bake left to move the same things."""
@@ -81,8 +82,13 @@ class LiveHeadObject:
                 self._muted.append(key)
         self._shown = True
 
-    def write(self, frame: HeadFrame) -> None:
+    def write(self, frame: HeadFrame, flat: NDArray[np.float32] | None = None) -> None:
         """Show `frame`; what is being edited in Edit mode is left alone.
+
+        Parameters
+        ----------
+        flat : (3 V,) float32, optional
+            `as_keys_take_it(frame)`, where it was made beforehand.
 
         Raises
         ------
@@ -94,7 +100,7 @@ class LiveHeadObject:
         mesh = self.obj.data
         if len(mesh.vertices) != self.vertices or len(frame.vertices) != self.vertices:
             raise HeadError(f"{self.obj.name} was changed: its vertices are others now. Bind the landmarks again.")
-        self._key().points.foreach_set("co", flat_in_blender(frame.vertices))
+        self._key().points.foreach_set("co", as_keys_take_it(frame) if flat is None else flat)
         mesh.update_tag()
         self.targets["head"].apply(
             frame.rotation if self.follow.rotation else None, frame.translation if self.follow.translation else None
@@ -129,6 +135,14 @@ class LiveHeadObject:
             key = self.obj.shape_key_add(name=LIVE_KEY, from_mix=False)
             key.value = 1.0
         return key
+
+
+def as_keys_take_it(frame: HeadFrame) -> NDArray[np.float32]:
+    """(3 V,) float32 of a frame's vertices, as the points of a shape key are set; touches nothing of Blender.
+
+    Made by the thread that drives: OpenCV lets other threads run meanwhile, for which the main thread would wait.
+    """
+    return flat_in_blender(frame.vertices)
 
 
 def _remove(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> None:

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +68,8 @@ class LiveResult:
         Smoothed as asked.
     heads : tuple of HeadFrame
         In the order of the heads asked for; empty where no face was found.
+    prepared : tuple
+        What `prepare` made of each of them.
     taken, began, tracked, driven : float
         `time.perf_counter()` when the frame was there, the worker had it, had the landmarks, had the heads.
     preview : (H, W, 4) float32 or None
@@ -78,6 +80,7 @@ class LiveResult:
     time: float
     result: TrackResult
     heads: tuple[HeadFrame, ...]
+    prepared: tuple[Any, ...]
     taken: float
     began: float
     tracked: float
@@ -111,6 +114,8 @@ class LiveWorker:
         Closed with the worker.
     neutral : Neutral, optional
         The performer's. Without one the first second with a face is taken.
+    prepare : callable, optional
+        Does here, on each head's frame, what whoever shows it would have to wait for.
     load_tracker : callable
         Gives the tracker; called in the thread, as that takes a moment.
 
@@ -137,6 +142,7 @@ class LiveWorker:
         neutral: Neutral | None = None,
         heads: tuple[LiveHead, ...] = (),
         options: LiveOptions = LiveOptions(),
+        prepare: Callable[[HeadFrame], Any] = lambda frame: None,
         load_tracker: Callable[[], FaceTracker] = FaceTracker.load,
     ) -> None:
         self.source, self.heads, self.options = source, heads, options
@@ -147,7 +153,7 @@ class LiveWorker:
         self.recording_error: OutputError | None = None
         self.quality: Quality | None = None
         self.neutral = neutral
-        self._load_tracker = load_tracker
+        self._load_tracker, self._prepare_to_show = load_tracker, prepare
         self._calibration: NeutralCalibration | RangeCalibration | None = None
         self._first = None if neutral is not None else NeutralCalibration()
         self._recorder: Recorder | None = None
@@ -232,12 +238,13 @@ class LiveWorker:
         tracked = perf_counter()
         self._calibrate(frame.time, result)
         heads = self._driven(result)
+        prepared = tuple(self._prepare_to_show(head) for head in heads)
         driven = perf_counter()
         preview = preview_of(frame.image, result, options.preview) if options.preview else None
         self.counts.tracked += 1
         self.counts.lost += not result.found
         self.latest = LiveResult(
-            self.counts.tracked, frame.time, result, heads, frame.taken, began, tracked, driven, preview
+            self.counts.tracked, frame.time, result, heads, prepared, frame.taken, began, tracked, driven, preview
         )
 
     def _tracked(self, tracker: FaceTracker, frame: LiveFrame) -> TrackResult:
