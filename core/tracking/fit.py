@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
+import cv2
 import numpy as np
 
 from ..arrays import FloatArray
@@ -77,7 +78,8 @@ def regularised_mean_shift(
     normal = flat.T @ (flat * np.concatenate([weights, weights])[:, None])
     # A landmark set of weight 0 leaves the pose free; the small number keeps the system solvable, and the step is 0.
     normal[np.diag_indices(len(prior))] += prior + 1e-9
-    inverse = np.linalg.inv(normal)
+    # By OpenCV, as numpy's would set threads to this small matrix, which on a busy machine wait for each other.
+    inverse = np.asarray(cv2.invert(normal, flags=cv2.DECOMP_CHOLESKY)[1], np.float64)
     fitted = start
     for variance in options.variances:
         landmarks = model.project(fitted.pose, fitted.shape_params)
