@@ -11,7 +11,7 @@ import traceback
 
 import bpy
 
-_PERIOD = 0.01
+_PERIOD = 0.002
 _link = socket.socket(fileno=int(os.environ["FACEMIME_GUI_LINK"]))
 _link.setblocking(False)
 _received = bytearray()
@@ -49,6 +49,7 @@ def tick() -> float:
 preferences = bpy.context.preferences
 preferences.view.show_splash = False
 preferences.view.use_save_prompt = False
+preferences.view.smooth_view = 0
 preferences.view.filebrowser_display_type = "SCREEN"
 preferences.system.viewport_aa = "OFF"
 bpy.app.timers.register(tick, persistent=True)

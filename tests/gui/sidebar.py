@@ -37,7 +37,11 @@ def watched(name, draw):
     return drawing
 """
 """Which panels are open nobody tells either, but only open ones are drawn."""
+_TAG = "for area in bpy.context.window.screen.areas: area.tag_redraw()"
+_HEADER = 1.4
+"""Height of a folded panel, in units of the interface."""
 _NOTHING = "(nothing)"
+_PASTE = f"value, bpy.context.window_manager.clipboard = bpy.context.window_manager.clipboard, {_NOTHING!r}"
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,8 @@ class Sidebar:
 
     def __init__(self, blender: Blender) -> None:
         self.blender = blender
+        self._top = 1.0
+        self._known: dict[str, tuple[tuple[float, float], ...]] = {}
         self.unit = 20.0 * blender.get("bpy.context.preferences.system.ui_scale")
         blender.do(_WATCH)
         self.show()
@@ -98,16 +104,17 @@ class Sidebar:
 
     def under_mouse(self, x: float, y: float, keys: str = "ctrl+c") -> str:
         """What the button there leaves on the clipboard."""
-        self.blender.do(f"bpy.context.window_manager.clipboard = {_NOTHING!r}")
-        self.blender.input("mousemove", round(x), round(y), "key", keys)
-        return str(self.blender.get("bpy.context.window_manager.clipboard"))
+        x, y = round(x), round(y)
+        self.blender.input("mousemove", x - 1, y, "mousemove", x, y, "key", keys)
+        self.blender.do("pass")  # Blender reads its events, answers this, handles the events, answers the next
+        return str(self.blender.do(_PASTE))
 
     def places(self) -> Iterator[tuple[float, float]]:
-        """Where buttons may be: down the sidebar, in three columns."""
+        """Where buttons may be: down the sidebar, column by column, the one that meets most first."""
         box = self.box()
-        for y in range(box.y + round(self.unit / 2), box.y + box.height, round(self.unit / 2)):
-            for part in (0.5, 0.25, 0.8):
-                yield box.x + part * (box.width - self.unit), y
+        for part in (0.5, 0.2, 0.8, 0.9):
+            for row in range(int((box.height / self.unit - self._top) / 0.75)):
+                yield box.x + part * (box.width - self.unit), box.y + self.unit * (self._top + 0.75 * row)
 
     def panels(self) -> list[str]:
         """The panels that the tab shows, in their order."""
@@ -117,27 +124,42 @@ class Sidebar:
         """Fold all panels but one, by clicks on their headers; `children` unfolds what is in it too."""
         box = self.box()
         self.blender.input("mousemove", box.x + 60, box.y + 60, *("click", 4) * 20)
-        header = [box.x + 3 * self.unit, box.y + 0.85 * self.unit]
-        for panel in self.panels():
-            if panel == name:
-                wanted = list(header)
-            if self._is_open(panel):
-                self._toggle(panel, header)
-            header[1] += 1.4 * self.unit
-        self._toggle(name, wanted, "ctrl" if children else None)
+        panels, opened = self.panels(), self._open()
+        self._top = 0.6 + _HEADER * (panels.index(name) + 1)
+        if not children and opened.intersection(panels) == {name}:
+            return
+        if len(opened.intersection(panels)) > 2:
+            opened = self._fold_most(panels)
+        for panel in (panel for panel in panels if panel in opened):
+            self._toggle(panel, panels.index(panel))
+        self._toggle(name, panels.index(name), "ctrl" if children else None)
 
-    def _is_open(self, panel: str) -> bool:
+    def _fold_most(self, panels: list[str]) -> set[str]:
+        """Fold all panels but the second: Ctrl-click on its header, as it has no panels within; what is open then."""
+        if panels[0] in self._open():
+            self._toggle(panels[0], 0)
+        self._click_header(1, "ctrl")
+        return self._open()
+
+    def _open(self) -> set[str]:
+        """The panels that are open."""
         self.blender.do("drawn.clear()")
+        self.blender.do(_TAG)
         self.blender.redraw()
-        return panel in self.blender.get("sorted(drawn)")
+        return set(self.blender.get("sorted(drawn)"))
 
-    def _toggle(self, panel: str, header: list[float], key: str | None = None) -> None:
-        before = self._is_open(panel)
+    def _toggle(self, panel: str, place: int, key: str | None = None) -> None:
+        """Click a header below `place` folded ones."""
+        before = panel in self._open()
+        self._click_header(place, key)
+        wait(lambda: (panel in self._open()) != before, f"panel {panel} folds or unfolds", 10.0)
+
+    def _click_header(self, place: int, key: str | None = None) -> None:
+        box = self.box()
         held = [["keydown", key], ["keyup", key]] if key else [[], []]
-        self.blender.move(*header)
+        self.blender.move(box.x + 3 * self.unit, box.y + (0.85 + _HEADER * place) * self.unit)
         self.blender.redraw()
         self.blender.input(*held[0], "click", 1, *held[1])
-        wait(lambda: self._is_open(panel) != before, f"panel {panel} folds or unfolds", 10.0)
 
     def find(self, name: str) -> tuple[float, float]:
         """Where the button of an operator, or the field of a property, lies; GuiError where nothing shows it.
@@ -146,9 +168,13 @@ class Sidebar:
         """
         keys = "ctrl+c" if name.startswith("bpy.ops.") else "ctrl+shift+c"
         seen = []
-        for place in self.places():
+        self.blender.move(*next(self.places()))
+        self.blender.redraw()
+        self.blender.do(_PASTE)
+        for place in (*self._known.get(name, ()), *self.places()):
             found = self.under_mouse(*place, keys)
             if name in found:
+                self._known[name] = (place,)
                 return place
             seen.append(found)
         raise GuiError(f"No button of the sidebar is {name}; there are {sorted({*seen} - {_NOTHING})}")

@@ -2,30 +2,254 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
 import pytest
 
+from conftest import MODULE
+from facemime.blender.frames import to_blender
+from facemime.core.drive import HeadDriver, built_in_rig
+from facemime.core.landmarks import OUTER_EYE_CORNERS
+from facemime.core.retarget import Neutral
+from facemime.core.takes.file import save_take
+from facemime.core.tracking.tracker import FaceTracker
 from sidebar import Sidebar
-from window import Blender
+from takes import performance
+from window import ROOT, Blender, wait
 
+CLIP = ROOT / "assets" / "sample" / "sample.mp4"
 HEAD = "bpy.context.active_object"
+_TOOLS = f"""
+import sys, threading
+import numpy as np
+package = sys.modules[{MODULE!r}]
+from {MODULE}.session import Session
+from {MODULE}.core.landmarks import from_ibug
+from {MODULE}.blender.meshes import read_landmarks, read_regions, read_selection
+def shown(obj):
+    mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    flat = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", flat)
+    return flat.reshape(-1, 3)
+def rest(obj):
+    flat = np.empty(3 * len(obj.data.vertices), np.float32)
+    keys = obj.data.shape_keys
+    (keys.reference_key.points if keys else obj.data.vertices).foreach_get("co", flat)
+    return flat.reshape(-1, 3)
+def moved(obj):
+    return float(np.abs(shown(obj) - rest(obj)).max())
+def workers():
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("facemime")]
+"""
+_SNAPSHOT = f"""
+session, obj = Session.current, {HEAD}
+value = None
+if session is not None and session.shown is not None and session.worker.neutral is not None:
+    if session.shown.heads and session.shown.number == session._number and session.shown.time > 1.5:
+        neutral = session.worker.neutral.to_dict()
+        value = {{"time": session.shown.time, "neutral": neutral, "shown": shown(obj).tolist()}}
+"""
+"""What is shown and from which frame; nothing where the next frame came meanwhile."""
 
 
 @pytest.fixture
-def sidebar(blender: Blender) -> Sidebar:
-    """The sidebar over an empty scene."""
+def sidebar(blender: Blender) -> Iterator[Sidebar]:
+    """The sidebar over an empty scene; afterwards nothing may run any longer, and nothing may have gone wrong."""
+    before = len(blender.printed())
     blender.do("bpy.ops.wm.read_homefile(use_factory_startup=False)")
     blender.do("[bpy.data.objects.remove(obj) for obj in list(bpy.data.objects)]")
+    blender.do("bpy.ops.ed.undo_push(message='Empty')")
+    blender.do(_TOOLS)
     blender.redraw()
-    return Sidebar(blender)
+    yield Sidebar(blender)
+    if blender.process.poll() is None:
+        blender.do("bpy.ops.wm.read_homefile(use_factory_startup=False)")
+        assert blender.get("workers()") == []
+    assert "Traceback" not in blender.printed()[before:]
 
 
 def add_head(sidebar: Sidebar) -> None:
-    """Press the button that adds the head."""
+    """Press the button that adds the head, and look at it from the front."""
     sidebar.open_panel("FACEMIME_PT_head")
     sidebar.press("bpy.ops.facemime.add_head")
+    sidebar.blender.move(*sidebar.view())
+    sidebar.blender.redraw()
+    sidebar.blender.key("KP_1")
+    sidebar.blender.key("KP_Decimal")
+    sidebar.blender.redraw()
 
 
-def test_the_head_is_added_by_a_click(blender, sidebar):
+def start(sidebar: Sidebar) -> None:
+    """Press Start and wait until the face moves the head."""
+    sidebar.open_panel("FACEMIME_PT_puppet")
+    sidebar.press("bpy.ops.facemime.puppet")
+    sidebar.blender.wait_for(f"Session.current is not None and moved({HEAD}) > 1e-3")
+
+
+def stop(sidebar: Sidebar) -> None:
+    """Press ESC over the viewport and wait for the end."""
+    sidebar.blender.move(*sidebar.view())
+    sidebar.blender.redraw()
+    sidebar.blender.key("Escape")
+    sidebar.blender.wait_for("Session.current is None and workers() == []")
+
+
+def test_the_head_is_added_by_a_click_and_undone_by_a_key(blender, sidebar):
     add_head(sidebar)
     assert blender.get(f"len({HEAD}.data.vertices)") == 1781
     blender.shot("head")
+    blender.key("ctrl+z")
+    blender.wait_for("len(bpy.data.objects) == 0")
+
+
+def test_the_sample_clip_moves_the_head_as_it_does_without_a_window_and_escape_ends_it(blender, sidebar):
+    add_head(sidebar)
+    blender.do("bpy.context.scene.facemime.smoothing = 0.0")
+    start(sidebar)
+    blender.shot("puppet")
+    seen = wait(lambda: blender.do(_SNAPSHOT), "a frame to compare")
+    blender.move(blender.size[0] - 60, 110)
+    blender.redraw()
+    blender.key("Escape")
+    blender.redraw()
+    assert blender.get("Session.current is not None"), "ESC over the outliner is none of the puppet's"
+    stop(sidebar)
+    assert blender.get(f"moved({HEAD})") == 0.0 and blender.get(f"{HEAD}.data.shape_keys") is None
+    rig = built_in_rig()
+    unit = float(np.linalg.norm(np.subtract(*rig.vertices[rig.landmarks[OUTER_EYE_CORNERS]])))
+    expected = to_blender(headless_vertices(seen["time"], Neutral.from_dict(json.loads(json.dumps(seen["neutral"])))))
+    away = np.linalg.norm(np.array(seen["shown"]) - expected, axis=1)
+    assert away.max() < 0.05 * unit and away.mean() < 0.005 * unit, (away.max() / unit, away.mean() / unit)
+
+
+def headless_vertices(time: float, neutral: Neutral) -> np.ndarray:
+    """(V, 3) vertices of the built-in head in the frame of the sample clip at `time`, every frame tracked."""
+    video, tracker = cv2.VideoCapture(str(CLIP)), FaceTracker.load()
+    for _ in range(round(time * video.get(cv2.CAP_PROP_FPS)) + 1):
+        result = tracker.track(video.read()[1])
+    return HeadDriver(built_in_rig(), neutral).frame(result).vertices
+
+
+def test_a_pose_that_is_kept_is_one_undo_step_and_lives_in_the_file(blender, sidebar):
+    add_head(sidebar)
+    sidebar.open_panel("FACEMIME_PT_puppet")
+    sidebar.press("keep_pose")
+    start(sidebar)
+    stop(sidebar)
+    kept = blender.get(f"moved({HEAD})")
+    assert kept > 1e-3
+    blender.key("ctrl+z")
+    blender.wait_for(f"moved({HEAD}) == 0.0")
+    blender.key("ctrl+shift+z")
+    blender.wait_for(f"moved({HEAD}) > 1e-3")
+    path = str(blender.inside / "walk.blend")
+    blender.do(f"bpy.ops.wm.save_as_mainfile(filepath={path!r})")
+    blender.do(f"bpy.ops.wm.open_mainfile(filepath={path!r})")
+    assert blender.get(f"moved({HEAD})") == pytest.approx(kept, rel=1e-3)
+    again = Sidebar(blender)
+    start(again)
+    stop(again)
+
+
+def test_a_stroke_of_the_brush_is_followed_while_the_puppet_runs(blender, sidebar):
+    add_head(sidebar)
+    start(sidebar)
+    sidebar.open_panel("FACEMIME_PT_regions")
+    sidebar.press("bpy.ops.facemime.paint_region(region='LOWER')")
+    blender.wait_for("bpy.context.mode == 'PAINT_WEIGHT'")
+    blender.do(f"before = read_regions({HEAD})[2].copy()")
+    forehead = blender.do(_PIXEL_OF_FOREHEAD)
+    blender.drag(*[(forehead[0] + x, forehead[1]) for x in (-20, -10, 0, 10, 20)])
+    blender.wait_for(f"(read_regions({HEAD})[2] > before + 0.2).any()")
+    blender.shot("stroke")
+    blender.do(f"painted = read_regions({HEAD})[2] > before + 0.2")
+    blender.wait_for("(Session.current.worker.heads[0].rig.region_weights[2][painted] > 0.2).all()")
+    blender.wait_for(f"np.abs(shown({HEAD}) - rest({HEAD}))[painted].max() > 1e-4")
+    stop(sidebar)
+    assert blender.get("bpy.context.mode") == "PAINT_WEIGHT"
+
+
+_PIXEL_OF_FOREHEAD = f"""
+from bpy_extras.view3d_utils import location_3d_to_region_2d
+area = max((a for a in bpy.context.window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width)
+region = next(r for r in area.regions if r.type == "WINDOW")
+brow = {HEAD}.matrix_world @ {HEAD}.data.vertices[int(read_landmarks({HEAD})[from_ibug([27])[0]])].co
+brow.z += 0.04
+x, y = location_3d_to_region_2d(region, area.spaces.active.region_3d, brow)
+value = [x + region.x, bpy.context.window.height - (y + region.y)]
+"""
+
+
+def test_regions_are_shown_mended_and_checked_by_clicks(blender, sidebar):
+    add_head(sidebar)
+    sidebar.open_panel("FACEMIME_PT_regions")
+    plain = cv2.imread(str(blender.shot("regions-hidden")))
+    sidebar.press("show_regions")
+    shown = cv2.imread(str(blender.shot("regions-shown")))
+    x, y = (round(value) for value in blender.do(_PIXEL_OF_FOREHEAD))
+    change = shown[y - 3 : y + 4, x - 3 : x + 4].astype(float).mean(axis=(0, 1)) - plain[y, x]
+    assert change[0] > change[2] + 20, "the forehead turns blue"
+    for button in ("mirror_regions(source='left')", "smooth_regions", "propose_regions", "check_head"):
+        sidebar.press(f"bpy.ops.facemime.{button}")
+    assert blender.get("bpy.context.window_manager.facemime.checked") == blender.get(f"{HEAD}.name")
+    sidebar.press("bpy.ops.facemime.paint_region(region='MIDDLE')")
+    blender.wait_for(f"{HEAD}.vertex_groups.active.name == 'Facemime Middle'")
+    blender.shot("painting")
+    sidebar.press("bpy.ops.facemime.leave_painting")
+    blender.wait_for("bpy.context.mode == 'OBJECT'")
+
+
+def test_control_points_are_chosen_from_a_take_picked_on_the_head_dropped_and_undone(blender, sidebar):
+    add_head(sidebar)
+    save_take(performance(), blender.folder / "take.facetake")
+    sidebar.open_panel("FACEMIME_PT_control_points")
+    sidebar.press("bpy.ops.facemime.select_control_points")
+    choose_file(blender, str(blender.inside), "take.facetake")
+    blender.wait_for(f"read_selection({HEAD}.data) is not None")
+    count = blender.get(f"len(read_selection({HEAD}.data).landmarks)")
+    sidebar.press("bpy.ops.facemime.pick_landmark")
+    landmark = blender.get(f"int(read_selection({HEAD}.data).landmarks[-1])")
+    blender.click(*blender.do(_PIXEL_OF_LANDMARK.format(landmark=landmark)))
+    blender.wait_for(f"bpy.context.scene.facemime_steps.landmark == {landmark}")
+    blender.shot("control-points")
+    sidebar.press("bpy.ops.facemime.drop_control_point")
+    blender.wait_for(f"len(read_selection({HEAD}.data).landmarks) == {count - 1}")
+    blender.move(*sidebar.view())
+    blender.key("ctrl+z")
+    blender.wait_for(f"len(read_selection({HEAD}.data).landmarks) == {count}")
+
+
+_PIXEL_OF_LANDMARK = _PIXEL_OF_FOREHEAD.replace("from_ibug([27])[0]", "{landmark}").replace("brow.z += 0.04\n", "")
+
+
+def choose_file(blender: Blender, folder: str, name: str) -> None:
+    """Choose a file in the browser that a button opened."""
+    browser = "next((area for area in bpy.context.window.screen.areas if area.type == 'FILE_BROWSER'), None)"
+    blender.wait_for(f"{browser} is not None and {browser}.spaces.active.params is not None")
+    blender.do(f"params = {browser}.spaces.active.params")
+    blender.do(f"params.directory = {folder.encode()!r}\nparams.filename = {name!r}")
+    blender.move(blender.size[0] * 0.4, blender.size[1] * 0.6)
+    blender.redraw()
+    blender.key("Return")
+    blender.wait_for(f"{browser} is None")
+    blender.redraw()
+
+
+def test_it_is_disabled_while_it_runs_enabled_again_and_blender_quits_well(blender, sidebar):
+    add_head(sidebar)
+    start(sidebar)
+    blender.do(f"bpy.ops.preferences.addon_disable(module={MODULE!r})")
+    assert blender.get("workers()") == [] and not blender.get("hasattr(bpy.types.Scene, 'facemime')")
+    assert blender.get(f"{HEAD}.data.shape_keys") is None
+    blender.do(f"bpy.ops.preferences.addon_enable(module={MODULE!r})")
+    blender.do(_TOOLS)
+    again = Sidebar(blender)
+    start(again)
+    blender.move(*again.view())
+    blender.redraw()
+    blender.key("ctrl+q")
+    assert blender.process.wait(60) == 0
+    assert "Traceback" not in blender.printed()

@@ -16,7 +16,7 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 SHOTS = ROOT / "build" / "gui"
-_DEADLINE = 60.0
+_DEADLINE = 30.0
 
 
 class GuiError(AssertionError):
@@ -49,7 +49,7 @@ class Blender:
         Of screen and window, pixels.
     """
 
-    def __init__(self, place: Path, shots: str, size: tuple[int, int] = (1280, 800)) -> None:
+    def __init__(self, place: Path, shots: str, size: tuple[int, int] = (1100, 780)) -> None:
         self.place, self.size = place, size
         self.shots = SHOTS / shots
         shutil.rmtree(self.shots, ignore_errors=True)
