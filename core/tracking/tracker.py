@@ -153,8 +153,8 @@ class FaceTracker:
             if followed.confidence >= self.lost_below:
                 return self._keep(grey, followed)
             self._lost = self._last
-        # While nobody is in view, each frame makes the quick effort and one of the others, in turn.
-        efforts = EFFORTS if self._misses == 0 else (0, 1 + self._misses % (len(EFFORTS) - 1))
+        # While nobody is in view, each frame makes the quick efforts and one of the others, in turn.
+        efforts = EFFORTS if self._misses == 0 else (0, 1, 2 + self._misses % (len(EFFORTS) - 2))
         found = self._chosen(list(self._detect(grey, efforts)))
         if found is None:
             self._last = None
@@ -250,7 +250,10 @@ class FaceTracker:
         return bool(max(parts) > _FAR * before.pose[0])
 
     def _detect(self, grey: NDArray[np.uint8], efforts: tuple[int, ...]) -> Iterator[_Candidate]:
-        """Convincing faces, effort by effort; none is made after one that finds a face beyond doubt."""
+        """Convincing faces, effort by effort; none is made after one that finds a face beyond doubt.
+
+        Where a certain face is waited for, which may be a small one, the smaller ones are looked at in any case.
+        """
         for effort in efforts:
             began = perf_counter()
             boxes = self._detector.boxes(grey, effort)[:_MOST_BOXES]
@@ -261,8 +264,12 @@ class FaceTracker:
                 if candidate.confidence >= self.found_above:
                     certain |= candidate.confidence >= _BEYOND_DOUBT
                     yield candidate
-            if certain:
+            if certain and not (effort == 0 and self._waited_for):
                 return
+
+    @property
+    def _waited_for(self) -> bool:
+        return self._wanted is not None or self._lost is not None
 
     def _promising(self, grey: NDArray[np.uint8], poses: list[FloatArray]) -> list[FittedShape]:
         """Coarse fits from the given poses (6,), those first that the face experts think most of."""
