@@ -32,10 +32,18 @@ def is_head(obj: bpy.types.Object) -> bool:
 
 
 def read_vertices(mesh: bpy.types.Mesh) -> NDArray[np.float32]:
-    """Rest vertices of `mesh`, (V, 3) float32 in the head frame: of its basis shape key where it has keys."""
+    """Rest vertices of `mesh`, (V, 3) float32 in the head frame: of its basis shape key where it has keys.
+
+    Raises
+    ------
+    HeadError
+        In Edit mode, where Blender keeps those of a mesh without shape keys elsewhere.
+    """
     flat = np.empty(3 * len(mesh.vertices), dtype=np.float32)
     if mesh.shape_keys is not None:
         mesh.shape_keys.reference_key.points.foreach_get("co", flat)
+    elif mesh.is_editmode:
+        raise HeadError(f"{mesh.name} is being edited. Leave Edit mode first.")
     else:
         mesh.attributes["position"].data.foreach_get("vector", flat)
     return from_blender(flat.reshape(-1, 3))

@@ -177,3 +177,10 @@ def test_a_cube_is_no_face():
     bpy.ops.mesh.primitive_cube_add()
     with pytest.raises(RuntimeError, match="a head with 66 landmarks needs more"):
         bpy.ops.facemime.bind_landmarks()
+
+
+def test_what_cannot_be_read_in_edit_mode_says_so():
+    add_head(bpy.context)
+    bpy.ops.object.mode_set(mode="EDIT")
+    with pytest.raises(RuntimeError, match="Leave Edit mode first"):
+        bpy.ops.facemime.check_head()
