@@ -78,6 +78,26 @@ def _parser() -> argparse.ArgumentParser:
     puppet.add_argument("--take", type=Path, metavar="TAKE.facetake", help="also keep the take")
     puppet.add_argument("--neutral", type=float, metavar="SECONDS", help="where the neutral second starts; else found")
     add_head_options(puppet)
+    bake = puppet.add_argument_group("what is animated")
+    bake.add_argument(
+        "--keys",
+        choices=("new", "named", "mapped", "cache", "alembic"),
+        default="new",
+        help="new shape keys; the head's own, fitted to the motion or by a table; every vertex exactly, in a .pc2 or "
+        "also .abc beside the output (new)",
+    )
+    bake.add_argument("--max-keys", type=int, default=64, metavar="K", help="new keys at most (64)")
+    bake.add_argument(
+        "--clean",
+        type=float,
+        default=0.0,
+        metavar="PERCENT",
+        help="leave keyframes out: how far vertices may move by that, of the eye distance (0)",
+    )
+    bake.add_argument(
+        "--map", type=Path, metavar="TABLE.json", help="for --keys mapped; else the preset that fits best"
+    )
+    bake.add_argument("--nla", action="store_true", help="put the animation onto NLA tracks")
     puppet.set_defaults(run=run_puppet)
 
     select = commands.add_parser("select", help="choose the control points that a take needs on the built-in head")
@@ -161,13 +181,14 @@ def run_puppet(arguments: argparse.Namespace) -> int:
     ):
         if path is not None:
             check_writable(path, suffixes)
+    bake = headless.bake_settings(arguments)
     points = None if arguments.points is None else from_json(_text(arguments.points))
-    scene, head = headless.open_head(arguments.head, points)
+    scene, head = headless.open_head(arguments.head, points, units=bake.keys in ("named", "mapped"))
     if arguments.source.suffix == SUFFIX:
         take = load_telling(arguments.source)
         if arguments.take is not None:
             save_take(take, arguments.take)
-        headless.puppet(arguments, scene, head, take, None)
+        headless.puppet(arguments, scene, head, take, None, bake)
         return 0
     unfinished = (arguments.take or arguments.output).with_suffix(_UNFINISHED)
     take = _track(arguments.source, unfinished)
@@ -177,7 +198,7 @@ def run_puppet(arguments: argparse.Namespace) -> int:
     if interrupted:
         print(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.", file=sys.stderr)
         return INTERRUPTED
-    headless.puppet(arguments, scene, head, take, arguments.source)
+    headless.puppet(arguments, scene, head, take, arguments.source, bake)
     return 0
 
 

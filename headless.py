@@ -13,22 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .blender.bake import frames_of
+from .blender.bake_cache import caches_beside
 from .blender.head import add_head
 from .blender.meshes import read_rig, write_selection
 from .blender.names import LANDMARKS_PROPERTY
 from .blender.preview_scene import setup_preview
 from .blender.rendering import quiet, render_frames, set_rate, write_video
 from .console import Progress
+from .core.bake.key_map import load_map
 from .core.capture import Frame, VideoSource, at_constant_rate
 from .core.deform.greedy import GreedySelection
 from .core.drive import DriveOptions
-from .core.errors import HeadError, SourceError
+from .core.errors import FacemimeError, HeadError, SourceError
 from .core.files import replacing
 from .core.images import write_image
 from .core.motion import most_different
 from .core.overlay import contact_sheet, label, picture_of_face, picture_of_frame
 from .core.takes.take import Take
-from .puppet import PuppetReport, PuppetSettings, puppet_head
+from .puppet import BakeSettings, PuppetReport, PuppetSettings, puppet_head
 
 Image = NDArray[np.uint8]
 
@@ -38,7 +40,12 @@ TILE_SIDE = 320
 
 
 def puppet(
-    arguments: argparse.Namespace, scene: bpy.types.Scene, head: bpy.types.Object, take: Take, video: Path | None
+    arguments: argparse.Namespace,
+    scene: bpy.types.Scene,
+    head: bpy.types.Object,
+    take: Take,
+    video: Path | None,
+    bake: BakeSettings,
 ) -> PuppetReport:
     """Do all that `facemime puppet` does once there is a take; `video` is None where only the take is there."""
     if arguments.head is None:
@@ -49,12 +56,12 @@ def puppet(
         smoothing=float(arguments.smooth),
         rotation=arguments.pose != "none",
         translation=arguments.pose == "full",
+        bake=bake,
     )
     report = puppet_head(scene, head, take, settings)
     neutral = report.neutral
     print(
-        f"Baked {len(report.motion.times)} frames into {report.keys} shape keys, worst vertex error "
-        f"{100 * report.worst_error:.2f} % of the eye distance; neutral at {neutral.start:.2f}-{neutral.end:.2f} s",
+        f"Baked {len(report.motion.times)} frames: {report.told()}; neutral at {neutral.start:.2f}-{neutral.end:.2f} s",
         file=sys.stderr,
     )
     if arguments.head is not None:  # a user's own file keeps its camera and its render settings
@@ -72,8 +79,31 @@ def puppet(
     return report
 
 
-def open_head(spec: str | None, points: GreedySelection | None = None) -> tuple[bpy.types.Scene, bpy.types.Object]:
+def bake_settings(arguments: argparse.Namespace) -> BakeSettings:
+    """What the options say is animated; FacemimeError where they make no sense."""
+    if arguments.max_keys < 1:
+        raise FacemimeError(f"At least one key is needed; got {arguments.max_keys}. Give --max-keys 1 or more.")
+    if not 0.0 <= arguments.clean <= 100.0:
+        raise FacemimeError(f"--clean is a percentage of the eye distance; got {arguments.clean}. Give 0 to 100.")
+    if arguments.map is not None and arguments.keys != "mapped":
+        raise FacemimeError("A table is for keys that are mapped. Give --keys mapped, or no --map.")
+    cached = arguments.keys in ("cache", "alembic")
+    return BakeSettings(
+        keys=arguments.keys,
+        max_keys=arguments.max_keys,
+        clean=arguments.clean / 100.0,
+        table=None if arguments.map is None else load_map(arguments.map),
+        nla=arguments.nla,
+        path=arguments.output if cached else None,
+    )
+
+
+def open_head(
+    spec: str | None, points: GreedySelection | None = None, *, units: bool = False
+) -> tuple[bpy.types.Scene, bpy.types.Object]:
     """The scene and the head to drive, by `points` if given: the built-in one in a new file, or OBJECT of FILE.blend.
+
+    With `units` the built-in one has its face units as shape keys.
 
     Raises
     ------
@@ -83,7 +113,7 @@ def open_head(spec: str | None, points: GreedySelection | None = None) -> tuple[
     """
     if spec is None:
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-        head = add_head(bpy.context)
+        head = add_head(bpy.context, units=units)
         if points is not None:
             write_selection(head.data, points)
         return bpy.context.scene, head
@@ -125,7 +155,7 @@ def save_blend(path: Path) -> None:
     """Save the open file at `path`; what was there is replaced only by a whole file."""
     with replacing(Path(path)) as temporary:
         temporary.unlink()
-        with quiet():
+        with quiet(), caches_beside(path):
             bpy.ops.wm.save_as_mainfile(filepath=str(temporary.resolve()), copy=True, compress=True)
 
 

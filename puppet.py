@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
 
 import bpy
 import numpy as np
 
-from .blender.bake import bake_parts, bake_pose, bake_shape, clear_pose, frames_of, set_range
-from .blender.meshes import read_rig
+from .blender.actions import check_curves
+from .blender.bake import Targets, bake_pose, check_bakeable, frames_of, remove_baked, set_range
+from .blender.bake_cache import bake_cache, export_alembic
+from .blender.bake_keys import MeshKeys, bake_new_keys, bake_values, key_names, read_keys, value_path
+from .blender.meshes import mesh_of, read_rig
+from .blender.targets import PoseTarget
+from .core.arrays import FloatArray
+from .core.bake.arkit import arkit_coefficients
+from .core.bake.fit import fit_keys, mix_errors
+from .core.bake.key_map import KeyMap, best_preset, expression_keys
+from .core.bake.point_cache import SUFFIX
 from .core.deform.basis import fit_basis
-from .core.drive import DriveOptions, HeadDriver
+from .core.drive import DriveOptions, HeadDriver, HeadRig
+from .core.errors import HeadError, OutputError
 from .core.landmarks import OUTER_EYE_CORNERS
 from .core.motion import HeadMotion, drive_take
 from .core.retarget import Neutral, calibrate
@@ -19,6 +31,38 @@ from .core.takes.smooth import smooth_take
 from .core.takes.take import Take
 
 TOLERANCE = 0.009
+MAX_KEYS = 64
+Keys = Literal["new", "named", "mapped", "cache", "alembic"]
+KEYS: tuple[Keys, ...] = ("new", "named", "mapped", "cache", "alembic")
+
+
+@dataclass(frozen=True)
+class BakeSettings:
+    """What a driven take is baked to.
+
+    Attributes
+    ----------
+    keys : {"new", "named", "mapped", "cache", "alembic"}
+        New shape keys; those that the mesh has, fitted to the motion of its vertices; those, by a table from ARKit's
+        coefficients; a point cache that the Mesh Cache modifier plays; that, and an Alembic file beside it.
+    max_keys : int
+        Of new ones at most; the report tells the error.
+    clean : float
+        How far vertices may end from where all keyframes would put them, eye distances; 0 leaves none out.
+    table : KeyMap or None
+        For "mapped"; None takes the preset that fits the mesh's keys best.
+    nla : bool
+        Whether the curves go onto an NLA track instead of the active action.
+    path : Path or None
+        Of the cache, which needs one; the Alembic file's differs in its suffix.
+    """
+
+    keys: Keys = "new"
+    max_keys: int = MAX_KEYS
+    clean: float = 0.0
+    table: KeyMap | None = None
+    nla: bool = False
+    path: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -34,6 +78,7 @@ class PuppetSettings:
         As for `ResultSmoother`; 0 leaves the take as it is.
     rotation, translation : bool
         Whether the head's pose follows the performer's.
+    bake : BakeSettings
     """
 
     drive: DriveOptions = field(default_factory=DriveOptions)
@@ -41,6 +86,7 @@ class PuppetSettings:
     smoothing: float = 1.0
     rotation: bool = True
     translation: bool = False
+    bake: BakeSettings = field(default_factory=BakeSettings)
 
 
 @dataclass(frozen=True)
@@ -52,47 +98,161 @@ class PuppetReport:
     neutral: Neutral
     motion: HeadMotion
 
+    def told(self) -> str:
+        """In words."""
+        if not self.keys:
+            return "every vertex exactly"
+        return f"{self.keys} shape keys, worst vertex error {100 * self.worst_error:.2f} % of the eye distance"
+
 
 def puppet_head(
     scene: bpy.types.Scene,
     obj: bpy.types.Object,
     take: Take,
     settings: PuppetSettings = PuppetSettings(),
-    pose_object: bpy.types.Object | None = None,
+    targets: Targets | None = None,
 ) -> PuppetReport:
-    """Drive `obj` by `take` and bake the result to shape keys and curves, in step with the media's clock.
+    """Drive `obj` by `take` and bake the result to keys or a cache and curves, in step with the media's clock.
 
     Parameters
     ----------
-    pose_object : optional
-        What takes the head's pose instead of `obj`: an empty, say.
+    targets : mapping, optional
+        What takes the head's pose instead of `obj`, "head", and the eyes' instead of its own, "eye_left" and
+        "eye_right".
 
     Raises
     ------
     FacemimeError
-        Where the mesh cannot be driven or the take holds no face.
+        Where the mesh cannot be driven, the take holds no face, or what is asked for cannot take the bake. Nothing of
+        the scene has changed then.
     """
+    bake, targets = settings.bake, targets or {"head": PoseTarget.of(obj)}
+    mesh_of(obj)
+    check_bakeable(obj, targets, new_keys=bake.keys == "new", old_keys=bake.keys in ("named", "mapped"))
     rig = read_rig(obj)
     take = smooth_take(take, settings.smoothing)
     neutral = calibrate(take, settings.neutral)
-    driver = HeadDriver(rig, neutral, settings.drive)
-    motion = drive_take(driver, take)
-    eyes = rig.vertices[rig.landmarks[OUTER_EYE_CORNERS]].astype(np.float64)
-    unit = float(np.linalg.norm(eyes[0] - eyes[1]))
-    basis = fit_basis(motion.vertices, TOLERANCE * unit)
-    frames = frames_of(scene, motion.times)
-    bake_shape(obj, basis, frames)
-    clear_pose(obj)
-    bake_pose(pose_object or obj, motion, frames, rotation=settings.rotation, translation=settings.translation)
-    bake_parts(obj, motion, frames)
+    motion = drive_take(HeadDriver(rig, neutral, settings.drive), take)
+    unit, frames = eye_distance(rig), frames_of(scene, motion.times)
+    if bake.keys == "mapped":
+        plan = _mapped(obj, motion, frames, unit, bake, arkit_coefficients(take, neutral, settings.drive))
+    else:
+        plan = _PLANS[bake.keys](obj, motion, frames, unit, bake)
+    remove_baked(obj, targets)
+    plan.write()
+    follow = {"rotation": settings.rotation, "translation": settings.translation}
+    clean = (bake.clean, bake.clean * unit) if bake.clean > 0.0 else None
+    bake_pose(obj, targets, motion, frames, **follow, clean=clean, nla=bake.nla)
     set_range(scene, frames_of(scene, take.times))
-    return PuppetReport(len(basis.modes), basis.worst_error / unit, neutral, motion)
+    if bake.keys == "alembic":
+        export_alembic(scene, obj, bake.path.with_suffix(".abc"))
+    return PuppetReport(plan.keys, plan.error / unit + (bake.clean if plan.keys else 0.0), neutral, motion)
 
 
 def puppet_heads(
     scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], take: Take, settings: PuppetSettings = PuppetSettings()
 ) -> list[PuppetReport]:
-    """Drive many heads by one take, each with its own landmarks, regions and pose; all are checked before any moves."""
+    """Drive many heads by one take, each with its own landmarks, regions and pose; all are checked before any moves.
+
+    Each has its own cache, named after it, where one is asked for.
+    """
     for obj in objects:
         read_rig(obj)
-    return [puppet_head(scene, obj, take, settings) for obj in objects]
+    path = settings.bake.path
+    return [
+        puppet_head(scene, obj, take, settings if path is None else _with_path(settings, path, obj)) for obj in objects
+    ]
+
+
+def eye_distance(rig: HeadRig) -> float:
+    """Between the outer corners of the eyes, the mesh's unit."""
+    eyes = rig.vertices[rig.landmarks[OUTER_EYE_CORNERS]].astype(np.float64)
+    return float(np.linalg.norm(eyes[0] - eyes[1]))
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What is to be written: so many `keys`, an `error` in the mesh's unit, and what writes them."""
+
+    keys: int
+    error: float
+    write: Callable[[], None]
+
+
+def _new(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:
+    basis = fit_basis(motion.vertices, TOLERANCE * unit, bake.max_keys)
+    clean = bake.clean * unit
+    return _Plan(
+        len(basis.modes), basis.worst_error, lambda: bake_new_keys(obj, basis, frames, clean=clean, nla=bake.nla)
+    )
+
+
+def _named(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:
+    keys = read_keys(obj).chosen(expression_keys(key_names(obj)))
+    fit = fit_keys(motion.vertices, keys.offsets, keys.lower, keys.upper)
+    values = dict(zip(keys.names, fit.weights.T, strict=True))
+    return _values_plan(obj, keys, values, fit.worst_error, frames, unit, bake)
+
+
+def _mapped(
+    obj: bpy.types.Object,
+    motion: HeadMotion,
+    frames: FloatArray,
+    unit: float,
+    bake: BakeSettings,
+    coefficients: FloatArray,
+) -> _Plan:
+    keys = read_keys(obj)
+    values = table_for(obj, bake.table).apply(coefficients, keys.ranges)
+    keys = keys.chosen(list(values))
+    error, _ = mix_errors(motion.vertices, keys.offsets, np.column_stack(list(values.values())))
+    return _values_plan(obj, keys, values, error, frames, unit, bake)
+
+
+def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
+    """`table`, or the best preset, with the names of the keys that `obj` has.
+
+    Raises
+    ------
+    HeadError
+        Where it moves none of them.
+    """
+    names = key_names(obj)
+    if table is None and (preset := best_preset(names)) is not None:
+        return preset
+    if table is None or not (matched := table.matched(names)).rows:
+        told = "No table that ships" if table is None else f"The table {table.name} does not"
+        raise HeadError(
+            f"{told} {'knows' if table is None else 'know'} the shape keys of {obj.name}. "
+            "Give a table of your own, or bake to named or new keys."
+        )
+    return matched
+
+
+def _values_plan(
+    obj: bpy.types.Object,
+    keys: MeshKeys,
+    values: dict[str, FloatArray],
+    error: float,
+    frames: FloatArray,
+    unit: float,
+    bake: BakeSettings,
+) -> _Plan:
+    check_curves(obj.data.shape_keys, [value_path(name) for name in keys.names])
+    clean = bake.clean * unit
+    return _Plan(len(values), error, lambda: bake_values(obj, values, frames, keys.offsets, clean=clean, nla=bake.nla))
+
+
+def _cache(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:
+    if bake.path is None:
+        raise OutputError("A cache needs a file. Give it a path.")
+    path = bake.path.with_suffix(SUFFIX)
+    return _Plan(0, 0.0, lambda: bake_cache(obj, motion, frames, path))
+
+
+_PLANS = {"new": _new, "named": _named, "cache": _cache, "alembic": _cache}
+
+
+def _with_path(settings: PuppetSettings, path: Path, obj: bpy.types.Object) -> PuppetSettings:
+    named = path.with_name(f"{path.stem} {bpy.path.clean_name(obj.name)}{path.suffix}")
+    return replace(settings, bake=replace(settings.bake, path=named))

@@ -1,71 +1,169 @@
-"""Animation curves written in bulk, on every Blender from 4.2 (plain actions) to 5.x (slots and channel bags)."""
+"""Animation curves written in bulk, on every Blender from 4.2 (plain actions) to 5.x (slots and channel bags).
+
+An action remembers which curves are ours, so that a second bake replaces them and an animator's own are never touched.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.bake.clean import needed_keys
+from ..core.errors import HeadError
+
+TRACK = "Facemime"
+"""Name of the NLA track of a bake; one that was renamed is the user's and stays."""
+_OWNED = "facemime_curves"
+"""Custom property of an action: the data paths of our curves, a line each."""
+_ALWAYS_OURS = ('key_blocks["Facemime ', "delta_rotation", "delta_location")
+
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve to write: RNA `data_path`, `index` of the component, and its (N,) `values`."""
+    """A curve to write.
+
+    Attributes
+    ----------
+    data_path : str
+    index : int
+        Of the component.
+    values : (N,) array
+    tolerance : float or None
+        How far the curve may be from `values` where keys are left out; None keeps them all.
+    """
 
     data_path: str
     index: int
     values: NDArray[np.floating]
+    tolerance: float | None = None
 
 
-def write_curves(owner: bpy.types.ID, name: str, frames: NDArray[np.floating], curves: Iterable[Curve]) -> None:
+def write_curves(
+    owner: bpy.types.ID, name: str, frames: NDArray[np.floating], curves: Iterable[Curve], *, nla: bool = False
+) -> None:
     """Animate `owner` by `curves` with linear keys at `frames`, (N,), replacing curves of the same paths only.
 
     The owner's action is used where it has one, else one called `name` is made; other curves in it stay as they are.
+    With `nla` the curves come into an action of their own, on a track of its own.
     """
     curves = list(curves)
-    fcurves = _fcurves(owner, name) if curves else None
-    for curve in curves:
-        if (old := fcurves.find(curve.data_path, index=curve.index)) is not None:
-            fcurves.remove(old)
-        fcurve = fcurves.new(curve.data_path, index=curve.index)
-        fcurve.keyframe_points.add(len(frames))
-        points = np.column_stack([frames, curve.values]).astype(np.float32).reshape(-1)
-        fcurve.keyframe_points.foreach_set("co", points)
-        linear = bpy.types.Keyframe.bl_rna.properties["interpolation"].enum_items["LINEAR"].value
-        fcurve.keyframe_points.foreach_set("interpolation", np.full(len(frames), linear, dtype=np.int32))
-        fcurve.update()
+    if not curves:
+        return
+    if nla:
+        _push(owner, name, frames, curves)
+        return
+    data = owner.animation_data or owner.animation_data_create()
+    if data.action is None:
+        data.action = bpy.data.actions.new(name)
+    _fill(data.action, _fcurves(owner), frames, curves)
+
+
+def check_curves(owner: bpy.types.ID, paths: Sequence[str]) -> None:
+    """Raise HeadError where one of `paths` of `owner` is animated or driven by somebody else, or cannot be animated."""
+    data = owner.animation_data
+    if data is None:
+        return
+    if data.action is not None and data.action.library is not None:
+        raise HeadError(
+            f"The animation {data.action.name} of {owner.name} is linked from another file. Make it local."
+        )
+    driven = {driver.data_path for driver in data.drivers}
+    animated = {curve.data_path for curve in _fcurves(owner)} - _owned(data.action) if data.action else set()
+    if taken := [path for path in paths if path in driven | animated and not path.startswith(_ALWAYS_OURS)]:
+        raise HeadError(
+            f"{owner.name} has animation of its own in {taken[0]}, which the bake would replace. "
+            "Remove that, or bake to something else."
+        )
 
 
 def remove_curves(owner: bpy.types.ID, prefix: str) -> None:
     """Remove the curves of `owner` whose data path starts with `prefix`."""
     if owner.animation_data is None or owner.animation_data.action is None:
         return
-    fcurves = _fcurves(owner, "")
+    fcurves = _fcurves(owner)
     for fcurve in [fcurve for fcurve in fcurves if fcurve.data_path.startswith(prefix)]:
         fcurves.remove(fcurve)
+
+
+def remove_bake(owner: bpy.types.ID) -> set[str]:
+    """Remove all curves of `owner` that an earlier bake wrote, and its track; returns their data paths."""
+    data = owner.animation_data
+    if data is None:
+        return set()
+    removed = set()
+    for track in [track for track in data.nla_tracks if track.name == TRACK]:
+        for strip in track.strips:
+            removed |= _owned(strip.action)
+        data.nla_tracks.remove(track)
+    if data.action is not None and (owned := _owned(data.action)):
+        fcurves = _fcurves(owner)
+        for fcurve in [fcurve for fcurve in fcurves if fcurve.data_path in owned]:
+            fcurves.remove(fcurve)
+        removed |= owned
+        data.action[_OWNED] = ""
+    return removed
 
 
 def mute_curves(owner: bpy.types.ID, prefix: str) -> list[bpy.types.FCurve]:
     """Silence the curves of `owner` whose data path starts with `prefix`; returns those that were not silent before."""
     if owner.animation_data is None or owner.animation_data.action is None:
         return []
-    audible = [fcurve for fcurve in _fcurves(owner, "") if fcurve.data_path.startswith(prefix) and not fcurve.mute]
+    audible = [fcurve for fcurve in _fcurves(owner) if fcurve.data_path.startswith(prefix) and not fcurve.mute]
     for fcurve in audible:
         fcurve.mute = True
     return audible
 
 
-def _fcurves(owner: bpy.types.ID, name: str):
+def _fill(action: bpy.types.Action, fcurves, frames: NDArray[np.floating], curves: Sequence[Curve]) -> None:
+    linear = bpy.types.Keyframe.bl_rna.properties["interpolation"].enum_items["LINEAR"].value
+    for curve in curves:
+        if (old := fcurves.find(curve.data_path, index=curve.index)) is not None:
+            fcurves.remove(old)
+        points = np.column_stack([frames, curve.values])
+        if curve.tolerance is not None:
+            points = points[needed_keys(points[:, 0], points[:, 1], curve.tolerance)]
+        fcurve = fcurves.new(curve.data_path, index=curve.index)
+        fcurve.keyframe_points.add(len(points))
+        fcurve.keyframe_points.foreach_set("co", points.astype(np.float32).reshape(-1))
+        fcurve.keyframe_points.foreach_set("interpolation", np.full(len(points), linear, dtype=np.int32))
+        fcurve.update()
+    action[_OWNED] = "\n".join(sorted(_owned(action) | {curve.data_path for curve in curves}))
+
+
+def _push(owner: bpy.types.ID, name: str, frames: NDArray[np.floating], curves: Sequence[Curve]) -> None:
+    """Write the curves into an action of their own and put that on the track; the owner's action stays in place."""
     data = owner.animation_data or owner.animation_data_create()
-    if data.action is None:
-        data.action = bpy.data.actions.new(name)
-    action = data.action
-    if not hasattr(action, "slots"):
+    action = bpy.data.actions.new(name)
+    slot = action.slots.new(id_type=owner.id_type, name=owner.name) if hasattr(action, "slots") else None
+    _fill(action, _fcurves_of(action, slot), frames, curves)
+    track = data.nla_tracks.get(TRACK) or data.nla_tracks.new()
+    track.name = TRACK
+    strip = track.strips.new(name, int(np.floor(frames[0])), action)
+    if slot is not None:
+        strip.action_slot = slot
+    strip.action_frame_start, strip.action_frame_end = float(frames[0]), float(frames[-1])
+    strip.frame_end, strip.frame_start = float(frames[-1]), float(frames[0])
+
+
+def _owned(action: bpy.types.Action | None) -> set[str]:
+    return set(filter(None, str(action.get(_OWNED, "")).split("\n"))) if action is not None else set()
+
+
+def _fcurves(owner: bpy.types.ID):
+    """The curves of the owner's action, which it must have; with a slot for it where actions have slots."""
+    data = owner.animation_data
+    if hasattr(data.action, "slots") and data.action_slot is None:
+        data.action_slot = data.action.slots.new(id_type=owner.id_type, name=owner.name)
+    return _fcurves_of(data.action, data.action_slot if hasattr(data.action, "slots") else None)
+
+
+def _fcurves_of(action: bpy.types.Action, slot):
+    if slot is None:
         return action.fcurves
-    if data.action_slot is None:
-        data.action_slot = action.slots.new(id_type=owner.id_type, name=owner.name)
     layer = action.layers[0] if action.layers else action.layers.new("Facemime")
     strip = layer.strips[0] if layer.strips else layer.strips.new(type="KEYFRAME")
-    return strip.channelbag(data.action_slot, ensure=True).fcurves
+    return strip.channelbag(slot, ensure=True).fcurves

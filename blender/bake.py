@@ -1,22 +1,24 @@
-"""A driven take as Blender animation: a few shape keys with curves, and curves for head, eyes, teeth and tongue."""
+"""A driven take as Blender animation: curves for head, eyes, teeth and tongue, and what a bake leaves is taken back."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
 import bpy
 import numpy as np
-from mathutils import Euler, Matrix
 from numpy.typing import NDArray
 
-from ..core.deform.basis import MotionBasis
+from ..core.errors import HeadError
 from ..core.motion import HeadMotion
-from .actions import Curve, remove_curves, write_curves
-from .frames import rotation_to_blender, to_blender
+from .actions import check_curves, remove_bake, remove_curves, write_curves
+from .bake_cache import remove_cache
+from .bake_keys import remove_baked_keys
 from .names import PART_PROPERTY
-
-BAKED_KEY_PREFIX = "Facemime "
+from .targets import PoseTarget
 
 JAW_PARTS = frozenset({"teeth_lower", "tongue"})
 EYE_PARTS = frozenset({"eye_left", "eye_right"})
+Targets = Mapping[str, PoseTarget]
 
 
 def frames_of(scene: bpy.types.Scene, times: NDArray[np.floating], start: float = 1.0) -> NDArray[np.floating]:
@@ -24,92 +26,93 @@ def frames_of(scene: bpy.types.Scene, times: NDArray[np.floating], start: float 
     return start + times * (scene.render.fps / scene.render.fps_base)
 
 
-def bake_shape(obj: bpy.types.Object, basis: MotionBasis, frames: NDArray[np.floating]) -> None:
-    """Replace the baked shape keys of `obj` by those of `basis` and animate them; other keys and curves stay."""
-    remove_baked(obj)
-    if obj.data.shape_keys is None:
-        obj.shape_key_add(name="Basis", from_mix=False)
-    keys = obj.data.shape_keys
-    rest = np.empty(3 * len(obj.data.vertices), dtype=np.float32)
-    keys.reference_key.points.foreach_get("co", rest)
-    curves = []
-    for i, mode in enumerate(basis.modes):
-        key = obj.shape_key_add(name=f"{BAKED_KEY_PREFIX}{i + 1:02d}", from_mix=False)
-        key.points.foreach_set("co", (rest.reshape(-1, 3) + to_blender(mode)).astype(np.float32).reshape(-1))
-        key.slider_min, key.slider_max = -1.0, 1.0
-        key.value = 0.0
-        curves.append(Curve(f'key_blocks["{key.name}"].value', 0, basis.weights[:, i]))
-    write_curves(keys, f"{obj.name} Expression", frames, curves)
+def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, old_keys: bool) -> None:
+    """Raise HeadError where `obj` or one of `targets` cannot take a bake; nothing has changed then.
 
-
-def remove_baked(obj: bpy.types.Object) -> None:
-    """Remove the shape keys, and their curves, that an earlier bake made."""
-    keys = obj.data.shape_keys
-    if keys is None:
-        return
-    remove_curves(keys, f'key_blocks["{BAKED_KEY_PREFIX}')
-    for key in [key for key in keys.key_blocks if key.name.startswith(BAKED_KEY_PREFIX)]:
-        obj.shape_key_remove(key)
+    Parameters
+    ----------
+    new_keys, old_keys : bool
+        Whether the mesh gets new shape keys, or those that it has are animated.
+    """
+    for owner in {target.obj for target in _all_targets(obj, targets)}:
+        if owner.library is not None:
+            raise HeadError(
+                f"{owner.name} is linked from another file and cannot be animated here. Make a library override of it "
+                "(Object > Library Override > Make), or make it local."
+            )
+    mesh = obj.data
+    if new_keys and (mesh.library is not None or mesh.override_library is not None):
+        raise HeadError(
+            f"The mesh of {obj.name} is linked from another file and takes no new shape keys. "
+            "Bake to a cache, to the keys that it has, or make it local."
+        )
+    if old_keys and mesh.shape_keys is not None and mesh.shape_keys.library is not None:
+        raise HeadError(
+            f"The shape keys of {obj.name} are linked from another file and cannot be animated here. "
+            "Bake to a cache, or make them local."
+        )
+    for target in _all_targets(obj, targets):
+        check_curves(target.obj, target.data_paths)
 
 
 def bake_pose(
     obj: bpy.types.Object,
+    targets: Targets,
     motion: HeadMotion,
     frames: NDArray[np.floating],
     *,
     rotation: bool = True,
     translation: bool = False,
+    clean: tuple[float, float] | None = None,
+    nla: bool = False,
 ) -> None:
-    """Animate the delta transform of `obj`, a head or an empty, so that where it was placed remains free to change."""
-    clear_pose(obj)
-    local = obj.matrix_world.to_3x3()
-    curves = []
-    if rotation:
-        turn = np.array(local.normalized())
-        curves += _rotation_curves(obj, turn @ rotation_to_blender(motion.rotation) @ turn.T)
+    """Animate what takes the pose: "head" of `targets`, the eyes named there or those of `obj`, teeth and tongue.
+
+    Parameters
+    ----------
+    clean : (float, float), optional
+        How far a curve may be from its values where keys are left out: radians, and the mesh's unit.
+    """
+    angle, length = clean or (None, None)
+    head = targets["head"]
+    curves = head.rotation_curves(motion.rotation, angle) if rotation else []
     if translation:
-        moved = to_blender(motion.translation) @ np.array(local).T
-        curves += [Curve("delta_location", i, moved[:, i]) for i in range(3)]
-    write_curves(obj, f"{obj.name} Pose", frames, curves)
+        curves += head.translation_curves(motion.translation, length)
+    write_curves(head.obj, f"{head.obj.name} Pose", frames, curves, nla=nla)
+    for part, target in _part_targets(obj, targets):
+        turns = motion.jaw if part in JAW_PARTS else motion.gaze
+        write_curves(target.obj, f"{target.obj.name} Motion", frames, target.rotation_curves(turns, angle), nla=nla)
 
 
-def clear_pose(obj: bpy.types.Object) -> None:
-    """Take back the pose that an earlier bake gave `obj`."""
-    for path in ("delta_rotation", "delta_location"):
-        remove_curves(obj, path)
-    obj.delta_rotation_euler = obj.delta_location = (0.0, 0.0, 0.0)
-    obj.delta_rotation_quaternion = (1.0, 0.0, 0.0, 0.0)
+def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
+    """Take back what an earlier bake gave `obj` and `targets`: keys, cache, curves, pose."""
+    remove_baked_keys(obj)
+    remove_cache(obj)
+    places = _all_targets(obj, targets)
+    ours = {owner: remove_bake(owner) for owner in {target.obj for target in places}}
+    for target in places:
+        for path in ("delta_rotation", "delta_location"):
+            remove_curves(target.obj, path)
+        if not target.bone or ours[target.obj].intersection(target.data_paths):
+            target.rest()
     bpy.context.view_layer.update()
 
 
-def bake_parts(obj: bpy.types.Object, motion: HeadMotion, frames: NDArray[np.floating]) -> None:
-    """Animate eyeballs by the gaze, lower teeth and tongue by the jaw, where `obj` has them as children."""
-    jaw, gaze = (rotation_to_blender(r) for r in (motion.jaw, motion.gaze))
+def _all_targets(obj: bpy.types.Object, targets: Targets) -> list[PoseTarget]:
+    """Whatever a bake of `obj` may pose; `obj` too where another one takes its pose now."""
+    return [PoseTarget(obj), targets["head"], *(target for _, target in _part_targets(obj, targets))]
+
+
+def _part_targets(obj: bpy.types.Object, targets: Targets) -> Iterator[tuple[str, PoseTarget]]:
+    """What turns with jaw and gaze: those of `targets`, else children of `obj`."""
     for child in obj.children:
-        part = child.get(PART_PROPERTY)
-        if part in JAW_PARTS or part in EYE_PARTS:
-            turns = jaw if part in JAW_PARTS else gaze
-            write_curves(child, f"{child.name} Motion", frames, _rotation_curves(child, turns))
+        part = str(child.get(PART_PROPERTY, ""))
+        if part in JAW_PARTS or (part in EYE_PARTS and part not in targets):
+            yield part, PoseTarget(child)
+    yield from ((eye, targets[eye]) for eye in sorted(EYE_PARTS) if eye in targets)
 
 
 def set_range(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> None:
     """Let the scene play the whole of `frames`."""
     scene.frame_start = int(np.floor(frames[0] + 1e-3))
     scene.frame_end = max(scene.frame_start, int(np.ceil(frames[-1] - 1e-3)))
-
-
-def _rotation_curves(obj: bpy.types.Object, rotations: NDArray[np.floating]) -> list[Curve]:
-    """Curves of the delta rotation that `obj` reads in its rotation mode, without jumps between equal attitudes."""
-    if obj.rotation_mode == "AXIS_ANGLE":
-        obj.rotation_mode = "XYZ"
-    matrices = [Matrix(rotation.tolist()) for rotation in rotations]
-    if obj.rotation_mode == "QUATERNION":
-        path, values = "delta_rotation_quaternion", np.array([matrix.to_quaternion() for matrix in matrices])
-        flips = np.cumprod(np.where((values[1:] * values[:-1]).sum(axis=1) < 0, -1.0, 1.0))
-        values[1:] *= flips[:, None]
-    else:
-        path, values, previous = "delta_rotation_euler", np.empty((len(matrices), 3)), Euler((0.0, 0.0, 0.0))
-        for row, matrix in zip(values, matrices, strict=True):
-            previous = matrix.to_euler(obj.rotation_mode, previous)
-            row[:] = previous
-    return [Curve(path, i, column) for i, column in enumerate(values.T)]

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from ..core.drive import HeadFrame
 from ..core.errors import HeadError
 from .actions import mute_curves
-from .bake import BAKED_KEY_PREFIX, EYE_PARTS, JAW_PARTS
+from .bake import EYE_PARTS, JAW_PARTS
+from .bake_keys import BAKED_KEY_PREFIX
 from .frames import flat_in_blender
 from .meshes import mesh_of
 from .names import PART_PROPERTY

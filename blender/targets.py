@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
-from mathutils import Matrix
+from mathutils import Euler, Matrix
 from numpy.typing import NDArray
 
 from ..core.errors import HeadError
+from .actions import Curve
 from .frames import rotation_to_blender, to_blender
 
 FloatArray = NDArray[np.floating]
@@ -72,6 +73,33 @@ class PoseTarget:
         if translation is not None:
             setattr(self.owner, f"{self.prefix}location", self.moved(translation).tolist())
 
+    @property
+    def data_paths(self) -> list[str]:
+        """Whatever curves of the target may animate."""
+        channels = ("rotation_quaternion", "rotation_euler", "location")
+        return [f"{self.path}{self.prefix}{channel}" for channel in channels]
+
+    def rotation_curves(self, rotations: FloatArray, tolerance: float | None = None) -> list[Curve]:
+        """Curves for (N, 3, 3) rotations of the head frame, without jumps between equal attitudes."""
+        owner = self.owner
+        if owner.rotation_mode == "AXIS_ANGLE":
+            owner.rotation_mode = "XYZ"
+        matrices = [Matrix(rotation.tolist()) for rotation in self.turned(rotations)]
+        if owner.rotation_mode == "QUATERNION":
+            channel, values = "rotation_quaternion", np.array([matrix.to_quaternion() for matrix in matrices])
+            flips = np.cumprod(np.where((values[1:] * values[:-1]).sum(axis=1) < 0, -1.0, 1.0))
+            values[1:] *= flips[:, None]
+        else:
+            channel, values, previous = "rotation_euler", np.empty((len(matrices), 3)), Euler((0.0, 0.0, 0.0))
+            for row, matrix in zip(values, matrices, strict=True):
+                previous = matrix.to_euler(owner.rotation_mode, previous)
+                row[:] = previous
+        return self._curves(channel, values, tolerance)
+
+    def translation_curves(self, translations: FloatArray, tolerance: float | None = None) -> list[Curve]:
+        """Curves for (N, 3) translations of the head frame in the unit of the head."""
+        return self._curves("location", self.moved(translations), tolerance)
+
     def rest(self) -> None:
         """Take back what `apply` set."""
         self._rotate(Matrix.Identity(3))
@@ -82,6 +110,10 @@ class PoseTarget:
         if self.bone:
             return np.array(self.obj.data.bones[self.bone].matrix_local.to_3x3()).T
         return np.array(own_rotation(self.obj))
+
+    def _curves(self, channel: str, values: FloatArray, tolerance: float | None) -> list[Curve]:
+        path = f"{self.path}{self.prefix}{channel}"
+        return [Curve(path, i, column, tolerance) for i, column in enumerate(values.T)]
 
     def _rotate(self, matrix: Matrix) -> None:
         owner, prefix = self.owner, self.prefix

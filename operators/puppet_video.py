@@ -10,7 +10,7 @@ from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
 from ..puppet import puppet_head, puppet_heads
 from ..session import TrackingSession
-from ..settings import puppet_settings
+from ..settings import pose_targets, puppet_settings
 from .shared import AsksForFile, ReportsErrors, in_object_mode
 
 _TICK = 0.1
@@ -86,13 +86,13 @@ class FACEMIME_OT_puppet_video(AsksForFile, ReportsErrors, bpy.types.Operator):
         """Bake `take` to `head`, and to the other selected heads, and say what came out."""
         settings = context.scene.facemime
         others = [obj for obj in context.selected_objects if obj != head and is_head(obj)]
-        report = puppet_head(context.scene, head, take, puppet_settings(settings), settings.posing.object)
+        targets = None if head is None else pose_targets(settings.posing, head)
+        report = puppet_head(context.scene, head, take, puppet_settings(settings), targets)
         puppet_heads(context.scene, others, take, puppet_settings(settings))
         lost = len(take) - int(take.found.sum())
         self.report(
             {"INFO"},
-            f"{len(take)} frames ({lost} without a face), {report.keys} shape keys, "
-            f"worst vertex error {100 * report.worst_error:.2f} % of the eye distance",
+            f"{len(take)} frames ({lost} without a face), {report.told()}",
         )
         return {"FINISHED"}
 

@@ -3,6 +3,7 @@
 Usage: python extension_run.py ARCHIVE CLIP. Prints one line of JSON; the exit status is 0 only where all went well.
 """
 
+import importlib
 import json
 import os
 import sys
@@ -44,6 +45,7 @@ def main() -> dict:
         "largest": moved,
         "frames": bpy.context.scene.frame_end,
     }
+    measured |= bake_every_way(bpy, head)
     head.vertex_groups.clear()
     assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"} and bpy.ops.facemime.check_head() == {"FINISHED"}
     for _ in range(2):
@@ -55,6 +57,34 @@ def main() -> dict:
     bpy.ops.extensions.package_uninstall(repo_directory=str(repository(bpy)), pkg_id="facemime")
     assert not (repository(bpy) / "facemime").exists(), "the extension was not removed"
     return measured
+
+
+def bake_every_way(bpy, head) -> dict:
+    """Bake the clip to keys and to a cache by the installed modules; played, the vertices must be the live ones."""
+    puppet = importlib.import_module(f"{MODULE}.puppet")
+    bake = importlib.import_module(f"{MODULE}.blender.bake")
+    pipeline = importlib.import_module(f"{MODULE}.core.pipeline")
+    tracker = importlib.import_module(f"{MODULE}.core.tracking.tracker")
+    take = pipeline.track_video(Path(CLIP), tracker.FaceTracker.load()).finish().part(slice(0, 50))
+    scene, worst = bpy.context.scene, {}
+    scene.render.fps, scene.render.fps_base = 25, 1.0
+    rig = puppet.read_rig(head)
+    unit = puppet.eye_distance(rig)
+    with tempfile.TemporaryDirectory() as folder:
+        for keys in puppet.KEYS:
+            options = puppet.BakeSettings(keys=keys, clean=0.002, nla=keys == "named", path=Path(folder) / "a.pc2")
+            report = puppet.puppet_head(scene, head, take, puppet.PuppetSettings(bake=options))
+            worst[keys] = 0.0
+            for row in range(0, len(report.motion.times), 5):
+                frame = float(bake.frames_of(scene, report.motion.times[row]))
+                scene.frame_set(int(frame // 1), subframe=frame % 1.0)
+                mesh = head.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+                shown = [(v.co.x, -v.co.z, v.co.y) for v in mesh.vertices]
+                away = abs(shown - rig.vertices - report.motion.vertices[row]).max() / unit
+                worst[keys] = max(worst[keys], float(away))
+            assert worst[keys] <= report.worst_error + 1e-4, (keys, worst[keys], report.worst_error)
+        head.modifiers.clear()
+    return {"worst": worst}
 
 
 def repository(bpy) -> Path:

@@ -4,11 +4,13 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.bake import BAKED_KEY_PREFIX, frames_of
+from facemime.blender.bake import frames_of
+from facemime.blender.bake_keys import BAKED_KEY_PREFIX
 from facemime.blender.frames import from_blender, rotation_to_blender
 from facemime.blender.head import add_head
 from facemime.blender.meshes import read_rig, write_vertices
 from facemime.blender.names import LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS
+from facemime.blender.targets import PoseTarget
 from facemime.core.errors import HeadError
 from facemime.core.landmarks import OUTER_EYE_CORNERS
 from facemime.puppet import PuppetSettings, puppet_head
@@ -64,7 +66,7 @@ def test_a_head_that_was_placed_and_turned_keeps_its_place_and_turns_about_its_o
 def test_pose_goes_to_an_empty_where_one_is_given_and_nowhere_when_off():
     head, empty = add_head(bpy.context), bpy.data.objects.new("Pose", None)
     bpy.context.collection.objects.link(empty)
-    puppet_head(bpy.context.scene, head, performance(), pose_object=empty)
+    puppet_head(bpy.context.scene, head, performance(), targets={"head": PoseTarget.of(empty)})
     assert head.animation_data is None and empty.animation_data.action is not None
     puppet_head(bpy.context.scene, head, performance())
     go_to(50)

@@ -1,0 +1,99 @@
+"""ARKit's 52 coefficients of any take: the built-in head, whose face units they are, is driven by it and fitted.
+
+They are the names that other programs and tables know a face by; a head that is driven itself does without them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+from ..drive import DriveOptions, HeadDriver, built_in_rig
+from ..head import load_head
+from ..motion import HeadMotion, drive_take
+from ..posing import Posing
+from ..retarget import Neutral
+from ..rotation import fit_rotation
+from ..takes.take import Take
+from .fit import fit_keys
+
+_DEFAULTS = DriveOptions()
+_LOOKS = ("In", "Out", "Up", "Down")
+
+
+@lru_cache(maxsize=1)
+def coefficient_names() -> tuple[str, ...]:
+    """The names of the 52 coefficients, alphabetically; left and right are the performer's own."""
+    return load_head().unit_names
+
+
+def arkit_coefficients(take: Take, neutral: Neutral, options: DriveOptions = _DEFAULTS) -> FloatArray:
+    """(N, 52) coefficients from 0 to 1 of the N frames of `take` in which a face was found.
+
+    Where the eyes look is taken from the gaze, everything else is fitted to what the skin does beside that.
+
+    Parameters
+    ----------
+    neutral : Neutral
+        The performer's.
+    options : DriveOptions
+        Mode, strength, mirror and strength of the eyes count; pose and its limits don't.
+
+    Raises
+    ------
+    SourceError
+        Where no frame has a face.
+    """
+    posing = Posing(eyes=options.posing.eyes, eyes_limit=options.posing.eyes_limit)
+    options = replace(options, posing=posing, incremental=False)
+    return coefficients_of(drive_take(HeadDriver(built_in_rig(), neutral, options), take))
+
+
+def coefficients_of(motion: HeadMotion) -> FloatArray:
+    """(N, 52) coefficients of a motion of the built-in head."""
+    head = load_head()
+    looks = _look_columns()
+    others = [i for i in range(len(head.unit_names)) if i not in looks]
+    coefficients = np.zeros((len(motion.times), len(head.unit_names)))
+    coefficients[:, looks] = _looks(motion.gaze)
+    lids = np.tensordot(coefficients[:, looks].astype(np.float32), head.units[looks], axes=1)
+    bounds = np.zeros(len(others)), np.ones(len(others))
+    coefficients[:, others] = fit_keys(motion.vertices - lids, head.units[others], *bounds).weights
+    return coefficients
+
+
+def _look_columns() -> list[int]:
+    names = coefficient_names()
+    return [names.index(f"eyeLook{way}{side}") for side in ("Left", "Right") for way in _LOOKS]
+
+
+def _looks(gaze: FloatArray) -> FloatArray:
+    """(N, 8) of `_look_columns` for rotations (N, 3, 3) of both eyeballs: the share of each unit's own turn."""
+    forward = -gaze[:, :, 2]
+    turned = {
+        "x": np.arctan2(forward[:, 0], -forward[:, 2]),
+        "y": np.arctan2(forward[:, 1], -forward[:, 2]),
+    }
+    columns = []
+    for axis, reach in _look_reaches():
+        columns.append(np.clip(turned[axis] / reach, 0.0, 1.0))
+    return np.column_stack(columns)
+
+
+@lru_cache(maxsize=1)
+def _look_reaches() -> list[tuple[str, float]]:
+    """For each of `_look_columns` the axis along which the eye looks away and the signed angle at coefficient 1."""
+    head = load_head()
+    reaches = []
+    for column in _look_columns():
+        name = head.unit_names[column]
+        eye = next(part for part in head.parts if part.name == ("eye_left" if "Left" in name else "eye_right"))
+        rest: NDArray[np.float64] = (eye.vertices - eye.pivot).astype(np.float64)
+        forward = -fit_rotation(rest, rest + eye.units[column])[:, 2]
+        axis = 0 if "In" in name or "Out" in name else 1
+        reaches.append(("xy"[axis], float(np.arctan2(forward[axis], -forward[2]))))
+    return reaches

@@ -1,0 +1,52 @@
+"""PC2 point caches: the positions of all vertices at even times, which Blender's Mesh Cache modifier plays."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..files import replacing
+
+SUFFIX = ".pc2"
+_HEADER = struct.Struct("<12siiffi")
+
+
+def write_point_cache(path: Path, samples: Iterable[FloatArray], vertices: int, start: float = 0.0) -> int:
+    """Write positions, (V, 3) a sample; returns how many samples. What was at `path` is replaced by a whole file only.
+
+    Parameters
+    ----------
+    vertices : int
+        V, the same in every sample.
+    start : float
+        Frame of the first sample, one sample a frame from there.
+
+    Raises
+    ------
+    OutputError
+        Where the file cannot be written.
+    """
+    count = 0
+    with replacing(Path(path)) as temporary, open(temporary, "wb") as stream:
+        stream.write(bytes(_HEADER.size))
+        for sample in samples:
+            if sample.shape != (vertices, 3):
+                raise ValueError(f"a sample has the shape {sample.shape}, not {(vertices, 3)}")
+            stream.write(np.ascontiguousarray(sample, dtype="<f4").tobytes())
+            count += 1
+        stream.seek(0)
+        stream.write(_HEADER.pack(b"POINTCACHE2\0", 1, vertices, start, 1.0, count))
+    return count
+
+
+def in_between(times: FloatArray, values: FloatArray, at: float) -> FloatArray:
+    """What (N, ...) `values` at increasing `times` are at the time `at`, on straight lines; held beyond both ends."""
+    after = int(np.searchsorted(times, at, side="left"))
+    if after == 0 or after == len(times):
+        return np.asarray(values[min(after, len(times) - 1)])
+    share = (at - times[after - 1]) / (times[after] - times[after - 1])
+    return np.asarray((1.0 - share) * values[after - 1] + share * values[after])

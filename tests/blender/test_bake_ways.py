@@ -1,0 +1,288 @@
+"""Every way to bake: named and mapped keys, caches, clean curves, NLA, bones, and what cannot be baked to."""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.blender.actions import TRACK
+from facemime.blender.bake import frames_of
+from facemime.blender.bake_cache import MODIFIER
+from facemime.blender.bake_keys import BAKED_KEY_PREFIX, read_keys
+from facemime.blender.frames import from_blender, rotation_to_blender
+from facemime.blender.head import add_head
+from facemime.blender.live import Follow, LiveHeadObject
+from facemime.blender.meshes import read_rig
+from facemime.blender.targets import PoseTarget
+from facemime.core.bake.key_map import KeyMap, KeyRow
+from facemime.core.drive import HeadDriver
+from facemime.core.errors import FacemimeError, HeadError, OutputError
+from facemime.core.takes.smooth import smooth_take
+from facemime.puppet import BakeSettings, PuppetReport, PuppetSettings, eye_distance, puppet_head, puppet_heads
+from takes import performance
+
+
+@pytest.fixture(autouse=True)
+def _at_the_takes_rate(_empty_file):
+    """So that caches, which hold whole frames, hold the take's."""
+    bpy.context.scene.render.fps = 25
+
+
+def bake(head: bpy.types.Object, targets=None, **options) -> PuppetReport:
+    """A bake of the performance."""
+    settings = PuppetSettings(bake=BakeSettings(**options), translation=True)
+    return puppet_head(bpy.context.scene, head, performance(), settings, targets)
+
+
+def played(head: bpy.types.Object, report: PuppetReport, row: int) -> np.ndarray:
+    """(V, 3) vertices, head frame, with the scene at the time of a row of the motion."""
+    frame = frames_of(bpy.context.scene, report.motion.times[row])
+    bpy.context.scene.frame_set(int(np.floor(frame)), subframe=float(frame % 1.0))
+    mesh = head.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    flat = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", flat)
+    return from_blender(flat.reshape(-1, 3))
+
+
+def largest_error(head: bpy.types.Object, report: PuppetReport) -> float:
+    """Of the whole take, played, to the live frames; eye distances."""
+    rig = read_rig(head)
+    take = smooth_take(performance())
+    driver, worst = HeadDriver(rig, report.neutral), 0.0
+    for row, frame in enumerate(np.flatnonzero(take.found)):
+        away = played(head, report, row) - driver.frame(take.result(int(frame))).vertices
+        worst = max(worst, float(np.linalg.norm(away, axis=1).max()))
+    return worst / eye_distance(rig)
+
+
+@pytest.mark.parametrize("nla", [False, True])
+@pytest.mark.parametrize(
+    ("options", "most"),
+    [
+        ({}, 0.01),
+        ({"clean": 0.005}, 0.015),
+        ({"max_keys": 1}, 0.2),
+        ({"keys": "named"}, 0.3),
+        ({"keys": "named", "clean": 0.01}, 0.3),
+        ({"keys": "mapped"}, 0.5),
+        ({"keys": "cache"}, 1e-5),
+        ({"keys": "alembic"}, 1e-5),
+    ],
+    ids=str,
+)
+def test_played_over_the_whole_take_the_vertices_are_the_live_ones_within_the_stated_error(
+    options, most, nla, tmp_path
+):
+    head = add_head(bpy.context, units=options.get("keys") in ("named", "mapped"))
+    report = bake(head, nla=nla, path=tmp_path / "cache.pc2", **options)
+    assert report.worst_error < most
+    assert largest_error(head, report) <= report.worst_error + 1e-4
+    assert f"{report.keys} shape keys" in report.told() or report.keys == 0
+    assert (tmp_path / "cache.abc").exists() == (options.get("keys") == "alembic")
+    has_action = head.animation_data.action is not None
+    tracks = [track.name for track in head.animation_data.nla_tracks]
+    assert (has_action, tracks) == ((False, [TRACK]) if nla else (True, []))
+
+
+def test_fewer_keys_have_a_larger_error_and_never_more_than_asked_for():
+    head = add_head(bpy.context)
+    one, two = bake(head, max_keys=1), bake(head, max_keys=2)
+    assert (one.keys, two.keys) == (1, 2) and one.worst_error > 2.0 * two.worst_error
+    assert largest_error(head, two) <= two.worst_error + 1e-4
+
+
+def test_clean_curves_have_fewer_keyframes():
+    head = add_head(bpy.context)
+    bake(head)
+    every = sum(len(curve.keyframe_points) for curve in curves_of(head.data.shape_keys))
+    bake(head, clean=0.01)
+    assert sum(len(curve.keyframe_points) for curve in curves_of(head.data.shape_keys)) < every / 2
+
+
+def curves_of(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
+    """The curves of `owner`, whatever the version's way of storing them."""
+    data = owner.animation_data
+    if not hasattr(data.action, "slots"):
+        return list(data.action.fcurves)
+    return list(data.action.layers[0].strips[0].channelbag(data.action_slot).fcurves)
+
+
+def test_a_second_bake_of_another_kind_leaves_nothing_of_the_first(tmp_path):
+    head = add_head(bpy.context, units=True)
+    bake(head, keys="named")
+    bake(head, keys="cache", path=tmp_path / "a.pc2", nla=True)
+    assert all(block.value == 0.0 for block in head.data.shape_keys.key_blocks)
+    assert not curves_of(head.data.shape_keys) and head.modifiers[0].name == MODIFIER
+    report = bake(head)
+    assert MODIFIER not in head.modifiers and not head.animation_data.nla_tracks
+    names = [block.name for block in head.data.shape_keys.key_blocks]
+    assert sum(name.startswith(BAKED_KEY_PREFIX) for name in names) == report.keys
+    assert largest_error(head, report) < 0.01
+
+
+def test_keys_keep_within_their_sliders_and_a_table_of_ones_own_moves_its_keys_alone():
+    head = add_head(bpy.context, units=True)
+    head.data.shape_keys.key_blocks["jawOpen"].slider_max = 0.15
+    table = KeyMap("mine", (KeyRow("jawOpen", "Jaw_Open", 2.0), KeyRow("browInnerUp", "browInnerUp", 0.5)))
+    report = bake(head, keys="mapped", table=table)
+    assert report.keys == 2
+    curves = {curve.data_path.split('"')[1]: curve for curve in curves_of(head.data.shape_keys)}
+    assert set(curves) == {"jawOpen", "browInnerUp"}
+    assert max(point.co[1] for point in curves["jawOpen"].keyframe_points) == pytest.approx(0.15)
+    assert max(point.co[1] for point in curves["browInnerUp"].keyframe_points) > 0.1
+
+
+def test_an_animators_own_curves_and_drivers_are_never_replaced_and_nothing_else_changes():
+    head = add_head(bpy.context, units=True)
+    keys = head.data.shape_keys
+    mine = keys.key_blocks["jawOpen"]
+    mine.value = 0.4
+    mine.keyframe_insert("value", frame=7)
+    with pytest.raises(HeadError, match="animation of its own"):
+        bake(head, keys="named")
+    assert [len(curve.keyframe_points) for curve in curves_of(keys)] == [1] and head.animation_data is None
+    report = bake(head)
+    assert report.keys > 0 and mine.value == pytest.approx(0.4)
+    assert 'key_blocks["jawOpen"].value' in {curve.data_path for curve in curves_of(keys)}
+    mine.keyframe_delete("value", frame=7)
+    keys.key_blocks["browInnerUp"].driver_add("value")
+    with pytest.raises(HeadError, match="browInnerUp"):
+        bake(head, keys="named")
+
+
+def armature(*bones: str) -> bpy.types.Object:
+    """An armature at the origin with bones that lean this way and that."""
+    rig = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
+    bpy.context.collection.objects.link(rig)
+    bpy.context.view_layer.objects.active = rig
+    bpy.ops.object.mode_set(mode="EDIT")
+    for i, name in enumerate(bones):
+        bone = rig.data.edit_bones.new(name)
+        bone.head, bone.tail, bone.roll = (0.1 * i, 0.0, 0.0), (0.1 * i, 0.05 * i - 0.1, 0.1), 0.3 * i
+    bpy.ops.object.mode_set(mode="OBJECT")
+    return rig
+
+
+@pytest.mark.parametrize("mode", ["QUATERNION", "XYZ", "AXIS_ANGLE"])
+def test_bones_take_the_pose_of_head_and_eyes_as_they_do_live(mode):
+    head = add_head(bpy.context)
+    rig = armature("Head", "Eye")
+    for bone in rig.pose.bones:
+        bone.rotation_mode = mode
+    empty = bpy.data.objects.new("Eye", None)
+    bpy.context.collection.objects.link(empty)
+    empty.rotation_euler = (0.2, 0.5, 1.0)
+    targets = {
+        "head": PoseTarget.of(rig, "Head"),
+        "eye_left": PoseTarget.of(rig, "Eye"),
+        "eye_right": PoseTarget.of(empty),
+    }
+    report = bake(head, targets)
+    row = int(np.argmax(np.abs(report.motion.rotation[:, 0, 2])))
+    played(head, report, row)
+    baked = [np.array(bone.matrix_basis) for bone in rig.pose.bones] + [np.array(empty.matrix_basis)]
+    take = smooth_take(performance())
+    shown = LiveHeadObject(head, targets, Follow(translation=True))
+    rig.animation_data_clear()
+    empty.animation_data_clear()
+    frame = int(np.flatnonzero(take.found)[row])
+    shown.attach()
+    shown.write(HeadDriver(read_rig(head), report.neutral).frame(take.result(frame)))
+    bpy.context.view_layer.update()
+    live = [np.array(bone.matrix_basis) for bone in rig.pose.bones] + [np.array(empty.matrix_basis)]
+    shown.detach(keep=False)
+    np.testing.assert_allclose(baked, live, atol=2e-3)
+    axes = np.array(rig.data.bones["Head"].matrix_local)[:3, :3]
+    turned = axes @ baked[0][:3, :3] @ axes.T
+    np.testing.assert_allclose(turned, rotation_to_blender(report.motion.rotation[row]), atol=2e-3)
+    assert np.abs(turned - np.eye(3)).max() > 0.1
+    eyes = [child for child in head.children if child.name.startswith("Eye")]
+    assert all(eye.animation_data is None or not curves_of(eye) for eye in eyes)
+
+
+def test_a_bone_that_an_animator_moves_is_left_alone():
+    head, rig = add_head(bpy.context), armature("Head")
+    rig.pose.bones["Head"].keyframe_insert("rotation_quaternion", frame=1)
+    with pytest.raises(HeadError, match="animation of its own"):
+        bake(head, {"head": PoseTarget.of(rig, "Head")})
+    assert head.data.shape_keys is None
+
+
+def library(tmp_path: Path, **options) -> Path:
+    """A file with a head in it; the open file is empty again."""
+    head = add_head(bpy.context, **options)
+    path = tmp_path / "library.blend"
+    bpy.data.libraries.write(str(path), {head, *head.children})
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.context.scene.render.fps = 25
+    return path
+
+
+def linked(path: Path) -> bpy.types.Object:
+    """The head of another file, in the scene."""
+    with bpy.data.libraries.load(str(path), link=True) as (_, data):
+        data.objects = ["Facemime Head"]
+    bpy.context.collection.objects.link(data.objects[0])
+    return data.objects[0]
+
+
+def test_a_linked_head_is_refused_and_an_overridden_one_plays_a_cache(tmp_path):
+    head = linked(library(tmp_path))
+    for keys in ("new", "cache"):
+        with pytest.raises(HeadError, match="linked from another file"):
+            bake(head, keys=keys, path=tmp_path / "a.pc2")
+    own = head.override_create(remap_local_usages=True)
+    with pytest.raises(HeadError, match="no new shape keys"):
+        bake(own)
+    report = bake(own, keys="cache", path=tmp_path / "a.pc2")
+    assert largest_error(own, report) < 1e-4
+
+
+def test_an_overridden_head_whose_keys_are_linked_says_so(tmp_path):
+    own = linked(library(tmp_path, units=True)).override_create(remap_local_usages=True)
+    with pytest.raises(HeadError, match="linked from another file"):
+        bake(own, keys="named")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"keys": "named"}, "no shape keys of its own"),
+        ({"keys": "mapped"}, "no shape keys of its own"),
+        ({"keys": "cache"}, "needs a file"),
+    ],
+)
+def test_what_is_missing_is_said_before_anything_changes(options, message):
+    head = add_head(bpy.context)
+    with pytest.raises(FacemimeError, match=message):
+        bake(head, **options)
+    assert head.data.shape_keys is None and head.animation_data is None and not head.modifiers
+
+
+def test_keys_that_no_table_knows_and_absolute_ones_are_refused():
+    head = add_head(bpy.context)
+    for name in ("Basis", "Fat", "Thin"):
+        head.shape_key_add(name=name, from_mix=False)
+    with pytest.raises(HeadError, match="No table that ships knows"):
+        bake(head, keys="mapped")
+    with pytest.raises(HeadError, match="mine does not know"):
+        bake(head, keys="mapped", table=KeyMap("mine", (KeyRow("jawOpen", "Open"),)))
+    head.data.shape_keys.use_relative = False
+    with pytest.raises(HeadError, match="absolute"):
+        read_keys(head)
+
+
+def test_several_heads_have_a_cache_each(tmp_path):
+    heads = [add_head(bpy.context, name=name) for name in ("One", "Two")]
+    settings = PuppetSettings(bake=BakeSettings(keys="cache", path=tmp_path / "take.pc2"))
+    reports = puppet_heads(bpy.context.scene, heads, performance(), settings)
+    assert len({head.modifiers[MODIFIER].filepath for head in heads}) == 2
+    for head, report in zip(heads, reports, strict=True):
+        assert largest_error(head, report) < 1e-4
+
+
+def test_a_cache_that_cannot_be_written_is_said(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="Cannot write"):
+        bake(add_head(bpy.context), keys="cache", path=tmp_path / "file" / "a.pc2")

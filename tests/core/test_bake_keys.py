@@ -1,0 +1,204 @@
+"""What a bake computes: bounded least squares, fits of keys, tables, clean curves, caches."""
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
+
+from facemime.core.bake.arkit import arkit_coefficients, coefficient_names, coefficients_of
+from facemime.core.bake.clean import needed_keys
+from facemime.core.bake.fit import fit_keys, mix_errors
+from facemime.core.bake.key_map import (
+    KeyMap,
+    KeyRow,
+    best_preset,
+    expression_keys,
+    from_json,
+    learn_map,
+    load_map,
+    normalised,
+    presets,
+)
+from facemime.core.bake.least_squares import bounded_least_squares
+from facemime.core.bake.point_cache import in_between, write_point_cache
+from facemime.core.drive import DriveOptions
+from facemime.core.errors import OutputError, SourceError
+from facemime.core.head import load_head
+from facemime.core.motion import HeadMotion
+from facemime.core.retarget import calibrate
+from facemime.core.rotation import euler_to_matrix
+from takes import performance
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=st.integers(0, 2**32 - 1), unknowns=st.integers(1, 14), extra=st.integers(0, 20), infinite=st.booleans())
+def test_bounded_least_squares_finds_what_scipy_finds(seed, unknowns, extra, infinite):
+    rng = np.random.default_rng(seed)
+    matrix, wanted = rng.normal(size=(unknowns + extra, unknowns)), rng.normal(size=(3, unknowns + extra))
+    matrix += 0.3 * np.eye(unknowns + extra, unknowns)
+    lower = rng.uniform(-0.4, 0.0, unknowns)
+    upper = np.full(unknowns, np.inf) if infinite else lower + rng.uniform(0.01, 0.6, unknowns)
+    found = bounded_least_squares(matrix.T @ matrix, wanted @ matrix, lower, upper)
+    assert (found >= lower).all() and (found <= upper).all()
+    for x, y in zip(found, wanted, strict=True):
+        best = lsq_linear(matrix, y, (lower, upper), method="bvls", tol=1e-14, max_iter=500)
+        assert np.square(matrix @ x - y).sum() <= 2.0 * best.cost + 1e-7 * (1.0 + best.cost)
+
+
+def test_the_weights_that_made_a_motion_are_found_again():
+    units = load_head().units
+    names = load_head().unit_names
+    told = [names.index(name) for name in ("jawOpen", "mouthSmileLeft", "browInnerUp", "eyeBlinkRight")]
+    weights = np.zeros((20, len(units)))
+    weights[:, told] = np.random.default_rng(0).random((20, len(told)))
+    motion = np.tensordot(weights.astype(np.float32), units, axes=1)
+    fit = fit_keys(motion, units, np.zeros(len(units)), np.ones(len(units)))
+    np.testing.assert_allclose(fit.weights[:, told], weights[:, told], atol=0.03)
+    assert fit.mean_error <= fit.worst_error < 5e-4
+    assert mix_errors(motion, units, weights) == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+def test_a_key_is_never_moved_further_than_its_slider_goes():
+    units = load_head().units[:5]
+    fit = fit_keys(2.0 * units[:1] - 3.0 * units[1:2], units, np.full(5, -0.5), np.full(5, 0.8))
+    assert fit.weights.min() == -0.5 and fit.weights.max() == 0.8 and fit.worst_error > 1e-3
+
+
+def test_the_face_units_of_the_built_in_head_are_told_as_its_coefficients():
+    head = load_head()
+    row = head.unit_names.index("jawOpen")
+    still = np.tile(np.eye(3), (2, 1, 1))
+    gaze = np.array([np.eye(3), euler_to_matrix(0.0, 0.2, 0.0)])
+    opened = np.stack([0.6 * head.units[row]] * 2)
+    motion = HeadMotion(np.arange(2.0), opened, still, np.zeros((2, 3)), still, gaze)
+    told = dict(zip(coefficient_names(), coefficients_of(motion).T, strict=True))
+    assert told["jawOpen"][0] == pytest.approx(0.6, abs=0.03)
+    assert max(values[0] for name, values in told.items() if name != "jawOpen") < 0.05
+    looking = {name for name, values in told.items() if values[1] > 0.3 and values[0] < 0.05}
+    assert looking in ({"eyeLookInLeft", "eyeLookOutRight"}, {"eyeLookOutLeft", "eyeLookInRight"})
+
+
+def test_a_take_in_the_mirror_has_the_other_sides_coefficients():
+    take = performance()
+    neutral = calibrate(take)
+    plain = arkit_coefficients(take, neutral)
+    mirrored = arkit_coefficients(take, neutral, DriveOptions(mirror=True))
+    names = coefficient_names()
+    assert plain.shape == (int(take.found.sum()), 52) and plain.min() >= 0.0 and plain.max() <= 1.0
+    for left in ("browOuterUpLeft", "eyeLookOutLeft"):
+        right = names.index(left.replace("Left", "Right"))
+        np.testing.assert_allclose(plain[:, names.index(left)], mirrored[:, right], atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("eyeBlink_L", "eyeBlinkLeft"),
+        ("EyeBlink.R", "eyeBlinkRight"),
+        ("Phoneme B,M,P", "BMP"),
+        ("Modifier Brow-Down Left", "BrowDownLeft"),
+        ("Jaw Open", "jawOpen"),
+    ],
+)
+def test_names_are_one_however_they_are_written(one, other):
+    assert normalised(one) == normalised(other)
+
+
+def test_names_that_only_end_in_a_side_s_letter_are_left_alone():
+    assert normalised("R") == "r" and normalised("Curl") == "curl"
+
+
+@pytest.mark.parametrize("preset", presets(), ids=lambda preset: preset.name)
+def test_each_vocabulary_is_told_from_the_others_by_its_keys(preset):
+    assert best_preset([*preset.keys, "Nose Length"]).name == preset.name
+    assert from_json(preset.to_json()) == preset
+
+
+def test_a_mesh_of_other_keys_has_no_preset_and_all_of_its_keys_count():
+    keys = ["Fat", "Thin", "Old"]
+    assert best_preset(keys) is None and expression_keys(keys) == keys
+    assert expression_keys(["jaw_open", "Fat"]) == ["jaw_open"]
+
+
+def test_a_table_adds_its_rows_and_stops_at_the_sliders():
+    names = coefficient_names()
+    table = KeyMap("mine", (KeyRow("jawOpen", "Open", 2.0, 0.1), KeyRow("mouthFunnel", "Open", 0.5)))
+    coefficients = np.zeros((3, 52))
+    coefficients[:, names.index("jawOpen")] = (0.0, 0.2, 1.0)
+    coefficients[:, names.index("mouthFunnel")] = (0.0, 0.4, 0.0)
+    values = table.apply(coefficients, {"Open": (0.0, 1.0)})
+    np.testing.assert_allclose(values["Open"], (0.1, 0.7, 1.0))
+    assert table.apply(coefficients, {}) == {}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        '{"format": "other"}',
+        '{"format": "facemime-key-map", "name": "x", "rows": [{"source": "jawDrop", "key": "a"}]}',
+        '{"format": "facemime-key-map", "name": "x", "rows": [{"source": "jawOpen", "key": "a", "gain": NaN}]}',
+    ],
+)
+def test_what_is_no_table_is_refused(text, tmp_path):
+    (tmp_path / "table.json").write_text(text)
+    with pytest.raises(SourceError, match="no table"):
+        load_map(tmp_path / "table.json")
+    with pytest.raises(SourceError, match="cannot be read"):
+        load_map(tmp_path / "none.json")
+
+
+def test_gains_are_learnt_from_poses_and_what_they_do_not_tell_stays():
+    rng = np.random.default_rng(1)
+    names = coefficient_names()
+    columns = [names.index("jawOpen"), names.index("mouthPucker")]
+    coefficients = np.zeros((6, 52))
+    coefficients[:, columns] = rng.random((6, 2))
+    poses = np.column_stack([1.5 * coefficients[:, columns[0]] + 0.5 * coefficients[:, columns[1]]])
+    start = KeyMap("start", (KeyRow("browInnerUp", "Open", 0.7), KeyRow("jawOpen", "Other", 1.0)))
+    learnt = learn_map(coefficients, poses, ["Open"], start)
+    gains = {(row.source, row.key): row.gain for row in learnt.rows}
+    assert gains["jawOpen", "Open"] == pytest.approx(1.5, abs=0.02)
+    assert gains["mouthPucker", "Open"] == pytest.approx(0.5, abs=0.02)
+    assert gains["browInnerUp", "Open"] == pytest.approx(0.7, abs=0.02)
+    assert gains["jawOpen", "Other"] == 1.0 and min(gains.values()) > 0.0
+
+
+@settings(deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 200), tolerance=st.floats(0.0, 0.5))
+def test_a_clean_curve_is_nowhere_further_away_than_stated(seed, count, tolerance):
+    rng = np.random.default_rng(seed)
+    times, values = np.cumsum(rng.uniform(0.1, 1.0, count)), np.cumsum(rng.normal(size=count)) * 0.1
+    kept = needed_keys(times, values, tolerance)
+    assert kept[0] == 0 and kept[-1] == count - 1
+    assert np.abs(np.interp(times, times[kept], values[kept]) - values).max() <= tolerance + 1e-9
+
+
+def test_a_straight_curve_needs_its_ends_alone():
+    assert needed_keys(np.arange(9.0), 0.25 * np.arange(9.0), 0.0).tolist() == [0, 8]
+
+
+def test_a_point_cache_holds_every_sample(tmp_path):
+    samples = np.random.default_rng(0).random((4, 7, 3)).astype(np.float32)
+    assert write_point_cache(tmp_path / "a.pc2", samples, 7, start=3.0) == 4
+    data = (tmp_path / "a.pc2").read_bytes()
+    assert struct.unpack("<12siiffi", data[:32]) == (b"POINTCACHE2\0", 1, 7, 3.0, 1.0, 4)
+    assert np.array_equal(np.frombuffer(data[32:], "<f4").reshape(4, 7, 3), samples)
+
+
+def test_a_point_cache_that_cannot_be_written_leaves_the_one_before(tmp_path):
+    (tmp_path / "a.pc2").write_bytes(b"before")
+    with pytest.raises(ValueError, match="shape"):
+        write_point_cache(tmp_path / "a.pc2", [np.zeros((3, 3)), np.zeros((4, 3))], 3)
+    assert (tmp_path / "a.pc2").read_bytes() == b"before" and len(list(tmp_path.iterdir())) == 1
+    with pytest.raises(OutputError):
+        write_point_cache(tmp_path / "a.pc2" / "b.pc2", [], 3)
+
+
+def test_between_two_frames_lies_the_line_and_beyond_them_the_last():
+    times, values = np.array([1.0, 2.0, 4.0]), np.array([[0.0], [1.0], [5.0]])
+    assert [float(in_between(times, values, at)[0]) for at in (0.0, 1.0, 1.5, 3.0, 4.0, 9.0)] == [0, 0, 0.5, 3, 5, 5]
