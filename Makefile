@@ -6,7 +6,7 @@ BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
 
-.PHONY: setup check test test-core test-gui demo build bench bench-deformation bench-tracking model expressions head sample try lock clean blenders windows
+.PHONY: setup check test test-core test-gui soak demo build bench bench-deformation bench-tracking model expressions head sample try lock clean blenders windows
 
 setup: $(STAMP)
 
@@ -34,6 +34,10 @@ build/head/.ready: requirements/head.txt | setup
 # What a user does, by mouse, in Blender's own window; screenshots are left in build/gui.
 test-gui: setup build windows
 	timeout 1200 $(BIN)/python -m pytest tests/gui
+
+# Ten minutes of puppeteering in Blender's window: does memory grow, does a thread stay?
+soak: setup build windows
+	$(BIN)/python tests/gui/soak.py
 
 test-core: setup
 	$(BIN)/python -m pytest tests/core

@@ -38,8 +38,15 @@ def watched(name, draw):
 """
 """Which panels are open nobody tells either, but only open ones are drawn."""
 _TAG = "for area in bpy.context.window.screen.areas: area.tag_redraw()"
+_UNIT = """
+system = bpy.context.preferences.system
+value = round(18.0 * system.ui_scale) + 2.0 * system.pixel_size
+"""
+"""Height of a button, pixels."""
 _HEADER = 1.4
 """Height of a folded panel, in units of the interface."""
+_STEP = 0.75
+"""Of a button's height, from one look to the next."""
 _NOTHING = "(nothing)"
 _PASTE = f"value, bpy.context.window_manager.clipboard = bpy.context.window_manager.clipboard, {_NOTHING!r}"
 
@@ -61,7 +68,7 @@ class Sidebar:
         self.blender = blender
         self._top = 1.0
         self._known: dict[str, tuple[tuple[float, float], ...]] = {}
-        self.unit = 20.0 * blender.get("bpy.context.preferences.system.ui_scale")
+        self.unit = blender.do(_UNIT)
         blender.do(_WATCH)
         self.show()
 
@@ -110,11 +117,12 @@ class Sidebar:
         return str(self.blender.do(_PASTE))
 
     def places(self) -> Iterator[tuple[float, float]]:
-        """Where buttons may be: down the sidebar, column by column, the one that meets most first."""
-        box = self.box()
-        for part in (0.5, 0.2, 0.8, 0.9):
-            for row in range(int((box.height / self.unit - self._top) / 0.75)):
-                yield box.x + part * (box.width - self.unit), box.y + self.unit * (self._top + 0.75 * row)
+        """Where buttons may be: the first rows whole, then column by column, the one that meets most first."""
+        box, columns = self.box(), (0.5, 0.2, 0.8, 0.9)
+        rows = range(int((box.height / self.unit - self._top) / _STEP))
+        first = [(column, row) for row in rows[:4] for column in columns]
+        for column, row in first + [(column, row) for column in columns for row in rows[4:]]:
+            yield box.x + column * (box.width - self.unit), box.y + self.unit * (self._top + _STEP * row)
 
     def panels(self) -> list[str]:
         """The panels that the tab shows, in their order."""
@@ -123,7 +131,7 @@ class Sidebar:
     def open_panel(self, name: str, children: bool = False) -> None:
         """Fold all panels but one, by clicks on their headers; `children` unfolds what is in it too."""
         box = self.box()
-        self.blender.input("mousemove", box.x + 60, box.y + 60, *("click", 4) * 20)
+        self.blender.input("mousemove", box.x + 60, box.y + 60, "click", "--repeat", 8, "--delay", 2, 4)
         panels, opened = self.panels(), self._open()
         self._top = 0.6 + _HEADER * (panels.index(name) + 1)
         if not children and opened.intersection(panels) == {name}:

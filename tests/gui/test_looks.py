@@ -1,0 +1,78 @@
+"""The panel at other sizes, in other colours: it stays usable, and its pictures are kept to be looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import pytest
+
+from conftest import install, started
+from sidebar import Sidebar
+from window import Blender
+
+_LIGHT = """
+import os
+folder = bpy.utils.preset_paths("interface_theme")[0]
+bpy.ops.script.execute_preset(
+    filepath=os.path.join(folder, "Blender_Light.xml"), menu_idname="USERPREF_MT_interface_theme_presets")
+"""
+
+
+@pytest.fixture(scope="module")
+def blender() -> Iterator[Blender]:
+    """The newest Blender alone, as these tests are about our panels and not about its versions."""
+    with started("sid", "looks") as window:
+        install(window)
+        yield window
+
+
+@pytest.fixture
+def empty(blender: Blender) -> Blender:
+    """A new file without objects, at the usual size."""
+    blender.do("bpy.context.preferences.view.ui_scale = 1.0")
+    blender.do("bpy.ops.wm.read_homefile(use_factory_startup=False)")
+    blender.do("[bpy.data.objects.remove(obj) for obj in list(bpy.data.objects)]")
+    blender.redraw()
+    return blender
+
+
+def tour(sidebar: Sidebar, name: str) -> None:
+    """Add a head and keep a picture of every panel with all that is in it."""
+    sidebar.open_panel("FACEMIME_PT_head")
+    sidebar.press("bpy.ops.facemime.add_head")
+    for panel in sidebar.panels():
+        sidebar.open_panel(panel)
+        sidebar.blender.shot(f"{name}-{panel.removeprefix('FACEMIME_PT_')}")
+
+
+@pytest.mark.parametrize("scale", [0.75, 2.0])
+def test_the_panel_is_usable_at_other_resolution_scales(empty, scale):
+    empty.do(f"bpy.context.preferences.view.ui_scale = {scale}")
+    empty.redraw()
+    tour(Sidebar(empty), f"scale-{scale}")
+    assert empty.get("len(bpy.context.active_object.data.vertices)") == 1781
+    assert "Traceback" not in empty.printed()
+
+
+def test_the_panel_is_usable_when_narrow(empty):
+    sidebar = Sidebar(empty)
+    wide = sidebar.box().width
+    sidebar.widen(-0.4 * wide)
+    assert sidebar.box().width < 0.75 * wide
+    tour(sidebar, "narrow")
+    assert empty.get("len(bpy.context.active_object.data.vertices)") == 1781
+
+
+def test_the_panel_follows_the_light_theme(empty):
+    sidebar = Sidebar(empty)
+    sidebar.open_panel("FACEMIME_PT_head")
+    dark = cv2.imread(str(empty.shot("dark")))
+    empty.do(_LIGHT)
+    empty.redraw()
+    tour(sidebar, "light")
+    light = cv2.imread(str(empty.shot("light")))
+    box = sidebar.box()
+    inside = np.s_[box.y : box.y + 60, box.x : box.x + box.width - 40]
+    assert light[inside].mean() > dark[inside].mean() + 60
