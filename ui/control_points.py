@@ -16,7 +16,7 @@ from ..core.errors import FacemimeError
 from ..core.landmarks import IBUG68_INDICES
 from ..core.point_table import PointRow, draw_curve, point_rows
 from ..operators.shared import register_all, unregister_all
-from .sidebar import Sidebar, labels, place
+from .sidebar import Sidebar, is_narrow, labels, place, side_by_side
 
 _CURVE = "curve"
 
@@ -47,10 +47,14 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
             return
         row = shown_rows(context.active_object)[index]
         layout.active = bool(row.regions)
-        line = layout.split(factor=0.14)
-        line.label(text=str(IBUG68_INDICES[index]), translate=False)
-        line = line.split(factor=0.32)
         names = ", ".join(bpy.app.translations.pgettext_iface(REGIONS[r].name.capitalize()) for r in row.regions)
+        number = str(IBUG68_INDICES[index])
+        if is_narrow(context):
+            layout.label(text=f"{number} {names}", translate=False)
+            return
+        line = layout.split(factor=0.14)
+        line.label(text=number, translate=False)
+        line = line.split(factor=0.32)
         line.label(text=names or "-", translate=False)
         line = line.split(factor=0.45)
         line.label(text=f"{row.order}: {100 * row.error:.2f} %" if row.order and row.error == row.error else "")
@@ -137,7 +141,7 @@ def _draw_list(layout: bpy.types.UILayout, context: bpy.types.Context, steps: bp
     column.operator("facemime.drop_control_point", text="", icon="REMOVE")
     column.separator()
     column.prop(steps, "only_chosen", text="", icon="FILTER")
-    row = layout.row(align=True)
+    row = side_by_side(layout, context)
     row.prop(steps, "show_points", icon="HIDE_OFF" if steps.show_points else "HIDE_ON")
     row.operator("facemime.pick_landmark", icon="EYEDROPPER")
 

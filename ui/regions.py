@@ -4,7 +4,7 @@ import bpy
 
 from ..blender.meshes import is_head
 from ..blender.names import REGION_GROUPS
-from .sidebar import Sidebar, labels, place
+from .sidebar import Sidebar, labels, place, side_by_side
 
 _BUTTONS = (("UPPER", "Upper"), ("MIDDLE", "Middle"), ("LOWER", "Lower"))
 
@@ -24,23 +24,23 @@ class FACEMIME_PT_regions(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, obj, steps = self.layout, context.active_object, context.scene.facemime_steps
-        row = layout.row(align=True)
+        row = side_by_side(layout, context)
         active = obj.vertex_groups.active if context.mode == "PAINT_WEIGHT" else None
         for (region, text), name in zip(_BUTTONS, REGION_GROUPS, strict=True):
             depress = active is not None and active.name == name
             row.operator("facemime.paint_region", text=text, depress=depress).region = region
         if context.mode == "PAINT_WEIGHT":
             layout.operator("facemime.leave_painting", icon="LOOP_BACK")
-        row = layout.row(align=True)
+        row = side_by_side(layout, context)
         row.prop(steps, "show_regions", icon="HIDE_OFF" if steps.show_regions else "HIDE_ON")
         opacity = row.row(align=True)
         opacity.active = steps.show_regions
         opacity.prop(steps, "regions_opacity", text="")
         column = layout.column(align=True)
-        row = column.row(align=True)
+        row = side_by_side(column, context)
         row.operator("facemime.mirror_regions", text="Left to Right", icon="MOD_MIRROR").source = "left"
         row.operator("facemime.mirror_regions", text="Right to Left").source = "right"
-        row = column.row(align=True)
+        row = side_by_side(column, context)
         row.operator("facemime.smooth_regions", icon="MOD_SMOOTH").repeat = steps.smooth_repeat
         row.prop(steps, "smooth_repeat", text="")
         column.operator("facemime.propose_regions", icon="GROUP_VERTEX")

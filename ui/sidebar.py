@@ -12,6 +12,9 @@ def place(module: str) -> int:
     return ORDER.index(module.rpartition(".")[2])
 
 
+_NARROW = 220.0
+
+
 class Sidebar:
     """Mixin: a panel of the tab Facemime."""
 
@@ -27,6 +30,16 @@ def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, ic
     for line in wrapped(bpy.app.translations.pgettext_iface(text), _room(context)):
         column.label(text=line, icon=icon, translate=False)
         icon = "BLANK1" if icon != "NONE" else icon
+
+
+def side_by_side(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
+    """A row for what belongs together; a column where the sidebar is too narrow for a row's texts."""
+    return layout.column(align=True) if is_narrow(context) else layout.row(align=True)
+
+
+def is_narrow(context: bpy.types.Context) -> bool:
+    """Whether the sidebar has little more than a button's width."""
+    return context.region is not None and context.region.width < _NARROW * context.preferences.system.ui_scale
 
 
 def wrapped(text: str, room: float) -> list[str]:

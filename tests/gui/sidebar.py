@@ -38,11 +38,6 @@ def watched(name, draw):
 """
 """Which panels are open nobody tells either, but only open ones are drawn."""
 _TAG = "for area in bpy.context.window.screen.areas: area.tag_redraw()"
-_UNIT = """
-system = bpy.context.preferences.system
-value = round(18.0 * system.ui_scale) + 2.0 * system.pixel_size
-"""
-"""Height of a button, pixels."""
 _HEADER = 1.4
 """Height of a folded panel, in units of the interface."""
 _STEP = 0.75
@@ -68,7 +63,7 @@ class Sidebar:
         self.blender = blender
         self._top = 1.0
         self._known: dict[str, tuple[tuple[float, float], ...]] = {}
-        self.unit = blender.do(_UNIT)
+        self.unit = 20.0 * blender.get("bpy.context.preferences.system.ui_scale")
         blender.do(_WATCH)
         self.show()
 
