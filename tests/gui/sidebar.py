@@ -134,13 +134,13 @@ class Sidebar:
         if len(opened.intersection(panels)) > 2:
             opened = self._fold_most(panels)
         for panel in (panel for panel in panels if panel in opened):
-            self._toggle(panel, panels.index(panel))
-        self._toggle(name, panels.index(name), "ctrl" if children else None)
+            self._toggle(panel, panels.index(panel), False)
+        self._toggle(name, panels.index(name), True, "ctrl" if children else None)
 
     def _fold_most(self, panels: list[str]) -> set[str]:
         """Fold all panels but the second: Ctrl-click on its header, as it has no panels within; what is open then."""
         if panels[0] in self._open():
-            self._toggle(panels[0], 0)
+            self._toggle(panels[0], 0, False)
         self._click_header(1, "ctrl")
         return self._open()
 
@@ -151,11 +151,10 @@ class Sidebar:
         self.blender.redraw()
         return set(self.blender.get("sorted(drawn)"))
 
-    def _toggle(self, panel: str, place: int, key: str | None = None) -> None:
-        """Click a header below `place` folded ones."""
-        before = panel in self._open()
+    def _toggle(self, panel: str, place: int, opens: bool, key: str | None = None) -> None:
+        """Click a header below `place` folded ones, which opens the panel or folds it."""
         self._click_header(place, key)
-        wait(lambda: (panel in self._open()) != before, f"panel {panel} folds or unfolds", 10.0)
+        wait(lambda: (panel in self._open()) == opens, f"panel {panel} folds or unfolds", 10.0)
 
     def _click_header(self, place: int, key: str | None = None) -> None:
         box = self.box()

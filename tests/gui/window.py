@@ -163,8 +163,9 @@ class Blender:
         return json.loads(line)
 
     def redraw(self) -> None:
-        """Let Blender handle its events and draw everything once."""
-        self.do("bpy.ops.wm.redraw_timer(type='DRAW_WIN_SWAP', iterations=1)")
+        """Let Blender handle its events and draw what they changed: a round of its loop, seen by the next."""
+        for _ in range(3):
+            self.do("pass")
 
     def input(self, *words: object) -> None:
         """Real events: what xdotool takes, mouse in the window's pixels from its top left."""
