@@ -54,10 +54,10 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
             return
         line = layout.split(factor=0.14)
         line.label(text=number, translate=False)
-        line = line.split(factor=0.32)
+        line = line.split(factor=0.28)
         line.label(text=names or "-", translate=False)
-        line = line.split(factor=0.45)
-        line.label(text=f"{row.order}: {100 * row.error:.2f} %" if row.order and row.error == row.error else "")
+        line = line.split(factor=0.5)
+        line.label(text=f"{row.order}: {100 * row.error:.1f}%" if row.order and row.error == row.error else "")
         line.label(text=row.reason)
 
     def filter_items(self, context, data, property_name) -> tuple[list[int], list[int]]:
@@ -112,7 +112,7 @@ def _draw_choice(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) -> 
 
 def _draw_curve(layout: bpy.types.UILayout, text: str, selection: GreedySelection) -> None:
     if icon := _curve_icon(text, selection):
-        layout.template_icon(icon_value=icon, scale=7.0)
+        layout.template_icon(icon_value=icon, scale=9.0)
     points = bpy.app.translations.pgettext_iface("{count} control points, tolerance {tolerance:.2f} %")
     shown = points.format(count=len(selection.landmarks), tolerance=100 * selection.tolerance)
     layout.label(text=shown, translate=False)

@@ -92,7 +92,7 @@ def test_each_line_of_the_list_has_number_region_order_error_and_reason():
     write_selection(head.data, select_for_take(read_rig(head), performance(), max_points=12))
     layout, first = Layout(), next(row for row in shown_rows(head) if row.order == 1)
     FACEMIME_UL_landmarks.draw_item(None, bpy.context, layout, None, None, 0, None, "", first.landmark)
-    for part in (str(IBUG68_INDICES[first.landmark]), "Upper", first.reason, f"1: {100 * first.error:.2f} %"):
+    for part in (str(IBUG68_INDICES[first.landmark]), "Upper", first.reason, f"1: {100 * first.error:.1f}%"):
         assert part in layout.texts()
 
 
