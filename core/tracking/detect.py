@@ -15,8 +15,8 @@ from ..errors import ModelError
 
 DETECTORS = ("haarcascade_frontalface_default", "haarcascade_frontalface_alt2", "haarcascade_profileface")
 EFFORTS = (0, 1, 2, 3, 4, 5)
-"""0: faces as large as before one's own camera. 1: smaller ones. 2: also small, dim and odd ones. 3: profiles. 4:
-tilted heads. 5: wherever a single window looked like a face, which is nearly everywhere: for the tracker to sort out."""
+"""0: faces as large as before one's own camera. 1: smaller ones. 2: also small, dim and odd ones. 3: profiles. 4: heads
+that are tilted. 5: wherever a single window looked like a face: nearly everywhere, for the tracker to sort out."""
 _QUICK_SIDE, _FINE_SIDE = 320, 480
 """Pixels to which the longer side of an image is shrunk before it is searched."""
 _SMALLEST = 28
