@@ -11,6 +11,7 @@ import bpy
 from .core.errors import OutputError, SourceError
 from .core.files import replacing
 from .properties import FacemimePosing, FacemimeSettings
+from .storage import user_folder
 
 SUFFIX = ".json"
 _FORMAT = "facemime-preset"
@@ -25,10 +26,7 @@ _POSING = (
 
 def folder() -> Path:
     """Where the user's presets lie."""
-    try:
-        return Path(bpy.utils.extension_path_user(__package__, path="presets"))
-    except ValueError:  # run from the source tree, not as an installed extension
-        return Path(bpy.utils.user_resource("CONFIG", path="facemime/presets"))
+    return user_folder("presets")
 
 
 def names() -> list[str]:

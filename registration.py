@@ -1,7 +1,20 @@
 """What Blender is told of: one ordered tuple of modules, registered forwards and unregistered backwards."""
 
-from . import commands, panel_properties, properties, session
-from .operators import calibrate, control_points, facegen, head, own_head, presets, puppet, puppet_video, regions
+from . import commands, panel_properties, properties, session, show, takes_properties, takes_store
+from .operators import (
+    bake,
+    calibrate,
+    control_points,
+    facegen,
+    head,
+    own_head,
+    presets,
+    puppet,
+    puppet_video,
+    regions,
+    take_edits,
+    takes,
+)
 from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
 from .ui import expression as expression_panel
@@ -10,11 +23,14 @@ from .ui import menus, point_overlay, preview, region_overlay, translations
 from .ui import puppet as puppet_panel
 from .ui import regions as regions_panel
 from .ui import source as source_panel
+from .ui import takes as takes_panels
 
 _MODULES = (
     translations,
     properties,
     panel_properties,
+    takes_properties,
+    takes_store,
     head,
     facegen,
     own_head,
@@ -24,6 +40,9 @@ _MODULES = (
     puppet,
     calibrate,
     presets,
+    takes,
+    take_edits,
+    bake,
     menus,
     head_panels,
     source_panel,
@@ -32,11 +51,13 @@ _MODULES = (
     control_points_panel,
     expression_panel,
     puppet_panel,
+    takes_panels,
     preview,
     region_overlay,
     point_overlay,
     commands,
     session,
+    show,
 )
 
 

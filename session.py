@@ -55,6 +55,12 @@ class Session:
         """End its threads alone, where Blender's data is gone already."""
         self.close()
 
+    def suspend(self) -> None:
+        """Put what it moves back for a moment: to save the file without what is only shown."""
+
+    def resume(self) -> None:
+        """Show it again after `suspend`."""
+
 
 class TrackingSession(Session):
     """Tracks a video in a thread of its own; `close` ends it at any time and keeps what was tracked.
@@ -287,13 +293,13 @@ def _close_current(*_: object) -> None:
 
 @persistent
 def _suspend(*_: object) -> None:
-    if isinstance(Session.current, LiveSession):
+    if Session.current is not None:
         Session.current.suspend()
 
 
 @persistent
 def _resume(*_: object) -> None:
-    if isinstance(Session.current, LiveSession):
+    if Session.current is not None:
         Session.current.resume()
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import bpy
 
+from .bake_table import read_table
 from .blender.targets import PoseTarget
 from .core.drive import DriveOptions
 from .core.errors import FacemimeError, SourceError
@@ -20,8 +21,11 @@ from .core.posing import Posing
 from .core.retarget import Neutral
 from .core.takes.file import load_take
 from .properties import FacemimePosing, FacemimeSettings, FacemimeSource
-from .puppet import PuppetSettings
+from .puppet import BakeSettings, PuppetSettings
+from .storage import project_folder
+from .takes_properties import FacemimeBake
 
+_TO_NEW_KEYS = BakeSettings()
 SAMPLE = Path(__file__).parent / "assets" / "sample" / "sample.mp4"
 
 
@@ -44,7 +48,7 @@ def drive_options(settings: FacemimeSettings) -> DriveOptions:
     )
 
 
-def puppet_settings(settings: FacemimeSettings) -> PuppetSettings:
+def puppet_settings(settings: FacemimeSettings, bake: BakeSettings = _TO_NEW_KEYS) -> PuppetSettings:
     """How a take is baked."""
     return PuppetSettings(
         drive=drive_options(settings),
@@ -52,6 +56,19 @@ def puppet_settings(settings: FacemimeSettings) -> PuppetSettings:
         smoothing=settings.smoothing,
         rotation=settings.rotation,
         translation=settings.translation,
+        bake=bake,
+    )
+
+
+def bake_settings(bake: FacemimeBake, name: str) -> BakeSettings:
+    """What the take `name` is baked to; FacemimeError where the table has a row that makes no sense."""
+    return BakeSettings(
+        keys=bake.keys,
+        max_keys=bake.max_keys,
+        clean=bake.clean / 100.0,
+        table=read_table(bake) if bake.keys == "mapped" and len(bake.rows) else None,
+        nla=bake.nla,
+        path=project_folder("caches") / bpy.path.clean_name(name),
     )
 
 

@@ -68,9 +68,7 @@ def check_curves(owner: bpy.types.ID, paths: Sequence[str]) -> None:
     if data is None:
         return
     if data.action is not None and data.action.library is not None:
-        raise HeadError(
-            f"The animation {data.action.name} of {owner.name} is linked from another file. Make it local."
-        )
+        raise HeadError(f"The animation {data.action.name} of {owner.name} is linked from another file. Make it local.")
     driven = {driver.data_path for driver in data.drivers}
     animated = {curve.data_path for curve in _fcurves(owner)} - _owned(data.action) if data.action else set()
     if taken := [path for path in paths if path in driven | animated and not path.startswith(_ALWAYS_OURS)]:

@@ -34,6 +34,9 @@ class Recorder(Protocol):
     def append(self, time: float, result: TrackResult) -> None:
         """Take in a frame."""
 
+    def flush(self) -> None:
+        """Bring what came so far into safety."""
+
     def close(self) -> None:
         """End the recording."""
 
@@ -133,6 +136,8 @@ class LiveWorker:
         What ended a recording; what was written before is safe.
     quality : Quality or None
         Of the last calibration.
+    model : str
+        Checksum of the tracker's model; "" until it is loaded.
     """
 
     def __init__(
@@ -163,6 +168,7 @@ class LiveWorker:
         self._driven_by: Neutral | None = None
         self._smoother = ResultSmoother()
         self._size: tuple[int, ...] = ()
+        self.model = ""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="facemime-live", daemon=True)
 
@@ -174,6 +180,11 @@ class LiveWorker:
     def running(self) -> bool:
         """Whether the thread is still at it."""
         return self._thread.is_alive()
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """(width, height) of the frames, pixels; (0, 0) before the first, and where the source is a take."""
+        return (self._size[1], self._size[0]) if self._size else (0, 0)
 
     @property
     def calibrating(self) -> bool:
@@ -197,7 +208,7 @@ class LiveWorker:
         """Write every frame from now on to `recorder`, which is closed with the recording."""
         self.stop_recording()
         with self._recording:
-            self._recorder = recorder
+            self._recorder, self.recording_error = recorder, None
 
     def stop_recording(self) -> None:
         """End the recording, if there is one; OutputError where its end cannot be written."""
@@ -209,6 +220,7 @@ class LiveWorker:
     def _work(self) -> None:
         try:
             tracker = self._load_tracker()
+            self.model = tracker.model_id
             while not self._stop.is_set() and not self.source.ended:
                 frame = self._read()
                 if frame is not None:
@@ -223,17 +235,21 @@ class LiveWorker:
             if self.counts.tracked == 0:
                 raise
             self.message = str(error)
-            return None
-        if frame is not None:
-            self.message = ""
-            self.counts.dropped += frame.dropped
+            self._stop.wait(_PATIENCE)
+            frame = None
+        else:
+            if frame is not None:
+                self.message = ""
+                self.counts.dropped += frame.dropped
+        if frame is None:
+            self._record()
         return frame
 
     def _frame(self, tracker: FaceTracker, frame: LiveFrame) -> None:
         began = perf_counter()
         options = self.options
         seen = self._tracked(tracker, frame)
-        self._record(frame.time, seen)
+        self._record((frame.time, seen))
         result = self._smoothed(seen, frame.time, options.smoothing)
         tracked = perf_counter()
         self._calibrate(frame.time, result)
@@ -264,12 +280,16 @@ class LiveWorker:
             self._smoother = ResultSmoother(amount)
         return self._smoother.smooth(seen, time)
 
-    def _record(self, time: float, result: TrackResult) -> None:
+    def _record(self, frame: tuple[float, TrackResult] | None = None) -> None:
+        """Hand a frame over; without one, as nothing comes, let what came be brought into safety."""
         with self._recording:
             if self._recorder is None:
                 return
             try:
-                self._recorder.append(time, result)
+                if frame is None:
+                    self._recorder.flush()
+                else:
+                    self._recorder.append(*frame)
             except OutputError as error:
                 self._recorder = None
                 self.recording_error = error

@@ -11,6 +11,7 @@ from facemime.blender.meshes import read_rig, write_selection
 from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
 from facemime.core.control_points import select_for_take
 from facemime.core.landmarks import IBUG68_INDICES
+from facemime.core.takes.file import save_take
 from facemime.ui.calibration import FACEMIME_PT_calibration
 from facemime.ui.control_points import FACEMIME_PT_control_points, FACEMIME_UL_landmarks, shown_rows
 from facemime.ui.expression import FACEMIME_PT_expression
@@ -18,6 +19,13 @@ from facemime.ui.head import FACEMIME_PT_head, FACEMIME_PT_own_head
 from facemime.ui.puppet import FACEMIME_PT_bake, FACEMIME_PT_pose, FACEMIME_PT_puppet
 from facemime.ui.regions import FACEMIME_PT_regions
 from facemime.ui.source import FACEMIME_PT_source
+from facemime.ui.takes import (
+    FACEMIME_PT_key_map,
+    FACEMIME_PT_take_bake,
+    FACEMIME_PT_takes,
+    FACEMIME_UL_key_rows,
+    FACEMIME_UL_takes,
+)
 from takes import performance
 
 
@@ -146,3 +154,26 @@ def test_what_the_panels_draw_exists():
     for name in operators:
         assert hasattr(bpy.types, f"FACEMIME_OT_{name.split('.')[1]}"), name
     assert {call[0] for call in layout.calls} <= set(bpy.types.UILayout.bl_rna.functions.keys())
+
+
+def test_takes_and_the_table_are_listed_with_what_can_be_done(tmp_path):
+    head = add_head(bpy.context, units=True)
+    assert "Start the puppet to record" in draw(FACEMIME_PT_takes)
+    save_take(performance(), tmp_path / "Anna.facetake")
+    bpy.ops.facemime.import_take(filepath=str(tmp_path / "Anna.facetake"))
+    takes = bpy.context.scene.facemime_takes
+    takes.items[0].note, takes.items[0].star = "the second smile", True
+    bpy.ops.facemime.pack_take()
+    for operator in ("show_take", "trim_take", "mend_take", "punch_in_take", "remove_take"):
+        assert f"facemime.{operator}" in draw(FACEMIME_PT_takes)
+    assert "Unpack" in draw(FACEMIME_PT_takes) and "user folder" in draw(FACEMIME_PT_takes)
+    bpy.ops.facemime.detect_key_map()
+    assert "key_blocks" in draw(FACEMIME_PT_key_map)
+    bpy.context.view_layer.objects.active = head.children[0]
+    bpy.ops.object.select_all(action="DESELECT")
+    assert "facemime.learn_key_map" in draw(FACEMIME_PT_key_map) and "max_keys" in draw(FACEMIME_PT_take_bake)
+    layout = Layout()
+    FACEMIME_UL_takes.draw_item(None, bpy.context, layout, takes, takes.items[0], 0, takes, "index", 0)
+    assert "2.4 s" in layout.texts() and "PACKAGE" in layout.texts()
+    FACEMIME_UL_key_rows.draw_item(None, bpy.context, layout, takes.bake, takes.bake.rows[0], 0, takes.bake, "row", 0)
+    assert "gain" in layout.texts()

@@ -58,6 +58,9 @@ class Recorded(list):
             raise OutputError("The disk is full. Free some space.")
         super().append((at, result))
 
+    def flush(self):
+        pass
+
     def close(self):
         self.closed = True
 
@@ -142,6 +145,16 @@ def test_a_full_disk_ends_the_recording_and_not_the_puppet():
     run(worker)
     assert "disk is full" in str(worker.recording_error)
     assert len(recorded) == 5 and worker.counts.tracked == 60 and worker.error is None
+
+
+def test_what_is_recorded_is_brought_into_safety_when_no_frame_comes():
+    frames, recorded = frames_of(performance())[:8], Recorded()
+    worker = LiveWorker(Listed([*frames[:5], None, *frames[5:]]), options=LiveOptions(smoothing=0.0))
+    worker.record(recorded)
+    flushed = []
+    recorded.flush = lambda: flushed.append(len(recorded))
+    run(worker)
+    assert flushed[0] == 5 and len(recorded) == 8
 
 
 def test_what_is_recorded_is_what_was_tracked_not_what_was_smoothed():

@@ -1,0 +1,31 @@
+"""The table of keys of a scene, as a value and back."""
+
+from __future__ import annotations
+
+from .core.bake.arkit import coefficient_names
+from .core.bake.key_map import KeyMap, KeyRow
+from .core.errors import FacemimeError
+from .takes_properties import FacemimeBake
+
+
+def read_table(bake: FacemimeBake) -> KeyMap:
+    """The table; FacemimeError where a row names a source that there is not, or no key."""
+    known = coefficient_names()
+    for number, row in enumerate(bake.rows, start=1):
+        if row.source not in known or not row.key:
+            raise FacemimeError(
+                f"Row {number} of the table has {'no key' if row.source in known else 'an unknown source'}. "
+                "Choose it, or remove the row."
+            )
+    rows = tuple(KeyRow(row.source, row.key, row.gain, row.offset) for row in bake.rows)
+    return KeyMap(bake.table or "Table", rows)
+
+
+def write_table(bake: FacemimeBake, table: KeyMap) -> None:
+    """Replace the table."""
+    bake.table = table.name
+    bake.rows.clear()
+    for row in table.rows:
+        line = bake.rows.add()
+        line.source, line.key, line.gain, line.offset = row.source, row.key, row.gain, row.offset
+    bake.row = 0

@@ -1,0 +1,241 @@
+"""Bake the chosen take, and the table of keys by which it moves those that a head has."""
+
+import json
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.props import StringProperty
+
+from .. import takes_store
+from ..bake_table import read_table, write_table
+from ..blender.bake import frames_of
+from ..blender.bake_keys import key_names
+from ..blender.meshes import is_head
+from ..core.bake.arkit import arkit_coefficients
+from ..core.bake.key_map import KeyMap, best_preset, learn_map, load_map, presets
+from ..core.errors import FacemimeError, HeadError
+from ..core.files import replacing
+from ..core.retarget import calibrate
+from ..live import heads_in
+from ..puppet import puppet_head, puppet_heads
+from ..session import Session
+from ..settings import bake_settings, drive_options, pose_targets, puppet_settings
+from .shared import AsksForFile, OnHead, ReportsErrors, in_object_mode, register_all, unregister_all
+from .takes import OnTake
+
+
+class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
+    """Bake the chosen take to the active and the selected heads"""
+
+    bl_idname = "facemime.bake_take"
+    bl_label = "Bake Take"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only in Object mode with a head."""
+        if not in_object_mode(cls, context):
+            return False
+        if not heads_in(context):
+            cls.poll_message_set("Select a head, or add one: step Head, above")
+            return False
+        return super().poll(context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        scene = context.scene
+        line = takes_store.chosen(scene)
+        take = takes_store.read(line)
+        if Session.current is not None:
+            Session.current.close()
+        head, *others = heads_in(context)
+        settings = puppet_settings(scene.facemime, bake_settings(scene.facemime_takes.bake, line.name))
+        report = puppet_head(scene, head, take, settings, pose_targets(scene.facemime.posing, head))
+        puppet_heads(scene, others, take, settings)
+        self.report({"INFO"}, f"{len(report.motion.times)} frames, {report.told()}")
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
+    """Fill the table by the preset that fits the names of the head's shape keys best"""
+
+    bl_idname = "facemime.detect_key_map"
+    bl_label = "Detect Table"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        table = best_preset(key_names(context.active_object))
+        if table is None:
+            names = ", ".join(preset.name for preset in presets())
+            raise HeadError(
+                f"The shape keys of {context.active_object.name} have names that no preset knows ({names}). "
+                "Add rows by hand, import a table, or learn one from poses."
+            )
+        write_table(context.scene.facemime_takes.bake, table)
+        self.report({"INFO"}, f"{table.name}: {len(table.keys)} keys")
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
+    """Add a row to the table"""
+
+    bl_idname = "facemime.add_key_row"
+    bl_label = "Add Row"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Add it, and pick it."""
+        bake = context.scene.facemime_takes.bake
+        bake.rows.add().source = "jawOpen"
+        bake.row = len(bake.rows) - 1
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
+    """Remove the picked row from the table"""
+
+    bl_idname = "facemime.remove_key_row"
+    bl_label = "Remove Row"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only with a row picked."""
+        bake = context.scene.facemime_takes.bake
+        return 0 <= bake.row < len(bake.rows)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Remove it."""
+        bake = context.scene.facemime_takes.bake
+        bake.rows.remove(bake.row)
+        bake.row = max(0, min(bake.row, len(bake.rows) - 1))
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_import_key_map(AsksForFile, ReportsErrors, bpy.types.Operator):
+    """Read a table of keys from a file"""
+
+    bl_idname = "facemime.import_key_map"
+    bl_label = "Import Table"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Read it."""
+        return self.reporting(self.work, context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        write_table(context.scene.facemime_takes.bake, load_map(Path(bpy.path.abspath(self.filepath))))
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_export_key_map(AsksForFile, ReportsErrors, bpy.types.Operator):
+    """Write the table of keys to a file that you can share"""
+
+    bl_idname = "facemime.export_key_map"
+    bl_label = "Export Table"
+    bl_options = {"REGISTER"}
+
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Write it."""
+        return self.reporting(self.work, context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        with replacing(Path(bpy.path.abspath(self.filepath)).with_suffix(".json")) as temporary:
+            temporary.write_text(read_table(context.scene.facemime_takes.bake).to_json() + "\n", encoding="utf-8")
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
+    """Remember how the head's shape keys are set now, as what the take's face at the scene's frame should give"""
+
+    bl_idname = "facemime.add_key_pose"
+    bl_label = "Add Pose"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only with a head that has keys, and a take."""
+        obj = context.active_object
+        if obj is None or not is_head(obj) or not key_names(obj):
+            cls.poll_message_set("Select a head that has shape keys")
+            return False
+        return super().poll(context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        scene, blocks = context.scene, context.active_object.data.shape_keys.key_blocks
+        take = takes_store.read(takes_store.chosen(scene))
+        frames = frames_of(scene, take.times[take.found])
+        coefficients = arkit_coefficients(take, calibrate(take), drive_options(scene.facemime))
+        told = coefficients[int(np.abs(frames - scene.frame_current_final).argmin())]
+        values = {name: blocks[name].value for name in key_names(context.active_object)}
+        data = {"coefficients": told.tolist(), "values": values}
+        scene.facemime_takes.bake.poses.add().data = json.dumps(data)
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
+    """Change the gains of the table so that they give the poses that were added; what these do not tell stays"""
+
+    bl_idname = "facemime.learn_key_map"
+    bl_label = "Learn from Poses"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only with poses."""
+        if not len(context.scene.facemime_takes.bake.poses):
+            cls.poll_message_set("Pose the head's shape keys for a frame of the take and add that first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Learn, and forget the poses."""
+        return self.reporting(self.work, context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        bake = context.scene.facemime_takes.bake
+        poses = [json.loads(pose.data) for pose in bake.poses]
+        posed = {name for pose in poses for name, value in pose["values"].items() if value != 0.0}
+        keys = sorted(posed | {row.key for row in bake.rows if all(row.key in pose["values"] for pose in poses)})
+        if not posed:
+            raise FacemimeError("No shape key is moved in any of the poses. Pose the head, then add that.")
+        coefficients = np.array([pose["coefficients"] for pose in poses])
+        values = np.array([[pose["values"].get(key, 0.0) for key in keys] for pose in poses])
+        start = read_table(bake) if len(bake.rows) else KeyMap("Table", ())
+        write_table(bake, learn_map(coefficients, values, keys, start))
+        bake.poses.clear()
+        return {"FINISHED"}
+
+
+_CLASSES = (
+    FACEMIME_OT_bake_take,
+    FACEMIME_OT_detect_key_map,
+    FACEMIME_OT_add_key_row,
+    FACEMIME_OT_remove_key_row,
+    FACEMIME_OT_import_key_map,
+    FACEMIME_OT_export_key_map,
+    FACEMIME_OT_add_key_pose,
+    FACEMIME_OT_learn_key_map,
+)
+
+
+def register() -> None:
+    """Register the operators."""
+    register_all(_CLASSES)
+
+
+def unregister() -> None:
+    """Unregister the operators."""
+    unregister_all(_CLASSES)

@@ -1,0 +1,260 @@
+"""The list of takes: record, show, import, export, pack, remove, and what recordings a crash left."""
+
+from pathlib import Path
+
+import bpy
+from bpy.props import StringProperty
+
+from .. import takes_store
+from ..blender.sound import add_sound
+from ..core.takes.file import SUFFIX, load_take, save_take
+from ..core.takes.spreadsheet import from_csv, to_csv
+from ..live import heads_in
+from ..recording import Recording, settle, start_recording, stop_recording
+from ..session import Session
+from ..show import TakeShow
+from .puppet import running
+from .shared import AsksForFile, ReportsErrors, register_all, unregister_all
+
+_WATCH = 0.25
+
+
+class OnTake(ReportsErrors):
+    """Mixin: needs a take chosen in the list, and does its `work`."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only with a take chosen."""
+        takes = context.scene.facemime_takes
+        if not 0 <= takes.index < len(takes.items):
+            cls.poll_message_set("Record or import a take first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Do the work on the chosen take."""
+        return self.reporting(self.work, context)
+
+
+class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
+    """Record all that is tracked while the puppet runs; the file is on the disk from the first second on"""
+
+    bl_idname = "facemime.record_take"
+    bl_label = "Record Take"
+    bl_options = {"REGISTER"}
+
+    name: StringProperty(name="Name", default="Take")
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only while the puppet runs, or something is being recorded."""
+        if running() is None and Recording.current is None:
+            cls.poll_message_set("Start the puppet first: step Puppet, above")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Begin, or end and list what was recorded."""
+        return self.reporting(self.work, context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        if Recording.current is None:
+            start_recording(running(), context.scene, self.name)
+            bpy.app.timers.register(_watch, first_interval=_WATCH)
+            return {"FINISHED"}
+        try:
+            stop_recording()
+        finally:
+            listed = settle()
+        if listed:
+            bpy.ops.ed.undo_push(message="Record Take")
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
+    """Show the chosen take on the active and the selected heads at the scene's frame, without baking; again to stop"""
+
+    bl_idname = "facemime.show_take"
+    bl_label = "Show Take"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Not while something else moves the heads."""
+        if isinstance(Session.current, TakeShow):
+            return True
+        if Session.current is not None:
+            cls.poll_message_set("It is running already. Stop it first")
+            return False
+        if not heads_in(context):
+            cls.poll_message_set("Select a head, or add one: step Head, above")
+            return False
+        return super().poll(context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        if isinstance(Session.current, TakeShow):
+            Session.current.close()
+        else:
+            TakeShow(context.scene, heads_in(context), takes_store.read(takes_store.chosen(context.scene)))
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_remove_take(OnTake, bpy.types.Operator):
+    """Take the chosen take off the list; its file stays where it is"""
+
+    bl_idname = "facemime.remove_take"
+    bl_label = "Remove Take"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        takes = context.scene.facemime_takes
+        takes.items.remove(takes.index)
+        takes.index = max(0, min(takes.index, len(takes.items) - 1))
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
+    """List takes that lie in the folder and are not listed: removed ones, or recorded before a crash"""
+
+    bl_idname = "facemime.find_takes"
+    bl_label = "Find Takes"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """List them."""
+        return self.reporting(self.work, context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        paths = takes_store.unlisted(context.scene)
+        for path in paths:
+            takes_store.add(context.scene, path)
+        self.report({"INFO"}, f"{len(paths)} takes found in {takes_store.folder()}")
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_import_take(AsksForFile, ReportsErrors, bpy.types.Operator):
+    """List a take from a file, or a table of numbers as a take"""
+
+    bl_idname = "facemime.import_take"
+    bl_label = "Import Take"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Read it and list it."""
+        return self.reporting(self.work, context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        path = Path(bpy.path.abspath(self.filepath))
+        if path.suffix.lower() == ".csv":
+            takes_store.keep(context.scene, from_csv(path), path.stem)
+            return {"FINISHED"}
+        take = load_take(path)
+        takes_store.add(context.scene, path, take)
+        if told := take.info.get("recovered"):
+            self.report({"WARNING"}, told)
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_export_take(AsksForFile, OnTake, bpy.types.Operator):
+    """Write the chosen take to a file of its own, or as a table of numbers"""
+
+    bl_idname = "facemime.export_take"
+    bl_label = "Export Take"
+    bl_options = {"REGISTER"}
+
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        path = Path(bpy.path.abspath(self.filepath))
+        take = takes_store.read(takes_store.chosen(context.scene))
+        if path.suffix.lower() == ".csv":
+            to_csv(take, path)
+        else:
+            save_take(take, path.with_suffix(SUFFIX))
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
+    """Keep the chosen take within the .blend, or write it to a file again"""
+
+    bl_idname = "facemime.pack_take"
+    bl_label = "Pack Take"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        line = takes_store.chosen(context.scene)
+        if line.packed is None:
+            takes_store.pack(line)
+        else:
+            self.report({"INFO"}, f"Written to {takes_store.unpack(line)}")
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_add_sound(AsksForFile, OnTake, bpy.types.Operator):
+    """Put the sound of the take's video, or of a file beside it, onto the sequencer, in step with the take"""
+
+    bl_idname = "facemime.add_sound"
+    bl_label = "Add Sound"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi;*.wav;*.flac;*.mp3;*.ogg", options={"HIDDEN"})
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        scene = context.scene
+        take = takes_store.read(takes_store.chosen(scene))
+        offset = float(take.info.get("offset", 0.0))
+        frame = 1.0 - offset * scene.render.fps / scene.render.fps_base
+        add_sound(scene, Path(bpy.path.abspath(self.filepath)), frame)
+        return {"FINISHED"}
+
+
+def _watch() -> float | None:
+    """List a recording that ended with its session; every now and then until it has."""
+    recording = Recording.current
+    if recording is None:
+        return None
+    if recording.running:
+        return _WATCH
+    if settle() and (windows := bpy.context.window_manager.windows):
+        with bpy.context.temp_override(window=windows[0]):
+            bpy.ops.ed.undo_push(message="Record Take")
+    return None
+
+
+_CLASSES = (
+    FACEMIME_OT_record_take,
+    FACEMIME_OT_show_take,
+    FACEMIME_OT_remove_take,
+    FACEMIME_OT_find_takes,
+    FACEMIME_OT_import_take,
+    FACEMIME_OT_export_take,
+    FACEMIME_OT_pack_take,
+    FACEMIME_OT_add_sound,
+)
+
+
+def register() -> None:
+    """Register the operators."""
+    register_all(_CLASSES)
+
+
+def unregister() -> None:
+    """Unregister the operators; a recording ends."""
+    stop_recording()
+    Recording.current = None
+    if bpy.app.timers.is_registered(_watch):
+        bpy.app.timers.unregister(_watch)
+    unregister_all(_CLASSES)

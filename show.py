@@ -1,0 +1,113 @@
+"""A take shown on heads at the scene's current frame, as it would be live, without a key being made."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from .blender.live import Follow, LiveHeadObject
+from .blender.meshes import read_rig
+from .core.drive import HeadDriver
+from .core.errors import HeadError
+from .core.retarget import calibrate
+from .core.takes.smooth import smooth_take
+from .core.takes.take import Take
+from .session import Session
+from .settings import drive_options, pose_targets
+
+_FIRST_FRAME = 1.0
+
+
+class TakeShow(Session):
+    """Moves heads by a take as the scene's frame goes, until `close`.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Whose settings say how.
+    objects : sequence of bpy.types.Object
+    take : Take
+
+    Raises
+    ------
+    FacemimeError
+        Where a head cannot be driven or the take holds no face.
+    """
+
+    def __init__(self, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], take: Take) -> None:
+        if not objects:
+            raise HeadError("No head is selected. Add one with Add > Mesh > Facemime Head, or bind your own.")
+        settings = scene.facemime
+        take = smooth_take(take, settings.smoothing)
+        neutral = calibrate(take, None if settings.find_neutral else settings.neutral)
+        follow, options = Follow(settings.rotation, settings.translation), drive_options(settings)
+        self._heads = [
+            (
+                LiveHeadObject(obj, pose_targets(settings.posing, obj), follow),
+                HeadDriver(read_rig(obj), neutral, options),
+            )
+            for obj in objects
+        ]
+        self._take = take.part(take.found)
+        self._scene = scene.name
+        super().__init__()
+        self.resume()
+
+    def show(self, scene: bpy.types.Scene) -> None:
+        """Show the frame of the take that is nearest in time to the current one of `scene`."""
+        if scene.name != self._scene:
+            return
+        seconds = (scene.frame_current_final - _FIRST_FRAME) * scene.render.fps_base / scene.render.fps
+        result = self._take.result(int(np.abs(self._take.times - seconds).argmin()))
+        for shown, driver in self._heads:
+            shown.write(driver.frame(result))
+
+    def close(self) -> None:
+        """Put the heads back."""
+        self.suspend()
+        super().close()
+
+    def abandon(self) -> None:
+        """Nothing runs beside Blender."""
+        super().close()
+
+    def suspend(self) -> None:
+        """Put the heads back for a moment."""
+        for shown, _ in self._heads:
+            try:
+                shown.detach(keep=False)
+            except ReferenceError:  # the user deleted it
+                continue
+
+    def resume(self) -> None:
+        """Show the take on the heads."""
+        for shown, _ in self._heads:
+            shown.attach()
+        if (scene := bpy.data.scenes.get(self._scene)) is not None:
+            self.show(scene)
+
+
+@persistent
+def _show(scene: bpy.types.Scene, *_: object) -> None:
+    session = Session.current
+    if not isinstance(session, TakeShow) or bpy.app.is_job_running("RENDER"):
+        return
+    try:
+        session.show(scene)
+    except (ReferenceError, HeadError):  # a head was deleted or changed: there is nothing left to show it on
+        session.close()
+
+
+def register() -> None:
+    """Follow the scene's frame."""
+    bpy.app.handlers.frame_change_post.append(_show)
+
+
+def unregister() -> None:
+    """Follow it no longer."""
+    if isinstance(Session.current, TakeShow):
+        Session.current.close()
+    bpy.app.handlers.frame_change_post.remove(_show)

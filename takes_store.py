@@ -1,0 +1,162 @@
+"""The takes of a scene as values: found, loaded, kept, packed. A take's file is never overwritten and never deleted."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from functools import lru_cache
+from pathlib import Path
+
+import bpy
+from bpy.app.handlers import persistent
+
+from .core.errors import FacemimeError, SourceError
+from .core.takes.file import SUFFIX, load_take, save_take, take_of
+from .core.takes.take import Take
+from .storage import free_path, project_folder, relative
+from .takes_properties import FacemimeTake
+
+_FOLDER = "takes"
+
+
+def folder() -> Path:
+    """Where new takes go: `takes` beside the .blend, or the user's folder while the file has no name."""
+    return project_folder(_FOLDER)
+
+
+def chosen(scene: bpy.types.Scene) -> FacemimeTake:
+    """The take that is picked in the list; FacemimeError where there is none."""
+    takes = scene.facemime_takes
+    if not 0 <= takes.index < len(takes.items):
+        raise FacemimeError("No take is chosen. Record one, or import one.")
+    return takes.items[takes.index]
+
+
+def new_path(name: str) -> Path:
+    """A path for a new take, which does not exist yet."""
+    return free_path(folder(), name, SUFFIX)
+
+
+def add(scene: bpy.types.Scene, path: Path, take: Take | None = None) -> FacemimeTake:
+    """List the take at `path`, pick it, and return its line; SourceError where it cannot be read."""
+    take = load_take(path) if take is None else take
+    takes = scene.facemime_takes
+    line = takes.items.add()
+    line.name, line.path = path.stem, relative(path)
+    line.length = _length(take)
+    takes.index = len(takes.items) - 1
+    return line
+
+
+def keep(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
+    """Write `take` to a new file named after `name`, and list it."""
+    path = new_path(name)
+    save_take(take, path)
+    return add(scene, path, take)
+
+
+def change(line: FacemimeTake, take: Take) -> None:
+    """Let `line` stand for `take`, in a file of its own, so that an undo finds the one before."""
+    path = new_path(line.name)
+    save_take(take, path)
+    line.path, line.packed, line.length = relative(path), None, _length(take)
+
+
+def read(line: FacemimeTake) -> Take:
+    """The take that `line` stands for.
+
+    Raises
+    ------
+    SourceError
+        Where its file is gone or damaged.
+    """
+    if line.packed is not None:
+        return _unpacked(line)
+    path = Path(bpy.path.abspath(line.path))
+    if not path.is_file():
+        raise SourceError(f"The file of the take {line.name} is not at {path}. Put it back, or import it again.")
+    return _loaded(path, path.stat().st_mtime_ns)
+
+
+def pack(line: FacemimeTake) -> None:
+    """Keep the take of `line` within the .blend; its file stays."""
+    read(line)
+    data = Path(bpy.path.abspath(line.path)).read_bytes()
+    text = bpy.data.texts.new(f"{line.name}{SUFFIX}")
+    text.from_string(base64.encodebytes(data).decode("ascii"))
+    line.packed = text
+
+
+def unpack(line: FacemimeTake) -> Path:
+    """Write the take of `line` to a file again; returns its path."""
+    take, text = read(line), line.packed
+    path = new_path(line.name)
+    save_take(take, path)
+    line.path, line.packed = relative(path), None
+    bpy.data.texts.remove(text)
+    return path
+
+
+def unlisted(scene: bpy.types.Scene) -> list[Path]:
+    """Takes in the folder that are not in the list: recorded before a crash, or removed from it."""
+    known = {Path(bpy.path.abspath(line.path)).resolve() for line in scene.facemime_takes.items if line.path}
+    return sorted(path for path in folder().glob(f"*{SUFFIX}") if path.resolve() not in known)
+
+
+@persistent
+def _before_saving(filepath: str, *_: object) -> None:
+    """Let the takes be found from where the file is about to be, which may be elsewhere."""
+    _rebase(filepath)
+
+
+@persistent
+def _after_saving(*_: object) -> None:
+    """And, where that was a copy, from where the open file is."""
+    if _Rebased.lines:
+        _rebase(bpy.data.filepath)
+        _Rebased.lines.clear()
+
+
+class _Rebased:
+    """While a file is saved: where each take's file is, by scene and place in the list."""
+
+    lines: dict[tuple[str, int], Path] = {}
+
+
+def _rebase(blend: str) -> None:
+    for scene in bpy.data.scenes:
+        for number, line in enumerate(scene.facemime_takes.items):
+            if line.path:
+                path = _Rebased.lines.setdefault((scene.name, number), Path(bpy.path.abspath(line.path)))
+                line.path = relative(path, blend) if blend else str(path)
+
+
+_HANDLERS = {"save_pre": _before_saving, "save_post": _after_saving, "save_post_fail": _after_saving}
+
+
+def register() -> None:
+    """Keep the paths of takes right where the .blend is saved elsewhere."""
+    for name, handler in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(handler)
+
+
+def unregister() -> None:
+    """Keep them no longer."""
+    for name, handler in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).remove(handler)
+
+
+def _length(take: Take) -> float:
+    return float(take.times[-1] - take.times[0])
+
+
+@lru_cache(maxsize=4)
+def _loaded(path: Path, changed: int) -> Take:
+    return load_take(path)
+
+
+def _unpacked(line: FacemimeTake) -> Take:
+    try:
+        return take_of(base64.b64decode(line.packed.as_string()))
+    except (ValueError, binascii.Error) as error:
+        raise SourceError(f"The packed take {line.name} is damaged ({error}). Import it again.") from error

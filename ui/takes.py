@@ -1,0 +1,162 @@
+"""The takes of the scene: recorded, listed, shown, changed, and baked."""
+
+import bpy
+from bpy.app.translations import pgettext_iface as _
+
+from ..operators.puppet import running
+from ..operators.shared import register_all, unregister_all
+from ..recording import Recording
+from ..session import Session
+from ..show import TakeShow
+from .sidebar import Sidebar, labels, place
+
+_MAPPED = "mapped"
+
+
+class FACEMIME_UL_takes(bpy.types.UIList):
+    """Takes: star, name, length, whether packed."""
+
+    def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
+        """Draw one take."""
+        row = layout.row(align=True)
+        row.prop(item, "star", text="", icon="SOLO_ON" if item.star else "SOLO_OFF", emboss=False)
+        row.prop(item, "name", text="", emboss=False)
+        if item.note:
+            row.label(text="", icon="TEXT")
+        if item.packed is not None:
+            row.label(text="", icon="PACKAGE")
+        row.label(text=f"{item.length:.1f} s", translate=False)
+
+
+class FACEMIME_UL_key_rows(bpy.types.UIList):
+    """Rows of the table of keys."""
+
+    def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
+        """Draw one row."""
+        line = layout.split(factor=0.38, align=True)
+        line.prop(item, "source", text="", emboss=False)
+        line = line.split(factor=0.6, align=True)
+        line.prop(item, "key", text="", emboss=False)
+        line.prop(item, "gain", text="", emboss=False)
+
+
+class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
+    """Recording, and the list of takes."""
+
+    bl_label = "Takes"
+    bl_order = place(__name__)
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, takes = self.layout, context.scene.facemime_takes
+        recording = Recording.current
+        column = layout.column()
+        column.scale_y = 1.4
+        idle = recording is None
+        column.operator(
+            "facemime.record_take", text="Record Take" if idle else "Stop Recording", icon="REC", depress=not idle
+        )
+        if recording is not None:
+            labels(layout, context, _("{count} frames recorded").format(count=recording.frames), "DISK_DRIVE")
+        elif running() is None and not len(takes.items):
+            labels(layout, context, "Start the puppet to record, or import a take", "INFO")
+        if not bpy.data.filepath and len(takes.items):
+            labels(layout, context, "Until you save the .blend, takes go to your user folder", "INFO")
+        row = layout.row()
+        row.template_list("FACEMIME_UL_takes", "", takes, "items", takes, "index", rows=4)
+        column = row.column(align=True)
+        column.operator("facemime.import_take", text="", icon="IMPORT")
+        column.operator("facemime.export_take", text="", icon="EXPORT")
+        column.operator("facemime.remove_take", text="", icon="REMOVE")
+        column.operator("facemime.find_takes", text="", icon="VIEWZOOM")
+        if not 0 <= takes.index < len(takes.items):
+            return
+        take = takes.items[takes.index]
+        layout.prop(take, "note", icon="TEXT")
+        row = layout.row(align=True)
+        row.operator("facemime.show_take", icon="PLAY", depress=isinstance(Session.current, TakeShow))
+        row.operator("facemime.add_sound", text="Sound", icon="SOUND")
+        packed = take.packed is not None
+        row.operator("facemime.pack_take", text="Unpack" if packed else "Pack", icon="PACKAGE")
+        row = layout.row(align=True)
+        row.operator("facemime.trim_take", text="Trim", icon="ARROW_LEFTRIGHT")
+        row.operator("facemime.mend_take", text="Mend", icon="MODIFIER")
+        row.operator("facemime.punch_in_take", icon="PASTEDOWN")
+
+
+class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
+    """What the chosen take is baked to."""
+
+    bl_label = "Bake"
+    bl_parent_id = "FACEMIME_PT_takes"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, bake = self.layout, context.scene.facemime_takes.bake
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(bake, "keys")
+        column = layout.column()
+        column.active = bake.keys == "new"
+        column.prop(bake, "max_keys")
+        column = layout.column()
+        column.active = bake.keys not in ("cache", "alembic")
+        column.prop(bake, "clean")
+        layout.prop(bake, "nla")
+        layout.operator("facemime.bake_take", icon="ACTION")
+
+
+class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
+    """The table by which the keys of a head are moved."""
+
+    bl_label = "Table of Keys"
+    bl_parent_id = "FACEMIME_PT_takes"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, bake = self.layout, context.scene.facemime_takes.bake
+        layout.active = bake.keys == _MAPPED
+        layout.prop(bake, "table")
+        row = layout.row()
+        row.template_list("FACEMIME_UL_key_rows", "", bake, "rows", bake, "row", rows=5)
+        column = row.column(align=True)
+        column.operator("facemime.add_key_row", text="", icon="ADD")
+        column.operator("facemime.remove_key_row", text="", icon="REMOVE")
+        column.operator("facemime.import_key_map", text="", icon="IMPORT")
+        column.operator("facemime.export_key_map", text="", icon="EXPORT")
+        if 0 <= bake.row < len(bake.rows):
+            obj, line = context.active_object, bake.rows[bake.row]
+            column = layout.column(align=True)
+            column.prop(line, "source")
+            if obj is not None and obj.type == "MESH" and obj.data.shape_keys is not None:
+                column.prop_search(line, "key", obj.data.shape_keys, "key_blocks")
+            else:
+                column.prop(line, "key")
+            column.prop(line, "gain")
+            column.prop(line, "offset")
+        layout.operator("facemime.detect_key_map", icon="VIEWZOOM")
+        row = layout.row(align=True)
+        row.operator("facemime.add_key_pose", icon="ADD")
+        row.operator("facemime.learn_key_map", icon="CURVE_DATA")
+        row.label(text=str(len(bake.poses)), translate=False)
+
+
+_CLASSES = (
+    FACEMIME_UL_takes,
+    FACEMIME_UL_key_rows,
+    FACEMIME_PT_takes,
+    FACEMIME_PT_take_bake,
+    FACEMIME_PT_key_map,
+)
+
+
+def register() -> None:
+    """Register the panels."""
+    register_all(_CLASSES)
+
+
+def unregister() -> None:
+    """Unregister the panels."""
+    unregister_all(_CLASSES)
