@@ -12,21 +12,17 @@ from ..core.control_points import parse_landmarks, select_for_take
 from ..core.errors import HeadError
 from ..core.landmarks import N_LANDMARKS
 from ..core.point_table import add_by_hand, drop_by_hand
-from ..core.retarget import calibrate
+from ..core.retarget import Neutral, calibrate
 from ..core.takes.file import load_take
+from ..core.takes.take import Take
 from ..settings import puppet_settings
+from .puppet import running
 from .shared import AsksForFile, OnHead, OnMesh, register_all, unregister_all
 
 
-class FACEMIME_OT_select_control_points(AsksForFile, OnMesh, bpy.types.Operator):
-    """Choose, from a take, the landmarks that control the active head; the others follow"""
+class SelectsPoints(OnMesh):
+    """Mixin: chooses control points for a `performance`."""
 
-    bl_idname = "facemime.select_control_points"
-    bl_label = "Select Control Points"
-    bl_options = {"REGISTER", "UNDO"}
-
-    filepath: StringProperty(name="Take", subtype="FILE_PATH", options={"SKIP_SAVE"})
-    filter_glob: StringProperty(default="*.facetake", options={"HIDDEN"})
     tolerance: FloatProperty(
         name="Tolerance",
         description="How far a landmark that is no control point may end from where it was, of the face's width",
@@ -42,18 +38,18 @@ class FACEMIME_OT_select_control_points(AsksForFile, OnMesh, bpy.types.Operator)
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """The work of `execute`."""
-        rig = read_rig(context.active_object)
-        take = load_take(Path(bpy.path.abspath(self.filepath)))
+        obj = context.active_object
+        take, neutral = self.performance(context)
         selection = select_for_take(
-            rig,
+            read_rig(obj),
             take,
-            neutral=calibrate(take, puppet_settings(context.scene.facemime).neutral),
+            neutral=neutral,
             tolerance=self.tolerance / 100.0,
             max_points=self.max_points,
             always=parse_landmarks(self.add),
             never=parse_landmarks(self.remove),
         )
-        write_selection(context.active_object.data, selection)
+        write_selection(obj.data, selection)
         worst = selection.steps[-1]
         short = "" if selection.reached else ", short of the tolerance"
         self.report(
@@ -62,6 +58,45 @@ class FACEMIME_OT_select_control_points(AsksForFile, OnMesh, bpy.types.Operator)
             f"in frame {worst.frame}{short}",
         )
         return {"FINISHED"}
+
+
+class FACEMIME_OT_select_control_points(AsksForFile, SelectsPoints, bpy.types.Operator):
+    """Choose, from a take, the landmarks that control the active head; the others follow"""
+
+    bl_idname = "facemime.select_control_points"
+    bl_label = "Select Control Points"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(name="Take", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.facetake", options={"HIDDEN"})
+
+    def performance(self, context: bpy.types.Context) -> tuple[Take, Neutral]:
+        """What the points are chosen for: the take of `filepath`, and the performer at rest in it."""
+        take = load_take(Path(bpy.path.abspath(self.filepath)))
+        return take, calibrate(take, puppet_settings(context.scene.facemime).neutral)
+
+
+class FACEMIME_OT_select_live_points(SelectsPoints, bpy.types.Operator):
+    """Choose the control points from what the puppet has shown lately; grimace for some seconds first"""
+
+    bl_idname = "facemime.select_live_points"
+    bl_label = "Select from Live"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only while the puppet runs, on a mesh."""
+        if running() is None:
+            cls.poll_message_set("Start the puppet first: step Puppet, below")
+            return False
+        return super().poll(context)
+
+    def performance(self, context: bpy.types.Context) -> tuple[Take, Neutral]:
+        """The last seconds of the session, and its neutral."""
+        worker = running().worker
+        if worker.neutral is None:
+            raise HeadError("The neutral face is not known yet. Wait until the head moves.")
+        return worker.recent_take(), worker.neutral
 
 
 class OnLandmark(OnHead):
@@ -195,6 +230,7 @@ def tag_viewports(context: bpy.types.Context) -> None:
 
 _CLASSES = (
     FACEMIME_OT_select_control_points,
+    FACEMIME_OT_select_live_points,
     FACEMIME_OT_use_all_landmarks,
     FACEMIME_OT_add_control_point,
     FACEMIME_OT_drop_control_point,

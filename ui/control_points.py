@@ -106,8 +106,11 @@ def _draw_choice(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) -> 
     column.use_property_decorate = False
     column.prop(steps, "tolerance")
     column.prop(steps, "max_points")
-    button = layout.operator("facemime.select_control_points", text="Select from a Take", icon="CURVE_DATA")
-    button.tolerance, button.max_points = steps.tolerance, steps.max_points
+    buttons = layout.column(align=True)
+    for operator in ("facemime.select_control_points", "facemime.select_live_points"):
+        text = "Select from a Take" if operator.endswith("control_points") else "Select from Live"
+        button = buttons.operator(operator, text=text, icon="CURVE_DATA" if "control" in operator else "REC")
+        button.tolerance, button.max_points = steps.tolerance, steps.max_points
 
 
 def _draw_curve(layout: bpy.types.UILayout, text: str, selection: GreedySelection) -> None:

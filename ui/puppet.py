@@ -4,7 +4,7 @@ import bpy
 
 from ..operators.puppet import running
 from ..operators.shared import register_all, unregister_all
-from .sidebar import Sidebar, labels, place
+from .sidebar import Sidebar, labels, place, side_by_side
 from .status import status_lines
 
 
@@ -25,7 +25,7 @@ class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
             column.operator("facemime.stop_puppet", icon="PAUSE", depress=True)
             for text, icon in status_lines(session):
                 labels(layout, context, text, icon)
-        row = layout.row()
+        row = side_by_side(layout, context)
         row.prop(settings, "mirror")
         row.prop(settings, "keep_pose")
 

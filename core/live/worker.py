@@ -7,6 +7,7 @@ once; what it finds leaves it the same way, so neither side waits for the other.
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -19,6 +20,7 @@ from ..drive import DriveOptions, HeadDriver, HeadFrame, HeadRig
 from ..errors import FacemimeError, OutputError
 from ..overlay import preview_of
 from ..retarget import Neutral
+from ..takes.take import Take, TakeRecorder
 from ..tracking.result import TrackResult
 from ..tracking.smoothing import ResultSmoother
 from ..tracking.tracker import FaceTracker
@@ -26,6 +28,8 @@ from .calibration import NeutralCalibration, Quality, RangeCalibration
 from .sources import LiveFrame, LiveSource
 
 _PATIENCE = 0.1
+_RECENT = 900
+"""Frames that `recent_take` looks back: half a minute of most cameras."""
 
 
 class Recorder(Protocol):
@@ -169,6 +173,7 @@ class LiveWorker:
         self._smoother = ResultSmoother()
         self._size: tuple[int, ...] = ()
         self.model = ""
+        self._recent: deque[tuple[float, TrackResult]] = deque(maxlen=_RECENT)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="facemime-live", daemon=True)
 
@@ -203,6 +208,13 @@ class LiveWorker:
         """Take the next second as the performer's neutral, or the next seconds as the range of `range_of`."""
         self.quality = None
         self._calibration = NeutralCalibration() if range_of is None else RangeCalibration(range_of)
+
+    def recent_take(self) -> Take:
+        """What was tracked in the last half minute; SourceError before the first frame."""
+        recorder = TakeRecorder({"source": self.source.name, "clock": self.source.clock})
+        for time, result in tuple(self._recent):
+            recorder.append(time, result)
+        return recorder.finish()
 
     def record(self, recorder: Recorder) -> None:
         """Write every frame from now on to `recorder`, which is closed with the recording."""
@@ -252,6 +264,7 @@ class LiveWorker:
         self._record((frame.time, seen))
         result = self._smoothed(seen, frame.time, options.smoothing)
         tracked = perf_counter()
+        self._recent.append((frame.time, seen))
         self._calibrate(frame.time, result)
         heads = self._driven(result)
         prepared = tuple(self._prepare_to_show(head) for head in heads)

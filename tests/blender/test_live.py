@@ -13,7 +13,7 @@ import facemime
 from facemime.blender.frames import to_blender
 from facemime.blender.head import add_head
 from facemime.blender.live import LIVE_KEY, LiveHeadObject
-from facemime.blender.meshes import read_rig
+from facemime.blender.meshes import read_rig, read_selection
 from facemime.blender.names import REGION_GROUPS
 from facemime.blender.targets import PoseTarget
 from facemime.core.drive import HeadDriver
@@ -400,3 +400,17 @@ def test_a_new_session_ends_the_one_before(take):
     second.close()
     second.close()
     assert head.data.shape_keys is None
+
+
+def test_control_points_are_chosen_from_what_the_puppet_showed_and_act_at_once(take):
+    head = add_head(bpy.context)
+    assert not bpy.ops.facemime.select_live_points.poll()
+    bpy.context.scene.facemime.source.loop = True
+    bpy.ops.facemime.puppet()
+    ticks_until(moving)
+    assert bpy.ops.facemime.select_live_points(max_points=20) == {"FINISHED"}
+    chosen = read_selection(head.data)
+    assert len(chosen.landmarks) <= 20
+    tick(CLICK)
+    ticks_until(lambda: running().worker.heads[0].rig.control_points is not None)
+    np.testing.assert_array_equal(running().worker.heads[0].rig.control_points, chosen.membership)
