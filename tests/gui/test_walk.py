@@ -154,6 +154,40 @@ def test_a_pose_that_is_kept_is_one_undo_step_and_lives_in_the_file(blender, sid
     stop(again)
 
 
+def test_the_performer_is_calibrated_by_a_click_and_kept_by_name(blender, sidebar):
+    add_head(sidebar)
+    start(sidebar)
+    sidebar.open_panel("FACEMIME_PT_calibration")
+    sidebar.press("bpy.ops.facemime.calibrate(")
+    blender.wait_for("Session.current.countdown is not None")
+    blender.shot("countdown")
+    blender.wait_for("len(bpy.context.scene.facemime.performers) == 1")
+    assert blender.get("bpy.context.scene.facemime.performers[0].calibration").startswith("{")
+    assert blender.get("Session.current.worker.quality.message")
+    blender.shot("calibrated")
+    stop(sidebar)
+
+
+def test_a_take_is_recorded_by_clicks_and_shown_on_the_head_frame_by_frame(blender, sidebar):
+    add_head(sidebar)
+    start(sidebar)
+    sidebar.open_panel("FACEMIME_PT_takes")
+    sidebar.press("bpy.ops.facemime.record_take")
+    blender.do(f"from {MODULE}.recording import Recording")
+    blender.wait_for("Recording.current is not None and Recording.current.frames > 20")
+    blender.shot("recording")
+    sidebar.press("bpy.ops.facemime.record_take")
+    blender.wait_for("len(bpy.context.scene.facemime_takes.items) == 1")
+    assert blender.get("bpy.context.scene.facemime_takes.items[0].length") > 0.5
+    stop(sidebar)
+    sidebar.press("bpy.ops.facemime.show_take")
+    blender.do("bpy.context.scene.frame_set(12)")
+    blender.wait_for(f"moved({HEAD}) > 1e-4")
+    blender.shot("take-shown")
+    sidebar.press("bpy.ops.facemime.show_take")
+    blender.wait_for(f"moved({HEAD}) == 0.0")
+
+
 def test_a_stroke_of_the_brush_is_followed_while_the_puppet_runs(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
