@@ -6,6 +6,8 @@ nothing costs, where no session runs or the preview is off.
 
 from __future__ import annotations
 
+from inspect import signature
+
 import blf
 import bpy
 import bpy.utils.previews
@@ -70,7 +72,9 @@ def _draw_picture(number: int, picture: np.ndarray, place: tuple[float, float], 
         _Corner.texture = gpu.types.GPUTexture((width, height), format="RGBA8", data=buffer)
         _Corner.number = number
     gpu.state.blend_set("NONE")
-    draw_texture_2d(_Corner.texture, place, *size)
+    # From Blender 5 on the viewport's frame buffer leaves the change from linear light to whoever draws.
+    changed = signature(draw_texture_2d).parameters.keys() & {"is_scene_linear_with_rec709_srgb_target"}
+    draw_texture_2d(_Corner.texture, place, *size, **dict.fromkeys(changed, True))
 
 
 def _draw_text(text: str, place: tuple[float, float], size: float) -> None:
