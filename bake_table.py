@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from .core.bake.arkit import coefficient_names
 from .core.bake.key_map import KeyMap, KeyRow
 from .core.errors import FacemimeError
 from .takes_properties import FacemimeBake
 
 
 def read_table(bake: FacemimeBake) -> KeyMap:
-    """The table; FacemimeError where a row names a source that there is not, or no key."""
-    known = coefficient_names()
+    """The table; FacemimeError where a row has no key."""
     for number, row in enumerate(bake.rows, start=1):
-        if row.source not in known or not row.key:
-            raise FacemimeError(
-                f"Row {number} of the table has {'no key' if row.source in known else 'an unknown source'}. "
-                "Choose it, or remove the row."
-            )
+        if not row.key:
+            raise FacemimeError(f"Row {number} of the table has no key. Choose one, or remove the row.")
     rows = tuple(KeyRow(row.source, row.key, row.gain, row.offset) for row in bake.rows)
     return KeyMap(bake.table or "Table", rows)
 

@@ -19,6 +19,10 @@ def _cameras(self: bpy.types.PropertyGroup, context: bpy.types.Context, typed: s
     return [str(camera) for camera in list_cameras()]
 
 
+_SUGGESTED = {"search": _cameras, "search_options": {"SUGGESTION"}} if bpy.app.version >= (4, 5) else {}
+"""Blender 4.2 ends in a crash after an extension was removed of which a property had a search callback."""
+
+
 class FacemimeSource(bpy.types.PropertyGroup):
     """Where the face is seen."""
 
@@ -38,8 +42,7 @@ class FacemimeSource(bpy.types.PropertyGroup):
         name="Camera",
         description="The camera's number or name, or the address of a stream, such as a telephone's",
         default="0",
-        search=_cameras,
-        search_options={"SUGGESTION"},
+        **_SUGGESTED,
     )
     width: IntProperty(name="Width", subtype="PIXEL", default=640, min=160, max=7680)
     height: IntProperty(name="Height", subtype="PIXEL", default=480, min=120, max=4320)

@@ -11,7 +11,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from .core.bake.arkit import coefficient_names
+from .core.bake.arkit import COEFFICIENTS
 from .operators.shared import register_all, unregister_all
 
 
@@ -25,14 +25,15 @@ class FacemimeTake(bpy.types.PropertyGroup):
     note: StringProperty(name="Note", description="What you think of it")
 
 
-def _sources(self: bpy.types.PropertyGroup, context: bpy.types.Context, typed: str) -> list[str]:
-    return list(coefficient_names())
-
-
 class FacemimeKeyRow(bpy.types.PropertyGroup):
     """A row of the table: a key gets a coefficient, times a gain, plus an offset."""
 
-    source: StringProperty(name="Source", description="One of ARKit's 52 coefficients", search=_sources)
+    source: EnumProperty(
+        name="Source",
+        description="One of ARKit's 52 coefficients",
+        items=tuple((name, name, "") for name in COEFFICIENTS),
+        default="jawOpen",
+    )
     key: StringProperty(name="Key", description="The shape key that it moves")
     gain: FloatProperty(name="Gain", default=1.0, soft_min=-2.0, soft_max=2.0)
     offset: FloatProperty(name="Offset", default=0.0, soft_min=-1.0, soft_max=1.0)

@@ -88,7 +88,7 @@ class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Add it, and pick it."""
         bake = context.scene.facemime_takes.bake
-        bake.rows.add().source = "jawOpen"
+        bake.rows.add()
         bake.row = len(bake.rows) - 1
         return {"FINISHED"}
 

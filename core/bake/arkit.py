@@ -21,14 +21,20 @@ from ..rotation import fit_rotation
 from ..takes.take import Take
 from .fit import fit_keys
 
+_SIDED = (
+    *("browDown", "browOuterUp", "cheekSquint", "eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp"),
+    *("eyeSquint", "eyeWide", "mouthDimple", "mouthFrown", "mouthLowerDown", "mouthPress", "mouthSmile"),
+    *("mouthStretch", "mouthUpperUp", "noseSneer"),
+)
+_SINGLE = (
+    *("browInnerUp", "cheekPuff", "jawForward", "jawLeft", "jawOpen", "jawRight", "mouthClose", "mouthFunnel"),
+    *("mouthLeft", "mouthPucker", "mouthRight", "mouthRollLower", "mouthRollUpper", "mouthShrugLower"),
+    *("mouthShrugUpper", "tongueOut"),
+)
+COEFFICIENTS = tuple(sorted([*_SINGLE, *(name + side for name in _SIDED for side in ("Left", "Right"))]))
+"""The names of all 52, alphabetically; left and right are the performer's own."""
 _DEFAULTS = DriveOptions()
 _LOOKS = ("In", "Out", "Up", "Down")
-
-
-@lru_cache(maxsize=1)
-def coefficient_names() -> tuple[str, ...]:
-    """The names of the 52 coefficients, alphabetically; left and right are the performer's own."""
-    return load_head().unit_names
 
 
 def arkit_coefficients(take: Take, neutral: Neutral, options: DriveOptions = _DEFAULTS) -> FloatArray:
@@ -67,8 +73,7 @@ def coefficients_of(motion: HeadMotion) -> FloatArray:
 
 
 def _look_columns() -> list[int]:
-    names = coefficient_names()
-    return [names.index(f"eyeLook{way}{side}") for side in ("Left", "Right") for way in _LOOKS]
+    return [COEFFICIENTS.index(f"eyeLook{way}{side}") for side in ("Left", "Right") for way in _LOOKS]
 
 
 def _looks(gaze: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import SourceError
-from .arkit import coefficient_names
+from .arkit import COEFFICIENTS
 from .least_squares import bounded_least_squares
 
 PRESETS = Path(__file__).parents[2] / "assets" / "key_maps"
@@ -53,7 +53,7 @@ class KeyMap:
 
     def apply(self, coefficients: FloatArray, ranges: Mapping[str, tuple[float, float]]) -> dict[str, FloatArray]:
         """Values (N,) of each key that is in `ranges`, kept within them, for (N, 52) coefficients."""
-        names, values = coefficient_names(), {}
+        names, values = COEFFICIENTS, {}
         for key in self.keys:
             if key in ranges:
                 rows = [row for row in self.rows if row.key == key]
@@ -90,7 +90,7 @@ def from_json(text: str) -> KeyMap:
 
 def _row(data: Mapping[str, Any]) -> KeyRow:
     row = KeyRow(str(data["source"]), str(data["key"]), float(data.get("gain", 1)), float(data.get("offset", 0)))
-    if row.source not in coefficient_names():
+    if row.source not in COEFFICIENTS:
         raise ValueError(f"{row.source!r} is none of ARKit's coefficients")
     if not np.isfinite([row.gain, row.offset]).all():
         raise ValueError(f"the gain of {row.key!r} is no number")
@@ -152,7 +152,7 @@ def learn_map(coefficients: FloatArray, poses: FloatArray, keys: Sequence[str], 
     For each key the gains g >= 0 that minimise `|C g + offset - pose|^2 + r |g - g_start|^2`: few poses leave most
     gains open, and these stay as they were.
     """
-    names = coefficient_names()
+    names = COEFFICIENTS
     coefficients = np.asarray(coefficients, dtype=np.float64)
     before, offsets = np.zeros((len(keys), len(names))), np.zeros(len(keys))
     for row in start.rows:

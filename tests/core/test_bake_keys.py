@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from facemime.core.bake.arkit import arkit_coefficients, coefficient_names, coefficients_of
+from facemime.core.bake.arkit import COEFFICIENTS, arkit_coefficients, coefficients_of
 from facemime.core.bake.clean import needed_keys
 from facemime.core.bake.fit import fit_keys, mix_errors
 from facemime.core.bake.key_map import (
@@ -48,6 +48,10 @@ def test_bounded_least_squares_finds_what_scipy_finds(seed, unknowns, extra, inf
         assert np.square(matrix @ x - y).sum() <= 2.0 * best.cost + 1e-7 * (1.0 + best.cost)
 
 
+def test_the_coefficients_are_the_built_in_heads_face_units():
+    assert load_head().unit_names == COEFFICIENTS
+
+
 def test_the_weights_that_made_a_motion_are_found_again():
     units = load_head().units
     names = load_head().unit_names
@@ -74,7 +78,7 @@ def test_the_face_units_of_the_built_in_head_are_told_as_its_coefficients():
     gaze = np.array([np.eye(3), euler_to_matrix(0.0, 0.2, 0.0)])
     opened = np.stack([0.6 * head.units[row]] * 2)
     motion = HeadMotion(np.arange(2.0), opened, still, np.zeros((2, 3)), still, gaze)
-    told = dict(zip(coefficient_names(), coefficients_of(motion).T, strict=True))
+    told = dict(zip(COEFFICIENTS, coefficients_of(motion).T, strict=True))
     assert told["jawOpen"][0] == pytest.approx(0.6, abs=0.03)
     assert max(values[0] for name, values in told.items() if name != "jawOpen") < 0.05
     looking = {name for name, values in told.items() if values[1] > 0.3 and values[0] < 0.05}
@@ -86,7 +90,7 @@ def test_a_take_in_the_mirror_has_the_other_sides_coefficients():
     neutral = calibrate(take)
     plain = arkit_coefficients(take, neutral)
     mirrored = arkit_coefficients(take, neutral, DriveOptions(mirror=True))
-    names = coefficient_names()
+    names = COEFFICIENTS
     assert plain.shape == (int(take.found.sum()), 52) and plain.min() >= 0.0 and plain.max() <= 1.0
     for left in ("browOuterUpLeft", "eyeLookOutLeft"):
         right = names.index(left.replace("Left", "Right"))
@@ -124,7 +128,7 @@ def test_a_mesh_of_other_keys_has_no_preset_and_all_of_its_keys_count():
 
 
 def test_a_table_adds_its_rows_and_stops_at_the_sliders():
-    names = coefficient_names()
+    names = COEFFICIENTS
     table = KeyMap("mine", (KeyRow("jawOpen", "Open", 2.0, 0.1), KeyRow("mouthFunnel", "Open", 0.5)))
     coefficients = np.zeros((3, 52))
     coefficients[:, names.index("jawOpen")] = (0.0, 0.2, 1.0)
@@ -154,7 +158,7 @@ def test_what_is_no_table_is_refused(text, tmp_path):
 
 def test_gains_are_learnt_from_poses_and_what_they_do_not_tell_stays():
     rng = np.random.default_rng(1)
-    names = coefficient_names()
+    names = COEFFICIENTS
     columns = [names.index("jawOpen"), names.index("mouthPucker")]
     coefficients = np.zeros((6, 52))
     coefficients[:, columns] = rng.random((6, 2))
