@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 
+_ROWS = 4
+
 
 @dataclass(frozen=True)
 class MotionBasis:
@@ -54,11 +56,10 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
     modes = ((vectors[:, order] / np.sqrt(values[order])).T.astype(np.float32)) @ flat
     residual = flat.copy()
     count = 0
-    worst = _worst(residual, vertices)
+    worst = _subtract(residual, np.zeros(frames, np.float32), np.zeros(residual.shape[1], np.float32))
     while worst > tolerance and count < len(order):
-        residual -= np.outer(weights[:, count], modes[count])
+        worst = _subtract(residual, weights[:, count], modes[count])
         count += 1
-        worst = _worst(residual, vertices)
     weights, modes = weights[:, :count], modes[:count]
     peak = weights[np.abs(weights).argmax(axis=0), np.arange(count)] if count else np.ones(0, dtype=np.float32)
     return MotionBasis(
@@ -68,6 +69,15 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
     )
 
 
-def _worst(residual: NDArray[np.float32], vertices: int) -> float:
-    squared = np.square(residual).reshape(len(residual), vertices, 3).sum(axis=2)
-    return float(np.sqrt(squared.max(initial=0.0)))
+def _subtract(residual: NDArray[np.float32], weights: NDArray[np.float32], mode: NDArray[np.float32]) -> float:
+    """Take a mode out of (N, 3 V) `residual`, in place; the largest distance of a vertex that is left.
+
+    A few frames at a time, so that nothing of the size of the whole is made beside it.
+    """
+    worst = 0.0
+    for n in range(0, len(residual), _ROWS):
+        part = residual[n : n + _ROWS]
+        part -= np.outer(weights[n : n + _ROWS], mode)
+        points = part.reshape(len(part), -1, 3)
+        worst = max(worst, float(np.einsum("nvc,nvc->nv", points, points).max(initial=0.0)))
+    return float(np.sqrt(worst))

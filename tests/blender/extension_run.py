@@ -84,7 +84,24 @@ def bake_every_way(bpy, head) -> dict:
                 worst[keys] = max(worst[keys], float(away))
             assert worst[keys] <= report.worst_error + 1e-4, (keys, worst[keys], report.worst_error)
         head.modifiers.clear()
+        importlib.import_module(f"{MODULE}.core.takes.file").save_take(take, Path(folder) / "take.facetake")
+        list_and_show(bpy, head, Path(folder))
     return {"worst": worst}
+
+
+def list_and_show(bpy, head, folder: Path) -> None:
+    """List a take, pack it, save and open the file, show it, bake it by the table that fits."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "file.blend"), copy=True)
+    assert bpy.ops.facemime.import_take(filepath=str(folder / "take.facetake")) == {"FINISHED"}
+    assert bpy.ops.facemime.pack_take() == {"FINISHED"} and bpy.ops.facemime.show_take() == {"FINISHED"}
+    bpy.context.scene.frame_set(30)
+    assert "Facemime Live" in head.data.shape_keys.key_blocks
+    assert bpy.ops.facemime.show_take() == {"FINISHED"}
+    assert bpy.ops.facemime.detect_key_map() == {"FINISHED"}
+    takes = bpy.context.scene.facemime_takes
+    takes.bake.keys, takes.bake.nla = "mapped", True
+    assert len(takes.bake.rows) == 52 and bpy.ops.facemime.bake_take() == {"FINISHED"}
+    assert [track.name for track in head.data.shape_keys.animation_data.nla_tracks] == ["Facemime"]
 
 
 def repository(bpy) -> Path:
