@@ -1,4 +1,5 @@
-"""`python -m bench.takes`: how fast takes are written and read, how large they are, and what is left of a cut one.
+"""`python -m bench.takes`: how fast takes are written and read, how large they are, and what is left of a cut one,
+and how long a bake takes and how near it comes.
 
 The sample clip is tracked once; its frames, repeated to a minute at 30 a second, are written as a recording is.
 """
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.bakes import bake_tables
 from bench.report import Table, bars, finish, parser
 from facemime.core.pipeline import track_video
 from facemime.core.takes.file import TakeWriter, load_take, save_take, take_of
@@ -29,7 +31,8 @@ FPS, MINUTE = 30.0, 1800
 def main() -> int:
     """Measure and print; returns the exit status, 1 where a cut file was not read as it must be."""
     arguments = parser(__doc__ or "").parse_args()
-    take = a_minute(track_video(ROOT / "assets" / "sample" / "sample.mp4", FaceTracker.load()).finish())
+    clip = track_video(ROOT / "assets" / "sample" / "sample.mp4", FaceTracker.load()).finish()
+    take = a_minute(clip)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "take.facetake"
         rates = measure_rates(take, path)
@@ -40,6 +43,7 @@ def main() -> int:
         Table("Written and read, a minute at 30 frames a second", ("what", "s", "frames/s"), rates),
         Table("Size of a minute", ("what", "kB"), sizes),
         Table("Two seconds, cut at every byte of the last chunk", ("what is left", "cuts"), sorted(recovery.items())),
+        *bake_tables(clip),
     ]
     finish(arguments, tables, {"rates": rates, "sizes": sizes, "recovery": recovery})
     if arguments.figure is not None:

@@ -75,7 +75,7 @@ def bake_every_way(bpy, head) -> dict:
             options = puppet.BakeSettings(keys=keys, clean=0.002, nla=keys == "named", path=Path(folder) / "a.pc2")
             report = puppet.puppet_head(scene, head, take, puppet.PuppetSettings(bake=options))
             worst[keys] = 0.0
-            for row in range(0, len(report.motion.times), 5):
+            for row in range(len(report.motion.times)):
                 frame = float(bake.frames_of(scene, report.motion.times[row]))
                 scene.frame_set(int(frame // 1), subframe=frame % 1.0)
                 mesh = head.evaluated_get(bpy.context.evaluated_depsgraph_get()).data

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import bpy
 import cv2
 import numpy as np
 import pytest
@@ -66,6 +67,45 @@ def test_puppet_leaves_a_blend_a_video_a_sheet_and_a_take(clip, tmp_path):
     sheet = cv2.imread(str(out["out.png"]))
     assert sheet.shape[0] > 300 and sheet.std() > 10
     assert out["out.blend"].read_bytes()[:4] in (b"\x28\xb5\x2f\xfd", b"BLEN")
+
+
+@pytest.mark.parametrize(
+    ("options", "left", "told"),
+    [
+        (("--keys", "named", "--clean", "0.5"), set(), "52 shape keys"),
+        (("--keys", "mapped", "--nla"), set(), "52 shape keys"),
+        (("--max-keys", "1"), set(), "1 shape keys"),
+        (("--keys", "cache"), {"out.pc2"}, "every vertex exactly"),
+        (("--keys", "alembic"), {"out.pc2", "out.abc"}, "every vertex exactly"),
+    ],
+    ids=str,
+)
+def test_puppet_bakes_to_what_is_asked_for(options, left, told, tmp_path):
+    save_take(performance(), tmp_path / "take.facetake")
+    done = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", *options)
+    assert done.returncode == 0 and told in done.stderr and done.stdout == ""
+    assert {path.name for path in tmp_path.iterdir()} == {"take.facetake", "out.blend"} | left
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out.blend"))
+    head = bpy.data.objects["Facemime Head"]
+    if left:
+        assert head.modifiers[0].filepath == "//out.pc2"
+    assert bool(head.animation_data.nla_tracks) == ("--nla" in options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--max-keys", "0"), "At least one key"),
+        (("--clean", "-1"), "percentage of the eye distance"),
+        (("--keys", "new", "--map", "table.json"), "keys that are mapped"),
+        (("--keys", "mapped", "--map", "table.json"), "table.json cannot be read"),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_baked_is_said_at_once(options, message, tmp_path):
+    save_take(performance(), tmp_path / "take.facetake")
+    refused = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", *options)
+    assert refused.returncode == 1 and message in refused.stderr and not (tmp_path / "out.blend").exists()
 
 
 def test_a_take_drives_a_head_of_ones_own(tmp_path):
