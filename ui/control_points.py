@@ -86,6 +86,9 @@ class FACEMIME_PT_control_points(Sidebar, bpy.types.Panel):
         """Draw the panel."""
         layout, obj, steps = self.layout, context.active_object, context.scene.facemime_steps
         _draw_choice(layout, steps)
+        row = side_by_side(layout, context)
+        row.prop(steps, "show_points", icon="HIDE_OFF" if steps.show_points else "HIDE_ON")
+        row.operator("facemime.pick_landmark", icon="EYEDROPPER")
         try:
             selection = read_selection(obj.data)
         except FacemimeError as error:
@@ -144,9 +147,6 @@ def _draw_list(layout: bpy.types.UILayout, context: bpy.types.Context, steps: bp
     column.operator("facemime.drop_control_point", text="", icon="REMOVE")
     column.separator()
     column.prop(steps, "only_chosen", text="", icon="FILTER")
-    row = side_by_side(layout, context)
-    row.prop(steps, "show_points", icon="HIDE_OFF" if steps.show_points else "HIDE_ON")
-    row.operator("facemime.pick_landmark", icon="EYEDROPPER")
 
 
 _CLASSES = (FACEMIME_UL_landmarks, FACEMIME_PT_control_points)
