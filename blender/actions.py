@@ -19,7 +19,8 @@ TRACK = "Facemime"
 """Name of the NLA track of a bake; one that was renamed is the user's and stays."""
 _OWNED = "facemime_curves"
 """Custom property of an action: the data paths of our curves, a line each."""
-_ALWAYS_OURS = ('key_blocks["Facemime ', "delta_rotation", "delta_location")
+_KEYS = 'key_blocks["Facemime '
+"""What the paths of our shape keys begin with."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,8 @@ def check_curves(owner: bpy.types.ID, paths: Sequence[str]) -> None:
     if data.action is not None and data.action.library is not None:
         raise HeadError(f"The animation {data.action.name} of {owner.name} is linked from another file. Make it local.")
     driven = {driver.data_path for driver in data.drivers}
-    animated = {curve.data_path for curve in _fcurves(owner)} - _owned(data.action) if data.action else set()
-    if taken := [path for path in paths if path in driven | animated and not path.startswith(_ALWAYS_OURS)]:
+    animated = {curve.data_path for curve in _existing(owner)} - _owned(data.action)
+    if taken := [path for path in paths if path in driven | animated and not path.startswith(_KEYS)]:
         raise HeadError(
             f"{owner.name} has animation of its own in {taken[0]}, which the bake would replace. "
             "Remove that, or bake to something else."
@@ -80,40 +81,54 @@ def check_curves(owner: bpy.types.ID, paths: Sequence[str]) -> None:
 
 def remove_curves(owner: bpy.types.ID, prefix: str) -> None:
     """Remove the curves of `owner` whose data path starts with `prefix`."""
-    if owner.animation_data is None or owner.animation_data.action is None:
-        return
-    fcurves = _fcurves(owner)
+    fcurves = _existing(owner)
     for fcurve in [fcurve for fcurve in fcurves if fcurve.data_path.startswith(prefix)]:
         fcurves.remove(fcurve)
 
 
-def remove_bake(owner: bpy.types.ID) -> set[str]:
-    """Remove all curves of `owner` that an earlier bake wrote, and its track; returns their data paths."""
+def baked_paths(owner: bpy.types.ID) -> set[str]:
+    """The data paths of all curves of `owner` that a bake wrote."""
     data = owner.animation_data
     if data is None:
         return set()
-    removed = set()
-    for track in [track for track in data.nla_tracks if track.name == TRACK]:
-        for strip in track.strips:
-            removed |= _owned(strip.action)
+    actions = [data.action, *(strip.action for track in _tracks(owner) for strip in track.strips)]
+    return set().union(*(_owned(action) for action in actions))
+
+
+def remove_bake(owner: bpy.types.ID) -> set[str]:
+    """Remove all curves of `owner` that an earlier bake wrote, and its track; returns their data paths."""
+    removed, data = baked_paths(owner), owner.animation_data
+    for track in _tracks(owner):
         data.nla_tracks.remove(track)
-    if data.action is not None and (owned := _owned(data.action)):
-        fcurves = _fcurves(owner)
+    if data is not None and (owned := _owned(data.action)):
+        fcurves = _existing(owner)
         for fcurve in [fcurve for fcurve in fcurves if fcurve.data_path in owned]:
             fcurves.remove(fcurve)
-        removed |= owned
         data.action[_OWNED] = ""
     return removed
 
 
 def mute_curves(owner: bpy.types.ID, prefix: str) -> list[bpy.types.FCurve]:
     """Silence the curves of `owner` whose data path starts with `prefix`; returns those that were not silent before."""
-    if owner.animation_data is None or owner.animation_data.action is None:
-        return []
-    audible = [fcurve for fcurve in _fcurves(owner) if fcurve.data_path.startswith(prefix) and not fcurve.mute]
-    for fcurve in audible:
-        fcurve.mute = True
+    return _muted(fcurve for fcurve in _existing(owner) if fcurve.data_path.startswith(prefix))
+
+
+def mute_bake(owner: bpy.types.ID) -> list[bpy.types.FCurve | bpy.types.NlaTrack]:
+    """Silence what a bake wrote for `owner`; returns what was not silent before."""
+    owned = _owned(owner.animation_data.action) if owner.animation_data is not None else set()
+    return _muted([*(curve for curve in _existing(owner) if curve.data_path in owned), *_tracks(owner)])
+
+
+def _muted(things: Iterable) -> list:
+    audible = [thing for thing in things if not thing.mute]
+    for thing in audible:
+        thing.mute = True
     return audible
+
+
+def _tracks(owner: bpy.types.ID) -> list[bpy.types.NlaTrack]:
+    data = owner.animation_data
+    return [] if data is None else [track for track in data.nla_tracks if track.name == TRACK]
 
 
 def _fill(action: bpy.types.Action, fcurves, frames: NDArray[np.floating], curves: Sequence[Curve]) -> None:
@@ -157,6 +172,19 @@ def _fcurves(owner: bpy.types.ID):
     if hasattr(data.action, "slots") and data.action_slot is None:
         data.action_slot = data.action.slots.new(id_type=owner.id_type, name=owner.name)
     return _fcurves_of(data.action, data.action_slot if hasattr(data.action, "slots") else None)
+
+
+def _existing(owner: bpy.types.ID):
+    """The curves of the owner's action, none where it has no action; nothing is made."""
+    data = owner.animation_data
+    if data is None or data.action is None:
+        return ()
+    if not hasattr(data.action, "slots"):
+        return data.action.fcurves
+    if data.action_slot is None or not data.action.layers or not data.action.layers[0].strips:
+        return ()
+    bag = data.action.layers[0].strips[0].channelbag(data.action_slot)
+    return () if bag is None else bag.fcurves
 
 
 def _fcurves_of(action: bpy.types.Action, slot):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import HeadError
 from ..core.motion import HeadMotion
-from .actions import check_curves, remove_bake, remove_curves, write_curves
+from .actions import check_curves, remove_bake, write_curves
 from .bake_cache import remove_cache
 from .bake_keys import remove_baked_keys
 from .names import PART_PROPERTY
@@ -91,8 +91,6 @@ def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
     places = _all_targets(obj, targets)
     ours = {owner: remove_bake(owner) for owner in {target.obj for target in places}}
     for target in places:
-        for path in ("delta_rotation", "delta_location"):
-            remove_curves(target.obj, path)
         if not target.bone or ours[target.obj].intersection(target.data_paths):
             target.rest()
     bpy.context.view_layer.update()

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from ..core.drive import HeadFrame
 from ..core.errors import HeadError
-from .actions import mute_curves
+from .actions import baked_paths, mute_bake, mute_curves
 from .bake import EYE_PARTS, JAW_PARTS
-from .bake_keys import BAKED_KEY_PREFIX
+from .bake_cache import MODIFIER
+from .bake_keys import BAKED_KEY_PREFIX, value_path
 from .frames import flat_in_blender
 from .meshes import mesh_of
 from .names import PART_PROPERTY
@@ -74,13 +75,18 @@ class LiveHeadObject:
         if not self._had_keys:
             self.obj.shape_key_add(name="Basis", from_mix=False)
         self._key()
-        self._muted = mute_curves(self.obj, "delta_")
-        for child, _ in self._parts:
-            self._muted += mute_curves(child, "delta_")
-        for key in self.obj.data.shape_keys.key_blocks:
-            if key.name.startswith(BAKED_KEY_PREFIX) and key.name != LIVE_KEY and not key.mute:
+        self._muted = []
+        owners = [self.obj, *(child for child, _ in self._parts), *(target.obj for target in self.targets.values())]
+        for owner in owners:
+            self._muted += mute_curves(owner, "delta_") + mute_bake(owner)
+        keys = self.obj.data.shape_keys
+        baked = baked_paths(keys)
+        for key in keys.key_blocks:
+            ours = key.name.startswith(BAKED_KEY_PREFIX) or value_path(key.name) in baked
+            if ours and key.name != LIVE_KEY and not key.mute:
                 key.mute = True
                 self._muted.append(key)
+        self._play_cache(False)
         self._shown = True
 
     def write(self, frame: HeadFrame, flat: NDArray[np.float32] | None = None) -> None:
@@ -121,6 +127,7 @@ class LiveHeadObject:
         for silenced in self._muted:
             silenced.mute = False
         self._muted = []
+        self._play_cache(True)
         if keep:
             return
         if (keys := self.obj.data.shape_keys) is not None and (key := keys.key_blocks.get(LIVE_KEY)) is not None:
@@ -129,6 +136,11 @@ class LiveHeadObject:
                 self.obj.shape_key_clear()
         for target in (*self.targets.values(), *(PoseTarget(child) for child, _ in self._parts)):
             target.rest()
+
+    def _play_cache(self, play: bool) -> None:
+        """Let a baked cache move the head, or not."""
+        if (cache := self.obj.modifiers.get(MODIFIER)) is not None:
+            cache.show_viewport = cache.show_render = play
 
     def _key(self) -> bpy.types.ShapeKey:
         key = self.obj.data.shape_keys.key_blocks.get(LIVE_KEY)

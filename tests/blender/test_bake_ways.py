@@ -201,6 +201,31 @@ def test_bones_take_the_pose_of_head_and_eyes_as_they_do_live(mode):
     assert all(eye.animation_data is None or not curves_of(eye) for eye in eyes)
 
 
+def test_a_pose_that_an_animator_gave_the_delta_transform_is_left_alone():
+    head = add_head(bpy.context)
+    head.keyframe_insert("delta_location", frame=3)
+    with pytest.raises(HeadError, match="delta_location"):
+        bake(head)
+    assert len(curves_of(head)) == 3 and head.data.shape_keys is None
+
+
+@pytest.mark.parametrize("nla", [False, True])
+@pytest.mark.parametrize("keys", ["new", "named", "mapped", "cache"])
+def test_on_a_baked_head_a_live_frame_is_shown_alone_and_the_bake_plays_afterwards(keys, nla, tmp_path):
+    head = add_head(bpy.context, units=True)
+    report = bake(head, keys=keys, nla=nla, path=tmp_path / "a.pc2")
+    before = played(head, report, 40)
+    driver, take = HeadDriver(read_rig(head), report.neutral), smooth_take(performance())
+    shown = LiveHeadObject(head, {"head": PoseTarget.of(head)}, Follow(translation=True))
+    shown.attach()
+    frame = driver.frame(take.result(50))
+    shown.write(frame)
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(played(head, report, 40), frame.vertices, atol=1e-6)
+    shown.detach(keep=False)
+    np.testing.assert_allclose(played(head, report, 40), before, atol=1e-6)
+
+
 def test_a_bone_that_an_animator_moves_is_left_alone():
     head, rig = add_head(bpy.context), armature("Head")
     rig.pose.bones["Head"].keyframe_insert("rotation_quaternion", frame=1)

@@ -270,6 +270,21 @@ def test_the_chosen_take_is_baked_as_the_panel_says(keys, imported, takes, tmp_p
     assert head.animation_data.nla_tracks and head.animation_data.action is None
 
 
+def test_a_bake_and_the_removal_of_a_take_are_one_undo_step_each(imported):
+    add_head(bpy.context)
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.facemime.bake_take("EXEC_DEFAULT", True)
+    assert bpy.data.objects["Facemime Head"].data.shape_keys is not None
+    bpy.ops.facemime.remove_take("EXEC_DEFAULT", True)
+    assert not len(bpy.context.scene.facemime_takes.items)
+    bpy.ops.ed.undo()
+    assert len(takes_store.read(bpy.context.scene.facemime_takes.items[0])) == 60
+    assert bpy.data.objects["Facemime Head"].data.shape_keys is not None
+    bpy.ops.ed.undo()
+    head = bpy.data.objects["Facemime Head"]
+    assert head.data.shape_keys is None and head.animation_data is None
+
+
 def test_a_table_is_detected_edited_shared_and_learnt(imported, takes, tmp_path):
     head, bake = add_head(bpy.context, units=True), takes.bake
     assert bpy.ops.facemime.detect_key_map() == {"FINISHED"} and len(bake.rows) == 52
