@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
+from .blender.bake import seconds_of
 from .blender.live import Follow, LiveHeadObject
 from .blender.meshes import read_rig
 from .core.drive import HeadDriver
@@ -17,8 +18,6 @@ from .core.takes.smooth import smooth_take
 from .core.takes.take import Take
 from .session import Session
 from .settings import drive_options, pose_targets
-
-_FIRST_FRAME = 1.0
 
 
 class TakeShow(Session):
@@ -60,8 +59,7 @@ class TakeShow(Session):
         """Show the frame of the take that is nearest in time to the current one of `scene`."""
         if scene.name != self._scene:
             return
-        seconds = (scene.frame_current_final - _FIRST_FRAME) * scene.render.fps_base / scene.render.fps
-        result = self._take.result(int(np.abs(self._take.times - seconds).argmin()))
+        result = self._take.result(int(np.abs(self._take.times - seconds_of(scene)).argmin()))
         for shown, driver in self._heads:
             shown.write(driver.frame(result))
 

@@ -26,6 +26,11 @@ def frames_of(scene: bpy.types.Scene, times: NDArray[np.floating], start: float 
     return start + times * (scene.render.fps / scene.render.fps_base)
 
 
+def seconds_of(scene: bpy.types.Scene, start: float = 1.0) -> float:
+    """The media's time at the scene's current frame, as `frames_of` puts it there."""
+    return float((scene.frame_current_final - start) * scene.render.fps_base / scene.render.fps)
+
+
 def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, old_keys: bool) -> None:
     """Raise HeadError where `obj` or one of `targets` cannot take a bake; nothing has changed then.
 

@@ -4,8 +4,11 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from .. import takes_store
+from ..blender.bake import seconds_of
+from ..blender.images import keep_picture
 from ..core.errors import FacemimeError
-from ..core.takes.mend import bridge_gaps, remove_outliers
+from ..core.takes.figure import draw_before_after
+from ..core.takes.mend import bridge_gaps, remove_outliers, renew_neutral
 from ..core.takes.smooth import smooth_zero_phase
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, shift_time, trim
@@ -70,14 +73,33 @@ class FACEMIME_OT_mend_take(ChangesTake, bpy.types.Operator):
         default="bridge",
     )
     smooth: BoolProperty(name="Smooth", description="Without any delay", default=True)
+    picture: BoolProperty(name="Draw Curves", description="Before and after, as an image of the Image Editor")
 
     def changed(self, context: bpy.types.Context, take: Take) -> Take:
         """`take`, mended as asked."""
-        if self.outliers:
-            take = remove_outliers(take)
+        mended = remove_outliers(take) if self.outliers else take
         if self.gaps != "leave":
-            take = bridge_gaps(take, self.gaps, _LONGEST_GAP)
-        return smooth_zero_phase(take) if self.smooth else take
+            mended = bridge_gaps(mended, self.gaps, _LONGEST_GAP)
+        if self.smooth:
+            mended = smooth_zero_phase(mended)
+        if self.picture:
+            image = keep_picture(f"{takes_store.chosen(context.scene).name} Mended", draw_before_after(take, mended))
+            self.report({"INFO"}, f"Curves in the image {image.name}")
+        return mended
+
+
+class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
+    """Let the face of the chosen take at the scene's frame be its neutral one"""
+
+    bl_idname = "facemime.renew_neutral"
+    bl_label = "Neutral Here"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        line = takes_store.chosen(context.scene)
+        takes_store.change(line, renew_neutral(takes_store.read(line), seconds_of(context.scene)))
+        return {"FINISHED"}
 
 
 class FACEMIME_OT_punch_in_take(ChangesTake, bpy.types.Operator):
@@ -95,8 +117,7 @@ class FACEMIME_OT_punch_in_take(ChangesTake, bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask, with the scene's frame as the moment."""
-        scene = context.scene
-        self.start = max(0.0, (scene.frame_current_final - 1.0) * scene.render.fps_base / scene.render.fps)
+        self.start = max(0.0, seconds_of(context.scene))
         return super().invoke(context, event)
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -116,7 +137,7 @@ class FACEMIME_OT_punch_in_take(ChangesTake, bpy.types.Operator):
         return punch_in(take, insert, float(insert.times[0]), float(insert.times[-1]), self.blend)
 
 
-_CLASSES = (FACEMIME_OT_trim_take, FACEMIME_OT_mend_take, FACEMIME_OT_punch_in_take)
+_CLASSES = (FACEMIME_OT_trim_take, FACEMIME_OT_mend_take, FACEMIME_OT_renew_neutral, FACEMIME_OT_punch_in_take)
 
 
 def register() -> None:

@@ -83,6 +83,7 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
         row.operator("facemime.trim_take", text="Trim", icon="ARROW_LEFTRIGHT")
         row.operator("facemime.mend_take", text="Mend", icon="MODIFIER")
         row.operator("facemime.punch_in_take", icon="PASTEDOWN")
+        layout.operator("facemime.renew_neutral", icon="USER")
 
 
 class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):

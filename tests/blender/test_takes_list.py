@@ -170,6 +170,25 @@ def test_trimmed_and_mended_a_take_has_another_file_and_the_one_before_stays(imp
         bpy.ops.facemime.trim_take(start=8.0, end=9.0)
 
 
+def test_what_mending_changed_is_drawn_as_an_image(imported):
+    assert bpy.ops.facemime.mend_take(picture=True) == {"FINISHED"}
+    image = bpy.data.images["First Mended"]
+    assert image.packed_file is not None and min(image.size) > 500
+    pixels = np.array(image.pixels[:]).reshape(-1, 4)
+    assert (pixels == 1.0).all(axis=1).mean() > 0.8 and (np.ptp(pixels[:, :3], axis=1) > 0.2).any()
+
+
+def test_the_neutral_is_chosen_anew_from_the_face_at_the_scenes_frame(imported):
+    before = calibrate(takes_store.read(imported)).shape
+    bpy.context.scene.frame_set(36)
+    assert bpy.ops.facemime.renew_neutral() == {"FINISHED"}
+    take = takes_store.read(imported)
+    assert np.abs(calibrate(take).shape - take.shape[35]).max() < np.abs(before - take.shape[35]).max() / 3.0
+    bpy.context.scene.frame_set(900)
+    with pytest.raises(RuntimeError, match="No face was found"):
+        bpy.ops.facemime.renew_neutral()
+
+
 def test_another_take_is_punched_in_from_a_moment_on(imported, takes, tmp_path):
     other = performance(20)
     save_take(other, tmp_path / "Retake.facetake")
