@@ -17,6 +17,7 @@ from .storage import free_path, project_folder, relative
 from .takes_properties import FacemimeTake
 
 _FOLDER = "takes"
+_SOUNDS = (".wav", ".flac", ".mp3", ".ogg")
 
 
 def folder() -> Path:
@@ -76,6 +77,21 @@ def read(line: FacemimeTake) -> Take:
     if not path.is_file():
         raise SourceError(f"The file of the take {line.name} is not at {path}. Put it back, or import it again.")
     return _loaded(path, path.stat().st_mtime_ns)
+
+
+def video_of(scene: bpy.types.Scene, line: FacemimeTake) -> Path | None:
+    """The video that the take of `line` was made from: the step Source's, where the take names it; else None.
+
+    A sound file beside it with the same name goes first.
+    """
+    path = Path(bpy.path.abspath(scene.facemime.source.video))
+    try:
+        source = read(line).info.get("source")
+    except SourceError:
+        return None
+    if path.name != source or not path.is_file():
+        return None
+    return next((beside for suffix in _SOUNDS if (beside := path.with_suffix(suffix)).is_file()), path)
 
 
 def pack(line: FacemimeTake) -> None:

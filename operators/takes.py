@@ -7,6 +7,7 @@ from bpy.props import StringProperty
 
 from .. import takes_store
 from ..blender.sound import add_sound
+from ..core.errors import SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import from_csv, to_csv
 from ..live import heads_in
@@ -211,13 +212,21 @@ class FACEMIME_OT_add_sound(AsksForFile, OnTake, bpy.types.Operator):
     filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi;*.wav;*.flac;*.mp3;*.ogg", options={"HIDDEN"})
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the file where the take's own video is not at hand."""
+        if takes_store.video_of(context.scene, takes_store.chosen(context.scene)) is not None:
+            return self.execute(context)
+        return super().invoke(context, event)
+
     def work(self, context: bpy.types.Context) -> set[str]:
         """The work of `execute`."""
         scene = context.scene
-        take = takes_store.read(takes_store.chosen(scene))
-        offset = float(take.info.get("offset", 0.0))
-        frame = 1.0 - offset * scene.render.fps / scene.render.fps_base
-        add_sound(scene, Path(bpy.path.abspath(self.filepath)), frame)
+        line = takes_store.chosen(scene)
+        offset = float(takes_store.read(line).info.get("offset", 0.0))
+        path = Path(bpy.path.abspath(self.filepath)) if self.filepath else takes_store.video_of(scene, line)
+        if path is None:
+            raise SourceError("The video of the take is not at hand. Choose the file with its sound.")
+        add_sound(scene, path, 1.0 - offset * scene.render.fps / scene.render.fps_base)
         return {"FINISHED"}
 
 

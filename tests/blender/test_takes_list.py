@@ -274,6 +274,14 @@ def test_sound_lies_in_step_with_the_take(imported, tmp_path):
     editor = bpy.context.scene.sequence_editor
     strip = (editor.strips if hasattr(editor, "strips") else editor.sequences)[0]
     assert strip.frame_start == pytest.approx(1.0 - 0.4 * 25) and strip.frame_final_duration == 50
+    with pytest.raises(RuntimeError, match="not at hand"):
+        bpy.ops.facemime.add_sound()
+    (tmp_path / "performance.mp4").write_bytes(b"a video without sound")
+    (tmp_path / "sound.wav").rename(tmp_path / "performance.wav")
+    bpy.context.scene.facemime.source.video = str(tmp_path / "performance.mp4")
+    assert bpy.ops.facemime.add_sound() == {"FINISHED"}
+    strips = list(editor.strips if hasattr(editor, "strips") else editor.sequences)
+    assert len(strips) == 2 and len({strip.channel for strip in strips}) == 2
     with pytest.raises(RuntimeError, match="no sound"):
         bpy.ops.facemime.add_sound(filepath=str(tmp_path / "late.facetake"))
 
