@@ -311,12 +311,14 @@ class LiveWorker:
         """Feed the calibration that was asked for; without a neutral, the first one, from where a face is found."""
         asked = self._calibration
         if asked is not None and asked.add(time, result):
-            self._calibration = None
-            self.quality = asked.quality()
+            quality = asked.quality()
             try:
                 self.neutral = asked.neutral()
             except FacemimeError as error:
-                self.quality = Quality(False, str(error))
+                quality = Quality(False, str(error))
+            self.quality = quality
+            if self._calibration is asked:  # last, as whoever waits for the end then reads the rest
+                self._calibration = None
         if self.neutral is not None:
             self._first = None
         elif self._first is not None and (result.found or len(self._first)) and self._first.add(time, result):
