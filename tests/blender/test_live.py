@@ -416,3 +416,23 @@ def test_control_points_are_chosen_from_what_the_puppet_showed_and_act_at_once(t
     tick(CLICK)
     ticks_until(lambda: running().worker.heads[0].rig.control_points is not None)
     np.testing.assert_array_equal(running().worker.heads[0].rig.control_points, chosen.membership)
+
+
+def test_hiding_copying_and_another_scene_do_not_matter(take):
+    head = add_head(bpy.context)
+    bpy.context.scene.facemime.source.loop = True
+    bpy.ops.facemime.puppet()
+    ticks_until(moving)
+    bpy.ops.object.duplicate()
+    copy = bpy.context.active_object
+    snapshot = shown(copy)
+    head.hide_set(True)
+    first = bpy.context.scene
+    bpy.context.window.scene = bpy.data.scenes.new("Other")
+    number = running()._number
+    ticks_until(lambda: running()._number > number + 3)
+    bpy.context.window.scene = first
+    head.hide_set(False)
+    np.testing.assert_allclose(shown(copy), snapshot, atol=1e-6)
+    bpy.ops.facemime.stop_puppet()
+    assert head.data.shape_keys is None and copy.data.shape_keys is not None
