@@ -19,10 +19,15 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
         description="Also add the 52 ARKit face units as shape keys",
         default=False,
     )
-
     show_textures: BoolProperty(
         name="Show Textures",
         description="Let solid shading show the head's painted skin and eyes",
+        default=True,
+    )
+
+    frame_view: BoolProperty(
+        name="Frame in View",
+        description="Look at the head, which is as large as a real one, closely and from the front",
         default=True,
     )
 
@@ -40,9 +45,21 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
         head = add_head(context, units=self.units)
         head.location = context.scene.cursor.location
         space = context.space_data
-        if self.show_textures and isinstance(space, bpy.types.SpaceView3D) and space.shading.color_type == "MATERIAL":
-            space.shading.color_type = "TEXTURE"
+        if isinstance(space, bpy.types.SpaceView3D):
+            if self.show_textures and space.shading.color_type == "MATERIAL":
+                space.shading.color_type = "TEXTURE"
+            if self.frame_view:
+                _frame_selected(context)
         return {"FINISHED"}
+
+
+def _frame_selected(context: bpy.types.Context) -> None:
+    """Let the viewport show the face of what is selected, also where a button of its sidebar was pressed."""
+    view = next((region for region in context.area.regions if region.type == "WINDOW"), None)
+    if view is not None:
+        with context.temp_override(region=view):
+            bpy.ops.view3d.view_axis(type="FRONT")
+            bpy.ops.view3d.view_selected()
 
 
 def register() -> None:
