@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -61,9 +62,9 @@ def install(blender: Blender) -> None:
     blender.redraw()
 
 
-def started(suite: str, name: str) -> Blender:
+def started(suite: str, name: str, **options: Any) -> Blender:
     """A Blender that is not running yet; its screenshots go to build/gui/<suite>/<name>."""
-    return Blender(place_of(suite), f"{suite}/{name}")
+    return Blender(place_of(suite), f"{suite}/{name}", **options)
 
 
 @pytest.fixture(scope="module", params=SUITES)

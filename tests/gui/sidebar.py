@@ -38,7 +38,7 @@ def watched(name, draw):
 """
 """Which panels are open nobody tells either, but only open ones are drawn."""
 _TAG = "for area in bpy.context.window.screen.areas: area.tag_redraw()"
-_HEADER = 1.4
+_HEADER = 1.35
 """Height of a folded panel, in units of the interface."""
 _STEP = 0.75
 """Of a button's height, from one look to the next."""

@@ -22,8 +22,8 @@ bpy.ops.script.execute_preset(
 
 @pytest.fixture(scope="module")
 def blender() -> Iterator[Blender]:
-    """The newest Blender alone, as these tests are about our panels and not about its versions."""
-    with started("sid", "looks") as window:
+    """The newest Blender alone, as these tests are about our panels; high enough for all headers at twice the size."""
+    with started("sid", "looks", size=(1100, 1000)) as window:
         install(window)
         yield window
 
