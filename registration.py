@@ -1,6 +1,6 @@
 """What Blender is told of: one ordered tuple of modules, registered forwards and unregistered backwards."""
 
-from . import commands, panel_properties, properties, session, show, takes_properties, takes_store
+from .cli import commands
 from .operators import (
     bake,
     calibrate,
@@ -15,6 +15,8 @@ from .operators import (
     take_edits,
     takes,
 )
+from .scene import panel_properties, properties, takes_properties, takes_store
+from .sessions import session, show
 from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
 from .ui import expression as expression_panel

@@ -20,8 +20,8 @@ from bench.report import Table, bars, finish, parser
 from facemime.blender.head import add_head
 from facemime.blender.meshes import read_landmarks, write_landmarks
 from facemime.core.live.timing import STAGES
-from facemime.live import follow_settings, start_session
-from facemime.session import LiveSession
+from facemime.sessions.live import LiveSession
+from facemime.sessions.start import follow_settings, start_session
 
 LEVELS = {0: "1,781", 2: "26k", 3: "100k"}
 _PERIOD = 1.0 / 120.0

@@ -7,8 +7,6 @@ import bpy
 import numpy as np
 from bpy.props import StringProperty
 
-from .. import takes_store
-from ..bake_table import read_table, write_table
 from ..blender.bake import frames_of
 from ..blender.bake_keys import key_names
 from ..blender.meshes import is_head
@@ -17,10 +15,12 @@ from ..core.bake.key_map import KeyMap, best_preset, learn_map, load_map, preset
 from ..core.errors import FacemimeError, HeadError
 from ..core.files import replacing
 from ..core.retarget import calibrate
-from ..live import heads_in
 from ..puppet import puppet_head, puppet_heads
-from ..session import Session
-from ..settings import bake_settings, drive_options, pose_targets, puppet_settings
+from ..scene import takes_store
+from ..scene.bake_table import read_table, write_table
+from ..scene.settings import bake_settings, drive_options, pose_targets, puppet_settings
+from ..sessions.session import Session
+from ..sessions.start import heads_in
 from .shared import AsksForFile, OnHead, ReportsErrors, in_object_mode, register_all, unregister_all
 from .takes import OnTake
 

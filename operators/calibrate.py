@@ -3,8 +3,8 @@
 import bpy
 from bpy.props import EnumProperty, FloatProperty, StringProperty
 
-from ..session import COUNTDOWN
-from ..settings import add_performer, remove_performer
+from ..scene.settings import add_performer, remove_performer
+from ..sessions.live import COUNTDOWN
 from .puppet import running
 from .shared import ReportsErrors, register_all, unregister_all
 

@@ -15,7 +15,7 @@ from ..core.point_table import add_by_hand, drop_by_hand
 from ..core.retarget import Neutral, calibrate
 from ..core.takes.file import load_take
 from ..core.takes.take import Take
-from ..settings import puppet_settings
+from ..scene.settings import puppet_settings
 from .puppet import running
 from .shared import AsksForFile, OnHead, OnMesh, register_all, unregister_all
 

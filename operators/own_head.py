@@ -14,7 +14,7 @@ from ..blender.binding import (
 )
 from ..core.deform.binding import MARKS
 from ..core.landmarks import from_ibug
-from ..panel_properties import keep_findings
+from ..scene.panel_properties import keep_findings
 from .shared import OnMesh, in_object_mode, register_all, unregister_all
 
 

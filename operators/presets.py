@@ -5,7 +5,7 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
-from .. import presets
+from ..scene import presets
 from .shared import AsksForFile, ReportsErrors, register_all, unregister_all
 
 

@@ -3,8 +3,9 @@
 import bpy
 
 from ..core.errors import FacemimeError
-from ..live import follow_rigs, follow_settings, heads_in, start_session
-from ..session import LiveSession, Session
+from ..sessions.live import LiveSession
+from ..sessions.session import Session
+from ..sessions.start import follow_rigs, follow_settings, heads_in, start_session
 from .shared import ReportsErrors, register_all, unregister_all
 
 _TICK = 1.0 / 120.0

@@ -9,8 +9,8 @@ from ..blender.meshes import is_head, read_rig
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
 from ..puppet import puppet_head, puppet_heads
-from ..session import TrackingSession
-from ..settings import pose_targets, puppet_settings
+from ..scene.settings import pose_targets, puppet_settings
+from ..sessions.tracking import TrackingSession
 from .shared import AsksForFile, ReportsErrors, in_object_mode
 
 _TICK = 0.1

@@ -3,7 +3,6 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
-from .. import takes_store
 from ..blender.bake import seconds_of
 from ..blender.images import keep_picture
 from ..core.errors import FacemimeError
@@ -12,6 +11,7 @@ from ..core.takes.mend import bridge_gaps, remove_outliers, renew_neutral
 from ..core.takes.smooth import smooth_zero_phase
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, shift_time, trim
+from ..scene import takes_store
 from .shared import register_all, unregister_all
 from .takes import OnTake
 

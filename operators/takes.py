@@ -5,15 +5,15 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
-from .. import takes_store
 from ..blender.sound import add_sound
 from ..core.errors import SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import from_csv, to_csv
-from ..live import heads_in
-from ..recording import Recording, settle, start_recording, stop_recording
-from ..session import Session
-from ..show import TakeShow
+from ..scene import takes_store
+from ..sessions.recording import Recording, settle, start_recording, stop_recording
+from ..sessions.session import Session
+from ..sessions.show import TakeShow
+from ..sessions.start import heads_in
 from .puppet import running
 from .shared import AsksForFile, ReportsErrors, register_all, unregister_all
 

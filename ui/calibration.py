@@ -5,7 +5,7 @@ from bpy.app.translations import pgettext_iface as _
 
 from ..operators.puppet import running
 from ..operators.shared import register_all, unregister_all
-from ..session import COUNTDOWN
+from ..sessions.live import COUNTDOWN
 from .sidebar import Sidebar, labels, place
 
 

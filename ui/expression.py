@@ -2,8 +2,8 @@
 
 import bpy
 
-from .. import presets
 from ..operators.shared import register_all, unregister_all
+from ..scene import presets
 from .sidebar import Sidebar, place
 
 

@@ -14,7 +14,7 @@ import bpy.utils.previews
 import numpy as np
 
 from ..operators.puppet import running
-from ..session import LiveSession
+from ..sessions.live import LiveSession
 from .status import latency_text
 
 _MARGIN = 16

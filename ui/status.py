@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bpy.app.translations import pgettext_iface as _
 
-from ..session import LiveSession
+from ..sessions.live import LiveSession
 
 _NAMES = {
     "wait": "the source",

@@ -5,9 +5,9 @@ from bpy.app.translations import pgettext_iface as _
 
 from ..operators.puppet import running
 from ..operators.shared import register_all, unregister_all
-from ..recording import Recording
-from ..session import Session
-from ..show import TakeShow
+from ..sessions.recording import Recording
+from ..sessions.session import Session
+from ..sessions.show import TakeShow
 from .sidebar import Sidebar, labels, place
 
 _MAPPED = "mapped"

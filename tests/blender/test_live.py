@@ -20,10 +20,11 @@ from facemime.core.drive import HeadDriver
 from facemime.core.errors import HeadError
 from facemime.core.retarget import calibrate
 from facemime.core.takes.file import save_take
-from facemime.live import start_session
 from facemime.operators.puppet import FACEMIME_OT_puppet, running
-from facemime.session import LiveSession, Session
-from facemime.settings import drive_options, read_calibration, write_calibration
+from facemime.scene.settings import drive_options, read_calibration, write_calibration
+from facemime.sessions.live import LiveSession
+from facemime.sessions.session import Session
+from facemime.sessions.start import start_session
 from takes import performance
 
 TIMER = SimpleNamespace(type="TIMER", value="NOTHING", ctrl=False, oskey=False)

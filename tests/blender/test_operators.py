@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 import facemime
-from facemime import commands
 from facemime.blender.head import add_head
+from facemime.cli import commands
 from facemime.core.takes.file import load_take, save_take
 from facemime.operators.puppet_video import FACEMIME_OT_puppet_video
 from facemime.puppet import puppet_head
-from facemime.session import Session, TrackingSession
+from facemime.sessions.session import Session
+from facemime.sessions.tracking import TrackingSession
 from takes import performance
 
 SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"

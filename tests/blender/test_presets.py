@@ -5,7 +5,7 @@ import json
 import bpy
 import pytest
 
-from facemime import presets
+from facemime.scene import presets
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ from facemime.blender.head import add_head
 from facemime.blender.meshes import is_head, read_vertices
 from facemime.core.takes.file import save_take
 from facemime.operators.puppet import FACEMIME_OT_puppet
-from facemime.session import Session
+from facemime.sessions.session import Session
 from takes import performance
 
 STEPS = 12

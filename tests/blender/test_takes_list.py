@@ -10,7 +10,6 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime import takes_store
 from facemime.blender.bake_keys import BAKED_KEY_PREFIX
 from facemime.blender.frames import to_blender
 from facemime.blender.head import add_head
@@ -21,11 +20,12 @@ from facemime.core.drive import HeadDriver
 from facemime.core.retarget import calibrate
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.smooth import smooth_take
-from facemime.live import start_session
-from facemime.recording import Recording, settle
-from facemime.session import Session
-from facemime.settings import write_calibration
-from facemime.show import TakeShow
+from facemime.scene import takes_store
+from facemime.scene.settings import write_calibration
+from facemime.sessions.recording import Recording, settle
+from facemime.sessions.session import Session
+from facemime.sessions.show import TakeShow
+from facemime.sessions.start import start_session
 from takes import performance
 
 

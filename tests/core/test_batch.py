@@ -12,10 +12,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from facemime import cli
 from facemime.batch import run
 from facemime.batch.clips import Job, Namer, confidence_curve, find_clips, read_record, worst_frames, write_record
 from facemime.batch.report import Entry, write_report
+from facemime.cli import main as cli
 from facemime.core.errors import FacemimeError, OutputError, SourceError
 from facemime.core.files import locked
 from facemime.core.images import write_image
@@ -151,7 +151,7 @@ def test_without_dask_and_without_a_scheduler_that_is_said(monkeypatch):
 
 
 def test_dask_is_imported_only_when_asked_for():
-    code = "import sys, facemime.cli; sys.exit('distributed' in sys.modules)"
+    code = "import sys, facemime.cli.main; sys.exit('distributed' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -4,7 +4,7 @@ import io
 
 import numpy as np
 
-from facemime.console import Progress
+from facemime.cli.console import Progress
 from facemime.core.head import load_head
 from facemime.core.overlay import contact_sheet, draw_landmarks, label, picture_of_face, picture_of_frame
 

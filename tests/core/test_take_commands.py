@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime import cli
-from facemime.cli_takes import parse_cutoffs, parse_span
+from facemime.cli import main as cli
+from facemime.cli.takes import parse_cutoffs, parse_span
 from facemime.core.errors import FacemimeError, SourceError
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.mend import bridge_gaps, mirror_take

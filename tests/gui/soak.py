@@ -24,7 +24,7 @@ GROWTH = 0.5
 """MiB a minute, by a line through the second half: what is more is a leak, what is less is noise."""
 _START = f"""
 import sys, threading
-from {MODULE}.session import Session
+from {MODULE}.sessions.session import Session
 def counts():
     session = Session.current
     if session is None:

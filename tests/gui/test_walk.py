@@ -26,7 +26,7 @@ _TOOLS = f"""
 import sys, threading
 import numpy as np
 package = sys.modules[{MODULE!r}]
-from {MODULE}.session import Session
+from {MODULE}.sessions.session import Session
 from {MODULE}.core.landmarks import from_ibug
 from {MODULE}.blender.meshes import read_landmarks, read_regions, read_selection
 def shown(obj):
@@ -173,7 +173,7 @@ def test_a_take_is_recorded_by_clicks_and_shown_on_the_head_frame_by_frame(blend
     start(sidebar)
     sidebar.open_panel("FACEMIME_PT_takes")
     sidebar.press("bpy.ops.facemime.record_take")
-    blender.do(f"from {MODULE}.recording import Recording")
+    blender.do(f"from {MODULE}.sessions.recording import Recording")
     blender.wait_for("Recording.current is not None and Recording.current.frames > 20")
     blender.shot("recording")
     sidebar.press("bpy.ops.facemime.record_take")

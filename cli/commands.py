@@ -6,7 +6,7 @@ _handle = None
 
 
 def _run(arguments: list[str]) -> int:
-    from . import cli
+    from . import main as cli
 
     return cli.main(arguments)
 

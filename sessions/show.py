@@ -8,16 +8,16 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from .blender.bake import seconds_of
-from .blender.live import Follow, LiveHeadObject
-from .blender.meshes import read_rig
-from .core.drive import HeadDriver
-from .core.errors import HeadError
-from .core.retarget import calibrate
-from .core.takes.smooth import smooth_take
-from .core.takes.take import Take
+from ..blender.bake import seconds_of
+from ..blender.live import Follow, LiveHeadObject
+from ..blender.meshes import read_rig
+from ..core.drive import HeadDriver
+from ..core.errors import HeadError
+from ..core.retarget import calibrate
+from ..core.takes.smooth import smooth_take
+from ..core.takes.take import Take
+from ..scene.settings import drive_options, pose_targets
 from .session import Session
-from .settings import drive_options, pose_targets
 
 
 class TakeShow(Session):

@@ -8,8 +8,8 @@ from typing import Any
 
 import bpy
 
-from .core.errors import OutputError, SourceError
-from .core.files import replacing
+from ..core.errors import OutputError, SourceError
+from ..core.files import replacing
 from .properties import FacemimePosing, FacemimeSettings
 from .storage import user_folder
 

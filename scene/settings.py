@@ -11,22 +11,22 @@ from pathlib import Path
 
 import bpy
 
+from ..blender.targets import PoseTarget
+from ..core.drive import DriveOptions
+from ..core.errors import FacemimeError, SourceError
+from ..core.live.camera import Camera, CameraSettings, device_of, list_cameras
+from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
+from ..core.posing import Posing
+from ..core.retarget import Neutral
+from ..core.takes.file import load_take
+from ..puppet import BakeSettings, PuppetSettings
 from .bake_table import read_table
-from .blender.targets import PoseTarget
-from .core.drive import DriveOptions
-from .core.errors import FacemimeError, SourceError
-from .core.live.camera import Camera, CameraSettings, device_of, list_cameras
-from .core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
-from .core.posing import Posing
-from .core.retarget import Neutral
-from .core.takes.file import load_take
 from .properties import FacemimePosing, FacemimeSettings, FacemimeSource
-from .puppet import BakeSettings, PuppetSettings
 from .storage import project_folder
 from .takes_properties import FacemimeBake
 
 _TO_NEW_KEYS = BakeSettings()
-SAMPLE = Path(__file__).parent / "assets" / "sample" / "sample.mp4"
+SAMPLE = Path(__file__).parents[1] / "assets" / "sample" / "sample.mp4"
 
 
 def drive_options(settings: FacemimeSettings) -> DriveOptions:

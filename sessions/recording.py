@@ -7,12 +7,12 @@ from pathlib import Path
 
 import bpy
 
-from .core.errors import HeadError, OutputError
-from .core.takes.file import TakeWriter
-from .core.takes.take import describe
-from .core.tracking.result import TrackResult
-from .session import LiveSession
-from .takes_store import add, new_path
+from ..core.errors import HeadError, OutputError
+from ..core.takes.file import TakeWriter
+from ..core.takes.take import describe
+from ..core.tracking.result import TrackResult
+from ..scene.takes_store import add, new_path
+from .live import LiveSession
 
 
 class Recording:

@@ -1,125 +1,27 @@
-"""What has a lifetime: a worker thread that captures and tracks and never touches bpy, and what it moves.
-
-One session runs at a time. Whatever ends it (a button, ESC, another file, an undo, the extension disabled, Blender
-quitting) ends in `Session.close`.
-"""
+"""Heads moved by a live source: a worker thread captures and tracks, the main thread only shows."""
 
 from __future__ import annotations
 
-import atexit
 import contextlib
-import threading
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from pathlib import Path
 from time import perf_counter
 
-import bpy
 import numpy as np
-from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
-from .blender.live import LiveHeadObject, as_keys_take_it
-from .core.drive import HeadFrame
-from .core.errors import FacemimeError, HeadError
-from .core.live.sources import LiveSource
-from .core.live.timing import Delays, Stopwatch
-from .core.live.worker import LiveHead, LiveOptions, LiveResult, LiveWorker, Recorder
-from .core.pipeline import track_video
-from .core.retarget import Neutral
-from .core.takes.take import Take, TakeRecorder
-from .core.tracking.result import TrackResult
-from .core.tracking.tracker import FaceTracker
+from ..blender.live import LiveHeadObject, as_keys_take_it
+from ..core.drive import HeadFrame
+from ..core.errors import HeadError
+from ..core.live.sources import LiveSource
+from ..core.live.timing import Delays, Stopwatch
+from ..core.live.worker import LiveHead, LiveOptions, LiveResult, LiveWorker, Recorder
+from ..core.retarget import Neutral
+from .session import Session
 
 COUNTDOWN = 3.0
 """Seconds between asking for a calibration and taking it."""
 _DEFAULTS = LiveOptions()
-
-
-class Session:
-    """Base: the one session that runs."""
-
-    current: Session | None = None
-
-    def __init__(self) -> None:
-        if Session.current is not None:
-            Session.current.close()
-        Session.current = self
-
-    def close(self) -> None:
-        """End it; may be called twice."""
-        if Session.current is self:
-            Session.current = None
-
-    def abandon(self) -> None:
-        """End its threads alone, where Blender's data is gone already."""
-        self.close()
-
-    def suspend(self) -> None:
-        """Put what it moves back for a moment: to save the file without what is only shown."""
-
-    def resume(self) -> None:
-        """Show it again after `suspend`."""
-
-
-class TrackingSession(Session):
-    """Tracks a video in a thread of its own; `close` ends it at any time and keeps what was tracked.
-
-    Attributes
-    ----------
-    done, total : int
-        Frames tracked, and frames stated by the file.
-    """
-
-    def __init__(self, video: Path) -> None:
-        super().__init__()
-        self.video = Path(video)
-        self.done, self.total = 0, 0
-        self._stop = threading.Event()
-        self._recorder: TakeRecorder | None = None
-        self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._work, name="facemime-tracking", daemon=True)
-        self._thread.start()
-
-    @property
-    def running(self) -> bool:
-        """Whether the worker is still at it."""
-        return self._thread.is_alive()
-
-    def stop(self) -> None:
-        """Ask the worker to end after the frame in hand."""
-        self._stop.set()
-
-    def take(self) -> Take:
-        """Wait for the worker and return what it tracked.
-
-        Raises
-        ------
-        FacemimeError
-            What the worker met.
-        """
-        self._thread.join()
-        if self._error is not None:
-            raise self._error
-        if self._recorder is None:
-            raise FacemimeError("Tracking was stopped before the first frame. Start it again.")
-        return self._recorder.finish()
-
-    def close(self) -> None:
-        """End the worker and wait for it."""
-        self.stop()
-        self._thread.join()
-        super().close()
-
-    def _work(self) -> None:
-        try:
-            self._recorder = track_video(self.video, FaceTracker.load(), self._on_frame)
-        except Exception as error:  # handed over to the thread that asks for the take
-            self._error = error
-
-    def _on_frame(self, done: int, total: int, result: TrackResult) -> bool:
-        self.done, self.total = done, total
-        return not self._stop.is_set()
 
 
 class LiveSession(Session):
@@ -283,51 +185,3 @@ class LiveSession(Session):
     def _note(self, latest: LiveResult, asked: float) -> None:
         marks = (latest.taken, latest.began, latest.tracked, latest.driven, asked, perf_counter())
         self.stopwatch.add(Delays(tuple(after - before for before, after in pairwise(marks))))
-
-
-@persistent
-def _close_current(*_: object) -> None:
-    if Session.current is not None:
-        Session.current.close()
-
-
-@persistent
-def _suspend(*_: object) -> None:
-    if Session.current is not None:
-        Session.current.suspend()
-
-
-@persistent
-def _resume(*_: object) -> None:
-    if Session.current is not None:
-        Session.current.resume()
-
-
-def _abandon_current() -> None:
-    if Session.current is not None:
-        Session.current.abandon()
-
-
-_HANDLERS = {
-    "load_pre": _close_current,
-    "undo_pre": _close_current,
-    "redo_pre": _close_current,
-    "save_pre": _suspend,
-    "save_post": _resume,
-    "save_post_fail": _resume,
-}
-
-
-def register() -> None:
-    """End a running session before another file is loaded or a step undone, and at Blender's end."""
-    for name, handler in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(handler)
-    atexit.register(_abandon_current)
-
-
-def unregister() -> None:
-    """End a running session with the extension."""
-    _close_current()
-    for name, handler in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).remove(handler)
-    atexit.unregister(_abandon_current)

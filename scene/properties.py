@@ -11,8 +11,8 @@ from bpy.props import (
     StringProperty,
 )
 
-from .core.live.camera import list_cameras
-from .operators.shared import register_all, unregister_all
+from ..core.live.camera import list_cameras
+from ..operators.shared import register_all, unregister_all
 
 
 def _cameras(self: bpy.types.PropertyGroup, context: bpy.types.Context, typed: str) -> list[str]:

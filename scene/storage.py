@@ -6,11 +6,14 @@ from pathlib import Path
 
 import bpy
 
+EXTENSION = __package__.rpartition(".")[0]
+"""What Blender knows the extension by."""
+
 
 def user_folder(name: str) -> Path:
     """The folder `name` of the extension, which outlives files and versions."""
     try:
-        return Path(bpy.utils.extension_path_user(__package__, path=name))
+        return Path(bpy.utils.extension_path_user(EXTENSION, path=name))
     except ValueError:  # run from the source tree, not as an installed extension
         return Path(bpy.utils.user_resource("CONFIG", path=f"facemime/{name}"))
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
-from .core.errors import FacemimeError, SourceError
-from .core.takes.file import SUFFIX, load_take, save_take, take_of
-from .core.takes.take import Take
+from ..core.errors import FacemimeError, SourceError
+from ..core.takes.file import SUFFIX, load_take, save_take, take_of
+from ..core.takes.take import Take
 from .storage import free_path, project_folder, relative
 from .takes_properties import FacemimeTake
 

@@ -11,8 +11,8 @@ from bpy.props import (
     StringProperty,
 )
 
-from .core.bake.arkit import COEFFICIENTS
-from .operators.shared import register_all, unregister_all
+from ..core.bake.arkit import COEFFICIENTS
+from ..operators.shared import register_all, unregister_all
 
 
 class FacemimeTake(bpy.types.PropertyGroup):

@@ -6,17 +6,17 @@ import argparse
 import sys
 from pathlib import Path
 
-from .core.errors import FacemimeError
-from .core.files import check_writable
-from .core.images import write_image
-from .core.takes.figure import draw_before_after
-from .core.takes.file import SUFFIX, load_take, save_take
-from .core.takes.mend import bridge_gaps, mirror_take, remove_outliers, renew_neutral
-from .core.takes.smooth import CUTOFFS, smooth_take, smooth_zero_phase
-from .core.takes.spreadsheet import from_csv, to_csv
-from .core.takes.take import Take
-from .core.takes.timing import punch_in, resample, shift_time, trim
-from .core.tracking.tracker import FaceTracker
+from ..core.errors import FacemimeError
+from ..core.files import check_writable
+from ..core.images import write_image
+from ..core.takes.figure import draw_before_after
+from ..core.takes.file import SUFFIX, load_take, save_take
+from ..core.takes.mend import bridge_gaps, mirror_take, remove_outliers, renew_neutral
+from ..core.takes.smooth import CUTOFFS, smooth_take, smooth_zero_phase
+from ..core.takes.spreadsheet import from_csv, to_csv
+from ..core.takes.take import Take
+from ..core.takes.timing import punch_in, resample, shift_time, trim
+from ..core.tracking.tracker import FaceTracker
 
 Commands = argparse._SubParsersAction  # argparse names the type of what add_subparsers gives in no other way
 

@@ -11,19 +11,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .batch.clips import Job, Namer, find_clips, read_record, worst_frames, write_record
-from .batch.report import Entry, jpeg_of, write_report
-from .batch.run import DaskRunner, LocalRunner, Runner
-from .cli_takes import Commands
+from ..batch.clips import Job, Namer, find_clips, read_record, worst_frames, write_record
+from ..batch.report import Entry, jpeg_of, write_report
+from ..batch.run import DaskRunner, LocalRunner, Runner
+from ..core.capture import VideoSource
+from ..core.deform.kernels import KERNELS
+from ..core.drive import INFORMED
+from ..core.errors import FacemimeError, SourceError
+from ..core.files import check_writable, locked
+from ..core.overlay import picture_of_frame
+from ..core.takes.file import SUFFIX, load_take
+from ..core.takes.take import Take
 from .console import Progress
-from .core.capture import VideoSource
-from .core.deform.kernels import KERNELS
-from .core.drive import INFORMED
-from .core.errors import FacemimeError, SourceError
-from .core.files import check_writable, locked
-from .core.overlay import picture_of_frame
-from .core.takes.file import SUFFIX, load_take
-from .core.takes.take import Take
+from .takes import Commands
 
 _THUMBNAIL = (240, 180)
 _MOST_FAILED = 99
@@ -60,7 +60,7 @@ def add_commands(commands: Commands) -> None:
 
 def run_clip(arguments: argparse.Namespace) -> int:
     """`facemime clip`: one clip to a head, a take, a sheet and a record; two at once do it once."""
-    from . import cli
+    from . import main as cli
 
     job = Namer(_settings(arguments)).job(_chosen(find_clips([arguments.source]), arguments.number))
     folder = arguments.output

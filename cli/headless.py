@@ -12,25 +12,25 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .blender.bake import frames_of
-from .blender.bake_cache import caches_beside
-from .blender.head import add_head
-from .blender.meshes import read_rig, write_selection
-from .blender.names import LANDMARKS_PROPERTY
-from .blender.preview_scene import setup_preview
-from .blender.rendering import quiet, render_frames, set_rate, write_video
+from ..blender.bake import frames_of
+from ..blender.bake_cache import caches_beside
+from ..blender.head import add_head
+from ..blender.meshes import read_rig, write_selection
+from ..blender.names import LANDMARKS_PROPERTY
+from ..blender.preview_scene import setup_preview
+from ..blender.rendering import quiet, render_frames, set_rate, write_video
+from ..core.bake.key_map import load_map
+from ..core.capture import Frame, VideoSource, at_constant_rate
+from ..core.deform.greedy import GreedySelection
+from ..core.drive import DriveOptions
+from ..core.errors import FacemimeError, HeadError, SourceError
+from ..core.files import replacing
+from ..core.images import write_image
+from ..core.motion import most_different
+from ..core.overlay import contact_sheet, label, picture_of_face, picture_of_frame
+from ..core.takes.take import Take
+from ..puppet import BakeSettings, PuppetReport, PuppetSettings, puppet_head
 from .console import Progress
-from .core.bake.key_map import load_map
-from .core.capture import Frame, VideoSource, at_constant_rate
-from .core.deform.greedy import GreedySelection
-from .core.drive import DriveOptions
-from .core.errors import FacemimeError, HeadError, SourceError
-from .core.files import replacing
-from .core.images import write_image
-from .core.motion import most_different
-from .core.overlay import contact_sheet, label, picture_of_face, picture_of_frame
-from .core.takes.take import Take
-from .puppet import BakeSettings, PuppetReport, PuppetSettings, puppet_head
 
 Image = NDArray[np.uint8]
 

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
-from .blender.live import Follow, LiveHeadObject
-from .blender.meshes import is_head, read_rig
-from .core.drive import HeadRig
-from .core.errors import HeadError
-from .core.live.worker import LiveHead, LiveOptions
-from .properties import FacemimeSettings
-from .session import LiveSession
-from .settings import drive_options, open_source, pose_targets, read_calibration, write_calibration
+from ..blender.live import Follow, LiveHeadObject
+from ..blender.meshes import is_head, read_rig
+from ..core.drive import HeadRig
+from ..core.errors import HeadError
+from ..core.live.worker import LiveHead, LiveOptions
+from ..scene.properties import FacemimeSettings
+from ..scene.settings import drive_options, open_source, pose_targets, read_calibration, write_calibration
+from .live import LiveSession
 
 
 def heads_in(context: bpy.types.Context) -> list[bpy.types.Object]:

@@ -4,10 +4,10 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.props import BoolProperty, CollectionProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from .core.deform.check import Finding
-from .core.deform.greedy import DEFAULT_TOLERANCE
-from .core.landmarks import IBUG68_INDICES, N_LANDMARKS
-from .operators.shared import register_all, unregister_all
+from ..core.deform.check import Finding
+from ..core.deform.greedy import DEFAULT_TOLERANCE
+from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
+from ..operators.shared import register_all, unregister_all
 
 
 class FacemimeSteps(bpy.types.PropertyGroup):

@@ -15,26 +15,26 @@ from pathlib import Path
 
 import numpy as np
 
-from .cli_batch import add_commands as add_batch_commands
-from .cli_batch import add_head_options
-from .cli_takes import add_commands as add_take_commands
-from .cli_takes import load_telling
+from ..core.control_points import from_json, parse_landmarks, select_for_take, to_json
+from ..core.deform.regions import REGIONS
+from ..core.drive import built_in_rig
+from ..core.errors import FacemimeError, SourceError
+from ..core.files import check_writable, replacing
+from ..core.images import IMAGE_SUFFIXES, read_image, write_image
+from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
+from ..core.overlay import draw_landmarks
+from ..core.pipeline import track_video
+from ..core.retarget import calibrate
+from ..core.takes.file import SUFFIX, load_take, save_take
+from ..core.takes.smooth import smooth_take
+from ..core.takes.take import Take
+from ..core.tracking.tracker import FaceTracker
+from ..core.version import version
+from .batch import add_commands as add_batch_commands
+from .batch import add_head_options
 from .console import Progress
-from .core.control_points import from_json, parse_landmarks, select_for_take, to_json
-from .core.deform.regions import REGIONS
-from .core.drive import built_in_rig
-from .core.errors import FacemimeError, SourceError
-from .core.files import check_writable, replacing
-from .core.images import IMAGE_SUFFIXES, read_image, write_image
-from .core.landmarks import IBUG68_INDICES, N_LANDMARKS
-from .core.overlay import draw_landmarks
-from .core.pipeline import track_video
-from .core.retarget import calibrate
-from .core.takes.file import SUFFIX, load_take, save_take
-from .core.takes.smooth import smooth_take
-from .core.takes.take import Take
-from .core.tracking.tracker import FaceTracker
-from .core.version import version
+from .takes import add_commands as add_take_commands
+from .takes import load_telling
 
 INTERRUPTED = 130
 _UNFINISHED = f".unfinished{SUFFIX}"
@@ -281,7 +281,3 @@ def _images(paths: Sequence[Path]) -> list[Path]:
     if not files:
         raise SourceError("There is no picture in the folders given. JPEG, PNG, BMP, TIFF and WebP are read.")
     return files
-
-
-if __name__ == "__main__":
-    sys.exit(main())

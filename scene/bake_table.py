@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .core.bake.key_map import KeyMap, KeyRow
-from .core.errors import FacemimeError
+from ..core.bake.key_map import KeyMap, KeyRow
+from ..core.errors import FacemimeError
 from .takes_properties import FacemimeBake
 
 

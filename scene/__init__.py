@@ -1,0 +1,1 @@
+"""What a scene and the user keep: properties, their plain values, files."""

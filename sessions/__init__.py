@@ -1,0 +1,1 @@
+"""What has a lifetime: threads, what they move, and what is recorded of it."""

@@ -1,0 +1,86 @@
+"""What has a lifetime: threads that never touch bpy, and what they move.
+
+One session runs at a time. Whatever ends it (a button, ESC, another file, an undo, the extension disabled, Blender
+quitting) ends in `Session.close`.
+"""
+
+from __future__ import annotations
+
+import atexit
+
+import bpy
+from bpy.app.handlers import persistent
+
+
+class Session:
+    """Base: the one session that runs."""
+
+    current: Session | None = None
+
+    def __init__(self) -> None:
+        if Session.current is not None:
+            Session.current.close()
+        Session.current = self
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+        if Session.current is self:
+            Session.current = None
+
+    def abandon(self) -> None:
+        """End its threads alone, where Blender's data is gone already."""
+        self.close()
+
+    def suspend(self) -> None:
+        """Put what it moves back for a moment: to save the file without what is only shown."""
+
+    def resume(self) -> None:
+        """Show it again after `suspend`."""
+
+
+@persistent
+def _close_current(*_: object) -> None:
+    if Session.current is not None:
+        Session.current.close()
+
+
+@persistent
+def _suspend(*_: object) -> None:
+    if Session.current is not None:
+        Session.current.suspend()
+
+
+@persistent
+def _resume(*_: object) -> None:
+    if Session.current is not None:
+        Session.current.resume()
+
+
+def _abandon_current() -> None:
+    if Session.current is not None:
+        Session.current.abandon()
+
+
+_HANDLERS = {
+    "load_pre": _close_current,
+    "undo_pre": _close_current,
+    "redo_pre": _close_current,
+    "save_pre": _suspend,
+    "save_post": _resume,
+    "save_post_fail": _resume,
+}
+
+
+def register() -> None:
+    """End a running session before another file is loaded or a step undone, and at Blender's end."""
+    for name, handler in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(handler)
+    atexit.register(_abandon_current)
+
+
+def unregister() -> None:
+    """End a running session with the extension."""
+    _close_current()
+    for name, handler in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).remove(handler)
+    atexit.unregister(_abandon_current)
