@@ -4,6 +4,7 @@ from .cli import commands
 from .operators import (
     bake,
     calibrate,
+    camera,
     control_points,
     facegen,
     head,
@@ -15,7 +16,7 @@ from .operators import (
     take_edits,
     takes,
 )
-from .scene import panel_properties, properties, takes_properties, takes_store
+from .scene import panel_properties, preferences, properties, takes_properties, takes_store
 from .sessions import session, show
 from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
@@ -29,6 +30,7 @@ from .ui import takes as takes_panels
 
 _MODULES = (
     translations,
+    preferences,
     properties,
     panel_properties,
     takes_properties,
@@ -40,6 +42,7 @@ _MODULES = (
     control_points,
     puppet_video,
     puppet,
+    camera,
     calibrate,
     presets,
     takes,

@@ -20,6 +20,7 @@ from bench.report import Table, bars, finish, parser
 from facemime.blender.head import add_head
 from facemime.blender.meshes import read_landmarks, write_landmarks
 from facemime.core.live.timing import STAGES
+from facemime.scene.preferences import preferences
 from facemime.sessions.live import LiveSession
 from facemime.sessions.start import follow_settings, start_session
 
@@ -71,7 +72,8 @@ def measure(level: int, preview: bool, seconds: float) -> Measured:
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     head = dense_head(level)
     settings = bpy.context.scene.facemime
-    settings.source.kind, settings.source.loop, settings.source.preview = "SAMPLE", True, preview
+    settings.source.kind, settings.source.loop = "SAMPLE", True
+    preferences().preview = preview
     session = start_session(bpy.context.scene, [head])
     try:
         return _ticked(session, settings, seconds, len(head.data.vertices), preview)

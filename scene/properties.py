@@ -11,20 +11,11 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..core.live.camera import list_cameras
 from ..operators.shared import register_all, unregister_all
 
 
-def _cameras(self: bpy.types.PropertyGroup, context: bpy.types.Context, typed: str) -> list[str]:
-    return [str(camera) for camera in list_cameras()]
-
-
-_SUGGESTED = {"search": _cameras, "search_options": {"SUGGESTION"}} if bpy.app.version >= (4, 5) else {}
-"""Blender 4.2 ends in a crash after an extension was removed of which a property had a search callback."""
-
-
 class FacemimeSource(bpy.types.PropertyGroup):
-    """Where the face is seen."""
+    """Where the face is seen; which camera is the user's, see `preferences.py`."""
 
     kind: EnumProperty(
         name="Source",
@@ -38,24 +29,12 @@ class FacemimeSource(bpy.types.PropertyGroup):
         ),
         default="SAMPLE",
     )
-    camera: StringProperty(
-        name="Camera",
-        description="The camera's number or name, or the address of a stream, such as a telephone's",
-        default="0",
-        **_SUGGESTED,
-    )
-    width: IntProperty(name="Width", subtype="PIXEL", default=640, min=160, max=7680)
-    height: IntProperty(name="Height", subtype="PIXEL", default=480, min=120, max=4320)
     rate: FloatProperty(name="Rate", description="Frames a second", default=30.0, min=1.0, max=240.0)
     video: StringProperty(name="Video", subtype="FILE_PATH")
     folder: StringProperty(name="Folder", subtype="DIR_PATH")
     take: StringProperty(name="Take", subtype="FILE_PATH")
     loop: BoolProperty(name="Loop", description="Start over at the end", default=True)
     speed: FloatProperty(name="Speed", description="1 is as recorded", default=1.0, min=0.05, max=20.0, soft_max=4.0)
-    preview: BoolProperty(
-        name="Preview", description="Show the picture and the landmarks in the viewport's corner", default=True
-    )
-    preview_size: IntProperty(name="Size", description="Of the preview", subtype="PIXEL", default=240, min=80, max=640)
 
 
 class FacemimePosing(bpy.types.PropertyGroup):

@@ -21,6 +21,7 @@ from ..core.retarget import Neutral
 from ..core.takes.file import load_take
 from ..puppet import BakeSettings, PuppetSettings
 from .bake_table import read_table
+from .preferences import preferences
 from .properties import FacemimePosing, FacemimeSettings, FacemimeSource
 from .storage import project_folder
 from .takes_properties import FacemimeBake
@@ -82,7 +83,7 @@ def open_source(source: FacemimeSource) -> LiveSource:
     """
     playing = {"loop": source.loop, "speed": source.speed}
     if source.kind == "CAMERA":
-        return _camera(source)
+        return _camera()
     if source.kind == "SAMPLE":
         return VideoPlayer(SAMPLE, **playing)
     if source.kind == "VIDEO":
@@ -93,15 +94,16 @@ def open_source(source: FacemimeSource) -> LiveSource:
     return TakePlayer(load_take(path), path.name, **playing)
 
 
-def _camera(source: FacemimeSource) -> Camera:
-    device = device_of(source.camera, list_cameras())
+def _camera() -> Camera:
+    chosen = preferences()
+    device = device_of(chosen.camera, list_cameras())
     if not device:
         raise SourceError("No camera is named. Give its number: 0 is the first.")
     if "://" in device and not bpy.app.online_access:
         raise SourceError(
             f"{device} is on the network, and Blender may not go there. Allow Online Access in Preferences > System."
         )
-    return Camera(CameraSettings(device, source.width, source.height, source.rate))
+    return Camera(CameraSettings(device, chosen.width, chosen.height, chosen.rate))
 
 
 def _chosen(path: str, what: str) -> Path:

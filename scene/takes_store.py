@@ -13,6 +13,7 @@ from bpy.app.handlers import persistent
 from ..core.errors import FacemimeError, SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take, take_of
 from ..core.takes.take import Take
+from .preferences import preferences
 from .storage import free_path, project_folder, relative
 from .takes_properties import FacemimeTake
 
@@ -21,8 +22,9 @@ _SOUNDS = (".wav", ".flac", ".mp3", ".ogg")
 
 
 def folder() -> Path:
-    """Where new takes go: `takes` beside the .blend, or the user's folder while the file has no name."""
-    return project_folder(_FOLDER)
+    """Where new takes go: `takes` beside the .blend; while that has no name, the folder that the preferences say."""
+    named = preferences().takes_folder
+    return Path(bpy.path.abspath(named)) if named and not bpy.data.filepath else project_folder(_FOLDER)
 
 
 def chosen(scene: bpy.types.Scene) -> FacemimeTake:

@@ -12,6 +12,7 @@ from ..blender.meshes import is_head, read_rig
 from ..core.drive import HeadRig
 from ..core.errors import HeadError
 from ..core.live.worker import LiveHead, LiveOptions
+from ..scene.preferences import preferences
 from ..scene.properties import FacemimeSettings
 from ..scene.settings import drive_options, open_source, pose_targets, read_calibration, write_calibration
 from .live import LiveSession
@@ -60,8 +61,8 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
 
 def live_options(settings: FacemimeSettings) -> LiveOptions:
     """What the worker does beside driving."""
-    source = settings.source
-    return LiveOptions(smoothing=settings.smoothing, preview=source.preview_size if source.preview else 0)
+    chosen = preferences()
+    return LiveOptions(smoothing=settings.smoothing, preview=chosen.preview_size if chosen.preview else 0)
 
 
 def follow_settings(session: LiveSession, settings: FacemimeSettings) -> None:

@@ -6,8 +6,12 @@ import bpy
 
 from ..core.live.camera import list_cameras
 from ..operators.puppet import running
+from ..operators.shared import register_all, unregister_all
+from ..scene.preferences import draw_camera, draw_preview, preferences
 from .preview import panel_icon
 from .sidebar import Sidebar, labels, place
+
+_NUMBERS = 4
 
 
 class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
@@ -21,11 +25,11 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
         layout = self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
-        source = context.scene.facemime.source
+        source, chosen = context.scene.facemime.source, preferences()
         layout.prop(source, "kind", text="")
         column = layout.column()
         if source.kind == "CAMERA":
-            _draw_camera(column, context, source)
+            _draw_camera(column, context)
         else:
             if source.kind != "SAMPLE":
                 column.prop(source, {"VIDEO": "video", "PICTURES": "folder", "TAKE": "take"}[source.kind])
@@ -33,22 +37,15 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
                 column.prop(source, "rate")
             column.prop(source, "loop")
             column.prop(source, "speed")
-        row = layout.row(heading="Preview", align=True)
-        row.prop(source, "preview", text="")
-        size = row.row(align=True)
-        size.active = source.preview
-        size.prop(source, "preview_size", text="")
+        draw_preview(layout, chosen)
         session = running()
-        if source.preview and session is not None and (icon := panel_icon(session)):
+        if chosen.preview and session is not None and (icon := panel_icon(session)):
             layout.template_icon(icon_value=icon, scale=7.0)
 
 
-def _draw_camera(layout: bpy.types.UILayout, context: bpy.types.Context, source: bpy.types.PropertyGroup) -> None:
-    layout.prop(source, "camera")
-    column = layout.column(align=True)
-    column.prop(source, "width", text="Size")
-    column.prop(source, "height", text=" ")
-    column.prop(source, "rate")
+def _draw_camera(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    chosen = preferences()
+    draw_camera(layout, chosen)
     if sys.platform == "darwin":
         labels(
             layout,
@@ -56,15 +53,29 @@ def _draw_camera(layout: bpy.types.UILayout, context: bpy.types.Context, source:
             "macOS asks for leave at the first start: start Blender from Terminal, and allow it",
             "INFO",
         )
-    elif sys.platform == "linux" and source.camera.strip().isdecimal() and not list_cameras():
+    elif sys.platform == "linux" and chosen.camera.strip().isdecimal() and not list_cameras():
         labels(layout, context, "This computer has no camera: use a video, or a telephone's stream", "INFO")
 
 
+class FACEMIME_MT_cameras(bpy.types.Menu):
+    """The cameras that the system tells of; where it tells nothing, the first numbers"""
+
+    bl_label = "Cameras"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw one line a camera."""
+        for camera in [str(camera) for camera in list_cameras()] or [str(number) for number in range(_NUMBERS)]:
+            self.layout.operator("facemime.choose_camera", text=camera, translate=False).camera = camera
+
+
+_CLASSES = (FACEMIME_MT_cameras, FACEMIME_PT_source)
+
+
 def register() -> None:
-    """Register the panel."""
-    bpy.utils.register_class(FACEMIME_PT_source)
+    """Register the panel and its menu."""
+    register_all(_CLASSES)
 
 
 def unregister() -> None:
-    """Unregister the panel."""
-    bpy.utils.unregister_class(FACEMIME_PT_source)
+    """Unregister them."""
+    unregister_all(_CLASSES)

@@ -21,6 +21,7 @@ from facemime.core.errors import HeadError
 from facemime.core.retarget import calibrate
 from facemime.core.takes.file import save_take
 from facemime.operators.puppet import FACEMIME_OT_puppet, running
+from facemime.scene.preferences import preferences
 from facemime.scene.settings import drive_options, read_calibration, write_calibration
 from facemime.sessions.live import LiveSession
 from facemime.sessions.session import Session
@@ -349,7 +350,8 @@ def test_a_source_that_is_not_there_is_reported_and_leaves_the_head_alone(tmp_pa
     source = bpy.context.scene.facemime.source
     source.kind = kind
     path = name if "://" in name or not name else str(tmp_path / name)
-    source.video = source.folder = source.take = source.camera = path
+    source.video = source.folder = source.take = path
+    monkeypatch.setattr(preferences(), "camera", path)
     reports = []
     try:
         outcome = bpy.ops.facemime.puppet()
