@@ -28,7 +28,12 @@ def frames_of(scene: bpy.types.Scene, times: NDArray[np.floating], start: float 
 
 def seconds_of(scene: bpy.types.Scene, start: float = 1.0) -> float:
     """The media's time at the scene's current frame, as `frames_of` puts it there."""
-    return float((scene.frame_current_final - start) * scene.render.fps_base / scene.render.fps)
+    return seconds_at(scene, scene.frame_current_final, start)
+
+
+def seconds_at(scene: bpy.types.Scene, frame: float, start: float = 1.0) -> float:
+    """The media's time at `frame` of the scene."""
+    return float((frame - start) * scene.render.fps_base / scene.render.fps)
 
 
 def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, old_keys: bool) -> None:

@@ -10,7 +10,7 @@ from ..core.takes.figure import draw_before_after
 from ..core.takes.mend import bridge_gaps, remove_outliers, renew_neutral
 from ..core.takes.smooth import smooth_zero_phase
 from ..core.takes.take import Take
-from ..core.takes.timing import punch_in, shift_time, trim
+from ..core.takes.timing import punch_in, restart, shift_time, trim
 from ..scene import takes_store
 from .shared import register_all, unregister_all
 from .takes import OnTake
@@ -50,8 +50,7 @@ class FACEMIME_OT_trim_take(ChangesTake, bpy.types.Operator):
     def changed(self, context: bpy.types.Context, take: Take) -> Take:
         """The part of `take`."""
         first = float(take.times[0])
-        part = trim(take, first + self.start, first + self.end)
-        return shift_time(part, -float(part.times[0]))
+        return restart(trim(take, first + self.start, first + self.end))
 
 
 class FACEMIME_OT_mend_take(ChangesTake, bpy.types.Operator):

@@ -5,8 +5,6 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
-from ..blender.sound import add_sound
-from ..core.errors import SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import from_csv, to_csv
 from ..scene import takes_store
@@ -15,7 +13,7 @@ from ..sessions.session import Session
 from ..sessions.show import TakeShow
 from ..sessions.start import heads_in
 from .puppet import running
-from .shared import AsksForFile, ReportsErrors, register_all, unregister_all
+from .shared import AsksForFile, ReportsErrors, push_undo, register_all, unregister_all
 
 _WATCH = 0.25
 
@@ -64,10 +62,13 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
             start_recording(running(), context.scene, self.name)
             bpy.app.timers.register(_watch, first_interval=_WATCH)
             return {"FINISHED"}
+        recording = Recording.current
         try:
             stop_recording()
         finally:
             listed = settle()
+        if recording.video_failed:
+            self.report({"WARNING"}, f"No video could be written beside {recording.path.name}. Is the disk full?")
         if listed:
             bpy.ops.ed.undo_push(message="Record Take")
         return {"FINISHED"}
@@ -202,34 +203,6 @@ class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FACEMIME_OT_add_sound(AsksForFile, OnTake, bpy.types.Operator):
-    """Put the sound of the take's video, or of a file beside it, onto the sequencer, in step with the take"""
-
-    bl_idname = "facemime.add_sound"
-    bl_label = "Add Sound"
-    bl_options = {"REGISTER", "UNDO"}
-
-    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
-    filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi;*.wav;*.flac;*.mp3;*.ogg", options={"HIDDEN"})
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the file where the take's own video is not at hand."""
-        if takes_store.video_of(context.scene, takes_store.chosen(context.scene)) is not None:
-            return self.execute(context)
-        return super().invoke(context, event)
-
-    def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
-        scene = context.scene
-        line = takes_store.chosen(scene)
-        offset = float(takes_store.read(line).info.get("offset", 0.0))
-        path = Path(bpy.path.abspath(self.filepath)) if self.filepath else takes_store.video_of(scene, line)
-        if path is None:
-            raise SourceError("The video of the take is not at hand. Choose the file with its sound.")
-        add_sound(scene, path, 1.0 - offset * scene.render.fps / scene.render.fps_base)
-        return {"FINISHED"}
-
-
 def _watch() -> float | None:
     """List a recording that ended with its session; every now and then until it has."""
     recording = Recording.current
@@ -237,9 +210,8 @@ def _watch() -> float | None:
         return None
     if recording.running:
         return _WATCH
-    if settle() and (windows := bpy.context.window_manager.windows):
-        with bpy.context.temp_override(window=windows[0]):
-            bpy.ops.ed.undo_push(message="Record Take")
+    if settle():
+        push_undo("Record Take")
     return None
 
 
@@ -251,7 +223,6 @@ _CLASSES = (
     FACEMIME_OT_import_take,
     FACEMIME_OT_export_take,
     FACEMIME_OT_pack_take,
-    FACEMIME_OT_add_sound,
 )
 
 

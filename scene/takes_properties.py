@@ -83,6 +83,9 @@ class FacemimeTakes(bpy.types.PropertyGroup):
 
     items: CollectionProperty(type=FacemimeTake)
     index: IntProperty(name="Take", default=0, min=0)
+    video: BoolProperty(
+        name="Keep Video", description="Write what is seen beside the take: to look at, and to track again"
+    )
     bake: PointerProperty(type=FacemimeBake)
 
 

@@ -82,18 +82,19 @@ def read(line: FacemimeTake) -> Take:
 
 
 def video_of(scene: bpy.types.Scene, line: FacemimeTake) -> Path | None:
-    """The video that the take of `line` was made from: the step Source's, where the take names it; else None.
-
-    A sound file beside it with the same name goes first.
-    """
-    path = Path(bpy.path.abspath(scene.facemime.source.video))
+    """The video that the take of `line` names as its source, beside it or chosen under Source; None where it is not."""
     try:
         source = read(line).info.get("source")
     except SourceError:
         return None
-    if path.name != source or not path.is_file():
-        return None
-    return next((beside for suffix in _SOUNDS if (beside := path.with_suffix(suffix)).is_file()), path)
+    beside = Path(bpy.path.abspath(line.path)).parent / str(source)
+    chosen_one = Path(bpy.path.abspath(scene.facemime.source.video))
+    return next((path for path in (beside, chosen_one) if path.name == source and path.is_file()), None)
+
+
+def sound_beside(video: Path) -> Path:
+    """The sound file beside `video` with the same name, which may be better than its own; else `video`."""
+    return next((path for suffix in _SOUNDS if (path := video.with_suffix(suffix)).is_file()), video)
 
 
 def pack(line: FacemimeTake) -> None:

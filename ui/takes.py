@@ -5,6 +5,7 @@ from bpy.app.translations import pgettext_iface as _
 
 from ..operators.puppet import running
 from ..operators.shared import register_all, unregister_all
+from ..sessions.punch_in import PunchIn
 from ..sessions.recording import Recording
 from ..sessions.session import Session
 from ..sessions.show import TakeShow
@@ -57,8 +58,13 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
         column.operator(
             "facemime.record_take", text="Record Take" if idle else "Stop Recording", icon="REC", depress=not idle
         )
+        row = layout.row()
+        row.active = idle
+        row.prop(takes, "video")
         if recording is not None:
             labels(layout, context, _("{count} frames recorded").format(count=recording.frames), "DISK_DRIVE")
+        elif PunchIn.current is not None:
+            labels(layout, context, _("Recording in {seconds:.0f} s").format(seconds=PunchIn.current.ahead), "TIME")
         elif running() is None and not len(takes.items):
             labels(layout, context, "Start the puppet to record, or import a take", "INFO")
         if not bpy.data.filepath and len(takes.items):
@@ -74,14 +80,17 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
             return
         take = takes.items[takes.index]
         layout.prop(take, "note", icon="TEXT")
+        layout.operator("facemime.show_take", icon="PLAY", depress=isinstance(Session.current, TakeShow))
         row = layout.row(align=True)
-        row.operator("facemime.show_take", icon="PLAY", depress=isinstance(Session.current, TakeShow))
         row.operator("facemime.add_sound", text="Sound", icon="SOUND")
+        row.operator("facemime.add_reference", text="Video", icon="FILE_MOVIE")
         packed = take.packed is not None
         row.operator("facemime.pack_take", text="Unpack" if packed else "Pack", icon="PACKAGE")
         row = layout.row(align=True)
         row.operator("facemime.trim_take", text="Trim", icon="ARROW_LEFTRIGHT")
         row.operator("facemime.mend_take", text="Mend", icon="MODIFIER")
+        row = layout.row(align=True)
+        row.operator("facemime.rerecord_take", icon="REC", depress=PunchIn.current is not None)
         row.operator("facemime.punch_in_take", icon="PASTEDOWN")
         layout.operator("facemime.renew_neutral", icon="USER")
 

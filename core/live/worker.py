@@ -33,10 +33,10 @@ _RECENT = 900
 
 
 class Recorder(Protocol):
-    """What a recording needs: `takes.writer.TakeWriter`."""
+    """What a recording needs."""
 
-    def append(self, time: float, result: TrackResult) -> None:
-        """Take in a frame."""
+    def append(self, time: float, result: TrackResult, image: NDArray[np.uint8] | None) -> None:
+        """Take in a frame, and what was seen, where that is known."""
 
     def flush(self) -> None:
         """Bring what came so far into safety."""
@@ -261,7 +261,7 @@ class LiveWorker:
         began = perf_counter()
         options = self.options
         seen = self._tracked(tracker, frame)
-        self._record((frame.time, seen))
+        self._record((frame.time, seen, frame.image))
         result = self._smoothed(seen, frame.time, options.smoothing)
         tracked = perf_counter()
         self._recent.append((frame.time, seen))
@@ -293,7 +293,7 @@ class LiveWorker:
             self._smoother = ResultSmoother(amount)
         return self._smoother.smooth(seen, time)
 
-    def _record(self, frame: tuple[float, TrackResult] | None = None) -> None:
+    def _record(self, frame: tuple[float, TrackResult, NDArray[np.uint8] | None] | None = None) -> None:
         """Hand a frame over; without one, as nothing comes, let what came be brought into safety."""
         with self._recording:
             if self._recorder is None:

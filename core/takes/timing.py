@@ -119,6 +119,13 @@ def shift_time(take: Take, seconds: float) -> Take:
     return replace(take, times=take.times + seconds)
 
 
+def restart(take: Take) -> Take:
+    """The take with its first frame at 0 s; `offset` tells, as before, when 0 s is in its source."""
+    first = float(take.times[0])
+    offset = float(take.info.get("offset", 0.0)) + first
+    return replace(shift_time(take, -first), info={**take.info, "offset": offset})
+
+
 def trim(take: Take, start: float = -np.inf, end: float = np.inf) -> Take:
     """The frames from `start` to `end`, seconds, at their own times; SourceError where there are none."""
     inside = (take.times >= start - 1e-9) & (take.times <= end + 1e-9)

@@ -53,7 +53,7 @@ class Recorded(list):
         super().__init__()
         self.room, self.closed = room, False
 
-    def append(self, at, result):
+    def append(self, at, result, image):
         if len(self) >= self.room:
             raise OutputError("The disk is full. Free some space.")
         super().append((at, result))

@@ -1,0 +1,94 @@
+"""Video and sound of a performance, in step with its take."""
+
+from pathlib import Path
+
+import bpy
+from bpy.props import StringProperty
+
+from ..blender.reference import add_reference
+from ..blender.sound import add_sound
+from ..core.errors import SourceError
+from ..scene import takes_store
+from ..sessions.start import heads_in
+from .shared import AsksForFile, register_all, unregister_all
+from .takes import OnTake
+
+
+class OnTakesVideo(AsksForFile, OnTake):
+    """Mixin: works on the video that the chosen take was made from, and asks for it where it is not at hand."""
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the file where that is needed."""
+        if takes_store.video_of(context.scene, takes_store.chosen(context.scene)) is not None:
+            return self.execute(context)
+        return super().invoke(context, event)
+
+    def video(self, scene: bpy.types.Scene) -> tuple[Path, float]:
+        """The file, and the second in it at which the take's time is 0.
+
+        Raises
+        ------
+        SourceError
+            Where the file is neither known nor named.
+        """
+        line = takes_store.chosen(scene)
+        path = Path(bpy.path.abspath(self.filepath)) if self.filepath else takes_store.video_of(scene, line)
+        if path is None:
+            raise SourceError("The video of the take is not at hand. Choose the file.")
+        return path, float(takes_store.read(line).info.get("offset", 0.0))
+
+
+class FACEMIME_OT_add_sound(OnTakesVideo, bpy.types.Operator):
+    """Put the sound of the take's video, or of a file beside it, onto the sequencer, in step with the take"""
+
+    bl_idname = "facemime.add_sound"
+    bl_label = "Add Sound"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi;*.wav;*.flac;*.mp3;*.ogg", options={"HIDDEN"})
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        scene = context.scene
+        path, offset = self.video(scene)
+        sound = path if self.filepath else takes_store.sound_beside(path)
+        add_sound(scene, sound, 1.0 - offset * scene.render.fps / scene.render.fps_base)
+        return {"FINISHED"}
+
+
+class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):
+    """Show the take's video beside the active head, in step with the take"""
+
+    bl_idname = "facemime.add_reference"
+    bl_label = "Add Reference"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi", options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only with a head to put it beside."""
+        if not heads_in(context):
+            cls.poll_message_set("Select a head, or add one: step Head, above")
+            return False
+        return super().poll(context)
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """The work of `execute`."""
+        add_reference(context.scene, *self.video(context.scene), heads_in(context)[0])
+        return {"FINISHED"}
+
+
+_CLASSES = (FACEMIME_OT_add_sound, FACEMIME_OT_add_reference)
+
+
+def register() -> None:
+    """Register the operators."""
+    register_all(_CLASSES)
+
+
+def unregister() -> None:
+    """Unregister them."""
+    unregister_all(_CLASSES)

@@ -1,0 +1,77 @@
+"""The video beside a take."""
+
+import os
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from facemime.core.live.reference_video import ReferenceVideo
+
+
+def picture(level: int, size: tuple[int, int] = (48, 64)) -> np.ndarray:
+    """A grey picture of brightness `level`."""
+    return np.full((*size, 3), level, np.uint8)
+
+
+def levels(path) -> list[int]:
+    """The brightness of each frame of a video."""
+    video, found = cv2.VideoCapture(str(path)), []
+    while (frame := video.read())[0]:
+        found.append(round(float(frame[1].mean())))
+    return found
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "take.mkv"
+
+
+def test_a_frame_is_shown_when_it_was_seen_however_unevenly_they_came(path):
+    video = ReferenceVideo(path, 25.0)
+    for time, level in ((0.0, 40), (0.041, 80), (0.20, 120), (0.21, 160), (0.32, 200)):
+        video.add(time, picture(level))
+    video.close()
+    assert video.written
+    assert levels(path) == pytest.approx([40, 80, 80, 80, 80, 120, 160, 160, 200], abs=6)
+
+
+def test_a_size_that_changes_and_grey_pictures_are_taken(path):
+    video = ReferenceVideo(path, 25.0)
+    video.add(0.0, picture(40))
+    video.add(0.04, picture(80, (96, 128)))
+    video.add(0.08, picture(120)[..., 0])
+    video.close()
+    assert levels(path) == pytest.approx([40, 80, 120], abs=6)
+
+
+def test_nothing_seen_leaves_no_file(path):
+    video = ReferenceVideo(path, 25.0)
+    video.close()
+    assert not path.exists() and not video.written
+
+
+def test_a_folder_that_is_not_there_is_told(tmp_path):
+    video = ReferenceVideo(tmp_path / "none" / "take.mkv", 25.0)
+    video.add(0.0, picture(40))
+    video.close()
+    assert not video.written
+
+
+def test_a_killed_program_leaves_a_video_that_plays(path):
+    code = (
+        "import os, sys, time, numpy as np\n"
+        "from pathlib import Path\n"
+        "from facemime.core.live.reference_video import ReferenceVideo\n"
+        "video = ReferenceVideo(Path(sys.argv[1]), 25.0)\n"
+        "noise = np.random.default_rng(0)\n"
+        "for n in range(200):\n"
+        "    video.add(n / 25.0, noise.integers(0, 255, (240, 320, 3), np.uint8))\n"
+        "    while video._waiting.qsize() > 8: time.sleep(0.001)\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code, str(path)], env=os.environ, check=False)
+    assert ended.returncode == -9
+    assert len(levels(path)) > 100
