@@ -8,6 +8,7 @@ moved or listed twice is done once.
 from __future__ import annotations
 
 import base64
+import glob
 import hashlib
 import json
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from ..core.tracking.tracker import FaceTracker
 from ..core.version import version
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"})
+_OUTPUTS = frozenset({".blend", ".facetake", ".png", ".pc2", ".abc"})
 _CURVE_POINTS = 300
 _WORST, _APART = 3, 0.5
 
@@ -76,11 +78,13 @@ def _listed(path: Path) -> list[Path]:
 
 
 class Namer:
-    """Gives jobs their names: the clip's own and a checksum of clip, `settings`, head, points, model and version."""
+    """Gives jobs their names: the clip's own and a checksum of clip, `settings`, head, points, table, model
+    and version.
+    """
 
     def __init__(self, settings: dict[str, Any]) -> None:
         told = dict(settings)
-        for key in ("head", "points"):
+        for key in ("head", "points", "map"):
             if told.get(key):
                 file, found, obj = str(told[key]).rpartition(".blend:")
                 path = Path(file + ".blend" if found else told[key])
@@ -118,7 +122,7 @@ def write_record(job: Job, folder: Path, take: Take, seconds: float, thumbnails:
     """Keep what a report tells of a clip, last of all its outputs: that it is there means that the clip is done."""
     record = {
         "clip": job.clip.name,
-        "outputs": [f"{job.name}{suffix}" for suffix in (".blend", ".facetake", ".png")],
+        "outputs": sorted(path.name for path in folder.glob(f"{glob.escape(job.name)}.*") if path.suffix in _OUTPUTS),
         "frames": len(take),
         "found": int(take.found.sum()),
         "length": float(take.times[-1] - take.times[0]),

@@ -9,35 +9,23 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from ..batch.clips import Job, Namer, find_clips, read_record, worst_frames, write_record
 from ..batch.report import Entry, jpeg_of, write_report
 from ..batch.run import DaskRunner, LocalRunner, Runner
 from ..core.capture import VideoSource
-from ..core.deform.kernels import KERNELS
-from ..core.drive import INFORMED
 from ..core.errors import FacemimeError, SourceError
 from ..core.files import check_writable, locked
 from ..core.overlay import picture_of_frame
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
 from .console import Progress
+from .options import add_bake_options, add_head_options, as_line, settings_of
 from .takes import Commands
 
 _THUMBNAIL = (240, 180)
 _MOST_FAILED = 99
 _INTERRUPTED = 130
-
-
-def add_head_options(parser: argparse.ArgumentParser) -> None:
-    """The options that say which head is moved and how; `puppet`, `clip` and `batch` have them in common."""
-    parser.add_argument("--head", metavar="FILE.blend[:OBJECT]", help="your own head; the built-in one by default")
-    parser.add_argument("--mode", choices=("3d", "planar"), default="3d", help="planar keeps every depth (default 3d)")
-    parser.add_argument("--kernel", choices=(INFORMED, *KERNELS), default=INFORMED, help="how skin follows landmarks")
-    parser.add_argument("--points", type=Path, metavar="POINTS.json", help="control points that select chose")
-    parser.add_argument("--smooth", action="store_true", help="hold still what does not move; a kept take stays raw")
-    parser.add_argument("--pose", choices=("rotation", "full", "none"), default="rotation", help="head pose to follow")
 
 
 def add_commands(commands: Commands) -> None:
@@ -47,6 +35,7 @@ def add_commands(commands: Commands) -> None:
     clip.add_argument("--number", type=int, metavar="N", help="which clip of the folder or the list, from 1")
     clip.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
     add_head_options(clip)
+    add_bake_options(clip)
     clip.set_defaults(run=run_clip)
 
     batch = commands.add_parser("batch", help="puppet many clips; the exit status is how many failed, 99 at most")
@@ -55,6 +44,7 @@ def add_commands(commands: Commands) -> None:
     batch.add_argument("--jobs", type=int, default=max(1, (os.cpu_count() or 2) // 2), metavar="N", help="at a time")
     batch.add_argument("--dask", metavar="ADDRESS", help="on the workers of this Dask scheduler instead of here")
     add_head_options(batch)
+    add_bake_options(batch)
     batch.set_defaults(run=run_batch)
 
 
@@ -62,7 +52,7 @@ def run_clip(arguments: argparse.Namespace) -> int:
     """`facemime clip`: one clip to a head, a take, a sheet and a record; two at once do it once."""
     from . import main as cli
 
-    job = Namer(_settings(arguments)).job(_chosen(find_clips([arguments.source]), arguments.number))
+    job = Namer(settings_of(arguments)).job(_chosen(find_clips([arguments.source]), arguments.number))
     folder = arguments.output
     outputs = {suffix: str(job.output(folder, suffix)) for suffix in (".blend", SUFFIX, ".png")}
     with locked(job.output(folder, ".lock")):
@@ -78,7 +68,7 @@ def run_clip(arguments: argparse.Namespace) -> int:
             "--sheet",
             outputs[".png"],
         ]
-        if status := cli.main(["puppet", *line, *_options(arguments)]):
+        if status := cli.main(["puppet", *line, *as_line(settings_of(arguments))]):
             return status
         take = load_take(Path(outputs[SUFFIX]))
         write_record(job, folder, take, time.monotonic() - started, _thumbnails(job.clip, take))
@@ -96,7 +86,7 @@ def run_batch(arguments: argparse.Namespace) -> int:
         raise FacemimeError("batch needs Blender. Run: blender --command facemime batch ..., or install bpy.")
     folder.mkdir(parents=True, exist_ok=True)
     runner: Runner = LocalRunner(arguments.jobs) if arguments.dask is None else DaskRunner(arguments.dask)
-    jobs, failures = _jobs(clips, Namer(_settings(arguments)))
+    jobs, failures = _jobs(clips, Namer(settings_of(arguments)))
     before = {name for name, job in jobs.items() if read_record(job, folder) is not None}
     todo = [job for name, job in jobs.items() if name not in before]
     said, interrupted = _run(runner, todo, len(jobs), arguments)
@@ -112,7 +102,7 @@ def run_batch(arguments: argparse.Namespace) -> int:
 def _run(runner: Runner, todo: Sequence[Job], total: int, arguments: argparse.Namespace) -> tuple[dict[str, str], bool]:
     """What each clip that ended said, by its job's name, and whether the user stopped before all had."""
     output = ["-o", str(arguments.output.absolute())]
-    lines = [["clip", str(job.clip.absolute()), *output, *_options(arguments)] for job in todo]
+    lines = [["clip", str(job.clip.absolute()), *output, *as_line(settings_of(arguments))] for job in todo]
     progress = Progress("Puppeting", total, unit="clips")
     done = total - len(todo)
     progress.update(done)
@@ -157,19 +147,6 @@ def _chosen(clips: Sequence[Path], number: int | None) -> Path:
     if number is None or not 1 <= number <= len(clips):
         raise SourceError(f"There are {len(clips)} clips. Choose one: --number 1 to --number {len(clips)}.")
     return clips[number - 1]
-
-
-def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
-    """The options of the head; one that is empty, as a farm's template gives it, is not given."""
-    return {name: getattr(arguments, name) or None for name in ("head", "mode", "kernel", "points", "smooth", "pose")}
-
-
-def _options(arguments: argparse.Namespace) -> list[str]:
-    """`_settings` as they are given on a command line, with paths that hold in any folder."""
-    given = {name: value for name, value in _settings(arguments).items() if value is not None}
-    flags = ["--smooth"] if given.pop("smooth", False) else []
-    given |= {name: os.path.abspath(given[name]) for name in ("head", "points") if name in given}
-    return flags + [part for name, value in given.items() for part in (f"--{name}", str(value))]
 
 
 def _thumbnails(clip: Path, take: Take) -> list[bytes]:

@@ -31,8 +31,8 @@ from ..core.takes.take import Take
 from ..core.tracking.tracker import FaceTracker
 from ..core.version import version
 from .batch import add_commands as add_batch_commands
-from .batch import add_head_options
 from .console import Progress
+from .options import add_bake_options, add_head_options
 from .takes import add_commands as add_take_commands
 from .takes import load_telling
 
@@ -78,26 +78,7 @@ def _parser() -> argparse.ArgumentParser:
     puppet.add_argument("--take", type=Path, metavar="TAKE.facetake", help="also keep the take")
     puppet.add_argument("--neutral", type=float, metavar="SECONDS", help="where the neutral second starts; else found")
     add_head_options(puppet)
-    bake = puppet.add_argument_group("what is animated")
-    bake.add_argument(
-        "--keys",
-        choices=("new", "named", "mapped", "cache", "alembic"),
-        default="new",
-        help="new shape keys; the head's own, fitted to the motion or by a table; every vertex exactly, in a .pc2 or "
-        "also .abc beside the output (new)",
-    )
-    bake.add_argument("--max-keys", type=int, default=64, metavar="K", help="new keys at most (64)")
-    bake.add_argument(
-        "--clean",
-        type=float,
-        default=0.0,
-        metavar="PERCENT",
-        help="leave keyframes out: how far vertices may move by that, of the eye distance (0)",
-    )
-    bake.add_argument(
-        "--map", type=Path, metavar="TABLE.json", help="for --keys mapped; else the preset that fits best"
-    )
-    bake.add_argument("--nla", action="store_true", help="put the animation onto NLA tracks")
+    add_bake_options(puppet)
     puppet.set_defaults(run=run_puppet)
 
     select = commands.add_parser("select", help="choose the control points that a take needs on the built-in head")

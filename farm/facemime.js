@@ -11,13 +11,17 @@ const JOB_TYPE = {
         { key: "head", type: "string", default: "", description: "FILE.blend:OBJECT; the built-in head if empty" },
         { key: "pose", type: "string", choices: ["rotation", "full", "none"], default: "rotation",
           description: "How much of the head's movement is followed" },
+        { key: "keys", type: "string", choices: ["new", "named", "mapped", "cache", "alembic"], default: "new",
+          description: "New shape keys, the head's own, its own by a table, or every vertex in a file" },
+        { key: "map", type: "string", default: "", description: "Table of keys for 'mapped'; else what fits best" },
         { key: "smooth", type: "bool", default: false, description: "Hold still what does not move" },
     ],
 };
 
 function compileJob(job) {
     const settings = job.settings;
-    const options = ["-o", settings.output, "--head", settings.head || "", "--pose", settings.pose || "rotation"];
+    const options = ["-o", settings.output, "--head", settings.head || "", "--pose", settings.pose || "rotation",
+        "--keys", settings.keys || "new", "--map", settings.map || ""];
     if (settings.smooth) options.push("--smooth");
 
     const report = facemime("report", ["batch", settings.clips].concat(options));

@@ -143,7 +143,7 @@ def flamenco_tasks(settings: dict) -> list[dict]:
 
 def test_the_command_lines_of_the_flamenco_job_do_every_clip_and_the_report(tmp_path):
     clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
-    tasks = flamenco_tasks({"clips": str(clips), "count": 2, "output": str(out), "smooth": True})
+    tasks = flamenco_tasks({"clips": str(clips), "count": 2, "output": str(out), "smooth": True, "keys": "cache"})
     assert [task["name"] for task in tasks] == ["clip-1", "clip-2", "report"]
     assert tasks[-1]["after"] == ["clip-1", "clip-2"]
     for task in tasks:
@@ -153,6 +153,9 @@ def test_the_command_lines_of_the_flamenco_job_do_every_clip_and_the_report(tmp_
         done = subprocess.run(line, env=ENVIRONMENT, capture_output=True, text=True, timeout=300, check=False)
         assert done.returncode == 0, done.stderr
     assert json.loads((out / "report.json").read_text())["counts"]["skipped"] == 2 and len(records(out)) == 2
+    for record in records(out):
+        suffixes = {Path(name).suffix for name in json.loads(record.read_text())["outputs"]}
+        assert suffixes == {".blend", ".facetake", ".png", ".pc2"}
 
 
 def test_the_flamenco_job_states_its_settings():

@@ -63,11 +63,15 @@ def test_a_clip_keeps_its_name_until_its_content_or_a_setting_changes(tmp_path):
 def test_a_clip_is_done_when_its_record_and_its_outputs_are_there(tmp_path):
     job = Job(tmp_path / "a.mp4", "a-0")
     assert read_record(job, tmp_path) is None
+    outputs = [job.output(tmp_path, suffix) for suffix in (".blend", ".facetake", ".pc2", ".png")]
+    for path in (*outputs, job.output(tmp_path, ".lock")):
+        path.touch()
     write_record(job, tmp_path, performance(), 1.0, [b"jpeg"])
-    assert read_record(job, tmp_path) is None
-    for suffix in (".blend", ".facetake", ".png"):
-        job.output(tmp_path, suffix).touch()
     record = read_record(job, tmp_path)
+    assert record["outputs"] == [path.name for path in outputs]
+    outputs[2].unlink()
+    assert read_record(job, tmp_path) is None
+    outputs[2].touch()
     assert (record["frames"], record["found"], record["clip"]) == (60, 59, "a.mp4")
     for broken in ("", "[]", '{"outputs": ', "{}"):
         job.output(tmp_path, ".json").write_text(broken)

@@ -1,0 +1,71 @@
+"""What several commands have in common: which head is moved, how, and what of it is animated."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+from ..core.deform.kernels import KERNELS
+from ..core.drive import INFORMED
+
+_PATHS = ("head", "points", "map")
+_FLAGS = ("smooth", "nla")
+_NAMES = ("head", "mode", "kernel", "points", "smooth", "pose", "keys", "max_keys", "clean", "map", "nla")
+
+
+def add_head_options(parser: argparse.ArgumentParser) -> None:
+    """The options that say which head is moved and how; `puppet`, `clip` and `batch` have them in common."""
+    parser.add_argument("--head", metavar="FILE.blend[:OBJECT]", help="your own head; the built-in one by default")
+    parser.add_argument("--mode", choices=("3d", "planar"), default="3d", help="planar keeps every depth (default 3d)")
+    parser.add_argument("--kernel", choices=(INFORMED, *KERNELS), default=INFORMED, help="how skin follows landmarks")
+    parser.add_argument("--points", type=_path, metavar="POINTS.json", help="control points that select chose")
+    parser.add_argument("--smooth", action="store_true", help="hold still what does not move; a kept take stays raw")
+    parser.add_argument("--pose", choices=("rotation", "full", "none"), default="rotation", help="head pose to follow")
+
+
+def add_bake_options(parser: argparse.ArgumentParser) -> None:
+    """The options that say what is animated."""
+    bake = parser.add_argument_group("what is animated")
+    bake.add_argument(
+        "--keys",
+        choices=("new", "named", "mapped", "cache", "alembic"),
+        default="new",
+        help="new shape keys; the head's own, fitted to the motion or by a table; every vertex exactly, in a .pc2 or "
+        "also .abc beside the output (new)",
+    )
+    bake.add_argument("--max-keys", type=int, default=64, metavar="K", help="new keys at most (64)")
+    bake.add_argument(
+        "--clean",
+        type=float,
+        default=0.0,
+        metavar="PERCENT",
+        help="leave keyframes out: how far vertices may move by that, of the eye distance (0)",
+    )
+    bake.add_argument(
+        "--map", type=_path, metavar="TABLE.json", help="for --keys mapped; else the preset that fits best"
+    )
+    bake.add_argument("--nla", action="store_true", help="put the animation onto NLA tracks")
+
+
+def _path(text: str) -> Path | None:
+    return Path(text) if text else None
+
+
+def settings_of(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The values of these options; one that is empty, as a farm's template gives it, is not given."""
+    given = {name: getattr(arguments, name) for name in _NAMES}
+    return {name: None if value is False or value == "" else value for name, value in given.items()}
+
+
+def as_line(settings: dict[str, Any]) -> list[str]:
+    """`settings_of` as they are given on a command line, with paths that hold in any folder."""
+    line: list[str] = []
+    for name, value in settings.items():
+        if value is None:
+            continue
+        line.append(f"--{name.replace('_', '-')}")
+        if name not in _FLAGS:
+            line.append(os.path.abspath(value) if name in _PATHS else str(value))
+    return line
