@@ -18,6 +18,7 @@ from facemime.core.deform.greedy import GreedySelection, greedy_select
 from facemime.core.deform.kernels import KERNELS
 from facemime.core.deform.rbf import RBFDeformer
 from facemime.core.deform.regions import DEFAULT_KERNEL, membership, region_sigmas
+from facemime.core.deform.skin import skin_covariance
 from facemime.core.drive import head_deformer
 from facemime.core.landmarks import N_LANDMARKS, from_ibug
 
@@ -113,6 +114,7 @@ def informed(head: TrueHead, model: ExpressionModel) -> Predict:
             kernel=DEFAULT_KERNEL,
             sigma=region_sigmas(points, KERNELS[DEFAULT_KERNEL]),
             covariance=learnt_covariance((model,), head.vertices, head.landmarks, head.regions),
+            skin=skin_covariance(head.vertices, head.faces, head.landmarks, head.regions),
         )
     )
 

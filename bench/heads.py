@@ -62,7 +62,8 @@ class TrueHead:
     def rig(self) -> HeadRig:
         """What driving it needs."""
         points = self.vertices[self.landmarks]
-        return HeadRig(self.vertices, self.landmarks, self.regions, points[[2, 14]].mean(axis=0))
+        pivot = points[[2, 14]].mean(axis=0)
+        return HeadRig(self.vertices, self.landmarks, self.regions, pivot, faces=self.faces)
 
     def true(self, weights: Points) -> NDArray[np.float32]:
         """(N, V, 3) motion under (N, E) weights."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from .deform.eyeballs import EyeballContact
 from .deform.kernels import kernel_named
 from .deform.rbf import IncrementalDeformer, RBFDeformer
 from .deform.regions import DEFAULT_KERNEL, membership, region_sigmas
+from .deform.skin import skin_covariance
 from .errors import HeadError
 from .eyes import EyeDriver
 from .head import load_head
@@ -48,6 +50,8 @@ class HeadRig:
         Centre and radius of each eyeball; none by default.
     control_points : (3, 66) bool, optional
         Which landmark controls which region, as `greedy_select` chooses; all of a region's by default.
+    faces : (F, K) int, optional
+        Vertices of each face, padded with -1: the skin that the informed kernel follows; space alone where not known.
     """
 
     vertices: FloatArray
@@ -56,6 +60,7 @@ class HeadRig:
     jaw_pivot: FloatArray
     eyeballs: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     control_points: NDArray[np.bool_] | None = None
+    faces: IntArray | None = None
 
     def __post_init__(self) -> None:
         landmarks = np.asarray(self.landmarks)
@@ -191,7 +196,14 @@ def built_in_rig() -> HeadRig:
     head = load_head()
     eyes = [part for part in head.parts if part.name.startswith("eye")]
     eyeballs = [[*eye.pivot, float(np.linalg.norm(eye.vertices - eye.pivot, axis=1).max())] for eye in eyes]
-    return HeadRig(head.vertices, head.landmarks, head.regions, head.jaw_pivot, np.array(eyeballs, dtype=np.float64))
+    return HeadRig(
+        head.vertices,
+        head.landmarks,
+        head.regions,
+        head.jaw_pivot,
+        np.array(eyeballs, dtype=np.float64),
+        faces=head.faces,
+    )
 
 
 def head_deformer(
@@ -209,5 +221,9 @@ def head_deformer(
     sigma = region_sigmas(places, kernel_named(plain))
     if incremental:
         return IncrementalDeformer(rig.vertices, places, rig.region_weights, members, kernel=plain, sigma=sigma)
-    learnt = informed_covariance(rig.vertices, rig.landmarks, rig.region_weights) if kernel == INFORMED else None
-    return RBFDeformer(rig.vertices, places, rig.region_weights, members, kernel=plain, sigma=sigma, covariance=learnt)
+    fit = partial(RBFDeformer, rig.vertices, places, rig.region_weights, members, kernel=plain, sigma=sigma)
+    if kernel != INFORMED:
+        return fit()
+    head = rig.landmarks, rig.region_weights
+    skin = None if rig.faces is None else skin_covariance(rig.vertices, rig.faces, *head)
+    return fit(covariance=informed_covariance(rig.vertices, *head), skin=skin)

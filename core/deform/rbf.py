@@ -18,8 +18,11 @@ from ..arrays import FloatArray, as_points
 from ..errors import HeadError
 from .blocks import BlockProduct, RegionMatrix
 from .kernels import Kernel, distances, kernel_named
+from .skin import SkinCovariance
 
 MAX_CONDITION = 1e10
+_SKIN_SHARE = 0.5
+"""Of the process on the skin in the mean with the regions' functions."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,7 @@ class LearntCovariance:
     control_points : (P, K) float
         Feature of each control point.
     amount : (R,) float
-        Weight of the term in each region.
+        Weight of the term in each region; their mean on the skin as a whole.
     reach : float
         Unit of the vertices.
 
@@ -101,6 +104,9 @@ class RBFDeformer:
         follow more smoothly than at nothing, and the points themselves are met within 0.5 mm on the face units.
     covariance : LearntCovariance, optional
         A learnt term beside the kernel of distance.
+    skin : SkinCovariance, optional
+        A process on the mesh's surface, over all control points. What it joins to any of them takes the mean of it and
+        of the regions' functions.
 
     Attributes
     ----------
@@ -137,6 +143,7 @@ class RBFDeformer:
         spacing_factor: ArrayLike = 0.8,
         regularisation: float = 1e-3,
         covariance: LearntCovariance | None = None,
+        skin: SkinCovariance | None = None,
     ) -> None:
         rest = as_points(vertices, "vertices", error=HeadError)
         points = as_points(control_points, "control_points", error=HeadError)
@@ -156,10 +163,14 @@ class RBFDeformer:
         ]
         if not regions:
             raise HeadError("No vertex lies in a region. Paint the regions Upper, Middle and Lower as vertex groups.")
+        matrices = [matrix for _, matrix in regions]
+        if skin is not None:
+            used = np.flatnonzero(members[shares.any(axis=1)].any(axis=0))
+            matrices = _mean(matrices, fit.surface(skin, shares.sum(axis=0), used), len(rest))
         self.rest: NDArray[np.float32] = rest.astype(np.float32)
         self.n_control_points = len(points)
         self.fits = tuple(found for found, _ in regions)
-        self._product = BlockProduct(self.rest, [matrix for _, matrix in regions], len(points))
+        self._product = BlockProduct(self.rest, matrices, len(points))
         self.nbytes = self._product.nbytes
 
     def deform(self, displacements: ArrayLike, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
@@ -263,31 +274,64 @@ class _Fit:
         between = distances(centres, centres)
         _refuse_coincident(between, columns)
         sigma = self.kernel.width(between, spacing_factor) if width is None else width
-        phi = self._values(row, between, columns, None, sigma) + self.regularisation * np.eye(len(columns))
-        condition = float(np.linalg.cond(phi))
-        if not condition <= MAX_CONDITION:
-            raise HeadError(
-                f"The fit is ill-conditioned (condition number {condition:.1e} at sigma {sigma:.3g}). "
-                "Lower sigma, or raise the regularisation."
-            )
         rows = np.flatnonzero(share)
-        evaluation = self._values(row, distances(self.rest[rows], centres), columns, rows, sigma)
-        matrix = np.linalg.solve(phi, evaluation.T).T * share[rows, None]
+        phi = self.kernel.phi(between, sigma)
+        evaluation = self.kernel.phi(distances(self.rest[rows], centres), sigma)
+        if self.covariance is not None:
+            amount = float(self.covariance.amount[row])
+            phi, evaluation = self._informed(phi, evaluation, rows, columns, amount)
+        matrix, condition = self._solved(phi, evaluation, f"at sigma {sigma:.3g}")
+        return RegionFit(rows, columns, float(sigma), condition), _region_matrix(rows, columns, matrix, share)
+
+    def surface(self, skin: SkinCovariance, share: FloatArray, columns: NDArray[np.intp]) -> RegionMatrix:
+        """Fit `skin` on the control points `columns`, for the vertices that have `share` (V,) and that it joins."""
+        rows = np.flatnonzero((share > 0.0) & skin.vertices[:, columns].any(axis=1))
+        phi, evaluation = skin.control_points[np.ix_(columns, columns)], skin.vertices[np.ix_(rows, columns)]
+        if self.covariance is not None:
+            phi, evaluation = self._informed(phi, evaluation, rows, columns, float(self.covariance.amount.mean()))
+        matrix, _ = self._solved(phi, evaluation, "on the skin")
+        return _region_matrix(rows, columns, matrix, share)
+
+    def _informed(
+        self, phi: FloatArray, evaluation: FloatArray, rows: NDArray[np.intp], columns: NDArray[np.intp], amount: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """The kernel among the control points `columns`, and from the vertices `rows` to them, with the learnt term."""
+        assert self.covariance is not None
+        learnt, centres = self.covariance, self.points[columns]
+
+        def term(features: FloatArray, places: FloatArray) -> FloatArray:
+            near = np.exp(-0.5 * np.square(distances(places, centres) / learnt.reach))
+            return np.asarray(amount * (features @ learnt.control_points[columns].T) * near)
+
         return (
-            RegionFit(rows, columns, float(sigma), condition),
-            RegionMatrix(rows, columns, np.ascontiguousarray(matrix, dtype=np.float32)),
+            phi + term(learnt.control_points[columns], centres),
+            evaluation + term(learnt.vertices[rows], self.rest[rows]),
         )
 
-    def _values(
-        self, row: int, between: FloatArray, columns: NDArray[np.intp], rows: NDArray[np.intp] | None, sigma: float
-    ) -> FloatArray:
-        """The kernel between the control points `columns` and the vertices `rows`, or themselves."""
-        values = self.kernel.phi(between, sigma)
-        if self.covariance is not None:
-            learnt, centres = self.covariance, self.covariance.control_points[columns]
-            alike = (centres if rows is None else learnt.vertices[rows]) @ centres.T
-            values = values + learnt.amount[row] * alike * np.exp(-0.5 * np.square(between / learnt.reach))
-        return np.asarray(values)
+    def _solved(self, phi: FloatArray, evaluation: FloatArray, where: str) -> tuple[FloatArray, float]:
+        """(Vr, Pr) matrix of the fit, and the condition number of the regularised `phi`."""
+        system = phi + self.regularisation * np.eye(len(phi))
+        condition = float(np.linalg.cond(system))
+        if not condition <= MAX_CONDITION:
+            raise HeadError(
+                f"The fit is ill-conditioned (condition number {condition:.1e} {where}). "
+                "Lower sigma, or raise the regularisation."
+            )
+        return np.linalg.solve(system, evaluation.T).T, condition
+
+
+def _region_matrix(
+    rows: NDArray[np.intp], columns: NDArray[np.intp], matrix: FloatArray, share: FloatArray
+) -> RegionMatrix:
+    return RegionMatrix(rows, columns, np.ascontiguousarray(matrix * share[rows, None], dtype=np.float32))
+
+
+def _mean(regions: list[RegionMatrix], surface: RegionMatrix, count: int) -> list[RegionMatrix]:
+    """The regions' functions and the process on the skin in shares; where the latter does not reach, the former."""
+    kept = np.ones(count, dtype=np.float32)
+    kept[surface.rows] -= _SKIN_SHARE
+    halved = [RegionMatrix(r.rows, r.columns, r.matrix * kept[r.rows, None]) for r in regions]
+    return [*halved, RegionMatrix(surface.rows, surface.columns, np.float32(_SKIN_SHARE) * surface.matrix)]
 
 
 def _refuse_coincident(between: FloatArray, columns: NDArray[np.intp]) -> None:

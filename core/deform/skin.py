@@ -1,0 +1,123 @@
+"""How alike places of a skin move, by what lies between them on the surface rather than through the air.
+
+Lips and lids that touch are far apart along the skin, and the two sides of a fold too: a kernel of the distance in
+space cannot tell. A Matern process on the surface can, without any cut.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray, as_points
+from ..errors import HeadError
+from ..landmarks import OUTER_EYE_CORNERS
+from .dissection import NestedDissection
+
+REACH = 0.25
+"""Way along the skin, in outer-eye distances, on which the covariance falls to 0.6."""
+_STEEPEST = 20.0
+"""Cotangents beyond it, those of slivers, are cut."""
+
+
+@dataclass(frozen=True)
+class SkinCovariance:
+    """Covariance of a process on the skin, one on average at the control points.
+
+    Attributes
+    ----------
+    vertices : (V, P) float
+        Between vertices and control points; 0 where no skin that moves joins them.
+    control_points : (P, P) float
+        Among the control points.
+    """
+
+    vertices: FloatArray
+    control_points: FloatArray
+
+
+def skin_covariance(
+    vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray
+) -> SkinCovariance:
+    """The Matern process of smoothness 1 on the part of a head that its regions move.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Any frame and unit.
+    faces : (F, K) array of int
+        Vertices of each face, padded with -1.
+    landmarks : (66,) array of int
+    region_weights : (3, V) array
+
+    Notes
+    -----
+    The covariance is C = B^-1 M B^-1 with B = M / REACH^2 + L, where L is the cotangent matrix of the surface and M
+    its vertices' areas: the finite elements of (1 / REACH^2 - Laplacian) u = noise, free at borders. About 0.1 s for
+    10,000 vertices that move.
+
+    References
+    ----------
+    Lindgren, Rue & Lindstroem 2011, *An explicit link between Gaussian fields and Gaussian Markov random fields*.
+    """
+    places = as_points(vertices, "vertices", error=HeadError)
+    reach = REACH * float(np.linalg.norm(np.subtract(*places[landmarks[OUTER_EYE_CORNERS]])))
+    moving = np.asarray(region_weights).any(axis=0)
+    used = np.flatnonzero(moving)
+    place = np.cumsum(moving) - 1
+    triangles, shares = _triangles(np.asarray(faces, dtype=np.intp))
+    inside = moving[triangles].all(axis=1)
+    edges, weights, areas = _cotangent_laplacian(places[used], place[triangles[inside]], shares[inside])
+    areas = np.maximum(areas, 1e-9 * max(float(areas.max(initial=0.0)), reach**2))
+    pull = np.bincount(edges.ravel(), np.repeat(weights, 2), len(used))
+    system = NestedDissection(edges, -weights, areas / reach**2 + pull, places[used])
+    columns = np.flatnonzero(moving[landmarks])
+    seeds = place[landmarks[columns]]
+    unit = np.zeros((len(used), len(columns)))
+    unit[seeds, np.arange(len(columns))] = 1.0
+    values = system.solve(areas[:, None] * system.solve(unit))
+    covariance = np.zeros((len(places), len(landmarks)))
+    covariance[np.ix_(used, columns)] = values * (len(columns) / np.trace(values[seeds]) if len(columns) else 0.0)
+    return SkinCovariance(covariance, covariance[landmarks])
+
+
+def _cotangent_laplacian(
+    vertices: FloatArray, triangles: IntArray, shares: FloatArray
+) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+    """Edges, (E, 2), their cotangent weights, (E,), and the vertices' areas, (V,).
+
+    Weights below 0, of edges that face obtuse angles, are left out, so that nothing moves against its neighbours.
+
+    References
+    ----------
+    Pinkall & Polthier 1993.
+    """
+    corners = vertices[triangles]
+    across = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    pairs, cotangents = [], []
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        a, b = corners[:, j] - corners[:, i], corners[:, k] - corners[:, i]
+        pairs.append(triangles[:, [j, k]])
+        cotangents.append(shares * np.clip((a * b).sum(axis=1) / np.maximum(across, 1e-30), -_STEEPEST, _STEEPEST))
+    both = np.sort(np.concatenate(pairs), axis=1)
+    keys, inverse = np.unique(both[:, 0] * len(vertices) + both[:, 1], return_inverse=True)
+    weights = 0.5 * np.bincount(inverse, np.concatenate(cotangents), len(keys))
+    edges = np.stack([keys // len(vertices), keys % len(vertices)], axis=1)
+    kept = weights > 0.0
+    areas = np.bincount(triangles.ravel(), np.repeat(shares * across / 6.0, 3), len(vertices))
+    return edges[kept], weights[kept], np.asarray(areas, dtype=np.float64)
+
+
+def _triangles(faces: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray]:
+    """(T, 3) triangles and the share at which each counts: quadrangles are halved both ways, so that none leads."""
+    corners = (faces >= 0).sum(axis=1)
+    parts, shares = [], []
+    for count in np.unique(corners[corners > 2]).tolist():
+        polygons = faces[corners == count, :count]
+        cuts = [(0, i, i + 1) for i in range(1, count - 1)] + ([(0, 1, 3), (1, 2, 3)] if count == 4 else [])
+        parts += [polygons[:, cut] for cut in cuts]
+        shares.append(np.full(len(polygons) * len(cuts), 0.5 if count == 4 else 1.0))
+    return np.concatenate(parts), np.concatenate(shares)
