@@ -2,9 +2,9 @@
 
 A sparse matrix would be four times slower: its rows are short and its columns are always the same few. So vertices
 that hang on the same control points are put side by side, and each such class is one dense block. The blocks lie as
-(P, V): four rows of displacements (three and one of zeros, which the matrix product's inner loop likes better than
-three) times a block write coordinates as planes, which are then interleaved and put back into the mesh's order. On a
-small mesh the sorting would cost more than it saves, and one block over all vertices is used.
+(P, V): their transpose times four columns of displacements (three and one of zeros, which the matrix product's inner
+loop likes better than three) writes the coordinates of a vertex side by side, which are then put back into the mesh's
+order. On a small mesh the sorting would cost more than it saves, and one block over all vertices is used.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ _CALL = 25_000
 """What one more product costs, in multiply-adds of a coordinate: below that, classes are merged."""
 _SORTING = 40_000
 """What putting sorted vertices back costs on top of 4 a vertex, in the same unit."""
-_CHUNK = 5000
-"""Vertices of a product: block and result together stay in the processor's second cache."""
+_CHUNK = 30_000
+"""Vertices put back at a time: they stay in the processor's second cache."""
+_PRODUCT = 900_000
+"""Multiply-adds of a product, four coordinates together: above a million OpenBLAS copies the block first."""
 
 
 @dataclass(frozen=True)
@@ -64,21 +66,21 @@ class BlockProduct:
         at_rest = np.arange(n_columns, n_columns + 3)
         self._columns = np.concatenate([np.append(columns, at_rest) for _, columns in classes])
         self._gathered = np.zeros((4, len(self._columns)), dtype=np.float32)
-        self._mixed = np.zeros((1, count, 4), dtype=np.float32)
-        self._mixed[0, :, :3] = rest[order]
+        self._moved = np.zeros((1, count, 4), dtype=np.float32)
+        self._moved[0, :, :3] = rest[order]
         self._sorted = np.empty((1, min(_CHUNK, count), 4), dtype=np.float32)
-        self._products: list[_Product] = []
+        self._products: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]] = []
         # One array for all blocks: numpy asks for huge pages where an array is large, and a frame walks through it all.
         store = np.empty(sum((len(columns) + 3) * len(rows) for rows, columns in classes), dtype=np.float32)
         row = column = used = 0
         for rows, columns in classes:
             block = np.concatenate([_gather(regions, rows, columns, count), rest[rows].T])
-            inputs = self._gathered[:, column : column + len(block)]
-            for part in np.array_split(np.arange(len(rows)), -(-len(rows) // _CHUNK)):
+            inputs = self._gathered[:, column : column + len(block)].T
+            for part in np.array_split(np.arange(len(rows)), -(-4 * block.size // _PRODUCT)):
                 matrix = store[used : used + len(block) * len(part)].reshape(len(block), len(part))
                 matrix[:] = block[:, part[0] : part[-1] + 1]
                 used += matrix.size
-                self._products.append(_Product(inputs, matrix, row + int(part[0]), self._mixed))
+                self._products.append((matrix.T, inputs, self._moved[0, row + part[0] : row + part[-1] + 1]))
             row, column = row + len(rows), column + len(block)
         self.nbytes = store.nbytes
 
@@ -86,33 +88,17 @@ class BlockProduct:
         """Write `rest + A displacements` for (P, 3) float32 displacements into (V, 3) float32 contiguous `out`."""
         self._displacements[:3, :-3] = displacements.T
         self._displacements.take(self._columns, axis=1, out=self._gathered, mode="clip")
+        for matrix, inputs, moved in self._products:
+            np.matmul(matrix, inputs, out=moved)
         result = out.reshape(1, -1, 3)
         if self._place is None:
-            for product in self._products:
-                np.matmul(product.inputs, product.matrix, out=product.moved)
-                cv2.merge(product.planes[:3], result[:, product.start : product.end])
+            cv2.cvtColor(self._moved, cv2.COLOR_BGRA2BGR, result)
             return
-        for product in self._products:
-            np.matmul(product.inputs, product.matrix, out=product.moved)
-            cv2.merge(product.planes, product.mixed)
         for start in range(0, len(self._place), _CHUNK):
             place = self._place[start : start + _CHUNK]
             part = self._sorted[:, : len(place)]
-            self._mixed[0].take(place, axis=0, out=part[0], mode="clip")
+            self._moved[0].take(place, axis=0, out=part[0], mode="clip")
             cv2.cvtColor(part, cv2.COLOR_BGRA2BGR, result[:, start : start + _CHUNK])
-
-
-class _Product:
-    """One product of a frame: `moved` (4, n) = `inputs` (4, K) `matrix` (K, n), for sorted vertices from `start` on."""
-
-    def __init__(
-        self, inputs: NDArray[np.float32], matrix: NDArray[np.float32], start: int, mixed: NDArray[np.float32]
-    ) -> None:
-        self.inputs, self.matrix = inputs, matrix
-        self.start, self.end = start, start + matrix.shape[1]
-        self.moved = np.empty((4, matrix.shape[1]), dtype=np.float32)
-        self.planes = [plane.reshape(1, -1) for plane in self.moved]
-        self.mixed = mixed[:, self.start : self.end]
 
 
 def _cost(classes: list[tuple[NDArray[np.intp], NDArray[np.intp]]]) -> int:
