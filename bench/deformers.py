@@ -59,6 +59,7 @@ def all_methods(head: TrueHead, model: ExpressionModel, selection: GreedySelecti
         "regions": (N_LANDMARKS, lambda: regions(head)),
         "regions_greedy": (len(selection.landmarks), lambda: regions(head, selection.membership)),
         "informed": (N_LANDMARKS, lambda: informed(head, model)),
+        "informed_greedy": (len(selection.landmarks), lambda: informed(head, model, selection.membership)),
         "laplacian": (N_LANDMARKS, lambda: laplacian(head)),
         "blender_laplacian": (N_LANDMARKS, lambda: blender_laplacian(head)),
         "ridge": (N_LANDMARKS, lambda: ridge(head)),
@@ -102,15 +103,15 @@ def regions(head: TrueHead, points: NDArray[np.bool_] | None = None, kernel: str
     return _rbf(head_deformer(replace(head.rig, control_points=points), kernel))
 
 
-def informed(head: TrueHead, model: ExpressionModel) -> Predict:
-    """Ours, with what `model` learnt on another head."""
+def informed(head: TrueHead, model: ExpressionModel, members: NDArray[np.bool_] | None = None) -> Predict:
+    """Ours, with the skin's covariance and what `model` learnt on another head."""
     points = head.vertices[head.landmarks]
     return _rbf(
         RBFDeformer(
             head.vertices,
             points,
             head.regions,
-            membership(),
+            membership() if members is None else members,
             kernel=DEFAULT_KERNEL,
             sigma=region_sigmas(points, KERNELS[DEFAULT_KERNEL]),
             covariance=learnt_covariance((model,), head.vertices, head.landmarks, head.regions),

@@ -27,9 +27,9 @@ from .warp import Warp
 FORMAT = "facemime-expressions-1"
 EXPRESSIONS_FILE = Path(__file__).parents[2] / "assets" / "expressions" / "ict.npz"
 
-AMOUNT = (1.2, 0.4, 0.4)
+AMOUNT = 0.7
 REACH = 0.2
-"""Weight of the term in each region beside a kernel of 1, and how far it reaches, outer-eye distances."""
+"""Weight of the term beside a kernel of 1, and how far it reaches, outer-eye distances."""
 _FEATURES = 24
 _STILL = 0.03
 """Motion, in outer-eye distances, below which a place counts as resting: noise has no direction."""
@@ -136,7 +136,7 @@ def learnt_covariance(
     features = scale * np.concatenate([m.carry(vertices, landmarks, region_weights) for m in models], axis=1)
     corners = np.asarray(vertices, dtype=np.float64)[landmarks[OUTER_EYE_CORNERS]]
     unit = float(np.linalg.norm(corners[0] - corners[1]))
-    return LearntCovariance(features, features[landmarks], np.array(AMOUNT), REACH * unit)
+    return LearntCovariance(features, features[landmarks], AMOUNT, REACH * unit)
 
 
 @lru_cache(maxsize=1)

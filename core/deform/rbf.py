@@ -37,8 +37,8 @@ class LearntCovariance:
         Feature u of each vertex, of length at most one.
     control_points : (P, K) float
         Feature of each control point.
-    amount : (R,) float
-        Weight of the term in each region; their mean on the skin as a whole.
+    amount : float
+        Weight of the term beside a kernel of one.
     reach : float
         Unit of the vertices.
 
@@ -49,7 +49,7 @@ class LearntCovariance:
 
     vertices: FloatArray
     control_points: FloatArray
-    amount: FloatArray
+    amount: float
     reach: float
 
 
@@ -157,7 +157,7 @@ class RBFDeformer:
         widths = [None] * len(members) if sigma is None else np.broadcast_to(np.asarray(sigma), len(members)).tolist()
         fit = _Fit(rest, points, kernel_named(kernel), regularisation, covariance)
         regions = [
-            fit.region(row, shares[row], np.flatnonzero(members[row]), widths[row], float(factors[row]))
+            fit.region(shares[row], np.flatnonzero(members[row]), widths[row], float(factors[row]))
             for row in range(len(members))
             if shares[row].any()
         ]
@@ -263,9 +263,9 @@ class _Fit:
     covariance: LearntCovariance | None
 
     def region(
-        self, row: int, share: FloatArray, columns: NDArray[np.intp], width: float | None, spacing_factor: float
+        self, share: FloatArray, columns: NDArray[np.intp], width: float | None, spacing_factor: float
     ) -> tuple[RegionFit, RegionMatrix]:
-        """Fit region number `row`, of which vertices have `share` (V,), on the control points `columns`."""
+        """Fit a region, of which vertices have `share` (V,), on the control points `columns`."""
         if len(columns) == 0:
             raise HeadError(
                 "A region has vertices but no control point. Bind its landmarks, or clear its vertex group."
@@ -278,8 +278,7 @@ class _Fit:
         phi = self.kernel.phi(between, sigma)
         evaluation = self.kernel.phi(distances(self.rest[rows], centres), sigma)
         if self.covariance is not None:
-            amount = float(self.covariance.amount[row])
-            phi, evaluation = self._informed(phi, evaluation, rows, columns, amount)
+            phi, evaluation = self._informed(phi, evaluation, rows, columns)
         matrix, condition = self._solved(phi, evaluation, f"at sigma {sigma:.3g}")
         return RegionFit(rows, columns, float(sigma), condition), _region_matrix(rows, columns, matrix, share)
 
@@ -288,12 +287,12 @@ class _Fit:
         rows = np.flatnonzero((share > 0.0) & skin.vertices[:, columns].any(axis=1))
         phi, evaluation = skin.control_points[np.ix_(columns, columns)], skin.vertices[np.ix_(rows, columns)]
         if self.covariance is not None:
-            phi, evaluation = self._informed(phi, evaluation, rows, columns, float(self.covariance.amount.mean()))
+            phi, evaluation = self._informed(phi, evaluation, rows, columns)
         matrix, _ = self._solved(phi, evaluation, "on the skin")
         return _region_matrix(rows, columns, matrix, share)
 
     def _informed(
-        self, phi: FloatArray, evaluation: FloatArray, rows: NDArray[np.intp], columns: NDArray[np.intp], amount: float
+        self, phi: FloatArray, evaluation: FloatArray, rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> tuple[FloatArray, FloatArray]:
         """The kernel among the control points `columns`, and from the vertices `rows` to them, with the learnt term."""
         assert self.covariance is not None
@@ -301,7 +300,7 @@ class _Fit:
 
         def term(features: FloatArray, places: FloatArray) -> FloatArray:
             near = np.exp(-0.5 * np.square(distances(places, centres) / learnt.reach))
-            return np.asarray(amount * (features @ learnt.control_points[columns].T) * near)
+            return np.asarray(learnt.amount * (features @ learnt.control_points[columns].T) * near)
 
         return (
             phi + term(learnt.control_points[columns], centres),
