@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bench.deformers import Method, all_methods, greedy_points
 from bench.heads import AREAS, TrueHead, built_in_head, ict_head
+from bench.left_out import left_out_errors
 from bench.report import Table, finish, parser
 from facemime.core.deform.binding import MARKS, bind_landmarks
 from facemime.core.deform.expressions import learn
@@ -55,7 +56,10 @@ def main() -> int:
             "alone": {name: score["errors"] for name, score in alone.items()},
             "detail": {name: score["detail"] for name, score in mixed.items()},
             "greedy": curve_of(selection),
+            "left_out": dict(zip(("regions", "own_others"), left_out_errors(head), strict=True)),
         }
+        rows = [[name, *errors.values()] for name, errors in results["left_out"].items()]
+        tables.append(Table(f"{head.title}: each expression from its others", ("method", *AREAS), rows))
         numbers[head.title] = results
         if arguments.pictures is not None:
             from bench.deform_pictures import draw_head
