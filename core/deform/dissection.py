@@ -67,8 +67,10 @@ class NestedDissection:
         """x, (N, K), for (N, K) `right`."""
         x = np.array(right, dtype=np.float64)
         for front in self._fronts:
-            x[front.rest] -= front.carry.T @ x[front.own]
-            x[front.own] = np.linalg.solve(front.pivot, x[front.own])
+            given = x[front.own]
+            if given.any():
+                x[front.rest] -= front.carry.T @ given
+                x[front.own] = np.linalg.solve(front.pivot, given)
         for front in reversed(self._fronts):
             x[front.own] -= front.carry @ x[front.rest]
         return x
