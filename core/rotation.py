@@ -9,15 +9,6 @@ import numpy as np
 from .arrays import FloatArray
 
 
-def axis_rotations(pitch: float, yaw: float, roll: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Rx(pitch), Ry(yaw), Rz(roll), each (3, 3); radians, signs as in `TrackResult`."""
-    cx, sx, cy, sy, cz, sz = cos(pitch), sin(pitch), cos(yaw), sin(yaw), cos(roll), sin(roll)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
-    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
-    about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
-    return about_x, about_y, about_z
-
-
 def euler_to_matrix(pitch: float, yaw: float, roll: float) -> FloatArray:
     """R = Rz(roll) Ry(yaw) Rx(pitch), (3, 3): head frame to image axes."""
     cx, sx, cy, sy, cz, sz = cos(pitch), sin(pitch), cos(yaw), sin(yaw), cos(roll), sin(roll)

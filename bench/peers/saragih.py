@@ -194,7 +194,7 @@ class Saragih:
             experts = self.experts[0 if abs(yaw) < 0.35 else 1 if yaw > 0 else 2]
             size, scale = 2 * ceil(_REACH * self.model.scale + _MARGIN), self.model.scale
             middle = (size - 1) / 2.0
-            pixels = warp_to_reference(grey, fitted.pose, scale, size).pixels
+            pixels = warp_to_reference(grey, fitted.pose, scale, (size, size)).pixels.astype(np.float32)
             pitch, yaw = fitted.pose[1:3]
             local = FittedShape(np.array([scale, pitch, yaw, 0.0, middle, middle]), fitted.shape_params)
             centres = np.round(pdm.project(local.pose, local.shape_params)).astype(np.intp)

@@ -5,15 +5,16 @@ The patch experts of a constrained local model see 11 x 11 pixels and confuse a 
 picture, so that each sees the whole face, or the whole eye, at the cost of a few million multiplications.
 
 Two kinds look at a frame: `FaceExperts` at the whole face, coarsely, and `PartExperts` at an eye with its brow or at
-the mouth with the nose's base, finely. Both answer in the *face frame* of the pose that they were shown: the image
+the mouth with the nose's base, finely. A face that is only followed is glanced at by experts that see it at half the
+size, at a quarter of the cost. All answer in the *face frame* of the pose that they were shown: the image
 moved to the pose's translation, turned back by its roll and divided by its scale, so that lengths are outer-eye
 distances.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cache, cached_property
 from math import inf
 
 import cv2
@@ -23,13 +24,13 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray, IntArray
 from ..landmarks import MIRROR
 from .network import Network
-from .reference import warp_to_reference
+from .reference import moved, warp_to_reference
 
-FACE_SCALE, FACE_SIZE, FACE_STRIDE = 36.0, 96, 4
-"""Pixels an outer-eye distance, side of the picture, and pixels a cell of the maps, of the face experts."""
-PART_STRIDE = 2
+FACE_STRIDE, PART_STRIDE = 4, 2
+"""Pixels a cell of the maps."""
 _FACE_FLOOR, _PART_FLOOR = 8.0, 6.0
 """Grey levels added to a picture's standard deviation: flat pictures are noise, and stay small."""
+_NOTHING = np.float32(1e-20)
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ class ResponseMaps:
     ----------
     landmarks : (n,) int
         Which of the 66.
-    probability : (n, w, w) float32
-        Each map sums to 1; rows are y.
+    likelihood : (n, w, w) float32
+        Up to a factor of each map's own; rows are y.
     corner : (n, 2) float32
         Place `(x, y)` of each map's first cell, in the frame of the fit.
     stride : (n, 1) float32
@@ -49,24 +50,19 @@ class ResponseMaps:
     """
 
     landmarks: IntArray
-    probability: NDArray[np.float32]
+    likelihood: NDArray[np.float32]
     corner: NDArray[np.float32]
     stride: NDArray[np.float32]
-
-    def moved(self, by: FloatArray) -> ResponseMaps:
-        """The same maps, each landmark's moved by its row of `by` (66, 2)."""
-        return replace(self, corner=self.corner + by[self.landmarks].astype(np.float32))
 
     @cached_property
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """Mean place (n, 2) and total variance (n,) of each map."""
-        steps = np.arange(self.probability.shape[1], dtype=np.float32)
-        powers = np.array([steps, steps * steps]).T
-        along = np.einsum("nyx->nx", self.probability) @ powers
-        down = (self.probability @ np.ones_like(steps)) @ powers
-        mean = np.array([along[:, 0], down[:, 0]]).T
-        variance = along[:, 1] + down[:, 1] - (mean * mean).sum(1)
-        place = self.corner + self.stride * mean
+        count, side = self.likelihood.shape[:2]
+        sums = self.likelihood.reshape(count, -1) @ _powers(side)
+        sums *= 1.0 / sums[:, :1]
+        mean = sums[:, 1:3]
+        variance = sums[:, 3] - np.square(mean).sum(axis=1)
+        place = self.corner + self.stride * (mean + np.float32((side - 1) / 2.0))
         return place.astype(np.float64), (self.stride[:, 0] ** 2 * variance).astype(np.float64)
 
     def shifts(self, places: FloatArray, variance: float) -> FloatArray:
@@ -77,39 +73,51 @@ class ResponseMaps:
         """
         if variance == inf:
             return self.moments[0] - places
-        count, side = self.probability.shape[:2]
-        away = (self.corner - places.astype(np.float32))[:, :, None] + self.stride[:, :, None] * np.arange(side)
-        to = away.astype(np.float32)
-        near = np.exp(to * to * np.float32(-0.5 / variance))
-        pairs = np.empty((count, 2, side, 2), np.float32)
-        pairs[..., 0] = near
-        pairs[..., 1] = near * to
-        along = np.matmul(self.probability, pairs[:, 0])
-        sums = np.matmul(pairs[:, 1].transpose(0, 2, 1), along)
+        count, side = self.likelihood.shape[:2]
+        to = (self.corner - places.astype(np.float32))[:, :, None] + self.stride[:, :, None] * _cells(side)
+        pairs = np.empty((count, 2, 2, side), np.float32)
+        near, drawn = pairs[:, :, 0], pairs[:, :, 1]
+        np.exp(to * to * np.float32(-0.5 / variance), out=near)
+        np.multiply(near, to, out=drawn)
+        # Rows (1, y) of the map and columns (1, x): their product holds the sums of 1, of x and of y.
+        along = np.matmul(self.likelihood, pairs[:, 0].transpose(0, 2, 1))
+        sums = np.matmul(pairs[:, 1], along)
         # A landmark far outside its map sees only zeros and is drawn nowhere.
-        total = np.maximum(sums[:, 0, 0], 1e-20)
-        out = np.empty((count, 2))
-        np.divide(sums[:, 0, 1], total, out=out[:, 0])
-        np.divide(sums[:, 1, 0], total, out=out[:, 1])
+        total = np.maximum(sums[:, :1, 0], _NOTHING)
+        out: FloatArray = np.divide(sums.reshape(count, 4)[:, 1:3], total, dtype=np.float64)
         return out
 
 
-def standardised(picture: NDArray[np.float32], floor: float) -> NDArray[np.float32]:
+@cache
+def _cells(side: int) -> NDArray[np.float32]:
+    return np.arange(side, dtype=np.float32)
+
+
+@cache
+def _powers(side: int) -> NDArray[np.float32]:
+    """(side * side, 4) of each cell 1, x, y and x^2 + y^2, from the middle of the map."""
+    steps = np.arange(side) - (side - 1) / 2.0
+    x, y = np.tile(steps, side), np.repeat(steps, side)
+    powers: NDArray[np.float32] = np.stack([np.ones(side * side), x, y, x * x + y * y], axis=1).astype(np.float32)
+    return powers
+
+
+def standardised(picture: NDArray[np.uint8], floor: float) -> NDArray[np.float32]:
     """A picture (S, S) of mean 0 and about unit contrast."""
     mean, deviation = cv2.meanStdDev(picture)
-    out: NDArray[np.float32] = picture - np.float32(mean[0, 0])
+    out: NDArray[np.float32] = np.subtract(picture, np.float32(mean[0, 0]), dtype=np.float32)
     out *= np.float32(1.0 / (deviation[0, 0] + floor))
     return out
 
 
-def face_picture(grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float32]:
-    """(96, 96) what the face experts see of a grey image (H, W) at a pose (6,)."""
-    return standardised(warp_to_reference(grey, pose, FACE_SCALE, FACE_SIZE).pixels, _FACE_FLOOR)
+def face_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int) -> NDArray[np.float32]:
+    """(size, size) what face experts see of a grey image (H, W) at a pose (6,)."""
+    return standardised(warp_to_reference(grey, pose, scale, (size, size)).pixels, _FACE_FLOOR)
 
 
 def part_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int) -> NDArray[np.float32]:
     """(size, size) what a part's experts see; the pose's translation is the part's centre."""
-    return standardised(warp_to_reference(grey, pose, scale, size).pixels, _PART_FLOOR)
+    return standardised(warp_to_reference(grey, pose, scale, (size, size)).pixels, _PART_FLOOR)
 
 
 def first_cell(size: int, stride: int) -> float:
@@ -117,30 +125,38 @@ def first_cell(size: int, stride: int) -> float:
     return (stride - 1) / 2.0 - (size - 1) / 2.0
 
 
-def _softmax(scores: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Scores (..., w, w) as probabilities that sum to 1 over the last two axes; the input is overwritten."""
-    scores -= scores.max(axis=(-2, -1), keepdims=True)
-    np.exp(scores, out=scores)
-    scores /= scores.sum(axis=(-2, -1), keepdims=True)
+def _likelihood(scores: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Scores (n, w, w), logarithms up to a constant, as likelihoods of at most 1; the input is overwritten."""
+    flat = scores.reshape(len(scores), -1)
+    flat -= flat.max(axis=1, keepdims=True)
+    np.exp(flat, out=flat)
     return scores
 
 
+@dataclass(frozen=True)
 class FaceExperts:
-    """All 66 landmarks in the whole face, and whether it is one."""
+    """All 66 landmarks in the whole face, and whether it is one.
 
-    def __init__(self, network: Network) -> None:
-        self.network = network
-        self._landmarks = np.arange(len(MIRROR))
+    Attributes
+    ----------
+    network : Network
+    scale : float
+        Pixels an outer-eye distance.
+    size : int
+        Side of the picture in pixels, a multiple of 16.
+    """
+
+    network: Network
+    scale: float
+    size: int
 
     def look(self, grey: NDArray[np.uint8], pose: FloatArray) -> tuple[ResponseMaps, float]:
-        """Maps in the face frame of `pose` (6,), and the log odds that a face is there at about that pose.
-
-        About 1 ms.
-        """
-        maps, face = self.network(face_picture(grey, pose)[None])
-        corner = np.full((len(self._landmarks), 2), first_cell(FACE_SIZE, FACE_STRIDE) / FACE_SCALE, np.float32)
-        stride = np.full((len(self._landmarks), 1), FACE_STRIDE / FACE_SCALE, np.float32)
-        return ResponseMaps(self._landmarks, _softmax(maps[0]), corner, stride), float(face.mean())
+        """Maps in the face frame of `pose` (6,), and the log odds that a face is there at about that pose."""
+        maps, face = self.network(face_picture(grey, pose, self.scale, self.size)[None])
+        count = len(MIRROR)
+        corner = np.full((count, 2), first_cell(self.size, FACE_STRIDE) / self.scale, np.float32)
+        stride = np.full((count, 1), FACE_STRIDE / self.scale, np.float32)
+        return ResponseMaps(np.arange(count), _likelihood(maps[0]), corner, stride), float(face.mean())
 
 
 @dataclass(frozen=True)
@@ -166,31 +182,28 @@ class PartExperts:
     size: int
     paired: bool
 
+    @cached_property
+    def _sides(self) -> IntArray:
+        """(1 or 2, n) landmarks of the part, and of the one in the mirror."""
+        sides: IntArray = np.stack([self.landmarks, MIRROR[self.landmarks]][: 1 + self.paired])
+        return sides
+
     def look(self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> ResponseMaps:
         """Maps in the face frame of `pose` (6,), looked for round landmarks `shape` (66, 2) of that frame."""
-        sides = [self.landmarks, MIRROR[self.landmarks]] if self.paired else [self.landmarks]
-        centres = [shape[side].sum(0) / len(side) for side in sides]
+        sides = self._sides
+        centres = shape[sides].sum(axis=1) / sides.shape[1]
         pictures = np.empty((len(sides), self.size, self.size), np.float32)
-        for picture, centre in zip(pictures, centres, strict=True):
-            picture[...] = part_picture(grey, _moved(pose, centre), self.scale, self.size)
+        for picture, centre in zip(pictures, centres.tolist(), strict=True):
+            picture[...] = part_picture(grey, moved(pose, *centre), self.scale, self.size)
         if self.paired:
             pictures[1] = pictures[1, :, ::-1]
-        maps = _softmax(self.network(pictures)[0])
+        (maps,) = self.network(pictures)
         if self.paired:
             maps[1] = maps[1, :, :, ::-1]
-        reach = first_cell(self.size, PART_STRIDE) / self.scale
-        stride = PART_STRIDE / self.scale
+        corner = (centres + first_cell(self.size, PART_STRIDE) / self.scale).astype(np.float32)
         return ResponseMaps(
-            np.concatenate(sides),
-            maps.reshape(-1, *maps.shape[2:]),
-            np.repeat(np.array(centres, np.float32) + np.float32(reach), len(self.landmarks), axis=0),
-            np.full((len(sides) * len(self.landmarks), 1), stride, np.float32),
+            sides.ravel(),
+            _likelihood(maps.reshape(-1, *maps.shape[2:])),
+            corner.repeat(sides.shape[1], axis=0),
+            np.full((sides.size, 1), PART_STRIDE / self.scale, np.float32),
         )
-
-
-def _moved(pose: FloatArray, by: FloatArray) -> FloatArray:
-    """`pose` (6,) with its translation moved by `by` (2,) of its face frame."""
-    c, s = pose[0] * np.cos(pose[3]), pose[0] * np.sin(pose[3])
-    out = pose.copy()
-    out[4:6] += (c * by[0] - s * by[1], s * by[0] + c * by[1])
-    return out

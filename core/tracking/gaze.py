@@ -90,26 +90,21 @@ def _directions(pupils: FloatArray, pose: FloatArray, middles: FloatArray) -> Fl
 
 def _pupils(grey: NDArray[np.uint8], pose: FloatArray, outlines: FloatArray) -> FloatArray:
     """(E, 2) pupil centres in the image of the eyes with the given outlines (E, 6, 2)."""
-    middle = outlines.reshape(-1, 2).sum(axis=0) / (6 * len(outlines))
-    place = np.array([*pose[:4], *middle])
-    frame = warp_to_reference(grey, place, _SCALE, _WIDTH)
-    top = (_WIDTH - _HEIGHT) // 2
-    band = frame.pixels[top : top + _HEIGHT]
-    offset = frame.offset - (0.0, top)
-    corners = np.round((outlines @ frame.linear.T + offset) * 16.0).astype(np.int32)
-    masks = np.zeros((len(outlines), *band.shape), np.uint8)
-    inside = np.zeros(band.shape, np.uint8)
+    place = pose.copy()
+    place[4:6] = outlines.reshape(-1, 2).sum(axis=0) / (6 * len(outlines))
+    frame = warp_to_reference(grey, place, _SCALE, (_WIDTH, _HEIGHT))
+    corners = np.round((outlines @ frame.linear.T + frame.offset) * 16.0).astype(np.int32)
+    masks = np.zeros((len(outlines), _HEIGHT, _WIDTH), np.uint8)
     for mask, polygon in zip(masks, corners, strict=True):
-        for canvas in (mask, inside):
-            cv2.fillConvexPoly(canvas, polygon, (1,), cv2.LINE_8, 4)
-    votes = _votes(band, np.asarray(cv2.dilate(inside, _NEAR), np.uint8))
+        cv2.fillConvexPoly(mask, polygon, (1,), cv2.LINE_8, 4)
+    votes = _votes(frame.pixels, np.asarray(cv2.dilate(cv2.bitwise_or(masks[0], masks[-1]), _NEAR), np.uint8))
     peaks = np.array([_peak(votes, mask) for mask in masks])
-    return np.asarray((peaks - offset) @ frame.linear * (pose[0] / _SCALE) ** 2)
+    return np.asarray((peaks - frame.offset) @ frame.linear * (pose[0] / _SCALE) ** 2)
 
 
-def _votes(pixels: NDArray[np.float32], near: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _votes(pixels: NDArray[np.uint8], near: NDArray[np.uint8]) -> NDArray[np.float32]:
     """(h, w) how much every place looks like the middle of an iris, by the gradients where `near` is not 0."""
-    smooth = cv2.GaussianBlur(pixels, (5, 5), 0.9)
+    smooth = cv2.GaussianBlur(pixels.astype(np.float32), (5, 5), 0.9)
     right, down = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
     strength = cv2.magnitude(right, down)
     weight = near / (strength + np.float32(cv2.mean(strength, near)[0] + 1e-3))

@@ -21,7 +21,7 @@ from .patch_experts import PatchExperts
 from .pdm import PointDistributionModel
 
 MAGIC = b"FACEMIME TRACKER"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 _VIEWS = ("frontal", "side")
 _HEADER = struct.Struct("<16sIQ32s")
 _ADVICE = "Reinstall Facemime, or make the model again with `make model`."
@@ -35,6 +35,9 @@ class TrackerModel:
     ----------
     pdm : PointDistributionModel
     face : FaceExperts
+        For a start that may be far off.
+    glance : FaceExperts
+        For a face that is where it was a frame ago.
     parts : tuple of PartExperts
         The eyes with their brows, and the mouth with the nose's base.
     patches : (PatchExperts, PatchExperts)
@@ -52,6 +55,7 @@ class TrackerModel:
 
     pdm: PointDistributionModel
     face: FaceExperts
+    glance: FaceExperts
     parts: tuple[PartExperts, ...]
     patches: tuple[PatchExperts, PatchExperts]
     definition: FloatArray
@@ -59,6 +63,13 @@ class TrackerModel:
     box_offset: FloatArray
     check: FaceCheck
     model_id: str = "unsaved"
+
+
+def _pack_faces(model: TrackerModel) -> dict[str, NDArray[np.generic]]:
+    experts = (model.face, model.glance)
+    arrays: dict[str, NDArray[np.generic]] = {"face_scales": np.array([e.scale for e in experts])}
+    arrays["face_sizes"] = np.array([e.size for e in experts], np.int32)
+    return arrays | {f"face_{i}_network": _packed(e.network) for i, e in enumerate(experts)}
 
 
 def _pack_parts(parts: tuple[PartExperts, ...]) -> dict[str, NDArray[np.generic]]:
@@ -105,7 +116,7 @@ def save_model(model: TrackerModel, path: Path) -> str:
         "visibility": model.visibility.astype(np.float32),
         "box_offset": model.box_offset.astype(np.float32),
         "check_weights": model.check.weights.astype(np.float32),
-        "face_network": _packed(model.face.network),
+        **_pack_faces(model),
         **_pack_parts(model.parts),
         **_pack_patches(model.patches),
     }
@@ -166,6 +177,10 @@ def _assemble(arrays: dict[str, NDArray[np.generic]], model_id: str) -> TrackerM
     def real(name: str) -> FloatArray:
         return arrays[name].astype(np.float64)
 
+    face, glance = (
+        FaceExperts(Network(arrays[f"face_{i}_network"].tobytes(), "maps", "face"), scale, size)
+        for i, (scale, size) in enumerate(zip(real("face_scales").tolist(), arrays["face_sizes"].tolist(), strict=True))
+    )
     scales, sizes, paired = (arrays[f"part_{name}"].tolist() for name in ("scales", "sizes", "paired"))
     parts = [
         PartExperts(
@@ -179,7 +194,8 @@ def _assemble(arrays: dict[str, NDArray[np.generic]], model_id: str) -> TrackerM
     ]
     return TrackerModel(
         pdm=PointDistributionModel(real("mean_shape"), real("basis"), real("eigenvalues")),
-        face=FaceExperts(Network(arrays["face_network"].tobytes(), "maps", "face")),
+        face=face,
+        glance=glance,
         parts=tuple(parts),
         patches=(_unpack_patches(_VIEWS[0], arrays), _unpack_patches(_VIEWS[1], arrays)),
         definition=real("definition"),

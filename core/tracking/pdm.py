@@ -8,16 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import pi
+from math import cos, pi, sin
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..landmarks import MIRROR
-from ..rotation import axis_rotations, euler_to_matrix
+from ..rotation import euler_to_matrix
 
 N_POSE = 6
 """`(s, pitch, yaw, roll, tx, ty)`, as in `TrackResult.pose`."""
+_ABOUT_X = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Derivative of Rx at 0."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,10 @@ class PointDistributionModel:
 
     @cached_property
     def _flat_basis(self) -> FloatArray:
-        """(3, N * K), so that rotating every mode is a single matrix product."""
-        return np.ascontiguousarray(self.basis.transpose(1, 0, 2)).reshape(3, -1)
+        """(3, N * (6 + K)), so that rotating every mode is a single matrix product; 0 in the pose's columns."""
+        modes = self.basis.transpose(1, 0, 2)
+        flat: FloatArray = np.concatenate([np.zeros((*modes.shape[:2], N_POSE)), modes], axis=2).reshape(3, -1)
+        return flat
 
     @cached_property
     def _shape_basis(self) -> FloatArray:
@@ -78,34 +82,32 @@ class PointDistributionModel:
 
     def shape(self, shape_params: FloatArray) -> FloatArray:
         """(N, 3) landmarks in the head frame for coefficients (K,)."""
-        offset: FloatArray = (self._shape_basis @ shape_params).reshape(-1, 3)
-        return self.mean_shape + offset
+        out: FloatArray = (self._shape_basis @ shape_params).reshape(-1, 3)
+        out += self.mean_shape
+        return out
 
     def project(self, pose: FloatArray, shape_params: FloatArray) -> FloatArray:
         """(N, 2) landmarks in pixels."""
-        rotation = euler_to_matrix(pose[1], pose[2], pose[3])
-        projected: FloatArray = pose[0] * self.shape(shape_params) @ rotation[:2].T + pose[4:6]
+        scale, pitch, yaw, roll, *_ = pose.tolist()
+        projected: FloatArray = self.shape(shape_params) @ (scale * euler_to_matrix(pitch, yaw, roll)[:2]).T
+        projected += pose[4:6]
         return projected
 
     def jacobian(self, pose: FloatArray, shape_params: FloatArray) -> FloatArray:
         """(2, N, 6 + K) derivatives of the projected x and y by pose and coefficients."""
-        shape = self.shape(shape_params)
-        about_x, about_y, about_z = axis_rotations(pose[1], pose[2], pose[3])
-        scale = pose[0]
-        tilted = shape @ about_x.T
-        turned = tilted @ about_y.T
-        # d/dangle of a rotation about a unit axis e is e x (.), applied at the axis' place in the product.
-        by_pitch = np.stack([np.zeros(len(shape)), -tilted[:, 2], tilted[:, 1]], axis=1) @ (about_z @ about_y).T
-        by_yaw = np.stack([turned[:, 2], np.zeros(len(shape)), -turned[:, 0]], axis=1) @ about_z.T
-        rolled = turned @ about_z.T
-        out = np.empty((2, len(shape), N_POSE + self.n_modes))
-        out[:, :, 0] = rolled[:, :2].T
-        out[:, :, 1] = scale * by_pitch[:, :2].T
-        out[:, :, 2] = scale * by_yaw[:, :2].T
-        out[0, :, 3], out[1, :, 3] = -scale * rolled[:, 1], scale * rolled[:, 0]
-        out[:, :, 4:6] = np.eye(2)[:, None, :]
-        rotation = about_z @ about_y @ about_x
-        out[:, :, 6:] = (scale * rotation[:2] @ self._flat_basis).reshape(2, len(shape), -1)
+        scale, pitch, yaw, roll, *_ = pose.tolist()
+        rotation = euler_to_matrix(pitch, yaw, roll)
+        x, y, z = rotation
+        by_pose = np.empty((2, 4, 3))
+        by_pose[:, 0] = rotation[:2]
+        rotation *= scale
+        # R = Rz Ry Rx: pitch turns the second column into the third, yaw both rows along the third one, roll x into y.
+        by_pose[:, 1] = rotation[:2] @ _ABOUT_X
+        by_pose[0, 2], by_pose[1, 2] = cos(roll) * z, sin(roll) * z
+        by_pose[0, 3], by_pose[1, 3] = -y, x
+        out: FloatArray = (rotation[:2] @ self._flat_basis).reshape(2, len(self.mean_shape), -1)
+        out[:, :, :4] = self.shape(shape_params) @ by_pose.transpose(0, 2, 1)
+        out[0, :, 4] = out[1, :, 5] = 1.0
         return out
 
     def clamp(self, shape_params: FloatArray, limit: float = 3.0) -> FloatArray:

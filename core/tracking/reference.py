@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, sin
+from typing import cast
 
 import cv2
 import numpy as np
@@ -14,9 +15,9 @@ from ..arrays import FloatArray
 
 @dataclass(frozen=True)
 class ReferenceFrame:
-    """A grey picture (S, S) float32 and the similarity `reference = linear @ image + offset` that made it."""
+    """A grey picture (H, W) and the similarity `reference = linear @ image + offset` that made it."""
 
-    pixels: NDArray[np.float32]
+    pixels: NDArray[np.uint8]
     linear: FloatArray
     offset: FloatArray
 
@@ -27,59 +28,71 @@ def pose_in_image(relative: FloatArray, start: FloatArray) -> FloatArray:
     The face frame is the image moved to the start's translation, turned back by its roll and divided by its scale: the
     start itself is `(1, pitch, yaw, 0, 0, 0)` there.
     """
-    c, s = start[0] * cos(start[3]), start[0] * sin(start[3])
-    x, y = relative[4:6]
-    place = (start[4] + c * x - s * y, start[5] + s * x + c * y)
-    return np.array([start[0] * relative[0], relative[1], relative[2], start[3] + relative[3], *place])
+    start_scale, _, _, start_roll, start_x, start_y = start.tolist()
+    scale, pitch, yaw, roll, x, y = relative.tolist()
+    c, s = start_scale * cos(start_roll), start_scale * sin(start_roll)
+    place = (start_x + c * x - s * y, start_y + s * x + c * y)
+    return np.array([start_scale * scale, pitch, yaw, start_roll + roll, *place])
 
 
-def warp_to_reference(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int) -> ReferenceFrame:
+def moved(pose: FloatArray, x: float, y: float) -> FloatArray:
+    """`pose` (6,) with its translation moved to the place (x, y) of its face frame."""
+    return pose_in_image(np.array([1.0, pose[1], pose[2], 0.0, x, y]), pose)
+
+
+def warp_to_reference(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: tuple[int, int]) -> ReferenceFrame:
     """Cut the face at `pose` (6,) out of a grey image (H, W), unrolled and at `scale` pixels an outer-eye distance.
 
     Only the part of the image that the frame shows is touched; it is shrunk by whole pixels first where the face is
     much larger than the frame, since the bilinear warp would alias. Beyond the image the border is repeated. `size` is
-    the side of the frame in pixels.
+    the frame's width and height in pixels.
     """
-    gain = scale / pose[0]
-    x, y, roll = float(pose[4]), float(pose[5]), float(pose[3])
+    # Numbers of Python's own: on numpy's scalars each operation takes ten times as long.
+    pose_scale, _, _, roll, x, y = pose.tolist()
+    gain = scale / pose_scale
     c, s = gain * cos(roll), gain * sin(roll)
-    middle = (size - 1) / 2.0
-    linear = np.array([[c, s], [-s, c]])
-    offset = np.array([middle - c * x - s * y, middle + s * x - c * y])
-    reach = 0.5 * size * (abs(c) + abs(s)) / gain**2 + 2.0
+    width, height = size
+    right, down = (width - 1) / 2.0 - c * x - s * y, (height - 1) / 2.0 + s * x - c * y
+    # Half the sides of the upright box in the image that holds the frame.
+    along, across = 0.5 * abs(c) / gain**2, 0.5 * abs(s) / gain**2
+    reach = (along * width + across * height + 2.0, across * width + along * height + 2.0)
     patch, step, left, top = _shrunk_region(grey, x, y, reach, int(1.0 / gain))
     # Pixel centres: the shrunk pixel j stands for image position corner + step * j + (step - 1) / 2.
     left, top = left + (step - 1) / 2.0, top + (step - 1) / 2.0
     local = np.array(
         [
-            [c * step, s * step, c * left + s * top + offset[0]],
-            [-s * step, c * step, -s * left + c * top + offset[1]],
+            [c * step, s * step, c * left + s * top + right],
+            [-s * step, c * step, -s * left + c * top + down],
         ]
     )
-    pixels = cv2.warpAffine(patch, local, (size, size), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return ReferenceFrame(pixels.astype(np.float32), linear, offset)
+    pixels = cv2.warpAffine(patch, local, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return ReferenceFrame(cast("NDArray[np.uint8]", pixels), np.array([[c, s], [-s, c]]), np.array([right, down]))
 
 
 def _shrunk_region(
-    grey: NDArray[np.uint8], x: float, y: float, reach: float, step: int
+    grey: NDArray[np.uint8], x: float, y: float, reach: tuple[float, float], step: int
 ) -> tuple[NDArray[np.uint8], int, float, float]:
-    """The part of the image within `reach` pixels of (x, y), every step x step pixels averaged into one.
+    """The part of the image within `reach` (x, y) pixels of (x, y), every step x step pixels averaged into one.
 
     Returns it, the step that could be taken, and the image position of its first pixel.
     """
     height, width = grey.shape
-    left, right = _span(x, reach, width)
-    top, bottom = _span(y, reach, height)
+    left, right = _span(x, reach[0], width, step)
+    top, bottom = _span(y, reach[1], height, step)
     region = grey[top:bottom, left:right]
     if step < 2 or min(region.shape) < 2 * step:
         return region, 1, left, top
     rows, columns = region.shape[0] // step, region.shape[1] // step
     whole = region[: rows * step, : columns * step]
-    small: NDArray[np.uint8] = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.uint8)
-    return small, step, left, top
+    small = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
+    return cast("NDArray[np.uint8]", small), step, left, top
 
 
-def _span(centre: float, reach: float, length: int) -> tuple[int, int]:
-    """First and last pixel (exclusive) within `reach` of a place on an axis; at least one pixel of the image."""
+def _span(centre: float, reach: float, length: int, step: int) -> tuple[int, int]:
+    """First and last pixel (exclusive) within `reach` of a place on an axis; at least one pixel of the image.
+
+    The first is a multiple of `step`, so that the same pixels are averaged wherever a face moves to.
+    """
     first = int(min(max(centre - reach, 0.0), length - 1))
+    first -= first % max(step, 1)
     return first, max(int(min(max(centre + reach + 1.0, 0.0), length)), first + 1)

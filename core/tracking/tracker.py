@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from time import perf_counter
@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import FloatArray, as_image
 from ..landmarks import INNER, MIRROR, N_LANDMARKS
-from ..rotation import euler_to_matrix
 from .check import N_FEATURES
 from .detect import EFFORTS, BoxDetector
 from .experts import ResponseMaps
@@ -33,8 +32,9 @@ _MOST_BOXES, _MOST_FACES = 60, 4
 """How many boxes of an effort are looked at, and how many of them are fitted to the end."""
 _BEYOND_DOUBT = 0.85
 """Confidence of a detected face from which on no further effort is made."""
-_CERTAIN = 0.08
-"""Standard deviation of a response map, in eye distances, at which its landmark is trusted half."""
+_CERTAIN, _CERTAIN_AT_A_GLANCE = 0.08, 0.1
+"""Standard deviation of a response map, in eye distances, at which its landmark is trusted half; a glance's maps are
+the wider the larger their cells are."""
 _REMEMBERED = 25
 """Frames for which a lost face is waited for where it was before another one is taken."""
 _FAR = 0.05
@@ -49,7 +49,7 @@ class Stage:
     Attributes
     ----------
     parts : bool
-        Whether the parts' experts look too.
+        Whether the parts' experts look, and the whole face is only glanced at; otherwise it is all that is looked at.
     rounds : tuple of MeanShiftOptions
         In eye distances; each starts from where the last one ended.
     """
@@ -61,8 +61,8 @@ class Stage:
 _TOWARDS = MeanShiftOptions((inf,), 0.006)
 COARSE = Stage(False, (_TOWARDS, _TOWARDS, _TOWARDS, MeanShiftOptions((0.02, 0.01), 0.006)))
 FINE = Stage(True, (MeanShiftOptions((inf,), 3e-4),))
-_EDGES = MeanShiftOptions((4e-4, 2e-4, 2e-4), 4e-5)
-REFINED = (COARSE, FINE, FINE)
+_EDGES = MeanShiftOptions((4e-4, 2e-4), 3e-5)
+REFINED = (FINE, FINE)
 DETECTED = (COARSE, *REFINED)
 
 
@@ -103,6 +103,9 @@ class FaceTracker:
     def __init__(self, model: TrackerModel) -> None:
         self._model = model
         self._detector = BoxDetector()
+        # Fitted are the places that the experts were taught; reported is where `pdm` has the same shape.
+        taught = model.pdm.mean_shape - model.definition
+        self._taught = PointDistributionModel(taught, model.pdm.basis, model.pdm.eigenvalues)
         self._visibility = {-1: model.visibility[1][MIRROR], 0: model.visibility[0], 1: model.visibility[1]}
         frontal, side = model.patches
         self._patches = {-1: side.mirrored(MIRROR), 0: frontal, 1: side}
@@ -180,38 +183,30 @@ class FaceTracker:
         pixels = as_image(image)
         return pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY).astype(np.uint8)
 
-    def _in_face_frame(self, start: FittedShape) -> tuple[FittedShape, FloatArray]:
-        """`start` in its own face frame, and how far each landmark (66, 2) lies there from where its expert looks."""
-        local = FittedShape(np.array([1.0, start.pose[1], start.pose[2], 0.0, 0.0, 0.0]), start.shape_params)
-        return local, self._model.definition @ euler_to_matrix(*local.pose[1:4])[:2].T
-
     def _fit_stage(self, grey: NDArray[np.uint8], start: FittedShape, stage: Stage) -> Fit:
         began = perf_counter()
-        local, by = self._in_face_frame(start)
-        face, log_odds = self._model.face.look(grey, start.pose)
-        maps = [face]
-        if stage.parts:
-            shape = self.pdm.project(local.pose, local.shape_params)
-            maps += [part.look(grey, start.pose, shape) for part in self._model.parts]
-        maps = [m.moved(by) for m in maps]
+        local = _in_face_frame(start)
+        face, log_odds = (self._model.glance if stage.parts else self._model.face).look(grey, start.pose)
+        shape = self._taught.project(local.pose, local.shape_params)
+        maps = [part.look(grey, start.pose, shape) for part in self._model.parts] if stage.parts else []
         looked = perf_counter()
         visible = self._visibility[_view(start.pose)]
-        certainties = [_CERTAIN**2 / (_CERTAIN**2 + m.moments[1]) for m in maps]
-        evidence = [Evidence(m, c * visible[m.landmarks]) for m, c in zip(maps, certainties, strict=True)]
-        if stage.parts:
-            evidence[0] = Evidence(maps[0], evidence[0].weights * self._face_weight, coarse=True)
+        certainty = _certainty(face, _CERTAIN_AT_A_GLANCE if maps else _CERTAIN)
+        of_parts = [_certainty(m, _CERTAIN) for m in maps]
+        evidence = [Evidence(m, c * visible[m.landmarks]) for m, c in zip(maps, of_parts, strict=True)]
+        evidence += [Evidence(face, certainty * visible * (self._face_weight if maps else 1.0), coarse=bool(maps))]
         for options in stage.rounds:
-            local = regularised_mean_shift(self.pdm, local, evidence, options)
+            local = regularised_mean_shift(self._taught, local, evidence, options)
         fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
         ended = perf_counter()
-        shape = self.pdm.project(local.pose, local.shape_params)
-        certainty, features = certainties[0].copy(), np.zeros(N_FEATURES)
-        features[:4] = 1.0, 0.2 * log_odds, certainty[INNER].mean(), 10.0 * _distance(maps[0], shape)[INNER].mean()
-        if stage.parts:
-            for m, c in zip(maps[1:], certainties[1:], strict=True):
-                certainty[m.landmarks] = c
-            away = np.concatenate([_distance(m, shape) for m in maps[1:]])
-            features[4:] = np.concatenate(certainties[1:]).mean(), 10.0 * away.mean()
+        shape = self._taught.project(local.pose, local.shape_params)
+        features = np.zeros(N_FEATURES)
+        features[:4] = 1.0, 0.2 * log_odds, certainty[INNER].mean(), 10.0 * _distance(face, shape)[INNER].mean()
+        if maps:
+            away = np.concatenate([_distance(m, shape) for m in maps])
+            features[4:] = np.concatenate(of_parts).mean(), 10.0 * away.mean()
+        for m, c in zip(maps, of_parts, strict=True):
+            certainty[m.landmarks] = c
         self.timings["look"] += looked - began
         self.timings["fit"] += ended - looked
         self.timings["check"] += perf_counter() - ended
@@ -221,17 +216,16 @@ class FaceTracker:
         """The fit after the patch experts had their last word."""
         began = perf_counter()
         start = fit.fitted
-        local, by = self._in_face_frame(start)
-        view = _view(start.pose)
-        shape = self.pdm.project(local.pose, local.shape_params)
-        maps, highest = self._patches[view].look(grey, start.pose, shape - by)
+        local, view = _in_face_frame(start), _view(start.pose)
+        shape = self._taught.project(local.pose, local.shape_params)
+        maps, highest = self._patches[view].look(grey, start.pose, shape)
         looked = perf_counter()
-        evidence = [Evidence(maps.moved(by), self._visibility[view] * highest)]
-        local = regularised_mean_shift(self.pdm, local, evidence, _EDGES)
+        evidence = [Evidence(maps, self._visibility[view] * highest)]
+        local = regularised_mean_shift(self._taught, local, evidence, _EDGES)
         fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
         self.timings["look"] += looked - began
         self.timings["fit"] += perf_counter() - looked
-        return replace(fit, fitted=fitted)
+        return Fit(fitted, fit.features, fit.certainty)
 
     def _judged(self, fit: Fit) -> _Candidate:
         return _Candidate(fit, self._model.check.confidence(fit.features))
@@ -244,9 +238,8 @@ class FaceTracker:
 
     def _moved_far(self, before: FittedShape, now: FittedShape) -> bool:
         """Whether some part left the middle of the picture in which its experts looked for it."""
-        shapes = [self.pdm.project(f.pose, f.shape_params) for f in (before, now)]
-        moved = shapes[1] - shapes[0]
-        parts = [np.abs(moved[part.landmarks].mean(0)).max() for part in self._model.parts]
+        moved = self.pdm.project(now.pose, now.shape_params) - self.pdm.project(before.pose, before.shape_params)
+        parts = [np.abs(moved[part.landmarks].sum(axis=0)).max() / len(part.landmarks) for part in self._model.parts]
         return bool(max(parts) > _FAR * before.pose[0])
 
     def _detect(self, grey: NDArray[np.uint8], efforts: tuple[int, ...]) -> Iterator[_Candidate]:
@@ -314,9 +307,19 @@ class FaceTracker:
         )
 
 
+def _in_face_frame(start: FittedShape) -> FittedShape:
+    """`start` in its own face frame."""
+    return FittedShape(np.array([1.0, start.pose[1], start.pose[2], 0.0, 0.0, 0.0]), start.shape_params)
+
+
 def _view(pose: FloatArray) -> int:
     """0 frontal, 1 with the nose to the viewer's left, -1 to the right."""
     return int(np.sign(pose[2])) if abs(pose[2]) > SIDE_YAW else 0
+
+
+def _certainty(maps: ResponseMaps, half: float) -> FloatArray:
+    """(n,) 0 to 1: how narrow each map is; a standard deviation of `half`, in eye distances, gives 0.5."""
+    return np.asarray(half**2 / (half**2 + maps.moments[1]))
 
 
 def _distance(maps: ResponseMaps, shape: FloatArray) -> FloatArray:

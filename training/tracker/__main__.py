@@ -14,7 +14,7 @@ from time import perf_counter
 from facemime.core.tracking.model_file import save_model
 from facemime.core.tracking.tracker import DEFAULT_MODEL
 
-from .workshop import PARTS, Job, Workshop, run_job
+from .workshop import FACES, PARTS, Job, Workshop, run_job
 
 ROOT = Path(__file__).parents[2]
 _PHOTOS_A_PART = 12
@@ -44,7 +44,7 @@ def main() -> None:
         parts = [photos[i : i + _PHOTOS_A_PART] for i in range(0, len(photos), _PHOTOS_A_PART)]
         jobs += [Job(*where, "part", (i, part, held_out)) for i, part in enumerate(parts)]
     _run_all(jobs, options.jobs)
-    _run_all([Job(*where, "network", (name,)) for name in ("face", *PARTS)], options.jobs)
+    _run_all([Job(*where, "network", (name,)) for name in (*FACES, *PARTS)], options.jobs)
     _run_all([Job(*where, "patches", (view,)) for view in ("frontal", "side")], options.jobs)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     name = save_model(workshop.assemble(workshop.check()), options.output)

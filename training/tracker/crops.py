@@ -10,8 +10,6 @@ import numpy as np
 
 from facemime.core.landmarks import MIRROR
 from facemime.core.tracking.experts import (
-    FACE_SCALE,
-    FACE_SIZE,
     FACE_STRIDE,
     PART_STRIDE,
     face_picture,
@@ -58,22 +56,25 @@ class Crops:
             self._trust[rows] = TRUST[weight]
         self._odds /= self._odds.sum()
 
-    def face(self, count: int, clutter: np.ndarray) -> Batch:
-        """Whole faces, some far off; `clutter` (C, S, S) are pictures without one."""
+    def face(self, count: int, clutter: np.ndarray, scale: float, size: int, loose: float) -> Batch:
+        """Whole faces, a share `loose` of them as a detector's box gives them, some far off.
+
+        `clutter` (C, S, S) are pictures without one.
+        """
         rng = self._rng
 
         def draw(sample: _Sample) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[float, float]]:
             fate = rng.random()
             absent, far = fate < _CLUTTER, _CLUTTER <= fate < _MISPLACED
             image = clutter[rng.integers(len(clutter))] if absent else sample.image
-            pose = _misplaced(sample.pose, rng) if far else _perturbed(sample.pose, rng.random() < 0.4, rng)
-            picture = face_picture(_spoilt_source(image, rng), pose)
-            cells = _in_crop(sample.landmarks, pose, FACE_SCALE, FACE_SIZE, FACE_STRIDE)
+            pose = _misplaced(sample.pose, rng) if far else _perturbed(sample.pose, rng.random() < loose, rng)
+            picture = face_picture(_spoilt_source(image, rng), pose, scale, size)
+            cells = _in_crop(sample.landmarks, pose, scale, size, FACE_STRIDE)
             shown = not (absent or far)
             known = absent or far or _is_near(pose, sample.pose)
             return picture, cells, sample.weights * shown, (float(shown), float(known))
 
-        return self._batch(count, np.arange(len(MIRROR)), FACE_SIZE, FACE_SIZE // FACE_STRIDE, draw)
+        return self._batch(count, np.arange(len(MIRROR)), size, size // FACE_STRIDE, draw)
 
     def part(self, count: int, landmarks: np.ndarray, scale: float, size: int) -> Batch:
         """One part of faces, seen about where it is."""

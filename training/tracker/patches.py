@@ -41,7 +41,7 @@ def reference_set(samples: Samples, scale: float, rng: np.random.Generator) -> R
         pose[0] *= np.exp(rng.normal(0, 0.06))
         pose[3] += rng.normal(0, 0.07)
         pose[4:6] += rng.normal(0, 0.04, 2) * pose[0]
-        frame = warp_to_reference(samples.images[i], pose, scale, size)
+        frame = warp_to_reference(samples.images[i], pose, scale, (size, size))
         pictures[i] = frame.pixels
         landmarks[i] = samples.landmarks[i] @ frame.linear.T + frame.offset
         weights[i] = samples.visible[i] * samples.weights[i]
