@@ -41,8 +41,8 @@ class ResponseMaps:
     ----------
     landmarks : (n,) int
         Which of the 66.
-    likelihood : (n, w, w) float32
-        Up to a factor of each map's own; rows are y.
+    likelihood : (n, h, w) float32
+        Up to a factor of each map's own.
     corner : (n, 2) float32
         Place `(x, y)` of each map's first cell, in the frame of the fit.
     stride : (n, 1) float32
@@ -57,12 +57,12 @@ class ResponseMaps:
     @cached_property
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """Mean place (n, 2) and total variance (n,) of each map."""
-        count, side = self.likelihood.shape[:2]
-        sums = self.likelihood.reshape(count, -1) @ _powers(side)
+        count, height, width = self.likelihood.shape
+        sums = self.likelihood.reshape(count, -1) @ _powers(width, height)
         sums *= 1.0 / sums[:, :1]
         mean = sums[:, 1:3]
         variance = sums[:, 3] - np.square(mean).sum(axis=1)
-        place = self.corner + self.stride * (mean + np.float32((side - 1) / 2.0))
+        place = self.corner + self.stride * (mean + _middle(width, height))
         return place.astype(np.float64), (self.stride[:, 0] ** 2 * variance).astype(np.float64)
 
     def shifts(self, places: FloatArray, variance: float) -> FloatArray:
@@ -73,15 +73,16 @@ class ResponseMaps:
         """
         if variance == inf:
             return self.moments[0] - places
-        count, side = self.likelihood.shape[:2]
-        to = (self.corner - places.astype(np.float32))[:, :, None] + self.stride[:, :, None] * _cells(side)
-        pairs = np.empty((count, 2, 2, side), np.float32)
+        count, height, width = self.likelihood.shape
+        longest = max(height, width)
+        to = (self.corner - places.astype(np.float32))[:, :, None] + self.stride[:, :, None] * _cells(longest)
+        pairs = np.empty((count, 2, 2, longest), np.float32)
         near, drawn = pairs[:, :, 0], pairs[:, :, 1]
         np.exp(to * to * np.float32(-0.5 / variance), out=near)
         np.multiply(near, to, out=drawn)
         # Rows (1, y) of the map and columns (1, x): their product holds the sums of 1, of x and of y.
-        along = np.matmul(self.likelihood, pairs[:, 0].transpose(0, 2, 1))
-        sums = np.matmul(pairs[:, 1], along)
+        along = np.matmul(self.likelihood, pairs[:, 0, :, :width].transpose(0, 2, 1))
+        sums = np.matmul(pairs[:, 1, :, :height], along)
         # A landmark far outside its map sees only zeros and is drawn nowhere.
         total = np.maximum(sums[:, :1, 0], _NOTHING)
         out: FloatArray = np.divide(sums.reshape(count, 4)[:, 1:3], total, dtype=np.float64)
@@ -94,11 +95,16 @@ def _cells(side: int) -> NDArray[np.float32]:
 
 
 @cache
-def _powers(side: int) -> NDArray[np.float32]:
-    """(side * side, 4) of each cell 1, x, y and x^2 + y^2, from the middle of the map."""
-    steps = np.arange(side) - (side - 1) / 2.0
-    x, y = np.tile(steps, side), np.repeat(steps, side)
-    powers: NDArray[np.float32] = np.stack([np.ones(side * side), x, y, x * x + y * y], axis=1).astype(np.float32)
+def _middle(width: int, height: int) -> NDArray[np.float32]:
+    return np.array([(width - 1) / 2.0, (height - 1) / 2.0], np.float32)
+
+
+@cache
+def _powers(width: int, height: int) -> NDArray[np.float32]:
+    """(height * width, 4) of each cell 1, x, y and x^2 + y^2, from the middle of the map."""
+    x, y = np.tile(np.arange(width), height), np.repeat(np.arange(height), width)
+    x, y = x - (width - 1) / 2.0, y - (height - 1) / 2.0
+    powers: NDArray[np.float32] = np.stack([np.ones(len(x)), x, y, x * x + y * y], axis=1).astype(np.float32)
     return powers
 
 
@@ -115,18 +121,18 @@ def face_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: 
     return standardised(warp_to_reference(grey, pose, scale, (size, size)).pixels, _FACE_FLOOR)
 
 
-def part_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int) -> NDArray[np.float32]:
-    """(size, size) what a part's experts see; the pose's translation is the part's centre."""
-    return standardised(warp_to_reference(grey, pose, scale, (size, size)).pixels, _PART_FLOOR)
+def part_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: tuple[int, int]) -> NDArray[np.float32]:
+    """(height, width) what a part's experts see; the pose's translation is the part's centre."""
+    return standardised(warp_to_reference(grey, pose, scale, size).pixels, _PART_FLOOR)
 
 
 def first_cell(size: int, stride: int) -> float:
-    """Pixels from a picture's centre to the centre of its maps' first cell, x and y alike."""
+    """Pixels from a picture's centre to the centre of its maps' first cell, along a side of `size` pixels."""
     return (stride - 1) / 2.0 - (size - 1) / 2.0
 
 
 def _likelihood(scores: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Scores (n, w, w), logarithms up to a constant, as likelihoods of at most 1; the input is overwritten."""
+    """Scores (n, h, w), logarithms up to a constant, as likelihoods of at most 1; the input is overwritten."""
     flat = scores.reshape(len(scores), -1)
     flat -= flat.max(axis=1, keepdims=True)
     np.exp(flat, out=flat)
@@ -170,8 +176,9 @@ class PartExperts:
         Of the part; of the viewer's left one where there are two.
     scale : float
         Pixels an outer-eye distance.
-    size : int
-        Side of the picture in pixels, a multiple of 8.
+    size : (int, int)
+        Width and height of the picture in pixels, multiples of 16, so that the landmarks' centre lies where four of the
+        coarsest cells meet.
     paired : bool
         Whether the other half of the face has the same part, seen in a mirror.
     """
@@ -179,7 +186,7 @@ class PartExperts:
     network: Network
     landmarks: IntArray
     scale: float
-    size: int
+    size: tuple[int, int]
     paired: bool
 
     @cached_property
@@ -192,7 +199,7 @@ class PartExperts:
         """Maps in the face frame of `pose` (6,), looked for round landmarks `shape` (66, 2) of that frame."""
         sides = self._sides
         centres = shape[sides].sum(axis=1) / sides.shape[1]
-        pictures = np.empty((len(sides), self.size, self.size), np.float32)
+        pictures = np.empty((len(sides), *self.size[::-1]), np.float32)
         for picture, centre in zip(pictures, centres.tolist(), strict=True):
             picture[...] = part_picture(grey, moved(pose, *centre), self.scale, self.size)
         if self.paired:
@@ -200,7 +207,7 @@ class PartExperts:
         (maps,) = self.network(pictures)
         if self.paired:
             maps[1] = maps[1, :, :, ::-1]
-        corner = (centres + first_cell(self.size, PART_STRIDE) / self.scale).astype(np.float32)
+        corner = (centres + [first_cell(side, PART_STRIDE) / self.scale for side in self.size]).astype(np.float32)
         return ResponseMaps(
             sides.ravel(),
             _likelihood(maps.reshape(-1, *maps.shape[2:])),

@@ -187,7 +187,7 @@ def _assemble(arrays: dict[str, NDArray[np.generic]], model_id: str) -> TrackerM
             Network(arrays[f"part_{i}_network"].tobytes(), "maps"),
             arrays[f"part_{i}_landmarks"].astype(np.intp),
             scales[i],
-            sizes[i],
+            (sizes[i][0], sizes[i][1]),
             paired[i],
         )
         for i in range(len(scales))

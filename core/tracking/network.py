@@ -10,7 +10,7 @@ from ..errors import ModelError
 
 
 class Network:
-    """A network with one input `(B, 1, S, S)` and named outputs.
+    """A network with one input `(B, 1, H, W)` and named outputs.
 
     An instance is not to be shared between threads: OpenCV keeps a call's buffers in it.
 
@@ -32,6 +32,6 @@ class Network:
             ) from error
 
     def __call__(self, pictures: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
-        """Outputs for standardised pictures (B, S, S), in the order in which they were named."""
+        """Outputs for standardised pictures (B, H, W), in the order in which they were named."""
         self._net.setInput(pictures[:, None])
         return tuple(np.asarray(out, np.float32) for out in self._net.forward(self._outputs))

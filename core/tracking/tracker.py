@@ -60,7 +60,7 @@ class Stage:
 
 _TOWARDS = MeanShiftOptions((inf,), 0.006)
 COARSE = Stage(False, (_TOWARDS, _TOWARDS, _TOWARDS, MeanShiftOptions((0.02, 0.01), 0.006)))
-FINE = Stage(True, (MeanShiftOptions((inf,), 3e-4),))
+FINE = Stage(True, (MeanShiftOptions((inf,), 2e-4),))
 _EDGES = MeanShiftOptions((4e-4, 2e-4), 3e-5)
 REFINED = (FINE, FINE)
 DETECTED = (COARSE, *REFINED)

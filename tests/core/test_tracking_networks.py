@@ -18,16 +18,16 @@ from facemime.training.tracker.networks import FaceNetwork, MapLoss, PartNetwork
 
 def test_the_loss_has_the_gradient_of_its_definition() -> None:
     torch.manual_seed(0)
-    scores = torch.randn(2, 3, 8, 8, requires_grad=True)
-    cells, weights = torch.rand(2, 3, 2) * 7, torch.rand(2, 3)
+    scores = torch.randn(2, 3, 8, 6, requires_grad=True)
+    cells, weights = torch.rand(2, 3, 2) * 5, torch.rand(2, 3)
     MapLoss.apply(scores, cells, weights, 0.7)[0].backward()
-    steps = torch.arange(8).float()
-    wanted = [torch.softmax((steps - cells[..., k, None]) ** 2 / -1.4, -1) for k in (0, 1)]
+    steps = torch.arange(6).float(), torch.arange(8).float()
+    wanted = [torch.softmax((steps[k] - cells[..., k, None]) ** 2 / -1.4, -1) for k in (0, 1)]
     free = scores.detach().clone().requires_grad_()
-    log_likely = torch.log_softmax(free.flatten(2), -1).view(2, 3, 8, 8)
+    log_likely = torch.log_softmax(free.flatten(2), -1).view(2, 3, 8, 6)
     likely = log_likely.exp()
     cross_entropy = -torch.einsum("bnyx,bnx,bny->bn", log_likely, *wanted)
-    mean = torch.stack([(likely.sum(2) * steps).sum(-1), (likely.sum(3) * steps).sum(-1)], -1)
+    mean = torch.stack([(likely.sum(2 + k) * steps[k]).sum(-1) for k in (0, 1)], -1)
     away = torch.sqrt(((mean - cells) ** 2).sum(-1) + 0.01)
     (((cross_entropy + MapLoss.PULL * away) * weights).sum() / weights.sum()).backward()
     torch.testing.assert_close(scores.grad, free.grad, atol=1e-6, rtol=1e-4)
@@ -40,7 +40,7 @@ def test_opencv_runs_the_face_network_as_pytorch_does(size: int) -> None:
     picture = np.random.default_rng(0).normal(0, 1, (1, size, size)).astype(np.float32)
     with torch.no_grad():
         expected = network(torch.from_numpy(picture[:, None]))
-    shown = Network(to_onnx(network, 96), "maps", "face")(picture)
+    shown = Network(to_onnx(network, 96, 96), "maps", "face")(picture)
     for ours, theirs in zip(shown, expected, strict=True):
         np.testing.assert_allclose(ours, theirs.numpy(), atol=1e-4)
 

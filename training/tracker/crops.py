@@ -32,7 +32,7 @@ _NEAR = 0.2
 
 @dataclass(frozen=True)
 class Batch:
-    """Pictures (B, 1, S, S), landmarks (B, n, 2) in cells, weights (B, n); whether a face is there, and whether that is
+    """Pictures (B, 1, H, W), landmarks (B, n, 2) in cells, weights (B, n); whether a face is there, and whether that is
     to be learnt, (B, 2). All float32.
     """
 
@@ -69,14 +69,14 @@ class Crops:
             image = clutter[rng.integers(len(clutter))] if absent else sample.image
             pose = _misplaced(sample.pose, rng) if far else _perturbed(sample.pose, rng.random() < loose, rng)
             picture = face_picture(_spoilt_source(image, rng), pose, scale, size)
-            cells = _in_crop(sample.landmarks, pose, scale, size, FACE_STRIDE)
+            cells = _in_crop(sample.landmarks, pose, scale, (size, size), FACE_STRIDE)
             shown = not (absent or far)
             known = absent or far or _is_near(pose, sample.pose)
             return picture, cells, sample.weights * shown, (float(shown), float(known))
 
-        return self._batch(count, np.arange(len(MIRROR)), size, size // FACE_STRIDE, draw)
+        return self._batch(count, np.arange(len(MIRROR)), (size, size), FACE_STRIDE, draw)
 
-    def part(self, count: int, landmarks: np.ndarray, scale: float, size: int) -> Batch:
+    def part(self, count: int, landmarks: np.ndarray, scale: float, size: tuple[int, int]) -> Batch:
         """One part of faces, seen about where it is."""
         rng = self._rng
 
@@ -92,18 +92,18 @@ class Crops:
             cells = _in_crop(sample.landmarks, pose, scale, size, PART_STRIDE)
             return picture, cells, sample.weights, (1.0, 1.0)
 
-        return self._batch(count, landmarks, size, size // PART_STRIDE, draw)
+        return self._batch(count, landmarks, size, PART_STRIDE, draw)
 
     def _batch(
         self,
         count: int,
         landmarks: np.ndarray,
-        size: int,
-        cells: int,
+        size: tuple[int, int],
+        stride: int,
         draw: Callable[[_Sample], tuple[np.ndarray, np.ndarray, np.ndarray, tuple[float, float]]],
     ) -> Batch:
         rng = self._rng
-        pictures = np.empty((count, 1, size, size), np.float32)
+        pictures = np.empty((count, 1, *size[::-1]), np.float32)
         places = np.empty((count, len(landmarks), 2), np.float32)
         weights = np.zeros((count, len(landmarks)), np.float32)
         face = np.zeros((count, 2), np.float32)
@@ -111,7 +111,7 @@ class Crops:
             sample = self._sample(int(i), landmarks, rng.random() < 0.5)
             picture, places[row], weight, face[row] = draw(sample)
             pictures[row, 0] = _covered(picture, rng)
-            inside = ((places[row] > 0) & (places[row] < cells - 1)).all(-1)
+            inside = ((places[row] > 0) & (places[row] < np.array(size) // stride - 1)).all(-1)
             weights[row] = weight * inside
         return Batch(pictures, places, weights, face)
 
@@ -136,11 +136,11 @@ class _Sample:
     pose: np.ndarray
 
 
-def _in_crop(landmarks: np.ndarray, pose: np.ndarray, scale: float, size: int, stride: int) -> np.ndarray:
+def _in_crop(landmarks: np.ndarray, pose: np.ndarray, scale: float, size: tuple[int, int], stride: int) -> np.ndarray:
     """Landmarks (n, 2) of the image in cells of a crop's maps."""
     c, s = np.cos(pose[3]), np.sin(pose[3])
     away = (landmarks - pose[4:6]) @ np.array([[c, -s], [s, c]]) * (scale / pose[0])
-    cells: np.ndarray = (away - first_cell(size, stride)) / stride
+    cells: np.ndarray = (away - [first_cell(side, stride) for side in size]) / stride
     return cells
 
 
@@ -191,7 +191,7 @@ def _spoilt_source(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def _covered(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A standardised picture with noise or, sometimes, something before it."""
-    size = len(picture)
+    size = max(picture.shape)
     if rng.random() < 0.25:
         picture = picture + rng.normal(0, rng.uniform(0.02, 0.25), picture.shape).astype(np.float32)
     if rng.random() < 0.25:

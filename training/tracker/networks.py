@@ -73,7 +73,7 @@ class FaceNetwork(nn.Module):
 
 
 class PartNetwork(nn.Module):
-    """(B, 1, S, S) to the scores of a part's maps (B, n, S / 2, S / 2)."""
+    """(B, 1, H, W) to the scores of a part's maps (B, n, H / 2, W / 2)."""
 
     outputs = ("maps",)
 
@@ -97,7 +97,7 @@ class MapLoss(torch.autograd.Function):
     """How far maps are from their landmarks: cross-entropy to a Gaussian round each, plus `PULL` times the distance
     of the map's mean (integral regression: Sun et al. 2018). One pass over the maps, and one back.
 
-    Inputs: scores (B, n, S, S), cells (B, n, 2) of the landmarks `(x, y)`, weights (B, n), the Gaussian's variance in
+    Inputs: scores (B, n, H, W), cells (B, n, 2) of the landmarks `(x, y)`, weights (B, n), the Gaussian's variance in
     cells. Outputs: the loss, and the weighted mean distance in cells, which has no gradient.
     """
 
@@ -108,9 +108,9 @@ class MapLoss(torch.autograd.Function):
         ctx: torch.autograd.function.FunctionCtx, scores: Tensor, cells: Tensor, weights: Tensor, variance: float
     ) -> tuple[Tensor, Tensor]:
         """Loss and mean distance."""
-        size = scores.shape[-1]
-        steps = torch.arange(size, dtype=torch.float32)
-        wanted_x, wanted_y = (torch.exp((steps - cells[..., k, None]) ** 2 / (-2.0 * variance)) for k in (0, 1))
+        across, down = (torch.arange(scores.shape[k], dtype=torch.float32) for k in (3, 2))
+        wanted_x = torch.exp((across - cells[..., 0, None]) ** 2 / (-2.0 * variance))
+        wanted_y = torch.exp((down - cells[..., 1, None]) ** 2 / (-2.0 * variance))
         wanted_x = wanted_x / wanted_x.sum(-1, keepdim=True).clamp_min(1e-6)
         wanted_y = wanted_y / wanted_y.sum(-1, keepdim=True).clamp_min(1e-6)
         full = scores.float()
@@ -120,7 +120,7 @@ class MapLoss(torch.autograd.Function):
         total = likely.sum((2, 3), keepdim=True)
         likely.div_(total)
         cross_entropy = (highest + total.log())[..., 0, 0] - at_target
-        mean_x, mean_y = (likely.sum(2) * steps).sum(-1), (likely.sum(3) * steps).sum(-1)
+        mean_x, mean_y = (likely.sum(2) * across).sum(-1), (likely.sum(3) * down).sum(-1)
         dx, dy = mean_x - cells[..., 0], mean_y - cells[..., 1]
         away = torch.sqrt(dx * dx + dy * dy + 0.01)
         share = weights / weights.sum().clamp_min(1e-6)
@@ -133,21 +133,21 @@ class MapLoss(torch.autograd.Function):
     def backward(ctx: torch.autograd.function.FunctionCtx, grad: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
         """Gradient of the loss by the scores."""
         likely, wanted_x, wanted_y, share, pull_x, pull_y, mean_x, mean_y = ctx.saved_tensors
-        steps = torch.arange(likely.shape[-1], dtype=torch.float32)
-        by_x = (steps - mean_x[..., None]) * pull_x[..., None]
-        by_y = (steps - mean_y[..., None]) * pull_y[..., None]
+        across, down = (torch.arange(likely.shape[k], dtype=torch.float32) for k in (3, 2))
+        by_x = (across - mean_x[..., None]) * pull_x[..., None]
+        by_y = (down - mean_y[..., None]) * pull_y[..., None]
         out = likely * (1.0 + by_x[..., None, :] + by_y[..., None])
         out.addcmul_(wanted_y[..., None], wanted_x[..., None, :], value=-1)
         out.mul_((share * grad)[..., None, None])
         return out.to(ctx.kind), None, None, None
 
 
-def to_onnx(network: FaceNetwork | PartNetwork, size: int) -> bytes:
-    """The network for pictures of a side of `size` pixels, as OpenCV reads it."""
+def to_onnx(network: FaceNetwork | PartNetwork, width: int, height: int) -> bytes:
+    """The network for pictures of that size, as OpenCV reads it."""
     buffer = io.BytesIO()
     torch.onnx.export(
         network.eval(),
-        (torch.zeros(1, 1, size, size),),
+        (torch.zeros(1, 1, height, width),),
         buffer,
         dynamo=False,
         opset_version=13,

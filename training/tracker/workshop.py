@@ -42,10 +42,10 @@ FACES = {"face": (36.0, 96, 0.4), "glance": (20.0, 48, 0.15)}
 """Pixels an outer-eye distance, side of the picture, and the share of pictures at poses as wrong as a detector's. The
 second looks from where a face was a frame ago, at a fourth of the cost."""
 PARTS = {
-    "eye": (np.r_[17:22, 36:42], 60.0, 48, True),
-    "mouth": (np.r_[31:36, 48:66], 50.0, 48, False),
+    "eye": (np.r_[17:22, 36:42], 60.0, (48, 32), True),
+    "mouth": (np.r_[31:36, 48:66], 50.0, (48, 48), False),
 }
-"""Landmarks, pixels an outer-eye distance, side of the picture, whether the other half of the face has it too."""
+"""Landmarks, pixels an outer-eye distance, size of the picture, whether the other half of the face has it too."""
 
 
 @dataclass(frozen=True)
@@ -139,12 +139,12 @@ class Workshop:
                 pictures = np.stack(clutter(self.photos(), N_CLUTTER, rng))
                 draw = partial(crops.face, BATCH[name], pictures, *FACES[name])
                 face = train(FaceNetwork(), draw, *how, checkpoint, name)
-                onnx = to_onnx(face, FACES[name][1])
+                onnx = to_onnx(face, FACES[name][1], FACES[name][1])
             else:
                 landmarks, scale, size, _ = PARTS[name]
                 part = PartNetwork(len(landmarks))
                 part = train(part, lambda: crops.part(BATCH[name], landmarks, scale, size), *how, checkpoint, name)
-                onnx = to_onnx(part, size)
+                onnx = to_onnx(part, *size)
             path.write_bytes(onnx)
         return path.read_bytes()
 
