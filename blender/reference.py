@@ -53,11 +53,11 @@ def _keep_in_step(empty: bpy.types.Object, count: int, fps: float, rate: float, 
 
 
 def _place(empty: bpy.types.Object, head: bpy.types.Object, aspect: float) -> None:
-    """Upright to the right of `head` as it is seen from the front."""
+    """Upright to the left of `head` as it is seen from the front, where the sidebar does not hide it."""
     corners = np.array([head.matrix_world @ Vector(corner) for corner in head.bound_box])
     low, high = corners.min(axis=0), corners.max(axis=0)
     height = float(high[2] - low[2])
     empty.empty_display_size = height * max(aspect, 1.0)
-    x = high[0] + (_HEIGHTS + 0.5 * aspect) * height
+    x = low[0] - (_HEIGHTS + 0.5 * aspect) * height
     empty.location = (x, 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2]))
     empty.rotation_euler = (0.5 * pi, 0.0, 0.0)

@@ -70,7 +70,8 @@ def started(suite: str, name: str, **options: Any) -> Blender:
 @pytest.fixture(scope="module", params=SUITES)
 def blender(request: pytest.FixtureRequest) -> Iterator[Blender]:
     """A window with the extension installed. Tests begin with a new file each."""
-    with started(request.param, Path(request.module.__file__).stem.removeprefix("test_")) as window:
+    name = Path(request.module.__file__).stem.removeprefix("test_")
+    with started(request.param, name, size=(1100, 1080)) as window:
         install(window)
         yield window
 

@@ -105,9 +105,13 @@ class Sidebar:
         self.blender.redraw()
 
     def under_mouse(self, x: float, y: float, keys: str = "ctrl+c") -> str:
-        """What the button there leaves on the clipboard."""
+        """What the button there leaves on the clipboard.
+
+        Coming straight from another button Blender has to see the mouse twice, and sees only the last of its moves in a
+        row: a key without meaning stands between two.
+        """
         x, y = round(x), round(y)
-        self.blender.input("mousemove", x - 1, y, "mousemove", x, y, "key", keys)
+        self.blender.input("mousemove", x - 1, y, "key", "shift", "mousemove", x, y, "key", keys)
         self.blender.do("pass")  # Blender reads its events, answers this, handles the events, answers the next
         return str(self.blender.do(_PASTE))
 
@@ -136,6 +140,13 @@ class Sidebar:
         for panel in (panel for panel in panels if panel in opened):
             self._toggle(panel, panels.index(panel), False)
         self._toggle(name, panels.index(name), True, "ctrl" if children else None)
+
+    def open_presets(self) -> None:
+        """Open the menu in the header of Expression, all panels above being folded."""
+        box, place = self.box(), self.panels().index("FACEMIME_PT_expression")
+        x = box.x + box.width - 2.95 * self.unit
+        self.blender.click(x, box.y + (0.85 + _HEADER * place) * self.unit)
+        self.blender.redraw()
 
     def _fold_most(self, panels: list[str]) -> set[str]:
         """Fold all panels but the second: Ctrl-click on its header, as it has no panels within; what is open then."""

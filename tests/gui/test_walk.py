@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 
 import cv2
@@ -168,17 +169,23 @@ def test_the_performer_is_calibrated_by_a_click_and_kept_by_name(blender, sideba
     stop(sidebar)
 
 
-def test_a_take_is_recorded_by_clicks_and_shown_on_the_head_frame_by_frame(blender, sidebar):
+def test_a_take_is_recorded_shown_changed_and_baked_by_clicks(blender, sidebar):
     add_head(sidebar)
+    choose_video(sidebar)
     start(sidebar)
+    assert blender.get("Session.current.worker.source.name") == "mine.mp4"
     sidebar.open_panel("FACEMIME_PT_takes")
     sidebar.press("bpy.ops.facemime.record_take")
     blender.do(f"from {MODULE}.sessions.recording import Recording")
-    blender.wait_for("Recording.current is not None and Recording.current.frames > 20")
+    blender.wait_for("Recording.current is not None and Recording.current.frames > 40")
     blender.shot("recording")
     sidebar.press("bpy.ops.facemime.record_take")
     blender.wait_for("len(bpy.context.scene.facemime_takes.items) == 1")
-    assert blender.get("bpy.context.scene.facemime_takes.items[0].length") > 0.5
+    assert blender.get(f"{LINE}.length") > 0.5
+    confirm(sidebar, "bpy.ops.facemime.rerecord_take")
+    assert blender.get("bpy.context.screen.is_animation_playing")
+    blender.wait_for("not bpy.context.screen.is_animation_playing")
+    assert blender.get(f"len(store.read({LINE}).info['punched_in'])") == 1
     stop(sidebar)
     sidebar.press("bpy.ops.facemime.show_take")
     blender.do("bpy.context.scene.frame_set(12)")
@@ -186,6 +193,92 @@ def test_a_take_is_recorded_by_clicks_and_shown_on_the_head_frame_by_frame(blend
     blender.shot("take-shown")
     sidebar.press("bpy.ops.facemime.show_take")
     blender.wait_for(f"moved({HEAD}) == 0.0")
+    for button in ("trim_take", "mend_take"):
+        confirm(sidebar, f"bpy.ops.facemime.{button}")
+    assert blender.get(f"store.read({LINE}).info['smoothed']") == "zero-phase"
+    sidebar.press("bpy.ops.facemime.add_reference")
+    blender.wait_for("'mine Reference' in bpy.data.objects")
+    sidebar.press("bpy.ops.facemime.bake_take")
+    blender.wait_for(f"{HEAD}.data.shape_keys is not None and {HEAD}.data.shape_keys.animation_data is not None")
+    blender.do("bpy.context.scene.frame_set(20)")
+    assert blender.get(f"moved({HEAD})") > 1e-4
+    blender.shot("take-baked")
+
+
+LINE = "bpy.context.scene.facemime_takes.items[0]"
+
+
+def choose_video(sidebar: Sidebar) -> None:
+    """Choose Video in the source's menu, and type the path of a clip into its field."""
+    blender = sidebar.blender
+    shutil.copy(CLIP, blender.folder / "mine.mp4")
+    sidebar.open_panel("FACEMIME_PT_source")
+    sidebar.press("source.kind")
+    blender.key("v")
+    blender.wait_for("bpy.context.scene.facemime.source.kind == 'VIDEO'")
+    blender.move(*sidebar.find("source.video"))
+    blender.redraw()
+    blender.input("click", "--repeat", 2, "--delay", 60, 1)
+    blender.redraw()
+    blender.input("type", str(blender.inside / "mine.mp4"))
+    blender.redraw()
+    blender.key("Return")
+    blender.wait_for("bpy.context.scene.facemime.source.video.endswith('mine.mp4')")
+
+
+def confirm(sidebar: Sidebar, button: str) -> None:
+    """Press a button that asks, and say yes; the take is in another file then."""
+    blender = sidebar.blender
+    blender.do(f"from {MODULE}.scene import takes_store as store")
+    before = blender.get(f"{LINE}.path")
+    sidebar.press(button)
+    blender.key("Return")
+    blender.redraw()
+    if "rerecord" not in button:
+        blender.wait_for(f"{LINE}.path != {before!r}")
+
+
+def test_what_is_set_is_kept_as_a_preset_and_loaded_again_by_clicks(blender, sidebar):
+    add_head(sidebar)
+    sidebar.open_panel("FACEMIME_PT_expression")
+    blender.do("bpy.context.scene.facemime.strength_lower = 1.5")
+    blender.do(f"from {MODULE}.scene import presets")
+    sidebar.open_presets()
+    blender.key("s")
+    blender.redraw()
+    blender.shot("preset")
+    blender.key("Return")
+    blender.wait_for("presets.names() == ['My Preset']")
+    blender.do("bpy.context.scene.facemime.strength_lower = 1.0")
+    sidebar.open_presets()
+    blender.key("m")
+    blender.wait_for("bpy.context.scene.facemime.strength_lower == 1.5")
+
+
+_IN_WINDOW = """
+window = bpy.context.window_manager.windows[1]
+area = max((a for a in window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width)
+region = next(r for r in area.regions if r.type == "WINDOW")
+with bpy.context.temp_override(window=window, area=area, region=region):
+    {code}
+"""
+
+
+def test_a_second_window_puppets_too_and_takes_its_puppet_with_it(blender, sidebar):
+    add_head(sidebar)
+    start(sidebar)
+    blender.do("bpy.ops.wm.window_new()")
+    blender.redraw()
+    blender.do(_IN_WINDOW.format(code="bpy.ops.wm.window_close()"))
+    blender.redraw()
+    assert blender.get("Session.current is not None"), "the puppet is the first window's"
+    stop(sidebar)
+    blender.do("bpy.ops.wm.window_new()")
+    blender.do(_IN_WINDOW.format(code="bpy.ops.facemime.puppet('INVOKE_DEFAULT')"))
+    blender.wait_for(f"Session.current is not None and moved({HEAD}) > 1e-3")
+    blender.shot("two-windows")
+    blender.do(_IN_WINDOW.format(code="bpy.ops.wm.window_close()"))
+    blender.wait_for(f"Session.current is None and workers() == [] and moved({HEAD}) == 0.0")
 
 
 def test_a_stroke_of_the_brush_is_followed_while_the_puppet_runs(blender, sidebar):
