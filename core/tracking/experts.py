@@ -177,8 +177,8 @@ class PartExperts:
     scale : float
         Pixels an outer-eye distance.
     size : (int, int)
-        Width and height of the picture in pixels, multiples of 16, so that the landmarks' centre lies where four of the
-        coarsest cells meet.
+        Width and height of the picture in pixels, multiples of 8; those with which the network was taught, since its
+        coarsest cells lie otherwise about the centre of another size.
     paired : bool
         Whether the other half of the face has the same part, seen in a mirror.
     """

@@ -181,7 +181,7 @@ class FaceTracker:
     def _begin(self, image: ArrayLike) -> NDArray[np.uint8]:
         self.timings = dict.fromkeys(_STAGES, 0.0)
         pixels = as_image(image)
-        return pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY).astype(np.uint8)
+        return pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), np.uint8)
 
     def _fit_stage(self, grey: NDArray[np.uint8], start: FittedShape, stage: Stage) -> Fit:
         began = perf_counter()
@@ -231,10 +231,10 @@ class FaceTracker:
         return _Candidate(fit, self._model.check.confidence(fit.features))
 
     def _follow(self, grey: NDArray[np.uint8], last: FittedShape) -> _Candidate:
-        fit = self.fit(grey, last, (FINE,))
+        fit = self._fit_stage(grey, last, FINE)
         if self._moved_far(last, fit.fitted):
-            fit = self.fit(grey, fit.fitted, (FINE,))
-        return self._judged(fit)
+            fit = self._fit_stage(grey, fit.fitted, FINE)
+        return self._judged(self._on_edges(grey, fit))
 
     def _moved_far(self, before: FittedShape, now: FittedShape) -> bool:
         """Whether some part left the middle of the picture in which its experts looked for it."""
