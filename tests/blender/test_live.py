@@ -334,6 +334,13 @@ def test_calibration_is_kept_with_the_scene_by_the_performers_name(take):
     assert [performer.name for performer in settings.performers] == ["Performer 1"]
 
 
+@pytest.fixture
+def preferred():
+    """The user's settings, whose camera is put back."""
+    yield preferences()
+    preferences().property_unset("camera")
+
+
 @pytest.mark.parametrize(
     ("kind", "name", "said"),
     [
@@ -345,13 +352,13 @@ def test_calibration_is_kept_with_the_scene_by_the_performers_name(take):
         ("CAMERA", "/dev/none", "cannot be opened"),
     ],
 )
-def test_a_source_that_is_not_there_is_reported_and_leaves_the_head_alone(tmp_path, monkeypatch, kind, name, said):
+def test_a_source_that_is_not_there_is_reported_and_leaves_the_head_alone(tmp_path, preferred, kind, name, said):
     head = add_head(bpy.context)
     source = bpy.context.scene.facemime.source
     source.kind = kind
     path = name if "://" in name or not name else str(tmp_path / name)
     source.video = source.folder = source.take = path
-    monkeypatch.setattr(preferences(), "camera", path)
+    preferred.camera = path
     reports = []
     try:
         outcome = bpy.ops.facemime.puppet()
