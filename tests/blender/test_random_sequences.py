@@ -9,11 +9,13 @@ import pytest
 from facemime.blender.head import add_head
 from facemime.blender.meshes import is_head, read_vertices
 from facemime.core.takes.file import save_take
+from facemime.operators import punch_in, takes
 from facemime.operators.puppet import FACEMIME_OT_puppet
+from facemime.scene.preferences import preferences
 from facemime.sessions.session import Session
 from takes import performance
 
-STEPS = 12
+STEPS = 20
 
 
 @pytest.fixture(scope="module")
@@ -38,14 +40,18 @@ def press(rng: np.random.Generator) -> None:
 
 
 BUTTONS = (
-    *("add_head", "bind_landmarks", "propose_regions", "check_head", "clear_marks", "puppet", "puppet", "stop_puppet"),
+    *("add_head", "bind_landmarks", "propose_regions", "check_head", "clear_marks", *["puppet"] * 6, "stop_puppet"),
     *("paint_region", "leave_painting", "mirror_regions", "smooth_regions", "use_all_landmarks", "calibrate"),
     *("add_control_point", "drop_control_point", "add_performer", "remove_performer"),
+    *(*["record_take"] * 4, *["rerecord_take"] * 3, "show_take", "trim_take", "mend_take", "renew_neutral"),
+    *("pack_take", "find_takes", "remove_take", "bake_take"),
 )
 CHOICES = {
     "paint_region": {"region": ("UPPER", "MIDDLE", "LOWER")},
     "mirror_regions": {"source": ("left", "right")},
     "smooth_regions": {"repeat": (1, 3)},
+    "rerecord_take": {"start": (1, 5), "end": (8, 20), "lead": (0.0, 0.1)},
+    "trim_take": {"start": (0.0, 0.5), "end": (0.4, 9.0)},
     "calibrate": {"pose": ("NEUTRAL", "RANGE"), "countdown": (0.0, 5.0)},
 }
 
@@ -93,6 +99,8 @@ def tick(rng: np.random.Generator) -> None:
             if FACEMIME_OT_puppet.instance is None or session is not Session.current:
                 break
             FACEMIME_OT_puppet.instance.modal(bpy.context, EVENT)
+    punch_in._watch()
+    takes._watch()
 
 
 class EVENT:
@@ -107,21 +115,26 @@ ACTIONS = (press, press, press, tick, tick, change_mode, change_scene, go_back)
 
 
 @pytest.mark.parametrize("first", range(0, 100, 10))
-def test_random_sequences_leave_blender_well(take, first):
+def test_random_sequences_leave_blender_well(take, first, tmp_path):
+    preferences().takes_folder = str(tmp_path)
     for seed in range(first, first + 10):
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
         source = bpy.context.scene.facemime.source
         source.kind, source.take, source.speed = "TAKE", take, 10.0
         rng = np.random.default_rng(seed)
         rest = read_vertices(add_head(bpy.context).data)
+        bpy.ops.facemime.import_take(filepath=take)
         bpy.ops.ed.undo_push(message="head")
         for _ in range(STEPS):
             ACTIONS[rng.integers(len(ACTIONS))](rng)
         if Session.current is not None:
             Session.current.close()
+        for watch in (punch_in._watch, takes._watch):
+            assert watch() is None, f"seed {seed}"
         left = [thread.name for thread in threading.enumerate() if thread.name.startswith("facemime")]
         assert left == [], f"seed {seed}"
         go_all_the_way_back(seed, rest)
+    preferences().property_unset("takes_folder")
 
 
 def go_all_the_way_back(seed: int, rest: np.ndarray) -> None:

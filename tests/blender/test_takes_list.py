@@ -133,7 +133,7 @@ def test_a_part_of_a_take_is_recorded_anew_and_the_rest_stays(session, imported,
     old, new = before.times < 0.4, after.times < 0.4
     np.testing.assert_array_equal(after.landmarks[new], before.landmarks[old])
     inside = (after.times > 0.55) & (after.times < 1.05)
-    assert inside.sum() > 10 and not np.isin(after.times[inside], before.times).all()
+    assert inside.any() and not np.isin(after.times[inside], before.times).all()
     assert Recording.current is None and bpy.context.scene.sync_mode == "NONE"
 
 
