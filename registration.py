@@ -19,6 +19,7 @@ from .operators import (
     takes,
 )
 from .scene import panel_properties, preferences, properties, takes_properties, takes_store
+from .sessions import punch_in as punch_in_session
 from .sessions import session, show
 from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
@@ -66,6 +67,7 @@ _MODULES = (
     point_overlay,
     commands,
     session,
+    punch_in_session,
     show,
 )
 

@@ -56,7 +56,7 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
         start, end = (seconds_at(scene, frame) for frame in (self.start, self.end))
         PunchIn(running(), scene, take.path, start, end, lead=self.lead, blend=self.blend)
         _Played.begin(context, self.start - round(self.lead * scene.render.fps / scene.render.fps_base))
-        bpy.app.timers.register(_watch, first_interval=_WATCH)
+        bpy.app.timers.register(_watch, first_interval=_WATCH, persistent=True)
         return {"FINISHED"}
 
 

@@ -60,7 +60,7 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
         """The work of `execute`."""
         if Recording.current is None:
             start_recording(running(), context.scene, self.name)
-            bpy.app.timers.register(_watch, first_interval=_WATCH)
+            bpy.app.timers.register(_watch, first_interval=_WATCH, persistent=True)
             return {"FINISHED"}
         recording = Recording.current
         try:

@@ -86,7 +86,8 @@ def register() -> None:
     bpy.types.Scene.facemime_steps = PointerProperty(type=FacemimeSteps)
     bpy.types.WindowManager.facemime = PointerProperty(type=FacemimeMemory)
     bpy.app.handlers.load_post.append(list_landmarks)
-    bpy.app.timers.register(list_landmarks)
+    # Blender 4.2 ends in a crash after a file was loaded with a timer waiting that does not outlive it.
+    bpy.app.timers.register(list_landmarks, persistent=True)
 
 
 def unregister() -> None:

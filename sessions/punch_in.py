@@ -6,6 +6,7 @@ from collections.abc import Callable
 from time import perf_counter
 
 import bpy
+from bpy.app.handlers import persistent
 
 from ..core.errors import FacemimeError, HeadError
 from ..core.takes.file import load_take
@@ -112,3 +113,19 @@ class PunchIn:
             raise FacemimeError("The take is no longer in the list. What was recorded is in it instead.")
         insert = shift_time(load_take(recording.path), self._start)
         takes_store.change(line, punch_in(takes_store.read(line), insert, self._start, self._end, self._blend))
+
+
+@persistent
+def _forget(*_: object) -> None:
+    """What was recorded for a file belongs to no other; it lies in that one's folder, where Find Takes sees it."""
+    PunchIn.current = Recording.current = None
+
+
+def register() -> None:
+    """Forget a recording with the file that it was made for, once its session has ended."""
+    bpy.app.handlers.load_pre.append(_forget)
+
+
+def unregister() -> None:
+    """Do so no longer."""
+    bpy.app.handlers.load_pre.remove(_forget)

@@ -1,6 +1,5 @@
 """The built zip, in every Blender that we promise."""
 
-import hashlib
 import json
 import os
 import subprocess
@@ -10,18 +9,9 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from blenders import ROOT, blender_python
+
 CLIP = ROOT / "assets" / "sample" / "sample.mp4"
-
-
-def blender_python(version: str) -> Path:
-    """The Python of the environment with nothing but this Blender in it."""
-    key = hashlib.sha256((ROOT / "requirements" / f"bpy-{version}.txt").read_bytes()).hexdigest()[:12]
-    cache = Path(os.environ.get("FACEMIME_CACHE", Path.home() / ".cache" / "facemime"))
-    place = cache / f"bpy-{version}-{key}"
-    if not (place / ".ready").exists():
-        pytest.skip(f"Blender {version} is not set up: make blenders (5.2 needs Python 3.13)")
-    return place / "bin" / "python"
 
 
 def archive(platform: str) -> Path:

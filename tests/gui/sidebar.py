@@ -112,7 +112,8 @@ class Sidebar:
         """
         x, y = round(x), round(y)
         self.blender.input("mousemove", x - 1, y, "key", "shift", "mousemove", x, y, "key", keys)
-        self.blender.do("pass")  # Blender reads its events, answers this, handles the events, answers the next
+        for _ in range(2):  # Blender reads its events, answers, handles the events, answers; and the last move comes late
+            self.blender.do("pass")
         return str(self.blender.do(_PASTE))
 
     def places(self) -> Iterator[tuple[float, float]]:
