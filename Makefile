@@ -24,7 +24,7 @@ check: setup
 	$(BIN)/mypy
 
 test: setup build blenders windows build/head/.ready
-	timeout 1500 $(BIN)/python -m pytest tests
+	timeout 1650 $(BIN)/python -m pytest tests
 
 # The head's source, so that its build can be tested.
 build/head/.ready: requirements/head.txt | setup

@@ -112,13 +112,12 @@ class Sidebar:
         """
         x, y = round(x), round(y)
         self.blender.input("mousemove", x - 1, y, "key", "shift", "mousemove", x, y, "key", keys)
-        for _ in range(2):  # Blender reads its events, answers, handles the events, answers; and the last move comes late
-            self.blender.do("pass")
+        self.blender.do("pass")  # Blender reads its events, answers this, handles the events, answers the next
         return str(self.blender.do(_PASTE))
 
     def places(self) -> Iterator[tuple[float, float]]:
         """Where buttons may be: the first rows whole, then column by column, the one that meets most first."""
-        box, columns = self.box(), (0.5, 0.2, 0.8, 0.9)
+        box, columns = self.box(), (0.45, 0.2, 0.8, 0.9)
         rows = range(int((box.height / self.unit - self._top) / _STEP))
         first = [(column, row) for row in rows[:4] for column in columns]
         for column, row in first + [(column, row) for column in columns for row in rows[4:]]:
