@@ -8,7 +8,7 @@ from ..core.errors import FacemimeError
 from ..scene import takes_store
 from ..sessions.punch_in import PunchIn
 from .puppet import running
-from .shared import push_undo, register_all, unregister_all
+from .shared import push_undo, register_all, unregister_all, unwatch, watch
 from .takes import OnTake
 
 _WATCH = 0.02
@@ -56,7 +56,7 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
         start, end = (seconds_at(scene, frame) for frame in (self.start, self.end))
         PunchIn(running(), scene, take.path, start, end, lead=self.lead, blend=self.blend)
         _Played.begin(context, self.start - round(self.lead * scene.render.fps / scene.render.fps_base))
-        bpy.app.timers.register(_watch, first_interval=_WATCH, persistent=True)
+        watch(_watch, _WATCH)
         return {"FINISHED"}
 
 
@@ -124,6 +124,5 @@ def register() -> None:
 def unregister() -> None:
     """Unregister it; a part that is being recorded is left."""
     PunchIn.current = None
-    if bpy.app.timers.is_registered(_watch):
-        bpy.app.timers.unregister(_watch)
+    unwatch(_watch)
     unregister_all(_CLASSES)

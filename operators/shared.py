@@ -70,6 +70,18 @@ class OnHead(OnMesh):
         return True
 
 
+def watch(step: Callable[[], float | None], seconds: float) -> None:
+    """Let Blender call `step` after `seconds` and as it then asks, whatever file is open; asked twice, it is one."""
+    if not bpy.app.timers.is_registered(step):
+        bpy.app.timers.register(step, first_interval=seconds, persistent=True)
+
+
+def unwatch(step: Callable[[], float | None]) -> None:
+    """Call it no longer: Blender 4.2 ends in a crash where a timer still waits, or was dropped with its file."""
+    if bpy.app.timers.is_registered(step):
+        bpy.app.timers.unregister(step)
+
+
 def push_undo(message: str) -> None:
     """An undo step from a timer, which has no window of its own; nothing where there is no window at all."""
     if windows := bpy.context.window_manager.windows:

@@ -13,7 +13,7 @@ from ..sessions.session import Session
 from ..sessions.show import TakeShow
 from ..sessions.start import heads_in
 from .puppet import running
-from .shared import AsksForFile, ReportsErrors, push_undo, register_all, unregister_all
+from .shared import AsksForFile, ReportsErrors, push_undo, register_all, unregister_all, unwatch, watch
 
 _WATCH = 0.25
 
@@ -60,7 +60,7 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
         """The work of `execute`."""
         if Recording.current is None:
             start_recording(running(), context.scene, self.name)
-            bpy.app.timers.register(_watch, first_interval=_WATCH, persistent=True)
+            watch(_watch, _WATCH)
             return {"FINISHED"}
         recording = Recording.current
         try:
@@ -235,6 +235,5 @@ def unregister() -> None:
     """Unregister the operators; a recording ends."""
     stop_recording()
     Recording.current = None
-    if bpy.app.timers.is_registered(_watch):
-        bpy.app.timers.unregister(_watch)
+    unwatch(_watch)
     unregister_all(_CLASSES)

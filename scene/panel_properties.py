@@ -7,7 +7,7 @@ from bpy.props import BoolProperty, CollectionProperty, FloatProperty, IntProper
 from ..core.deform.check import Finding
 from ..core.deform.greedy import DEFAULT_TOLERANCE
 from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
-from ..operators.shared import register_all, unregister_all
+from ..operators.shared import register_all, unregister_all, unwatch, watch
 
 
 class FacemimeSteps(bpy.types.PropertyGroup):
@@ -86,14 +86,12 @@ def register() -> None:
     bpy.types.Scene.facemime_steps = PointerProperty(type=FacemimeSteps)
     bpy.types.WindowManager.facemime = PointerProperty(type=FacemimeMemory)
     bpy.app.handlers.load_post.append(list_landmarks)
-    # Blender 4.2 ends in a crash after a file was loaded with a timer waiting that does not outlive it.
-    bpy.app.timers.register(list_landmarks, persistent=True)
+    watch(list_landmarks, 0.0)
 
 
 def unregister() -> None:
     """Take settings and memory away."""
-    if bpy.app.timers.is_registered(list_landmarks):
-        bpy.app.timers.unregister(list_landmarks)
+    unwatch(list_landmarks)
     bpy.app.handlers.load_post.remove(list_landmarks)
     del bpy.types.WindowManager.facemime
     del bpy.types.Scene.facemime_steps
