@@ -1,7 +1,6 @@
 """Bake the chosen take, and the table of keys by which it moves those that a head has."""
 
 import json
-from pathlib import Path
 
 import bpy
 import numpy as np
@@ -20,8 +19,16 @@ from ..scene import takes_store
 from ..scene.bake_table import read_table, write_table
 from ..scene.settings import bake_settings, drive_options, pose_targets, puppet_settings
 from ..sessions.session import Session
-from ..sessions.start import heads_in
-from .shared import AsksForFile, OnHead, ReportsErrors, in_object_mode, register_all, unregister_all
+from .shared import (
+    AsksForFile,
+    OnHead,
+    ReportsErrors,
+    heads_in,
+    in_object_mode,
+    register_all,
+    unregister_all,
+    with_heads,
+)
 from .takes import OnTake
 
 
@@ -35,15 +42,9 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only in Object mode with a head."""
-        if not in_object_mode(cls, context):
-            return False
-        if not heads_in(context):
-            cls.poll_message_set("Select a head, or add one: step Head, above")
-            return False
-        return super().poll(context)
+        return in_object_mode(cls, context) and with_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         scene = context.scene
         line = takes_store.chosen(scene)
         take = takes_store.read(line)
@@ -65,7 +66,6 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         table = best_preset(key_names(context.active_object))
         if table is None:
             names = ", ".join(preset.name for preset in presets())
@@ -85,7 +85,7 @@ class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
     bl_label = "Add Row"
     bl_options = {"REGISTER", "UNDO"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> set[str]:
         """Add it, and pick it."""
         bake = context.scene.facemime_takes.bake
         bake.rows.add()
@@ -106,7 +106,7 @@ class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
         bake = context.scene.facemime_takes.bake
         return 0 <= bake.row < len(bake.rows)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> set[str]:
         """Remove it."""
         bake = context.scene.facemime_takes.bake
         bake.rows.remove(bake.row)
@@ -114,43 +114,33 @@ class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FACEMIME_OT_import_key_map(AsksForFile, ReportsErrors, bpy.types.Operator):
+class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
     """Read a table of keys from a file"""
 
     bl_idname = "facemime.import_key_map"
     bl_label = "Import Table"
     bl_options = {"REGISTER", "UNDO"}
 
-    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Read it."""
-        return self.reporting(self.work, context)
-
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
-        write_table(context.scene.facemime_takes.bake, load_map(Path(bpy.path.abspath(self.filepath))))
+        """Read it."""
+        write_table(context.scene.facemime_takes.bake, load_map(self.path))
         return {"FINISHED"}
 
 
-class FACEMIME_OT_export_key_map(AsksForFile, ReportsErrors, bpy.types.Operator):
+class FACEMIME_OT_export_key_map(AsksForFile, bpy.types.Operator):
     """Write the table of keys to a file that you can share"""
 
     bl_idname = "facemime.export_key_map"
     bl_label = "Export Table"
     bl_options = {"REGISTER"}
 
-    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Write it."""
-        return self.reporting(self.work, context)
-
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
-        with replacing(Path(bpy.path.abspath(self.filepath)).with_suffix(".json")) as temporary:
+        """Write it."""
+        with replacing(self.path.with_suffix(".json")) as temporary:
             temporary.write_text(read_table(context.scene.facemime_takes.bake).to_json() + "\n", encoding="utf-8")
         return {"FINISHED"}
 
@@ -172,7 +162,6 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
         return super().poll(context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         scene, blocks = context.scene, context.active_object.data.shape_keys.key_blocks
         take = takes_store.read(takes_store.chosen(scene))
         frames = frames_of(scene, take.times[take.found])
@@ -199,12 +188,8 @@ class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
             return False
         return True
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Learn, and forget the poses."""
-        return self.reporting(self.work, context)
-
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
+        """Learn, and forget the poses."""
         bake = context.scene.facemime_takes.bake
         poses = [json.loads(pose.data) for pose in bake.poses]
         posed = {name for pose in poses for name, value in pose["values"].items() if value != 0.0}

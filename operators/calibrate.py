@@ -40,12 +40,8 @@ class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
         item = pose.get(properties.pose)
         return cls.__doc__ if item is None else item.description
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> set[str]:
         """Begin the countdown."""
-        return self.reporting(self.start, context)
-
-    def start(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         running().calibrate(range_of=self.pose == "RANGE", countdown=self.countdown)
         return {"FINISHED"}
 
@@ -72,12 +68,8 @@ class FACEMIME_OT_remove_performer(ReportsErrors, bpy.types.Operator):
     bl_label = "Remove Performer"
     bl_options = {"REGISTER", "UNDO"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> set[str]:
         """Remove the performer."""
-        return self.reporting(self.remove, context)
-
-    def remove(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         remove_performer(context.scene.facemime)
         return {"FINISHED"}
 

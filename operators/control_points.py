@@ -1,7 +1,5 @@
 """Choose the control points that a head needs for a take."""
 
-from pathlib import Path
-
 import bpy
 import numpy as np
 from bpy.props import FloatProperty, IntProperty, StringProperty
@@ -37,7 +35,6 @@ class SelectsPoints(OnMesh):
     remove: StringProperty(name="Remove", description="Landmarks never to have, by iBUG number: 0-3,30")
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         obj = context.active_object
         take, neutral = self.performance(context)
         selection = select_for_take(
@@ -72,7 +69,7 @@ class FACEMIME_OT_select_control_points(AsksForFile, SelectsPoints, bpy.types.Op
 
     def performance(self, context: bpy.types.Context) -> tuple[Take, Neutral]:
         """What the points are chosen for: the take of `filepath`, and the performer at rest in it."""
-        take = load_take(Path(bpy.path.abspath(self.filepath)))
+        take = load_take(self.path)
         return take, calibrate(take, puppet_settings(context.scene.facemime).neutral)
 
 
@@ -121,7 +118,6 @@ class FACEMIME_OT_add_control_point(OnLandmark, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         mesh = context.active_object.data
         selection = read_selection(mesh)
         if selection is None:
@@ -138,7 +134,6 @@ class FACEMIME_OT_drop_control_point(OnLandmark, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         mesh = context.active_object.data
         write_selection(mesh, drop_by_hand(read_selection(mesh), context.scene.facemime_steps.landmark))
         return {"FINISHED"}
@@ -204,7 +199,6 @@ class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         write_selection(context.active_object.data, None)
         return {"FINISHED"}
 

@@ -1,22 +1,19 @@
 """Import a FaceGen head."""
 
-from pathlib import Path
-
 import bpy
 from bpy.props import FloatProperty, StringProperty
 
 from ..blender.facegen import MILLIMETRE, import_facegen
-from .shared import AsksForFile, ReportsErrors, in_object_mode
+from .shared import AsksForFile, in_object_mode
 
 
-class FACEMIME_OT_import_facegen(AsksForFile, ReportsErrors, bpy.types.Operator):
+class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
     """Import a FaceGen head: a .tri with its morphs, and the .egm beside it, or an OBJ in FaceGen's vertex order"""
 
     bl_idname = "facemime.import_facegen"
     bl_label = "FaceGen Head (.tri, .obj)"
     bl_options = {"REGISTER", "UNDO"}
 
-    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.tri;*.obj", options={"HIDDEN"})
     scale: FloatProperty(name="Scale", description="Metres a unit of the file", default=MILLIMETRE, min=1e-6)
 
@@ -25,13 +22,9 @@ class FACEMIME_OT_import_facegen(AsksForFile, ReportsErrors, bpy.types.Operator)
         """Only in Object mode."""
         return in_object_mode(cls, context)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> set[str]:
         """Import the head."""
-        return self.reporting(self.load, context)
-
-    def load(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
-        obj = import_facegen(context, Path(bpy.path.abspath(self.filepath)), self.scale)
+        obj = import_facegen(context, self.path, self.scale)
         keys = 0 if obj.data.shape_keys is None else len(obj.data.shape_keys.key_blocks) - 1
         self.report({"INFO"}, f"{len(obj.data.vertices)} vertices, {keys} morphs")
         return {"FINISHED"}

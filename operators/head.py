@@ -36,12 +36,8 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
         """Only in Object mode."""
         return in_object_mode(cls, context)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> set[str]:
         """Add the head at the 3D cursor."""
-        return self.reporting(self.add, context)
-
-    def add(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         head = add_head(context, units=self.units)
         head.location = context.scene.cursor.location
         space = context.space_data

@@ -9,8 +9,7 @@ from ..blender.reference import add_reference
 from ..blender.sound import add_sound
 from ..core.errors import SourceError
 from ..scene import takes_store
-from ..sessions.start import heads_in
-from .shared import AsksForFile, register_all, unregister_all
+from .shared import AsksForFile, heads_in, register_all, unregister_all, with_heads
 from .takes import OnTake
 
 
@@ -32,7 +31,7 @@ class OnTakesVideo(AsksForFile, OnTake):
             Where the file is neither known nor named.
         """
         line = takes_store.chosen(scene)
-        path = Path(bpy.path.abspath(self.filepath)) if self.filepath else takes_store.video_of(scene, line)
+        path = self.path if self.filepath else takes_store.video_of(scene, line)
         if path is None:
             raise SourceError("The video of the take is not at hand. Choose the file.")
         return path, float(takes_store.read(line).info.get("offset", 0.0))
@@ -45,11 +44,9 @@ class FACEMIME_OT_add_sound(OnTakesVideo, bpy.types.Operator):
     bl_label = "Add Sound"
     bl_options = {"REGISTER", "UNDO"}
 
-    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi;*.wav;*.flac;*.mp3;*.ogg", options={"HIDDEN"})
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         scene = context.scene
         path, offset = self.video(scene)
         sound = path if self.filepath else takes_store.sound_beside(path)
@@ -64,19 +61,14 @@ class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):
     bl_label = "Add Reference"
     bl_options = {"REGISTER", "UNDO"}
 
-    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi", options={"HIDDEN"})
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only with a head to put it beside."""
-        if not heads_in(context):
-            cls.poll_message_set("Select a head, or add one: step Head, above")
-            return False
-        return super().poll(context)
+        return with_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         add_reference(context.scene, *self.video(context.scene), heads_in(context)[0])
         return {"FINISHED"}
 

@@ -32,7 +32,6 @@ class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
     )
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         write_mark(context.active_object.data, int(self.point), picked_vertex(context.active_object))
         return {"FINISHED"}
 
@@ -45,7 +44,6 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         clear_marks(context.active_object.data)
         return {"FINISHED"}
 
@@ -63,7 +61,6 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
         return in_object_mode(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         binding = bind_head(context.active_object)
         fit = f"{100 * binding.residual:.1f} % of the eye distance off the template"
         self.report({"INFO"}, f"66 landmarks bound, {fit}{', symmetric' if binding.symmetric else ''}")
@@ -80,7 +77,6 @@ class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
     number: IntProperty(name="Landmark", description="Its iBUG number (not 60 and 64)", min=0, max=67)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         if self.number in (60, 64):
             self.report({"ERROR"}, "Landmarks 60 and 64 are not used. Choose another number.")
             return {"CANCELLED"}
@@ -105,7 +101,6 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
         return super().poll(context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         propose_head_regions(context.active_object)
         return {"FINISHED"}
 
@@ -118,7 +113,6 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
     bl_options = {"REGISTER"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         findings = check_object(context.active_object)
         keep_findings(context.window_manager, context.active_object.name, findings)
         for finding in findings:

@@ -1,7 +1,5 @@
 """Save, choose and share presets."""
 
-from pathlib import Path
-
 import bpy
 from bpy.props import StringProperty
 
@@ -22,12 +20,8 @@ class FACEMIME_OT_save_preset(ReportsErrors, bpy.types.Operator):
         """Ask for the name."""
         return context.window_manager.invoke_props_dialog(self)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Save under the name, over what was there."""
-        return self.reporting(self.work, context)
-
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
+        """Save under the name, over what was there."""
         presets.save(context.scene.facemime, presets.path_of(self.name))
         return {"FINISHED"}
 
@@ -41,12 +35,8 @@ class FACEMIME_OT_load_preset(ReportsErrors, bpy.types.Operator):
 
     name: StringProperty(name="Name")
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Load the preset of that name."""
-        return self.reporting(self.work, context)
-
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
+        """Load the preset of that name."""
         presets.load(context.scene.facemime, presets.path_of(self.name))
         return {"FINISHED"}
 
@@ -64,55 +54,41 @@ class FACEMIME_OT_remove_preset(ReportsErrors, bpy.types.Operator):
         """Ask first: a file cannot be undone."""
         return context.window_manager.invoke_confirm(self, event)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Remove the file."""
-        return self.reporting(self.work, context)
-
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
+        """Remove the file."""
         presets.path_of(self.name).unlink(missing_ok=True)
         return {"FINISHED"}
 
 
-class FACEMIME_OT_import_preset(AsksForFile, ReportsErrors, bpy.types.Operator):
+class FACEMIME_OT_import_preset(AsksForFile, bpy.types.Operator):
     """Set strength, smoothing and limits as a file has them that somebody shared"""
 
     bl_idname = "facemime.import_preset"
     bl_label = "Import Preset"
     bl_options = {"REGISTER", "UNDO"}
 
-    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Load it, and keep it among the presets."""
-        return self.reporting(self.work, context)
-
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
-        path = Path(bpy.path.abspath(self.filepath))
+        """Load it, and keep it among the presets."""
+        path = self.path
         presets.load(context.scene.facemime, path)
         presets.save(context.scene.facemime, presets.path_of(path.stem))
         return {"FINISHED"}
 
 
-class FACEMIME_OT_export_preset(AsksForFile, ReportsErrors, bpy.types.Operator):
+class FACEMIME_OT_export_preset(AsksForFile, bpy.types.Operator):
     """Write strength, smoothing and limits to a file that you can share"""
 
     bl_idname = "facemime.export_preset"
     bl_label = "Export Preset"
     bl_options = {"REGISTER"}
 
-    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Write the file."""
-        return self.reporting(self.work, context)
-
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
-        presets.save(context.scene.facemime, Path(bpy.path.abspath(self.filepath)).with_suffix(presets.SUFFIX))
+        """Write the file."""
+        presets.save(context.scene.facemime, self.path.with_suffix(presets.SUFFIX))
         return {"FINISHED"}
 
 

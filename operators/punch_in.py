@@ -50,7 +50,6 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
         return context.window_manager.invoke_props_dialog(self)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         scene = context.scene
         take = takes_store.chosen(scene)
         start, end = (seconds_at(scene, frame) for frame in (self.start, self.end))

@@ -5,8 +5,8 @@ import bpy
 from ..core.errors import FacemimeError
 from ..sessions.live import LiveSession
 from ..sessions.session import Session
-from ..sessions.start import follow_rigs, follow_settings, heads_in, start_session
-from .shared import ReportsErrors, register_all, unregister_all
+from ..sessions.start import follow_rigs, follow_settings, start_session
+from .shared import ReportsErrors, heads_in, register_all, unregister_all, with_heads
 
 _TICK = 1.0 / 120.0
 _STATUS = 0.25
@@ -45,17 +45,10 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         if context.mode == "EDIT_MESH":
             cls.poll_message_set("Leave Edit mode first")
             return False
-        if not heads_in(context):
-            cls.poll_message_set("Select a head, or add one: step Head, above")
-            return False
-        return True
+        return with_heads(cls, context)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> set[str]:
         """Begin, and go on with every tick of a timer."""
-        return self.reporting(self.start, context)
-
-    def start(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         if not context.scene.facemime.keep_pose:
             # So that an undo while it runs undoes the session and not what came before.
             bpy.ops.ed.undo_push(message="Puppet")

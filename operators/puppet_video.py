@@ -1,7 +1,5 @@
 """Puppet the active head by a video."""
 
-from pathlib import Path
-
 import bpy
 from bpy.props import StringProperty
 
@@ -11,12 +9,12 @@ from ..core.takes.take import Take
 from ..puppet import puppet_head, puppet_heads
 from ..scene.settings import pose_targets, puppet_settings
 from ..sessions.tracking import TrackingSession
-from .shared import AsksForFile, ReportsErrors, in_object_mode
+from .shared import AsksForFile, in_object_mode
 
 _TICK = 0.1
 
 
-class FACEMIME_OT_puppet_video(AsksForFile, ReportsErrors, bpy.types.Operator):
+class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
     """Track the face in a video, or read a take, and bake its motion to the active and the selected heads"""
 
     bl_idname = "facemime.puppet_video"
@@ -40,14 +38,10 @@ class FACEMIME_OT_puppet_video(AsksForFile, ReportsErrors, bpy.types.Operator):
             return False
         return True
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> set[str]:
         """Track in the background and bake when it ends; in one go where there is no window."""
-        return self.reporting(self.start, context)
-
-    def start(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         read_rig(context.active_object)
-        path = Path(bpy.path.abspath(self.filepath))
+        path = self.path
         if path.suffix == SUFFIX:
             return self.bake(context, context.active_object, load_take(path))
         self._session = TrackingSession(path)

@@ -24,7 +24,6 @@ class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
     )
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         paint_region(context, context.active_object, ("UPPER", "MIDDLE", "LOWER").index(self.region))
         return {"FINISHED"}
 
@@ -44,7 +43,7 @@ class FACEMIME_OT_leave_painting(ReportsErrors, bpy.types.Operator):
             return False
         return True
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> set[str]:
         """Switch the mode."""
         bpy.ops.object.mode_set(mode="OBJECT")
         return {"FINISHED"}
@@ -64,7 +63,6 @@ class FACEMIME_OT_mirror_regions(OnHead, bpy.types.Operator):
     )
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         mirror_painted(context.active_object, self.source)
         return {"FINISHED"}
 
@@ -79,7 +77,6 @@ class FACEMIME_OT_smooth_regions(OnHead, bpy.types.Operator):
     repeat: IntProperty(name="Repeat", default=3, min=1, max=50)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         smooth_painted(context.active_object, self.repeat)
         return {"FINISHED"}
 

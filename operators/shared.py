@@ -1,15 +1,24 @@
 """What operators share: how errors reach the user, what must be there, how a file is asked for."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import bpy
+from bpy.props import StringProperty
 
 from ..blender.meshes import is_head
 from ..core.errors import FacemimeError
 
 
 class ReportsErrors:
-    """Mixin: turns the errors that users can cause into a report and CANCELLED; the rest go up with a traceback."""
+    """Mixin: does its `work`, which the operator brings; errors that users can cause become a report and CANCELLED.
+
+    The rest go up with a traceback.
+    """
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Do the work."""
+        return self.reporting(self.work, context)
 
     def reporting(self, work: Callable[[bpy.types.Context], set[str]], context: bpy.types.Context) -> set[str]:
         """Return what `work` returns, or CANCELLED after a report."""
@@ -28,8 +37,29 @@ def in_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Contex
     return False
 
 
-class AsksForFile:
-    """Mixin: asks for `filepath` before it runs."""
+def heads_in(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """The heads that a performance moves: the active one first, then the other selected ones."""
+    chosen = [obj for obj in (context.active_object, *context.selected_objects) if obj is not None and is_head(obj)]
+    return list(dict.fromkeys(chosen))
+
+
+def with_heads(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """For `poll`: whether heads are chosen; `operator` tells the user to choose one where none is."""
+    if heads_in(context):
+        return True
+    operator.poll_message_set("Select a head, or add one: step Head, above")
+    return False
+
+
+class AsksForFile(ReportsErrors):
+    """Mixin: asks for a file before it runs; the operator's `filter_glob` says which ones are shown."""
+
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
+
+    @property
+    def path(self) -> Path:
+        """The file that was chosen."""
+        return Path(bpy.path.abspath(self.filepath))
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Open the file browser."""
@@ -38,7 +68,7 @@ class AsksForFile:
 
 
 class OnMesh(ReportsErrors):
-    """Mixin: needs a mesh active, and does its `work` on it."""
+    """Mixin: needs a mesh active."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -47,10 +77,6 @@ class OnMesh(ReportsErrors):
             cls.poll_message_set("Select a head mesh")
             return False
         return True
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Do the work on the active mesh."""
-        return self.reporting(self.work, context)
 
 
 class OnHead(OnMesh):

@@ -26,7 +26,6 @@ class ChangesTake(OnTake):
         return context.window_manager.invoke_props_dialog(self)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         line = takes_store.chosen(context.scene)
         takes_store.change(line, self.changed(context, takes_store.read(line)))
         return {"FINISHED"}
@@ -95,7 +94,6 @@ class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         line = takes_store.chosen(context.scene)
         takes_store.change(line, renew_neutral(takes_store.read(line), seconds_of(context.scene)))
         return {"FINISHED"}

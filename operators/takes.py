@@ -1,7 +1,5 @@
 """The list of takes: record, show, import, export, pack, remove, and what recordings a crash left."""
 
-from pathlib import Path
-
 import bpy
 from bpy.props import StringProperty
 
@@ -11,15 +9,24 @@ from ..scene import takes_store
 from ..sessions.recording import Recording, settle, start_recording, stop_recording
 from ..sessions.session import Session
 from ..sessions.show import TakeShow
-from ..sessions.start import heads_in
 from .puppet import running
-from .shared import AsksForFile, ReportsErrors, push_undo, register_all, unregister_all, unwatch, watch
+from .shared import (
+    AsksForFile,
+    ReportsErrors,
+    heads_in,
+    push_undo,
+    register_all,
+    unregister_all,
+    unwatch,
+    watch,
+    with_heads,
+)
 
 _WATCH = 0.25
 
 
 class OnTake(ReportsErrors):
-    """Mixin: needs a take chosen in the list, and does its `work`."""
+    """Mixin: needs a take chosen in the list."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -29,10 +36,6 @@ class OnTake(ReportsErrors):
             cls.poll_message_set("Record or import a take first")
             return False
         return True
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Do the work on the chosen take."""
-        return self.reporting(self.work, context)
 
 
 class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
@@ -52,12 +55,8 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
             return False
         return True
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Begin, or end and list what was recorded."""
-        return self.reporting(self.work, context)
-
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
+        """Begin, or end and list what was recorded."""
         if Recording.current is None:
             start_recording(running(), context.scene, self.name)
             watch(_watch, _WATCH)
@@ -89,13 +88,9 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
         if Session.current is not None:
             cls.poll_message_set("It is running already. Stop it first")
             return False
-        if not heads_in(context):
-            cls.poll_message_set("Select a head, or add one: step Head, above")
-            return False
-        return super().poll(context)
+        return with_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         if isinstance(Session.current, TakeShow):
             Session.current.close()
         else:
@@ -111,7 +106,6 @@ class FACEMIME_OT_remove_take(OnTake, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         takes = context.scene.facemime_takes
         takes.items.remove(takes.index)
         takes.index = max(0, min(takes.index, len(takes.items) - 1))
@@ -125,12 +119,8 @@ class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
     bl_label = "Find Takes"
     bl_options = {"REGISTER", "UNDO"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """List them."""
-        return self.reporting(self.work, context)
-
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
+        """List them."""
         paths = takes_store.unlisted(context.scene)
         for path in paths:
             takes_store.add(context.scene, path)
@@ -138,23 +128,18 @@ class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FACEMIME_OT_import_take(AsksForFile, ReportsErrors, bpy.types.Operator):
+class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
     """List a take from a file, or a table of numbers as a take"""
 
     bl_idname = "facemime.import_take"
     bl_label = "Import Take"
     bl_options = {"REGISTER", "UNDO"}
 
-    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Read it and list it."""
-        return self.reporting(self.work, context)
-
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
-        path = Path(bpy.path.abspath(self.filepath))
+        """Read it and list it."""
+        path = self.path
         if path.suffix.lower() == ".csv":
             takes_store.keep(context.scene, from_csv(path), path.stem)
             return {"FINISHED"}
@@ -172,12 +157,10 @@ class FACEMIME_OT_export_take(AsksForFile, OnTake, bpy.types.Operator):
     bl_label = "Export Take"
     bl_options = {"REGISTER"}
 
-    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
-        path = Path(bpy.path.abspath(self.filepath))
+        path = self.path
         take = takes_store.read(takes_store.chosen(context.scene))
         if path.suffix.lower() == ".csv":
             to_csv(take, path)
@@ -194,7 +177,6 @@ class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """The work of `execute`."""
         line = takes_store.chosen(context.scene)
         if line.packed is None:
             takes_store.pack(line)

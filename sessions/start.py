@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from ..blender.live import Follow, LiveHeadObject
-from ..blender.meshes import is_head, read_rig
+from ..blender.meshes import read_rig
 from ..core.drive import HeadRig
 from ..core.errors import HeadError
 from ..core.live.worker import LiveHead, LiveOptions
@@ -16,12 +16,6 @@ from ..scene.preferences import preferences
 from ..scene.properties import FacemimeSettings
 from ..scene.settings import drive_options, open_source, pose_targets, read_calibration, write_calibration
 from .live import LiveSession
-
-
-def heads_in(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The heads that a performance moves: the active one first, then the other selected ones."""
-    chosen = [obj for obj in (context.active_object, *context.selected_objects) if obj is not None and is_head(obj)]
-    return list(dict.fromkeys(chosen))
 
 
 def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> LiveSession:
