@@ -1,9 +1,22 @@
 """Every test starts from an empty file with factory settings."""
 
+import gc
+import threading
+
 import bpy
 import pytest
 
 import facemime
+from facemime.blender.head import add_head
+from facemime.core.retarget import calibrate
+from facemime.core.takes.file import save_take
+from facemime.operators.puppet import FACEMIME_OT_puppet
+from facemime.scene.settings import write_calibration
+from facemime.sessions.punch_in import PunchIn
+from facemime.sessions.recording import Recording
+from facemime.sessions.session import Session
+from facemime.sessions.start import start_session
+from takes import performance
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -17,3 +30,59 @@ def _registered():
 @pytest.fixture(autouse=True)
 def _empty_file(_registered):
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+
+
+@pytest.fixture
+def nothing_left_over():
+    """Neither a session, nor its threads, nor what it records, nor the operator, of which Blender would complain."""
+    yield
+    if Session.current is not None:
+        Session.current.close()
+    Recording.current = PunchIn.current = None
+    FACEMIME_OT_puppet.instance = None
+    gc.collect()
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("facemime")]
+
+
+@pytest.fixture
+def take(tmp_path):
+    """The settings' source: a take, once, at once."""
+    path = tmp_path / "take.facetake"
+    save_take(performance(), path)
+    settings = bpy.context.scene.facemime
+    settings.source.kind, settings.source.take = "TAKE", str(path)
+    settings.source.loop, settings.source.speed, settings.smoothing = False, 20.0, 0.0
+    write_calibration(settings, calibrate(performance()))
+    return performance()
+
+
+@pytest.fixture
+def in_a_project(_empty_file, nothing_left_over, tmp_path):
+    """A saved .blend."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "project.blend"))
+    bpy.context.scene.render.fps = 25
+
+
+@pytest.fixture
+def takes(in_a_project):
+    """The list."""
+    return bpy.context.scene.facemime_takes
+
+
+@pytest.fixture
+def imported(tmp_path, takes):
+    """A take in the list."""
+    save_take(performance(), tmp_path / "First.facetake")
+    assert bpy.ops.facemime.import_take(filepath=str(tmp_path / "First.facetake")) == {"FINISHED"}
+    return takes.items[0]
+
+
+@pytest.fixture
+def session(in_a_project, tmp_path):
+    """A live session that plays a take over and over, as a camera would."""
+    save_take(performance(), tmp_path / "source.facetake")
+    settings = bpy.context.scene.facemime
+    settings.source.kind, settings.source.take = "TAKE", str(tmp_path / "source.facetake")
+    settings.source.loop, settings.source.speed = True, 10.0
+    write_calibration(settings, calibrate(performance()))
+    return start_session(bpy.context.scene, [add_head(bpy.context)])

@@ -13,7 +13,10 @@ from blenders import ROOT, blender_python
 
 RUNNER = ("_pytest", "iniconfig", "packaging", "pluggy", "py", "pygments", "pytest", "pytest_timeout")
 """The test runner and what it needs, all of it plain Python; those environments hold bpy alone."""
-SUITES = ("bake_ways", "control_points", "live", "operators", "panels", "presets", "regions", "takes_list")
+SUITES = (
+    *("bake_ways", "control_points", "key_table", "live", "live_scene", "live_sources", "operators", "panels"),
+    *("pose_targets", "presets", "recording", "regions", "takes_files", "takes_list"),
+)
 
 
 @pytest.mark.parametrize("version", ["4.2", "5.0", "5.2"])

@@ -1,0 +1,42 @@
+"""The table of the keys that a bake moves: detected, edited, shared, learnt."""
+
+import bpy
+import pytest
+
+from facemime.blender.head import add_head
+from facemime.core.bake.key_map import load_map
+
+pytestmark = pytest.mark.usefixtures("in_a_project")
+
+
+def test_a_table_is_detected_edited_shared_and_learnt(imported, takes, tmp_path):
+    head, bake = add_head(bpy.context, units=True), takes.bake
+    assert bpy.ops.facemime.detect_key_map() == {"FINISHED"} and len(bake.rows) == 52
+    bake.row = [row.key for row in bake.rows].index("tongueOut")
+    assert bpy.ops.facemime.remove_key_row() == {"FINISHED"} and len(bake.rows) == 51
+    assert bpy.ops.facemime.add_key_row() == {"FINISHED"}
+    bake.keys = "mapped"
+    with pytest.raises(RuntimeError, match="Row 52 of the table has no key"):
+        bpy.ops.facemime.bake_take()
+    bake.rows[51].key, bake.rows[51].gain = "tongueOut", 0.25
+    assert bpy.ops.facemime.export_key_map(filepath=str(tmp_path / "mine.json")) == {"FINISHED"}
+    assert load_map(tmp_path / "mine.json").rows[51].gain == 0.25
+    assert bpy.ops.facemime.import_key_map(filepath=str(tmp_path / "mine.json")) == {"FINISHED"}
+    assert not bpy.ops.facemime.learn_key_map.poll()
+    for frame, value in ((1, 0.0), (35, 0.8), (45, 0.8)):
+        bpy.context.scene.frame_set(frame)
+        head.data.shape_keys.key_blocks["cheekPuff"].value = value
+        assert bpy.ops.facemime.add_key_pose() == {"FINISHED"}
+    assert bpy.ops.facemime.learn_key_map() == {"FINISHED"} and not len(bake.poses)
+    assert sum(row.gain for row in bake.rows if row.key == "cheekPuff" and row.source != "cheekPuff") > 0.2
+    assert bpy.ops.facemime.bake_take() == {"FINISHED"}
+    bpy.context.scene.frame_set(35)
+    assert head.data.shape_keys.key_blocks["cheekPuff"].value == pytest.approx(0.8, abs=0.1)
+
+
+def test_a_head_of_unknown_keys_has_no_table_to_be_detected():
+    head = add_head(bpy.context)
+    for name in ("Basis", "Fat"):
+        head.shape_key_add(name=name, from_mix=False)
+    with pytest.raises(RuntimeError, match="no preset knows"):
+        bpy.ops.facemime.detect_key_map()

@@ -1,0 +1,103 @@
+"""What happens to the scene while the puppet runs: saving, deleting, renaming, Edit mode, copies; linked heads."""
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.blender.head import add_head
+from facemime.blender.live import LIVE_KEY, LiveHeadObject
+from facemime.core.errors import HeadError
+from facemime.operators.puppet import running
+from live_ticks import moving, outcome_of_ticks, shown, ticks_until
+
+pytestmark = pytest.mark.usefixtures("nothing_left_over")
+
+
+def test_saving_in_the_middle_writes_the_head_at_rest(take, tmp_path):
+    head = add_head(bpy.context)
+    rest = shown(head)
+    bpy.context.scene.facemime.source.loop = True
+    bpy.ops.facemime.puppet()
+    ticks_until(moving)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "head.blend"))
+    before = running()._number
+    ticks_until(lambda: running()._number > before)
+    assert LIVE_KEY in head.data.shape_keys.key_blocks
+    bpy.ops.facemime.stop_puppet()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "head.blend"))
+    again = bpy.data.objects["Facemime Head"]
+    assert again.data.shape_keys is None
+    np.testing.assert_array_equal(shown(again), rest)
+
+
+def test_deleting_one_of_two_heads_goes_on_with_the_other_and_both_end_it(take):
+    first, second = add_head(bpy.context), add_head(bpy.context)
+    first.select_set(True)
+    bpy.context.scene.facemime.source.loop = True
+    bpy.ops.facemime.puppet()
+    ticks_until(moving)
+    bpy.data.objects.remove(second)
+    number = running()._number
+    ticks_until(lambda: running()._number > number + 3)
+    bpy.data.objects.remove(first)
+    assert outcome_of_ticks() == {"CANCELLED"} and running() is None
+
+
+def test_renaming_the_head_and_other_active_objects_do_not_matter(take):
+    head = add_head(bpy.context)
+    bpy.context.scene.facemime.source.loop = True
+    bpy.ops.facemime.puppet()
+    ticks_until(moving)
+    head.name = "Somebody"
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.active_object
+    number = running()._number
+    ticks_until(lambda: running()._number > number + 3)
+    assert cube.data.shape_keys is None and LIVE_KEY in head.data.shape_keys.key_blocks
+
+
+def test_edit_mode_is_left_alone_and_a_mesh_that_was_changed_in_it_is_reported(take):
+    head = add_head(bpy.context)
+    bpy.context.scene.facemime.source.loop = True
+    bpy.ops.facemime.puppet()
+    ticks_until(moving)
+    bpy.ops.object.mode_set(mode="EDIT")
+    number = running()._number
+    ticks_until(lambda: running()._number > number + 3)
+    bpy.ops.mesh.select_all(action="DESELECT")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    head.data.vertices[5].select = True
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.delete(type="VERT")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert outcome_of_ticks() == {"CANCELLED"} and running() is None
+
+
+def test_hiding_copying_and_another_scene_do_not_matter(take):
+    head = add_head(bpy.context)
+    bpy.context.scene.facemime.source.loop = True
+    bpy.ops.facemime.puppet()
+    ticks_until(moving)
+    bpy.ops.object.duplicate()
+    copy = bpy.context.active_object
+    snapshot = shown(copy)
+    head.hide_set(True)
+    first = bpy.context.scene
+    bpy.context.window.scene = bpy.data.scenes.new("Other")
+    number = running()._number
+    ticks_until(lambda: running()._number > number + 3)
+    bpy.context.window.scene = first
+    head.hide_set(False)
+    np.testing.assert_allclose(shown(copy), snapshot, atol=1e-6)
+    bpy.ops.facemime.stop_puppet()
+    assert head.data.shape_keys is None and copy.data.shape_keys is not None
+
+
+def test_linked_heads_are_refused_with_what_to_do(take, tmp_path):
+    add_head(bpy.context)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, loaded):
+        loaded.objects = ["Facemime Head"]
+    with pytest.raises(HeadError, match="Make Local"):
+        LiveHeadObject(loaded.objects[0], {})

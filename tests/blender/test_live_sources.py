@@ -1,0 +1,94 @@
+"""What a live session needs, a source and a calibration: where they are kept, and what is said where they fail."""
+
+import time
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.blender.head import add_head
+from facemime.operators.puppet import FACEMIME_OT_puppet, running
+from facemime.scene.preferences import preferences
+from facemime.scene.settings import read_calibration
+from live_ticks import moving, tick, ticks_until
+
+pytestmark = pytest.mark.usefixtures("nothing_left_over")
+
+
+def test_calibration_is_kept_with_the_scene_by_the_performers_name(take):
+    add_head(bpy.context)
+    settings = bpy.context.scene.facemime
+    settings.source.loop = True
+    assert [performer.name for performer in settings.performers] == ["Performer 1"]
+    with pytest.raises(RuntimeError):
+        bpy.ops.facemime.calibrate()
+    bpy.ops.facemime.add_performer(name="Ada")
+    assert read_calibration(settings) is None
+    bpy.ops.facemime.puppet()
+    ticks_until(moving)
+    assert bpy.ops.facemime.calibrate(countdown=0.05) == {"FINISHED"}
+    assert running().countdown is not None
+    ticks_until(lambda: settings.performers[1].calibration)
+    assert settings.performer == 1 and running().worker.quality is not None
+    np.testing.assert_array_equal(read_calibration(settings).shape, running().worker.neutral.shape)
+    bpy.ops.facemime.stop_puppet()
+    bpy.ops.facemime.remove_performer()
+    assert [performer.name for performer in settings.performers] == ["Performer 1"]
+
+
+@pytest.fixture
+def preferred():
+    """The user's settings, whose camera is put back."""
+    yield preferences()
+    preferences().property_unset("camera")
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "said"),
+    [
+        ("VIDEO", "", "No video is chosen"),
+        ("VIDEO", "none.mp4", "There is no file"),
+        ("PICTURES", "none", "There is no folder"),
+        ("TAKE", "none.facetake", "There is no take"),
+        ("CAMERA", "http://phone:8080/video", "Online Access"),
+        ("CAMERA", "/dev/none", "cannot be opened"),
+    ],
+)
+def test_a_source_that_is_not_there_is_reported_and_leaves_the_head_alone(tmp_path, preferred, kind, name, said):
+    head = add_head(bpy.context)
+    source = bpy.context.scene.facemime.source
+    source.kind = kind
+    path = name if "://" in name or not name else str(tmp_path / name)
+    source.video = source.folder = source.take = path
+    preferred.camera = path
+    reports = []
+    try:
+        outcome = bpy.ops.facemime.puppet()
+    except RuntimeError as error:
+        reports, outcome = [str(error)], {"CANCELLED"}
+    if outcome == {"RUNNING_MODAL"}:
+        session = running()
+        end = time.monotonic() + 30.0
+        while session.worker.error is None and time.monotonic() < end:
+            time.sleep(0.01)
+        reports = [str(session.worker.error)]
+        assert tick() == {"CANCELLED"}
+    assert said in reports[0]
+    assert running() is None and head.data.shape_keys is None
+
+
+def test_the_buttons_say_why_they_are_grey(take):
+    assert not FACEMIME_OT_puppet.poll(bpy.context)
+    add_head(bpy.context)
+    assert FACEMIME_OT_puppet.poll(bpy.context)
+    assert not bpy.ops.facemime.stop_puppet.poll() and not bpy.ops.facemime.calibrate.poll()
+    bpy.context.scene.facemime.source.loop = True
+    bpy.ops.facemime.puppet()
+    assert not FACEMIME_OT_puppet.poll(bpy.context) and bpy.ops.facemime.stop_puppet.poll()
+
+
+def test_a_damaged_calibration_is_reported(take):
+    add_head(bpy.context)
+    bpy.context.scene.facemime.performers[0].calibration = '{"shape": 3}'
+    with pytest.raises(RuntimeError, match="Calibrate again"):
+        bpy.ops.facemime.puppet()

@@ -1,0 +1,58 @@
+"""Where the pose of the head and of the eyes goes: a head, a bone, other objects."""
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.blender.head import add_head
+from facemime.blender.targets import PoseTarget
+from facemime.operators.puppet import running
+from live_ticks import ticks_until
+
+pytestmark = pytest.mark.usefixtures("nothing_left_over")
+
+
+def test_head_pose_goes_to_a_bone_and_the_eyes_to_objects(take):
+    head = add_head(bpy.context)
+    bpy.ops.object.armature_add()
+    armature = bpy.context.active_object
+    bpy.ops.object.empty_add()
+    empty = bpy.context.active_object
+    posing = bpy.context.scene.facemime.posing
+    posing.object, posing.bone, posing.eye_left = armature, "Bone", empty
+    bpy.context.view_layer.objects.active = head
+    bpy.context.scene.facemime.source.loop = True
+    assert bpy.ops.facemime.puppet() == {"RUNNING_MODAL"}
+    bone = armature.pose.bones["Bone"]
+    ticks_until(lambda: bone.rotation_quaternion.angle > 0.05)
+    frame = running().shown.heads
+    assert frame and tuple(head.delta_rotation_euler) == (0.0, 0.0, 0.0)
+    bpy.ops.facemime.stop_puppet()
+    assert bone.rotation_quaternion.angle < 1e-6
+    posing.bone = "Nose"
+    with pytest.raises(RuntimeError, match="no bone Nose"):
+        bpy.ops.facemime.puppet()
+    assert running() is None
+
+
+@pytest.mark.parametrize("mode", ["XYZ", "QUATERNION", "AXIS_ANGLE"])
+def test_a_pose_turns_the_head_about_its_own_axes_wherever_it_stands(mode):
+    bpy.ops.object.empty_add(rotation=(0.3, 0.2, 1.1))
+    parent = bpy.context.active_object
+    head = add_head(bpy.context)
+    head.parent, head.rotation_mode = parent, mode
+    if mode == "QUATERNION":
+        head.rotation_quaternion = (0.9, 0.1, -0.3, 0.2)
+    else:
+        head.rotation_euler = (0.4, -0.2, 0.7)
+    bpy.context.view_layer.update()
+    before = np.array(head.matrix_world.to_3x3().normalized())
+    turn = np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
+    target = PoseTarget(head)
+    target.apply(turn, np.array([0.1, 0.2, 0.3]))
+    bpy.context.view_layer.update()
+    in_blender = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(np.array(head.matrix_world.to_3x3().normalized()), before @ in_blender, atol=1e-5)
+    target.rest()
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(np.array(head.matrix_world.to_3x3().normalized()), before, atol=1e-6)

@@ -1,0 +1,135 @@
+"""Takes are recorded, whole or in part, with the video or without."""
+
+import time
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.blender.head import add_head
+from facemime.core.capture import VideoSource
+from facemime.core.retarget import calibrate
+from facemime.core.takes.file import load_take
+from facemime.operators import punch_in
+from facemime.scene import takes_store
+from facemime.sessions.punch_in import PunchIn
+from facemime.sessions.recording import Recording, settle
+from facemime.sessions.session import Session
+from facemime.sessions.start import start_session
+from live_ticks import wait_for
+
+pytestmark = pytest.mark.usefixtures("in_a_project")
+
+
+def test_a_recording_is_on_the_disk_while_it_runs_and_in_the_list_when_it_ends(session, takes, tmp_path):
+    wait_for(lambda: session.worker.counts.tracked > 5)
+    assert bpy.ops.facemime.record_take(name="Anna") == {"FINISHED"}
+    path = tmp_path / "takes" / "Anna.facetake"
+    wait_for(lambda: Recording.current.frames > 80)
+    assert "cut" in load_take(path).info["recovered"]
+    assert bpy.ops.facemime.record_take() == {"FINISHED"}
+    line = takes.items[0]
+    assert (line.name, line.path) == ("Anna", "//takes/Anna.facetake")
+    take = takes_store.read(line)
+    assert take.times[0] == 0.0 and len(take) > 80 and "recovered" not in take.info
+    assert take.info["clock"] == "media" and take.info["offset"] > 0.0
+    np.testing.assert_allclose(calibrate(take).shape, session.worker.neutral.shape)
+    assert line.length == pytest.approx(float(take.times[-1]))
+    assert Session.current is session and not bpy.context.scene.facemime_takes.items[0].packed
+
+
+def test_a_recording_whose_session_is_stopped_is_listed_too_and_the_next_has_its_own_file(session, takes):
+    for _ in range(2):
+        assert bpy.ops.facemime.record_take(name="Same") == {"FINISHED"}
+        wait_for(lambda: Recording.current.frames > 3)
+        if len(takes.items):
+            session.close()
+            assert settle()
+        else:
+            bpy.ops.facemime.record_take()
+    assert [line.name for line in takes.items] == ["Same", "Same 2"]
+    assert not settle() and not bpy.ops.facemime.record_take.poll()
+
+
+def test_a_recording_is_not_listed_in_another_file_but_found_in_its_own(session, takes, tmp_path):
+    assert bpy.ops.facemime.record_take(name="Left") == {"FINISHED"}
+    wait_for(lambda: Recording.current.frames > 10)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    assert Recording.current is None and Session.current is None
+    assert not len(bpy.context.scene.facemime_takes.items)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "project.blend"))
+    assert bpy.ops.facemime.find_takes() == {"FINISHED"}
+    assert [line.name for line in bpy.context.scene.facemime_takes.items] == ["Left"]
+
+
+def test_without_a_puppet_nothing_can_be_recorded():
+    assert not bpy.ops.facemime.record_take.poll()
+    with pytest.raises(RuntimeError, match="Start the puppet first"):
+        bpy.ops.facemime.record_take()
+
+
+def rerecord(**options) -> None:
+    """Record a part anew, with the timer's ticks."""
+    assert bpy.ops.facemime.rerecord_take(lead=0.05, **options) == {"FINISHED"}
+    while PunchIn.current is not None:
+        punch_in._watch()
+        time.sleep(0.005)
+
+
+def test_a_part_of_a_take_is_recorded_anew_and_the_rest_stays(session, imported, takes):
+    before = takes_store.read(imported)
+    wait_for(lambda: session.worker.counts.tracked > 5)
+    rerecord(start=11, end=31, blend=0.1)
+    after = takes_store.read(imported)
+    assert len(takes.items) == 1 and imported.path != "//First.facetake" and Session.current is session
+    assert after.info["punched_in"] == [[pytest.approx(0.4), pytest.approx(1.2)]]
+    assert after.times[-1] == before.times[-1] and np.all(np.diff(after.times) > 0.0)
+    old, new = before.times < 0.4, after.times < 0.4
+    np.testing.assert_array_equal(after.landmarks[new], before.landmarks[old])
+    inside = (after.times > 0.55) & (after.times < 1.05)
+    assert inside.any() and not np.isin(after.times[inside], before.times).all()
+    assert Recording.current is None and bpy.context.scene.sync_mode == "NONE"
+
+
+def test_a_part_that_is_broken_off_leaves_the_take_as_it_was_and_what_came_in_the_list(session, imported, takes):
+    assert bpy.ops.facemime.rerecord_take(start=1, end=1000, lead=0.0) == {"FINISHED"}
+    assert not bpy.ops.facemime.rerecord_take.poll()
+    wait_for(lambda: punch_in._watch() is not None and Recording.current is not None and Recording.current.frames > 5)
+    session.close()
+    assert punch_in._watch() is None
+    assert [line.name for line in takes.items] == ["First", "Punch_In"] and takes.items[0].path == "//First.facetake"
+    assert PunchIn.current is None and Recording.current is None
+
+
+def test_a_part_without_length_is_refused(session, imported):
+    with pytest.raises(RuntimeError, match="has no length"):
+        bpy.ops.facemime.rerecord_take(start=5, end=5)
+
+
+@pytest.mark.parametrize("fps", [24, 30, 60])
+def test_a_video_is_kept_beside_the_take_and_shown_beside_the_head_in_step(fps, takes, tmp_path):
+    scene = bpy.context.scene
+    scene.facemime.source.kind, scene.facemime.source.loop, takes.video = "SAMPLE", False, True
+    scene.render.fps = fps
+    head = add_head(bpy.context)
+    session = start_session(scene, [head])
+    assert bpy.ops.facemime.record_take(name="Seen") == {"FINISHED"}
+    wait_for(lambda: Recording.current.frames > 40)
+    bpy.ops.facemime.record_take()
+    session.close()
+    take, video = takes_store.read(takes.items[0]), tmp_path / "takes" / "Seen.mkv"
+    assert take.info["source"] == "Seen.mkv" and take.info["offset"] == 0.0
+    with VideoSource(video) as frames:
+        assert len(list(frames)) == round(take.times[-1] * 30.0) + 1
+    assert bpy.ops.facemime.trim_take(start=0.5, end=9.0) == {"FINISHED"}
+    trimmed = takes_store.read(takes.items[0])
+    assert bpy.ops.facemime.add_reference() == {"FINISHED"}
+    empty = scene.objects["Seen Reference"]
+    for frame in (1, 2, fps // 2, fps):
+        scene.frame_set(frame)
+        shown = frame + empty.evaluated_get(bpy.context.evaluated_depsgraph_get()).image_user.frame_offset
+        assert abs((shown - 1) / 30.0 - trimmed.info["offset"] - (frame - 1) / fps) <= 0.5 / 30.0 + 1e-6
+    assert (
+        empty.location.x < min(corner[0] for corner in head.bound_box)
+        and empty.empty_display_size > 0.5 * head.dimensions.z
+    )

@@ -1,0 +1,81 @@
+"""Where a take's file is: removed, found again, packed, exported, and when the .blend goes elsewhere."""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.core.takes.file import save_take
+from facemime.scene import takes_store
+from takes import performance
+
+pytestmark = pytest.mark.usefixtures("in_a_project")
+
+
+def test_a_removed_take_is_still_on_the_disk_and_can_be_found_again(imported, takes, tmp_path):
+    assert bpy.ops.facemime.trim_take(start=0.4, end=1.6) == {"FINISHED"}
+    path = Path(bpy.path.abspath(takes.items[0].path))
+    assert bpy.ops.facemime.remove_take() == {"FINISHED"} and not len(takes.items)
+    assert path.is_file() and not bpy.ops.facemime.remove_take.poll()
+    assert bpy.ops.facemime.find_takes() == {"FINISHED"}
+    assert [line.path for line in takes.items] == ["//takes/First.facetake"]
+    assert bpy.ops.facemime.find_takes() == {"FINISHED"} and len(takes.items) == 1
+
+
+def test_a_packed_take_needs_no_file_and_can_be_unpacked(imported, tmp_path):
+    assert bpy.ops.facemime.pack_take() == {"FINISHED"}
+    (tmp_path / "First.facetake").unlink()
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
+    line = bpy.context.scene.facemime_takes.items[0]
+    np.testing.assert_allclose(takes_store.read(line).times, performance().times)
+    assert bpy.ops.facemime.pack_take() == {"FINISHED"}
+    assert line.packed is None and not bpy.data.texts and (tmp_path / "takes" / "First.facetake").is_file()
+
+
+def test_what_is_wrong_with_a_take_is_said(imported, tmp_path):
+    (tmp_path / "First.facetake").unlink()
+    with pytest.raises(RuntimeError, match="is not at"):
+        bpy.ops.facemime.export_take(filepath=str(tmp_path / "out.facetake"))
+    imported.packed = bpy.data.texts.new("rubbish")
+    with pytest.raises(RuntimeError, match="is damaged"):
+        bpy.ops.facemime.export_take(filepath=str(tmp_path / "out.facetake"))
+    with pytest.raises(RuntimeError, match="no take"):
+        bpy.ops.facemime.import_take(filepath=str(tmp_path / "none.facetake"))
+
+
+def test_takes_go_out_and_come_in_as_files_and_tables(imported, takes, tmp_path):
+    for suffix in ("csv", "facetake"):
+        assert bpy.ops.facemime.export_take(filepath=str(tmp_path / f"out.{suffix}")) == {"FINISHED"}
+        assert bpy.ops.facemime.import_take(filepath=str(tmp_path / f"out.{suffix}")) == {"FINISHED"}
+        takes.index = 0
+    for line in takes.items[1:]:
+        np.testing.assert_allclose(takes_store.read(line).shape, takes_store.read(takes.items[0]).shape)
+    assert [line.path for line in takes.items[1:]] == ["//takes/out.facetake", "//out.facetake"]
+
+
+def test_an_unsaved_file_has_its_takes_in_the_users_folder():
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    assert takes_store.folder().is_absolute() and takes_store.folder().name == "takes"
+    assert "facemime" in str(takes_store.folder())
+
+
+def test_saved_elsewhere_or_as_a_copy_the_file_finds_its_takes(imported, tmp_path):
+    (tmp_path / "other").mkdir()
+    for name, copy in (("copy.blend", True), ("moved.blend", False)):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other" / name), copy=copy, relative_remap=False)
+        assert imported.path == ("//First.facetake" if copy else "//../First.facetake")
+        assert len(takes_store.read(imported)) == 60
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "other" / "copy.blend"))
+    assert len(takes_store.read(bpy.context.scene.facemime_takes.items[0])) == 60
+
+
+def test_a_take_of_an_unsaved_file_becomes_relative_when_that_is_saved(tmp_path):
+    save_take(performance(), tmp_path / "First.facetake")
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.facemime.import_take(filepath=str(tmp_path / "First.facetake"))
+    line = bpy.context.scene.facemime_takes.items[0]
+    assert line.path == str(tmp_path / "First.facetake")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "late.blend"))
+    assert line.path == "//First.facetake"
