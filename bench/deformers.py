@@ -18,7 +18,6 @@ from facemime.core.deform.greedy import GreedySelection, greedy_select
 from facemime.core.deform.kernels import KERNELS
 from facemime.core.deform.rbf import RBFDeformer
 from facemime.core.deform.regions import DEFAULT_KERNEL, membership, region_sigmas
-from facemime.core.deform.skin import skin_covariance
 from facemime.core.drive import head_deformer
 from facemime.core.landmarks import N_LANDMARKS, from_ibug
 
@@ -114,8 +113,7 @@ def informed(head: TrueHead, model: ExpressionModel, members: NDArray[np.bool_] 
             membership() if members is None else members,
             kernel=DEFAULT_KERNEL,
             sigma=region_sigmas(points, KERNELS[DEFAULT_KERNEL]),
-            covariance=learnt_covariance((model,), head.vertices, head.landmarks, head.regions),
-            skin=skin_covariance(head.vertices, head.faces, head.landmarks, head.regions),
+            skin=learnt_covariance((model,), head.vertices, head.faces, head.landmarks, head.regions),
         )
     )
 

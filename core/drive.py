@@ -14,7 +14,6 @@ from .deform.eyeballs import EyeballContact
 from .deform.kernels import kernel_named
 from .deform.rbf import IncrementalDeformer, RBFDeformer
 from .deform.regions import DEFAULT_KERNEL, membership, region_sigmas
-from .deform.skin import skin_covariance
 from .errors import HeadError
 from .eyes import EyeDriver
 from .head import load_head
@@ -222,8 +221,6 @@ def head_deformer(
     if incremental:
         return IncrementalDeformer(rig.vertices, places, rig.region_weights, members, kernel=plain, sigma=sigma)
     fit = partial(RBFDeformer, rig.vertices, places, rig.region_weights, members, kernel=plain, sigma=sigma)
-    if kernel != INFORMED:
+    if kernel != INFORMED or rig.faces is None:
         return fit()
-    head = rig.landmarks, rig.region_weights
-    skin = None if rig.faces is None else skin_covariance(rig.vertices, rig.faces, *head)
-    return fit(covariance=informed_covariance(rig.vertices, *head), skin=skin)
+    return fit(skin=informed_covariance(rig.vertices, rig.faces, rig.landmarks, rig.region_weights))

@@ -1,9 +1,9 @@
 """What moves together in a face, learnt from the expression shapes of other heads and carried to any mesh.
 
-A radial basis function is a Gaussian process with a kernel of distance. Distance does not know that a lower lid goes
-with the cheek and not with the bridge of the nose, as near as that is. So the kernel gains a term that is large between
-places which move alike in known expressions (Luethi et al. 2018): the correlation of their motions. The correlation and
-not the covariance, as how far a face moves differs from head to head much more than what goes with what.
+The skin does not know that a lower lid goes with the cheek and not with the bridge of the nose, as near as that is. So
+the covariance of its process gains a term that is large between places which move alike in known expressions (Luethi
+et al. 2018, *Gaussian Process Morphable Models*): the correlation of their motions. The correlation and not the
+covariance, as how far a face moves differs from head to head much more than what goes with what.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from ..arrays import FloatArray, IntArray
 from ..errors import ModelError
 from ..head import load_head
 from ..landmarks import N_LANDMARKS, OUTER_EYE_CORNERS
-from .rbf import LearntCovariance
+from .kernels import distances
+from .skin import SkinCovariance, skin_covariance
 from .warp import Warp
 
 FORMAT = "facemime-expressions-1"
@@ -29,7 +30,7 @@ EXPRESSIONS_FILE = Path(__file__).parents[2] / "assets" / "expressions" / "ict.n
 
 AMOUNT = 0.7
 REACH = 0.2
-"""Weight of the term beside a kernel of 1, and how far it reaches, outer-eye distances."""
+"""Weight of the term beside a process of 1, and how far it reaches, outer-eye distances."""
 _FEATURES = 24
 _STILL = 0.03
 """Motion, in outer-eye distances, below which a place counts as resting: noise has no direction."""
@@ -123,20 +124,32 @@ def learn(
     )
 
 
-def informed_covariance(vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray) -> LearntCovariance:
-    """The term as it ships, from all heads whose expressions are known: ICT-FaceKit's and the built-in one."""
-    return learnt_covariance((load_expressions(), _built_in()), vertices, landmarks, region_weights)
+def informed_covariance(
+    vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray
+) -> SkinCovariance:
+    """The skin's process as it ships, from both heads whose expressions are known: ICT-FaceKit's and the built-in."""
+    return learnt_covariance((load_expressions(), _built_in()), vertices, faces, landmarks, region_weights)
 
 
 def learnt_covariance(
-    models: tuple[ExpressionModel, ...], vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray
-) -> LearntCovariance:
-    """The term that `RBFDeformer` takes, the mean of what `models` say, for a head with (66,) `landmarks`."""
+    models: tuple[ExpressionModel, ...],
+    vertices: FloatArray,
+    faces: IntArray,
+    landmarks: IntArray,
+    region_weights: FloatArray,
+) -> SkinCovariance:
+    """The process on the skin of a head, and beside it how alike places move, the mean of what `models` say.
+
+    Between places x and y with features u it gains `AMOUNT u(x).u(y) exp(-|x - y|^2 / (2 REACH^2))`; parameters as for
+    `skin_covariance`.
+    """
+    skin = skin_covariance(vertices, faces, landmarks, region_weights)
     scale = 1.0 / np.sqrt(len(models))
     features = scale * np.concatenate([m.carry(vertices, landmarks, region_weights) for m in models], axis=1)
-    corners = np.asarray(vertices, dtype=np.float64)[landmarks[OUTER_EYE_CORNERS]]
-    unit = float(np.linalg.norm(corners[0] - corners[1]))
-    return LearntCovariance(features, features[landmarks], AMOUNT, REACH * unit)
+    places = _normalised(vertices, landmarks)
+    near = np.exp(-0.5 * np.square(distances(places, places[landmarks]) / REACH))
+    term = AMOUNT * (features @ features[landmarks].T) * near * skin.vertices.any(axis=1)[:, None]
+    return SkinCovariance(skin.vertices + term, skin.control_points + term[landmarks])
 
 
 @lru_cache(maxsize=1)

@@ -14,13 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
-from ..landmarks import BROWS, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, OUTER_EYE_CORNERS, from_ibug
+from ..landmarks import BROWS, OUTER_EYE_CORNERS, from_ibug
 from .surface import SurfaceGraph
 
 _UPPER_LIDS = (from_ibug(range(36, 40)), from_ibug(range(42, 46)))
 _LOWER_LIDS = (from_ibug((39, 40, 41, 36)), from_ibug((45, 46, 47, 42)))
 _UPPER_LIP = from_ibug(range(48, 55))
 _LOWER_LIP = from_ibug((54, 55, 56, 57, 58, 59, 48))
+_INNER_UPPER = from_ibug((48, 61, 62, 63, 54))
+_INNER_LOWER = from_ibug((54, 65, 66, 67, 48))
+"""The rims of lids and lips, from corner to corner."""
 _EYE_SOFTNESS, _MOUTH_SOFTNESS = 0.08, 0.22
 _SLIT_SOFTNESS = 0.002
 _REACH = 0.6
@@ -57,7 +60,7 @@ def propose_regions(vertices: FloatArray, faces: IntArray, landmarks: IntArray) 
     above_mouth = _above_mouth(place, points)
     for upper, lower in zip(_UPPER_LIDS, _LOWER_LIDS, strict=True):
         _decide(above_eyes, _slit(graph, landmarks, [upper], [lower], place, points))
-    lips = _slit(graph, landmarks, [_UPPER_LIP, MOUTH_INNER_UPPER], [_LOWER_LIP, MOUTH_INNER_LOWER], place, points)
+    lips = _slit(graph, landmarks, [_UPPER_LIP, _INNER_UPPER], [_LOWER_LIP, _INNER_LOWER], place, points)
     _decide(above_mouth, lips)
     shares = np.stack([above_eyes, (1.0 - above_eyes) * above_mouth, (1.0 - above_eyes) * (1.0 - above_mouth)])
     shares *= _moving(place, points)
@@ -74,11 +77,9 @@ def _slit(
     points: FloatArray,
 ) -> _Slit:
     """Whether the upper or the lower rim is nearer along the surface, between the slit's corners."""
-    corners = {int(landmarks[upper[0][0]]), int(landmarks[upper[0][-1]])}
-    to_upper, to_lower = (
-        graph.ways({v for line in lines for v in _rim(graph, landmarks[line])} - corners, _REACH)
-        for lines in (upper, lower)
-    )
+    rims = [{v for line in lines for v in _rim(graph, landmarks[line])} for lines in (upper, lower)]
+    corners = rims[0] & rims[1]
+    to_upper, to_lower = (graph.ways(rim - corners, _REACH) for rim in rims)
     left, right = np.sort(points[upper[0][[0, -1]], 0])
     between = (place[:, 0] >= left) & (place[:, 0] <= right)
     near = between & np.isfinite(to_upper) & np.isfinite(to_lower)

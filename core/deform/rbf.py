@@ -21,36 +21,8 @@ from .kernels import Kernel, distances, kernel_named
 from .skin import SkinCovariance
 
 MAX_CONDITION = 1e10
-_SKIN_SHARE = 0.5
+_SKIN_SHARE = 0.6
 """Of the process on the skin in the mean with the regions' functions."""
-
-
-@dataclass(frozen=True)
-class LearntCovariance:
-    """How alike two places of the face move, learnt from expressions: a term that the kernel of distance gains.
-
-    The kernel between places x and y becomes `phi(|x - y|) + amount u(x).u(y) exp(-|x - y|^2 / (2 reach^2))`.
-
-    Attributes
-    ----------
-    vertices : (V, K) float
-        Feature u of each vertex, of length at most one.
-    control_points : (P, K) float
-        Feature of each control point.
-    amount : float
-        Weight of the term beside a kernel of one.
-    reach : float
-        Unit of the vertices.
-
-    References
-    ----------
-    Luethi, Gerig, Jud & Vetter 2018, *Gaussian Process Morphable Models*: sums and products of kernels.
-    """
-
-    vertices: FloatArray
-    control_points: FloatArray
-    amount: float
-    reach: float
 
 
 @dataclass(frozen=True)
@@ -102,11 +74,9 @@ class RBFDeformer:
     regularisation : float
         Added to the diagonal of Phi, whose entries are at most one. At 0.001 vertices between control points
         follow more smoothly than at nothing, and the points themselves are met within 0.5 mm on the face units.
-    covariance : LearntCovariance, optional
-        A learnt term beside the kernel of distance.
     skin : SkinCovariance, optional
-        A process on the mesh's surface, over all control points. What it joins to any of them takes the mean of it and
-        of the regions' functions.
+        A process on the mesh's surface, over all control points. What it joins to any of them takes a weighted mean of
+        it and of the regions' functions.
 
     Attributes
     ----------
@@ -142,7 +112,6 @@ class RBFDeformer:
         sigma: ArrayLike | None = None,
         spacing_factor: ArrayLike = 0.8,
         regularisation: float = 1e-3,
-        covariance: LearntCovariance | None = None,
         skin: SkinCovariance | None = None,
     ) -> None:
         rest = as_points(vertices, "vertices", error=HeadError)
@@ -155,7 +124,7 @@ class RBFDeformer:
         if sigma is not None and not (np.asarray(sigma) > 0).all():
             raise HeadError(f"sigma must be above 0; got {sigma!r}.")
         widths = [None] * len(members) if sigma is None else np.broadcast_to(np.asarray(sigma), len(members)).tolist()
-        fit = _Fit(rest, points, kernel_named(kernel), regularisation, covariance)
+        fit = _Fit(rest, points, kernel_named(kernel), regularisation)
         regions = [
             fit.region(shares[row], np.flatnonzero(members[row]), widths[row], float(factors[row]))
             for row in range(len(members))
@@ -260,7 +229,6 @@ class _Fit:
     points: FloatArray
     kernel: Kernel
     regularisation: float
-    covariance: LearntCovariance | None
 
     def region(
         self, share: FloatArray, columns: NDArray[np.intp], width: float | None, spacing_factor: float
@@ -277,8 +245,6 @@ class _Fit:
         rows = np.flatnonzero(share)
         phi = self.kernel.phi(between, sigma)
         evaluation = self.kernel.phi(distances(self.rest[rows], centres), sigma)
-        if self.covariance is not None:
-            phi, evaluation = self._informed(phi, evaluation, rows, columns)
         matrix, condition = self._solved(phi, evaluation, f"at sigma {sigma:.3g}")
         return RegionFit(rows, columns, float(sigma), condition), _region_matrix(rows, columns, matrix, share)
 
@@ -286,26 +252,8 @@ class _Fit:
         """Fit `skin` on the control points `columns`, for the vertices that have `share` (V,) and that it joins."""
         rows = np.flatnonzero((share > 0.0) & skin.vertices[:, columns].any(axis=1))
         phi, evaluation = skin.control_points[np.ix_(columns, columns)], skin.vertices[np.ix_(rows, columns)]
-        if self.covariance is not None:
-            phi, evaluation = self._informed(phi, evaluation, rows, columns)
         matrix, _ = self._solved(phi, evaluation, "on the skin")
         return _region_matrix(rows, columns, matrix, share)
-
-    def _informed(
-        self, phi: FloatArray, evaluation: FloatArray, rows: NDArray[np.intp], columns: NDArray[np.intp]
-    ) -> tuple[FloatArray, FloatArray]:
-        """The kernel among the control points `columns`, and from the vertices `rows` to them, with the learnt term."""
-        assert self.covariance is not None
-        learnt, centres = self.covariance, self.points[columns]
-
-        def term(features: FloatArray, places: FloatArray) -> FloatArray:
-            near = np.exp(-0.5 * np.square(distances(places, centres) / learnt.reach))
-            return np.asarray(learnt.amount * (features @ learnt.control_points[columns].T) * near)
-
-        return (
-            phi + term(learnt.control_points[columns], centres),
-            evaluation + term(learnt.vertices[rows], self.rest[rows]),
-        )
 
     def _solved(self, phi: FloatArray, evaluation: FloatArray, where: str) -> tuple[FloatArray, float]:
         """(Vr, Pr) matrix of the fit, and the condition number of the regularised `phi`."""

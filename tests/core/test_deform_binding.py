@@ -99,6 +99,15 @@ def test_proposed_regions_nearly_agree_with_those_of_the_built_in_head():
     assert (regions.argmax(axis=0) == HEAD.regions.argmax(axis=0))[both].mean() > 0.97
 
 
+def test_proposed_regions_part_the_walls_of_the_mouth_up_to_its_corners():
+    lips = POINTS[from_ibug([*range(48, 60), 61, 62, 63, 65, 66, 67])]
+    right, left = POINTS[from_ibug((48, 54)), 0]
+    beside = (VERTICES[:, 0] > right) & (VERTICES[:, 0] < left) & (np.abs(VERTICES[:, 0]) > 0.7 * left)
+    near = beside & (np.linalg.norm(VERTICES[:, None] - lips, axis=2).min(axis=1) < 0.15 * UNIT)
+    regions = propose_regions(VERTICES, HEAD.faces, HEAD.landmarks)
+    assert np.abs(regions - HEAD.regions)[:, near].max(axis=0).mean() < 0.1
+
+
 def test_a_sound_head_has_no_findings():
     assert check_head(VERTICES, HEAD.faces, HEAD.landmarks, HEAD.regions) == []
 
