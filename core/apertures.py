@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .arrays import FloatArray
+from .arrays import FloatArray, IntArray
 from .landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
 
 UPPER_LIDS = from_ibug((37, 38, 43, 44))
@@ -16,9 +16,9 @@ LOWER_LIDS = from_ibug((41, 40, 47, 46))
 UPPER_LIPS = MOUTH_INNER_UPPER
 LOWER_LIPS = MOUTH_INNER_LOWER[::-1]
 """Upper and lower landmarks that face each other across the eye slits (right eye first) and the mouth slit."""
-_VIEWERS_LEFT_CORNERS = from_ibug((36, 36, 42, 42))
-_VIEWERS_RIGHT_CORNERS = from_ibug((39, 39, 45, 45))
-_MOUTH_CORNERS = from_ibug((48, 54))
+_EYE_ENDS = from_ibug((36, 36, 42, 42)), from_ibug((39, 39, 45, 45))
+_MOUTH_ENDS = from_ibug((48,)), from_ibug((54,))
+"""Corner at the viewer's left, and at the right, of the slit that each pair lies on."""
 
 
 def lid_gaps(points: FloatArray) -> FloatArray:
@@ -29,20 +29,18 @@ def lid_gaps(points: FloatArray) -> FloatArray:
     points : (..., 66, 2) or (..., 66, 3)
         Image or head frame, x to the viewer's right and y down; a depth is not looked at. Gaps are in their unit.
     """
-    along = points[..., _VIEWERS_RIGHT_CORNERS, :2] - points[..., _VIEWERS_LEFT_CORNERS, :2]
-    return _across(along, points[..., LOWER_LIDS, :2] - points[..., UPPER_LIDS, :2])
+    return _across(_between(points, *_EYE_ENDS), _between(points, UPPER_LIDS, LOWER_LIDS))
 
 
 def lip_gaps(points: FloatArray) -> FloatArray:
     """(..., 3) signed gap between facing landmarks of the inner lips, from the viewer's left; as `lid_gaps`."""
-    along = points[..., _MOUTH_CORNERS[1:], :2] - points[..., _MOUTH_CORNERS[:1], :2]
-    return _across(along, points[..., LOWER_LIPS, :2] - points[..., UPPER_LIPS, :2])
+    return _across(_between(points, *_MOUTH_ENDS), _between(points, UPPER_LIPS, LOWER_LIPS))
 
 
 def eye_apertures(points: FloatArray) -> FloatArray:
     """(..., 2) aperture of the performer's right and left eye: the mean of each eye's two lid gaps."""
     gaps = lid_gaps(points)
-    return np.asarray(gaps.reshape(*gaps.shape[:-1], 2, 2).mean(axis=-1))
+    return np.asarray(0.5 * (gaps[..., ::2] + gaps[..., 1::2]))
 
 
 def mouth_aperture(points: FloatArray) -> FloatArray:
@@ -50,7 +48,12 @@ def mouth_aperture(points: FloatArray) -> FloatArray:
     return np.asarray(lip_gaps(points).mean(axis=-1))
 
 
+def _between(points: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
+    """(..., n, D) from the landmarks `first` (n,) to the landmarks `second` (n,)."""
+    return np.asarray(points.take(second, axis=-2) - points.take(first, axis=-2))
+
+
 def _across(along: FloatArray, gap: FloatArray) -> FloatArray:
-    """(...) component of `gap` (..., 2) along the normal of `along` (..., 2) that points down in an upright face."""
+    """(...) component of `gap` along the normal of `along` that points down in an upright face; x and y only."""
     length = np.maximum(np.hypot(along[..., 0], along[..., 1]), 1e-12)
     return np.asarray((along[..., 0] * gap[..., 1] - along[..., 1] * gap[..., 0]) / length)

@@ -31,6 +31,7 @@ FACE_STRIDE, PART_STRIDE = 4, 2
 _FACE_FLOOR, _PART_FLOOR = 8.0, 6.0
 """Grey levels added to a picture's standard deviation: flat pictures are noise, and stay small."""
 _NOTHING = np.float32(1e-20)
+_ALL = np.arange(len(MIRROR))
 
 
 @dataclass(frozen=True)
@@ -159,10 +160,15 @@ class FaceExperts:
     def look(self, grey: NDArray[np.uint8], pose: FloatArray) -> tuple[ResponseMaps, float]:
         """Maps in the face frame of `pose` (6,), and the log odds that a face is there at about that pose."""
         maps, face = self.network(face_picture(grey, pose, self.scale, self.size)[None])
-        count = len(MIRROR)
-        corner = np.full((count, 2), first_cell(self.size, FACE_STRIDE) / self.scale, np.float32)
-        stride = np.full((count, 1), FACE_STRIDE / self.scale, np.float32)
-        return ResponseMaps(np.arange(count), _likelihood(maps[0]), corner, stride), float(face.mean())
+        return ResponseMaps(_ALL, _likelihood(maps[0]), self._corner, self._stride), float(face.mean())
+
+    @cached_property
+    def _corner(self) -> NDArray[np.float32]:
+        return np.full((len(_ALL), 2), first_cell(self.size, FACE_STRIDE) / self.scale, np.float32)
+
+    @cached_property
+    def _stride(self) -> NDArray[np.float32]:
+        return np.full((len(_ALL), 1), FACE_STRIDE / self.scale, np.float32)
 
 
 @dataclass(frozen=True)
@@ -195,10 +201,26 @@ class PartExperts:
         sides: IntArray = np.stack([self.landmarks, MIRROR[self.landmarks]][: 1 + self.paired])
         return sides
 
+    @cached_property
+    def _averages(self) -> FloatArray:
+        """(1 or 2, 66) that give the middle of each side's landmarks."""
+        averages = np.zeros((len(self._sides), len(MIRROR)))
+        np.put_along_axis(averages, self._sides, 1.0 / len(self.landmarks), axis=1)
+        return averages
+
+    @cached_property
+    def _first_cell(self) -> FloatArray:
+        """(2,) from a part's centre to the first cell of its maps."""
+        return np.array([first_cell(side, PART_STRIDE) for side in self.size]) / self.scale
+
+    @cached_property
+    def _stride(self) -> NDArray[np.float32]:
+        return np.full((self._sides.size, 1), PART_STRIDE / self.scale, np.float32)
+
     def look(self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> ResponseMaps:
         """Maps in the face frame of `pose` (6,), looked for round landmarks `shape` (66, 2) of that frame."""
         sides = self._sides
-        centres = shape[sides].sum(axis=1) / sides.shape[1]
+        centres = self._averages @ shape
         pictures = np.empty((len(sides), *self.size[::-1]), np.float32)
         for picture, centre in zip(pictures, centres.tolist(), strict=True):
             picture[...] = part_picture(grey, moved(pose, *centre), self.scale, self.size)
@@ -207,10 +229,10 @@ class PartExperts:
         (maps,) = self.network(pictures)
         if self.paired:
             maps[1] = maps[1, :, :, ::-1]
-        corner = (centres + [first_cell(side, PART_STRIDE) / self.scale for side in self.size]).astype(np.float32)
+        corner = (centres + self._first_cell).astype(np.float32)
         return ResponseMaps(
             sides.ravel(),
             _likelihood(maps.reshape(-1, *maps.shape[2:])),
             corner.repeat(sides.shape[1], axis=0),
-            np.full((sides.size, 1), PART_STRIDE / self.scale, np.float32),
+            self._stride,
         )

@@ -78,7 +78,8 @@ def regularised_mean_shift(
     normal = flat.T @ (flat * np.concatenate([weights, weights])[:, None])
     # A landmark set of weight 0 leaves the pose free; the small number keeps the system solvable, and the step is 0.
     normal.reshape(-1)[:: len(prior) + 1] += prior + 1e-9
-    landmarks = model.project(start.pose, start.shape_params)
+    # The derivative by the scale is where the landmarks are, over the scale.
+    landmarks = (start.pose[0] * jacobian[:, :, 0] + start.pose[4:6, None]).T
     moved = np.zeros(len(prior))
     for variance in options.variances:
         pull = np.zeros(landmarks.shape)

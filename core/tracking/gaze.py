@@ -9,7 +9,7 @@ It then is a correlation with two fixed kernels, cheap, and something bright on 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, hypot
+from math import atan2, hypot, sqrt
 
 import cv2
 import numpy as np
@@ -68,24 +68,26 @@ def find_gaze(grey: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, 
         return Gaze(pupils, np.full(2, np.nan))
     pupils[looking] = _pupils(grey, pose, outlines[looking])
     middles = 0.5 * (shape[_EYES[looking, 0]] + shape[_EYES[looking, 3]])
-    x, y, z = shares[looking] @ _directions(pupils[looking], pose, middles)
-    return Gaze(pupils, np.array([atan2(y, hypot(x, z)), atan2(-x, -z)]))
+    return Gaze(pupils, _direction(pupils[looking], pose, middles, shares[looking]))
 
 
-def _directions(pupils: FloatArray, pose: FloatArray, middles: FloatArray) -> FloatArray:
-    """(E, 3) unit vectors, head frame, from each eyeball's centre to its pupil (E, 2) in the image.
+def _direction(pupils: FloatArray, pose: FloatArray, middles: FloatArray, shares: FloatArray) -> FloatArray:
+    """(2,) mean pitch and yaw, head frame, from the eyeballs' centres to their pupils (E, 2) in the image.
 
     Under weak perspective the pupil lies on the line of sight through its image; where that line meets the ball, on
     the side of the viewer, is the pupil. A pupil that falls outside the ball is taken at the ball's rim.
     """
-    rotation = euler_to_matrix(pose[1], pose[2], pose[3])
-    centres = (middles + _BALL) @ rotation.T
-    aside = ((pupils - pose[4:6]) / pose[0] - centres[:, :2]) / _BALL_RADIUS
-    length = np.hypot(aside[:, 0], aside[:, 1])[:, None]
-    aside = aside / np.maximum(length, 1.0)
-    towards = np.sqrt(np.maximum(1.0 - (aside * aside).sum(axis=1), 0.0))
-    directions: FloatArray = np.column_stack([aside, -towards]) @ rotation
-    return directions
+    rotation = euler_to_matrix(*pose[1:4].tolist())
+    centres = (middles + _BALL) @ rotation[:2].T
+    aside = ((pupils - pose[4:6]) / pose[0] - centres) / _BALL_RADIUS
+    seen = [0.0, 0.0, 0.0]
+    for (x, y), share in zip(aside.tolist(), shares.tolist(), strict=True):
+        off = hypot(x, y)
+        inwards = share / max(off, 1.0)
+        towards = share * sqrt(max(1.0 - off * off, 0.0))
+        seen = [seen[0] + inwards * x, seen[1] + inwards * y, seen[2] - towards]
+    x, y, z = (seen @ rotation).tolist()
+    return np.array([atan2(y, hypot(x, z)), atan2(-x, -z)])
 
 
 def _pupils(grey: NDArray[np.uint8], pose: FloatArray, outlines: FloatArray) -> FloatArray:

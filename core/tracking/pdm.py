@@ -18,8 +18,6 @@ from ..rotation import euler_to_matrix
 
 N_POSE = 6
 """`(s, pitch, yaw, roll, tx, ty)`, as in `TrackResult.pose`."""
-_ABOUT_X = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Derivative of Rx at 0."""
 
 
 @dataclass(frozen=True)
@@ -96,15 +94,16 @@ class PointDistributionModel:
     def jacobian(self, pose: FloatArray, shape_params: FloatArray) -> FloatArray:
         """(2, N, 6 + K) derivatives of the projected x and y by pose and coefficients."""
         scale, pitch, yaw, roll, *_ = pose.tolist()
-        rotation = euler_to_matrix(pitch, yaw, roll)
-        x, y, z = rotation
-        by_pose = np.empty((2, 4, 3))
-        by_pose[:, 0] = rotation[:2]
-        rotation *= scale
+        rotation = scale * euler_to_matrix(pitch, yaw, roll)
+        x, y, z = rotation.tolist()
+        c, s = cos(roll), sin(roll)
         # R = Rz Ry Rx: pitch turns the second column into the third, yaw both rows along the third one, roll x into y.
-        by_pose[:, 1] = rotation[:2] @ _ABOUT_X
-        by_pose[0, 2], by_pose[1, 2] = cos(roll) * z, sin(roll) * z
-        by_pose[0, 3], by_pose[1, 3] = -y, x
+        by_pose = np.array(
+            [
+                [[v / scale for v in x], [0.0, x[2], -x[1]], [c * v for v in z], [-v for v in y]],
+                [[v / scale for v in y], [0.0, y[2], -y[1]], [s * v for v in z], x],
+            ]
+        )
         out: FloatArray = (rotation[:2] @ self._flat_basis).reshape(2, len(self.mean_shape), -1)
         out[:, :, :4] = self.shape(shape_params) @ by_pose.transpose(0, 2, 1)
         out[0, :, 4] = out[1, :, 5] = 1.0

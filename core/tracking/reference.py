@@ -15,11 +15,30 @@ from ..arrays import FloatArray
 
 @dataclass(frozen=True)
 class ReferenceFrame:
-    """A grey picture (H, W) and the similarity `reference = linear @ image + offset` that made it."""
+    """A grey picture (H, W) and the similarity `reference = linear @ image + offset` that made it.
+
+    Attributes
+    ----------
+    turn : (float, float)
+        First row of `linear`; the second is the same, turned by a quarter.
+    shift : (float, float)
+        `offset`.
+    """
 
     pixels: NDArray[np.uint8]
-    linear: FloatArray
-    offset: FloatArray
+    turn: tuple[float, float]
+    shift: tuple[float, float]
+
+    @property
+    def linear(self) -> FloatArray:
+        """(2, 2)."""
+        c, s = self.turn
+        return np.array([[c, s], [-s, c]])
+
+    @property
+    def offset(self) -> FloatArray:
+        """(2,)."""
+        return np.array(self.shift)
 
 
 def pose_in_image(relative: FloatArray, start: FloatArray) -> FloatArray:
@@ -66,7 +85,7 @@ def warp_to_reference(grey: NDArray[np.uint8], pose: FloatArray, scale: float, s
         ]
     )
     pixels = cv2.warpAffine(patch, local, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return ReferenceFrame(cast("NDArray[np.uint8]", pixels), np.array([[c, s], [-s, c]]), np.array([right, down]))
+    return ReferenceFrame(cast("NDArray[np.uint8]", pixels), (c, s), (right, down))
 
 
 def _shrunk_region(
