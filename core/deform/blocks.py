@@ -1,10 +1,14 @@
-"""The product of a frame, `rest + A d`, with an `A` that is dense within regions and empty between them.
+"""The product of a frame, `rest + A d`, with an `A` whose rows are much alike where vertices are near each other.
 
-A sparse matrix would be four times slower: its rows are short and its columns are always the same few. So vertices
-that hang on the same control points are put side by side, and each such class is one dense block. The blocks lie as
-(P, V): their transpose times four columns of displacements (three and one of zeros, which the matrix product's inner
-loop likes better than three) writes the coordinates of a vertex side by side, which are then put back into the mesh's
-order. On a small mesh the sorting would cost more than it saves, and one block over all vertices is used.
+What a frame costs is the reading of `A`: on a head of 100,000 vertices it exceeds the processor's caches. But within a
+small piece of the face all control points together move the vertices in few ways only, as the fields are smooth. So
+vertices of the same regions are put side by side in pieces, halved across their widest side, and each piece keeps the
+strongest singular vectors of its rows: `A ~ U (W d)`, with a bound on what is left out. A sparse matrix would
+be slower: its rows are short.
+
+The blocks lie as (rank, vertices): their transpose times four columns (three coordinates and one of zeros, which the
+matrix product's inner loop likes better than three) writes the coordinates of a vertex side by side, which are then put
+back into the mesh's order. On a small mesh the sorting would cost more than it saves, and one block as it is is used.
 """
 
 from __future__ import annotations
@@ -15,14 +19,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_CALL = 25_000
-"""What one more product costs, in multiply-adds of a coordinate: below that, classes are merged."""
-_SORTING = 40_000
-"""What putting sorted vertices back costs on top of 4 a vertex, in the same unit."""
+TOLERANCE = 5e-4
+"""How far a vertex may be off, over the root of the sum of the control points' squared displacements."""
+_PIECE = 2_048
+"""Vertices of a piece at most: smaller ones have a lower rank but cost more calls."""
+_SMALL = 4_096
 _CHUNK = 30_000
 """Vertices put back at a time: they stay in the processor's second cache."""
-_PRODUCT = 900_000
-"""Multiply-adds of a product, four coordinates together: above a million OpenBLAS copies the block first."""
 
 
 @dataclass(frozen=True)
@@ -49,47 +52,57 @@ class BlockProduct:
     ----------
     nbytes : int
         Memory that the blocks take.
+
+    Notes
+    -----
+    No vertex is further than `TOLERANCE |d|` from the exact product, `|d|` being the root of the sum of squares of all
+    displacements; up to 4,096 vertices the product is exact.
     """
 
     def __init__(self, rest: NDArray[np.float32], regions: list[RegionMatrix], n_columns: int) -> None:
         count = len(rest)
-        classes = _classes(regions, count)
+        rows_of = _RowsOf(regions, count, n_columns)
         self._place: NDArray[np.intp] | None = None
-        order = np.arange(count)
-        if len(classes) == 1 or _cost(classes) + _SORTING + 4 * count > count * n_columns:
-            classes = [(order, np.arange(n_columns))]
+        if count <= _SMALL:
+            order = np.arange(count)
+            pieces = [order]
+            factors = [(rows_of(order), np.eye(n_columns, dtype=np.float32))]
         else:
-            order = np.concatenate([rows for rows, _ in classes] + [_untouched(regions, count)])
+            pieces = [piece for vertices in rows_of.classes() for piece in _pieces(rest, vertices)]
+            still = np.ones(count, dtype=np.bool_)
+            still[np.concatenate(pieces)] = False
+            order = np.concatenate([*pieces, np.flatnonzero(still)])
             self._place = np.argsort(order)
-        self._displacements = np.zeros((4, n_columns + 3), dtype=np.float32)
-        self._displacements[:3, n_columns:] = np.eye(3)
-        at_rest = np.arange(n_columns, n_columns + 3)
-        self._columns = np.concatenate([np.append(columns, at_rest) for _, columns in classes])
-        self._gathered = np.zeros((4, len(self._columns)), dtype=np.float32)
+            factors = [_factors(rows_of(piece)) for piece in pieces]
+        widths = [len(modes) + 3 for _, modes in factors]
+        self._inputs = np.zeros((4, n_columns + 3), dtype=np.float32)
+        self._inputs[:3, n_columns:] = np.eye(3)
+        self._modes = np.zeros((n_columns + 3, sum(widths)), dtype=np.float32)
+        self._amounts = np.zeros((4, sum(widths)), dtype=np.float32)
         self._moved = np.zeros((1, count, 4), dtype=np.float32)
         self._moved[0, :, :3] = rest[order]
         self._sorted = np.empty((1, min(_CHUNK, count), 4), dtype=np.float32)
         self._products: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]] = []
         # One array for all blocks: numpy asks for huge pages where an array is large, and a frame walks through it all.
-        store = np.empty(sum((len(columns) + 3) * len(rows) for rows, columns in classes), dtype=np.float32)
+        store = np.empty(sum(w * len(p) for w, p in zip(widths, pieces, strict=True)), dtype=np.float32)
         row = column = used = 0
-        for rows, columns in classes:
-            block = np.concatenate([_gather(regions, rows, columns, count), rest[rows].T])
-            inputs = self._gathered[:, column : column + len(block)].T
-            for part in np.array_split(np.arange(len(rows)), -(-4 * block.size // _PRODUCT)):
-                matrix = store[used : used + len(block) * len(part)].reshape(len(block), len(part))
-                matrix[:] = block[:, part[0] : part[-1] + 1]
-                used += matrix.size
-                self._products.append((matrix.T, inputs, self._moved[0, row + part[0] : row + part[-1] + 1]))
-            row, column = row + len(rows), column + len(block)
-        self.nbytes = store.nbytes
+        for piece, width, (left, modes) in zip(pieces, widths, factors, strict=True):
+            self._modes[:n_columns, column : column + width - 3] = modes.T
+            self._modes[n_columns:, column + width - 3 : column + width] = np.eye(3)
+            block = store[used : used + width * len(piece)].reshape(width, len(piece))
+            block[:-3], block[-3:] = left.T, rest[piece].T
+            self._products.append(
+                (block.T, self._amounts[:, column : column + width].T, self._moved[0, row : row + len(piece)])
+            )
+            row, column, used = row + len(piece), column + width, used + block.size
+        self.nbytes = store.nbytes + self._modes.nbytes
 
     def apply(self, displacements: NDArray[np.float32], out: NDArray[np.float32]) -> None:
         """Write `rest + A displacements` for (P, 3) float32 displacements into (V, 3) float32 contiguous `out`."""
-        self._displacements[:3, :-3] = displacements.T
-        self._displacements.take(self._columns, axis=1, out=self._gathered, mode="clip")
-        for matrix, inputs, moved in self._products:
-            np.matmul(matrix, inputs, out=moved)
+        self._inputs[:3, :-3] = displacements.T
+        np.matmul(self._inputs, self._modes, out=self._amounts)
+        for block, amounts, moved in self._products:
+            np.matmul(block, amounts, out=moved)
         result = out.reshape(1, -1, 3)
         if self._place is None:
             cv2.cvtColor(self._moved, cv2.COLOR_BGRA2BGR, result)
@@ -101,61 +114,48 @@ class BlockProduct:
             cv2.cvtColor(part, cv2.COLOR_BGRA2BGR, result[:, start : start + _CHUNK])
 
 
-def _cost(classes: list[tuple[NDArray[np.intp], NDArray[np.intp]]]) -> int:
-    return sum(_CALL + len(rows) * len(columns) for rows, columns in classes)
+class _RowsOf:
+    """Rows of the sum of the regions' matrices, (len(vertices), n_columns)."""
+
+    def __init__(self, regions: list[RegionMatrix], count: int, n_columns: int) -> None:
+        self._n_columns = n_columns
+        self._regions = regions
+        self._places = np.full((len(regions), count), -1, dtype=np.int32)
+        for region, place in zip(regions, self._places, strict=True):
+            place[region.rows] = np.arange(len(region.rows))
+
+    def __call__(self, vertices: NDArray[np.intp]) -> NDArray[np.float32]:
+        rows = np.zeros((len(vertices), self._n_columns), dtype=np.float32)
+        for region, place in zip(self._regions, self._places[:, vertices], strict=True):
+            here = np.flatnonzero(place >= 0)
+            rows[here[:, None], region.columns] += region.matrix[place[here]]
+        return rows
+
+    def classes(self) -> list[NDArray[np.intp]]:
+        """Vertices that hang on the same regions, which lie along slits; those of small classes together."""
+        bits = np.left_shift(1, np.arange(len(self._regions)))
+        key = bits @ (self._places >= 0)
+        keys, counts = np.unique(key[key > 0], return_counts=True)
+        large = keys[counts >= _PIECE]
+        rest = np.flatnonzero((key > 0) & ~np.isin(key, large))
+        return [group for group in [*(np.flatnonzero(key == k) for k in large), rest] if len(group)]
 
 
-def _classes(regions: list[RegionMatrix], count: int) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """(rows, columns) of vertices that hang on the same regions, merged where one more product would cost more."""
-    key = np.zeros(count, dtype=np.int64)
-    for bit, region in enumerate(regions):
-        key[region.rows] |= 1 << bit
-    found = {
-        int(k): [
-            (key == k).sum(),
-            frozenset(c for b, r in enumerate(regions) if k >> b & 1 for c in r.columns.tolist()),
-        ]
-        for k in np.unique(key[key > 0])
-    }
-    groups = [({k}, int(n), columns) for k, (n, columns) in found.items()]
-    while len(groups) > 1:
-        saving, i, j = max(
-            (
-                _CALL + a[1] * len(a[2]) + b[1] * len(b[2]) - (a[1] + b[1]) * len(a[2] | b[2]),
-                i,
-                j,
-            )
-            for i, a in enumerate(groups)
-            for j, b in enumerate(groups[:i])
-        )
-        if saving <= 0:
-            break
-        a, b = groups[i], groups[j]
-        groups = [group for n, group in enumerate(groups) if n not in (i, j)]
-        groups.append((a[0] | b[0], a[1] + b[1], a[2] | b[2]))
-    return [
-        (np.flatnonzero(np.isin(key, list(keys))), np.array(sorted(columns), dtype=np.intp))
-        for keys, _, columns in groups
-    ]
+def _pieces(places: NDArray[np.float32], vertices: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """`vertices` in pieces that are near each other in (V, 3) `places`: halved across the widest side."""
+    if len(vertices) <= _PIECE:
+        return [np.sort(vertices)]
+    there = places[vertices]
+    order = np.argpartition(there[:, np.ptp(there, axis=0).argmax()], len(vertices) // 2)
+    halves = np.array_split(vertices[order], 2)
+    return [piece for half in halves for piece in _pieces(places, half)]
 
 
-def _untouched(regions: list[RegionMatrix], count: int) -> NDArray[np.intp]:
-    free = np.ones(count, dtype=bool)
-    for region in regions:
-        free[region.rows] = False
-    return np.flatnonzero(free)
-
-
-def _gather(
-    regions: list[RegionMatrix], rows: NDArray[np.intp], columns: NDArray[np.intp], count: int
-) -> NDArray[np.float32]:
-    """(columns, rows) sum of the regions' matrices over these rows and columns."""
-    block = np.zeros((len(columns), len(rows)), dtype=np.float32)
-    place = np.full(count, -1)
-    place[rows] = np.arange(len(rows))
-    for region in regions:
-        here = np.flatnonzero(place[region.rows] >= 0)
-        if len(here):
-            target = np.ix_(np.searchsorted(columns, region.columns), place[region.rows[here]])
-            block[target] += region.matrix[here].T
-    return block
+def _factors(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """`left` (N, K) and orthonormal `modes` (K, P): `left modes` differs in no row by more than the tolerance."""
+    _, vectors = np.linalg.eigh((rows.T @ rows).astype(np.float64))
+    modes = vectors[:, ::-1].T.astype(np.float32)
+    left = rows @ modes.T
+    beyond = np.sqrt(np.cumsum(np.square(left[:, ::-1]), axis=1)[:, ::-1].max(axis=0))
+    rank = int((beyond > TOLERANCE).sum())
+    return left[:, :rank], modes[:rank]

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.deform.blocks import BlockProduct, RegionMatrix
+from facemime.core.deform.blocks import TOLERANCE, BlockProduct, RegionMatrix
+from facemime.core.deform.kernels import distances, gaussian
 
 
 def random_regions(rng: np.random.Generator, count: int, points: int) -> list[RegionMatrix]:
@@ -46,3 +47,19 @@ def test_the_blocks_take_little_more_than_the_regions_where_it_counts(count, mos
     ]
     product = BlockProduct(rest, regions, 60)
     assert product.nbytes < most * sum(region.matrix.nbytes for region in regions)
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.integers(0, 10_000))
+def test_smooth_fields_take_half_the_memory_and_no_vertex_is_off_by_more_than_the_tolerance(seed):
+    rng = np.random.default_rng(seed)
+    rest = (rng.uniform(size=(30_000, 3)) * [1.0, 1.0, 0.1]).astype(np.float32)
+    centres = rest[:60]
+    matrix = gaussian(distances(rest, centres), 0.3).astype(np.float32)
+    product = BlockProduct(rest, [RegionMatrix(np.arange(30_000), np.arange(60), matrix)], 60)
+    assert product.nbytes < 0.5 * matrix.nbytes
+    moved = rng.normal(size=(60, 3)).astype(np.float32)
+    out = np.empty_like(rest)
+    product.apply(moved, out)
+    off = np.linalg.norm(out - rest - matrix @ moved, axis=1)
+    assert off.max() < TOLERANCE * np.linalg.norm(moved) + 1e-5
