@@ -29,6 +29,7 @@ from bench.accuracy import (
     second_differences,
     track_all,
 )
+from bench.crossing import on_crossings
 from bench.exact import AXES, EYES, FPS, Clip, ExactFaces, shown_size
 from bench.figures import draw_tracking
 from bench.peers import Ours, Peer, available_peers
@@ -64,6 +65,7 @@ def main() -> int:
     if any(isinstance(p, Ours) for p in peers):
         numbers["stages"] = stage_times(tracker)
         numbers["smoothing"] = on_smoothing(tracker, photos[::3], clips)
+        numbers["crossings"] = on_crossings(tracker, clips[:-1])
     if arguments.figure is not None:
         draw_tracking(arguments.figure, measured)
     finish(arguments, tables(measured, numbers), numbers)
@@ -320,6 +322,12 @@ def tables(measured: dict[str, dict], numbers: dict) -> list[Table]:
         rows = [(name, *values.values()) for name, values in still.items()]
         found.append(Table("Jitter on a still, smoothed and not, %", ("", "position", "2nd difference"), rows))
         found.append(Table("Delay by smoothing, milliseconds", tuple(delays), [tuple(delays.values())]))
+        columns = ("pixels a frame", "crossings", "well in the end", "followed", "nobody", "in between", "the other")
+        rows = [
+            (speed, c["crossings"], c["returned"], *(f"{c[k]:.1%}" for k in ("own", "nobody", "between", "other")))
+            for speed, c in numbers["crossings"].items()
+        ]
+        found.append(Table("The followed person is passed by another", columns, rows))
     return found
 
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import FloatArray, as_image
 from ..landmarks import INNER, MIRROR, N_LANDMARKS
 from .check import N_FEATURES
+from .company import Company, portrait
 from .detect import EFFORTS, BoxDetector
 from .experts import ResponseMaps
 from .fit import Evidence, MeanShiftOptions, regularised_mean_shift
@@ -35,8 +36,15 @@ _BEYOND_DOUBT = 0.85
 _CERTAIN, _CERTAIN_AT_A_GLANCE = 0.08, 0.1
 """Standard deviation of a response map, in eye distances, at which its landmark is trusted half; a glance's maps are
 the wider the larger their cells are."""
-_REMEMBERED = 25
-"""Frames for which a lost face is waited for where it was before another one is taken."""
+_REMEMBERED, _BEHIND = 25, 75
+"""Frames for which a lost face is waited for where it was before another one is taken: after a cut, or where it left,
+and while somebody else stands before it."""
+_LOOKED_AT = 3
+"""Every so many frames it is looked at who is followed."""
+_APART = 0.6
+"""Eye distances between the centres of two fits from which on they are two people's."""
+_QUICK = (0, 1)
+"""The efforts that look for others in view."""
 _FAR = 0.05
 """Eye distances by which a part may have moved since the last frame before it is looked at again."""
 _STAGES = ("detect", "look", "fit", "check", "gaze")
@@ -92,7 +100,8 @@ class FaceTracker:
     stages of the last call took: "detect", "look", "fit", "check", "gaze".
 
     Of several faces the largest is followed, or the one that `choose` names. A face that was lost is taken up again
-    where it was before another one is; while it is followed, others may pass.
+    where it was before another one is; while it is followed, others may pass, also before it: it is then lost until it
+    is seen again, for three seconds at 25 frames a second.
     """
 
     found_above = 0.5
@@ -118,6 +127,7 @@ class FaceTracker:
         self._wanted: FloatArray | None = None
         self._lost: FittedShape | None = None
         self._misses = 0
+        self._company = Company()
         self.timings: dict[str, float] = dict.fromkeys(_STAGES, 0.0)
 
     @classmethod
@@ -139,6 +149,7 @@ class FaceTracker:
         """Forget the face that was followed and any choice: the next `track` detects."""
         self._last = self._lost = self._wanted = None
         self._misses = 0
+        self._company.forget()
 
     def choose(self, x: float, y: float) -> None:
         """Follow the face nearest to the place (x, y), pixels, from the next `track` on."""
@@ -151,14 +162,15 @@ class FaceTracker:
         Follows the face of the last call; detects where there is none or it is lost.
         """
         grey = self._begin(image)
+        self._company.frame += 1
         if self._last is not None:
             followed = self._follow(grey, self._last)
-            if followed.confidence >= self.lost_below:
+            if followed.confidence >= self.lost_below and self._is_same(grey, followed):
                 return self._keep(grey, followed)
             self._lost = self._last
         # While nobody is in view, each frame makes the quick efforts and one of the others, in turn.
-        efforts = EFFORTS if self._misses == 0 else (0, 1, 2 + self._misses % (len(EFFORTS) - 2))
-        found = self._chosen(list(self._detect(grey, efforts)))
+        efforts = EFFORTS if self._misses == 0 else (*_QUICK, 2 + self._misses % (len(EFFORTS) - 2))
+        found = self._chosen(grey, list(self._detect(grey, efforts)))
         if found is None:
             self._last = None
             self._misses += 1
@@ -236,6 +248,23 @@ class FaceTracker:
             fit = self._fit_stage(grey, fit.fitted, FINE)
         return self._judged(self._on_edges(grey, fit))
 
+    def _is_same(self, grey: NDArray[np.uint8], followed: _Candidate) -> bool:
+        """Whether the face that is followed is still whose it was, and nobody's who stepped before it."""
+        company = self._company
+        if company.frame % _LOOKED_AT:
+            return True
+        look = portrait(grey, followed.pose)
+        if company.knows(look):
+            return True
+        if company.is_other(look):
+            company.meet(look, followed.pose)
+            return False
+        for other in self._detect(grey, _QUICK):
+            if np.hypot(*(other.pose[4:6] - followed.pose[4:6])) > _APART * followed.pose[0]:
+                company.meet(portrait(grey, other.pose), other.pose)
+        company.get_used_to(look)
+        return True
+
     def _moved_far(self, before: FittedShape, now: FittedShape) -> bool:
         """Whether some part left the middle of the picture in which its experts looked for it."""
         moved = self.pdm.project(now.pose, now.shape_params) - self.pdm.project(before.pose, before.shape_params)
@@ -270,18 +299,22 @@ class FaceTracker:
         fits.sort(key=lambda f: -f.features[1])
         return [f.fitted for f in fits[:_MOST_FACES]]
 
-    def _chosen(self, candidates: list[_Candidate]) -> _Candidate | None:
+    def _chosen(self, grey: NDArray[np.uint8], candidates: list[_Candidate]) -> _Candidate | None:
         """The face that the user named; else the one that was lost, while it is waited for; else the largest."""
         if self._wanted is not None and candidates:
             x, y = self._wanted
             return min(candidates, key=lambda c: float(np.hypot(c.pose[4] - x, c.pose[5] - y)))
-        if self._lost is not None and self._misses < _REMEMBERED:
+        if self._lost is not None and self._misses < (_BEHIND if self._company.crowded else _REMEMBERED):
+            poses = [c.pose for c in candidates]
+            candidates = [candidates[i] for i in self._company.returned([portrait(grey, p) for p in poses], poses)]
             pose, reach = self._lost.pose, 1.5 + 0.2 * self._misses
             candidates = [
                 c
                 for c in candidates
                 if np.hypot(*(c.pose[4:6] - pose[4:6])) < reach * pose[0] and 0.6 < c.pose[0] / pose[0] < 1.7
             ]
+            return _largest(candidates)
+        self._company.forget()
         return _largest(candidates)
 
     def _keep(self, grey: NDArray[np.uint8], candidate: _Candidate) -> TrackResult:

@@ -1,0 +1,159 @@
+"""Telling the face that is followed from others that pass before it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from bench.crossing import cross, follow
+from bench.exact import Clip
+from facemime.core.tracking.company import Company, portrait
+from facemime.core.tracking.tracker import FaceTracker
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT.parent / "shared" / "data"
+needs_photos = pytest.mark.skipif(not DATA.exists(), reason="the photographs of ../shared/data are not here")
+
+
+@pytest.fixture(scope="module")
+def tracker() -> FaceTracker:
+    return FaceTracker.load()
+
+
+@pytest.fixture(scope="module")
+def sample() -> tuple[np.ndarray, np.ndarray]:
+    """A grey frame of the sample clip and the pose that is found in it."""
+    grey = cv2.cvtColor(cv2.VideoCapture(str(ROOT / "assets" / "sample" / "sample.mp4")).read()[1], cv2.COLOR_BGR2GRAY)
+    return grey, FaceTracker.load().locate(grey).pose
+
+
+def looks(seed: int, count: int) -> list[np.ndarray]:
+    """Portraits of unlike people."""
+    made = np.random.default_rng(seed).normal(size=(count, 400)).astype(np.float32)
+    return list(made / np.linalg.norm(made, axis=1, keepdims=True))
+
+
+def at(x: float) -> np.ndarray:
+    return np.array([100.0, 0.0, 0.0, 0.0, x, 200.0])
+
+
+def test_a_portrait_has_length_one_and_hardly_depends_on_exposure_size_and_place(
+    sample: tuple[np.ndarray, np.ndarray],
+) -> None:
+    grey, pose = sample
+    usual = portrait(grey, pose)
+    assert np.linalg.norm(usual) == pytest.approx(1.0, abs=1e-5)
+    dark = np.clip(grey * 0.6 + 10, 0, 255).astype(np.uint8)
+    assert portrait(dark, pose) @ usual > 0.97
+    half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    moved = np.array([pose[0] / 2, *pose[1:4], *((pose[4:6] + 0.5) / 2 - 0.5)])
+    assert portrait(half, moved) @ usual > 0.95
+
+
+def test_a_portrait_of_a_flat_picture_is_finite() -> None:
+    assert np.isfinite(portrait(np.full((50, 50), 7, np.uint8), at(20.0))).all()
+
+
+def test_the_first_face_seen_is_known_and_an_unlike_one_is_not() -> None:
+    company = Company()
+    one, two = looks(0, 2)
+    assert company.knows(one)
+    assert company.knows(one)
+    assert not company.knows(two)
+
+
+def test_nobody_is_somebody_else_before_others_were_met() -> None:
+    company = Company()
+    one, two = looks(1, 2)
+    company.knows(one)
+    assert not company.is_other(two)
+    company.meet(two, at(100.0))
+    assert company.is_other(two)
+    assert not company.is_other(one)
+
+
+def test_what_lasts_is_got_used_to() -> None:
+    company = Company()
+    one, two = looks(2, 2)
+    company.knows(one)
+    for _ in range(60):
+        company.get_used_to(two)
+    assert company.knows(two)
+
+
+def test_after_a_loss_the_one_who_was_lost_is_told_from_the_other() -> None:
+    company = Company()
+    own, other = looks(3, 2)
+    company.knows(own)
+    company.meet(other, at(300.0))
+    company.frame += 1
+    assert company.returned([other, own], [at(297.0), at(330.0)]) == [1]
+
+
+def test_a_face_that_looks_like_either_is_theirs_where_somebody_else_was_a_frame_ago() -> None:
+    company = Company()
+    own, other = looks(4, 2)
+    new = (own + other) / np.linalg.norm(own + other)
+    company.knows(own)
+    company.meet(other, at(300.0))
+    company.frame += 1
+    assert company.returned([new], [at(500.0)]) == [0]
+    assert company.returned([new], [at(303.0)]) == []
+
+
+def test_it_is_crowded_only_while_somebody_was_seen_lately() -> None:
+    company = Company()
+    one, two = looks(6, 2)
+    company.knows(one)
+    assert not company.crowded
+    company.meet(two, at(300.0))
+    assert company.crowded
+    company.frame += 100
+    assert not company.crowded
+
+
+def test_all_are_forgotten_when_another_face_is_followed() -> None:
+    company = Company()
+    own, other = looks(5, 2)
+    company.knows(own)
+    company.meet(other, at(300.0))
+    company.forget()
+    assert not company.crowded
+    assert company.knows(other)
+
+
+def walking(photo_name: str, size: int = 300) -> Clip:
+    """A held-out person's photo of 80 pixels between the eyes, 90 frames of it."""
+    from facemime.training.tracker.sources import read_photos, split
+
+    photo = next(p for p in split(read_photos(DATA, "london_neutral"))[1] if p.name.startswith(photo_name))
+    factor = 80.0 / photo.eye_distance()
+    points = (photo.landmarks + 0.5) * factor - 0.5
+    move = size / 2.0 - points.mean(axis=0)
+    grey = cv2.resize(photo.grey(), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    matrix = np.column_stack([np.eye(2), move])
+    still = cv2.warpAffine(grey, matrix, (size, size), borderMode=cv2.BORDER_REPLICATE)
+    rng = np.random.default_rng(0)
+    frames = [np.clip(still + rng.normal(0, 3, still.shape), 0, 255).astype(np.uint8) for _ in range(90)]
+    return Clip(photo_name, frames, np.repeat((points + move)[None], 90, axis=0), np.arange(90) / 25.0)
+
+
+@needs_photos
+@pytest.mark.parametrize(("behind", "before"), [("070", "031"), ("031", "105")])
+def test_who_is_passed_by_another_is_followed_again_and_the_other_never(
+    tracker: FaceTracker, behind: str, before: str
+) -> None:
+    run = follow(tracker, *cross(walking(behind), walking(before), speed=3.5))
+    assert run.other == 0
+    assert run.own > 45
+    assert run.returned
+
+
+@needs_photos
+def test_who_passes_before_another_is_followed_all_the_time(tracker: FaceTracker) -> None:
+    frames, behind, before = cross(walking("070"), walking("031"), speed=3.5)
+    run = follow(tracker, frames, before, behind)
+    assert run.own == len(frames)
