@@ -153,7 +153,8 @@ def _pieces(places: NDArray[np.float32], vertices: NDArray[np.intp]) -> list[NDA
 
 def _factors(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """`left` (N, K) and orthonormal `modes` (K, P): `left modes` differs in no row by more than the tolerance."""
-    _, vectors = np.linalg.eigh((rows.T @ rows).astype(np.float64))
+    exact = rows.astype(np.float64)
+    _, vectors = np.linalg.eigh(exact.T @ exact)
     modes = vectors[:, ::-1].T.astype(np.float32)
     left = rows @ modes.T
     beyond = np.sqrt(np.cumsum(np.square(left[:, ::-1]), axis=1)[:, ::-1].max(axis=0))
