@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+from time import perf_counter
 
 import cv2
 import numpy as np
@@ -62,6 +63,7 @@ def main() -> int:
     videos = sorted((arguments.data / "videos").glob("*.mp4"))
     measured = {peer.name: measure(peer, photos, exact, clips, videos) for peer in peers}
     numbers: dict[str, object] = {"model": tracker.model_id, "people": arguments.people, "trackers": measured}
+    numbers["paces"] = paces(peers, clips[-1].frames)
     if any(isinstance(p, Ours) for p in peers):
         numbers["stages"] = stage_times(tracker)
         numbers["smoothing"] = on_smoothing(tracker, photos[::3], clips)
@@ -203,6 +205,19 @@ def on_video(peer: Peer, path: Path) -> dict[str, float]:
     }
 
 
+def paces(peers: list[Peer], frames: list[np.ndarray]) -> dict[str, float]:
+    """Median milliseconds a frame, all trackers in turn at each: what else the machine does falls on all of them."""
+    seconds: dict[str, list[float]] = {peer.name: [] for peer in peers}
+    for peer in peers:
+        peer.reset()
+    for frame in frames:
+        for peer in peers:
+            began = perf_counter()
+            peer.track(frame)
+            seconds[peer.name].append(perf_counter() - began)
+    return {name: float(np.median(spent[_WARM_UP:]) * 1e3) for name, spent in seconds.items()}
+
+
 def stage_times(tracker: FaceTracker) -> dict[str, dict[str, float]]:
     """Median milliseconds of our stages on the sample clip, 640 x 480: following, and looking anew."""
     frames = sample_clip().frames
@@ -314,6 +329,9 @@ def tables(measured: dict[str, dict], numbers: dict) -> list[Table]:
         for video, v in m["videos"].items()
     ]
     found.append(Table("Clips of unknown landmarks", ("clip", "tracker", "found", "2nd difference, %", "ms"), rows))
+    fastest = min(numbers["paces"].values())
+    rows = [(name, ms, ms / fastest) for name, ms in numbers["paces"].items()]
+    found.append(Table("Frame by frame in turn, sample clip, 640 x 480", ("tracker", "ms", "of the quickest"), rows))
     if "stages" in numbers:
         columns = ("", *next(iter(numbers["stages"].values())), "sum")
         rows = [(name, *times.values(), sum(times.values())) for name, times in numbers["stages"].items()]

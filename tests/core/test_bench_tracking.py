@@ -9,6 +9,7 @@ import pytest
 
 from bench.accuracy import aperture_errors, count_blinks, delay, differences, eye_distances, jitter
 from bench.peers.saragih import read_peer
+from bench.tracking import paces
 from facemime.core.apertures import LOWER_LIDS, UPPER_LIDS
 from facemime.core.landmarks import INNER, OUTER_EYE_CORNERS
 from facemime.core.tracking.tracker import FaceTracker
@@ -95,3 +96,20 @@ def test_the_peers_model_lies_in_our_head_frame():
     assert all(shown[0])
     assert not any(shown[1][:8]) and all(shown[1][9:17])
     assert all(shown[2][:8]) and not any(shown[2][9:17])
+
+
+def test_trackers_whose_pace_is_compared_take_turns_at_every_frame():
+    shown: list[tuple[str, int]] = []
+
+    class Watcher:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def track(self, image: np.ndarray) -> None:
+            shown.append((self.name, int(image[0])))
+
+        def reset(self) -> None:
+            pass
+
+    told = paces([Watcher("a"), Watcher("b")], [np.array([k]) for k in range(8)])
+    assert shown == [(name, k) for k in range(8) for name in "ab"] and set(told) == {"a", "b"}
