@@ -32,7 +32,7 @@ from ..core.tracking.tracker import FaceTracker
 from ..core.version import version
 from .batch import add_commands as add_batch_commands
 from .console import Progress
-from .options import add_bake_options, add_head_options
+from .options import add_bake_options, add_face_option, add_head_options, face_of
 from .takes import add_commands as add_take_commands
 from .takes import load_telling
 
@@ -68,6 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     track.add_argument("video", type=Path)
     track.add_argument("-o", "--output", type=Path, required=True, metavar="TAKE.facetake")
     track.add_argument("--smooth", action="store_true", help="hold still what does not move")
+    add_face_option(track)
     track.set_defaults(run=run_track)
 
     puppet = commands.add_parser("puppet", help="move a head by a video or a take, as Blender animation")
@@ -136,7 +137,7 @@ def run_track(arguments: argparse.Namespace) -> int:
     """`facemime track`: a video to a take."""
     check_writable(arguments.output, {SUFFIX})
     unfinished = arguments.output.with_suffix(_UNFINISHED)
-    take = _track(arguments.video, unfinished)
+    take = _track(arguments.video, unfinished, face_of(arguments.face))
     _settle(unfinished, arguments.output)
     if arguments.smooth:
         save_take(smooth_take(take), arguments.output)
@@ -172,7 +173,7 @@ def run_puppet(arguments: argparse.Namespace) -> int:
         headless.puppet(arguments, scene, head, take, None, bake)
         return 0
     unfinished = (arguments.take or arguments.output).with_suffix(_UNFINISHED)
-    take = _track(arguments.source, unfinished)
+    take = _track(arguments.source, unfinished, face_of(arguments.face))
     interrupted = bool(take.info.get("interrupted"))
     kept = arguments.take or (arguments.output.with_suffix(f".interrupted{SUFFIX}") if interrupted else None)
     _settle(unfinished, kept)
@@ -223,12 +224,12 @@ def _text(path: Path) -> str:
         raise SourceError(f"{path} cannot be read ({error}). Give a file that facemime select -o wrote.") from error
 
 
-def _track(video: Path, unfinished: Path) -> Take:
+def _track(video: Path, unfinished: Path, face: tuple[float, float] | None) -> Take:
     """The take of `video`, written to `unfinished` as it grows; what an earlier run left there is replaced."""
     tracker = FaceTracker.load()
     progress = Progress(f"Tracking {video.name}")
     unfinished.unlink(missing_ok=True)
-    track_video(video, tracker, lambda done, total, _: progress.update(done, total), unfinished)
+    track_video(video, tracker, lambda done, total, _: progress.update(done, total), unfinished, face)
     if not unfinished.exists():
         raise FacemimeError(f"Interrupted before the first frame of {video}. Start it again.")
     take = load_take(unfinished)

@@ -9,14 +9,41 @@ from typing import Any
 
 from ..core.deform.kernels import KERNELS
 from ..core.drive import INFORMED
+from ..core.errors import FacemimeError
+from ..core.tracking.tracker import LEFTMOST, RIGHTMOST
 
+_SIDES = {"left": LEFTMOST, "right": RIGHTMOST}
 _PATHS = ("head", "points", "map")
 _FLAGS = ("smooth", "nla")
-_NAMES = ("head", "mode", "kernel", "points", "smooth", "pose", "keys", "max_keys", "clean", "map", "nla")
+_NAMES = ("face", "head", "mode", "kernel", "points", "smooth", "pose", "keys", "max_keys", "clean", "map", "nla")
+
+
+def add_face_option(parser: argparse.ArgumentParser) -> None:
+    """Whom to follow where several people are in view."""
+    parser.add_argument(
+        "--face",
+        metavar="left|right|X,Y",
+        help="of several people the leftmost, the rightmost, or the one at these "
+        "pixels of the first frame; the largest by default",
+    )
+
+
+def face_of(text: str | None) -> tuple[float, float] | None:
+    """The place that `--face` names, as for `FaceTracker.choose`; None for the largest face."""
+    if not text:
+        return None
+    if text in _SIDES:
+        return _SIDES[text]
+    try:
+        x, y = (int(number) for number in text.split(","))
+    except ValueError:
+        raise FacemimeError(f"{text!r} names no face. Give left, right, or pixels as 320,240.") from None
+    return float(x), float(y)
 
 
 def add_head_options(parser: argparse.ArgumentParser) -> None:
-    """The options that say which head is moved and how; `puppet`, `clip` and `batch` have them in common."""
+    """The options that say which head is moved, by whom and how; `puppet`, `clip` and `batch` have them in common."""
+    add_face_option(parser)
     parser.add_argument("--head", metavar="FILE.blend[:OBJECT]", help="your own head; the built-in one by default")
     parser.add_argument("--mode", choices=("3d", "planar"), default="3d", help="planar keeps every depth (default 3d)")
     parser.add_argument("--kernel", choices=(INFORMED, *KERNELS), default=INFORMED, help="how skin follows landmarks")

@@ -16,7 +16,11 @@ OnFrame = Callable[[int, int, TrackResult], bool | None]
 
 
 def track_video(
-    path: Path, tracker: FaceTracker, on_frame: OnFrame | None = None, output: Path | None = None
+    path: Path,
+    tracker: FaceTracker,
+    on_frame: OnFrame | None = None,
+    output: Path | None = None,
+    face: tuple[float, float] | None = None,
 ) -> TakeRecorder:
     """Track every frame of the video at `path`.
 
@@ -26,6 +30,8 @@ def track_video(
         Called after each frame with (frames done, frames stated by the file, result); returning False stops.
     output : Path, optional
         A take that is written while tracking, so that whatever happens what was tracked is there; must not exist yet.
+    face : (float, float), optional
+        Place of the face to follow, as for `FaceTracker.choose`; the largest otherwise.
 
     Returns
     -------
@@ -45,6 +51,8 @@ def track_video(
         recorder = TakeRecorder({})
         writer = None if output is None else stack.enter_context(TakeWriter(output, {}))
         tracker.reset()
+        if face is not None:
+            tracker.choose(*face)
         try:
             for frame in source:
                 if len(recorder) == 0:

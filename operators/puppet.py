@@ -151,6 +151,28 @@ class FACEMIME_OT_stop_puppet(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class FACEMIME_OT_next_face(bpy.types.Operator):
+    """Follow another person in view: the next one to the right, or the leftmost"""
+
+    bl_idname = "facemime.next_face"
+    bl_label = "Next Face"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only while pictures are looked at."""
+        session = running()
+        if session is None or session.worker.image_size == (0, 0):
+            cls.poll_message_set("Start the puppet with a camera, a video or pictures first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Ask for it; the next frame that is tracked shows it."""
+        running().worker.follow_next()
+        return {"FINISHED"}
+
+
 def _over_viewport(context: bpy.types.Context, event: bpy.types.Event) -> bool:
     if context.screen is None:
         return False
@@ -180,7 +202,7 @@ def _redraw(context: bpy.types.Context, kind: str) -> None:
                         region.tag_redraw()
 
 
-_CLASSES = (FACEMIME_OT_puppet, FACEMIME_OT_stop_puppet)
+_CLASSES = (FACEMIME_OT_puppet, FACEMIME_OT_stop_puppet, FACEMIME_OT_next_face)
 
 
 def register() -> None:

@@ -7,7 +7,7 @@ from ..blender.meshes import is_head, read_rig
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
 from ..puppet import puppet_head, puppet_heads
-from ..scene.settings import pose_targets, puppet_settings
+from ..scene.settings import face_of, pose_targets, puppet_settings
 from ..sessions.tracking import TrackingSession
 from .shared import AsksForFile, in_object_mode
 
@@ -44,7 +44,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
         path = self.path
         if path.suffix == SUFFIX:
             return self.bake(context, context.active_object, load_take(path))
-        self._session = TrackingSession(path)
+        self._session = TrackingSession(path, face_of(context.scene.facemime.source))
         self._head = context.active_object.name
         if bpy.app.background:
             return self.finish(context)

@@ -35,6 +35,15 @@ class FacemimeSource(bpy.types.PropertyGroup):
     take: StringProperty(name="Take", subtype="FILE_PATH")
     loop: BoolProperty(name="Loop", description="Start over at the end", default=True)
     speed: FloatProperty(name="Speed", description="1 is as recorded", default=1.0, min=0.05, max=20.0, soft_max=4.0)
+    face: EnumProperty(
+        name="Face",
+        description="Whom to follow where several people are in view",
+        items=(
+            ("LARGEST", "Largest", "The face nearest to the camera"),
+            ("LEFT", "Leftmost", "The face furthest to the left of the picture"),
+            ("RIGHT", "Rightmost", "The face furthest to the right of the picture"),
+        ),
+    )
 
 
 class FacemimePosing(bpy.types.PropertyGroup):

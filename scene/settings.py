@@ -19,6 +19,7 @@ from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlay
 from ..core.posing import Posing
 from ..core.retarget import Neutral
 from ..core.takes.file import load_take
+from ..core.tracking.tracker import LEFTMOST, RIGHTMOST
 from ..puppet import BakeSettings, PuppetSettings
 from .bake_table import read_table
 from .preferences import preferences
@@ -27,6 +28,7 @@ from .storage import project_folder
 from .takes_properties import FacemimeBake
 
 _TO_NEW_KEYS = BakeSettings()
+_FACES = {"LARGEST": None, "LEFT": LEFTMOST, "RIGHT": RIGHTMOST}
 SAMPLE = Path(__file__).parents[1] / "assets" / "sample" / "sample.mp4"
 
 
@@ -71,6 +73,11 @@ def bake_settings(bake: FacemimeBake, name: str) -> BakeSettings:
         nla=bake.nla,
         path=project_folder("caches") / bpy.path.clean_name(name),
     )
+
+
+def face_of(source: FacemimeSource) -> tuple[float, float] | None:
+    """Whom to follow of several people, as for `FaceTracker.choose`; None for the largest."""
+    return _FACES[source.face]
 
 
 def open_source(source: FacemimeSource) -> LiveSource:

@@ -14,7 +14,7 @@ from ..core.errors import HeadError
 from ..core.live.worker import LiveHead, LiveOptions
 from ..scene.preferences import preferences
 from ..scene.properties import FacemimeSettings
-from ..scene.settings import drive_options, open_source, pose_targets, read_calibration, write_calibration
+from ..scene.settings import drive_options, face_of, open_source, pose_targets, read_calibration, write_calibration
 from .live import LiveSession
 
 
@@ -56,7 +56,11 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
 def live_options(settings: FacemimeSettings) -> LiveOptions:
     """What the worker does beside driving."""
     chosen = preferences()
-    return LiveOptions(smoothing=settings.smoothing, preview=chosen.preview_size if chosen.preview else 0)
+    return LiveOptions(
+        smoothing=settings.smoothing,
+        preview=chosen.preview_size if chosen.preview else 0,
+        face=face_of(settings.source),
+    )
 
 
 def follow_settings(session: LiveSession, settings: FacemimeSettings) -> None:

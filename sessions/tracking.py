@@ -16,15 +16,21 @@ from .session import Session
 class TrackingSession(Session):
     """Tracks a video in a thread of its own; `close` ends it at any time and keeps what was tracked.
 
+    Parameters
+    ----------
+    video : Path
+    face : (float, float), optional
+        As for `track_video`.
+
     Attributes
     ----------
     done, total : int
         Frames tracked, and frames stated by the file.
     """
 
-    def __init__(self, video: Path) -> None:
+    def __init__(self, video: Path, face: tuple[float, float] | None = None) -> None:
         super().__init__()
-        self.video = Path(video)
+        self.video, self._face = Path(video), face
         self.done, self.total = 0, 0
         self._stop = threading.Event()
         self._recorder: TakeRecorder | None = None
@@ -64,7 +70,7 @@ class TrackingSession(Session):
 
     def _work(self) -> None:
         try:
-            self._recorder = track_video(self.video, FaceTracker.load(), self._on_frame)
+            self._recorder = track_video(self.video, FaceTracker.load(), self._on_frame, face=self._face)
         except Exception as error:  # handed over to the thread that asks for the take
             self._error = error
 

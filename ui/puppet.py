@@ -25,6 +25,7 @@ class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
             column.operator("facemime.stop_puppet", icon="PAUSE", depress=True)
             for text, icon in status_lines(session):
                 labels(layout, context, text, icon)
+            layout.operator("facemime.next_face", icon="COMMUNITY")
         row = side_by_side(layout, context)
         row.prop(settings, "mirror")
         row.prop(settings, "keep_pose")

@@ -37,6 +37,8 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
                 column.prop(source, "rate")
             column.prop(source, "loop")
             column.prop(source, "speed")
+        if source.kind != "TAKE":
+            column.prop(source, "face")
         draw_preview(layout, chosen)
         session = running()
         if chosen.preview and session is not None and (icon := panel_icon(session)):

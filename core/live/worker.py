@@ -55,10 +55,13 @@ class LiveOptions:
         Of the one-euro filters behind the tracker: 1 as tuned, 0 for none.
     preview : int
         Width of the annotated picture in pixels; 0 for none.
+    face : (float, float) or None
+        Place of the face to follow, as for `FaceTracker.choose`; None for the largest.
     """
 
     smoothing: float = 1.0
     preview: int = 0
+    face: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -172,6 +175,8 @@ class LiveWorker:
         self._driven_by: Neutral | None = None
         self._smoother = ResultSmoother()
         self._size: tuple[int, ...] = ()
+        self._face: tuple[float, float] | None = None
+        self._next_face = False
         self.model = ""
         self._recent: deque[tuple[float, TrackResult]] = deque(maxlen=_RECENT)
         self._stop = threading.Event()
@@ -208,6 +213,10 @@ class LiveWorker:
         """Take the next second as the performer's neutral, or the next seconds as the range of `range_of`."""
         self.quality = None
         self._calibration = NeutralCalibration() if range_of is None else RangeCalibration(range_of)
+
+    def follow_next(self) -> None:
+        """Follow another face in view, as `FaceTracker.choose_next`."""
+        self._next_face = True
 
     def recent_take(self) -> Take:
         """What was tracked in the last half minute; SourceError before the first frame."""
@@ -260,7 +269,7 @@ class LiveWorker:
     def _frame(self, tracker: FaceTracker, frame: LiveFrame) -> None:
         began = perf_counter()
         options = self.options
-        seen = self._tracked(tracker, frame)
+        seen = self._tracked(tracker, frame, options.face)
         self._record((frame.time, seen, frame.image))
         result = self._smoothed(seen, frame.time, options.smoothing)
         tracked = perf_counter()
@@ -276,13 +285,18 @@ class LiveWorker:
             self.counts.tracked, frame.time, result, heads, prepared, frame.taken, began, tracked, driven, preview
         )
 
-    def _tracked(self, tracker: FaceTracker, frame: LiveFrame) -> TrackResult:
+    def _tracked(self, tracker: FaceTracker, frame: LiveFrame, face: tuple[float, float] | None) -> TrackResult:
         if frame.result is not None:
             return frame.result
         assert frame.image is not None
-        if frame.image.shape != self._size:
+        if frame.image.shape != self._size or face != self._face:
             tracker.reset()
-            self._size = frame.image.shape
+            self._size, self._face = frame.image.shape, face
+            if face is not None:
+                tracker.choose(*face)
+        if self._next_face:
+            self._next_face = False
+            tracker.choose_next()
         return tracker.track(frame.image)
 
     def _smoothed(self, seen: TrackResult, time: float, amount: float) -> TrackResult:

@@ -45,6 +45,8 @@ _APART = 0.6
 """Eye distances between the centres of two fits from which on they are two people's."""
 _QUICK = (0, 1)
 """The efforts that look for others in view."""
+LEFTMOST, RIGHTMOST = (-1e6, 0.0), (1e6, 0.0)
+"""Places for `FaceTracker.choose`: far out to either side."""
 _FAR = 0.05
 """Eye distances by which a part may have moved since the last frame before it is looked at again."""
 _STAGES = ("detect", "look", "fit", "check", "gaze")
@@ -126,7 +128,7 @@ class FaceTracker:
         self._last: FittedShape | None = None
         self._wanted: FloatArray | None = None
         self._lost: FittedShape | None = None
-        self._misses = 0
+        self._misses, self._another = 0, False
         self._company = Company()
         self.timings: dict[str, float] = dict.fromkeys(_STAGES, 0.0)
 
@@ -148,13 +150,17 @@ class FaceTracker:
     def reset(self) -> None:
         """Forget the face that was followed and any choice: the next `track` detects."""
         self._last = self._lost = self._wanted = None
-        self._misses = 0
+        self._misses, self._another = 0, False
         self._company.forget()
 
     def choose(self, x: float, y: float) -> None:
         """Follow the face nearest to the place (x, y), pixels, from the next `track` on."""
         self.reset()
         self._wanted = np.array([x, y], np.float64)
+
+    def choose_next(self) -> None:
+        """Follow another face from the next `track` on: the next to the right, or the leftmost; or stay, if alone."""
+        self._another = True
 
     def track(self, image: ArrayLike) -> TrackResult:
         """The face in the next frame of a video: (H, W) grey, (H, W, 3) BGR or (H, W, 4) BGRA.
@@ -163,6 +169,9 @@ class FaceTracker:
         """
         grey = self._begin(image)
         self._company.frame += 1
+        if self._another and (another := self._next(grey)) is not None:
+            self._company.forget()
+            return self._keep(grey, another)
         if self._last is not None:
             followed = self._follow(grey, self._last)
             if followed.confidence >= self.lost_below and self._is_same(grey, followed):
@@ -259,11 +268,24 @@ class FaceTracker:
         if company.is_other(look):
             company.meet(look, followed.pose)
             return False
-        for other in self._detect(grey, _QUICK):
-            if np.hypot(*(other.pose[4:6] - followed.pose[4:6])) > _APART * followed.pose[0]:
-                company.meet(portrait(grey, other.pose), other.pose)
+        for other in self._others(grey, followed.pose, _QUICK):
+            company.meet(portrait(grey, other.pose), other.pose)
         company.get_used_to(look)
         return True
+
+    def _next(self, grey: NDArray[np.uint8]) -> _Candidate | None:
+        """The face to the right of the one that is followed, or the leftmost; None where there is no other."""
+        self._another = False
+        if self._last is None:
+            return None
+        here = self._last.pose
+        found = [c for effort in _QUICK for c in self._others(grey, here, (effort,))]
+        return min([c for c in found if c.pose[4] > here[4]] or found, key=lambda c: float(c.pose[4]), default=None)
+
+    def _others(self, grey: NDArray[np.uint8], pose: FloatArray, efforts: tuple[int, ...]) -> list[_Candidate]:
+        """Faces in view that are not the one at `pose` (6,)."""
+        found = self._detect(grey, efforts)
+        return [c for c in found if np.hypot(*(c.pose[4:6] - pose[4:6])) > _APART * pose[0]]
 
     def _moved_far(self, before: FittedShape, now: FittedShape) -> bool:
         """Whether some part left the middle of the picture in which its experts looked for it."""

@@ -12,6 +12,7 @@ from facemime.blender.meshes import read_rig, read_selection
 from facemime.blender.names import REGION_GROUPS
 from facemime.core.drive import HeadDriver
 from facemime.core.retarget import calibrate
+from facemime.core.tracking.tracker import LEFTMOST
 from facemime.operators.puppet import FACEMIME_OT_puppet, running
 from facemime.scene.settings import drive_options
 from facemime.sessions.live import LiveSession
@@ -158,3 +159,34 @@ def test_control_points_are_chosen_from_what_the_puppet_showed_and_act_at_once(t
     tick(CLICK)
     ticks_until(lambda: running().worker.heads[0].rig.control_points is not None)
     np.testing.assert_array_equal(running().worker.heads[0].rig.control_points, chosen.membership)
+
+
+def test_the_face_that_the_settings_name_is_the_one_the_session_follows(take):
+    add_head(bpy.context)
+    source = bpy.context.scene.facemime.source
+    source.kind, source.loop = "SAMPLE", True
+    bpy.ops.facemime.puppet()
+    assert running().worker.options.face is None
+    source.face = "LEFT"
+    tick()
+    assert running().worker.options.face == LEFTMOST
+    bpy.ops.facemime.stop_puppet()
+
+
+def test_another_face_can_be_asked_for_only_where_pictures_are_looked_at(take):
+    add_head(bpy.context)
+    assert not bpy.ops.facemime.next_face.poll()
+    source = bpy.context.scene.facemime.source
+    source.loop = True
+    bpy.ops.facemime.puppet()
+    ticks_until(moving)
+    assert not bpy.ops.facemime.next_face.poll()
+    bpy.ops.facemime.stop_puppet()
+    source.kind = "SAMPLE"
+    bpy.ops.facemime.puppet()
+    ticks_until(lambda: running().worker.latest is not None)
+    assert bpy.ops.facemime.next_face() == {"FINISHED"}
+    number = running().worker.latest.number
+    ticks_until(lambda: running().worker.latest.number > number + 2)
+    assert running().worker.latest.result.found
+    bpy.ops.facemime.stop_puppet()
