@@ -76,7 +76,8 @@ def greedy_points(head: TrueHead, count: int) -> GreedySelection:
     """Control points chosen on the head's own expressions, one at a time and mixed, as a take would show them."""
     weights = np.concatenate([np.eye(len(head.names)), head.mixtures[:250]])
     motion = head.true(weights)[:, head.landmarks]
-    return greedy_select(head.vertices[head.landmarks], motion, tolerance=0.002, max_points=count)
+    skin = head.vertices, head.regions
+    return greedy_select(head.vertices[head.landmarks], motion, tolerance=0.002, max_points=count, skin=skin)
 
 
 def whole(head: TrueHead) -> Predict:

@@ -48,7 +48,15 @@ def select_for_take(
     retargeter = retargeter_for(neutral, landmarks)
     found = np.flatnonzero(take.found)
     motion = np.stack([retargeter.displacements(take.shape[frame]) for frame in found])
-    selection = greedy_select(landmarks, motion, tolerance=tolerance, max_points=max_points, always=always, never=never)
+    selection = greedy_select(
+        landmarks,
+        motion,
+        tolerance=tolerance,
+        max_points=max_points,
+        always=always,
+        never=never,
+        skin=(rig.vertices, rig.region_weights),
+    )
     return replace(selection, steps=tuple(replace(step, frame=int(found[step.frame])) for step in selection.steps))
 
 

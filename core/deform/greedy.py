@@ -15,12 +15,16 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray, IntArray, as_points
 from ..errors import HeadError
 from ..landmarks import N_LANDMARKS, from_ibug
+from .difference import REGULARISATION, SkinDifference
 from .kernels import distances, kernel_named
 from .regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
 
-REGULARISATION = 1e-3
 DEFAULT_TOLERANCE = 0.01
 _FACE_SIDES = from_ibug((0, 16))
+_DROPPED = 8
+"""Points, the least needed, that an exchange tries to give up."""
+_LEAST_GAIN = 1e-4
+"""Of the difference, below which an exchange is none."""
 
 START: tuple[Mapping[int, str], ...] = (
     {
@@ -116,6 +120,7 @@ def greedy_select(
     always: Iterable[int] = (),
     never: Iterable[int] = (),
     kernel: str = DEFAULT_KERNEL,
+    skin: tuple[FloatArray, FloatArray] | None = None,
 ) -> GreedySelection:
     """Choose control points among the landmarks of a head for the motion of a take.
 
@@ -132,6 +137,8 @@ def greedy_select(
         Landmarks at most.
     always, never : iterable of int
         Landmarks (positions in the 66) that the user adds or removes by hand.
+    skin : tuple of (V, 3) array and (3, V) array, optional
+        The vertices and their region weights, over which an exchange of points is judged; the landmarks by default.
 
     Raises
     ------
@@ -142,9 +149,9 @@ def greedy_select(
     -----
     1. Start from the muscles' own points. 2. Fit on the points chosen so far and predict the others. 3. Add the
     landmark with the largest error over all frames to the region where it errs; repeat until all are within the
-    tolerance. Where the points run out before, exchange the least needed one for the landmark with the largest error
-    as long as that lessens the worst error. 4. Drop points, the least needed first, as long as all stay within the
-    tolerance. Ties go to the lower number, so that the same take gives the same points.
+    tolerance. Where the points run out before, exchange one for another as long as the skin comes nearer to the one
+    that all landmarks would move (`SkinDifference`). 4. Drop points, the least needed first, as long as all stay
+    within the tolerance. Ties go to the lower number, so that the same take gives the same points.
 
     References
     ----------
@@ -157,10 +164,12 @@ def greedy_select(
     if max_points < len(REGIONS):
         raise HeadError(f"At least {len(REGIONS)} control points are needed, one a region; got {max_points}.")
     search = _Search(points, motion, kernel, frozenset(always), frozenset(never))
+    at_landmarks = points, membership().astype(np.float64)
+    difference = SkinDifference(points, search.kernel, search.sigmas, motion, *(skin or at_landmarks))
     search.start(max_points)
     while search.worst() > tolerance and search.grow(max_points):
         pass
-    while search.worst() > tolerance and search.exchange(max_points):
+    while search.worst() > tolerance and search.exchange(difference):
         pass
     reached = search.worst() <= tolerance
     while reached and search.shrink(tolerance):
@@ -217,34 +226,36 @@ class _Search:
         reason = f"was off by {100 * error.max():.2f} % in frame {self.frame[region, landmark]}"
         return self._change("add", int(region), int(landmark), reason, max_points)
 
-    def exchange(self, max_points: int) -> bool:
-        """Give up a point for the landmark that is then worst, where the errors become less in all; whether one was."""
-        total = float(np.square(self.error).sum())
-        for landmark in np.argsort(self._losses(), kind="stable").tolist():
-            if landmark in self.always or not self.members[:, landmark].any():
-                continue
-            before = self.members.copy(), self.error.copy(), self.frame.copy(), len(self.steps)
-            for region in np.flatnonzero(self.members[:, landmark]).tolist():
-                self.members[region, landmark] = False
-                self._note("drop", region, landmark, "exchanged for one that is needed more")
-            while self.grow(max_points):
-                pass
-            if self.members.any(axis=1).all() and float(np.square(self.error).sum()) < total * (1.0 - 1e-6):
+    def exchange(self, difference: SkinDifference) -> bool:
+        """Give up a point for the landmark that lessens `difference` most; whether one was."""
+        now = difference(self.members)
+        used = self.members.any(axis=0)
+        free = np.flatnonzero(self.candidates.any(axis=0) & ~used).tolist()
+        without = {i: self._replaced(i, i) for i in np.flatnonzero(used).tolist() if i not in self.always}
+        losses = {landmark: difference(members) for landmark, members in without.items()}
+        for old in sorted(losses, key=lambda landmark: losses[landmark])[:_DROPPED]:
+            left = {new: difference(self._replaced(old, new)) for new in free}
+            new = min(left, key=lambda landmark: left[landmark], default=old)
+            if new != old and left[new] < now * (1.0 - _LEAST_GAIN):
+                self._swap(old, new, f"takes the skin {100 * (1.0 - left[new] / now):.0f} % nearer to that of all")
                 return True
-            self.members, self.error, self.frame = before[:3]
-            del self.steps[before[3] :]
         return False
 
-    def _losses(self) -> FloatArray:
-        """(66,) sum of squared errors without each landmark; infinite for those that are no control points."""
-        losses = np.full(N_LANDMARKS, np.inf)
-        for landmark in np.flatnonzero(self.members.any(axis=0)).tolist():
-            losses[landmark] = 0.0
-            for region, members in enumerate(self.members):
-                chosen = members.copy()
-                chosen[landmark] = False
-                losses[landmark] += np.square(self._errors(region, chosen)[0]).sum()
-        return losses
+    def _replaced(self, old: int, new: int) -> NDArray[np.bool_]:
+        """The control points with `new` in all its regions and without `old`; without it alone where both are one."""
+        members = self.members.copy()
+        members[:, new] = self.candidates[:, new]
+        members[:, old] = False
+        return members
+
+    def _swap(self, old: int, new: int, reason: str) -> None:
+        members = self._replaced(old, new)
+        for region in np.flatnonzero(self.members[:, old]).tolist():
+            self.members[region, old] = False
+            self._note("drop", region, old, "exchanged for one that is needed more")
+        for region in np.flatnonzero(members[:, new]).tolist():
+            self.members[region, new] = True
+            self._note("add", region, new, reason)
 
     def shrink(self, tolerance: float) -> bool:
         """Drop the point whose loss costs least, where all stay within `tolerance`; whether one was dropped."""

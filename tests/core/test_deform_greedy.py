@@ -6,8 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.control_points import from_json, parse_landmarks, select_for_take, to_json
+from facemime.core.deform.difference import SkinDifference
 from facemime.core.deform.greedy import START, greedy_select
-from facemime.core.deform.regions import REGIONS, membership
+from facemime.core.deform.kernels import kernel_named
+from facemime.core.deform.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
 from facemime.core.drive import built_in_rig
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.head import load_head
@@ -115,3 +117,30 @@ def test_landmarks_are_written_as_ibug_numbers_and_ranges():
     for text in ("nose", "60", "99"):
         with pytest.raises(HeadError, match="names no landmarks"):
             parse_landmarks(text)
+
+
+def difference() -> SkinDifference:
+    kernel = kernel_named(DEFAULT_KERNEL)
+    return SkinDifference(POINTS, kernel, region_sigmas(POINTS, kernel), UNITS, HEAD.vertices, HEAD.regions)
+
+
+def test_the_skin_of_all_landmarks_differs_in_nothing_from_itself_and_that_of_fewer_does():
+    measure, chosen = difference(), membership()
+    nothing = measure(chosen)
+    chosen[:, from_ibug([62])] = False
+    one = measure(chosen)
+    chosen[:, from_ibug([51, 66])] = False
+    assert abs(nothing) < 1e-9 * one and one < measure(chosen)
+    chosen[2] = False
+    assert measure(chosen) == np.inf
+
+
+def test_where_points_run_out_they_are_exchanged_for_those_that_bring_the_skin_nearest():
+    measure = difference()
+    selection = greedy_select(POINTS, UNITS, tolerance=1e-4, max_points=33, skin=(HEAD.vertices, HEAD.regions))
+    assert len(selection.landmarks) == 33 and not selection.reached
+    first = next(i for i, step in enumerate(selection.steps) if "exchanged" in step.reason)
+    grown = np.zeros_like(selection.membership)
+    for step in selection.steps[:first]:
+        grown[step.region, step.landmark] = True
+    assert measure(selection.membership) < 0.9 * measure(grown)
