@@ -96,7 +96,7 @@ class NestedDissection:
             front[at[:, None], at] -= update
         pivot, coupling = front[:count, :count], front[:count, count:]
         carry = np.linalg.solve(pivot, coupling)
-        self._fronts.append(_Front(own, rest, pivot, carry))
+        self._fronts.append(_Front(own, rest, pivot.copy(), carry))
         return rest, coupling.T @ carry - front[count:, count:]
 
     def _divided(self, nodes: NDArray[np.intp]) -> tuple[NDArray[np.intp], list[NDArray[np.intp]]]:
@@ -105,7 +105,7 @@ class NestedDissection:
             return nodes, []
         places = self._places[nodes]
         along = places[:, np.ptp(places, axis=0).argmax()]
-        order = np.argsort(along, kind="stable")
+        order = np.argpartition(along, len(nodes) // 2)
         low, high = nodes[order[: len(nodes) // 2]], nodes[order[len(nodes) // 2 :]]
         self._mark[high] = True
         entries = self._entries(low)

@@ -95,5 +95,7 @@ def kernel_named(name: str) -> Kernel:
 
 def distances(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
     """(N, M) distances between (N, 3) and (M, 3) points."""
-    squared = (a * a).sum(1)[:, None] + (b * b).sum(1)[None] - 2.0 * (a @ b.T)
-    return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
+    squared = np.asarray(a @ (-2.0 * b.T))
+    squared += (a * a).sum(axis=1)[:, None]
+    squared += (b * b).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(squared, 0.0, out=squared), out=squared))

@@ -28,13 +28,13 @@ class SkinCovariance:
 
     Attributes
     ----------
-    vertices : (V, P) float
+    vertices : (V, P) float32
         Between vertices and control points; 0 where no skin that moves joins them.
     control_points : (P, P) float
         Among the control points.
     """
 
-    vertices: FloatArray
+    vertices: NDArray[np.float32]
     control_points: FloatArray
 
 
@@ -77,10 +77,15 @@ def skin_covariance(
     seeds = place[landmarks[columns]]
     unit = np.zeros((len(used), len(columns)))
     unit[seeds, np.arange(len(columns))] = 1.0
-    values = system.solve(areas[:, None] * system.solve(unit))
-    covariance = np.zeros((len(places), len(landmarks)))
-    covariance[np.ix_(used, columns)] = values * (len(columns) / np.trace(values[seeds]) if len(columns) else 0.0)
-    return SkinCovariance(covariance, covariance[landmarks])
+    half = system.solve(unit)
+    half *= areas[:, None]
+    values = system.solve(half)
+    values *= len(columns) / np.trace(values[seeds]) if len(columns) else 0.0
+    covariance = np.zeros((len(places), len(landmarks)), dtype=np.float32)
+    covariance[used[:, None], columns] = values
+    among = np.zeros((len(landmarks), len(landmarks)))
+    among[np.ix_(columns, columns)] = values[seeds]
+    return SkinCovariance(covariance, among)
 
 
 def _cotangent_laplacian(
@@ -94,18 +99,20 @@ def _cotangent_laplacian(
     ----------
     Pinkall & Polthier 1993.
     """
-    corners = vertices[triangles]
-    across = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    pairs, cotangents = [], []
+    corners = [vertices[triangles[:, i]] for i in range(3)]
+    sides = [corners[(i + 2) % 3] - corners[(i + 1) % 3] for i in range(3)]
+    across = np.linalg.norm(np.cross(sides[0], sides[1]), axis=1)
+    keys, cotangents = [], []
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        a, b = corners[:, j] - corners[:, i], corners[:, k] - corners[:, i]
-        pairs.append(triangles[:, [j, k]])
-        cotangents.append(shares * np.clip((a * b).sum(axis=1) / np.maximum(across, 1e-30), -_STEEPEST, _STEEPEST))
-    both = np.sort(np.concatenate(pairs), axis=1)
-    keys, inverse = np.unique(both[:, 0] * len(vertices) + both[:, 1], return_inverse=True)
-    weights = 0.5 * np.bincount(inverse, np.concatenate(cotangents), len(keys))
-    edges = np.stack([keys // len(vertices), keys % len(vertices)], axis=1)
+        cotangent = -np.einsum("tc,tc->t", sides[j], sides[k]) / np.maximum(across, 1e-30)
+        cotangents.append(shares * np.clip(cotangent, -_STEEPEST, _STEEPEST))
+        keys.append(triangles[:, [j, k]].min(axis=1) * len(vertices) + triangles[:, [j, k]].max(axis=1))
+    key = np.concatenate(keys)
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
+    weights = 0.5 * np.add.reduceat(np.concatenate(cotangents)[order], starts) if len(key) else np.empty(0)
+    edges = np.stack(np.divmod(key[order][starts], len(vertices)), axis=1)
     kept = weights > 0.0
     areas = np.bincount(triangles.ravel(), np.repeat(shares * across / 6.0, 3), len(vertices))
     return edges[kept], weights[kept], np.asarray(areas, dtype=np.float64)

@@ -8,7 +8,7 @@ from ..arrays import FloatArray, as_points
 from ..errors import HeadError
 from .kernels import distances
 
-_CHUNK = 20_000
+_CHUNK = 4_000
 
 
 class Warp:
