@@ -13,6 +13,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.deform_speed import speed_table
 from bench.deformers import Method, all_methods, greedy_points
 from bench.heads import AREAS, TrueHead, built_in_head, ict_head
 from bench.left_out import left_out_errors
@@ -20,16 +21,12 @@ from bench.report import Table, finish, parser
 from facemime.core.deform.binding import MARKS, bind_landmarks
 from facemime.core.deform.expressions import learn
 from facemime.core.deform.greedy import GreedySelection
-from facemime.core.deform.rbf import RBFDeformer
 from facemime.core.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, INNER, MOUTH_OUTER, from_ibug
 
 ROOT = Path(__file__).resolve().parents[1]
 HALF = 33
-SIZES = ((1_781, 30), (26_000, 60), (100_000, 60))
 BOUND_COLUMNS = ("marked points", "inner 49", "brows", "lids", "lips", "seconds")
 _BATCH = 50
-_BATCHES, _FRAMES = 20, 50
-"""The fastest of twenty batches counts, as in timeit: what others do on the machine only ever adds."""
 _OPEN = 0.01
 """Area, squared outer-eye distances, above which an opening counts as open."""
 
@@ -65,20 +62,20 @@ def main() -> int:
             from bench.deform_pictures import draw_head
 
             draw_head(arguments.pictures, head, methods, selection)
-    speed = measure_speed()
-    tables.append(Table("Our deformer on one core", ("vertices", "points", "prepare ms", "frame µs", "MB"), speed))
+    speed = speed_table()
+    tables.append(speed)
     rows, differing = bound_rows(heads[0]), rig_difference(*heads)
     tables.append(Table("Landmarks found on ICT-FaceKit, off by % of the eye distance", BOUND_COLUMNS, rows))
     tables.append(
         Table("Shapes of one name on the two heads, difference at the landmarks", ("shape", "difference"), differing)
     )
-    columns = ("vertices", "points", "prepare_ms", "frame_us", "megabytes")
+    columns = ("mesh", "vertices", "points", "prepare_ms", "frame_us", "megabytes", "copy_us")
     numbers = {
         "errors": numbers[heads[0].title]["errors"],
         "heads": numbers,
         "bound": [dict(zip(BOUND_COLUMNS, row, strict=True)) for row in rows],
         "rig_difference": dict(differing),
-        "speed": [dict(zip(columns, row, strict=True)) for row in speed],
+        "speed": [dict(zip(columns, row, strict=True)) for row in speed.rows],
     }
     finish(arguments, tables, numbers)
     return 0
@@ -199,35 +196,6 @@ def rig_difference(one: TrueHead, other: TrueHead) -> list[tuple[str, float]]:
         ("jawOpen", differences["jawOpen"]),
         (f"mean of {len(differences)}", float(np.mean([*differences.values()]))),
     ]
-
-
-def measure_speed() -> list[tuple[int, int, float, float, float]]:
-    """Preparation and time of a frame for meshes and numbers of points, by the three regions of a face."""
-    rows = []
-    for count, points in SIZES:
-        rng = np.random.default_rng(0)
-        vertices = rng.uniform(0.0, 1.0, (count, 3))
-        controls = vertices[rng.choice(count, points, replace=False)]
-        weights, members = _bands(vertices[:, 1], 0.03), _bands(controls[:, 1], 0.03) > 0
-        start = perf_counter()
-        deformer = RBFDeformer(vertices, controls, weights, members, spacing_factor=0.5)
-        prepare = perf_counter() - start
-        moved = rng.normal(0.0, 0.01, (points, 3)).astype(np.float32)
-        out = np.empty((count, 3), np.float32)
-        times = []
-        for _ in range(_BATCHES):
-            start = perf_counter()
-            for _ in range(_FRAMES):
-                deformer.deform(moved, out)
-            times.append((perf_counter() - start) / _FRAMES)
-        rows.append((count, points, 1e3 * prepare, 1e6 * min(times), deformer.nbytes / 1e6))
-    return rows
-
-
-def _bands(height: NDArray[np.float64], soft: float) -> NDArray[np.float64]:
-    """(3, N) soft thirds of the unit interval."""
-    first, second = (np.clip((height - cut) / (2.0 * soft) + 0.5, 0.0, 1.0) for cut in (1.0 / 3.0, 2.0 / 3.0))
-    return np.stack([1.0 - first, first * (1.0 - second), second])
 
 
 if __name__ == "__main__":

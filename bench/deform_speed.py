@@ -1,0 +1,103 @@
+"""What preparing a deformer and a frame of it cost: random points, and the built-in head with ever finer meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.report import Table
+from facemime.core.deform.rbf import RBFDeformer
+from facemime.core.drive import HeadRig, built_in_rig, head_deformer
+
+COLUMNS = ("mesh", "vertices", "points", "prepare ms", "frame µs", "MB", "copy µs")
+_SIZES = ((1_781, 30), (26_000, 60), (100_000, 60))
+_HALVINGS = (0, 2, 3)
+_BATCHES, _FRAMES = 20, 50
+"""The fastest of twenty batches counts, as in timeit: what others do on the machine only ever adds."""
+
+
+def speed_table() -> Table:
+    """Random points with the paper's kernel, and the built-in head, its edges halved, with the informed one.
+
+    The last column is a plain copy of as many bytes as the matrices take: memory may be what a frame waits for.
+    """
+    rows = [_row("random", lambda size=size: _random(*size)) for size in _SIZES]
+    rig, done = built_in_rig(), 0
+    for halvings in _HALVINGS:
+        while done < halvings:
+            rig, done = finer(rig), done + 1
+        rows.append(_row("built-in head", lambda rig=rig: head_deformer(rig)))
+    return Table("Our deformer on one core", COLUMNS, rows)
+
+
+def _row(mesh: str, build: Callable[[], RBFDeformer]) -> tuple[object, ...]:
+    build()
+    start = perf_counter()
+    deformer = build()
+    prepare = perf_counter() - start
+    points = deformer.n_control_points
+    moved = np.random.default_rng(0).normal(0.0, 0.01, (points, 3)).astype(np.float32)
+    out, source = np.empty_like(deformer.rest), np.ones(deformer.nbytes, dtype=np.uint8)
+    target = np.ones_like(source)
+    frame, copy = _fastest(lambda: deformer.deform(moved, out)), _fastest(lambda: np.copyto(target, source))
+    return mesh, len(out), points, 1e3 * prepare, 1e6 * frame, deformer.nbytes / 1e6, 1e6 * copy
+
+
+def _fastest(work: Callable[[], object]) -> float:
+    times = []
+    for _ in range(_BATCHES):
+        start = perf_counter()
+        for _ in range(_FRAMES):
+            work()
+        times.append((perf_counter() - start) / _FRAMES)
+    return min(times)
+
+
+def _random(count: int, points: int) -> RBFDeformer:
+    """Vertices in a cube, by the three regions of a face."""
+    rng = np.random.default_rng(0)
+    vertices = rng.uniform(0.0, 1.0, (count, 3))
+    controls = vertices[rng.choice(count, points, replace=False)]
+    weights, members = _bands(vertices[:, 1], 0.03), _bands(controls[:, 1], 0.03) > 0
+    return RBFDeformer(vertices, controls, weights, members, spacing_factor=0.5)
+
+
+def _bands(height: NDArray[np.float64], soft: float) -> NDArray[np.float64]:
+    """(3, N) soft thirds of the unit interval."""
+    first, second = (np.clip((height - cut) / (2.0 * soft) + 0.5, 0.0, 1.0) for cut in (1.0 / 3.0, 2.0 / 3.0))
+    return np.stack([1.0 - first, first * (1.0 - second), second])
+
+
+def finer(rig: HeadRig) -> HeadRig:
+    """The head with each edge halved and each face of n corners cut into n quadrangles; landmarks stay."""
+    faces = np.asarray(rig.faces, dtype=np.intp)
+    corners = (faces >= 0).sum(axis=1)
+    count, groups = len(rig.vertices), [faces[corners == n, :n] for n in (3, 4)]
+    sides = [np.sort(np.stack([group, np.roll(group, -1, axis=1)], axis=-1), axis=-1) for group in groups]
+    keys, places = np.unique(
+        np.concatenate([(side[..., 0] * count + side[..., 1]).ravel() for side in sides]), return_inverse=True
+    )
+    ends = np.divmod(keys, count)
+    cut = np.cumsum([group.size for group in groups])[:-1]
+    middles = [count + part.reshape(group.shape) for part, group in zip(np.split(places, cut), groups, strict=True)]
+    centre = count + len(keys)
+    quadrangles = []
+    for group, middle in zip(groups, middles, strict=True):
+        centres = np.repeat(centre + np.arange(len(group))[:, None], group.shape[1], axis=1)
+        quadrangles.append(np.stack([group, middle, centres, np.roll(middle, 1, axis=1)], axis=-1).reshape(-1, 4))
+        centre += len(group)
+
+    def with_middles(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        halves = (values[ends[0]] + values[ends[1]]) / 2.0
+        return np.concatenate([values, halves, *(values[group].mean(axis=1) for group in groups)])
+
+    return replace(
+        rig,
+        vertices=with_middles(np.asarray(rig.vertices, dtype=np.float64)),
+        region_weights=with_middles(np.asarray(rig.region_weights, dtype=np.float64).T).T,
+        faces=np.concatenate(quadrangles),
+    )
