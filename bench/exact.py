@@ -30,6 +30,11 @@ EYES = 100.0
 FPS = 25.0
 _CENTRE = (SIZE - 1) / 2.0
 
+_WINDOW_LIGHT = Light(0.7, 0.4, np.array([0.4, -0.3, -0.866]))
+LIMITS = (25.0, 45.0, 40.0)
+"""Degrees of pitch, yaw and roll within which a face is always to be followed."""
+_TURNS_A_SECOND = np.array([0.31, 0.23, 0.17])
+
 _EXPRESSIONS: dict[str, dict[str, float]] = {
     "neutral": {},
     "blink": {"eyeBlink": 1.0},
@@ -102,6 +107,11 @@ class ExactFaces:
         kept = self._kept(f"clip-{person}", lambda: zip(*self._performance(person), strict=True))
         times = np.arange(len(kept.images)) / FPS
         return Clip(f"re-projected {person}", kept.images, kept.landmarks, times)
+
+    def turning(self, person: int) -> Clip:
+        """Eight seconds in which one person turns, nods and tilts the head as far as it is to be followed."""
+        kept = self._kept(f"turning-{person}", lambda: zip(*self._turns(person), strict=True))
+        return Clip(f"turning {person}", kept.images, kept.landmarks, np.arange(len(kept.images)) / FPS)
 
     def _kept(self, name: str, make: Callable[[], Iterator[tuple]]) -> Stills:
         path = self.folder / f"{name.replace(' ', '_')}-{self.people}.npz"
@@ -189,7 +199,19 @@ class ExactFaces:
             angles = np.radians([5 * np.sin(1.3 * t), 18 * np.sin(1.05 * t + person), 4 * np.sin(0.7 * t)])
             place = _CENTRE + np.array([9 * np.sin(0.9 * t), 6 * np.sin(1.7 * t)])
             pose = np.array([EYES, *angles, *place])
-            image, landmarks = self._shown(person, actions, pose, Light(0.7, 0.4, np.array([0.4, -0.3, -0.866])))
+            image, landmarks = self._shown(person, actions, pose, _WINDOW_LIGHT)
+            yield _noisy(image, landmarks, 3.0, person, rng)
+
+    def _turns(self, person: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        rng = np.random.default_rng((person, 91))
+        phases = rng.uniform(0.0, 2.0 * np.pi, 3)
+        for frame in range(int(8 * FPS)):
+            t = frame / FPS
+            angles = min(1.0, t) * np.radians(LIMITS) * np.sin(2.0 * np.pi * _TURNS_A_SECOND * t + phases)
+            actions = {"jawOpen": max(0.0, 0.5 * np.sin(7.0 * t)), "eyeBlink": float(t % 1.7 < 0.16)}
+            actions["mouthSmile"] = 0.6 * (np.sin(t) > 0)
+            place = _CENTRE + np.array([9 * np.sin(0.9 * t), 6 * np.sin(1.7 * t)])
+            image, landmarks = self._shown(person, actions, np.array([EYES, *angles, *place]), _WINDOW_LIGHT)
             yield _noisy(image, landmarks, 3.0, person, rng)
 
     @property

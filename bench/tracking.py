@@ -31,7 +31,7 @@ from bench.accuracy import (
     track_all,
 )
 from bench.crossing import on_crossings
-from bench.exact import AXES, EYES, FPS, Clip, ExactFaces, shown_size
+from bench.exact import AXES, EYES, FPS, LIMITS, Clip, ExactFaces, shown_size
 from bench.figures import draw_tracking
 from bench.peers import Ours, Peer, available_peers
 from bench.report import Table, finish, parser
@@ -98,6 +98,7 @@ def measure(peer: Peer, photos: list[Photo], exact: ExactFaces, clips: list[Clip
         "jitter": on_stills(peer, photos[::3]),
         "axes": {axis: on_axis(peer, axis, exact, offsets) for axis in AXES},
         "clips": on_clips(peer, clips),
+        "turning": on_turning(peer, [exact.turning(person) for person in range(exact.people)]),
         "videos": {path.name: on_video(peer, path) for path in videos},
     }
 
@@ -186,6 +187,23 @@ def on_clips(peer: Peer, clips: list[Clip]) -> dict[str, object]:
         "each": each,
         "apertures": asdict(apertures),
         "blinks": {**asdict(blinks), "recall": blinks.recall, "precision": blinks.precision},
+    }
+
+
+def on_turning(peer: Peer, clips: list[Clip]) -> dict[str, float]:
+    """Heads that turn to the limits of what is to be followed: no face, a face elsewhere, and errors of the others."""
+    errors = []
+    for clip in clips:
+        followed = track_all(peer, clip.frames).landmarks
+        errors.append(differences(followed, clip.landmarks, EYES).errors())
+    every = np.concatenate(errors)
+    near = every[every <= LOST_ABOVE]
+    return {
+        "frames": len(every),
+        "none": int(np.isinf(every).sum()),
+        "elsewhere": int((np.isfinite(every) & (every > LOST_ABOVE)).sum()),
+        "median": float(np.median(near)) if len(near) else float("nan"),
+        "worst of twenty": float(np.percentile(near, 95)) if len(near) else float("nan"),
     }
 
 
@@ -323,6 +341,10 @@ def tables(measured: dict[str, dict], numbers: dict) -> list[Table]:
         for clip, c in m["clips"]["each"].items()
     ]
     found.append(Table("Clips of known landmarks", ("clip", "tracker", "error, %", "removed, %", "lost"), rows))
+    turning = [(name, *m["turning"].values()) for name, m in measured.items()]
+    columns = ("tracker", "frames", "no face", "error above 10 %", "median error, %", "95th percentile, %")
+    limits = "pitch {:g}, yaw {:g}, roll {:g} degrees".format(*LIMITS)
+    found.append(Table(f"Turning to {limits}", columns, turning))
     rows = [
         (video, name, f"{v['found']:.1%}", v["jitter"], v["ms"])
         for name, m in measured.items()

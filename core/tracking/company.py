@@ -31,6 +31,8 @@ it may be where nobody else was."""
 _LEARNT, _IN_DOUBT, _OF_OTHERS = 0.2, 0.05, 0.3
 """Share of the newest look in what is remembered: of the face followed, of the same while something is odd about it
 (a hand, a new light: what lasts two seconds is got used to), and of others."""
+_AT_ONCE = 6
+"""Odd looks in a row from which on it is searched for others at every sixth only."""
 _MOST = 4
 """Others who are remembered at once."""
 _STEP, _STRAY = 0.25, 0.08
@@ -100,6 +102,7 @@ class Company:
 
     frame: int = 0
     _own: NDArray[np.float32] | None = None
+    _doubts: int = 0
     _others: list[_Other] = field(default_factory=list)
 
     @property
@@ -107,9 +110,14 @@ class Company:
         """Whether anybody else was seen lately."""
         return any(self.frame - other.frame < _LATELY for other in self._others)
 
+    @property
+    def worth_a_search(self) -> bool:
+        """Whether to look who else is in view, as the followed face looks odd: at once, and more rarely as it lasts."""
+        return self._doubts < _AT_ONCE or self._doubts % _AT_ONCE == 0
+
     def forget(self) -> None:
         """Another face is followed from here on."""
-        self._own = None
+        self._own, self._doubts = None, 0
         self._others = []
 
     def knows(self, look: NDArray[np.float32]) -> bool:
@@ -119,7 +127,7 @@ class Company:
             return True
         if float(self._own @ look) < _SAME:
             return False
-        self._own = _blended(self._own, look, _LEARNT)
+        self._own, self._doubts = _blended(self._own, look, _LEARNT), 0
         return True
 
     def is_other(self, look: NDArray[np.float32]) -> bool:
@@ -130,6 +138,7 @@ class Company:
         """Remember a little of a portrait that may be of the face that is followed."""
         assert self._own is not None
         self._own = _blended(self._own, look, _IN_DOUBT)
+        self._doubts += 1
 
     def meet(self, look: NDArray[np.float32], pose: FloatArray) -> None:
         """Remember a face at `pose` (6,) as somebody else's: of one who was there, or looks like it, or new."""

@@ -268,8 +268,9 @@ class FaceTracker:
         if company.is_other(look):
             company.meet(look, followed.pose)
             return False
-        for other in self._others(grey, followed.pose, _QUICK):
-            company.meet(portrait(grey, other.pose), other.pose)
+        if company.crowded or company.worth_a_search:
+            for other in self._others(grey, followed.pose, _QUICK[0]):
+                company.meet(portrait(grey, other.pose), other.pose)
         company.get_used_to(look)
         return True
 
@@ -279,13 +280,16 @@ class FaceTracker:
         if self._last is None:
             return None
         here = self._last.pose
-        found = [c for effort in _QUICK for c in self._others(grey, here, (effort,))]
+        found = [c for effort in _QUICK for c in self._others(grey, here, effort)]
         return min([c for c in found if c.pose[4] > here[4]] or found, key=lambda c: float(c.pose[4]), default=None)
 
-    def _others(self, grey: NDArray[np.uint8], pose: FloatArray, efforts: tuple[int, ...]) -> list[_Candidate]:
-        """Faces in view that are not the one at `pose` (6,)."""
-        found = self._detect(grey, efforts)
-        return [c for c in found if np.hypot(*(c.pose[4:6] - pose[4:6])) > _APART * pose[0]]
+    def _others(self, grey: NDArray[np.uint8], pose: FloatArray, effort: int) -> list[_Candidate]:
+        """Faces in view that are not the one at `pose` (6,); only boxes beside that one are looked at."""
+
+        def apart(other: FloatArray) -> bool:
+            return float(np.hypot(*(other[4:6] - pose[4:6]))) > _APART * float(pose[0])
+
+        return [c for c in self._faces_in(grey, [p for p in self._starts(grey, effort) if apart(p)]) if apart(c.pose)]
 
     def _moved_far(self, before: FittedShape, now: FittedShape) -> bool:
         """Whether some part left the middle of the picture in which its experts looked for it."""
@@ -299,17 +303,23 @@ class FaceTracker:
         Where a certain face is waited for, which may be a small one, the smaller ones are looked at in any case.
         """
         for effort in efforts:
-            began = perf_counter()
-            boxes = self._detector.boxes(grey, effort)[:_MOST_BOXES]
-            self.timings["detect"] += perf_counter() - began
-            certain = False
-            for start in self._promising(grey, [box.start_pose(self._model.box_offset) for box in boxes]):
-                candidate = self._judged(self.fit(grey, start, REFINED))
-                if candidate.confidence >= self.found_above:
-                    certain |= candidate.confidence >= _BEYOND_DOUBT
-                    yield candidate
+            found = self._faces_in(grey, self._starts(grey, effort))
+            yield from found
+            certain = any(c.confidence >= _BEYOND_DOUBT for c in found)
             if certain and not (effort == 0 and self._waited_for):
                 return
+
+    def _starts(self, grey: NDArray[np.uint8], effort: int) -> list[FloatArray]:
+        """Frontal poses (6,) of the boxes that the detector proposes."""
+        began = perf_counter()
+        boxes = self._detector.boxes(grey, effort)[:_MOST_BOXES]
+        self.timings["detect"] += perf_counter() - began
+        return [box.start_pose(self._model.box_offset) for box in boxes]
+
+    def _faces_in(self, grey: NDArray[np.uint8], poses: list[FloatArray]) -> list[_Candidate]:
+        """The convincing faces about the given poses (6,)."""
+        tried = [self._judged(self.fit(grey, start, REFINED)) for start in self._promising(grey, poses)]
+        return [c for c in tried if c.confidence >= self.found_above]
 
     @property
     def _waited_for(self) -> bool:

@@ -84,6 +84,20 @@ def test_what_lasts_is_got_used_to() -> None:
     assert company.knows(two)
 
 
+def test_others_are_searched_for_at_once_and_more_rarely_as_an_odd_look_lasts() -> None:
+    company = Company()
+    own, odd = looks(7, 2)
+    company.knows(own)
+    searched = []
+    for _ in range(24):
+        searched.append(company.worth_a_search)
+        company.get_used_to((own - odd) / np.linalg.norm(own - odd))
+    assert all(searched[:6])
+    assert sum(searched[6:]) == 3
+    company.knows(own)
+    assert company.worth_a_search
+
+
 def test_after_a_loss_the_one_who_was_lost_is_told_from_the_other() -> None:
     company = Company()
     own, other = looks(3, 2)
