@@ -17,7 +17,7 @@ import numpy as np
 
 from facemime.core.landmarks import INNER, N_LANDMARKS
 from facemime.core.tracking.experts import ResponseMaps
-from facemime.core.tracking.fit import Evidence, MeanShiftOptions, regularised_mean_shift
+from facemime.core.tracking.mean_shift import Evidence, MeanShiftOptions, regularised_mean_shift
 from facemime.core.tracking.pdm import FittedShape, PointDistributionModel
 from facemime.core.tracking.reference import pose_in_image, warp_to_reference
 from facemime.core.tracking.tracker import FaceTracker

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import inf
 from pathlib import Path
 from time import perf_counter
 
@@ -13,29 +12,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import FloatArray, as_image
-from ..landmarks import INNER, MIRROR, N_LANDMARKS
-from .check import N_FEATURES
 from .company import Company, portrait
 from .detect import EFFORTS, BoxDetector
-from .experts import ResponseMaps
-from .fit import Evidence, MeanShiftOptions, regularised_mean_shift
+from .fitter import COARSE, REFINED, FaceFitter, Fit
 from .gaze import find_gaze
 from .model_file import TrackerModel, load_model
 from .pdm import FittedShape, PointDistributionModel
-from .reference import pose_in_image
 from .result import TrackResult
 
 DEFAULT_MODEL = Path(__file__).parents[2] / "assets" / "tracker" / "face.tracker"
 
-SIDE_YAW = 0.36
-"""Radians of yaw beyond which the side view's visibility and patch experts count."""
 _MOST_BOXES, _MOST_FACES = 60, 4
 """How many boxes of an effort are looked at, and how many of them are fitted to the end."""
 _BEYOND_DOUBT = 0.85
 """Confidence of a detected face from which on no further effort is made."""
-_CERTAIN, _CERTAIN_AT_A_GLANCE = 0.08, 0.1
-"""Standard deviation of a response map, in eye distances, at which its landmark is trusted half; a glance's maps are
-the wider the larger their cells are."""
 _REMEMBERED, _BEHIND = 25, 75
 """Frames for which a lost face is waited for where it was before another one is taken: after a cut, or where it left,
 and while somebody else stands before it."""
@@ -47,42 +37,7 @@ _QUICK = (0, 1)
 """The efforts that look for others in view."""
 LEFTMOST, RIGHTMOST = (-1e6, 0.0), (1e6, 0.0)
 """Places for `FaceTracker.choose`: far out to either side."""
-_FAR = 0.05
-"""Eye distances by which a part may have moved since the last frame before it is looked at again."""
 _STAGES = ("detect", "look", "fit", "check", "gaze")
-
-
-@dataclass(frozen=True)
-class Stage:
-    """One look and the fit to it.
-
-    Attributes
-    ----------
-    parts : bool
-        Whether the parts' experts look, and the whole face is only glanced at; otherwise it is all that is looked at.
-    rounds : tuple of MeanShiftOptions
-        In eye distances; each starts from where the last one ended.
-    """
-
-    parts: bool
-    rounds: tuple[MeanShiftOptions, ...]
-
-
-_TOWARDS = MeanShiftOptions((inf,), 0.006)
-COARSE = Stage(False, (_TOWARDS, _TOWARDS, _TOWARDS, MeanShiftOptions((0.02, 0.01), 0.006)))
-FINE = Stage(True, (MeanShiftOptions((inf,), 2e-4),))
-_EDGES = MeanShiftOptions((4e-4, 2e-4), 3e-5)
-REFINED = (FINE, FINE)
-DETECTED = (COARSE, *REFINED)
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Where a fit ended (image frame), what the check looks at, and how certain each landmark is (66,)."""
-
-    fitted: FittedShape
-    features: FloatArray
-    certainty: FloatArray
 
 
 @dataclass(frozen=True)
@@ -114,23 +69,13 @@ class FaceTracker:
     def __init__(self, model: TrackerModel) -> None:
         self._model = model
         self._detector = BoxDetector()
-        # Fitted are the places that the experts were taught; reported is where `pdm` has the same shape.
-        taught = model.pdm.mean_shape - model.definition
-        self._taught = PointDistributionModel(taught, model.pdm.basis, model.pdm.eigenvalues)
-        self._visibility = {-1: model.visibility[1][MIRROR], 0: model.visibility[0], 1: model.visibility[1]}
-        frontal, side = model.patches
-        self._patches = {-1: side.mirrored(MIRROR), 0: frontal, 1: side}
-        in_parts = np.zeros(N_LANDMARKS, bool)
-        for part in model.parts:
-            in_parts[part.landmarks] = True
-            in_parts[MIRROR[part.landmarks]] |= part.paired
-        self._face_weight = np.where(in_parts, 0.1, 0.4)
+        self.timings: dict[str, float] = dict.fromkeys(_STAGES, 0.0)
+        self.fitter = FaceFitter(model, self.timings)
         self._last: FittedShape | None = None
         self._wanted: FloatArray | None = None
         self._lost: FittedShape | None = None
         self._misses, self._another = 0, False
         self._company = Company()
-        self.timings: dict[str, float] = dict.fromkeys(_STAGES, 0.0)
 
     @classmethod
     def load(cls, path: Path | None = None) -> FaceTracker:
@@ -173,7 +118,7 @@ class FaceTracker:
             self._company.forget()
             return self._keep(grey, another)
         if self._last is not None:
-            followed = self._follow(grey, self._last)
+            followed = self._judged(self.fitter.follow(grey, self._last))
             if followed.confidence >= self.lost_below and self._is_same(grey, followed):
                 return self._keep(grey, followed)
             self._lost = self._last
@@ -192,70 +137,13 @@ class FaceTracker:
         found = _largest(list(self._detect(grey, EFFORTS)))
         return TrackResult.nothing(self.pdm.n_modes) if found is None else self._result(grey, found)
 
-    def fit(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[Stage, ...]) -> Fit:
-        """Fit a grey image (H, W) from `start` (image frame)."""
-        out = Fit(start, np.zeros(N_FEATURES), np.zeros(N_LANDMARKS))
-        for stage in stages:
-            out = self._fit_stage(grey, out.fitted, stage)
-        return self._on_edges(grey, out) if stages[-1].parts else out
-
     def _begin(self, image: ArrayLike) -> NDArray[np.uint8]:
-        self.timings = dict.fromkeys(_STAGES, 0.0)
+        self.timings.update(dict.fromkeys(_STAGES, 0.0))
         pixels = as_image(image)
         return pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), np.uint8)
 
-    def _fit_stage(self, grey: NDArray[np.uint8], start: FittedShape, stage: Stage) -> Fit:
-        began = perf_counter()
-        local = _in_face_frame(start)
-        face, log_odds = (self._model.glance if stage.parts else self._model.face).look(grey, start.pose)
-        shape = self._taught.project(local.pose, local.shape_params)
-        maps = [part.look(grey, start.pose, shape) for part in self._model.parts] if stage.parts else []
-        looked = perf_counter()
-        visible = self._visibility[_view(start.pose)]
-        certainty = _certainty(face, _CERTAIN_AT_A_GLANCE if maps else _CERTAIN)
-        of_parts = [_certainty(m, _CERTAIN) for m in maps]
-        evidence = [Evidence(m, c * visible[m.landmarks]) for m, c in zip(maps, of_parts, strict=True)]
-        evidence += [Evidence(face, certainty * visible * (self._face_weight if maps else 1.0), coarse=bool(maps))]
-        for options in stage.rounds:
-            local = regularised_mean_shift(self._taught, local, evidence, options)
-        fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
-        ended = perf_counter()
-        shape = self._taught.project(local.pose, local.shape_params)
-        features = np.zeros(N_FEATURES)
-        features[:4] = 1.0, 0.2 * log_odds, certainty[INNER].mean(), 10.0 * _distance(face, shape)[INNER].mean()
-        if maps:
-            away = np.concatenate([_distance(m, shape) for m in maps])
-            features[4:] = np.concatenate(of_parts).mean(), 10.0 * away.mean()
-        for m, c in zip(maps, of_parts, strict=True):
-            certainty[m.landmarks] = c
-        self.timings["look"] += looked - began
-        self.timings["fit"] += ended - looked
-        self.timings["check"] += perf_counter() - ended
-        return Fit(fitted, features, certainty)
-
-    def _on_edges(self, grey: NDArray[np.uint8], fit: Fit) -> Fit:
-        """The fit after the patch experts had their last word."""
-        began = perf_counter()
-        start = fit.fitted
-        local, view = _in_face_frame(start), _view(start.pose)
-        shape = self._taught.project(local.pose, local.shape_params)
-        maps, highest = self._patches[view].look(grey, start.pose, shape)
-        looked = perf_counter()
-        evidence = [Evidence(maps, self._visibility[view] * highest)]
-        local = regularised_mean_shift(self._taught, local, evidence, _EDGES)
-        fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
-        self.timings["look"] += looked - began
-        self.timings["fit"] += perf_counter() - looked
-        return Fit(fitted, fit.features, fit.certainty)
-
     def _judged(self, fit: Fit) -> _Candidate:
         return _Candidate(fit, self._model.check.confidence(fit.features))
-
-    def _follow(self, grey: NDArray[np.uint8], last: FittedShape) -> _Candidate:
-        fit = self._fit_stage(grey, last, FINE)
-        if self._moved_far(last, fit.fitted):
-            fit = self._fit_stage(grey, fit.fitted, FINE)
-        return self._judged(self._on_edges(grey, fit))
 
     def _is_same(self, grey: NDArray[np.uint8], followed: _Candidate) -> bool:
         """Whether the face that is followed is still whose it was, and nobody's who stepped before it."""
@@ -291,12 +179,6 @@ class FaceTracker:
 
         return [c for c in self._faces_in(grey, [p for p in self._starts(grey, effort) if apart(p)]) if apart(c.pose)]
 
-    def _moved_far(self, before: FittedShape, now: FittedShape) -> bool:
-        """Whether some part left the middle of the picture in which its experts looked for it."""
-        moved = self.pdm.project(now.pose, now.shape_params) - self.pdm.project(before.pose, before.shape_params)
-        parts = [np.abs(moved[part.landmarks].sum(axis=0)).max() / len(part.landmarks) for part in self._model.parts]
-        return bool(max(parts) > _FAR * before.pose[0])
-
     def _detect(self, grey: NDArray[np.uint8], efforts: tuple[int, ...]) -> Iterator[_Candidate]:
         """Convincing faces, effort by effort; none is made after one that finds a face beyond doubt.
 
@@ -318,7 +200,7 @@ class FaceTracker:
 
     def _faces_in(self, grey: NDArray[np.uint8], poses: list[FloatArray]) -> list[_Candidate]:
         """The convincing faces about the given poses (6,)."""
-        tried = [self._judged(self.fit(grey, start, REFINED)) for start in self._promising(grey, poses)]
+        tried = [self._judged(self.fitter.fit(grey, start, REFINED)) for start in self._promising(grey, poses)]
         return [c for c in tried if c.confidence >= self.found_above]
 
     @property
@@ -327,7 +209,7 @@ class FaceTracker:
 
     def _promising(self, grey: NDArray[np.uint8], poses: list[FloatArray]) -> list[FittedShape]:
         """Coarse fits from the given poses (6,), those first that the face experts think most of."""
-        fits = [self.fit(grey, FittedShape(pose, np.zeros(self.pdm.n_modes)), (COARSE,)) for pose in poses]
+        fits = [self.fitter.fit(grey, FittedShape(pose, np.zeros(self.pdm.n_modes)), (COARSE,)) for pose in poses]
         fits.sort(key=lambda f: -f.features[1])
         return [f.fitted for f in fits[:_MOST_FACES]]
 
@@ -370,28 +252,6 @@ class FaceTracker:
             pupils=gaze.pupils,
             gaze=gaze.direction,
         )
-
-
-def _in_face_frame(start: FittedShape) -> FittedShape:
-    """`start` in its own face frame."""
-    return FittedShape(np.array([1.0, start.pose[1], start.pose[2], 0.0, 0.0, 0.0]), start.shape_params)
-
-
-def _view(pose: FloatArray) -> int:
-    """0 frontal, 1 with the nose to the viewer's left, -1 to the right."""
-    return int(np.sign(pose[2])) if abs(pose[2]) > SIDE_YAW else 0
-
-
-def _certainty(maps: ResponseMaps, half: float) -> FloatArray:
-    """(n,) 0 to 1: how narrow each map is; a standard deviation of `half`, in eye distances, gives 0.5."""
-    return np.asarray(half**2 / (half**2 + maps.moments[1]))
-
-
-def _distance(maps: ResponseMaps, shape: FloatArray) -> FloatArray:
-    """(n,) from the maps' means to the landmarks `shape` (66, 2)."""
-    away = maps.moments[0] - shape[maps.landmarks]
-    out: FloatArray = np.hypot(away[:, 0], away[:, 1])
-    return out
 
 
 def _largest(candidates: list[_Candidate]) -> _Candidate | None:

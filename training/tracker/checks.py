@@ -7,8 +7,9 @@ import numpy as np
 
 from facemime.core.landmarks import INNER
 from facemime.core.tracking.check import FaceCheck
+from facemime.core.tracking.fitter import DETECTED, FINE
 from facemime.core.tracking.pdm import FittedShape
-from facemime.core.tracking.tracker import DETECTED, FINE, FaceTracker
+from facemime.core.tracking.tracker import FaceTracker
 
 from .samples import SCALE, SIZE, Samples, occlude
 from .sources import Photo
@@ -78,18 +79,18 @@ def collect_features(
             image, good_below = samples.images[i], GOOD_BELOW
             if spread < 1.0 and rng.random() < OCCLUDED:
                 image, good_below = occlude(image, samples.landmarks[i], rng, 2.0)[0], OCCLUDED_GOOD_BELOW
-            fit = tracker.fit(image, _near(samples, i, spread, rng), stages)
+            fit = tracker.fitter.fit(image, _near(samples, i, spread, rng), stages)
             error = _error(tracker, fit.fitted, samples.landmarks[i])
             if error < good_below or error > BAD_ABOVE:
                 features.append(fit.features)
                 good.append(error < good_below)
         if i % 2:
             erased = _erased(samples.images[i], samples.landmarks[i], rng)
-            features.append(tracker.fit(erased, _near(samples, i, 0.4, rng), (FINE,)).features)
+            features.append(tracker.fitter.fit(erased, _near(samples, i, 0.4, rng), (FINE,)).features)
             good.append(False)
     for grey in clutter(photos, len(samples), rng):
         i = int(rng.integers(len(samples)))
-        features.append(tracker.fit(grey, _near(samples, i, 2.0, rng), DETECTED).features)
+        features.append(tracker.fitter.fit(grey, _near(samples, i, 2.0, rng), DETECTED).features)
         good.append(False)
     return np.stack(features), np.array(good)
 

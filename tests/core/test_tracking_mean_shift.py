@@ -7,7 +7,7 @@ import pytest
 
 from facemime.core.landmarks import N_LANDMARKS
 from facemime.core.tracking.experts import ResponseMaps
-from facemime.core.tracking.fit import Evidence, MeanShiftOptions, regularised_mean_shift
+from facemime.core.tracking.mean_shift import Evidence, MeanShiftOptions, regularised_mean_shift
 from facemime.core.tracking.pdm import FittedShape, PointDistributionModel
 from facemime.core.tracking.tracker import FaceTracker
 
