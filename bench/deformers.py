@@ -61,6 +61,7 @@ def all_methods(head: TrueHead, model: ExpressionModel, selection: GreedySelecti
         "informed_greedy": (len(selection.landmarks), lambda: informed(head, model, selection.membership)),
         "laplacian": (N_LANDMARKS, lambda: laplacian(head)),
         "blender_laplacian": (N_LANDMARKS, lambda: blender_laplacian(head)),
+        "own_matrix": (N_LANDMARKS, lambda: own_matrix(head)),
         "ridge": (N_LANDMARKS, lambda: ridge(head)),
     }
     methods = []
@@ -163,6 +164,16 @@ def blender_laplacian(head: TrueHead) -> Predict:
         return out
 
     return predict
+
+
+def own_matrix(head: TrueHead) -> Predict:
+    """The best matrix for the head's own true motions: what a deformer that treats x, y and z alike can reach."""
+    weights = np.linalg.cholesky(head.mixtures.T @ head.mixtures + 1e-9 * np.eye(len(head.names))).T
+    motion = head.true(weights).transpose(0, 2, 1).reshape(3 * len(head.names), -1)
+    inputs = motion[:, head.landmarks].astype(np.float64)
+    gram = inputs.T @ inputs
+    system = gram + _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
+    return _linear(np.linalg.solve(system, inputs.T @ motion).T.astype(np.float32))
 
 
 def ridge(head: TrueHead) -> Predict:
