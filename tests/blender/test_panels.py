@@ -10,6 +10,7 @@ from facemime.blender.head import add_head
 from facemime.blender.meshes import read_rig, write_selection
 from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
 from facemime.core.control_points import select_for_take
+from facemime.core.deform.regions import REGIONS
 from facemime.core.landmarks import IBUG68_INDICES
 from facemime.core.takes.file import save_take
 from facemime.ui.calibration import FACEMIME_PT_calibration
@@ -100,7 +101,9 @@ def test_each_line_of_the_list_has_number_region_order_error_and_reason():
     write_selection(head.data, select_for_take(read_rig(head), performance(), max_points=12))
     layout, first = Layout(), next(row for row in shown_rows(head) if row.order == 1)
     FACEMIME_UL_landmarks.draw_item(None, bpy.context, layout, None, None, 0, None, "", first.landmark)
-    for part in (str(IBUG68_INDICES[first.landmark]), "Upper", first.reason, f"1: {100 * first.error:.1f}%"):
+    regions = ", ".join(REGIONS[row].name.capitalize() for row in first.regions)
+    assert regions
+    for part in (str(IBUG68_INDICES[first.landmark]), regions, first.reason, f"1: {100 * first.error:.1f}%"):
         assert part in layout.texts()
 
 
