@@ -11,12 +11,11 @@ from ..core.files import check_writable
 from ..core.images import write_image
 from ..core.takes.figure import draw_before_after
 from ..core.takes.file import SUFFIX, load_take, save_take
-from ..core.takes.mend import bridge_gaps, mirror_take, remove_outliers, renew_neutral
+from ..core.takes.mend import bridge_gaps, mirror_tracked, remove_outliers, renew_neutral
 from ..core.takes.smooth import CUTOFFS, smooth_take, smooth_zero_phase
 from ..core.takes.spreadsheet import from_csv, to_csv
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
-from ..core.tracking.tracker import FaceTracker
 
 Commands = argparse._SubParsersAction  # argparse names the type of what add_subparsers gives in no other way
 
@@ -92,8 +91,7 @@ def _mended(take: Take, arguments: argparse.Namespace) -> Take:
     elif arguments.smooth == "zero-phase":
         take = smooth_zero_phase(take, parse_cutoffs(arguments.cutoff))
     if arguments.mirror:
-        tracker = FaceTracker.load()
-        take = mirror_take(take, tracker.pdm.mirror_signs if tracker.model_id == take.info.get("model") else None)
+        take = mirror_tracked(take)
     if arguments.neutral is not None:
         take = renew_neutral(take, arguments.neutral)
     if arguments.trim is not None:

@@ -7,7 +7,7 @@ from ..blender.bake import seconds_of
 from ..blender.images import keep_picture
 from ..core.errors import FacemimeError
 from ..core.takes.figure import draw_before_after
-from ..core.takes.mend import bridge_gaps, remove_outliers, renew_neutral
+from ..core.takes.mend import bridge_gaps, mirror_tracked, remove_outliers, renew_neutral
 from ..core.takes.smooth import smooth_zero_phase
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, restart, shift_time, trim
@@ -53,7 +53,7 @@ class FACEMIME_OT_trim_take(ChangesTake, bpy.types.Operator):
 
 
 class FACEMIME_OT_mend_take(ChangesTake, bpy.types.Operator):
-    """Mend the chosen take: drop frames that jump, fill gaps without a face, smooth without delay"""
+    """Mend the chosen take: drop frames that jump, fill gaps without a face, smooth without delay, swap the sides"""
 
     bl_idname = "facemime.mend_take"
     bl_label = "Mend Take"
@@ -71,6 +71,7 @@ class FACEMIME_OT_mend_take(ChangesTake, bpy.types.Operator):
         default="bridge",
     )
     smooth: BoolProperty(name="Smooth", description="Without any delay", default=True)
+    mirror: BoolProperty(name="Mirror", description="Swap left and right")
     picture: BoolProperty(name="Draw Curves", description="Before and after, as an image of the Image Editor")
 
     def changed(self, context: bpy.types.Context, take: Take) -> Take:
@@ -80,6 +81,8 @@ class FACEMIME_OT_mend_take(ChangesTake, bpy.types.Operator):
             mended = bridge_gaps(mended, self.gaps, _LONGEST_GAP)
         if self.smooth:
             mended = smooth_zero_phase(mended)
+        if self.mirror:
+            mended = mirror_tracked(mended)
         if self.picture:
             image = keep_picture(f"{takes_store.chosen(context.scene).name} Mended", draw_before_after(take, mended))
             self.report({"INFO"}, f"Curves in the image {image.name}")

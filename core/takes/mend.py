@@ -12,6 +12,7 @@ from ..arrays import FloatArray
 from ..retarget import Neutral, calibrate
 from ..rotation import euler_to_matrix
 from ..tracking.mirror import mirror_result
+from ..tracking.tracker import FaceTracker
 from .take import Take, TakeRecorder
 from .timing import lose, mix
 
@@ -102,6 +103,12 @@ def mirror_take(take: Take, mode_signs: FloatArray | None = None) -> Take:
     for frame, time in enumerate(take.times.tolist()):
         recorder.append(time, mirror_result(take.result(frame), width, mode_signs))
     return recorder.finish()
+
+
+def mirror_tracked(take: Take) -> Take:
+    """`mirror_take`, with the coefficients' signs where the take is of the tracker's present model."""
+    tracker = FaceTracker.load()
+    return mirror_take(take, tracker.pdm.mirror_signs if tracker.model_id == take.info.get("model") else None)
 
 
 def renew_neutral(take: Take, frame_time: float) -> Take:

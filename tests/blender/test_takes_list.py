@@ -72,6 +72,20 @@ def test_trimmed_and_mended_a_take_has_another_file_and_the_one_before_stays(imp
         bpy.ops.facemime.trim_take(start=8.0, end=9.0)
 
 
+def test_a_take_is_mirrored_by_mending_and_twice_is_the_take_again(imported):
+    before = takes_store.read(imported)
+    only_mirror = {"outliers": False, "gaps": "leave", "smooth": False, "mirror": True}
+    assert bpy.ops.facemime.mend_take(**only_mirror) == {"FINISHED"}
+    once = takes_store.read(imported)
+    np.testing.assert_allclose(once.pose[:, 2], -before.pose[:, 2])
+    np.testing.assert_allclose(once.pose[:, 4], 639.0 - before.pose[:, 4])
+    assert np.nanmax(np.abs(before.pose[:, 2])) > 0.0
+    assert bpy.ops.facemime.mend_take(**only_mirror) == {"FINISHED"}
+    twice = takes_store.read(imported)
+    np.testing.assert_allclose(twice.pose, before.pose)
+    np.testing.assert_allclose(twice.landmarks, before.landmarks, atol=1e-3)
+
+
 def test_what_mending_changed_is_drawn_as_an_image(imported):
     assert bpy.ops.facemime.mend_take(picture=True) == {"FINISHED"}
     image = bpy.data.images["First Mended"]
