@@ -2,9 +2,8 @@
 
 Brows and the lower lip are marked in two ways. The hand labels end the row along a brow's upper rim at the *lower*
 corner of its inner end, and space the lower lip's five points evenly. The iBUG figure ends the row at the *upper*
-corner, and draws the middle three of the lip together under the dip of the upper one. Both are followed half way: the
-inner end of a brow is then the middle of its end, and no point is further than 3.5 % of the outer-eye distance from
-either convention.
+corner, and draws the middle three of the lip together under the dip of the upper one. Reported is a quarter of the way
+from the labels to the figure: about as far as the median error on held-out hand labels stays what it is without.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import numpy as np
 
 from facemime.core.landmarks import MIRROR, N_LANDMARKS
 
-SHARE = 0.5
+SHARE = 0.25
 TO_IBUG = {
     17: (-0.8, -2.2),
     18: (-0.4, 0.0),

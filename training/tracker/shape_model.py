@@ -12,7 +12,7 @@ from .heads import IctHead, sample_expression
 from .sources import Photo
 
 N_ICT_MODES = 32
-N_PHOTO_MODES = 8
+N_PHOTO_MODES = 16
 
 
 def landmark_importance() -> np.ndarray:
