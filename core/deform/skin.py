@@ -77,19 +77,20 @@ def skin_covariance(
     to_eyes = distances(places[used], places[landmarks[_EYES]]).min(axis=1) / unit
     reach = REACH * unit * (1.0 - _LOOSE * np.exp(-np.square(to_eyes / _ROUND_EYES)))
     pull = np.bincount(edges.ravel(), np.repeat(weights, 2), len(used))
-    system = NestedDissection(edges, -weights, areas / reach**2 + pull, places[used])
+    system = NestedDissection(edges, -weights, areas / reach**2 + pull, places[used], np.float32)
     columns = np.flatnonzero(moving[landmarks])
     seeds = place[landmarks[columns]]
-    right = np.zeros((len(used), len(columns)))
+    right = np.zeros((len(used), len(columns)), dtype=np.float32)
     right[seeds, np.arange(len(columns))] = 1.0
-    half = system.solve(right)
-    half *= areas[:, None]
-    values = system.solve(half)
-    values *= len(columns) / np.trace(values[seeds]) if len(columns) else 0.0
+    right = system.solve(right)
+    right *= areas[:, None]
+    values = system.solve(right)
+    between = np.asarray(values[seeds], dtype=np.float64)
+    scale = len(columns) / float(np.trace(between)) if len(columns) else 0.0
     covariance = np.zeros((len(places), len(landmarks)), dtype=np.float32)
-    covariance[used[:, None], columns] = values
+    covariance[used[:, None], columns] = scale * values
     among = np.zeros((len(landmarks), len(landmarks)))
-    among[np.ix_(columns, columns)] = values[seeds]
+    among[np.ix_(columns, columns)] = 0.5 * scale * (between + between.T)
     return SkinCovariance(covariance, among)
 
 
