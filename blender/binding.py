@@ -22,8 +22,9 @@ _UPRIGHT = np.cos(np.radians(20.0))
 def bind_head(obj: bpy.types.Object | None) -> Binding:
     """Find the landmarks of `obj` from the user's marks, or from none, and propose its regions.
 
-    Where the marks show that the mesh does not face -Y upright, its vertices are turned, and the object's transform
-    back, so that nothing moves in the scene.
+    Without marks it has to face -Y upright in the scene, whatever the axes of its own: importers turn the object and
+    leave the vertices lying. Where these, or what the marks show, are not upright, the vertices are turned, and the
+    object's transform back, so that nothing moves in the scene.
 
     Raises
     ------
@@ -32,9 +33,11 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
     """
     mesh = mesh_of(obj)
     marks = read_marks(mesh)
-    binding = bind_landmarks(read_vertices(mesh), read_faces(mesh), marks)
-    if marks and float(np.trace(binding.rotation) - 1.0) / 2.0 < _UPRIGHT:
-        _turn(obj, HEAD_TO_BLENDER @ binding.rotation @ HEAD_TO_BLENDER.T)
+    seen = HEAD_TO_BLENDER.T @ np.array(obj.matrix_world.to_quaternion().to_matrix()) @ HEAD_TO_BLENDER
+    binding = bind_landmarks(read_vertices(mesh) @ seen.T, read_faces(mesh), marks)
+    upright = binding.rotation @ seen if marks else seen
+    if float(np.trace(upright) - 1.0) / 2.0 < _UPRIGHT:
+        _turn(obj, HEAD_TO_BLENDER @ upright @ HEAD_TO_BLENDER.T)
     write_landmarks(mesh, binding.landmarks)
     if SELECTION_PROPERTY in mesh:
         del mesh[SELECTION_PROPERTY]

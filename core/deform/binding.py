@@ -17,7 +17,16 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray, IntArray, as_points
 from ..errors import HeadError
 from ..head import load_head
-from ..landmarks import EYE_LEFT, EYE_RIGHT, MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, N_LANDMARKS, from_ibug
+from ..landmarks import (
+    EYE_LEFT,
+    EYE_RIGHT,
+    MIRROR,
+    MOUTH_INNER_LOWER,
+    MOUTH_INNER_UPPER,
+    MOUTH_OUTER,
+    N_LANDMARKS,
+    from_ibug,
+)
 from ..rotation import fit_rotation
 from .surface import SurfaceGraph
 from .warp import Warp
@@ -36,7 +45,13 @@ _SCALES = (0.8, 1.0, 1.25)
 _HEIGHTS = (-0.35, -0.15, 0.05, 0.25)
 """First guesses where nothing is marked: size over the mesh's width, height of the eyes over its own height."""
 _RIGID_STEPS = 25
-_SMOOTHINGS = (1.0, 0.3, 0.1, 0.03)
+_SMOOTHINGS = (1.0, 0.3, 0.1)
+_LEFT_OUT = (
+    (np.concatenate([EYE_RIGHT, EYE_LEFT]), 0.12),
+    (np.concatenate([MOUTH_OUTER, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER]), 0.06),
+)
+"""Outer-eye distances from lids and lips within which the warps follow nothing: of a scan's eyes and mouth, which are
+one skin with what is about them, the nearest places are others' as often as not. What lies around carries them."""
 _SAMPLES = 900
 _RIMS = np.concatenate([EYE_RIGHT, EYE_LEFT, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
 _RIM_REACH = 0.08
@@ -129,6 +144,9 @@ class _Template:
         self.landmarks: IntArray = head.landmarks
         self.normals = surface_normals(self.places, head.faces)
         outside = (head.regions.sum(axis=0) > 0.5) & (self.normals[:, 2] < 0.2)
+        for part, apart in _LEFT_OUT:
+            marks = self.places[self.landmarks[part]]
+            outside &= np.linalg.norm(self.places[:, None] - marks, axis=2).min(axis=1) > apart
         self.skin = np.flatnonzero(outside)[:: max(1, int(outside.sum()) // _SAMPLES)]
 
 

@@ -76,6 +76,22 @@ def test_clicked_points_bind_a_mesh_that_lies_on_its_side_without_moving_it_in_t
     assert nose[2] == vertices[true].min(axis=0)[2] and chin[1] > nose[1]
 
 
+def test_a_mesh_as_an_importer_leaves_it_is_bound_without_a_click_and_turned_upright_within(true):
+    obj = bare_head()
+    lying = Matrix.Rotation(np.pi / 2.0, 4, "X")
+    obj.data.transform(lying.inverted())
+    obj.matrix_world = Matrix.Translation((3.0, 1.0, 2.0)) @ lying @ Matrix.Scale(20.0, 4)
+    bpy.context.view_layer.update()
+    before = [obj.matrix_world @ v.co for v in obj.data.vertices]
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    assert off(obj, true).mean() < 0.02
+    assert max((a - obj.matrix_world @ v.co).length for a, v in zip(before, obj.data.vertices, strict=True)) < 1e-4
+    nose, chin = read_vertices(obj.data)[true[from_ibug([30, 8])]]
+    assert nose[2] == read_vertices(obj.data)[true].min(axis=0)[2] and chin[1] > nose[1]
+    assert np.abs(np.array(obj.matrix_world.to_euler())).max() < 1e-5
+
+
 def test_a_landmark_is_moved_to_the_picked_vertex(true):
     obj = add_head(bpy.context)
     free = next(v for v in range(len(obj.data.vertices)) if v not in true)
