@@ -22,9 +22,9 @@ _UPRIGHT = np.cos(np.radians(20.0))
 def bind_head(obj: bpy.types.Object | None) -> Binding:
     """Find the landmarks of `obj` from the user's marks, or from none, and propose its regions.
 
-    Without marks it has to face -Y upright in the scene, whatever the axes of its own: importers turn the object and
-    leave the vertices lying. Where these, or what the marks show, are not upright, the vertices are turned, and the
-    object's transform back, so that nothing moves in the scene.
+    Without marks the face is looked for along the axes of the scene, first towards -Y and upright: importers turn the
+    object and leave the vertices lying. Where these are not upright, they are turned, and the object's transform back,
+    so that nothing moves in the scene.
 
     Raises
     ------
@@ -35,8 +35,8 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
     marks = read_marks(mesh)
     seen = HEAD_TO_BLENDER.T @ np.array(obj.matrix_world.to_quaternion().to_matrix()) @ HEAD_TO_BLENDER
     binding = bind_landmarks(read_vertices(mesh) @ seen.T, read_faces(mesh), marks)
-    upright = binding.rotation @ seen if marks else seen
-    if float(np.trace(upright) - 1.0) / 2.0 < _UPRIGHT:
+    upright = seen if _is_small(binding.rotation) else binding.rotation @ seen
+    if not _is_small(upright):
         _turn(obj, HEAD_TO_BLENDER @ upright @ HEAD_TO_BLENDER.T)
     write_landmarks(mesh, binding.landmarks)
     if SELECTION_PROPERTY in mesh:
@@ -108,6 +108,10 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
         raise HeadError("Another landmark lies on that vertex. Pick a vertex of its own.")
     landmarks[landmark] = vertex
     write_landmarks(obj.data, landmarks)
+
+
+def _is_small(rotation: NDArray[np.floating]) -> bool:
+    return float(np.trace(rotation) - 1.0) / 2.0 >= _UPRIGHT
 
 
 def _turn(obj: bpy.types.Object, rotation: NDArray[np.floating]) -> None:

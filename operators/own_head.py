@@ -17,6 +17,9 @@ from ..core.landmarks import from_ibug
 from ..scene.panel_properties import keep_findings
 from .shared import OnMesh, in_object_mode, register_all, unregister_all
 
+_STRANGE = 0.07
+"""Strain of a binding above which it may well be of something else than a face."""
+
 
 class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
     """Say which point of the face the selected vertex is, in Edit mode; mark four or more, then bind"""
@@ -49,7 +52,7 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
 
 
 class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
-    """Find the 66 landmarks of the active mesh and propose its regions; without marks it must face -Y upright"""
+    """Find the 66 landmarks of the active mesh and propose its regions; without marks it may face along any axis"""
 
     bl_idname = "facemime.bind_landmarks"
     bl_label = "Bind Landmarks"
@@ -63,7 +66,10 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> set[str]:
         binding = bind_head(context.active_object)
         fit = f"{100 * binding.residual:.1f} % of the eye distance off the template"
-        self.report({"INFO"}, f"66 landmarks bound, {fit}{', symmetric' if binding.symmetric else ''}")
+        told = f"66 landmarks bound, {fit}{', symmetric' if binding.symmetric else ''}"
+        if binding.strain > _STRANGE:
+            told += ". This is an unusual face: look where they are, and mark points if they are not on it"
+        self.report({"WARNING"} if binding.strain > _STRANGE else {"INFO"}, told)
         return {"FINISHED"}
 
 

@@ -92,6 +92,17 @@ def test_a_mesh_as_an_importer_leaves_it_is_bound_without_a_click_and_turned_upr
     assert np.abs(np.array(obj.matrix_world.to_euler())).max() < 1e-5
 
 
+def test_a_mesh_that_faces_backwards_is_bound_without_a_click_and_stays_where_it_is(true):
+    obj = bare_head()
+    obj.data.transform(Matrix.Rotation(np.pi, 4, "Z"))
+    before = [obj.matrix_world @ v.co for v in obj.data.vertices]
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    assert off(obj, true).mean() < 0.02
+    assert max((a - obj.matrix_world @ v.co).length for a, v in zip(before, obj.data.vertices, strict=True)) < 1e-5
+    assert abs(abs(obj.matrix_world.to_euler().z) - np.pi) < 0.05
+
+
 def test_a_landmark_is_moved_to_the_picked_vertex(true):
     obj = add_head(bpy.context)
     free = next(v for v in range(len(obj.data.vertices)) if v not in true)

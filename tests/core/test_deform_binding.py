@@ -1,5 +1,6 @@
 """Landmarks, regions and checks on meshes that nobody has labelled."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,7 +11,7 @@ from facemime.core.deform.surface import SurfaceGraph
 from facemime.core.deform.warp import Warp
 from facemime.core.errors import HeadError
 from facemime.core.head import load_head
-from facemime.core.landmarks import MIRROR, OUTER_EYE_CORNERS, from_ibug
+from facemime.core.landmarks import INNER, MIRROR, OUTER_EYE_CORNERS, from_ibug
 from facemime.core.rotation import euler_to_matrix
 
 HEAD = load_head()
@@ -30,6 +31,28 @@ def stylised() -> np.ndarray:
         reach = np.exp(-np.square(np.linalg.norm(places - centre, axis=1) / (0.25 * UNIT)))
         places[:, :2] += 0.3 * reach[:, None] * (places - centre)[:, :2]
     return places
+
+
+def scanned() -> tuple[np.ndarray, np.ndarray]:
+    """The front of the head as a depth camera sees it: one skin, a grid of 2 % of the eye distance."""
+    step = 0.02 * UNIT
+    low = VERTICES[:, :2].min(axis=0) - step
+    width, height = np.ceil((VERTICES[:, :2].max(axis=0) - low) / step).astype(int) + 2
+    depth = np.full((height, width), np.nan, np.float32)
+    triangles = np.concatenate([HEAD.faces[:, :3], HEAD.faces[HEAD.faces[:, 3] >= 0][:, [0, 2, 3]]])
+    nearness = VERTICES[triangles, 2].mean(axis=1)
+    for i in np.argsort(-nearness):
+        corners = (VERTICES[triangles[i], :2] - low) / step
+        cv2.fillConvexPoly(depth, np.round(corners).astype(np.int32), float(nearness[i]))
+    seen = np.isfinite(depth)
+    filled = np.where(seen, depth, np.nanmax(depth)).astype(np.float32)
+    y, x = np.mgrid[:height, :width]
+    places = np.stack([low[0] + step * x, low[1] + step * y, cv2.GaussianBlur(filled, (0, 0), 1.5)], axis=-1)
+    number = np.arange(height * width).reshape(height, width)
+    quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1)
+    whole = seen[:-1, :-1] & seen[:-1, 1:] & seen[1:, 1:] & seen[1:, :-1]
+    used, faces = np.unique(quads[whole], return_inverse=True)
+    return places.reshape(-1, 3)[used].astype(float), faces.reshape(-1, 4)
 
 
 def mean_error(vertices: np.ndarray, found: np.ndarray) -> float:
@@ -56,6 +79,28 @@ def test_a_stylised_head_is_bound_with_marks():
     assert mean_error(places, binding.landmarks) < 0.06
     for number, vertex in marks().items():
         assert binding.landmarks[from_ibug([number])[0]] == vertex
+
+
+@pytest.mark.parametrize(
+    "angles", [(0, 180, 0), (90, 0, 0), (-90, 0, 0), (0, 90, 0), (0, -90, 0), (0, 0, 180), (0, 0, 90), (0, 0, -90)]
+)
+def test_without_marks_a_head_is_found_that_faces_along_any_axis(angles):
+    turn = euler_to_matrix(*np.radians(angles))
+    binding = bind_landmarks(VERTICES @ turn.T, HEAD.faces)
+    assert mean_error(VERTICES, binding.landmarks) < 0.01
+    assert np.abs(binding.rotation @ turn - np.eye(3)).max() < 0.05
+
+
+def test_a_stylised_head_is_bound_without_marks():
+    binding = bind_landmarks(stylised(), HEAD.faces)
+    assert mean_error(stylised(), binding.landmarks) < 0.06
+    assert binding.strain > 0.03
+
+
+def test_eyes_and_mouth_of_a_scan_that_has_no_openings_are_found():
+    places, faces = scanned()
+    found = places[bind_landmarks(places, faces).landmarks]
+    assert np.linalg.norm((found - POINTS)[INNER, :2], axis=1).mean() < 0.05 * UNIT
 
 
 def test_marks_tell_how_a_mesh_is_turned():

@@ -1,0 +1,216 @@
+"""The built-in head's skin laid over another mesh: turned and sized, then bent until the two agree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray
+from ..errors import HeadError
+from ..head import load_head
+from ..landmarks import EYE_LEFT, EYE_RIGHT, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, MOUTH_OUTER, from_ibug
+from ..rotation import euler_to_matrix, fit_rotation
+from .warp import Warp
+
+_SCALES = (0.8, 1.0, 1.25)
+_HEIGHTS = (-0.35, -0.15, 0.05, 0.25)
+"""First guesses where nothing is marked: size over the mesh's width, height of the eyes over its own height."""
+_ATTITUDES = tuple(
+    euler_to_matrix(*np.radians(angles))
+    for angles in (
+        (0, 0, 0),
+        (0, 180, 0),
+        (-90, 0, 0),
+        (90, 0, 0),
+        (0, 90, 0),
+        (0, -90, 0),
+        (0, 0, 180),
+        (0, 0, 90),
+        (0, 0, -90),
+    )
+)
+"""How a mesh may have been left: to the viewer, to the back, on back or face, to a side, on the crown, on an ear."""
+_LITTLE_STRAIN = 0.045
+"""Bending, in outer-eye distances, below which an attitude is right beyond doubt: heads of other people and families
+take 0.02 to 0.035, wrong attitudes 0.05 and more."""
+_RIGID_STEPS = 25
+_SMOOTHINGS = (1.0, 0.3, 0.1)
+_LEFT_OUT = (
+    (np.concatenate([EYE_RIGHT, EYE_LEFT]), 0.12),
+    (np.concatenate([MOUTH_OUTER, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER]), 0.06),
+)
+"""Outer-eye distances from lids and lips within which the warps follow nothing: of a scan's eyes and mouth, which are
+one skin with what is about them, the nearest places are others' as often as not. What lies around carries them."""
+_SAMPLES = 900
+
+Pose = tuple[float, FloatArray, FloatArray]
+"""Scale, rotation and translation of the template: s R x + t."""
+
+
+class Template:
+    """The built-in head's skin, outer-eye distances, and the part of it that the warps follow."""
+
+    def __init__(self) -> None:
+        head = load_head()
+        points = head.vertices[head.landmarks].astype(np.float64)
+        unit = float(np.linalg.norm(np.subtract(*points[from_ibug((36, 45))])))
+        self.places = (head.vertices - points.mean(axis=0)) / unit
+        self.faces: IntArray = head.faces
+        self.landmarks: IntArray = head.landmarks
+        self.normals = surface_normals(self.places, head.faces)
+        outside = (head.regions.sum(axis=0) > 0.5) & (self.normals[:, 2] < 0.2)
+        for part, apart in _LEFT_OUT:
+            marks = self.places[self.landmarks[part]]
+            outside &= np.linalg.norm(self.places[:, None] - marks, axis=2).min(axis=1) > apart
+        self.skin = np.flatnonzero(outside)[:: max(1, int(outside.sum()) // _SAMPLES)]
+
+
+class Surface:
+    """A mesh to be followed: the nearest vertex that faces the same way."""
+
+    def __init__(self, places: FloatArray, faces: IntArray) -> None:
+        self.places, self.normals = places, surface_normals(places, faces)
+        self._weight = 0.15 * float(np.ptp(places, axis=0).min())
+        tree = {"algorithm": 4, "leaf_max_size": 10}
+        self._index = cv2.flann_Index(self._key(places, self.normals), tree)  # type: ignore[attr-defined]
+
+    def nearest(self, places: FloatArray, normals: FloatArray) -> NDArray[np.intp]:
+        """(N,) vertices."""
+        found, _ = self._index.knnSearch(self._key(places, normals), 1, params={"checks": -1})
+        return np.asarray(found[:, 0], dtype=np.intp)
+
+    def _key(self, places: FloatArray, normals: FloatArray) -> NDArray[np.float32]:
+        return np.ascontiguousarray(np.concatenate([places, self._weight * normals], axis=1), dtype=np.float32)
+
+
+def surface_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """(V, 3) unit normals of the vertices, by the areas of their faces."""
+    triangles = faces[:, :3]
+    if faces.shape[1] > 3:
+        triangles = np.concatenate([triangles, faces[faces[:, 3] >= 0][:, [0, 2, 3]]])
+    corners = np.asarray(vertices, dtype=np.float64)[triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = np.stack(
+        [np.bincount(triangles.ravel(), np.repeat(across[:, i], 3), len(vertices)) for i in range(3)], axis=1
+    )
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12))
+
+
+@dataclass(frozen=True)
+class Laid:
+    """The template on a mesh.
+
+    Attributes
+    ----------
+    attitude : (3, 3) float64
+        By which the mesh was turned first.
+    surface : Surface
+        The mesh, so turned.
+    pose : Pose
+    bent : (T, 3) float64
+        The template's vertices.
+    residual, strain : float
+        Median distance that is left; mean distance of the bent landmarks from where a similarity would bring them.
+        Outer-eye distances.
+    """
+
+    attitude: FloatArray
+    surface: Surface
+    pose: Pose
+    bent: FloatArray
+    residual: float
+    strain: float
+
+
+def lay_over(template: Template, places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> Laid:
+    """The template over the mesh, without marks in that attitude in which it has to be bent least."""
+    best: Laid | None = None
+    for attitude in _ATTITUDES[:1] if picked else _ATTITUDES:
+        surface = Surface(places @ attitude.T, faces)
+        pose = _pose_from_marks(template, places, picked) if picked else _pose_from_shape(template, surface)
+        bent, residual = _bend(template, surface, pose, picked)
+        strain = _strain(template, bent)
+        if best is None or strain < best.strain:
+            best = Laid(attitude, surface, pose, bent, residual / pose[0], strain)
+        if best.strain < _LITTLE_STRAIN:
+            break
+    assert best is not None
+    return best
+
+
+def _strain(template: Template, bent: FloatArray) -> float:
+    """Mean distance of the bent template's landmarks from where a similarity would bring them, outer-eye distances."""
+    source, target = template.places[template.landmarks], bent[template.landmarks]
+    size, rotation, shift = _similarity(source, target)
+    away = np.linalg.norm(size * source @ rotation.T + shift - target, axis=1)
+    return float(away.mean()) / size
+
+
+def _pose_from_marks(template: Template, places: FloatArray, picked: Mapping[int, int]) -> Pose:
+    return _similarity(template.places[template.landmarks[list(picked)]], places[list(picked.values())])
+
+
+def _pose_from_shape(template: Template, surface: Surface) -> Pose:
+    """The similarity, among several starts, that leaves the template's skin nearest to the mesh."""
+    low, high = surface.places.min(axis=0), surface.places.max(axis=0)
+    skin = template.skin[::2]
+    best: tuple[float, Pose] | None = None
+    for scale in _SCALES:
+        size = scale * float(high[0] - low[0]) / 2.0
+        depth = float(np.percentile(surface.places[:, 2], 0.5)) - size * float(template.places[skin, 2].min())
+        for height in _HEIGHTS:
+            middle = (low + high) / 2.0
+            start = np.array([middle[0], middle[1] + height * (high[1] - low[1]), depth])
+            distance, pose = _follow(template, surface, (size, np.eye(3), start), skin)
+            if best is None or distance < best[0]:
+                best = (distance, pose)
+    assert best is not None
+    return best[1]
+
+
+def _follow(template: Template, surface: Surface, pose: Pose, skin: NDArray[np.intp]) -> tuple[float, Pose]:
+    """Iterated closest points from `pose`, the worst fifth left out; the mean distance in the template's unit."""
+    for _ in range(_RIGID_STEPS):
+        size, rotation, shift = pose
+        placed = size * template.places[skin] @ rotation.T + shift
+        goal = surface.places[surface.nearest(placed, template.normals[skin] @ rotation.T)]
+        distance = np.linalg.norm(goal - placed, axis=1)
+        kept = distance <= np.quantile(distance, 0.8)
+        pose = _similarity(template.places[skin][kept], goal[kept])
+    return float(np.minimum(distance / pose[0], 0.3).mean()), pose
+
+
+def _similarity(source: FloatArray, target: FloatArray) -> Pose:
+    """The similarity from (N, 3) source to target points (Umeyama 1991)."""
+    from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
+    a, b = source - from_centre, target - to_centre
+    spread = np.linalg.svd(a, compute_uv=False)
+    if spread[1] < 1e-6 * spread[0]:
+        raise HeadError("The marked points lie on one line. Mark eyes, nose and mouth.")
+    rotation = fit_rotation(a, b)
+    size = float((b * (a @ rotation.T)).sum() / (a * a).sum())
+    if not size > 0.0:
+        raise HeadError("The marked points do not look like a face. Mark them again, left and right as the head's own.")
+    return size, rotation, np.asarray(to_centre - size * rotation @ from_centre)
+
+
+def _bend(template: Template, surface: Surface, pose: Pose, picked: Mapping[int, int]) -> tuple[FloatArray, float]:
+    """The template's vertices on the mesh, and the median distance that is left."""
+    size, rotation, shift = pose
+    rest = size * template.places @ rotation.T + shift
+    bent = rest
+    own = template.landmarks[list(picked)]
+    for smoothing in _SMOOTHINGS:
+        for _ in range(2):
+            normals = surface_normals(bent, template.faces)
+            goal = surface.places[surface.nearest(bent[template.skin], normals[template.skin])]
+            distance = np.linalg.norm(goal - bent[template.skin], axis=1)
+            near = distance < 0.15 * size
+            source = np.concatenate([rest[template.skin][near], rest[own]])
+            target = np.concatenate([goal[near], surface.places[list(picked.values())]])
+            bent = Warp(source, target, 0.05 * smoothing)(rest)
+    return bent, float(np.median(distance))
