@@ -33,18 +33,30 @@ def head_materials() -> dict[str, bpy.types.Material]:
     }
 
 
+def plain_material(name: str, colour: tuple[float, float, float], roughness: float) -> bpy.types.Material:
+    """A new Principled material of one colour, in a viewport without nodes too."""
+    material = bpy.data.materials.new(name)
+    if material.node_tree is None:
+        material.use_nodes = True
+    material.diffuse_color = (*colour, 1.0)
+    material.roughness = roughness
+    material.specular_intensity = 0.5 if roughness < 0.4 else 0.15
+    shader = _shader(material)
+    shader.inputs["Base Color"].default_value = (*colour, 1.0)
+    shader.inputs["Roughness"].default_value = roughness
+    return material
+
+
+def _shader(material: bpy.types.Material) -> bpy.types.Node:
+    return next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+
+
 def _material(
     name: str, picture: str, colour: tuple[float, float, float], roughness: float, finish: Build
 ) -> bpy.types.Material:
     """A Principled material with `picture`; `colour` and `roughness` are those of a viewport without textures."""
-    material = bpy.data.materials.new(name)
-    material.use_nodes = True
-    material.diffuse_color = (*colour, 1.0)
-    material.roughness = roughness
-    material.specular_intensity = 0.5 if roughness < 0.4 else 0.15
-    tree = material.node_tree
-    shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
-    shader.inputs["Roughness"].default_value = roughness
+    material = plain_material(name, colour, roughness)
+    tree, shader = material.node_tree, _shader(material)
     texture = tree.nodes.new("ShaderNodeTexImage")
     texture.image = _image(picture)
     texture.location = (-600.0, 300.0)

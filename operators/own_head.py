@@ -12,10 +12,11 @@ from ..blender.binding import (
     propose_head_regions,
     write_mark,
 )
+from ..blender.lips import open_lips
 from ..core.deform.binding import MARKS
 from ..core.landmarks import from_ibug
 from ..scene.panel_properties import keep_findings
-from .shared import OnMesh, in_object_mode, register_all, unregister_all
+from .shared import OnHead, OnMesh, in_object_mode, register_all, unregister_all
 
 _STRANGE = 0.07
 """Strain of a binding above which it may well be of something else than a face."""
@@ -128,6 +129,19 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
         return {"FINISHED"}
 
 
+class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
+    """Cut the mesh between lips that are one skin, as a scan's are, so that the mouth can open"""
+
+    bl_idname = "facemime.open_lips"
+    bl_label = "Open Lips"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        count = open_lips(context.active_object)
+        self.report({"INFO"}, f"{count} edges cut between the lips, and a dark pocket put behind them")
+        return {"FINISHED"}
+
+
 _CLASSES = (
     FACEMIME_OT_mark_point,
     FACEMIME_OT_clear_marks,
@@ -135,6 +149,7 @@ _CLASSES = (
     FACEMIME_OT_set_landmark,
     FACEMIME_OT_propose_regions,
     FACEMIME_OT_check_head,
+    FACEMIME_OT_open_lips,
 )
 
 

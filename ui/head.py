@@ -51,10 +51,11 @@ class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
             column.operator("facemime.set_landmark")
         else:
             marked = _("{count} points marked").format(count=len(marks))
-            column.label(text=marked if marks else _("No points marked: facing -Y, upright"), translate=False)
+            column.label(text=marked if marks else _("No points marked: facing along an axis"), translate=False)
             column.operator("facemime.bind_landmarks", icon="OUTLINER_DATA_ARMATURE")
             column.operator("facemime.propose_regions", icon="GROUP_VERTEX")
             column.operator("facemime.check_head", icon="CHECKMARK")
+            column.operator("facemime.open_lips", icon="SCULPTMODE_HLT")
         if marks:
             column.operator("facemime.clear_marks")
 

@@ -26,7 +26,7 @@ from ..landmarks import (
     from_ibug,
 )
 from .surface import SurfaceGraph
-from .template import Template, lay_over, surface_normals
+from .template import Surface, Template, lay_over
 
 MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left eye, inner corner"} | {
     45: "left eye, outer corner",
@@ -40,6 +40,8 @@ LEAST_MARKS = 4
 
 _RIMS = np.concatenate([EYE_RIGHT, EYE_LEFT, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
 _RIM_REACH = 0.08
+_TOO_FAR = 0.1
+"""Outer-eye distances beyond which a place is not a landmark's, though it faces the same way."""
 _SYMMETRY = 1e-3
 
 
@@ -105,7 +107,7 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     laid = lay_over(template, places, np.asarray(faces), picked)
     surface, (unit, rotation, _), bent = laid.surface, laid.pose, laid.bent
     places = surface.places
-    landmarks = surface.nearest(bent[template.landmarks], surface_normals(bent, template.faces)[template.landmarks])
+    landmarks = _nearest(template, surface, bent, _TOO_FAR * unit)
     graph = SurfaceGraph(places, np.asarray(faces))
     landmarks = _onto_rims(graph, bent[template.landmarks], landmarks, _RIM_REACH * unit)
     landmarks[list(picked)] = list(picked.values())
@@ -116,6 +118,20 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
         raise HeadError("No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin.")
     turn = rotation.T @ laid.attitude
     return Binding(_distinct(graph, landmarks), turn, laid.residual, laid.strain, mirror is not None)
+
+
+def _nearest(template: Template, surface: Surface, bent: FloatArray, reach: float) -> NDArray[np.intp]:
+    """(66,) vertices nearest to the bent template's landmarks that face the same way.
+
+    On lids and lips the same way is that of what lies around them, where there is nothing that way within `reach`: on a
+    mesh without rims a rim's own way leads to the underside of something.
+    """
+    wanted = bent[template.landmarks]
+    own, around = template.outlook(bent)
+    found = surface.nearest(wanted, own)
+    away = np.linalg.norm(surface.places[found] - wanted, axis=1) > reach
+    found[away] = surface.nearest(wanted[away], around[away]) if away.any() else found[away]
+    return found
 
 
 def _onto_rims(graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, reach: float) -> NDArray[np.intp]:

@@ -70,18 +70,23 @@ def _region_findings(landmarks: IntArray, region_weights: FloatArray) -> list[Fi
     return findings
 
 
-def _lip_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[Finding]:
+def lips_joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> bool:
+    """Whether the lips are one skin: the way from one to the other along it is short. Arguments as for `check_head`."""
     graph = SurfaceGraph(vertices, faces)
     width = float(np.linalg.norm(np.subtract(*graph.vertices[landmarks[_MOUTH_CORNERS]])))
     ways = graph.ways([int(landmarks[MOUTH_INNER_UPPER[1]])], 2.0 * width)
-    if ways[landmarks[MOUTH_INNER_LOWER[1]]] < _JOINED * width:
-        return [
-            Finding(
-                "The lips are joined into one skin, so that the mouth cannot open.",
-                "Cut the mesh along the line between the lips (Edge > Edge Split), or model a slit.",
-            )
-        ]
-    return []
+    return bool(ways[landmarks[MOUTH_INNER_LOWER[1]]] < _JOINED * width)
+
+
+def _lip_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[Finding]:
+    if not lips_joined(vertices, faces, landmarks):
+        return []
+    return [
+        Finding(
+            "The lips are joined into one skin, so that the mouth cannot open.",
+            "Press Open Lips, which cuts the mesh between them, or model a slit.",
+        )
+    ]
 
 
 def _list(landmarks: IntArray) -> str:

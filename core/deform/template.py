@@ -45,6 +45,8 @@ _LEFT_OUT = (
 )
 """Outer-eye distances from lids and lips within which the warps follow nothing: of a scan's eyes and mouth, which are
 one skin with what is about them, the nearest places are others' as often as not. What lies around carries them."""
+_AROUND = 0.3
+"""Outer-eye distances that count as around a lid or lip."""
 _SAMPLES = 900
 
 Pose = tuple[float, FloatArray, FloatArray]
@@ -67,6 +69,17 @@ class Template:
             marks = self.places[self.landmarks[part]]
             outside &= np.linalg.norm(self.places[:, None] - marks, axis=2).min(axis=1) > apart
         self.skin = np.flatnonzero(outside)[:: max(1, int(outside.sum()) // _SAMPLES)]
+
+    def outlook(self, bent: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(66, 3) each: which way the landmarks look on the bent vertices, and lids and lips with what lies around."""
+        normals = surface_normals(bent, self.faces)
+        own = normals[self.landmarks]
+        around = own.copy()
+        for part, _ in _LEFT_OUT:
+            away = np.linalg.norm(self.places[self.landmarks[part], None] - self.places[self.skin], axis=2)
+            total = (away < _AROUND).astype(np.float64) @ normals[self.skin]
+            around[part] = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+        return own, around
 
 
 class Surface:

@@ -14,8 +14,8 @@ from blenders import ROOT, blender_python
 RUNNER = ("_pytest", "iniconfig", "packaging", "pluggy", "py", "pygments", "pytest", "pytest_timeout")
 """The test runner and what it needs, all of it plain Python; those environments hold bpy alone."""
 SUITES = (
-    *("bake_ways", "control_points", "key_table", "live", "live_scene", "live_sources", "operators", "panels"),
-    *("pose_targets", "presets", "recording", "regions", "takes_files", "takes_list"),
+    *("bake_ways", "control_points", "key_table", "lips", "live", "live_scene", "live_sources", "operators"),
+    *("own_head", "panels", "pose_targets", "presets", "recording", "regions", "takes_files", "takes_list"),
 )
 
 

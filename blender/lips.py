@@ -1,0 +1,146 @@
+"""Lips that are one skin, as a scan's are, cut apart so that the mouth can open on something dark."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ..core.arrays import FloatArray, IntArray
+from ..core.deform.check import lips_joined
+from ..core.deform.slit import lip_line, rim_landmarks
+from ..core.errors import HeadError
+from ..core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, N_LANDMARKS, OUTER_EYE_CORNERS, from_ibug
+from .binding import propose_head_regions
+from .materials import plain_material
+from .meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks
+
+_LOWER_LIP = set(from_ibug((*range(55, 60), *range(65, 68))).tolist())
+_TAG = "facemime_line"
+_DEPTH = 0.3
+"""Of the pocket behind the lips, in outer-eye distances."""
+_MOUTH = "Facemime Mouth"
+_COLOUR = (0.035, 0.012, 0.01)
+
+
+def open_lips(obj: bpy.types.Object | None) -> int:
+    """Cut the mesh of `obj` between the lips, bind the inner lips to the two rims, and propose regions anew.
+
+    A dark pocket is put behind the cut, so that one does not look through an open mouth.
+
+    Returns the number of edges that were cut.
+
+    Raises
+    ------
+    HeadError
+        Where the mesh has no landmarks, its lips are apart already, or no line leads between them.
+    """
+    mesh = mesh_of(obj)
+    vertices, faces, landmarks = read_vertices(mesh), read_faces(mesh), read_landmarks(obj)
+    if not lips_joined(vertices, faces, landmarks):
+        raise HeadError("The lips are apart already. Nothing was cut.")
+    line = lip_line(vertices, faces, landmarks)
+    unit = float(np.linalg.norm(np.subtract(*vertices[landmarks[OUTER_EYE_CORNERS]])))
+    upper, lower, moved = _cut(mesh, line, landmarks, _DEPTH * unit)
+    if not mesh.materials:
+        mesh.materials.append(None)
+    mesh.materials.append(bpy.data.materials.get(_MOUTH) or plain_material(_MOUTH, _COLOUR, 1.0))
+    chosen = rim_landmarks(line, vertices[line])
+    moved[MOUTH_INNER_UPPER] = upper[chosen]
+    moved[MOUTH_INNER_LOWER] = lower[chosen[::-1]]
+    write_landmarks(mesh, _apart(moved, read_vertices(mesh)))
+    propose_head_regions(obj)
+    return len(line) - 1
+
+
+def _cut(
+    mesh: bpy.types.Mesh, line: IntArray, landmarks: IntArray, depth: float
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Vertices of the upper and of the lower rim, (N,) each with the corners in common, and the landmarks (66,)."""
+    work = bmesh.new()
+    try:
+        work.from_mesh(mesh)
+        work.verts.ensure_lookup_table()
+        tag = work.verts.layers.int.new(_TAG)
+        before = list(work.verts)
+        for place, vertex in enumerate(line.tolist(), start=1):
+            before[vertex][tag] = place
+        ends = [before[vertex] for vertex in line.tolist()]
+        bmesh.ops.split_edges(work, edges=[work.edges.get(pair) for pair in pairwise(ends)])
+        work.verts.index_update()
+        # Splitting keeps every vertex and adds copies behind them; only those of the line are in doubt.
+        moved = np.array([before[vertex].index for vertex in landmarks.tolist()])
+        rims = _rims([[v for v in work.verts if v[tag] == place] for place in range(1, len(line) + 1)])
+        lower, upper = (np.array([v.index for v in rim]) for rim in sorted(rims, key=_height_beside))
+        _put_pocket_behind(work, rims, depth, max(1, len(mesh.materials)))
+        work.verts.layers.int.remove(tag)
+        work.to_mesh(mesh)
+    finally:
+        work.free()
+    mesh.update()
+    on_line = {int(vertex): place for place, vertex in enumerate(line)}
+    for landmark, vertex in enumerate(landmarks.tolist()):
+        if vertex in on_line:
+            moved[landmark] = (lower if landmark in _LOWER_LIP else upper)[on_line[vertex]]
+    return upper, lower, moved
+
+
+def _rims(copies: list[list[bmesh.types.BMVert]]) -> list[list[bmesh.types.BMVert]]:
+    """The two rims of a cut, from the copies of each vertex of its line: what an edge joins is of one rim."""
+    if [len(place) for place in copies] != [1, *[2] * (len(copies) - 2), 1]:
+        raise HeadError("The mesh has holes at the lips. Cut it along the line between them: Edge > Edge Split.")
+    first, last = copies[0][0], copies[-1][0]
+    rims = [[first, start] for start in copies[1]]
+    for place in copies[2:-1]:
+        for rim in rims:
+            joined = {edge.other_vert(rim[-1]) for edge in rim[-1].link_edges if edge.is_boundary}
+            rim.append(next(vertex for vertex in place if vertex in joined))
+    return [[*rim, last] for rim in rims]
+
+
+def _put_pocket_behind(
+    work: bmesh.types.BMesh, rims: list[list[bmesh.types.BMVert]], depth: float, material: int
+) -> None:
+    """Walls that lead `depth` back from both rims, and one that joins them there."""
+    backs = []
+    for rim in rims:
+        back = [_behind(work, vertex, depth) for vertex in rim[1:-1]]
+        ends = [backs[0][0], backs[0][-1]] if backs else [_behind(work, rim[i], depth) for i in (0, -1)]
+        backs.append([ends[0], *back, ends[1]])
+    strips = [*zip(rims, backs, strict=True), tuple(backs)]
+    for near, far in strips:
+        for (a, b), (c, d) in zip(pairwise(near), pairwise(far), strict=True):
+            corners = list(dict.fromkeys((a, b, d, c)))  # at a corner of the mouth two are one
+            face = work.faces.new(corners)
+            face.material_index, face.smooth = material, True
+
+
+def _behind(work: bmesh.types.BMesh, vertex: bmesh.types.BMVert, depth: float) -> bmesh.types.BMVert:
+    """A vertex `depth` behind one, in every shape key; the head faces -y. Weights are the same."""
+    back = work.verts.new(vertex.co, vertex)
+    move = Vector((0.0, depth, 0.0))
+    back.co += move
+    for key in work.verts.layers.shape.values():
+        back[key] = vertex[key] + move
+    return back
+
+
+def _height_beside(rim: list[bmesh.types.BMVert]) -> float:
+    """How far the faces along a rim lie above it; the head stands upright along z."""
+    return sum(face.calc_center_median().z - vertex.co.z for vertex in rim[1:-1] for face in vertex.link_faces)
+
+
+def _apart(landmarks: IntArray, vertices: FloatArray) -> IntArray:
+    """The landmarks, those that share a vertex moved to the nearest free one; inner lips stay."""
+    apart = landmarks.copy()
+    inner = [*MOUTH_INNER_UPPER.tolist(), *MOUTH_INNER_LOWER.tolist()]
+    taken: set[int] = set()
+    for landmark in (*inner, *(i for i in range(N_LANDMARKS) if i not in inner)):
+        if int(apart[landmark]) in taken:
+            order = np.argsort(np.linalg.norm(vertices - vertices[apart[landmark]], axis=1))
+            apart[landmark] = next(v for v in order.tolist() if v not in taken)
+        taken.add(int(apart[landmark]))
+    return apart

@@ -1,0 +1,101 @@
+"""A scan, whose lips are one skin, gets a mouth that opens."""
+
+import bpy
+import numpy as np
+import pytest
+from scans import UNIT, scanned
+
+from facemime.blender.binding import check_object
+from facemime.blender.frames import to_blender
+from facemime.blender.head import add_head
+from facemime.blender.meshes import read_faces, read_landmarks, read_regions, read_rig, read_vertices
+from facemime.core.deform.surface import SurfaceGraph
+from facemime.core.drive import HeadDriver
+from facemime.core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
+from facemime.core.retarget import calibrate
+from facemime.core.tracking.result import TrackResult
+from takes import performance
+
+
+@pytest.fixture
+def scan() -> bpy.types.Object:
+    """A scan with landmarks, active."""
+    places, faces = scanned()
+    mesh = bpy.data.meshes.new("Scan")
+    mesh.from_pydata(to_blender(places).tolist(), [], faces.tolist())
+    obj = bpy.data.objects.new("Scan", mesh)
+    bpy.context.scene.collection.objects.link(obj)
+    bpy.context.view_layer.objects.active = obj
+    obj.select_set(True)
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    return obj
+
+
+def test_a_scan_is_told_to_have_joined_lips_and_after_opening_them_it_is_ready(scan):
+    assert [finding.problem for finding in check_object(scan)] == [
+        "The lips are joined into one skin, so that the mouth cannot open."
+    ]
+    before = len(scan.data.vertices)
+    assert bpy.ops.facemime.open_lips() == {"FINISHED"}
+    assert len(scan.data.vertices) > before
+    assert check_object(scan) == []
+    with pytest.raises(RuntimeError, match="apart already"):
+        bpy.ops.facemime.open_lips()
+
+
+def test_the_inner_lips_are_bound_to_two_rims_in_one_place_that_belong_to_different_regions(scan):
+    bpy.ops.facemime.open_lips()
+    landmarks, places, regions = read_landmarks(scan), read_vertices(scan.data), read_regions(scan)
+    assert len(set(landmarks.tolist())) == 66
+    upper, lower = landmarks[MOUTH_INNER_UPPER], landmarks[MOUTH_INNER_LOWER[::-1]]
+    np.testing.assert_array_equal(places[upper], places[lower])
+    assert (regions[1, upper] > 0.9).all() and (regions[2, lower] > 0.9).all()
+    x = places[landmarks[from_ibug((48, 61, 62, 63, 54))], 0]
+    assert (np.diff(x) > 0).all()
+
+
+def test_an_open_mouth_parts_the_rims(scan):
+    bpy.ops.facemime.open_lips()
+    rig, take = read_rig(scan), performance()
+    driver = HeadDriver(rig, calibrate(take))
+    gaps = []
+    for frame in np.flatnonzero(take.found):
+        result: TrackResult = take.result(int(frame))
+        moved = driver.frame(result).vertices
+        gaps.append(moved[rig.landmarks[from_ibug([66])[0]], 1] - moved[rig.landmarks[from_ibug([62])[0]], 1])
+    assert max(gaps) > 0.05 * np.linalg.norm(np.subtract(*rig.vertices[rig.landmarks[from_ibug((36, 45))]]))
+
+
+def test_behind_the_cut_is_a_dark_pocket_that_closes_the_mesh_there(scan):
+    border = np.count_nonzero(SurfaceGraph(read_vertices(scan.data), read_faces(scan.data)).faces_at == 1)
+    bpy.ops.facemime.open_lips()
+    faces = [face for face in scan.data.polygons if face.material_index == 1]
+    assert len(faces) > 12 and scan.data.materials[1].name.startswith("Facemime Mouth")
+    after = SurfaceGraph(read_vertices(scan.data), read_faces(scan.data))
+    assert np.count_nonzero(after.faces_at == 1) == border
+    lips = read_vertices(scan.data)[read_landmarks(scan)[MOUTH_INNER_UPPER], 2]
+    depth = read_vertices(scan.data)[np.unique([v for face in faces for v in face.vertices]), 2]
+    assert depth.max() > lips.max() + 0.2 * UNIT
+
+
+def test_shape_keys_and_groups_of_the_artist_survive_the_cut(scan):
+    scan.shape_key_add(name="Basis")
+    key = scan.shape_key_add(name="Mine")
+    key.data[5].co.x += 1.0
+    scan.vertex_groups.new(name="Hair").add([7], 0.5, "REPLACE")
+    at = [tuple(scan.data.vertices[i].co) for i in (5, 7)]
+    bpy.ops.facemime.open_lips()
+    count = len(scan.data.vertices)
+    keys = scan.data.shape_keys.key_blocks
+    assert [k.name for k in keys] == ["Basis", "Mine"] and len(keys["Mine"].data) == count
+    assert [tuple(scan.data.vertices[i].co) for i in (5, 7)] == at
+    assert keys["Mine"].data[5].co.x == pytest.approx(at[0][0] + 1.0)
+    assert scan.vertex_groups["Hair"].weight(7) == pytest.approx(0.5)
+
+
+def test_without_landmarks_there_is_nothing_to_cut():
+    bpy.ops.mesh.primitive_uv_sphere_add()
+    assert not bpy.ops.facemime.open_lips.poll()
+    add_head(bpy.context)
+    with pytest.raises(RuntimeError, match="apart already"):
+        bpy.ops.facemime.open_lips()

@@ -1,0 +1,51 @@
+"""The line along which lips that are one skin are cut apart."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scans import HEAD, UNIT, VERTICES, scanned
+
+from facemime.core.deform.binding import bind_landmarks
+from facemime.core.deform.check import lips_joined
+from facemime.core.deform.slit import lip_line, rim_landmarks
+from facemime.core.deform.surface import SurfaceGraph
+from facemime.core.errors import HeadError
+from facemime.core.landmarks import from_ibug
+
+
+def test_the_line_leads_along_edges_from_corner_to_corner_between_the_lips():
+    places, faces = scanned()
+    landmarks = bind_landmarks(places, faces).landmarks
+    assert lips_joined(places, faces, landmarks)
+    line = lip_line(places, faces, landmarks)
+    assert [line[0], line[-1]] == landmarks[from_ibug((48, 54))].tolist()
+    assert len(set(line.tolist())) == len(line)
+    graph = SurfaceGraph(places, faces)
+    assert all(b in graph.neighbours(a) for a, b in pairwise(line.tolist()))
+    upper, lower = places[landmarks[from_ibug((51, 57))], 1]
+    assert (places[line, 1] > upper).all() and (places[line, 1] < lower).all()
+    true = VERTICES[HEAD.landmarks[from_ibug((62, 66))], 1].mean()
+    assert abs(places[line[len(line) // 2], 1] - true) < 0.06 * UNIT
+
+
+def test_a_mouth_of_too_few_vertices_is_refused_and_the_error_says_what_to_do():
+    places = np.array([[x, y, 0.0] for y in (0.0, 1.0) for x in range(5)])
+    faces = np.array([[i, i + 1, i + 6, i + 5] for i in range(4)])
+    landmarks = np.zeros(66, dtype=int)
+    landmarks[from_ibug((48, 54))] = 0, 4
+    landmarks[from_ibug((61, 62, 63, 65, 66, 67))] = 1, 2, 3, 3, 2, 1
+    with pytest.raises(HeadError, match="Subdivide"):
+        lip_line(places, faces, landmarks)
+
+
+@given(st.lists(st.floats(0.01, 5.0), min_size=6, max_size=40))
+def test_the_inner_landmarks_of_a_lip_are_three_places_in_order_that_are_no_corners(steps):
+    points = np.concatenate([[0.0], np.cumsum(steps)])[:, None] * [[1.0, 0.0, 0.0]]
+    chosen = rim_landmarks(np.arange(len(points)), points)
+    assert (np.diff(chosen) > 0).all()
+    assert chosen[0] > 0 and chosen[-1] < len(points) - 1
