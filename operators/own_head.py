@@ -22,6 +22,15 @@ _STRANGE = 0.07
 """Strain of a binding above which it may well be of something else than a face."""
 
 
+def tell_findings(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:
+    """Check the active head, report what is wrong and let the panels show it; whether anything is."""
+    findings = check_object(context.active_object)
+    keep_findings(context.window_manager, context.active_object.name, findings)
+    for finding in findings:
+        operator.report({"WARNING"}, f"{finding.problem} {finding.remedy}")
+    return bool(findings)
+
+
 class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
     """Say which point of the face the selected vertex is, in Edit mode; mark four or more, then bind"""
 
@@ -71,6 +80,7 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
         if binding.strain > _STRANGE:
             told += ". This is an unusual face: look where they are, and mark points if they are not on it"
         self.report({"WARNING"} if binding.strain > _STRANGE else {"INFO"}, told)
+        tell_findings(self, context)
         return {"FINISHED"}
 
 
@@ -120,11 +130,7 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
     bl_options = {"REGISTER"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        findings = check_object(context.active_object)
-        keep_findings(context.window_manager, context.active_object.name, findings)
-        for finding in findings:
-            self.report({"WARNING"}, f"{finding.problem} {finding.remedy}")
-        if not findings:
+        if not tell_findings(self, context):
             self.report({"INFO"}, f"{context.active_object.name} is ready to be puppeted")
         return {"FINISHED"}
 
@@ -139,6 +145,7 @@ class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> set[str]:
         count = open_lips(context.active_object)
         self.report({"INFO"}, f"{count} edges cut between the lips, and a dark pocket put behind them")
+        tell_findings(self, context)
         return {"FINISHED"}
 
 

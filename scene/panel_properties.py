@@ -38,10 +38,11 @@ class FacemimeSteps(bpy.types.PropertyGroup):
 
 
 class FacemimeFinding(bpy.types.PropertyGroup):
-    """What the last check found wrong, and what to do."""
+    """What the last check found wrong, what to do, and the operator that does it, without its prefix."""
 
     problem: StringProperty()
     remedy: StringProperty()
+    step: StringProperty()
 
 
 class FacemimeLandmark(bpy.types.PropertyGroup):
@@ -63,7 +64,7 @@ def keep_findings(manager: bpy.types.WindowManager, name: str, findings: list[Fi
     memory.findings.clear()
     for finding in findings:
         line = memory.findings.add()
-        line.problem, line.remedy = finding.problem, finding.remedy
+        line.problem, line.remedy, line.step = finding.problem, finding.remedy, finding.step
 
 
 @persistent

@@ -5,7 +5,7 @@ from bpy.app.translations import pgettext_iface as _
 
 from ..blender.binding import read_marks, what_is_missing
 from ..operators.shared import register_all, unregister_all
-from .sidebar import Sidebar, labels, place
+from .sidebar import Sidebar, draw_findings, labels, place
 
 
 class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
@@ -23,6 +23,7 @@ class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
         missing = what_is_missing(obj)
         if not missing:
             layout.label(text=obj.name, icon="CHECKMARK", translate=False)
+            draw_findings(layout, context)
         for problem, remedy in missing:
             labels(layout, context, problem, "ERROR")
             layout.operator(remedy)

@@ -4,7 +4,7 @@ import bpy
 
 from ..blender.meshes import is_head
 from ..blender.names import REGION_GROUPS
-from .sidebar import Sidebar, labels, place, side_by_side
+from .sidebar import Sidebar, draw_findings, place, side_by_side
 
 _BUTTONS = (("UPPER", "Upper"), ("MIDDLE", "Middle"), ("LOWER", "Lower"))
 
@@ -45,18 +45,7 @@ class FACEMIME_PT_regions(Sidebar, bpy.types.Panel):
         row.prop(steps, "smooth_repeat", text="")
         column.operator("facemime.propose_regions", icon="GROUP_VERTEX")
         column.operator("facemime.check_head", icon="CHECKMARK")
-        _draw_findings(layout, context)
-
-
-def _draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    memory = context.window_manager.facemime
-    if memory.checked != context.active_object.name:
-        return
-    if not memory.findings:
-        labels(layout, context, "No fault was found", "CHECKMARK")
-    for finding in memory.findings:
-        labels(layout, context, finding.problem, "ERROR")
-        labels(layout, context, finding.remedy, "BLANK1")
+        draw_findings(layout, context)
 
 
 def register() -> None:

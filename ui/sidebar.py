@@ -32,6 +32,20 @@ def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, ic
         icon = "BLANK1" if icon != "NONE" else icon
 
 
+def draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What the check of the active head found; nothing where it was not the last one that was checked."""
+    memory = context.window_manager.facemime
+    if memory.checked != context.active_object.name:
+        return
+    if not memory.findings:
+        labels(layout, context, "No fault was found", "CHECKMARK")
+    for finding in memory.findings:
+        labels(layout, context, finding.problem, "ERROR")
+        labels(layout, context, finding.remedy, "BLANK1")
+        if finding.step:
+            layout.operator(f"facemime.{finding.step}")
+
+
 def side_by_side(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
     """A row for what belongs together; a column where the sidebar is too narrow for a row's texts."""
     return layout.column(align=True) if is_narrow(context) else layout.row(align=True)

@@ -20,10 +20,11 @@ _LISTED = 8
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong with a head, and what to do; each one sentence."""
+    """What is wrong with a head, and what to do, each one sentence; and the step that does it, where one does."""
 
     problem: str
     remedy: str
+    step: str = ""
 
 
 def check_head(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> list[Finding]:
@@ -85,6 +86,7 @@ def _lip_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) ->
         Finding(
             "The lips are joined into one skin, so that the mouth cannot open.",
             "Press Open Lips, which cuts the mesh between them, or model a slit.",
+            "open_lips",
         )
     ]
 

@@ -35,10 +35,11 @@ def test_a_scan_is_told_to_have_joined_lips_and_after_opening_them_it_is_ready(s
     assert [finding.problem for finding in check_object(scan)] == [
         "The lips are joined into one skin, so that the mouth cannot open."
     ]
+    assert [line.step for line in bpy.context.window_manager.facemime.findings] == ["open_lips"]
     before = len(scan.data.vertices)
     assert bpy.ops.facemime.open_lips() == {"FINISHED"}
     assert len(scan.data.vertices) > before
-    assert check_object(scan) == []
+    assert check_object(scan) == [] and len(bpy.context.window_manager.facemime.findings) == 0
     with pytest.raises(RuntimeError, match="apart already"):
         bpy.ops.facemime.open_lips()
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 import pytest
+from scans import scanned
 
 from conftest import MODULE
 from facemime.blender.frames import to_blender
@@ -76,6 +77,11 @@ def add_head(sidebar: Sidebar) -> None:
     """Press the button that adds the head, and look at it from the front."""
     sidebar.open_panel("FACEMIME_PT_head")
     sidebar.press("bpy.ops.facemime.add_head")
+    look_from_the_front(sidebar)
+
+
+def look_from_the_front(sidebar: Sidebar) -> None:
+    """Turn the view to the front, and to what is selected."""
     sidebar.blender.move(*sidebar.view())
     sidebar.blender.redraw()
     sidebar.blender.key("KP_1")
@@ -327,6 +333,30 @@ def test_regions_are_shown_mended_and_checked_by_clicks(blender, sidebar):
     blender.shot("painting")
     sidebar.press("bpy.ops.facemime.leave_painting")
     blender.wait_for("bpy.context.mode == 'OBJECT'")
+
+
+def test_an_imported_scan_becomes_a_head_that_opens_its_mouth_by_clicks(blender, sidebar):
+    places, faces = scanned()
+    lines = [f"v {x:.6f} {-y:.6f} {-z:.6f}" for x, y, z in places]
+    lines += ["f " + " ".join(str(v + 1) for v in face) for face in faces.tolist()]
+    (blender.folder / "scan.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    blender.do(f"bpy.ops.wm.obj_import(filepath={str(blender.inside / 'scan.obj')!r})")
+    blender.do("bpy.context.view_layer.objects.active = bpy.data.objects['scan']")
+    blender.redraw()
+    sidebar.open_panel("FACEMIME_PT_head")
+    sidebar.press("bpy.ops.facemime.bind_landmarks")
+    blender.wait_for("'facemime_landmarks' in bpy.data.objects['scan'].data")
+    sidebar.press("bpy.ops.facemime.open_lips")
+    blender.wait_for(f"len(bpy.data.objects['scan'].data.vertices) > {len(places)}")
+    blender.wait_for("len(bpy.context.window_manager.facemime.findings) == 0")
+    look_from_the_front(sidebar)
+    blender.shot("scan")
+    start(sidebar)
+    sidebar.press("bpy.ops.facemime.next_face")
+    gap = f"shown({HEAD})[read_landmarks({HEAD})[from_ibug([62, 66])], 2]"
+    blender.wait_for(f"float(np.ptp({gap})) > 0.01")
+    blender.shot("scan-speaks")
+    stop(sidebar)
 
 
 def test_control_points_are_chosen_from_a_take_picked_on_the_head_dropped_and_undone(blender, sidebar):
