@@ -1,0 +1,108 @@
+"""Faces in the wild that somebody has labelled: `python -m bench.wild FOLDER`.
+
+The folder, or folders in it, holds pictures with a `.pts` file of the same name beside each: the 68 points of the iBUG
+figure, as 300-W, AFW, HELEN and LFPW have them. None of them comes with Facemime.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from bench.accuracy import LOST_ABOVE, Located, differences, eye_distances, locate_all
+from bench.peers import Peer, available_peers
+from bench.report import Table, finish, parser
+from facemime.core.errors import FacemimeError, SourceError
+from facemime.core.images import IMAGE_SUFFIXES, read_image
+from facemime.core.landmarks import IBUG68_INDICES
+from facemime.core.tracking.tracker import FaceTracker
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure and print."""
+    command = parser(__doc__.splitlines()[0])
+    command.add_argument("folder", type=Path)
+    command.add_argument("--model", type=Path, help="tracker model; the shipped one by default")
+    command.add_argument(
+        "--data", type=Path, default=ROOT.parent / "shared" / "data", help="where the peer's model lies"
+    )
+    command.add_argument("--only", action="append", metavar="TRACKER", help="leave out all others; may be repeated")
+    command.add_argument(
+        "--margin",
+        type=float,
+        default=1.0,
+        help="shown around a face, of its size, as others may be in the picture (1)",
+    )
+    arguments = command.parse_args(argv)
+    cv2.setNumThreads(1)
+    try:
+        faces = read_faces(arguments.folder, arguments.margin)
+    except FacemimeError as error:
+        command.error(str(error))
+    tracker = FaceTracker.load(arguments.model)
+    peers, absent = available_peers(arguments.data, tracker)
+    print(f"model {tracker.model_id}", *absent, sep="\n", file=sys.stderr)
+    measured = {p.name: measure(p, faces) for p in peers if not arguments.only or p.name in arguments.only}
+    columns = ("tracker", "faces", "error, %", "offset removed, %", "lost", "locate, ms")
+    rows = [(name, *m.values()) for name, m in measured.items()]
+    finish(arguments, [Table(f"Faces of {arguments.folder.name}", columns, rows)], {"trackers": measured})
+    return 0
+
+
+def read_faces(folder: Path, margin: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Pictures (H, W, 3) and landmarks (66, 2), pixels, of every labelled face below `folder`.
+
+    Raises
+    ------
+    SourceError
+        Where there is none, or a file is not what it should be.
+    """
+    pictures = sorted(p for p in folder.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
+    labelled = [p for p in pictures if p.with_suffix(".pts").is_file()]
+    if not labelled:
+        raise SourceError(f"{folder} has no pictures with .pts files beside them. Give a folder of labelled faces.")
+    return [_around(read_image(p), read_points(p.with_suffix(".pts")), margin) for p in labelled]
+
+
+def read_points(path: Path) -> np.ndarray:
+    """(66, 2) landmarks of a `.pts` file, whose first pixel is (1, 1); ours is (0, 0)."""
+    try:
+        inside = path.read_text(encoding="utf-8").split("{", 1)[1].split("}", 1)[0]
+        points = np.array(inside.split(), np.float64).reshape(68, 2) - 1.0
+    except (OSError, UnicodeDecodeError, IndexError, ValueError) as error:
+        raise SourceError(f"{path} does not hold 68 points ({error}).") from error
+    return points[IBUG68_INDICES]
+
+
+def measure(peer: Peer, faces: list[tuple[np.ndarray, np.ndarray]]) -> dict[str, object]:
+    """What one tracker makes of them; a lost face counts as the worst in the medians."""
+    located: Located = locate_all(peer, (picture for picture, _ in faces))
+    truth = np.stack([landmarks for _, landmarks in faces])
+    away = differences(located.landmarks, truth, eye_distances(truth))
+    raw, removed = away.errors(), away.errors(away.offsets())
+    return {
+        "faces": len(faces),
+        "raw": float(np.median(raw)),
+        "removed": float(np.median(removed)),
+        "lost": f"{(raw > LOST_ABOVE).mean():.1%}",
+        "locate_ms": float(np.median(located.seconds) * 1e3),
+    }
+
+
+def _around(picture: np.ndarray, landmarks: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """The part of a picture that shows a face and `margin` of its size about it, and the landmarks there."""
+    low, high = landmarks.min(axis=0), landmarks.max(axis=0)
+    reach = (0.5 + margin) * float((high - low).max())
+    first = np.maximum((low + high) / 2.0 - reach, 0.0).astype(int)
+    last = ((low + high) / 2.0 + reach).astype(int) + 1
+    return picture[first[1] : last[1], first[0] : last[0]].copy(), landmarks - first
+
+
+if __name__ == "__main__":
+    sys.exit(main())
