@@ -10,8 +10,8 @@ import numpy as np
 from mathutils import Vector
 
 from ..core.arrays import FloatArray, IntArray
-from ..core.deform.check import lips_joined
 from ..core.deform.slit import lip_line, rim_landmarks
+from ..core.deform.surface import SurfaceGraph, lips_joined
 from ..core.errors import HeadError
 from ..core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, N_LANDMARKS, OUTER_EYE_CORNERS, from_ibug
 from .binding import propose_head_regions
@@ -40,7 +40,7 @@ def open_lips(obj: bpy.types.Object | None) -> int:
     """
     mesh = mesh_of(obj)
     vertices, faces, landmarks = read_vertices(mesh), read_faces(mesh), read_landmarks(obj)
-    if not lips_joined(vertices, faces, landmarks):
+    if not lips_joined(SurfaceGraph(vertices, faces), landmarks):
         raise HeadError("The lips are apart already. Nothing was cut.")
     line = lip_line(vertices, faces, landmarks)
     unit = float(np.linalg.norm(np.subtract(*vertices[landmarks[OUTER_EYE_CORNERS]])))

@@ -79,6 +79,8 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
         told = f"66 landmarks bound, {fit}{', symmetric' if binding.symmetric else ''}"
         if binding.strain > _STRANGE:
             told += ". This is an unusual face: look where they are, and mark points if they are not on it"
+        if binding.body:
+            told += ". The whole body would turn with the head: let a bone take its pose in Puppet > Head and Eyes"
         self.report({"WARNING"} if binding.strain > _STRANGE else {"INFO"}, told)
         tell_findings(self, context)
         return {"FINISHED"}

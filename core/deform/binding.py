@@ -1,6 +1,7 @@
 """Landmarks on a head that nobody has labelled: a template is laid over it and bent until the two agree.
 
-The user marks a few points (eye corners, nose tip, mouth corners, chin), or none where the mesh's axes are the head's.
+The user marks a few points (eye corners, nose tip, mouth corners, chin), or none where the mesh's axes are the head's;
+a whole body will do.
 The built-in head is the template: its skin follows the mesh through ever more flexible warps, each to the nearest
 places that face the same way, and its 66 landmarks end on the vertices next to them.
 """
@@ -25,7 +26,7 @@ from ..landmarks import (
     N_LANDMARKS,
     from_ibug,
 )
-from .surface import SurfaceGraph
+from .surface import SurfaceGraph, lips_joined
 from .template import Surface, Template, lay_over
 
 MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left eye, inner corner"} | {
@@ -39,7 +40,11 @@ MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left
 LEAST_MARKS = 4
 
 _RIMS = np.concatenate([EYE_RIGHT, EYE_LEFT, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
+_UPPER_RIM, _LOWER_RIM = from_ibug(range(49, 54)), from_ibug(range(55, 60))
+"""The lips' outer rims between the corners."""
 _RIM_REACH = 0.08
+_HEAD_ALONE = 0.8
+"""Share of a mesh's vertices that its head has, where it is little more than a head."""
 _TOO_FAR = 0.1
 """Outer-eye distances beyond which a place is not a landmark's, though it faces the same way."""
 _SYMMETRY = 1e-3
@@ -60,7 +65,9 @@ class Binding:
     strain : float
         How far the template's landmarks had to be bent, outer-eye distances: 0.02 to 0.04 for a human head.
     symmetric : bool
-        Whether the mesh is its own mirror image; then so are the landmarks.
+        Whether the head is its own mirror image; then so are the landmarks.
+    body : bool
+        Whether the mesh has much more to it than a head.
     """
 
     landmarks: NDArray[np.intp]
@@ -68,6 +75,7 @@ class Binding:
     residual: float
     strain: float
     symmetric: bool
+    body: bool
 
 
 def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, int] | None = None) -> Binding:
@@ -105,19 +113,22 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
         raise HeadError(f"The mesh has {len(places)} vertices; a head with {N_LANDMARKS} landmarks needs more.")
     template = Template()
     laid = lay_over(template, places, np.asarray(faces), picked)
-    surface, (unit, rotation, _), bent = laid.surface, laid.pose, laid.bent
-    places = surface.places
+    surface, (unit, rotation, _), bent, picked = laid.surface, laid.pose, laid.bent, dict(laid.marks)
     landmarks = _nearest(template, surface, bent, _TOO_FAR * unit)
-    graph = SurfaceGraph(places, np.asarray(faces))
+    graph = SurfaceGraph(surface.places, surface.faces)
     landmarks = _onto_rims(graph, bent[template.landmarks], landmarks, _RIM_REACH * unit)
     landmarks[list(picked)] = list(picked.values())
-    mirror = _mirror(places, rotation, places[landmarks], unit)
+    landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks)
+    mirror = _mirror(surface.places, rotation, surface.places[landmarks], unit)
     if mirror is not None:
-        landmarks = _symmetric(landmarks, mirror, places, bent[template.landmarks], picked)
+        landmarks = _symmetric(landmarks, mirror, surface.places, bent[template.landmarks], picked)
+        landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks, mirror == np.arange(len(mirror)))
     if len(set(landmarks.tolist())) < 0.8 * N_LANDMARKS:
         raise HeadError("No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin.")
     turn = rotation.T @ laid.attitude
-    return Binding(_distinct(graph, landmarks), turn, laid.residual, laid.strain, mirror is not None)
+    found = laid.part[_distinct(graph, landmarks)]
+    body = len(laid.part) < _HEAD_ALONE * len(places)
+    return Binding(found, turn, laid.residual, laid.strain, mirror is not None, body)
 
 
 def _nearest(template: Template, surface: Surface, bent: FloatArray, reach: float) -> NDArray[np.intp]:
@@ -145,6 +156,28 @@ def _onto_rims(graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, rea
         distance = np.linalg.norm(graph.vertices[border] - wanted[i], axis=1)
         if distance.min() < reach:
             moved[i] = border[np.argmin(distance)]
+    return moved
+
+
+def _on_own_lip(
+    graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, middle: NDArray[np.bool_] | None = None
+) -> NDArray[np.intp]:
+    """Inner lips that were found on the other lip, which touches, on their own: the nearer one along the surface.
+
+    The two in the middle of a symmetric head stay among the vertices `middle` (V,).
+    """
+    moved = np.array(landmarks, dtype=np.intp)
+    if lips_joined(graph, landmarks):
+        return moved
+    to_upper, to_lower = (graph.ways(landmarks[rim].tolist()) for rim in (_UPPER_RIM, _LOWER_RIM))
+    for inner, own, other in (
+        (MOUTH_INNER_UPPER, to_upper, to_lower),
+        (MOUTH_INNER_LOWER, to_lower, to_upper),
+    ):
+        for i in inner[own[moved[inner]] >= other[moved[inner]]]:
+            within = own < other if middle is None or MIRROR[i] != i else (own < other) & middle
+            if len(lip := np.flatnonzero(within)):
+                moved[i] = lip[np.argmin(np.linalg.norm(graph.vertices[lip] - wanted[i], axis=1))]
     return moved
 
 

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..landmarks import IBUG68_INDICES, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
+from ..landmarks import IBUG68_INDICES
 from .regions import REGIONS, membership
-from .surface import SurfaceGraph
+from .surface import SurfaceGraph, lips_joined
 
-_MOUTH_CORNERS = from_ibug((48, 54))
-_JOINED = 0.35
-"""Of the mouth's width: lips whose middles are nearer to each other than that along the skin are one skin."""
 _STRANGER = 0.01
 _LISTED = 8
 
@@ -71,16 +68,8 @@ def _region_findings(landmarks: IntArray, region_weights: FloatArray) -> list[Fi
     return findings
 
 
-def lips_joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> bool:
-    """Whether the lips are one skin: the way from one to the other along it is short. Arguments as for `check_head`."""
-    graph = SurfaceGraph(vertices, faces)
-    width = float(np.linalg.norm(np.subtract(*graph.vertices[landmarks[_MOUTH_CORNERS]])))
-    ways = graph.ways([int(landmarks[MOUTH_INNER_UPPER[1]])], 2.0 * width)
-    return bool(ways[landmarks[MOUTH_INNER_LOWER[1]]] < _JOINED * width)
-
-
 def _lip_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[Finding]:
-    if not lips_joined(vertices, faces, landmarks):
+    if not lips_joined(SurfaceGraph(vertices, faces), landmarks):
         return []
     return [
         Finding(

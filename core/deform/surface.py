@@ -9,6 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
+from ..landmarks import from_ibug
+
+_MOUTH_CORNERS = from_ibug((48, 54))
+_OUTER_UPPER, _OUTER_LOWER = from_ibug((50, 51, 52)), from_ibug((58, 57, 56))
+_JOINED = 1.7
+"""Ways across the lips of fewer straight distances lead over one skin; round a corner of the mouth they are longer."""
 
 
 class SurfaceGraph:
@@ -95,6 +101,18 @@ class SurfaceGraph:
                 if further <= limit and self._neighbours[i] not in done:
                     heapq.heappush(heap, (further, self._neighbours[i], vertex))
         return done
+
+
+def lips_joined(graph: SurfaceGraph, landmarks: IntArray) -> bool:
+    """Whether the lips of a head with landmarks (66,) are one skin: whether the way across them along it is short.
+
+    The way leads between the lips' outer rims, whose landmarks are nowhere near a slit that may be there.
+    """
+    upper, lower = landmarks[_OUTER_UPPER], landmarks[_OUTER_LOWER]
+    across = np.linalg.norm(graph.vertices[upper] - graph.vertices[lower], axis=1)
+    width = float(np.linalg.norm(np.subtract(*graph.vertices[landmarks[_MOUTH_CORNERS]])))
+    ways = [graph.ways([int(u)], 2.0 * width)[v] for u, v in zip(upper, lower, strict=True)]
+    return bool((np.array(ways) < _JOINED * across).any())
 
 
 def _edges(faces: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

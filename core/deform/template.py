@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
 from ..head import load_head
-from ..landmarks import EYE_LEFT, EYE_RIGHT, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, MOUTH_OUTER, from_ibug
+from ..landmarks import EYE_LEFT, EYE_RIGHT, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, MOUTH_OUTER, N_LANDMARKS, from_ibug
 from ..rotation import euler_to_matrix, fit_rotation
 from .warp import Warp
 
@@ -37,6 +37,12 @@ _ATTITUDES = tuple(
 _LITTLE_STRAIN = 0.045
 """Bending, in outer-eye distances, below which an attitude is right beyond doubt: heads of other people and families
 take 0.02 to 0.035, wrong attitudes 0.05 and more."""
+_BODY = 2.6
+"""Height over the smallest extent above which a mesh is not a head alone."""
+_HEADS = (1.0 / 6.0, 1.0 / 4.0, 0.4)
+"""How much of a body's height the head and neck may be: of a grown-up, a child, a comic figure."""
+_ABOUT_MARKS = 3.0
+"""Reach of the head about the marks' centre, in distances of the outermost mark."""
 _RIGID_STEPS = 25
 _SMOOTHINGS = (1.0, 0.3, 0.1)
 _LEFT_OUT = (
@@ -86,7 +92,7 @@ class Surface:
     """A mesh to be followed: the nearest vertex that faces the same way."""
 
     def __init__(self, places: FloatArray, faces: IntArray) -> None:
-        self.places, self.normals = places, surface_normals(places, faces)
+        self.places, self.faces, self.normals = places, faces, surface_normals(places, faces)
         self._weight = 0.15 * float(np.ptp(places, axis=0).min())
         tree = {"algorithm": 4, "leaf_max_size": 10}
         self._index = cv2.flann_Index(self._key(places, self.normals), tree)  # type: ignore[attr-defined]
@@ -121,8 +127,12 @@ class Laid:
     ----------
     attitude : (3, 3) float64
         By which the mesh was turned first.
+    part : (P,) intp
+        Vertices of the mesh that were taken for its head.
+    marks : mapping
+        Landmark to vertex of that part.
     surface : Surface
-        The mesh, so turned.
+        That part, so turned.
     pose : Pose
     bent : (T, 3) float64
         The template's vertices.
@@ -132,6 +142,8 @@ class Laid:
     """
 
     attitude: FloatArray
+    part: NDArray[np.intp]
+    marks: Mapping[int, int]
     surface: Surface
     pose: Pose
     bent: FloatArray
@@ -140,19 +152,45 @@ class Laid:
 
 
 def lay_over(template: Template, places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> Laid:
-    """The template over the mesh, without marks in that attitude in which it has to be bent least."""
+    """The template over the mesh or its head, without marks in that attitude in which it has to be bent least."""
     best: Laid | None = None
     for attitude in _ATTITUDES[:1] if picked else _ATTITUDES:
-        surface = Surface(places @ attitude.T, faces)
-        pose = _pose_from_marks(template, places, picked) if picked else _pose_from_shape(template, surface)
-        bent, residual = _bend(template, surface, pose, picked)
-        strain = _strain(template, bent)
-        if best is None or strain < best.strain:
-            best = Laid(attitude, surface, pose, bent, residual / pose[0], strain)
-        if best.strain < _LITTLE_STRAIN:
-            break
+        turned = places @ attitude.T
+        for part in _heads_of(turned, picked):
+            numbers = np.full(len(places) + 1, -1)
+            numbers[part] = np.arange(len(part))
+            within = (numbers[faces] >= 0) | (faces < 0)
+            surface = Surface(turned[part], numbers[faces[within.all(axis=1)]])
+            marks = {landmark: int(numbers[vertex]) for landmark, vertex in picked.items()}
+            laid = _laid(template, surface, marks, part, attitude)
+            if best is None or laid.strain < best.strain:
+                best = laid
+            if best.strain < _LITTLE_STRAIN:
+                return best
     assert best is not None
     return best
+
+
+def _laid(
+    template: Template, surface: Surface, marks: Mapping[int, int], part: NDArray[np.intp], attitude: FloatArray
+) -> Laid:
+    pose = _pose_from_marks(template, surface.places, marks) if marks else _pose_from_shape(template, surface)
+    bent, residual = _bend(template, surface, pose, marks)
+    return Laid(attitude, part, marks, surface, pose, bent, residual / pose[0], _strain(template, bent))
+
+
+def _heads_of(places: FloatArray, picked: Mapping[int, int]) -> list[NDArray[np.intp]]:
+    """Vertices that may be the head's: about the marks; all, or the top of what is as tall as a body."""
+    if picked:
+        marks = places[list(picked.values())]
+        centre = marks.mean(axis=0)
+        reach = _ABOUT_MARKS * float(np.linalg.norm(marks - centre, axis=1).max())
+        return [np.flatnonzero(np.linalg.norm(places - centre, axis=1) < reach)]
+    low, extent = places.min(axis=0), np.ptp(places, axis=0)
+    if extent[1] < _BODY * extent.min():
+        return [np.arange(len(places))]
+    tops = [np.flatnonzero(places[:, 1] < low[1] + share * extent[1]) for share in _HEADS]
+    return [top for top in tops if len(top) > N_LANDMARKS]
 
 
 def _strain(template: Template, bent: FloatArray) -> float:

@@ -7,11 +7,11 @@ from scans import scanned
 from facemime.core.deform.binding import MARKS, bind_landmarks
 from facemime.core.deform.check import check_head
 from facemime.core.deform.propose import propose_regions
-from facemime.core.deform.surface import SurfaceGraph
+from facemime.core.deform.surface import SurfaceGraph, lips_joined
 from facemime.core.deform.warp import Warp
 from facemime.core.errors import HeadError
 from facemime.core.head import load_head
-from facemime.core.landmarks import INNER, MIRROR, OUTER_EYE_CORNERS, from_ibug
+from facemime.core.landmarks import INNER, MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, OUTER_EYE_CORNERS, from_ibug
 from facemime.core.rotation import euler_to_matrix
 
 HEAD = load_head()
@@ -79,6 +79,71 @@ def test_eyes_and_mouth_of_a_scan_that_has_no_openings_are_found():
     places, faces = scanned()
     found = places[bind_landmarks(places, faces).landmarks]
     assert np.linalg.norm((found - POINTS)[INNER, :2], axis=1).mean() < 0.05 * UNIT
+
+
+def with_a_body() -> tuple[np.ndarray, np.ndarray]:
+    """The head on a trunk with outstretched arms, as tall as a grown-up."""
+    tall = 5.5 * float(np.ptp(VERTICES[:, 1]))
+    neck = VERTICES[:, 1].max()
+    around, along = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False), np.linspace(0.0, 1.0, 50))
+    cross = np.stack([np.cos(around), np.sin(around)], axis=-1)
+    trunk = np.stack([2.0 * UNIT * cross[..., 0], neck + tall * along, 1.2 * UNIT * cross[..., 1]], axis=-1)
+    arms = np.stack(
+        [9.0 * UNIT * (2.0 * along - 1.0), neck + UNIT * (1.0 + 0.5 * cross[..., 0]), trunk[..., 2] / 2], -1
+    )
+    number = np.arange(trunk[..., 0].size).reshape(along.shape)
+    after = np.roll(number, -1, axis=1)
+    tube = np.stack([number[:-1], number[1:], after[1:], after[:-1]], axis=-1).reshape(-1, 4)
+    parts = [VERTICES, trunk.reshape(-1, 3), arms.reshape(-1, 3)]
+    faces = [HEAD.faces[:, :4], tube + len(VERTICES), tube + len(VERTICES) + number.size]
+    return np.concatenate(parts), np.concatenate(faces)
+
+
+def test_the_head_of_a_whole_body_is_found_with_and_without_marks():
+    places, faces = with_a_body()
+    for given in (None, marks()):
+        binding = bind_landmarks(places, faces, given)
+        assert binding.body and mean_error(places, binding.landmarks) < 0.02
+    assert not bind_landmarks(VERTICES, HEAD.faces).body
+
+
+def with_closed_lips() -> tuple[np.ndarray, np.ndarray]:
+    """The head with a bag behind lips that touch, as heads for animation have them."""
+    places = VERTICES.copy()
+    for upper, lower in zip(MOUTH_INNER_UPPER, MOUTH_INNER_LOWER[::-1], strict=True):
+        a, b = HEAD.landmarks[[upper, lower]]
+        places[[a, b]] = places[[a, b]].mean(axis=0)
+    lips = POINTS[MOUTH_INNER_UPPER].mean(axis=0)
+    openings = SurfaceGraph(places, HEAD.faces).openings()
+    mouth = min(openings, key=lambda rim: float(np.linalg.norm(places[rim].mean(axis=0) - lips)))
+    rows = np.isin(HEAD.faces, mouth)
+    back = len(places)
+    fans = []
+    for face, touched in zip(HEAD.faces, rows, strict=True):
+        corners = [int(v) for v in face if v >= 0]
+        for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
+            if {a, b} <= set(mouth.tolist()) and touched.sum() >= 2:
+                fans.append([b, a, back, -1])
+    behind = places[mouth].mean(axis=0) + [0.0, 0.0, 0.6 * UNIT]
+    return np.concatenate([places, behind[None]]), np.concatenate([HEAD.faces[:, :4], np.array(fans)])
+
+
+def test_each_inner_landmark_of_closed_lips_is_bound_to_its_own_lip():
+    places, faces = with_closed_lips()
+    graph = SurfaceGraph(places, faces)
+    landmarks = bind_landmarks(places, faces).landmarks
+    assert not lips_joined(graph, landmarks)
+    upper, lower = (graph.ways(landmarks[from_ibug(rim)].tolist()) for rim in (range(49, 54), range(55, 60)))
+    assert (upper < lower)[landmarks[MOUTH_INNER_UPPER]].all()
+    assert (lower < upper)[landmarks[MOUTH_INNER_LOWER]].all()
+
+
+def test_a_body_that_lies_on_its_back_is_turned_upright():
+    places, faces = with_a_body()
+    turn = euler_to_matrix(np.pi / 2.0, 0.0, 0.0)
+    binding = bind_landmarks(places @ turn.T, faces)
+    assert mean_error(places, binding.landmarks) < 0.02
+    assert np.abs(binding.rotation @ turn - np.eye(3)).max() < 0.05
 
 
 def test_marks_tell_how_a_mesh_is_turned():

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from scans import HEAD, UNIT, VERTICES, scanned
 
 from facemime.core.deform.binding import bind_landmarks
-from facemime.core.deform.check import lips_joined
 from facemime.core.deform.slit import lip_line, rim_landmarks
-from facemime.core.deform.surface import SurfaceGraph
+from facemime.core.deform.surface import SurfaceGraph, lips_joined
 from facemime.core.errors import HeadError
 from facemime.core.landmarks import from_ibug
 
@@ -21,7 +20,7 @@ from facemime.core.landmarks import from_ibug
 def test_the_line_leads_along_edges_from_corner_to_corner_between_the_lips():
     places, faces = scanned()
     landmarks = bind_landmarks(places, faces).landmarks
-    assert lips_joined(places, faces, landmarks)
+    assert lips_joined(SurfaceGraph(places, faces), landmarks)
     line = lip_line(places, faces, landmarks)
     assert [line[0], line[-1]] == landmarks[from_ibug((48, 54))].tolist()
     assert len(set(line.tolist())) == len(line)
