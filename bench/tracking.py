@@ -33,7 +33,7 @@ from bench.accuracy import (
 from bench.crossing import on_crossings
 from bench.exact import AXES, EYES, FPS, Clip, ExactFaces, shown_size
 from bench.figures import draw_tracking
-from bench.peers import Ours, Peer, available_peers
+from bench.peers import Ours, Peer, add_options, chosen_peers
 from bench.report import finish, parser
 from bench.tracking_tables import tables
 from facemime.core.landmarks import BROWS, INNER, JAW
@@ -53,11 +53,7 @@ def main() -> int:
     """Measure, print, draw."""
     arguments = _arguments()
     cv2.setNumThreads(1)
-    tracker = FaceTracker.load(arguments.model)
-    peers, absent = available_peers(arguments.data, tracker)
-    if arguments.only:
-        peers = [p for p in peers if p.name in arguments.only]
-    print(f"model {tracker.model_id}", *absent, sep="\n", file=sys.stderr)
+    tracker, peers = chosen_peers(arguments)
     photos = split(read_photos(arguments.data, *HAND_LABELLED))[1]
     exact = ExactFaces(arguments.data, ROOT / "build" / "bench" / "exact", arguments.people)
     clips = [*(exact.clip(person) for person in range(min(arguments.people, 3))), sample_clip()]
@@ -77,10 +73,8 @@ def main() -> int:
 
 def _arguments() -> argparse.Namespace:
     command = parser(__doc__.splitlines()[0])
-    command.add_argument("--model", type=Path, help="tracker model; the shipped one by default")
-    command.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    add_options(command)
     command.add_argument("--people", type=int, default=12, help="held-out people who are re-projected")
-    command.add_argument("--only", action="append", metavar="TRACKER", help="leave out all others; may be repeated")
     return command.parse_args()
 
 

@@ -14,25 +14,18 @@ import cv2
 import numpy as np
 
 from bench.accuracy import LOST_ABOVE, Located, differences, eye_distances, locate_all
-from bench.peers import Peer, available_peers
+from bench.peers import Peer, add_options, chosen_peers
 from bench.report import Table, finish, parser
 from facemime.core.errors import FacemimeError, SourceError
 from facemime.core.images import IMAGE_SUFFIXES, read_image
 from facemime.core.landmarks import IBUG68_INDICES
-from facemime.core.tracking.tracker import FaceTracker
-
-ROOT = Path(__file__).resolve().parents[1]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure and print."""
     command = parser(__doc__.splitlines()[0])
     command.add_argument("folder", type=Path)
-    command.add_argument("--model", type=Path, help="tracker model; the shipped one by default")
-    command.add_argument(
-        "--data", type=Path, default=ROOT.parent / "shared" / "data", help="where the peer's model lies"
-    )
-    command.add_argument("--only", action="append", metavar="TRACKER", help="leave out all others; may be repeated")
+    add_options(command)
     command.add_argument(
         "--margin",
         type=float,
@@ -45,10 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         faces = read_faces(arguments.folder, arguments.margin)
     except FacemimeError as error:
         command.error(str(error))
-    tracker = FaceTracker.load(arguments.model)
-    peers, absent = available_peers(arguments.data, tracker)
-    print(f"model {tracker.model_id}", *absent, sep="\n", file=sys.stderr)
-    measured = {p.name: measure(p, faces) for p in peers if not arguments.only or p.name in arguments.only}
+    _, peers = chosen_peers(arguments)
+    measured = {peer.name: measure(peer, faces) for peer in peers}
     columns = ("tracker", "faces", "error, %", "offset removed, %", "lost", "locate, ms")
     rows = [(name, *m.values()) for name, m in measured.items()]
     finish(arguments, [Table(f"Faces of {arguments.folder.name}", columns, rows)], {"trackers": measured})

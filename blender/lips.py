@@ -39,10 +39,11 @@ def open_lips(obj: bpy.types.Object | None) -> int:
         Where the mesh has no landmarks, its lips are apart already, or no line leads between them.
     """
     mesh = mesh_of(obj)
-    vertices, faces, landmarks = read_vertices(mesh), read_faces(mesh), read_landmarks(obj)
-    if not lips_joined(SurfaceGraph(vertices, faces), landmarks):
+    vertices, landmarks = read_vertices(mesh), read_landmarks(obj)
+    graph = SurfaceGraph(vertices, read_faces(mesh))
+    if not lips_joined(graph, landmarks):
         raise HeadError("The lips are apart already. Nothing was cut.")
-    line = lip_line(vertices, faces, landmarks)
+    line = lip_line(graph, landmarks)
     unit = float(np.linalg.norm(np.subtract(*vertices[landmarks[OUTER_EYE_CORNERS]])))
     upper, lower, moved = _cut(mesh, line, landmarks, _DEPTH * unit)
     if not mesh.materials:

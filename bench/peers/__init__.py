@@ -5,6 +5,8 @@ They are read as `Peer`: `locate` looks at a picture by itself, `track` follows 
 
 from __future__ import annotations
 
+import argparse
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
@@ -12,6 +14,25 @@ from typing import Protocol
 import numpy as np
 
 from facemime.core.tracking.tracker import FaceTracker
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """The options that say which trackers are measured."""
+    command.add_argument("--model", type=Path, help="tracker model; the shipped one by default")
+    command.add_argument(
+        "--data", type=Path, default=ROOT.parent / "shared" / "data", help="where photos and models lie"
+    )
+    command.add_argument("--only", action="append", metavar="TRACKER", help="leave out all others; may be repeated")
+
+
+def chosen_peers(arguments: argparse.Namespace) -> tuple[FaceTracker, list[Peer]]:
+    """Our tracker and the trackers that these options choose; what is left out is told."""
+    tracker = FaceTracker.load(arguments.model)
+    peers, absent = available_peers(arguments.data, tracker)
+    print(f"model {tracker.model_id}", *absent, sep="\n", file=sys.stderr)
+    return tracker, [p for p in peers if not arguments.only or p.name in arguments.only]
 
 
 class Peer(Protocol):

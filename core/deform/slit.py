@@ -19,14 +19,13 @@ _LEAST = 7
 """Vertices of the line: corners, and one for each of three landmarks of a lip with one between."""
 
 
-def lip_line(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> NDArray[np.intp]:
+def lip_line(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
     """(N,) vertices along the edges of a mesh from the right mouth corner between the lips to the left one.
 
     Parameters
     ----------
-    vertices : (V, 3) array
-    faces : (F, K) array of int
-        Vertices of each face, padded with -1.
+    graph : SurfaceGraph
+        Of the head.
     landmarks : (66,) array of int
 
     Raises
@@ -34,7 +33,6 @@ def lip_line(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> NDAr
     HeadError
         Where no line leads along the skin, or it has too few vertices.
     """
-    graph = SurfaceGraph(vertices, faces)
     right, left = (int(v) for v in landmarks[_CORNERS])
     points = graph.vertices[landmarks]
     between = (points[MOUTH_INNER_UPPER] + points[MOUTH_INNER_LOWER[::-1]]) / 2.0

@@ -20,11 +20,11 @@ from facemime.core.landmarks import from_ibug
 def test_the_line_leads_along_edges_from_corner_to_corner_between_the_lips():
     places, faces = scanned()
     landmarks = bind_landmarks(places, faces).landmarks
-    assert lips_joined(SurfaceGraph(places, faces), landmarks)
-    line = lip_line(places, faces, landmarks)
+    graph = SurfaceGraph(places, faces)
+    assert lips_joined(graph, landmarks)
+    line = lip_line(graph, landmarks)
     assert [line[0], line[-1]] == landmarks[from_ibug((48, 54))].tolist()
     assert len(set(line.tolist())) == len(line)
-    graph = SurfaceGraph(places, faces)
     assert all(b in graph.neighbours(a) for a, b in pairwise(line.tolist()))
     upper, lower = places[landmarks[from_ibug((51, 57))], 1]
     assert (places[line, 1] > upper).all() and (places[line, 1] < lower).all()
@@ -39,7 +39,7 @@ def test_a_mouth_of_too_few_vertices_is_refused_and_the_error_says_what_to_do():
     landmarks[from_ibug((48, 54))] = 0, 4
     landmarks[from_ibug((61, 62, 63, 65, 66, 67))] = 1, 2, 3, 3, 2, 1
     with pytest.raises(HeadError, match="Subdivide"):
-        lip_line(places, faces, landmarks)
+        lip_line(SurfaceGraph(places, faces), landmarks)
 
 
 @given(st.lists(st.floats(0.01, 5.0), min_size=6, max_size=40))
