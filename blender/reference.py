@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import pi
+from math import pi, radians
 from pathlib import Path
 
 import bpy
@@ -12,6 +12,8 @@ from mathutils import Vector
 from ..core.capture import VideoSource
 from .actions import Curve, write_curves
 
+_TURNS_VIDEOS = (4, 4, 0)
+"""The first Blender that shows the videos of telephones upright."""
 _HEIGHTS = 0.1
 """Between head and picture, of the head's height."""
 
@@ -30,7 +32,7 @@ def add_reference(scene: bpy.types.Scene, path: Path, offset: float, head: bpy.t
         Where the video cannot be read.
     """
     with VideoSource(path) as video:
-        fps = video.fps
+        fps, turn = video.fps, video.turn
     image = bpy.data.images.load(str(path), check_existing=True)
     image.source = "MOVIE"
     empty = bpy.data.objects.new(f"{path.stem} Reference", None)
@@ -38,7 +40,11 @@ def add_reference(scene: bpy.types.Scene, path: Path, offset: float, head: bpy.t
     user = empty.image_user
     user.use_auto_refresh, user.frame_start, user.frame_duration = True, 1, image.frame_duration
     _keep_in_step(empty, image.frame_duration, fps, scene.render.fps / scene.render.fps_base, offset)
-    _place(empty, head, image.size[0] / max(image.size[1], 1))
+    width, height = image.size
+    turned = bpy.app.version < _TURNS_VIDEOS
+    if turned and turn % 180:
+        width, height = height, width
+    _place(empty, head, width / max(height, 1), radians(turn) if turned else 0.0)
     scene.collection.objects.link(empty)
     return empty
 
@@ -52,12 +58,12 @@ def _keep_in_step(empty: bpy.types.Object, count: int, fps: float, rate: float, 
         write_curves(empty, empty.name, frames, [Curve("image_user.frame_offset", 0, shown)])
 
 
-def _place(empty: bpy.types.Object, head: bpy.types.Object, aspect: float) -> None:
-    """Upright to the left of `head` as it is seen from the front, where the sidebar does not hide it."""
+def _place(empty: bpy.types.Object, head: bpy.types.Object, aspect: float, turn: float) -> None:
+    """Turned by `turn` radians, clockwise, to the left of `head` as it is seen from the front, where the sidebar does not hide it."""
     corners = np.array([head.matrix_world @ Vector(corner) for corner in head.bound_box])
     low, high = corners.min(axis=0), corners.max(axis=0)
     height = float(high[2] - low[2])
     empty.empty_display_size = height * max(aspect, 1.0)
     x = low[0] - (_HEIGHTS + 0.5 * aspect) * height
     empty.location = (x, 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2]))
-    empty.rotation_euler = (0.5 * pi, 0.0, 0.0)
+    empty.rotation_euler = (0.5 * pi, turn, 0.0)

@@ -36,10 +36,13 @@ class VideoSource:
     Parameters
     ----------
     path : Path
-        Anything that OpenCV's FFmpeg reads: H.264, HEVC, MPEG-4, VP8/9, MJPEG; not AV1.
+        Anything that OpenCV's FFmpeg reads: H.264, HEVC, MPEG-4, VP8/9, MJPEG; not AV1. What a telephone held upright
+        has recorded lies on its side in the file, which says so; its frames come upright.
 
     Attributes
     ----------
+    turn : int
+        Degrees, clockwise, by which the pictures stored in the file were turned: 0, 90, 180 or 270.
     fps : float
         The nominal rate, frames a second; 25 where the file states none.
     frame_count : int
@@ -58,6 +61,8 @@ class VideoSource:
         self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
             raise SourceError(f"{self.path} is not a video that can be read. Convert it to MP4 (H.264) and try again.")
+        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
+        self.turn = round(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
         self.fps = fps if np.isfinite(fps) and 1.0 <= fps <= 1000.0 else 25.0
         self.frame_count = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))

@@ -1,12 +1,15 @@
 """Takes are recorded, whole or in part, with the video or without."""
 
 import time
+from math import cos, radians, sin
 
 import bpy
 import numpy as np
 import pytest
+from mathutils import Vector
 
 from facemime.blender.head import add_head
+from facemime.blender.reference import add_reference
 from facemime.core.capture import VideoSource
 from facemime.core.retarget import calibrate
 from facemime.core.takes.file import load_take
@@ -17,6 +20,7 @@ from facemime.sessions.recording import Recording, settle
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
 from live_ticks import wait_for
+from turned import turned_clip
 
 pytestmark = pytest.mark.usefixtures("in_a_project")
 
@@ -133,3 +137,16 @@ def test_a_video_is_kept_beside_the_take_and_shown_beside_the_head_in_step(fps, 
         empty.location.x < min(corner[0] for corner in head.bound_box)
         and empty.empty_display_size > 0.5 * head.dimensions.z
     )
+
+
+@pytest.mark.parametrize("turn", [0, 90, 180, 270])
+def test_a_video_of_a_telephone_stands_upright_beside_the_head(tmp_path, turn):
+    head = add_head(bpy.context)
+    empty = add_reference(bpy.context.scene, turned_clip(tmp_path / "clip.mp4", turn), 0.0, head)
+    bpy.context.view_layer.update()
+    top = empty.matrix_world.to_3x3() @ Vector((0, 1, 0))  # of the picture as Blender shows it
+    left = 0.0 if bpy.app.version >= (4, 4, 0) else radians(turn)  # which Blender 4.2 does not turn itself
+    expected = Vector((sin(left), 0, cos(left)))
+    assert (top - expected).length < 1e-5
+    right, height = head.bound_box[0][0], empty.empty_display_size
+    assert empty.location.x + (0.5 if turn % 180 == 0 else 0.375) * height < right

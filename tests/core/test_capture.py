@@ -10,6 +10,7 @@ import pytest
 from facemime.core.capture import Frame, VideoSource, at_constant_rate
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.images import read_image, write_image
+from turned import turned_clip
 
 
 def write_clip(path: Path, count: int, fps: float = 20.0, codec: str = "mp4v") -> Path:
@@ -28,6 +29,15 @@ def test_frames_come_in_order_with_the_medias_times(tmp_path):
     np.testing.assert_allclose([frame.time for frame in frames], np.arange(12) / 20.0, atol=1e-3)
     means = [frame.image.mean() for frame in frames]
     assert frames[0].image.shape == (48, 64, 3) and np.all(np.diff(means) > 0)
+
+
+@pytest.mark.parametrize(("turn", "bright"), [(0, "top"), (90, "right"), (180, "bottom"), (270, "left")])
+def test_a_video_of_a_telephone_comes_upright_however_it_was_held(tmp_path, turn, bright):
+    with VideoSource(turned_clip(tmp_path / "clip.mp4", turn)) as source:
+        image = next(iter(source)).image
+    assert source.turn == turn and image.shape == ((48, 64, 3) if turn % 180 == 0 else (64, 48, 3))
+    parts = {"top": image[:12], "bottom": image[-12:], "left": image[:, :12], "right": image[:, -12:]}
+    assert max(parts, key=lambda side: parts[side].mean()) == bright
 
 
 def test_a_truncated_video_gives_the_frames_that_are_whole(tmp_path):

@@ -1,0 +1,24 @@
+"""Videos as telephones record them: lying in the file, with a note of how to turn them."""
+
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+
+def turned_clip(path: Path, turn: int, count: int = 3) -> Path:
+    """A clip that is bright at the top, and says that it is to be shown turned by `turn` degrees, clockwise."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 20.0, (64, 48))
+    for _ in range(count):
+        image = np.zeros((48, 64, 3), np.uint8)
+        image[:12] = 255
+        writer.write(image)
+    writer.release()
+    cos, sin = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}[turn]
+    matrix = struct.pack(">9i", cos << 16, sin << 16, 0, -sin << 16, cos << 16, 0, 0, 0, 1 << 30)
+    data = bytearray(path.read_bytes())
+    at = data.index(b"tkhd") + 44
+    data[at : at + len(matrix)] = matrix
+    path.write_bytes(data)
+    return path
