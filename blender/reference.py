@@ -59,7 +59,9 @@ def _keep_in_step(empty: bpy.types.Object, count: int, fps: float, rate: float, 
 
 
 def _place(empty: bpy.types.Object, head: bpy.types.Object, aspect: float, turn: float) -> None:
-    """Turned by `turn` radians, clockwise, to the left of `head` as it is seen from the front, where the sidebar does not hide it."""
+    """Upright, once turned by `turn` radians clockwise, to the left of `head` as it is seen from the front, where the
+    sidebar does not hide it.
+    """
     corners = np.array([head.matrix_world @ Vector(corner) for corner in head.bound_box])
     low, high = corners.min(axis=0), corners.max(axis=0)
     height = float(high[2] - low[2])

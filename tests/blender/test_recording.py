@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Vector
+from turned import turned_clip
 
 from facemime.blender.head import add_head
 from facemime.blender.reference import add_reference
@@ -20,7 +21,6 @@ from facemime.sessions.recording import Recording, settle
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
 from live_ticks import wait_for
-from turned import turned_clip
 
 pytestmark = pytest.mark.usefixtures("in_a_project")
 

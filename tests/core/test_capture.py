@@ -6,11 +6,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from turned import turned_clip
 
 from facemime.core.capture import Frame, VideoSource, at_constant_rate
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.images import read_image, write_image
-from turned import turned_clip
 
 
 def write_clip(path: Path, count: int, fps: float = 20.0, codec: str = "mp4v") -> Path:
