@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-from bench.heads import Points, TrueHead
-from facemime.core.deform.expressions import ExpressionModel, learnt_covariance
+from bench.heads import Points, TrueHead, random_mixtures
+from facemime.core.deform.expressions import ExpressionModel
 from facemime.core.deform.greedy import GreedySelection, greedy_select
-from facemime.core.deform.kernels import KERNELS
 from facemime.core.deform.rbf import RBFDeformer
-from facemime.core.deform.regions import DEFAULT_KERNEL, membership, region_sigmas
-from facemime.core.drive import head_deformer
+from facemime.core.deform.regions import DEFAULT_KERNEL
+from facemime.core.drive import HeadRig, head_deformer
 from facemime.core.landmarks import N_LANDMARKS, from_ibug
 
 Predict = Callable[[NDArray[np.float32]], NDArray[np.float32]]
@@ -56,9 +55,9 @@ def all_methods(head: TrueHead, model: ExpressionModel, selection: GreedySelecti
         "split": (N_LANDMARKS, lambda: split(head)),
         "gaussian": (N_LANDMARKS, lambda: regions(head, kernel="gaussian")),
         "regions": (N_LANDMARKS, lambda: regions(head)),
-        "regions_greedy": (len(selection.landmarks), lambda: regions(head, selection.membership)),
+        "regions_greedy": (len(selection.landmarks), lambda: regions(head, selection)),
         "informed": (N_LANDMARKS, lambda: informed(head, model)),
-        "informed_greedy": (len(selection.landmarks), lambda: informed(head, model, selection.membership)),
+        "informed_greedy": (len(selection.landmarks), lambda: informed(head, model, selection)),
         "laplacian": (N_LANDMARKS, lambda: laplacian(head)),
         "blender_laplacian": (N_LANDMARKS, lambda: blender_laplacian(head)),
         "own_matrix": (N_LANDMARKS, lambda: own_matrix(head)),
@@ -74,8 +73,8 @@ def all_methods(head: TrueHead, model: ExpressionModel, selection: GreedySelecti
 
 
 def greedy_points(head: TrueHead, count: int) -> GreedySelection:
-    """Control points chosen on the head's own expressions, one at a time and mixed, as a take would show them."""
-    weights = np.concatenate([np.eye(len(head.names)), head.mixtures[:250]])
+    """Control points chosen on the head's own expressions, one at a time and mixed, not as where it is judged."""
+    weights = np.concatenate([np.eye(len(head.names)), random_mixtures(len(head.names), 250, seed=1)])
     motion = head.true(weights)[:, head.landmarks]
     skin = head.vertices, head.regions
     return greedy_select(head.vertices[head.landmarks], motion, tolerance=0.002, max_points=count, skin=skin)
@@ -99,25 +98,20 @@ def split(head: TrueHead) -> Predict:
     return _rbf(RBFDeformer(head.vertices, points, weights, bands(points[:, 1])))
 
 
-def regions(head: TrueHead, points: NDArray[np.bool_] | None = None, kernel: str = DEFAULT_KERNEL) -> Predict:
+def regions(head: TrueHead, chosen: GreedySelection | None = None, kernel: str = DEFAULT_KERNEL) -> Predict:
     """Ours, with a kernel of distance alone."""
-    return _rbf(head_deformer(replace(head.rig, control_points=points), kernel))
+    return _rbf(head_deformer(_rig(head, chosen), kernel))
 
 
-def informed(head: TrueHead, model: ExpressionModel, members: NDArray[np.bool_] | None = None) -> Predict:
+def informed(head: TrueHead, model: ExpressionModel, chosen: GreedySelection | None = None) -> Predict:
     """Ours, with the skin's covariance and what `model` learnt on another head."""
-    points = head.vertices[head.landmarks]
-    return _rbf(
-        RBFDeformer(
-            head.vertices,
-            points,
-            head.regions,
-            membership() if members is None else members,
-            kernel=DEFAULT_KERNEL,
-            sigma=region_sigmas(points, KERNELS[DEFAULT_KERNEL]),
-            skin=learnt_covariance((model,), head.vertices, head.faces, head.landmarks, head.regions),
-        )
-    )
+    return _rbf(head_deformer(_rig(head, chosen), expressions=(model,)))
+
+
+def _rig(head: TrueHead, chosen: GreedySelection | None) -> HeadRig:
+    if chosen is None:
+        return head.rig
+    return replace(head.rig, control_points=chosen.membership, covariance=chosen.covariance)
 
 
 def laplacian(head: TrueHead) -> Predict:

@@ -115,16 +115,16 @@ def _head(
         regions=regions,
         names=names,
         motions=(motions / unit).astype(np.float32),
-        mixtures=_mixtures(len(names)),
+        mixtures=random_mixtures(len(names), MIXTURES, seed=2019),
         areas=_areas(vertices, vertices[landmarks], regions),
         rims={name: _outline(graph, landmarks, *lines) for name, lines in _RIMS.items()},
     )
 
 
-def _mixtures(count: int) -> Points:
-    """Two to five expressions at a time, each at 0.2 to 1."""
-    rng = np.random.default_rng(2019)
-    weights = np.zeros((MIXTURES, count))
+def random_mixtures(count: int, mixtures: int, seed: int) -> Points:
+    """(mixtures, count) weights: two to five expressions at a time, each at 0.2 to 1."""
+    rng = np.random.default_rng(seed)
+    weights = np.zeros((mixtures, count))
     for row in weights:
         chosen = rng.choice(count, rng.integers(2, 6), replace=False)
         row[chosen] = rng.uniform(0.2, 1.0, len(chosen))

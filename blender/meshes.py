@@ -136,6 +136,7 @@ def read_rig(obj: bpy.types.Object | None) -> HeadRig:
         jaw_pivot=_jaw_pivot(obj, vertices[landmarks]),
         eyeballs=read_eyeballs(obj),
         control_points=None if selection is None else selection.membership,
+        covariance=None if selection is None else selection.covariance,
         faces=read_faces(mesh),
     )
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from .arrays import FloatArray
 from .deform.greedy import DEFAULT_TOLERANCE, GreedySelection, GreedyStep, greedy_select
 from .drive import HeadRig
 from .errors import HeadError, SourceError
@@ -61,13 +62,15 @@ def select_for_take(
 
 
 def to_json(selection: GreedySelection) -> str:
-    """The selection as text, landmarks by their iBUG numbers."""
+    """The selection as text, landmarks by their iBUG numbers; of the covariance, its lower triangle to five digits."""
     steps = [
         asdict(replace(step, landmark=int(IBUG68_INDICES[step.landmark]), worst=int(IBUG68_INDICES[step.worst])))
         for step in selection.steps
     ]
     regions = [IBUG68_INDICES[row].tolist() for row in selection.membership]
     header = {"format": _FORMAT, "tolerance": selection.tolerance, "reached": selection.reached}
+    if selection.covariance is not None:
+        header["covariance"] = [float(f"{x:.5g}") for x in selection.covariance[np.tril_indices(N_LANDMARKS)]]
     return json.dumps(header | {"regions": regions, "steps": steps})
 
 
@@ -87,11 +90,22 @@ def from_json(text: str) -> GreedySelection:
         for row, numbers in zip(membership, data["regions"], strict=True):
             row[from_ibug(numbers)] = True
         steps = tuple(_step(**step) for step in data["steps"])
-        return GreedySelection(membership, steps, float(data["tolerance"]), bool(data["reached"]))
+        tolerance, reached = float(data["tolerance"]), bool(data["reached"])
+        return GreedySelection(membership, steps, tolerance, reached, _covariance(data.get("covariance")))
     except (ValueError, KeyError, TypeError) as error:
         raise SourceError(
             f"These are no control points of Facemime ({error}). Make some with: facemime select TAKE -o POINTS.json"
         ) from error
+
+
+def _covariance(triangle: list[float] | None) -> FloatArray | None:
+    if triangle is None:
+        return None
+    matrix = np.zeros((N_LANDMARKS, N_LANDMARKS))
+    matrix[np.tril_indices(N_LANDMARKS)] = triangle
+    if not np.isfinite(matrix).all():
+        raise ValueError("its covariance is not finite")
+    return np.asarray(matrix + np.tril(matrix, -1).T)
 
 
 def _step(landmark: int, worst: int, **others: Any) -> GreedyStep:

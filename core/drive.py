@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .arrays import FloatArray, IntArray
-from .deform.expressions import informed_covariance
+from .deform.expressions import ExpressionModel, learnt_covariance, shipped_expressions
 from .deform.eyeballs import EyeballContact
+from .deform.follow import following
 from .deform.kernels import kernel_named
 from .deform.rbf import IncrementalDeformer, RBFDeformer
 from .deform.regions import DEFAULT_KERNEL, membership, region_sigmas
@@ -49,6 +50,8 @@ class HeadRig:
         Centre and radius of each eyeball; none by default.
     control_points : (3, 66) bool, optional
         Which landmark controls which region, as `greedy_select` chooses; all of a region's by default.
+    covariance : (66, 66) float, optional
+        Of the landmarks in the take for which these were chosen: how the others follow.
     faces : (F, K) int, optional
         Vertices of each face, padded with -1: the skin that the informed kernel follows; space alone where not known.
     """
@@ -59,6 +62,7 @@ class HeadRig:
     jaw_pivot: FloatArray
     eyeballs: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     control_points: NDArray[np.bool_] | None = None
+    covariance: FloatArray | None = None
     faces: IntArray | None = None
 
     def __post_init__(self) -> None:
@@ -210,17 +214,29 @@ def head_deformer(
     kernel: str = INFORMED,
     *,
     incremental: bool = False,
+    expressions: tuple[ExpressionModel, ...] | None = None,
 ) -> RBFDeformer | IncrementalDeformer:
-    """What moves the vertices of `rig` by the displacements of its 66 landmarks; parameters as for `HeadDriver`."""
+    """What moves the vertices of `rig` by the displacements of its 66 landmarks; parameters as for `HeadDriver`.
+
+    `expressions` are what the informed kernel knows of faces, by default what ships.
+    """
     places = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
-    members = membership()
-    if rig.control_points is not None:
-        members &= rig.control_points
     plain = DEFAULT_KERNEL if kernel == INFORMED else kernel
     sigma = region_sigmas(places, kernel_named(plain))
-    if incremental:
-        return IncrementalDeformer(rig.vertices, places, rig.region_weights, members, kernel=plain, sigma=sigma)
-    fit = partial(RBFDeformer, rig.vertices, places, rig.region_weights, members, kernel=plain, sigma=sigma)
-    if kernel != INFORMED or rig.faces is None:
+    follow = None
+    if rig.control_points is not None:
+        follow = following(places, rig.control_points, rig.covariance, kernel_named(plain), sigma)
+    fit = partial(
+        IncrementalDeformer if incremental else RBFDeformer,
+        rig.vertices,
+        places,
+        rig.region_weights,
+        membership(),
+        kernel=plain,
+        sigma=sigma,
+        follow=follow,
+    )
+    if kernel != INFORMED or rig.faces is None or incremental:
         return fit()
-    return fit(skin=informed_covariance(rig.vertices, rig.faces, rig.landmarks, rig.region_weights))
+    known = shipped_expressions() if expressions is None else expressions
+    return fit(skin=learnt_covariance(known, rig.vertices, rig.faces, rig.landmarks, rig.region_weights))

@@ -97,5 +97,5 @@ def _follow(settings: FacemimeSettings) -> Follow:
 
 
 def _same(one: HeadRig, other: HeadRig) -> bool:
-    names = ("vertices", "landmarks", "region_weights", "jaw_pivot", "eyeballs", "control_points")
+    names = ("vertices", "landmarks", "region_weights", "jaw_pivot", "eyeballs", "control_points", "covariance")
     return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
+from .follow import REGULARISATION, follow_in_region, landmark_covariance
 from .kernels import Kernel, distances
 from .regions import REGIONS
 
-REGULARISATION = 1e-3
 _VERTICES = 4_000
 """More say no more, and are passed over evenly."""
 
@@ -39,8 +39,8 @@ class SkinDifference:
     Notes
     -----
     With S the mean of d d^T over frames and axes, E the kernel between vertices and landmarks times the vertices'
-    shares, W the vertices' weights, and B = (phi of the chosen)^-1 - (phi of all)^-1, it is the trace of
-    B^T E^T W E B S, summed over regions.
+    shares, W the vertices' weights, and B = phi^-1 (F - 1) with F the way in which all landmarks follow the chosen
+    ones, it is the trace of B^T E^T W E B S, summed over regions.
     """
 
     def __init__(
@@ -55,14 +55,14 @@ class SkinDifference:
         every = -(-len(vertices) // _VERTICES)
         places, painted = np.asarray(vertices, dtype=np.float64)[::every], np.asarray(region_weights)[:, ::every]
         shares = painted / np.maximum(painted.sum(axis=0), 1.0)
+        covariance = landmark_covariance(displacements)
         parts, squared = [], np.zeros(len(places))
         for region, sigma, share in zip(REGIONS, sigmas.tolist(), shares, strict=True):
             own = points[region.landmarks]
-            phi = kernel.phi(distances(own, own), sigma) + REGULARISATION * np.eye(len(own))
-            full = np.linalg.solve(phi, np.eye(len(own)))
+            phi = kernel.phi(distances(own, own), sigma)
+            full = np.linalg.inv(phi + REGULARISATION * np.eye(len(own)))
             evaluation = share[:, None] * kernel.phi(distances(places, own), sigma)
-            moved = displacements[:, region.landmarks].transpose(1, 0, 2).reshape(len(own), -1)
-            alike = moved @ moved.T / moved.shape[1]
+            alike = covariance[np.ix_(region.landmarks, region.landmarks)]
             matrix = evaluation @ full
             squared += np.sum((matrix @ alike) * matrix, axis=1)
             parts.append((region.landmarks, phi, full, alike, evaluation))
@@ -77,8 +77,7 @@ class SkinDifference:
         total = 0.0
         for row, (landmarks, phi, full, alike, reach) in zip(members, self._parts, strict=True):
             chosen = np.flatnonzero(row[landmarks])
-            pairs = np.ix_(chosen, chosen)
             difference = -full
-            difference[pairs] += np.linalg.solve(phi[pairs], np.eye(len(chosen)))
+            difference[:, chosen] += full @ follow_in_region(phi, alike, chosen)
             total += float(np.sum((reach @ difference) * (difference @ alike)))
         return total

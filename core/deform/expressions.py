@@ -128,11 +128,9 @@ def learn(
     )
 
 
-def informed_covariance(
-    vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray
-) -> SkinCovariance:
-    """The skin's process as it ships, from both heads whose expressions are known: ICT-FaceKit's and the built-in."""
-    return learnt_covariance((load_expressions(), _built_in()), vertices, faces, landmarks, region_weights)
+def shipped_expressions() -> tuple[ExpressionModel, ...]:
+    """Of both heads whose expressions are known: ICT-FaceKit's and the built-in."""
+    return load_expressions(), _built_in()
 
 
 def learnt_covariance(

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray, IntArray, as_points
 from ..errors import HeadError
 from ..landmarks import N_LANDMARKS, from_ibug
-from .difference import REGULARISATION, SkinDifference
+from .difference import SkinDifference
+from .follow import follow_in_region, landmark_covariance
 from .kernels import distances, kernel_named
 from .regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
 
@@ -93,12 +94,15 @@ class GreedySelection:
         As a fraction of the face's width.
     reached : bool
         Whether the error fell to the tolerance before the points ran out.
+    covariance : (66, 66) float, optional
+        Of the landmarks' displacements in the take, from which the others know how to follow.
     """
 
     membership: NDArray[np.bool_]
     steps: tuple[GreedyStep, ...]
     tolerance: float
     reached: bool
+    covariance: FloatArray | None = None
 
     @property
     def landmarks(self) -> NDArray[np.intp]:
@@ -147,7 +151,7 @@ def greedy_select(
 
     Notes
     -----
-    1. Start from the muscles' own points. 2. Fit on the points chosen so far and predict the others. 3. Add the
+    1. Start from the muscles' own points. 2. Predict the others from the points chosen so far (`follow`). 3. Add the
     landmark with the largest error over all frames to the region where it errs; repeat until all are within the
     tolerance. Where the points run out before, exchange one for another as long as the skin comes nearer to the one
     that all landmarks would move (`SkinDifference`). 4. Drop points, the least needed first, as long as all stay
@@ -174,7 +178,7 @@ def greedy_select(
     reached = search.worst() <= tolerance
     while reached and search.shrink(tolerance):
         pass
-    return GreedySelection(search.members, tuple(search.steps), tolerance, reached)
+    return GreedySelection(search.members, tuple(search.steps), tolerance, reached, search.covariance)
 
 
 class _Search:
@@ -183,17 +187,21 @@ class _Search:
     def __init__(
         self, points: FloatArray, motion: FloatArray, kernel: str, always: frozenset[int], never: frozenset[int]
     ) -> None:
-        self.points, self.motion, self.kernel = points, motion, kernel_named(kernel)
+        self.points, self.kernel = points, kernel_named(kernel)
+        self.motion = np.ascontiguousarray(motion.transpose(1, 0, 2))
         self.width = float(np.linalg.norm(np.subtract(*points[_FACE_SIDES])))
         self.sigmas = region_sigmas(points, self.kernel)
+        self.covariance = landmark_covariance(motion)
         self.candidates = membership()
         self.candidates[:, sorted(never)] = False
         self.always = always - never
         if not self.candidates.any(axis=1).all():
             raise HeadError("A region lost all its landmarks. Leave at least one of each region.")
         self.members = np.zeros_like(self.candidates)
-        at_rest = [self._errors(region, row) for region, row in enumerate(self.members)]
-        self.error, self.frame = (np.stack(each) for each in zip(*at_rest, strict=True))
+        none = self.members.any(axis=0)
+        self.error, self.frame = (
+            np.stack(each) for each in zip(*(self._errors(r, none) for r in range(3)), strict=True)
+        )
         self.steps: list[GreedyStep] = []
 
     def start(self, max_points: int) -> None:
@@ -250,33 +258,30 @@ class _Search:
 
     def _swap(self, old: int, new: int, reason: str) -> None:
         members = self._replaced(old, new)
-        for region in np.flatnonzero(self.members[:, old]).tolist():
-            self.members[region, old] = False
-            self._note("drop", region, old, "exchanged for one that is needed more")
+        self._drop(old, "exchanged for one that is needed more")
         for region in np.flatnonzero(members[:, new]).tolist():
             self.members[region, new] = True
             self._note("add", region, new, reason)
 
     def shrink(self, tolerance: float) -> bool:
         """Drop the point whose loss costs least, where all stay within `tolerance`; whether one was dropped."""
-        return self._drop_cheapest(tolerance)
-
-    def _drop_cheapest(self, tolerance: float) -> bool:
-        best: tuple[float, int, int] | None = None
-        for region, landmark in np.argwhere(self.members).tolist():
-            chosen = self.members[region].copy()
-            chosen[landmark] = False
-            if landmark in self.always or not chosen.any():
+        best: tuple[float, int] | None = None
+        for landmark in np.flatnonzero(self.members.any(axis=0)).tolist():
+            left = self._replaced(landmark, landmark)
+            if landmark in self.always or not left.any(axis=1).all():
                 continue
-            error = float(self._errors(region, chosen)[0].max())
+            error = self._worst_without(landmark)
             if error <= tolerance and (best is None or error < best[0]):
-                best = (error, region, landmark)
+                best = (error, landmark)
         if best is None:
             return False
-        error_left, region, landmark = best
-        self.members[region, landmark] = False
-        self._note("drop", region, landmark, f"superfluous: without it {100 * error_left:.2f} %")
+        self._drop(best[1], f"superfluous: without it {100 * best[0]:.2f} %")
         return True
+
+    def _drop(self, landmark: int, reason: str) -> None:
+        for region in np.flatnonzero(self.members[:, landmark]).tolist():
+            self.members[region, landmark] = False
+            self._note("drop", region, landmark, reason)
 
     def _change(self, action: str, region: int, landmark: int, reason: str, max_points: int) -> bool:
         used = self.members.any(axis=0)
@@ -287,7 +292,9 @@ class _Search:
         return True
 
     def _note(self, action: str, region: int, landmark: int, reason: str) -> None:
-        self.error[region], self.frame[region] = self._errors(region, self.members[region])
+        known = self.members.any(axis=0)
+        for row in np.flatnonzero(self.candidates[:, landmark]).tolist():
+            self.error[row], self.frame[row] = self._errors(row, known)
         place = np.unravel_index(int(np.argmax(self.error)), self.error.shape)
         self.steps.append(
             GreedyStep(
@@ -302,18 +309,26 @@ class _Search:
             )
         )
 
-    def _errors(self, region: int, chosen: NDArray[np.bool_]) -> tuple[FloatArray, IntArray]:
-        """(66,) worst error of each landmark of the region, fraction of the face's width, and its frame."""
-        members = REGIONS[region].landmarks
-        centres = np.flatnonzero(chosen)
-        matrix = np.zeros((len(members), 0))
-        sigma = self.sigmas[region]
-        if len(centres):
-            between = distances(self.points[centres], self.points[centres])
-            phi = self.kernel.phi(between, sigma) + REGULARISATION * np.eye(len(centres))
-            evaluation = self.kernel.phi(distances(self.points[members], self.points[centres]), sigma)
-            matrix = np.linalg.solve(phi, evaluation.T).T
-        off = np.linalg.norm(matrix @ self.motion[:, centres] - self.motion[:, members], axis=2) / self.width
+    def _worst_without(self, landmark: int) -> float:
+        """The largest error, as a fraction of the face's width, if `landmark` were no control point."""
+        known = self.members.any(axis=0)
+        known[landmark] = False
+        touched = self.candidates[:, landmark]
+        again = [float(self._errors(row, known)[0].max()) for row in np.flatnonzero(touched).tolist()]
+        return max([*again, float(self.error[~touched].max(initial=0.0))])
+
+    def _errors(self, row: int, known: NDArray[np.bool_]) -> tuple[FloatArray, IntArray]:
+        """(66,) worst error of each landmark of a region, fraction of the face's width, and its frame.
+
+        `known` (66,) are the control points, of whichever region.
+        """
+        own = REGIONS[row].landmarks
+        chosen = np.flatnonzero(known[own])
+        phi = self.kernel.phi(distances(self.points[own], self.points[own]), self.sigmas[row])
+        matrix = follow_in_region(phi, self.covariance[np.ix_(own, own)], chosen)
+        motion = self.motion[own]
+        off = np.tensordot(matrix, motion[chosen], axes=1) - motion
+        squared = np.einsum("pnk,pnk->pn", off, off)
         error, frame = np.zeros(N_LANDMARKS), np.zeros(N_LANDMARKS, dtype=np.intp)
-        error[members], frame[members] = off.max(axis=0), off.argmax(axis=0)
+        error[own], frame[own] = np.sqrt(squared.max(axis=1)) / self.width, squared.argmax(axis=1)
         return error, frame

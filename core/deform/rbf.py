@@ -80,6 +80,9 @@ class RBFDeformer:
     skin : SkinCovariance, optional
         A process on the mesh's surface, over all control points. What it joins to any of them takes a weighted mean of
         it and of the regions' functions.
+    follow : (P, P) array_like, optional
+        Displacements of all control points from those that are given, as `follow.following` tells; columns of those
+        that are not given are 0. All are given by default.
 
     Attributes
     ----------
@@ -116,6 +119,7 @@ class RBFDeformer:
         spacing_factor: ArrayLike = 0.8,
         regularisation: float = 1e-3,
         skin: SkinCovariance | None = None,
+        follow: ArrayLike | None = None,
     ) -> None:
         rest = as_points(vertices, "vertices", error=HeadError)
         points = as_points(control_points, "control_points", error=HeadError)
@@ -139,6 +143,8 @@ class RBFDeformer:
         if skin is not None:
             used = np.flatnonzero(members[shares.any(axis=1)].any(axis=0))
             matrices = _mean(matrices, fit.surface(skin, shares.sum(axis=0), used), len(rest))
+        if follow is not None:
+            matrices = [_followed(matrix, np.asarray(follow, dtype=np.float32)) for matrix in matrices]
         self.rest: NDArray[np.float32] = rest.astype(np.float32)
         self.n_control_points = len(points)
         self.fits = tuple(found for found, _ in regions)
@@ -296,6 +302,12 @@ def _mean(regions: list[RegionMatrix], surface: RegionMatrix, count: int) -> lis
     kept[surface.rows] -= _SKIN_SHARE
     halved = [RegionMatrix(r.rows, r.columns, r.matrix * kept[r.rows, None]) for r in regions]
     return [*halved, RegionMatrix(surface.rows, surface.columns, np.float32(_SKIN_SHARE) * surface.matrix)]
+
+
+def _followed(region: RegionMatrix, follow: NDArray[np.float32]) -> RegionMatrix:
+    """The region's matrix for the displacements of those control points alone that `follow` (P, P) starts from."""
+    columns = np.flatnonzero(follow[region.columns].any(axis=0))
+    return RegionMatrix(region.rows, columns, region.matrix @ follow[np.ix_(region.columns, columns)])
 
 
 def _refuse_coincident(between: FloatArray, columns: NDArray[np.intp]) -> None:

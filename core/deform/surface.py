@@ -13,7 +13,7 @@ from ..landmarks import from_ibug
 
 _MOUTH_CORNERS = from_ibug((48, 54))
 _OUTER_UPPER, _OUTER_LOWER = from_ibug((50, 51, 52)), from_ibug((58, 57, 56))
-_JOINED = 1.7
+JOINED = 1.7
 """Ways across the lips of fewer straight distances lead over one skin; round a corner of the mouth they are longer."""
 
 
@@ -112,7 +112,7 @@ def lips_joined(graph: SurfaceGraph, landmarks: IntArray) -> bool:
     across = np.linalg.norm(graph.vertices[upper] - graph.vertices[lower], axis=1)
     width = float(np.linalg.norm(np.subtract(*graph.vertices[landmarks[_MOUTH_CORNERS]])))
     ways = [graph.ways([int(u)], 2.0 * width)[v] for u, v in zip(upper, lower, strict=True)]
-    return bool((np.array(ways) < _JOINED * across).any())
+    return bool((np.array(ways) < JOINED * across).any())
 
 
 def _edges(faces: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
