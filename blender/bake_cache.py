@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,8 @@ from .meshes import read_vertices
 from .rendering import quiet
 
 MODIFIER = "Facemime Cache"
+_ALEMBIC_BYTES = 24
+"""Of a vertex in a frame at most: its place, and its normal."""
 
 
 def bake_cache(obj: bpy.types.Object, motion: HeadMotion, frames: NDArray[np.floating], path: Path) -> None:
@@ -82,6 +85,10 @@ def export_alembic(scene: bpy.types.Scene, obj: bpy.types.Object, path: Path) ->
     """
     if not getattr(bpy.app.build_options, "alembic", False):
         raise OutputError("This Blender was built without Alembic. Bake to a cache.")
+    vertices = sum(len(part.data.vertices) for part in (obj, *obj.children) if part.type == "MESH")
+    needed = _ALEMBIC_BYTES * vertices * (scene.frame_end - scene.frame_start + 1)
+    if shutil.disk_usage(path.parent).free < needed:  # Blender would not fail in the middle but end
+        raise OutputError(f"Cannot write {path}: it takes up to {needed / 1e6:.0f} MB. Free some space.")
     with replacing(path) as temporary, _only_selected([obj, *obj.children]):
         try:
             with quiet():

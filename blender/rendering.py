@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import OutputError
+from ..core.capture import VideoSource
+from ..core.errors import OutputError, SourceError
 from ..core.files import replacing
 
 Image = NDArray[np.uint8]
@@ -78,8 +79,17 @@ def write_video(images: Iterable[Image], fps: float, path: Path) -> None:
             raise OutputError("There is no picture to make a video of.")
         temporary.unlink()
         _encode(Path(folder), names, (image.shape[1], image.shape[0]), fps, temporary)
-        if not temporary.exists() or temporary.stat().st_size == 0:
-            raise OutputError(f"Blender could not encode {path.name}. Free some disk space, or choose another place.")
+        if _frames_in(temporary) < len(names):  # Blender does not tell
+            raise OutputError(f"Blender could not write {path}. Free some disk space, or choose another place.")
+
+
+def _frames_in(path: Path) -> int:
+    """How many frames the video at `path` states to hold; 0 where it cannot be read."""
+    try:
+        with VideoSource(path) as video:
+            return video.frame_count
+    except SourceError:
+        return 0
 
 
 def _encode(folder: Path, names: list[str], size: tuple[int, int], fps: float, output: Path) -> None:

@@ -2,9 +2,30 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from typing import TextIO
+
+from ..core.errors import OutputError
+
+
+def say(text: str) -> None:
+    """Write a result to the standard output; a reader that has had enough, such as `head`, is no error.
+
+    Raises
+    ------
+    OutputError
+        Where it cannot be written.
+    """
+    if sys.stdout is None:  # closed by whoever called
+        return
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - what is left in the buffer goes there when Python ends
+    except OSError as error:
+        raise OutputError(f"Cannot write to the standard output: {(error.strerror or str(error)).lower()}.") from error
 
 
 class Progress:

@@ -23,7 +23,7 @@ from ..core.bake.key_map import load_map
 from ..core.capture import Frame, VideoSource, at_constant_rate
 from ..core.deform.greedy import GreedySelection
 from ..core.drive import DriveOptions
-from ..core.errors import FacemimeError, HeadError, SourceError
+from ..core.errors import FacemimeError, HeadError, OutputError, SourceError
 from ..core.files import replacing
 from ..core.images import write_image
 from ..core.motion import most_different
@@ -37,6 +37,8 @@ Image = NDArray[np.uint8]
 AVATAR_SIDE = 512
 SHEET_TILES = 9
 TILE_SIDE = 320
+_END_OF_BLEND = b"\xb1\xea\x92\x8f"
+"""What a compressed .blend ends with, as any file of Zstandard's seekable format."""
 
 
 def puppet(
@@ -152,11 +154,23 @@ def look_through_camera() -> None:
 
 
 def save_blend(path: Path) -> None:
-    """Save the open file at `path`; what was there is replaced only by a whole file."""
-    with replacing(Path(path)) as temporary:
+    """Save the open file at `path`; what was there is replaced only by a whole file.
+
+    Raises
+    ------
+    OutputError
+        Where it cannot be written.
+    """
+    with replacing(path) as temporary:
         temporary.unlink()
-        with quiet(), caches_beside(path):
-            bpy.ops.wm.save_as_mainfile(filepath=str(temporary.resolve()), copy=True, compress=True)
+        try:
+            with quiet(), caches_beside(path):
+                bpy.ops.wm.save_as_mainfile(filepath=str(temporary.resolve()), copy=True, compress=True)
+        except RuntimeError as error:
+            reason = str(error).strip().removeprefix("Error: ").lower()
+            raise OutputError(f"Cannot write {path}: {reason}. Choose another place for the output.") from error
+        if not temporary.read_bytes().endswith(_END_OF_BLEND):  # Blender misses a disk that is full only at the end
+            raise OutputError(f"Cannot write {path}: no space is left. Choose another place for the output.")
 
 
 def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: Path) -> None:

@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from ..core.capture import require_file
 from ..core.control_points import from_json, parse_landmarks, select_for_take, to_json
+from ..core.deform.greedy import GreedySelection
 from ..core.deform.regions import REGIONS
 from ..core.drive import built_in_rig
-from ..core.errors import FacemimeError, SourceError
+from ..core.errors import FacemimeError, OutputError, SourceError
 from ..core.files import check_writable, replacing
 from ..core.images import IMAGE_SUFFIXES, read_image, write_image
 from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
@@ -31,7 +34,7 @@ from ..core.takes.take import Take
 from ..core.tracking.tracker import FaceTracker
 from ..core.version import version
 from .batch import add_commands as add_batch_commands
-from .console import Progress
+from .console import Progress, say
 from .options import add_bake_options, add_face_option, add_head_options, face_of
 from .takes import add_commands as add_take_commands
 from .takes import load_telling
@@ -42,15 +45,18 @@ _UNFINISHED = f".unfinished{SUFFIX}"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit status: 0, 1 for an error that was told, 2 for usage, 130 for Ctrl-C."""
-    arguments = _parser().parse_args(argv)
-    try:
-        return int(arguments.run(arguments))
-    except FacemimeError as error:
-        print(f"facemime: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("facemime: interrupted; what was written before stays.", file=sys.stderr)
-        return INTERRUPTED
+    with contextlib.ExitStack() as stack:
+        if sys.stderr is None:  # closed by whoever called
+            stack.enter_context(contextlib.redirect_stderr(stack.enter_context(open(os.devnull, "w"))))
+        arguments = _parser().parse_args(argv)
+        try:
+            return int(arguments.run(arguments))
+        except FacemimeError as error:
+            print(f"facemime: {error}", file=sys.stderr)
+            return 1
+        except KeyboardInterrupt as stop:
+            print(f"facemime: interrupted; {stop or 'what was written before stays'}.", file=sys.stderr)
+            return INTERRUPTED
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -101,10 +107,11 @@ def run_landmarks(arguments: argparse.Namespace) -> int:
     """`facemime landmarks`: one row a picture, NaN where there is no face."""
     paths = _images(arguments.images)
     check_writable(arguments.output, {".npz"})
+    drawings = [] if arguments.overlay is None else _drawings(paths, arguments.overlay)
     tracker = FaceTracker.load()
     landmarks = np.full((len(paths), N_LANDMARKS, 2), np.nan)
     confidence = np.zeros(len(paths))
-    progress = Progress("Finding landmarks", len(paths))
+    progress = Progress("Finding landmarks", len(paths), unit="pictures")
     unreadable: list[SourceError] = []
     done = 0
     with contextlib.suppress(KeyboardInterrupt):
@@ -116,8 +123,8 @@ def run_landmarks(arguments: argparse.Namespace) -> int:
             else:
                 result = tracker.locate(image)
                 landmarks[i], confidence[i] = result.landmarks, result.confidence
-                if arguments.overlay is not None:
-                    write_image(arguments.overlay / f"{path.stem}.png", draw_landmarks(image, result.landmarks))
+                if drawings:
+                    write_image(drawings[i], draw_landmarks(image, result.landmarks))
             done = i + 1
             progress.update(done)
     names, landmarks, confidence = np.array([path.name for path in paths[:done]]), landmarks[:done], confidence[:done]
@@ -133,12 +140,31 @@ def run_landmarks(arguments: argparse.Namespace) -> int:
     return 1 if unreadable else 0
 
 
+def _drawings(paths: Sequence[Path], folder: Path) -> list[Path]:
+    """Where each picture is drawn: in `folder`, under its own name, numbered where several have the same.
+
+    Raises
+    ------
+    OutputError
+        Where nothing can be written there, or one of the pictures themselves lies there.
+    """
+    drawings: dict[Path, None] = {}
+    for path in paths:
+        names = itertools.chain([path.stem], (f"{path.stem}-{number}" for number in itertools.count(2)))
+        drawings[next(place for name in names if (place := folder / f"{name}.png") not in drawings)] = None
+    if any(path.parent.resolve() == folder.resolve() for path in paths):
+        raise OutputError(f"Cannot draw in {folder}: the pictures themselves are there. Give --overlay another folder.")
+    check_writable(next(iter(drawings)))
+    return list(drawings)
+
+
 def run_track(arguments: argparse.Namespace) -> int:
     """`facemime track`: a video to a take."""
     check_writable(arguments.output, {SUFFIX})
     unfinished = arguments.output.with_suffix(_UNFINISHED)
-    take = _track(arguments.video, unfinished, face_of(arguments.face))
-    _settle(unfinished, arguments.output)
+    with _telling_of(unfinished):
+        take = _track(arguments.video, unfinished, face_of(arguments.face))
+        _settle(unfinished, arguments.output)
     if arguments.smooth:
         save_take(smooth_take(take), arguments.output)
     if take.info.get("interrupted"):
@@ -155,6 +181,8 @@ def run_puppet(arguments: argparse.Namespace) -> int:
         raise FacemimeError(
             f"puppet needs Blender ({error}). Run: blender --command facemime puppet ..., or install bpy."
         ) from error
+    if arguments.preview is not None and arguments.preview.resolve() == arguments.source.resolve():
+        raise OutputError(f"Cannot write {arguments.preview}: it is the video that is tracked. Give another name.")
     for path, suffixes in (
         (arguments.output, {".blend"}),
         (arguments.preview, {".mp4"}),
@@ -173,14 +201,17 @@ def run_puppet(arguments: argparse.Namespace) -> int:
         headless.puppet(arguments, scene, head, take, None, bake)
         return 0
     unfinished = (arguments.take or arguments.output).with_suffix(_UNFINISHED)
-    take = _track(arguments.source, unfinished, face_of(arguments.face))
-    interrupted = bool(take.info.get("interrupted"))
-    kept = arguments.take or (arguments.output.with_suffix(f".interrupted{SUFFIX}") if interrupted else None)
-    _settle(unfinished, kept)
-    if interrupted:
-        print(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.", file=sys.stderr)
-        return INTERRUPTED
-    headless.puppet(arguments, scene, head, take, arguments.source, bake)
+    with _telling_of(unfinished):
+        take = _track(arguments.source, unfinished, face_of(arguments.face))
+        interrupted = bool(take.info.get("interrupted"))
+        kept = arguments.take or (arguments.output.with_suffix(f".interrupted{SUFFIX}") if interrupted else None)
+        if kept is not None:
+            _settle(unfinished, kept)
+        if interrupted:
+            print(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.", file=sys.stderr)
+            return INTERRUPTED
+        headless.puppet(arguments, scene, head, take, arguments.source, bake)
+    unfinished.unlink(missing_ok=True)
     return 0
 
 
@@ -200,21 +231,26 @@ def run_select(arguments: argparse.Namespace) -> int:
         always=parse_landmarks(arguments.add),
         never=parse_landmarks(arguments.remove),
     )
-    print("action  landmark  region  points  worst error %  in frame  at landmark  reason")
+    if arguments.output is not None:
+        with replacing(arguments.output) as temporary:
+            temporary.write_text(to_json(selection) + "\n", encoding="utf-8")
+    say(_table(selection))
+    if not selection.reached:
+        print("facemime: the tolerance was not reached; allow more points, or a larger one.", file=sys.stderr)
+    return 0
+
+
+def _table(selection: GreedySelection) -> str:
+    """A line a step, and one with the control points."""
+    lines = ["action  landmark  region  points  worst error %  in frame  at landmark  reason"]
     for step in selection.steps:
         landmark, worst = IBUG68_INDICES[[step.landmark, step.worst]]
-        print(
+        lines.append(
             f"{step.action:6}  {landmark:8}  {REGIONS[step.region].name:6}  {step.points:6}  {100 * step.error:13.2f}  "
             f"{step.frame:8}  {worst:11}  {step.reason}"
         )
     chosen = ", ".join(str(number) for number in IBUG68_INDICES[selection.landmarks])
-    print(f"{len(selection.landmarks)} control points: {chosen}")
-    if not selection.reached:
-        print("facemime: the tolerance was not reached; allow more points, or a larger one.", file=sys.stderr)
-    if arguments.output is not None:
-        with replacing(arguments.output) as temporary:
-            temporary.write_text(to_json(selection) + "\n", encoding="utf-8")
-    return 0
+    return "\n".join([*lines, f"{len(selection.landmarks)} control points: {chosen}"])
 
 
 def _text(path: Path) -> str:
@@ -228,6 +264,7 @@ def _track(video: Path, unfinished: Path, face: tuple[float, float] | None) -> T
     """The take of `video`, written to `unfinished` as it grows; what an earlier run left there is replaced."""
     tracker = FaceTracker.load()
     progress = Progress(f"Tracking {video.name}")
+    require_file(video)
     unfinished.unlink(missing_ok=True)
     track_video(video, tracker, lambda done, total, _: progress.update(done, total), unfinished, face)
     if not unfinished.exists():
@@ -242,11 +279,23 @@ def _track(video: Path, unfinished: Path, face: tuple[float, float] | None) -> T
     return take
 
 
-def _settle(unfinished: Path, kept: Path | None) -> None:
-    """Give a finished take its name, or none."""
-    if kept is None:
-        unfinished.unlink()
-        return
+@contextlib.contextmanager
+def _telling_of(unfinished: Path) -> Iterator[None]:
+    """Where what follows fails or is interrupted, say that what was tracked is in `unfinished`, if it is."""
+    try:
+        yield
+    except FacemimeError as error:
+        if str(unfinished) in str(error) or not unfinished.exists():
+            raise
+        raise type(error)(f"{error} What was tracked is in {unfinished}.") from error
+    except KeyboardInterrupt as stop:
+        if not unfinished.exists():
+            raise
+        raise KeyboardInterrupt(f"what was tracked is in {unfinished}") from stop
+
+
+def _settle(unfinished: Path, kept: Path) -> None:
+    """Give a finished take its name."""
     with replacing(kept) as temporary:
         os.replace(unfinished, temporary)
 

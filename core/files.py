@@ -55,7 +55,9 @@ def check_writable(path: Path, suffixes: Collection[str] = ()) -> None:
         folder = folder.parent
     if path.is_dir():
         raise OutputError(f"Cannot write {path}: it is a folder. Give a file name.")
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+    if not folder.is_dir():
+        raise OutputError(f"Cannot write {path}: {folder} is no folder. Choose another place for the output.")
+    if not os.access(folder, os.W_OK | os.X_OK):
         raise OutputError(
             f"Cannot write {path}: the folder {folder} is read-only. Choose another place for the output."
         )

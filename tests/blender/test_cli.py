@@ -4,6 +4,7 @@ import contextlib
 import os
 import pty
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -15,6 +16,8 @@ import numpy as np
 import pytest
 
 import facemime
+from facemime.blender import rendering
+from facemime.core.errors import OutputError
 from facemime.core.takes.file import load_take, save_take
 from takes import performance
 
@@ -22,9 +25,15 @@ SAMPLE = Path(facemime.__file__).parent / "assets" / "sample"
 COMMAND = Path(sys.prefix) / "bin" / "facemime"
 
 
-def run(*arguments: object) -> subprocess.CompletedProcess:
-    """Run `facemime` with arguments."""
-    return subprocess.run([COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=500, check=False)
+def run(*arguments: object, **options: object) -> subprocess.CompletedProcess:
+    """Run `facemime` with arguments; options as for `subprocess.run`."""
+    line = [COMMAND, *map(str, arguments)]
+    return subprocess.run(line, capture_output=True, text=True, timeout=500, check=False, **options)
+
+
+def with_little_space() -> None:
+    """Let no file of this process grow beyond what a take needs: to a program that is as if the disk were full."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 
 
 @pytest.fixture(scope="module")
@@ -141,6 +150,73 @@ def test_landmarks_of_a_folder_are_nan_where_there_is_no_face(clip, tmp_path):
     assert again.returncode == 1 and "c.png" in again.stderr and len(np.load(tmp_path / "out.npz")["names"]) == 3
 
 
+def test_no_picture_is_drawn_over_another_one(clip, tmp_path):
+    image = cv2.VideoCapture(str(clip)).read()[1]
+    for name in ("a.png", "a.jpg", "b.png", "more/a.png"):
+        (tmp_path / "in" / name).parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(tmp_path / "in" / name), image)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*g")}
+    arguments = ("landmarks", tmp_path / "in", tmp_path / "in" / "more", "-o", tmp_path / "out.npz", "--overlay")
+    refused = run(*arguments, tmp_path / "in")
+    assert refused.returncode == 1 and "Give --overlay another folder" in refused.stderr
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*g")} == before
+    done = run(*arguments, tmp_path / "drawn")
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in (tmp_path / "drawn").iterdir()) == ["a-2.png", "a-3.png", "a.png", "b.png"]
+
+
+def test_where_nothing_can_be_drawn_is_said_before_the_work(clip, tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), cv2.VideoCapture(str(clip)).read()[1])
+    done = run("landmarks", tmp_path / "a.png", "-o", tmp_path / "out.npz", "--overlay", tmp_path / "a.png")
+    assert done.returncode == 1 and "is no folder" in done.stderr and "Finding" not in done.stderr
+
+
+def test_the_video_itself_is_never_written_over(clip, tmp_path):
+    copy = tmp_path / "clip.mp4"
+    copy.write_bytes(clip.read_bytes())
+    done = run("puppet", copy, "-o", tmp_path / "out.blend", "--preview", tmp_path / "in" / ".." / "clip.mp4")
+    assert done.returncode == 1 and "it is the video that is tracked" in done.stderr
+    assert copy.read_bytes() == clip.read_bytes()
+
+
+def test_a_disk_that_is_full_costs_no_tracking(clip, tmp_path):
+    done = run("puppet", clip, "-o", tmp_path / "out.blend", preexec_fn=with_little_space)
+    told = [line for line in done.stderr.splitlines() if line.startswith("facemime:")]
+    assert done.returncode == 1 and len(told) == 1 and "Traceback" not in done.stderr, done.stderr
+    assert "out.blend" in told[0] and f"What was tracked is in {tmp_path / 'out.unfinished.facetake'}" in told[0]
+    assert len(load_take(tmp_path / "out.unfinished.facetake")) == 50
+    assert [path.name for path in tmp_path.iterdir()] == ["out.unfinished.facetake"]
+    done = run("puppet", tmp_path / "none.mp4", "-o", tmp_path / "out.blend")
+    assert done.returncode == 1 and (tmp_path / "out.unfinished.facetake").exists()
+
+
+def test_outputs_that_nobody_reads_are_no_error(tmp_path):
+    save_take(performance(), tmp_path / "take.facetake")
+    select = f"{COMMAND} select {tmp_path / 'take.facetake'} -o {tmp_path / 'points.json'}"
+    for line in (f"{select} | true; exit ${{PIPESTATUS[0]}}", f"{select} >&-", f"{select} 2>&- >&- <&-"):
+        done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+        assert done.returncode == 0 and done.stderr == "", line
+        (tmp_path / "points.json").unlink()
+    done = subprocess.run(["bash", "-c", f"{select} > /dev/full"], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "Traceback" not in done.stderr and "standard output" in done.stderr
+
+
+def test_a_video_that_was_not_written_to_its_end_is_told(tmp_path, monkeypatch):
+    encode = rendering._encode
+
+    def cut(folder: Path, names: list[str], size: tuple[int, int], fps: float, output: Path) -> None:
+        encode(folder, names, size, fps, output)
+        output.write_bytes(output.read_bytes()[:1000])
+
+    images = [np.full((64, 64, 3), 20 * i, np.uint8) for i in range(10)]
+    rendering.write_video(images, 25.0, tmp_path / "out.mp4")
+    assert rendering._frames_in(tmp_path / "out.mp4") == 10
+    monkeypatch.setattr(rendering, "_encode", cut)
+    with pytest.raises(OutputError, match="Free some disk space"):
+        rendering.write_video(images, 25.0, tmp_path / "out.mp4")
+    assert rendering._frames_in(tmp_path / "out.mp4") == 10
+
+
 def test_what_cannot_work_is_one_line_and_leaves_the_old_output(clip, faceless, tmp_path):
     (tmp_path / "text.mp4").write_text("no video")
     (tmp_path / "empty.mp4").write_bytes(b"")
@@ -195,7 +271,9 @@ def test_select_prints_the_curve_and_puppet_takes_the_points(tmp_path):
     done = run("select", tmp_path / "take.facetake", "-o", points, "--max-points", 12, "--add", "33", "--remove", "0-1")
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
-    assert lines[0].startswith("action") and lines[-1].startswith("12 control points:") and " 33" in lines[-1]
+    count, words = lines[-1].split(" ", 1)
+    assert lines[0].startswith("action") and words.startswith("control points:") and " 33" in words
+    assert 3 <= int(count) <= 12 and len(words.split(",")) == int(count)
     assert all(re.match(r"(start|add|drop) +\d+ +(upper|middle|lower) +\d+ +\d+\.\d\d ", line) for line in lines[1:-1])
     done = run(
         "puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", "--points", points, "--kernel", "gaussian"
