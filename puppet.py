@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from .blender.actions import check_curves
-from .blender.bake import Targets, bake_pose, check_bakeable, frames_of, remove_baked, set_range
+from .blender.bake import Targets, bake_pose, check_bakeable, check_range, frames_of, remove_baked, set_range
 from .blender.bake_cache import bake_cache, export_alembic
 from .blender.bake_keys import MeshKeys, bake_new_keys, bake_values, key_names, read_keys, value_path
 from .blender.meshes import mesh_of, read_rig
@@ -134,6 +134,7 @@ def puppet_head(
     neutral = calibrate(take, settings.neutral)
     motion = drive_take(HeadDriver(rig, neutral, settings.drive), take)
     unit, frames = eye_distance(rig), frames_of(scene, motion.times)
+    check_range(take, frames)
     if bake.keys == "mapped":
         plan = _mapped(obj, motion, frames, unit, bake, arkit_coefficients(take, neutral, settings.drive))
     else:

@@ -45,6 +45,7 @@ class Job:
 def find_clips(sources: Sequence[Path]) -> list[Path]:
     """The clips that `sources` name: videos, folders of videos and of such folders, and lists, a path a line.
 
+    Of a folder, hidden files are left out: macOS puts one beside each video that it copies to other disks.
     Paths of a list are relative to it; empty lines and those that begin with # are left out. What a list names need not
     exist: that is found out, and told, when its turn comes.
 
@@ -56,7 +57,8 @@ def find_clips(sources: Sequence[Path]) -> list[Path]:
     clips: list[Path] = []
     for source in sources:
         if source.is_dir():
-            found = sorted(path for path in source.rglob("*") if path.suffix.lower() in VIDEO_SUFFIXES)
+            files = (path for path in source.rglob("*") if not path.name.startswith(".") and path.is_file())
+            found = sorted(path for path in files if path.suffix.lower() in VIDEO_SUFFIXES)
         elif source.suffix.lower() in VIDEO_SUFFIXES:
             found = [source]
         else:

@@ -8,8 +8,9 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import HeadError
+from ..core.errors import HeadError, SourceError
 from ..core.motion import HeadMotion
+from ..core.takes.take import Take
 from .actions import check_curves, remove_bake, write_curves
 from .bake_cache import remove_cache
 from .bake_keys import remove_baked_keys
@@ -19,6 +20,8 @@ from .targets import PoseTarget
 JAW_PARTS = frozenset({"teeth_lower", "tongue"})
 EYE_PARTS = frozenset({"eye_left", "eye_right"})
 Targets = Mapping[str, PoseTarget]
+_LAST_FRAME = 1_048_574
+"""Of Blender's timeline."""
 
 
 def frames_of(scene: bpy.types.Scene, times: NDArray[np.floating], start: float = 1.0) -> NDArray[np.floating]:
@@ -63,6 +66,15 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
         )
     for target in _all_targets(obj, targets):
         check_curves(target.obj, target.data_paths)
+
+
+def check_range(take: Take, frames: NDArray[np.floating]) -> None:
+    """Raise SourceError where `frames`, increasing, of `take` reach beyond what Blender can play."""
+    if max(-frames[0], frames[-1]) > _LAST_FRAME:
+        raise SourceError(
+            f"The take reaches from {take.times[0]:.2f} s to {take.times[-1]:.2f} s, beyond Blender's last frame. Check "
+            "that these are seconds; a take is moved by: facemime mend TAKE --shift SECONDS -o OUT"
+        )
 
 
 def bake_pose(

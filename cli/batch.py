@@ -94,7 +94,8 @@ def run_batch(arguments: argparse.Namespace) -> int:
     write_report(entries, folder)
     failed = [entry for entry in entries if entry.status == "failed"]
     for entry in failed:
-        print(f"facemime: {entry.clip}: {(entry.said.splitlines() or ['no reason was told'])[-1]}", file=sys.stderr)
+        last = (entry.said.splitlines() or ["no reason was told"])[-1]
+        print(f"facemime: {entry.clip}: {last.removeprefix('facemime: ')}", file=sys.stderr)
     print(f"facemime: {len(failed)} of {len(entries)} clips failed; see {folder / 'report.html'}.", file=sys.stderr)
     return _INTERRUPTED if interrupted else min(len(failed), _MOST_FAILED)
 

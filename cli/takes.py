@@ -78,6 +78,10 @@ def run_mend(arguments: argparse.Namespace) -> int:
 
 
 def _mended(take: Take, arguments: argparse.Namespace) -> Take:
+    if arguments.at is not None and arguments.punch_in is None:
+        raise FacemimeError("--at is where another take is put in. Give that with --punch-in.")
+    if arguments.cutoff and arguments.smooth != "zero-phase":
+        raise FacemimeError("--cutoff is for smoothing without delay. Give --smooth zero-phase too.")
     if arguments.punch_in is not None:
         insert = load_telling(arguments.punch_in)
         start, end = parse_span(arguments.at or ":", (float(insert.times[0]), float(insert.times[-1])))

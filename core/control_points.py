@@ -17,6 +17,7 @@ from .landmarks import IBUG68_INDICES, N_LANDMARKS, from_ibug
 from .retarget import Neutral, calibrate, retargeter_for
 from .takes.take import Take
 
+_LEFT_OUT = frozenset(range(68)) - frozenset(IBUG68_INDICES.tolist())
 _FORMAT = "facemime-control-points-1"
 
 
@@ -116,6 +117,8 @@ def _step(landmark: int, worst: int, **others: Any) -> GreedyStep:
 def parse_landmarks(text: str) -> list[int]:
     """Positions in the 66 of iBUG numbers and ranges such as "17,19-21"; empty text gives none.
 
+    A range runs over 60 and 64, which are not among the 66.
+
     Raises
     ------
     HeadError
@@ -124,8 +127,11 @@ def parse_landmarks(text: str) -> list[int]:
     numbers: list[int] = []
     try:
         for part in filter(None, (part.strip() for part in text.split(","))):
-            first, _, last = part.partition("-")
-            numbers += range(int(first), int(last or first) + 1)
+            first, dash, last = part.partition("-")
+            span = range(int(first), int(last or first) + 1)
+            if not span:
+                raise ValueError(f"{part} runs backwards")
+            numbers += [number for number in span if not dash or number not in _LEFT_OUT]
         return [int(i) for i in from_ibug(numbers)]
     except ValueError as error:
         raise HeadError(f"{text!r} names no landmarks ({error}). Write iBUG numbers such as 17,19-21.") from error

@@ -31,6 +31,8 @@ HEADER = struct.Struct("<8sBcHIIII")
 MAX_FRAMES = 256
 MAX_MODES = 512
 MAX_CONTENT = 1 << 22
+_LARGEST_SIDE = 1 << 14
+"""Pixels, of a picture."""
 _UNKNOWN = np.int64(-(2**31))
 _LARGEST = 2**31 - 1
 
@@ -159,9 +161,13 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and 0 < value < 1e6
 
 
+def _is_side(value: Any) -> bool:
+    return isinstance(value, int) and 0 < value <= _LARGEST_SIDE
+
+
 _KINDS: dict[str, Callable[[Any], bool]] = {
     "fps": _is_number,
-    "image_size": lambda value: isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)),
+    "image_size": lambda value: isinstance(value, list) and len(value) == 2 and all(map(_is_side, value)),
     "calibration": lambda value: isinstance(value, dict),
     "bridged": lambda value: isinstance(value, list),
     "punched_in": lambda value: isinstance(value, list),

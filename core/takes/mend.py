@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
+from ..errors import SourceError
 from ..retarget import Neutral, calibrate
 from ..rotation import euler_to_matrix
 from ..tracking.mirror import mirror_result
@@ -35,7 +36,14 @@ def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: 
         Move evenly from the last face to the next, or stay as the last was.
     longest : float
         Seconds from face to face; longer gaps stay.
+
+    Raises
+    ------
+    SourceError
+        Where `longest` is below 0.
     """
+    if not longest >= 0.0:
+        raise SourceError(f"No gap is at most {longest} s long. Give 0 or more.")
     seen = np.flatnonzero(take.found)
     if not len(seen):
         return take

@@ -20,6 +20,8 @@ from .take import FIELDS, Take, join
 
 _LONGEST_STEP = 2.5
 """Typical steps between two frames, above which frames are missing between them."""
+_MOST_FRAMES = 1_000_000
+"""Of a take at an even rate: nine hours at 30 frames a second, and what Blender's timeline holds."""
 
 
 def mix(first: Take, second: Take, share: FloatArray) -> Take:
@@ -103,6 +105,11 @@ def resample(take: Take, fps: float, start: float | None = None) -> Take:
         Frames a second.
     start : float, optional
         Seconds, of the first frame; by default the take's own first.
+
+    Raises
+    ------
+    SourceError
+        Where the rate, or how many frames that would be, is out of range, or the take ends before `start`.
     """
     if not 0.1 <= fps <= 10_000.0:
         raise SourceError(f"A rate of {fps} frames a second cannot be. Give one between 0.1 and 10000.")
@@ -110,12 +117,25 @@ def resample(take: Take, fps: float, start: float | None = None) -> Take:
     count = int(np.floor((take.times[-1] - start) * fps + 1e-6)) + 1
     if count < 1:
         raise SourceError(f"The take ends at {take.times[-1]:.2f} s, before {start:.2f} s. Choose an earlier start.")
+    if count > _MOST_FRAMES:
+        raise SourceError(
+            f"From {start:.2f} s to {take.times[-1]:.2f} s these are {count:,} frames, above {_MOST_FRAMES:,}. "
+            "Give a lower rate, or check that the take's times are seconds."
+        )
     even = sample(take, start + np.arange(count) / fps)
     return replace(even, info={**take.info, "fps": float(fps)})
 
 
 def shift_time(take: Take, seconds: float) -> Take:
-    """The take so many seconds later; earlier with a negative number."""
+    """The take so many seconds later, earlier with a negative number.
+
+    Raises
+    ------
+    SourceError
+        Where the times cannot be told apart afterwards.
+    """
+    if not (np.isfinite(seconds) and (np.diff(take.times + seconds) > 0.0).all()):
+        raise SourceError(f"A take cannot be {seconds} s later. Give fewer seconds.")
     return replace(take, times=take.times + seconds)
 
 
@@ -141,7 +161,14 @@ def punch_in(take: Take, insert: Take, start: float, end: float, blend: float = 
     """The take with what `insert` has between `start` and `end`, seconds, both on the same clock (see `shift_time`).
 
     Over `blend` seconds at either side, within the two, one passes into the other.
+
+    Raises
+    ------
+    SourceError
+        Where `insert` has nothing there, or `blend` is below 0.
     """
+    if not blend >= 0.0:
+        raise SourceError(f"One take cannot pass into another over {blend} s. Give 0 or more.")
     put_in = trim(insert, start, end)
     if (
         take.info.get("model") != insert.info.get("model")

@@ -1,5 +1,6 @@
 """Every way to bake: named and mapped keys, caches, clean curves, NLA, bones, and what cannot be baked to."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -17,7 +18,7 @@ from facemime.blender.meshes import read_rig
 from facemime.blender.targets import PoseTarget
 from facemime.core.bake.key_map import KeyMap, KeyRow
 from facemime.core.drive import HeadDriver
-from facemime.core.errors import FacemimeError, HeadError, OutputError
+from facemime.core.errors import FacemimeError, HeadError, OutputError, SourceError
 from facemime.core.takes.smooth import smooth_take
 from facemime.puppet import BakeSettings, PuppetReport, PuppetSettings, eye_distance, puppet_head, puppet_heads
 from takes import performance
@@ -311,3 +312,11 @@ def test_a_cache_that_cannot_be_written_is_said(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="Cannot write"):
         bake(add_head(bpy.context), keys="cache", path=tmp_path / "file" / "a.pc2")
+
+
+@pytest.mark.parametrize("start", [1.7e9, -1.7e9])
+def test_times_beyond_blenders_last_frame_are_told_and_nothing_changes(start):
+    head, take = add_head(bpy.context), performance()
+    with pytest.raises(SourceError, match="beyond Blender's last frame"):
+        puppet_head(bpy.context.scene, head, replace(take, times=take.times + start))
+    assert head.data.shape_keys is None and head.animation_data is None

@@ -25,7 +25,7 @@ SETTINGS = {"head": None, "points": None, "mode": "3d"}
 
 
 def test_clips_are_found_in_folders_and_in_lists_in_a_fixed_order(tmp_path):
-    for name in ("b.mp4", "a.MOV", "notes.txt", "deep/c.webm"):
+    for name in ("b.mp4", "a.MOV", "notes.txt", "deep/c.webm", "._b.mp4", "a folder.mp4/notes.txt"):
         (tmp_path / "clips" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "clips" / name).write_text(name)
     folder = [tmp_path / "clips" / name for name in ("a.MOV", "b.mp4", "deep/c.webm")]

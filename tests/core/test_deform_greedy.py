@@ -114,7 +114,8 @@ def test_text_that_is_no_selection_is_refused(text):
 def test_landmarks_are_written_as_ibug_numbers_and_ranges():
     assert parse_landmarks("17, 19-21,61") == from_ibug([17, 19, 20, 21, 61]).tolist()
     assert parse_landmarks("") == []
-    for text in ("nose", "60", "99"):
+    assert parse_landmarks("0-67") == list(range(66))
+    for text in ("nose", "60", "99", "5-99", "3-1"):
         with pytest.raises(HeadError, match="names no landmarks"):
             parse_landmarks(text)
 

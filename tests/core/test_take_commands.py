@@ -146,6 +146,19 @@ def test_a_part_is_punched_in_by_the_command(saved, tmp_path):
     assert load_take(out).info["punched_in"] == [[0.4, 0.8]]
 
 
+def test_a_blend_below_0_is_refused(saved, tmp_path, capsys):
+    out, path = tmp_path / "out.facetake", str(saved[1])
+    assert cli.main(["mend", path, "-o", str(out), "--punch-in", path, "--at", "0.4:0.8", "--blend", "-1"]) == 1
+    assert "over -1.0 s" in capsys.readouterr().err and not out.exists()
+
+
+def test_times_that_are_no_seconds_are_told_before_they_fill_the_memory(saved, tmp_path, capsys):
+    save_take(replace(saved[0], times=saved[0].times * 1e9), tmp_path / "long.facetake")
+    line = ["mend", str(tmp_path / "long.facetake"), "-o", str(tmp_path / "out.facetake"), "--rate", "30"]
+    assert cli.main(line) == 1
+    assert "check that the take's times are seconds" in capsys.readouterr().err
+
+
 def test_a_damaged_take_is_used_and_what_it_lost_is_told(saved, tmp_path, capsys):
     saved[1].write_bytes(saved[1].read_bytes()[:-40])
     assert cli.main(["export", str(saved[1]), "-o", str(tmp_path / "take.csv")]) == 0
@@ -159,6 +172,11 @@ def test_a_damaged_take_is_used_and_what_it_lost_is_told(saved, tmp_path, capsys
         (["--trim", "2:1"], "no span of time"),
         (["--trim", "x:1"], "no span of time"),
         (["--rate", "0"], "cannot be"),
+        (["--shift", "nan"], "cannot be nan s later"),
+        (["--shift", "1e300"], "s later"),
+        (["--hold", "--longest", "-1"], "No gap is at most -1.0 s long"),
+        (["--at", "0.4:0.8"], "--punch-in"),
+        (["--cutoff", "mouth=2"], "--smooth zero-phase"),
         (["--smooth", "zero-phase", "--cutoff", "ears=1"], "is no cutoff"),
         (["--smooth", "zero-phase", "--cutoff", "mouth=fast"], "is no cutoff"),
         (["--neutral", "50"], "Choose another neutral"),

@@ -203,8 +203,9 @@ def test_content_that_is_none_behind_a_right_checksum_is_left_out(written):
     assert len(take) == 60 and "recovered" not in take.info
 
 
-def test_what_a_file_tells_is_left_out_where_it_cannot_be(written):
-    wrong = {"fps": "fast", "image_size": [640, -1], "calibration": 3, "bridged": {}, "source": "x", "my own": [1]}
+@pytest.mark.parametrize("size", [-1, 0, 0.5, 10**6, "480"])
+def test_what_a_file_tells_is_left_out_where_it_cannot_be(written, size):
+    wrong = {"fps": "fast", "image_size": [640, size], "calibration": 3, "bridged": {}, "source": "x", "my own": [1]}
     end = starts(written)[-1]
     take = take_of(written[:end] + chunk_bytes(b"E", info_content(wrong, 60)))
     assert take.info == {"source": "x", "my own": [1]}
