@@ -72,8 +72,8 @@ def check_range(take: Take, frames: NDArray[np.floating]) -> None:
     """Raise SourceError where `frames`, increasing, of `take` reach beyond what Blender can play."""
     if max(-frames[0], frames[-1]) > _LAST_FRAME:
         raise SourceError(
-            f"The take reaches from {take.times[0]:.2f} s to {take.times[-1]:.2f} s, beyond Blender's last frame. Check "
-            "that these are seconds; a take is moved by: facemime mend TAKE --shift SECONDS -o OUT"
+            f"The take reaches from {take.times[0]:.2f} s to {take.times[-1]:.2f} s, beyond Blender's last frame. "
+            "Check that these are seconds; a take is moved by: facemime mend TAKE --shift SECONDS -o OUT"
         )
 
 
