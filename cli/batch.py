@@ -20,9 +20,10 @@ from ..core.overlay import picture_of_frame
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
 from .console import Progress
-from .options import add_bake_options, add_head_options, as_line, settings_of
-from .takes import Commands
+from .options import Commands, add_bake_options, add_command, add_head_options, add_output, as_line, settings_of
 
+_SOURCES = "videos, folders of them, or a text with a path a line"
+_OUTPUT = "where each clip's .blend, .facetake, .png and record go; what is there already is not done again"
 _THUMBNAIL = (240, 180)
 _MOST_FAILED = 99
 _INTERRUPTED = 130
@@ -30,18 +31,19 @@ _INTERRUPTED = 130
 
 def add_commands(commands: Commands) -> None:
     """Make the commands known to the parser."""
-    clip = commands.add_parser("clip", help="puppet one of many clips, if that is not done yet; what batch runs")
-    clip.add_argument("source", type=Path, metavar="VIDEO|FOLDER|LIST")
+    clip = add_command(commands, "clip", "puppet one of many clips, if that is not done yet; what batch runs")
+    clip.add_argument("source", type=Path, metavar="VIDEO|FOLDER|LIST", help=_SOURCES)
     clip.add_argument("--number", type=int, metavar="N", help="which clip of the folder or the list, from 1")
-    clip.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    add_output(clip, "DIR", _OUTPUT)
     add_head_options(clip)
     add_bake_options(clip)
     clip.set_defaults(run=run_clip)
 
-    batch = commands.add_parser("batch", help="puppet many clips; the exit status is how many failed, 99 at most")
-    batch.add_argument("sources", nargs="+", type=Path, metavar="FOLDER|LIST|VIDEO")
-    batch.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
-    batch.add_argument("--jobs", type=int, default=max(1, (os.cpu_count() or 2) // 2), metavar="N", help="at a time")
+    batch = add_command(commands, "batch", "puppet many clips; the exit status is how many failed, 99 at most")
+    batch.add_argument("sources", nargs="+", type=Path, metavar="FOLDER|LIST|VIDEO", help=_SOURCES)
+    add_output(batch, "DIR", f"{_OUTPUT}; and report.html")
+    jobs = max(1, (os.cpu_count() or 2) // 2)
+    batch.add_argument("--jobs", type=int, default=jobs, metavar="N", help=f"clips at a time (half the cores: {jobs})")
     batch.add_argument("--dask", metavar="ADDRESS", help="on the workers of this Dask scheduler instead of here")
     add_head_options(batch)
     add_bake_options(batch)

@@ -35,7 +35,7 @@ from ..core.tracking.tracker import FaceTracker
 from ..core.version import version
 from .batch import add_commands as add_batch_commands
 from .console import Progress, say
-from .options import add_bake_options, add_face_option, add_head_options, face_of
+from .options import add_bake_options, add_command, add_face_option, add_head_options, add_output, face_of
 from .takes import add_commands as add_take_commands
 from .takes import load_telling
 
@@ -64,22 +64,22 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"facemime {version()}")
     commands = parser.add_subparsers(dest="command", required=True)
 
-    landmarks = commands.add_parser("landmarks", help="find the 66 landmarks in pictures")
-    landmarks.add_argument("images", nargs="+", type=Path, metavar="IMAGE_OR_FOLDER")
-    landmarks.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.npz")
-    landmarks.add_argument("--overlay", type=Path, metavar="DIR", help="also draw them over the pictures")
+    landmarks = add_command(commands, "landmarks", "find the 66 landmarks in pictures")
+    landmarks.add_argument("images", nargs="+", type=Path, metavar="IMAGE|FOLDER", help="pictures, and folders of them")
+    add_output(landmarks, "FILE.npz", "names (N,), landmarks (N, 66, 2) in pixels or NaN, confidence (N,)")
+    landmarks.add_argument("--overlay", type=Path, metavar="DIR", help="also draw them over copies of the pictures")
     landmarks.set_defaults(run=run_landmarks)
 
-    track = commands.add_parser("track", help="track a face through a video")
-    track.add_argument("video", type=Path)
-    track.add_argument("-o", "--output", type=Path, required=True, metavar="TAKE.facetake")
+    track = add_command(commands, "track", "track a face through a video")
+    track.add_argument("video", type=Path, metavar="VIDEO", help="what FFmpeg reads; MP4 (H.264) is safe")
+    add_output(track, "TAKE.facetake", "all that was tracked, to move any head by; it is there while it grows")
     track.add_argument("--smooth", action="store_true", help="hold still what does not move")
     add_face_option(track)
     track.set_defaults(run=run_track)
 
-    puppet = commands.add_parser("puppet", help="move a head by a video or a take, as Blender animation")
-    puppet.add_argument("source", type=Path, metavar="VIDEO|TAKE")
-    puppet.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.blend")
+    puppet = add_command(commands, "puppet", "move a head by a video or a take, as Blender animation")
+    puppet.add_argument("source", type=Path, metavar="VIDEO|TAKE", help="a video, or what track made of one")
+    add_output(puppet, "OUT.blend", "the head with its animation")
     puppet.add_argument("--preview", type=Path, metavar="OUT.mp4", help="video of performer and avatar side by side")
     puppet.add_argument("--sheet", type=Path, metavar="OUT.png", help="contact sheet of the most different expressions")
     puppet.add_argument("--take", type=Path, metavar="TAKE.facetake", help="also keep the take")
@@ -88,11 +88,13 @@ def _parser() -> argparse.ArgumentParser:
     add_bake_options(puppet)
     puppet.set_defaults(run=run_puppet)
 
-    select = commands.add_parser("select", help="choose the control points that a take needs on the built-in head")
-    select.add_argument("take", type=Path, metavar="TAKE.facetake")
+    select = add_command(commands, "select", "choose the control points that a take needs on the built-in head")
+    select.add_argument("take", type=Path, metavar="TAKE.facetake", help="what track made")
     select.add_argument("-o", "--output", type=Path, metavar="POINTS.json", help="for puppet --points")
     select.add_argument("--tolerance", type=float, default=1.0, metavar="PERCENT", help="of the face's width (1)")
-    select.add_argument("--max-points", type=int, default=N_LANDMARKS, metavar="N", help="at most so many")
+    select.add_argument(
+        "--max-points", type=int, default=N_LANDMARKS, metavar="N", help=f"at most so many ({N_LANDMARKS})"
+    )
     select.add_argument("--add", default="", metavar="17,19-21", help="landmarks to have in any case, iBUG numbers")
     select.add_argument("--remove", default="", metavar="0-3,30", help="landmarks never to have")
     select.add_argument("--neutral", type=float, metavar="SECONDS", help="where the neutral second starts; else found")

@@ -18,6 +18,20 @@ _FLAGS = ("smooth", "nla")
 _NAMES = ("face", "head", "mode", "kernel", "points", "smooth", "pose", "keys", "max_keys", "clean", "map", "nla")
 
 
+Commands = argparse._SubParsersAction  # argparse names the type of what add_subparsers gives in no other way
+
+
+def add_command(commands: Commands, name: str, told: str) -> argparse.ArgumentParser:
+    """A command that does what is `told`, in the list of all commands and at the top of its own help."""
+    parser: argparse.ArgumentParser = commands.add_parser(name, help=told, description=f"{told[0].upper()}{told[1:]}.")
+    return parser
+
+
+def add_output(parser: argparse.ArgumentParser, metavar: str, told: str) -> None:
+    """Where the result goes, which has to be said."""
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=told)
+
+
 def add_face_option(parser: argparse.ArgumentParser) -> None:
     """Whom to follow where several people are in view."""
     parser.add_argument(
@@ -45,11 +59,15 @@ def add_head_options(parser: argparse.ArgumentParser) -> None:
     """The options that say which head is moved, by whom and how; `puppet`, `clip` and `batch` have them in common."""
     add_face_option(parser)
     parser.add_argument("--head", metavar="FILE.blend[:OBJECT]", help="your own head; the built-in one by default")
-    parser.add_argument("--mode", choices=("3d", "planar"), default="3d", help="planar keeps every depth (default 3d)")
-    parser.add_argument("--kernel", choices=(INFORMED, *KERNELS), default=INFORMED, help="how skin follows landmarks")
+    parser.add_argument("--mode", choices=("3d", "planar"), default="3d", help="planar keeps every depth (3d)")
+    parser.add_argument(
+        "--kernel", choices=(INFORMED, *KERNELS), default=INFORMED, help=f"how skin follows landmarks ({INFORMED})"
+    )
     parser.add_argument("--points", type=_path, metavar="POINTS.json", help="control points that select chose")
     parser.add_argument("--smooth", action="store_true", help="hold still what does not move; a kept take stays raw")
-    parser.add_argument("--pose", choices=("rotation", "full", "none"), default="rotation", help="head pose to follow")
+    parser.add_argument(
+        "--pose", choices=("rotation", "full", "none"), default="rotation", help="head pose to follow (rotation)"
+    )
 
 
 def add_bake_options(parser: argparse.ArgumentParser) -> None:

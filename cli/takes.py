@@ -16,15 +16,14 @@ from ..core.takes.smooth import CUTOFFS, smooth_take, smooth_zero_phase
 from ..core.takes.spreadsheet import from_csv, to_csv
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
-
-Commands = argparse._SubParsersAction  # argparse names the type of what add_subparsers gives in no other way
+from .options import Commands, add_command, add_output
 
 
 def add_commands(commands: Commands) -> None:
     """Make the commands known to the parser."""
-    mend = commands.add_parser("mend", help="mend a take: gaps, outliers, noise, times; done in the order listed")
-    mend.add_argument("take", type=Path, metavar="TAKE.facetake")
-    mend.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.facetake")
+    mend = add_command(commands, "mend", "mend a take: gaps, outliers, noise, times; done in the order listed")
+    mend.add_argument("take", type=Path, metavar="TAKE.facetake", help="is left as it is")
+    add_output(mend, "OUT.facetake", "the mended one")
     mend.add_argument("--punch-in", type=Path, metavar="OTHER.facetake", help="put a part of another take in")
     mend.add_argument("--at", metavar="A:B", help="seconds of the part that is put in; by default all of it")
     mend.add_argument("--blend", type=float, default=0.2, metavar="S", help="over which it passes over (0.2)")
@@ -34,23 +33,26 @@ def add_commands(commands: Commands) -> None:
     gaps.add_argument("--hold", action="store_true", help="stay still through gaps without a face")
     mend.add_argument("--longest", type=float, default=1.0, metavar="S", help="longest gap to be filled (1)")
     mend.add_argument("--smooth", choices=("one-euro", "zero-phase"), help="as it is done live, or without delay")
-    mend.add_argument("--cutoff", default="", metavar="PART=HZ,...", help=f"for zero-phase; {', '.join(CUTOFFS)}")
+    cutoffs = ",".join(f"{part}={cutoff:g}" for part, cutoff in CUTOFFS.items())
+    mend.add_argument("--cutoff", default="", metavar="PART=HZ,...", help=f"for zero-phase ({cutoffs})")
     mend.add_argument("--mirror", action="store_true", help="swap left and right")
     mend.add_argument("--neutral", type=float, metavar="S", help="the face at this time is the neutral one")
-    mend.add_argument("--trim", metavar="A:B", help="keep these seconds; either may be left out")
+    mend.add_argument(
+        "--trim", metavar="A:B", help="keep these seconds; either may be left out (--trim=-1:4 where A is below 0)"
+    )
     mend.add_argument("--shift", type=float, default=0.0, metavar="S", help="seconds later")
     mend.add_argument("--rate", type=float, metavar="FPS", help="frames at an even rate")
     mend.add_argument("--figure", type=Path, metavar="CURVES.png", help="draw every part before and after")
     mend.set_defaults(run=run_mend)
 
-    export = commands.add_parser("export", help="a take as a table of comma-separated values")
-    export.add_argument("take", type=Path, metavar="TAKE.facetake")
-    export.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.csv")
+    export = add_command(commands, "export", "a take as a table of comma-separated values")
+    export.add_argument("take", type=Path, metavar="TAKE.facetake", help="what track made")
+    add_output(export, "OUT.csv", "a row a frame; docs/takes.md tells the columns")
     export.set_defaults(run=run_export)
 
-    read = commands.add_parser("import", help="a table as a take")
-    read.add_argument("table", type=Path, metavar="TABLE.csv")
-    read.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.facetake")
+    read = add_command(commands, "import", "a table as a take")
+    read.add_argument("table", type=Path, metavar="TABLE.csv", help="as export writes them; fewer columns will do")
+    add_output(read, "OUT.facetake", "the take")
     read.set_defaults(run=run_import)
 
 

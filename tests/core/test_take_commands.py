@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 from dataclasses import replace
 
@@ -144,6 +145,15 @@ def test_a_part_is_punched_in_by_the_command(saved, tmp_path):
     out = tmp_path / "out.facetake"
     assert cli.main(["mend", str(saved[1]), "-o", str(out), "--punch-in", str(saved[1]), "--at", "0.4:0.8"]) == 0
     assert load_take(out).info["punched_in"] == [[0.4, 0.8]]
+
+
+def test_every_command_and_each_of_its_arguments_is_told():
+    (commands,) = (action for action in cli._parser()._actions if isinstance(action, argparse._SubParsersAction))
+    assert len(commands.choices) == 9
+    for name, parser in commands.choices.items():
+        assert parser.description and parser.description.endswith("."), name
+        assert all(action.help for action in parser._actions), name
+        assert "  --" in parser.format_help()
 
 
 def test_a_blend_below_0_is_refused(saved, tmp_path, capsys):
