@@ -12,7 +12,16 @@ from ..core.deform.check import Finding, check_head
 from ..core.deform.propose import propose_regions
 from ..core.errors import HeadError
 from .frames import HEAD_TO_BLENDER
-from .meshes import mesh_of, read_faces, read_landmarks, read_regions, read_vertices, write_landmarks, write_regions
+from .meshes import (
+    eye_vertices,
+    mesh_of,
+    read_faces,
+    read_landmarks,
+    read_regions,
+    read_vertices,
+    write_landmarks,
+    write_regions,
+)
 from .names import COUNT_PROPERTY, LANDMARKS_PROPERTY, MARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 
 _UPRIGHT = np.cos(np.radians(20.0))
@@ -34,11 +43,14 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
     mesh = mesh_of(obj)
     marks = read_marks(mesh)
     seen = HEAD_TO_BLENDER.T @ np.array(obj.matrix_world.to_quaternion().to_matrix()) @ HEAD_TO_BLENDER
-    binding = bind_landmarks(read_vertices(mesh) @ seen.T, read_faces(mesh), marks)
+    skin, faces = _skin(obj)
+    number = {vertex: place for place, vertex in enumerate(skin.tolist())}
+    marks = {landmark: number[vertex] for landmark, vertex in marks.items() if vertex in number}
+    binding = bind_landmarks(read_vertices(mesh)[skin] @ seen.T, faces, marks)
     upright = seen if _is_small(binding.rotation) else binding.rotation @ seen
     if not _is_small(upright):
         _turn(obj, HEAD_TO_BLENDER @ upright @ HEAD_TO_BLENDER.T)
-    write_landmarks(mesh, binding.landmarks)
+    write_landmarks(mesh, skin[binding.landmarks])
     if SELECTION_PROPERTY in mesh:
         del mesh[SELECTION_PROPERTY]
     propose_head_regions(obj)
@@ -108,6 +120,19 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
         raise HeadError("Another landmark lies on that vertex. Pick a vertex of its own.")
     landmarks[landmark] = vertex
     write_landmarks(obj.data, landmarks)
+
+
+def _skin(obj: bpy.types.Object) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The vertices (N,) of `obj` but for eyes that were cut out, whose border would pass for the lids', and the faces
+    (F, K) among them, in numbers of these.
+    """
+    count = len(obj.data.vertices)
+    skin = np.setdiff1d(np.arange(count), eye_vertices(obj))
+    number = np.full(count + 1, -1)
+    number[skin] = np.arange(len(skin))
+    faces = read_faces(obj.data)
+    whole = ((number[faces] >= 0) | (faces < 0)).all(axis=1)
+    return skin, number[faces[whole]]
 
 
 def _is_small(rotation: NDArray[np.floating]) -> bool:

@@ -9,17 +9,18 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ..core.arrays import FloatArray, IntArray
+from ..core.arrays import IntArray
 from ..core.deform.slit import lip_line, rim_landmarks
 from ..core.deform.surface import SurfaceGraph, lips_joined
 from ..core.errors import HeadError
-from ..core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, N_LANDMARKS, OUTER_EYE_CORNERS, from_ibug
+from ..core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, OUTER_EYE_CORNERS, from_ibug
 from .binding import propose_head_regions
+from .cutting import apart, copy_moved, edited, indices, split_along
 from .materials import plain_material
 from .meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks
 
 _LOWER_LIP = set(from_ibug((*range(55, 60), *range(65, 68))).tolist())
-_TAG = "facemime_line"
+_INNER = np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
 _DEPTH = 0.3
 """Of the pocket behind the lips, in outer-eye distances."""
 _MOUTH = "Facemime Mouth"
@@ -49,10 +50,10 @@ def open_lips(obj: bpy.types.Object | None) -> int:
     if not mesh.materials:
         mesh.materials.append(None)
     mesh.materials.append(bpy.data.materials.get(_MOUTH) or plain_material(_MOUTH, _COLOUR, 1.0))
-    chosen = rim_landmarks(line, vertices[line])
+    chosen = rim_landmarks(vertices[line])
     moved[MOUTH_INNER_UPPER] = upper[chosen]
     moved[MOUTH_INNER_LOWER] = lower[chosen[::-1]]
-    write_landmarks(mesh, _apart(moved, read_vertices(mesh)))
+    write_landmarks(mesh, apart(moved, read_vertices(mesh), _INNER))
     propose_head_regions(obj)
     return len(line) - 1
 
@@ -61,32 +62,18 @@ def _cut(
     mesh: bpy.types.Mesh, line: IntArray, landmarks: IntArray, depth: float
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Vertices of the upper and of the lower rim, (N,) each with the corners in common, and the landmarks (66,)."""
-    work = bmesh.new()
-    try:
-        work.from_mesh(mesh)
-        work.verts.ensure_lookup_table()
-        tag = work.verts.layers.int.new(_TAG)
+    with edited(mesh) as work:
         before = list(work.verts)
-        for place, vertex in enumerate(line.tolist(), start=1):
-            before[vertex][tag] = place
-        ends = [before[vertex] for vertex in line.tolist()]
-        bmesh.ops.split_edges(work, edges=[work.edges.get(pair) for pair in pairwise(ends)])
-        work.verts.index_update()
-        # Splitting keeps every vertex and adds copies behind them; only those of the line are in doubt.
-        moved = np.array([before[vertex].index for vertex in landmarks.tolist()])
-        rims = _rims([[v for v in work.verts if v[tag] == place] for place in range(1, len(line) + 1)])
-        lower, upper = (np.array([v.index for v in rim]) for rim in sorted(rims, key=_height_beside))
+        rims = _rims(split_along(work, [before[vertex] for vertex in line.tolist()]))
+        lower, upper = sorted(rims, key=_height_beside)
         _put_pocket_behind(work, rims, depth, max(1, len(mesh.materials)))
-        work.verts.layers.int.remove(tag)
-        work.to_mesh(mesh)
-    finally:
-        work.free()
-    mesh.update()
-    on_line = {int(vertex): place for place, vertex in enumerate(line)}
-    for landmark, vertex in enumerate(landmarks.tolist()):
-        if vertex in on_line:
-            moved[landmark] = (lower if landmark in _LOWER_LIP else upper)[on_line[vertex]]
-    return upper, lower, moved
+        work.verts.index_update()
+        on_line = {before[vertex]: place for place, vertex in enumerate(line.tolist())}
+        bound = [before[vertex] for vertex in landmarks.tolist()]
+        for landmark, vertex in enumerate(bound):
+            if vertex in on_line:
+                bound[landmark] = (lower if landmark in _LOWER_LIP else upper)[on_line[vertex]]
+        return indices(upper), indices(lower), indices(bound)
 
 
 def _rims(copies: list[list[bmesh.types.BMVert]]) -> list[list[bmesh.types.BMVert]]:
@@ -106,10 +93,11 @@ def _put_pocket_behind(
     work: bmesh.types.BMesh, rims: list[list[bmesh.types.BMVert]], depth: float, material: int
 ) -> None:
     """Walls that lead `depth` back from both rims, and one that joins them there."""
+    back_by = Vector((0.0, depth, 0.0))  # the head faces -y
     backs = []
     for rim in rims:
-        back = [_behind(work, vertex, depth) for vertex in rim[1:-1]]
-        ends = [backs[0][0], backs[0][-1]] if backs else [_behind(work, rim[i], depth) for i in (0, -1)]
+        back = [copy_moved(work, vertex, back_by) for vertex in rim[1:-1]]
+        ends = [backs[0][0], backs[0][-1]] if backs else [copy_moved(work, rim[i], back_by) for i in (0, -1)]
         backs.append([ends[0], *back, ends[1]])
     strips = [*zip(rims, backs, strict=True), tuple(backs)]
     for near, far in strips:
@@ -119,29 +107,6 @@ def _put_pocket_behind(
             face.material_index, face.smooth = material, True
 
 
-def _behind(work: bmesh.types.BMesh, vertex: bmesh.types.BMVert, depth: float) -> bmesh.types.BMVert:
-    """A vertex `depth` behind one, in every shape key; the head faces -y. Weights are the same."""
-    back = work.verts.new(vertex.co, vertex)
-    move = Vector((0.0, depth, 0.0))
-    back.co += move
-    for key in work.verts.layers.shape.values():
-        back[key] = vertex[key] + move
-    return back
-
-
 def _height_beside(rim: list[bmesh.types.BMVert]) -> float:
     """How far the faces along a rim lie above it; the head stands upright along z."""
     return sum(face.calc_center_median().z - vertex.co.z for vertex in rim[1:-1] for face in vertex.link_faces)
-
-
-def _apart(landmarks: IntArray, vertices: FloatArray) -> IntArray:
-    """The landmarks, those that share a vertex moved to the nearest free one; inner lips stay."""
-    apart = landmarks.copy()
-    inner = [*MOUTH_INNER_UPPER.tolist(), *MOUTH_INNER_LOWER.tolist()]
-    taken: set[int] = set()
-    for landmark in (*inner, *(i for i in range(N_LANDMARKS) if i not in inner)):
-        if int(apart[landmark]) in taken:
-            order = np.argsort(np.linalg.norm(vertices - vertices[apart[landmark]], axis=1))
-            apart[landmark] = next(v for v in order.tolist() if v not in taken)
-        taken.add(int(apart[landmark]))
-    return apart

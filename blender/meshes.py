@@ -7,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.control_points import from_json, to_json
+from ..core.deform.eyeballs import eyeball_of
 from ..core.deform.greedy import GreedySelection
 from ..core.drive import HeadRig
 from ..core.errors import HeadError
-from ..core.landmarks import N_LANDMARKS
+from ..core.landmarks import N_LANDMARKS, OUTER_EYE_CORNERS
 from .frames import flat_in_blender, from_blender
-from .names import COUNT_PROPERTY, LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
+from .names import COUNT_PROPERTY, EYES_GROUP, LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 
 _JAW_SIDES = (2, 14)
 
@@ -134,16 +135,32 @@ def read_rig(obj: bpy.types.Object | None) -> HeadRig:
         landmarks=landmarks,
         region_weights=read_regions(obj),
         jaw_pivot=_jaw_pivot(obj, vertices[landmarks]),
-        eyeballs=read_eyeballs(obj),
+        eyeballs=read_eyeballs(obj, vertices[landmarks]),
         control_points=None if selection is None else selection.membership,
         covariance=None if selection is None else selection.covariance,
         faces=read_faces(mesh),
     )
 
 
-def read_eyeballs(obj: bpy.types.Object) -> NDArray[np.float64]:
-    """(E, 4) centre and radius, in the frame of `obj`, of the eyeballs that are its children."""
-    eyeballs = []
+def eye_vertices(obj: bpy.types.Object) -> NDArray[np.intp]:
+    """(N,) the vertices of eyes that were cut out of the skin of `obj`; none on most heads."""
+    group = obj.vertex_groups.get(EYES_GROUP)
+    if group is None:
+        return np.empty(0, dtype=np.intp)
+    number = group.index
+    within = [v.index for v in obj.data.vertices if any(element.group == number for element in v.groups)]
+    return np.array(within, dtype=np.intp)
+
+
+def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(E, 4) centre and radius, in the frame of `obj`, of the eyeballs that are its children or parts of its mesh.
+
+    Eyes of its mesh are told apart by the side on which they lie of the landmarks (66, 3).
+    """
+    points = read_vertices(obj.data)[eye_vertices(obj)].astype(np.float64)
+    right, left = landmarks[OUTER_EYE_CORNERS].astype(np.float64)
+    side = (points - (right + left) / 2.0) @ (left - right)
+    eyeballs = [eyeball_of(eye).tolist() for eye in (points[side < 0], points[side >= 0]) if len(eye) > 3]
     for child in obj.children:
         if str(child.get(PART_PROPERTY, "")).startswith("eye") and isinstance(child.data, bpy.types.Mesh):
             centre = from_blender(np.array((child.matrix_parent_inverse @ child.matrix_basis).translation))
@@ -179,8 +196,13 @@ def read_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
 
 
 def write_regions(obj: bpy.types.Object, weights: NDArray[np.floating]) -> None:
-    """Make the vertex groups Upper, Middle and Lower of `obj` hold (3, V) `weights`; other groups stay."""
-    for name, row in zip(REGION_GROUPS, weights, strict=True):
+    """Make the vertex groups Upper, Middle and Lower of `obj` hold (3, V) `weights`; other groups stay.
+
+    Eyes that were cut out of the skin are in none of them: lids slide over eyes that stay where they are.
+    """
+    shares = np.array(weights)
+    shares[:, eye_vertices(obj)] = 0.0
+    for name, row in zip(REGION_GROUPS, shares, strict=True):
         group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
         group.remove(np.flatnonzero(row == 0.0).tolist())
         for vertex in np.flatnonzero(row).tolist():

@@ -18,6 +18,9 @@ PART_PROPERTY = "facemime_part"
 REGION_GROUPS = ("Facemime Upper", "Facemime Middle", "Facemime Lower")
 """Vertex groups of the three regions, in the order of `core.head.REGION_NAMES`."""
 
+EYES_GROUP = "Facemime Eyes"
+"""Vertex group of eyes that were cut out of the skin: they are in no region, and the lids slide over them."""
+
 PART_OBJECTS = {
     "eye_left": "Eye.L",
     "eye_right": "Eye.R",

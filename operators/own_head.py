@@ -12,6 +12,7 @@ from ..blender.binding import (
     propose_head_regions,
     write_mark,
 )
+from ..blender.eyes import open_eyes
 from ..blender.lips import open_lips
 from ..core.deform.binding import MARKS
 from ..core.landmarks import from_ibug
@@ -151,6 +152,20 @@ class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
         return {"FINISHED"}
 
 
+class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
+    """Cut out eyes that are one skin with their lids, as a scan's are, so that the lids can shut over them"""
+
+    bl_idname = "facemime.open_eyes"
+    bl_label = "Open Eyes"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        count = open_eyes(context.active_object)
+        self.report({"INFO"}, f"{count} eyes cut out of the skin along their lids")
+        tell_findings(self, context)
+        return {"FINISHED"}
+
+
 _CLASSES = (
     FACEMIME_OT_mark_point,
     FACEMIME_OT_clear_marks,
@@ -159,6 +174,7 @@ _CLASSES = (
     FACEMIME_OT_propose_regions,
     FACEMIME_OT_check_head,
     FACEMIME_OT_open_lips,
+    FACEMIME_OT_open_eyes,
 )
 
 

@@ -57,6 +57,7 @@ class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
             column.operator("facemime.propose_regions", icon="GROUP_VERTEX")
             column.operator("facemime.check_head", icon="CHECKMARK")
             column.operator("facemime.open_lips", icon="SCULPTMODE_HLT")
+            column.operator("facemime.open_eyes", icon="HIDE_OFF")
         if marks:
             column.operator("facemime.clear_marks")
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..landmarks import IBUG68_INDICES
+from .lids import eyes_joined
 from .regions import REGIONS, membership
 from .surface import SurfaceGraph, lips_joined
 
@@ -42,6 +43,7 @@ def check_head(vertices: FloatArray, faces: IntArray, landmarks: IntArray, regio
         findings.append(Finding(f"Landmarks {_list(twins)} share vertices.", "Bind each to a vertex of its own."))
     findings += _region_findings(landmarks, region_weights)
     findings += _lip_findings(vertices, faces, landmarks)
+    findings += _eye_findings(vertices, faces, landmarks)
     return findings
 
 
@@ -76,6 +78,18 @@ def _lip_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) ->
             "The lips are joined into one skin, so that the mouth cannot open.",
             "Press Open Lips, which cuts the mesh between them, or model a slit.",
             "open_lips",
+        )
+    ]
+
+
+def _eye_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[Finding]:
+    if not any(eyes_joined(vertices, faces, landmarks)):
+        return []
+    return [
+        Finding(
+            "The eyes are one skin with their lids, so that they cannot shut.",
+            "Press Open Eyes, which cuts the mesh along the lids, or model eyes of their own.",
+            "open_eyes",
         )
     ]
 

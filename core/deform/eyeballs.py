@@ -11,9 +11,23 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 
+LID = 0.03
+"""How far within the sphere of the lids an eye lies that was cut out of the skin, of its radius."""
 _REACH = 1.8
 _SLACK = 1e-5
 """Of the squared distance: what rounding may take from a vertex that has not moved."""
+
+
+def eyeball_of(points: FloatArray) -> FloatArray:
+    """(4,) centre and radius of the sphere on which the lids slide over an eye that has vertices (N, 3) on one.
+
+    Least squares of |p|^2 = 2 c p + (r^2 - |c|^2), linear in c and in what stands in brackets.
+    """
+    middle = points.mean(axis=0)
+    about = points - middle
+    *half, rest = np.linalg.lstsq(np.column_stack([about, np.ones(len(about))]), (about**2).sum(axis=1), rcond=None)[0]
+    centre = np.array(half) / 2.0
+    return np.array([*(middle + centre), np.sqrt(rest + centre @ centre) / (1.0 - LID)])
 
 
 class EyeballContact:

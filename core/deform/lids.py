@@ -8,6 +8,7 @@ over that (`EyeballContact`).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
 from ..landmarks import from_ibug
+from .eyeballs import LID
+from .slit import at_shares
 from .surface import JOINED, SurfaceGraph
 
 EYES = from_ibug((36, 37, 38, 39, 40, 41)), from_ibug((45, 44, 43, 42, 47, 46))
@@ -39,7 +42,16 @@ _BESIDE = 0.15
 _PITS = 95.0
 """Percentile of the skin that lies before the sphere: what noise dents deeper does not push the eye in."""
 _STEEP = 0.95
-_LEAST_RIM = 8
+_LEAST_RIM = 12
+_LIDS = (1.0 / 3.0, 2.0 / 3.0)
+"""Where along a lid its two landmarks lie."""
+_SPINE = (0.3, 0.7)
+_SPREAD = (0.2, 0.8)
+_LEAST_BOW = 0.5
+_MIDDLE = np.array([0.5, 0.04, 0.2])
+_STEEPEST = 0.9
+_HALVINGS = 40
+_STEPS = 12
 
 
 @dataclass(frozen=True)
@@ -88,9 +100,9 @@ class EyeCut:
     edges : (K, 2) intp
         Edges to be split, the vertex within the eye first. The new vertices are V, V + 1 and so on.
     shares : (K,) float
-        How far from the vertex within.
+        Where, from the vertex within.
     chords : (C, 2) intp
-        Pairs of vertices, of the new ones among others, to be joined by an edge across the face that has both.
+        Pairs of vertices, most of them new, to be joined by an edge across the face that has both.
     rim : (N,) intp
         The closed cut, from the outer corner along the upper lid to the inner corner and back.
     inner : int
@@ -110,3 +122,264 @@ class EyeCut:
     within: NDArray[np.intp]
     outline: EyeOutline
     eyeball: FloatArray
+
+    def landmark_places(self, points: FloatArray) -> NDArray[np.intp]:
+        """(6,) places in the rim, which leads through `points` (N, 3), for the landmarks of an eye in `EYES`' order."""
+        upper = np.arange(self.inner + 1)
+        lower = np.append(np.arange(self.inner, len(points)), 0)
+        above, below = upper[at_shares(points[upper], _LIDS)], lower[at_shares(points[lower], _LIDS)]
+        return np.array([0, *above, self.inner, *below])
+
+    def on_eye(self, points: FloatArray) -> FloatArray:
+        """(N, 3) points (N, 3) moved along the view of the eye onto the eye's sphere, `LID` behind the lids."""
+        return self.outline.places(self._sunk(self.outline.local(points)))
+
+    def behind_lids(self, points: FloatArray, distance: float) -> FloatArray:
+        """(N, 3) on the eye's sphere, `distance` widths outside the rim, whose places are `points` (N, 3)."""
+        local = self.outline.local(points)
+        spine = np.zeros_like(local)
+        spine[:, 0] = np.clip(local[:, 0], *_SPINE)
+        spine[:, 1] = (self.outline.lids[:, 0] / 8.0).sum()
+        away = (local - spine)[:, :2]
+        local[:, :2] += distance * away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+        return self.outline.places(self._sunk(local))
+
+    def _sunk(self, local: FloatArray) -> FloatArray:
+        centre = self.outline.local(self.eyeball[:3])
+        radius = (1.0 - LID) * self.eyeball[3] / self.outline.width
+        across = local[:, :2] - centre[:2]
+        far = np.linalg.norm(across, axis=1, keepdims=True)
+        across *= np.minimum(1.0, _STEEP * radius / np.maximum(far, 1e-9))
+        depth = np.sqrt(radius**2 - np.square(across).sum(axis=1))
+        return np.column_stack([centre[:2] + across, centre[2] + depth])
+
+
+def eye_outline(vertices: FloatArray, landmarks: IntArray, eye: IntArray) -> EyeOutline:
+    """The almond through the landmarks `eye`, one of `EYES`, of a head in the head frame with landmarks (66,).
+
+    Both corners are met. The lids' landmarks, which lie anywhere on a mesh without rims, are met as far as two of them
+    and the usual shape of eyes agree.
+
+    Raises
+    ------
+    HeadError
+        Where the two corners lie in one place, or one above the other.
+    """
+    points = np.asarray(vertices, dtype=np.float64)[landmarks[eye]]
+    width = float(np.linalg.norm(points[3] - points[0]))
+    along = (points[3] - points[0]) / max(width, np.finfo(float).tiny)
+    if width == 0.0 or abs(along[1]) > _STEEPEST:
+        raise HeadError("The two corners of an eye lie above each other. Bind the landmarks anew, or mark the corners.")
+    up = along * along[1] - (0.0, 1.0, 0.0)
+    up /= np.linalg.norm(up)
+    towards = np.cross(along, up)
+    axes = np.stack([along, up, towards if towards[2] < 0.0 else -towards])
+    local = (points - points[0]) @ axes.T / width
+    lids = [_lid(local[lid], usual) for lid, usual in zip((_UPPER, _LOWER), _USUAL, strict=True)]
+    return EyeOutline(points[0], axes, width, np.array(lids))
+
+
+def _lid(points: FloatArray, usual: FloatArray) -> FloatArray:
+    """(2,) `a` and `b` of a lid with two landmarks: least squares, drawn to the `usual` ones."""
+    share = np.clip(points[:, 0], *_SPREAD)
+    bow = share * (1.0 - share)
+    terms = np.column_stack([bow, bow * (2.0 * share - 1.0)])
+    fitted = np.linalg.solve(terms.T @ terms + _TRUST * np.eye(2), terms.T @ points[:, 1] + _TRUST * usual)
+    bow, skew = usual[0] * max(fitted[0] / usual[0], _LEAST_BOW), fitted[1]
+    return np.array([bow, np.clip(skew, -abs(bow), abs(bow))])
+
+
+def eyes_joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[bool]:
+    """Whether each of `EYES` is one skin with its lids: whether the way from lid to lid leads straight over it.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Head frame, any unit.
+    faces : (F, K) array of int
+        Vertices of each face, padded with -1.
+    landmarks : (66,) array of int
+    """
+    return [_joined(np.asarray(vertices, dtype=np.float64), np.asarray(faces), landmarks, eye) for eye in EYES]
+
+
+def _joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray, eye: IntArray) -> bool:
+    try:
+        outline = eye_outline(vertices, landmarks, eye)
+    except HeadError:
+        return False  # without corners there is no eye
+    local = outline.local(vertices)
+    along = local[:, 0]
+    between = (along > _WITHIN) & (along < 1.0 - _WITHIN) & (np.abs(local[:, 1:]) < _REACH).all(axis=1)
+    kept = faces[(between[faces] | (faces < 0)).all(axis=1)]
+    graph = SurfaceGraph(vertices, kept)
+    pairs = landmarks[eye][[[1, 5], [2, 4]]]
+    told = [
+        bool(np.isfinite(graph.ways([upper], JOINED * float(np.linalg.norm(vertices[upper] - vertices[lower])))[lower]))
+        for upper, lower in pairs[between[pairs].all(axis=1)].tolist()
+    ]
+    return bool(told) and all(told)
+
+
+def coarse_edges(graph: SurfaceGraph, outline: EyeOutline) -> NDArray[np.intp]:
+    """(E, 2) edges about an eye that are too long for lids to roll over it."""
+    ends = outline.local(graph.vertices[graph.edges])
+    long = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) > _FINE
+    middle = ends.mean(axis=1)
+    about = (np.abs(middle[:, 0] - 0.5) < 0.5 + _STRETCH) & (np.abs(middle[:, 1:]) < 2.0 * _STRETCH).all(axis=1)
+    return np.asarray(graph.edges[long & about])
+
+
+def cut_eye(vertices: FloatArray, faces: IntArray, outline: EyeOutline) -> EyeCut:
+    """Where the skin is cut along the almond.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Head frame, any unit.
+    faces : (F, K) array of int
+        Vertices of each face, padded with -1.
+    outline : EyeOutline
+
+    Raises
+    ------
+    HeadError
+        Where the mesh is too coarse or has holes at the eye.
+
+    Notes
+    -----
+    Nothing hangs on the order of vertices or faces: the mirror image of a mesh is cut in the mirror image of the cut.
+    """
+    graph = SurfaceGraph(vertices, faces)
+    local = outline.local(graph.vertices)
+    for snap in (_SNAP, 0.0):
+        side, ends, shares = _sides(graph, outline, local, snap)
+        pieces, chords = _pieces(np.asarray(faces), side, ends)
+        loop = _loop(pieces)
+        if loop is not None:
+            break
+    within = np.unique([v for piece in pieces for v in piece if side[v] > 0])
+    holes = {v for edge in graph.edges[graph.faces_at == 1].tolist() for v in edge}
+    if loop is None or holes.intersection(within.tolist()) or holes.intersection(loop):
+        raise HeadError("The mesh has holes at the eyes. Fill them, or cut along the lids: Edge > Edge Split.")
+    if len(loop) < _LEAST_RIM:
+        raise HeadError("The mesh is too coarse at the eyes. Subdivide them first.")
+    places = np.concatenate([local, _between(local[ends], shares)])
+    rim, inner = _from_outer_corner(loop, places)
+    beside = np.isfinite(graph.ways(np.unique(ends).tolist(), _BESIDE * outline.width))
+    beside[within] = False
+    eyeball = _sphere_behind(outline, places[rim], local[beside])
+    return EyeCut(ends, shares, chords, rim, inner, within, outline, eyeball)
+
+
+def _sides(
+    graph: SurfaceGraph, outline: EyeOutline, local: FloatArray, snap: float
+) -> tuple[IntArray, NDArray[np.intp], FloatArray]:
+    """Of each vertex 1 within, 0 on the cut, -1 without; edges (K, 2) from within to without; where they are cut."""
+    inside = _piece(graph, outline.depth_within(local) > 0.0, local)
+    first, second = graph.edges[inside[graph.edges].sum(axis=1) == 1].T
+    ends = np.asarray(np.where(inside[first], [first, second], [second, first]).T, dtype=np.intp)
+    shares = _crossings(outline, local[ends])
+    side = np.where(inside, 1, -1)
+    side[ends[shares < snap, 0]] = 0
+    side[ends[shares > 1.0 - snap, 1]] = 0
+    side[(side > 0) & ~_piece(graph, side > 0, local)] = -1
+    crossed = (side[ends] != 0).all(axis=1) & (side[ends[:, 0]] != side[ends[:, 1]])
+    ends, shares = ends[crossed], shares[crossed]
+    return np.concatenate([side, np.zeros(len(ends), dtype=side.dtype)]), ends, shares
+
+
+def _piece(graph: SurfaceGraph, among: NDArray[np.bool_], local: FloatArray) -> NDArray[np.bool_]:
+    """(V,) the vertices `among` (V,) that edges join to the one of them that is next to the middle of the eye."""
+    found = np.zeros(len(among), dtype=np.bool_)
+    rows = np.flatnonzero(among)
+    if not len(rows):
+        return found
+    start = rows[np.argmin(np.linalg.norm(local[rows] - _MIDDLE, axis=1))]
+    waiting = [int(start)]
+    while waiting:
+        vertex = waiting.pop()
+        if among[vertex] and not found[vertex]:
+            found[vertex] = True
+            waiting += graph.neighbours(vertex)
+    return found
+
+
+def _crossings(outline: EyeOutline, ends: FloatArray) -> FloatArray:
+    """(K,) shares at which edges, of which (K, 2, 3) are the ends within and without, cross the almond; by halving."""
+    low, high = np.zeros(len(ends)), np.ones(len(ends))
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        within = outline.depth_within(_between(ends, middle)) > 0.0
+        low, high = np.where(within, middle, low), np.where(within, high, middle)
+    return np.asarray(0.5 * (low + high))
+
+
+def _between(ends: FloatArray, shares: FloatArray) -> FloatArray:
+    """(K, 3) places on edges (K, 2, 3) at `shares` (K,) of the way from the first end to the second."""
+    return np.asarray(ends[:, 0] + shares[:, None] * (ends[:, 1] - ends[:, 0]))
+
+
+def _pieces(faces: IntArray, side: IntArray, ends: IntArray) -> tuple[list[list[int]], NDArray[np.intp]]:
+    """The parts of faces that lie within, as lists of vertices, and the chords (C, 2) that part them from the rest."""
+    new = {frozenset(pair): len(side) - len(ends) + i for i, pair in enumerate(ends.tolist())}
+    pieces, chords = [], []
+    for face in faces[((side[faces] > 0) & (faces >= 0)).any(axis=1)].tolist():
+        corners = [v for v in face if v >= 0]
+        ring: list[int] = []
+        for a, b in zip(corners, corners[1:] + corners[:1], strict=True):
+            ring += [a, new[frozenset((a, b))]] if frozenset((a, b)) in new else [a]
+        piece = [v for v in ring if side[v] >= 0]
+        pieces.append(piece)
+        neighbours = set(zip(ring, ring[1:] + ring[:1], strict=True))
+        joined = zip(piece, piece[1:] + piece[:1], strict=True)
+        chords += [pair for pair in joined if pair not in neighbours]
+    return pieces, np.array(chords, dtype=np.intp).reshape(-1, 2)
+
+
+def _loop(pieces: list[list[int]]) -> list[int] | None:
+    """The border of `pieces`, vertex by vertex; None where it is not one closed line."""
+    count: dict[frozenset[int], int] = {}
+    for piece in pieces:
+        for pair in zip(piece, piece[1:] + piece[:1], strict=True):
+            count[frozenset(pair)] = count.get(frozenset(pair), 0) + 1
+    beside: dict[int, list[int]] = {}
+    for edge in (edge for edge, times in count.items() if times == 1):
+        for a, b in permutations(edge):
+            beside.setdefault(a, []).append(b)
+    if not beside or any(len(pair) != 2 for pair in beside.values()):
+        return None
+    loop = [min(beside)]
+    while True:
+        following = [v for v in beside[loop[-1]] if v not in loop[-2:]]
+        if not following or following[0] == loop[0]:
+            break
+        loop.append(following[0])
+    return loop if len(loop) == len(beside) else None
+
+
+def _from_outer_corner(loop: list[int], places: FloatArray) -> tuple[NDArray[np.intp], int]:
+    """The loop begun at the outer corner and led along the upper lid, and the place of the inner corner in it."""
+    first = int(np.argmin(places[loop, 0]))
+    rim = np.array(loop[first:] + loop[:first], dtype=np.intp)
+    inner = int(np.argmax(places[rim, 0]))
+    if places[rim[:inner], 1].mean() < places[rim[inner:], 1].mean():
+        return np.array([rim[0], *rim[:0:-1]], dtype=np.intp), len(rim) - inner
+    return rim, inner
+
+
+def _sphere_behind(outline: EyeOutline, rim: FloatArray, skin: FloatArray) -> FloatArray:
+    """(4,) centre and radius of the sphere on which the `rim` lies best, drawn back behind the `skin` beside it.
+
+    Gauss-Newton steps for the centre; of a rim alone, which is nearly flat, no radius could be told.
+    """
+    centre = np.array([0.5, 0.2, -0.45])
+    for _ in range(_STEPS):
+        away = rim - centre
+        far = np.linalg.norm(away, axis=1)
+        centre = centre + np.linalg.lstsq(away / far[:, None], far - _ROUND, rcond=None)[0]
+    across = np.linalg.norm(skin[:, :2] - centre[:2], axis=1)
+    over = across < _STEEP * _ROUND
+    before = centre[2] + np.sqrt(_ROUND**2 - across[over] ** 2) - skin[over, 2]
+    centre[2] -= max(0.0, float(np.percentile(before, _PITS)))
+    return np.array([*outline.places(centre), _ROUND * outline.width])

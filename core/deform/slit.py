@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -54,12 +55,17 @@ def lip_line(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
     return np.array(line, dtype=np.intp)
 
 
-def rim_landmarks(line: IntArray, points: FloatArray) -> NDArray[np.intp]:
-    """(3,) positions on the line where a lip's inner landmarks lie, by the length along `points` (N, 3) of it."""
+def rim_landmarks(points: FloatArray) -> NDArray[np.intp]:
+    """(3,) positions where a lip's inner landmarks lie on the line through `points` (N, 3)."""
+    return at_shares(points, _BETWEEN)
+
+
+def at_shares(points: FloatArray, shares: Sequence[float]) -> NDArray[np.intp]:
+    """(S,) different ones of `points` (N, 3), no ends, nearest to the `shares` of the line's length; N >= S + 2."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)]) / max(float(steps.sum()), 1e-12)
-    chosen = np.array([int(np.argmin(np.abs(along[1:-1] - share))) + 1 for share in _BETWEEN])
+    chosen = np.array([int(np.argmin(np.abs(along[1:-1] - share))) + 1 for share in shares])
     # Uneven edges may give one vertex twice; neighbours are free, as the line has room.
-    for i in (1, 2):
+    for i in range(1, len(chosen)):
         chosen[i] = max(chosen[i], chosen[i - 1] + 1)
-    return np.minimum(chosen, len(line) - 4 + np.arange(3))
+    return np.minimum(chosen, len(points) - 1 - len(chosen) + np.arange(len(chosen)))

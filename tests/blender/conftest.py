@@ -5,8 +5,10 @@ import threading
 
 import bpy
 import pytest
+from scans import scanned
 
 import facemime
+from facemime.blender.frames import to_blender
 from facemime.blender.head import add_head
 from facemime.core.retarget import calibrate
 from facemime.core.takes.file import save_take
@@ -42,6 +44,29 @@ def nothing_left_over():
     FACEMIME_OT_puppet.instance = None
     gc.collect()
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("facemime")]
+
+
+@pytest.fixture
+def scan():
+    """A scan with landmarks, active."""
+    return _bound("Scan", *scanned())
+
+
+@pytest.fixture
+def coarse_scan():
+    """The same with a ninth of the vertices."""
+    return _bound("Coarse Scan", *scanned(0.06))
+
+
+def _bound(name, places, faces):
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(to_blender(places).tolist(), [], faces.tolist())
+    obj = bpy.data.objects.new(name, mesh)
+    bpy.context.scene.collection.objects.link(obj)
+    bpy.context.view_layer.objects.active = obj
+    obj.select_set(True)
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    return obj
 
 
 @pytest.fixture

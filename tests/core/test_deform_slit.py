@@ -45,6 +45,6 @@ def test_a_mouth_of_too_few_vertices_is_refused_and_the_error_says_what_to_do():
 @given(st.lists(st.floats(0.01, 5.0), min_size=6, max_size=40))
 def test_the_inner_landmarks_of_a_lip_are_three_places_in_order_that_are_no_corners(steps):
     points = np.concatenate([[0.0], np.cumsum(steps)])[:, None] * [[1.0, 0.0, 0.0]]
-    chosen = rim_landmarks(np.arange(len(points)), points)
+    chosen = rim_landmarks(points)
     assert (np.diff(chosen) > 0).all()
     assert chosen[0] > 0 and chosen[-1] < len(points) - 1
