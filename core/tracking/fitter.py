@@ -44,8 +44,8 @@ class Stage:
 
 
 _TOWARDS = MeanShiftOptions((inf,), 0.006)
-COARSE = Stage(False, (_TOWARDS, _TOWARDS, _TOWARDS, MeanShiftOptions((0.02, 0.01), 0.006)))
-FINE = Stage(True, (MeanShiftOptions((inf,), 2e-4),))
+COARSE = Stage(False, (_TOWARDS, _TOWARDS, _TOWARDS, MeanShiftOptions((0.02, 0.01), 0.006, doubt=0.05)))
+FINE = Stage(True, (MeanShiftOptions((inf, inf, inf), 2e-4, doubt=0.03),))
 _EDGES = MeanShiftOptions((4e-4, 2e-4), 3e-5)
 REFINED = (FINE, FINE)
 DETECTED = (COARSE, *REFINED)

@@ -79,3 +79,33 @@ def test_without_evidence_the_shape_returns_to_the_mean(pdm: PointDistributionMo
     maps = peaks_at(truth, truth, 5)
     fitted = regularised_mean_shift(pdm, start, [Evidence(maps, np.zeros(66))], MeanShiftOptions((4.0,) * 3, 1e6))
     assert np.abs(fitted.shape_params).max() < 0.05 * np.abs(start.shape_params).max()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_landmarks_that_a_hand_draws_away_are_doubted_and_carried_by_the_others(
+    pdm: PointDistributionModel, seed: int
+) -> None:
+    truth, start = displaced_face(pdm, seed)
+    covered = np.r_[3:8, 48:52]
+    lies = truth.copy()
+    lies[covered] += (8.0, -6.0)
+    maps = peaks_at(lies, pdm.project(start.pose, start.shape_params), 16)
+
+    def away(doubt: float) -> float:
+        fitted = start
+        for _ in range(2):
+            options = MeanShiftOptions((np.inf,) * 8, 1.0, doubt)
+            fitted = regularised_mean_shift(pdm, fitted, [Evidence(maps, np.ones(66))], options)
+        return float(np.linalg.norm(pdm.project(fitted.pose, fitted.shape_params) - truth, axis=1).mean())
+
+    assert away(2.0) < 0.3 * away(np.inf)
+
+
+def test_where_all_maps_agree_doubt_changes_nothing(pdm: PointDistributionModel) -> None:
+    truth, start = displaced_face(pdm, 4)
+    maps = peaks_at(truth, pdm.project(start.pose, start.shape_params), 14)
+    one, other = (
+        regularised_mean_shift(pdm, start, [Evidence(maps, np.ones(66))], MeanShiftOptions((np.inf,) * 8, 0.01, doubt))
+        for doubt in (2.0, np.inf)
+    )
+    assert np.abs(pdm.project(one.pose, one.shape_params) - pdm.project(other.pose, other.shape_params)).max() < 0.3
