@@ -126,10 +126,9 @@ def puppet_head(
         Where the mesh cannot be driven, the take holds no face, or what is asked for cannot take the bake. Nothing of
         the scene has changed then.
     """
-    bake, targets = settings.bake, targets or {"head": PoseTarget.of(obj)}
     mesh_of(obj)
-    check_bakeable(obj, targets, new_keys=bake.keys == "new", old_keys=bake.keys in ("named", "mapped"))
-    rig = read_rig(obj)
+    bake, targets = settings.bake, targets or {"head": PoseTarget.of(obj)}
+    rig = _checked_rig(obj, targets, bake)
     take = smooth_take(take, settings.smoothing)
     neutral = calibrate(take, settings.neutral)
     motion = drive_take(HeadDriver(rig, neutral, settings.drive), take)
@@ -151,18 +150,40 @@ def puppet_head(
 
 
 def puppet_heads(
-    scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], take: Take, settings: PuppetSettings = PuppetSettings()
+    scene: bpy.types.Scene,
+    objects: Sequence[bpy.types.Object],
+    take: Take,
+    settings: PuppetSettings = PuppetSettings(),
+    targets: Targets | None = None,
 ) -> list[PuppetReport]:
-    """Drive many heads by one take, each with its own landmarks, regions and pose; all are checked before any moves.
+    """Drive many heads by one take, each with its own landmarks, regions and pose.
 
-    Each has its own cache, named after it, where one is asked for.
+    Each but the first has a cache named after it, where one is asked for.
+
+    Parameters
+    ----------
+    targets : mapping, optional
+        Of the first one, as for `puppet_head`.
+
+    Raises
+    ------
+    FacemimeError
+        As `puppet_head`; where one of them cannot be driven or take a bake, none has changed.
     """
-    for obj in objects:
-        read_rig(obj)
-    path = settings.bake.path
+    for number, obj in enumerate(objects):
+        mesh_of(obj)
+        own = {"head": PoseTarget.of(obj)}
+        _checked_rig(obj, own if number or targets is None else targets, settings.bake)
     return [
-        puppet_head(scene, obj, take, settings if path is None else _with_path(settings, path, obj)) for obj in objects
+        puppet_head(scene, obj, take, _with_path(settings, obj) if number else settings, None if number else targets)
+        for number, obj in enumerate(objects)
     ]
+
+
+def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) -> HeadRig:
+    """The rig of a mesh that can be driven and take the bake; HeadError where it cannot."""
+    check_bakeable(obj, targets, new_keys=bake.keys == "new", old_keys=bake.keys in ("named", "mapped"))
+    return read_rig(obj)
 
 
 def eye_distance(rig: HeadRig) -> float:
@@ -189,7 +210,8 @@ def _new(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: fl
 
 
 def _named(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:
-    keys = read_keys(obj).chosen(expression_keys(key_names(obj)))
+    keys = read_keys(obj)
+    keys = keys.chosen(expression_keys(keys.names))
     fit = fit_keys(motion.vertices, keys.offsets, keys.lower, keys.upper)
     values = dict(zip(keys.names, fit.weights.T, strict=True))
     return _values_plan(obj, keys, values, fit.worst_error, frames, unit, bake)
@@ -205,6 +227,8 @@ def _mapped(
 ) -> _Plan:
     keys = read_keys(obj)
     values = table_for(obj, bake.table).apply(coefficients, keys.ranges)
+    if not values:
+        raise HeadError(f"The shape keys of {obj.name} that the table moves are muted. Unmute them, or bake to others.")
     keys = keys.chosen(list(values))
     error, _ = mix_errors(motion.vertices, keys.offsets, np.column_stack(list(values.values())))
     return _values_plan(obj, keys, values, error, frames, unit, bake)
@@ -254,6 +278,8 @@ def _cache(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: 
 _PLANS = {"new": _new, "named": _named, "cache": _cache, "alembic": _cache}
 
 
-def _with_path(settings: PuppetSettings, path: Path, obj: bpy.types.Object) -> PuppetSettings:
+def _with_path(settings: PuppetSettings, obj: bpy.types.Object) -> PuppetSettings:
+    if (path := settings.bake.path) is None:
+        return settings
     named = path.with_name(f"{path.stem} {bpy.path.clean_name(obj.name)}{path.suffix}")
     return replace(settings, bake=replace(settings.bake, path=named))

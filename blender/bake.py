@@ -13,7 +13,7 @@ from ..core.motion import HeadMotion
 from ..core.takes.take import Take
 from .actions import check_curves, remove_bake, write_curves
 from .bake_cache import remove_cache
-from .bake_keys import remove_baked_keys
+from .bake_keys import remove_baked_keys, require_relative
 from .names import PART_PROPERTY
 from .targets import PoseTarget
 
@@ -59,6 +59,8 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
             f"The mesh of {obj.name} is linked from another file and takes no new shape keys. "
             "Bake to a cache, to the keys that it has, or make it local."
         )
+    if new_keys:
+        require_relative(obj)
     if old_keys and mesh.shape_keys is not None and mesh.shape_keys.library is not None:
         raise HeadError(
             f"The shape keys of {obj.name} are linked from another file and cannot be animated here. "

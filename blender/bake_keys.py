@@ -25,7 +25,7 @@ class MeshKeys:
     ----------
     names : (K,) tuple of str
     offsets : (K, V, 3) float32
-        Displacements at value 1: head frame, the mesh's unit.
+        Displacements at value 1, weighed by the keys' vertex groups: head frame, the mesh's unit.
     lower, upper : (K,) float64
         Ranges of their sliders.
     """
@@ -59,28 +59,35 @@ def key_names(obj: bpy.types.Object) -> list[str]:
 
 
 def read_keys(obj: bpy.types.Object) -> MeshKeys:
-    """The user's shape keys of `obj`.
+    """The user's shape keys of `obj` that are not muted.
 
     Raises
     ------
     HeadError
         Where there are none, or they are absolute.
     """
-    names, keys = key_names(obj), obj.data.shape_keys
+    keys = obj.data.shape_keys
+    names = [name for name in key_names(obj) if not keys.key_blocks[name].mute]
     if not names:
         raise HeadError(
             f"{obj.name} has no shape keys of its own. Bake to new keys, or add the built-in head with Face Units."
         )
-    if not keys.use_relative:
-        raise HeadError(f"The shape keys of {obj.name} are absolute. Switch Relative on, or bake to a cache.")
+    require_relative(obj)
     blocks = [keys.key_blocks[name] for name in names]
-    offsets = np.stack([_points(block) - _points(block.relative_key) for block in blocks])
+    offsets = np.stack([_weights(obj, block) * (_points(block) - _points(block.relative_key)) for block in blocks])
     return MeshKeys(
         names=tuple(names),
         offsets=np.ascontiguousarray(from_blender(offsets)),
         lower=np.array([block.slider_min for block in blocks]),
         upper=np.array([block.slider_max for block in blocks]),
     )
+
+
+def require_relative(obj: bpy.types.Object) -> None:
+    """Raise HeadError where the shape keys of `obj` are absolute: none has a value then."""
+    keys = obj.data.shape_keys
+    if keys is not None and not keys.use_relative:
+        raise HeadError(f"The shape keys of {obj.name} are absolute. Switch Relative on, or bake to a cache.")
 
 
 def value_path(name: str) -> str:
@@ -126,6 +133,7 @@ def bake_values(
     for (name, curve), peak in zip(values.items(), peaks, strict=True):
         tolerance = clean / (len(peaks) * max(float(peak), 1e-9)) if clean > 0.0 else None
         curves.append(Curve(value_path(name), 0, curve, tolerance))
+    obj.show_only_shape_key = False
     write_curves(obj.data.shape_keys, f"{obj.name} Expression", frames, curves, nla=nla)
 
 
@@ -141,6 +149,19 @@ def remove_baked_keys(obj: bpy.types.Object) -> None:
     remove_curves(keys, f'key_blocks["{BAKED_KEY_PREFIX}')
     for key in [key for key in keys.key_blocks if key.name.startswith(BAKED_KEY_PREFIX)]:
         obj.shape_key_remove(key)
+
+
+def _weights(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> NDArray[np.float32]:
+    """(V, 1) how much of `key` each vertex takes: its weight in the key's vertex group, where there is one."""
+    group = obj.vertex_groups.get(key.vertex_group)
+    if group is None:
+        return np.ones((len(key.points), 1), dtype=np.float32)
+    weights = np.zeros((len(key.points), 1), dtype=np.float32)
+    for vertex in obj.data.vertices:
+        for element in vertex.groups:
+            if element.group == group.index:
+                weights[vertex.index] = element.weight
+    return weights
 
 
 def _points(key: bpy.types.ShapeKey) -> NDArray[np.float32]:

@@ -18,7 +18,7 @@ from ..core.errors import HeadError
 from .actions import baked_paths, mute_bake, mute_curves
 from .bake import EYE_PARTS, JAW_PARTS
 from .bake_cache import MODIFIER
-from .bake_keys import BAKED_KEY_PREFIX, value_path
+from .bake_keys import BAKED_KEY_PREFIX, require_relative, value_path
 from .frames import flat_in_blender
 from .meshes import mesh_of
 from .names import PART_PROPERTY
@@ -58,10 +58,13 @@ class LiveHeadObject:
                 f"{self.obj.name} is linked from another file and cannot be moved here. "
                 "Make it local: Object > Relations > Make Local."
             )
+        require_relative(self.obj)
         self._parts = [(child, _kind(child)) for child in self.obj.children if _kind(child)]
         self._count = len(mesh.vertices)
         self._had_keys = mesh.shape_keys is not None
         self._muted: list = []
+        self._pinned = False
+        self._cache_played = (False, False)
         self._shown = False
 
     @property
@@ -86,7 +89,10 @@ class LiveHeadObject:
             if ours and key.name != LIVE_KEY and not key.mute:
                 key.mute = True
                 self._muted.append(key)
-        self._play_cache(False)
+        self._pinned, self.obj.show_only_shape_key = self.obj.show_only_shape_key, False
+        if (cache := self.obj.modifiers.get(MODIFIER)) is not None:
+            self._cache_played = (cache.show_viewport, cache.show_render)
+            cache.show_viewport = cache.show_render = False
         self._shown = True
 
     def write(self, frame: HeadFrame, flat: NDArray[np.float32] | None = None) -> None:
@@ -127,20 +133,17 @@ class LiveHeadObject:
         for silenced in self._muted:
             silenced.mute = False
         self._muted = []
-        self._play_cache(True)
+        if (cache := self.obj.modifiers.get(MODIFIER)) is not None:
+            cache.show_viewport, cache.show_render = self._cache_played
         if keep:
             return
         if (keys := self.obj.data.shape_keys) is not None and (key := keys.key_blocks.get(LIVE_KEY)) is not None:
             _remove(self.obj, key)
             if not self._had_keys and len(keys.key_blocks) == 1:
                 self.obj.shape_key_clear()
+        self.obj.show_only_shape_key = self._pinned
         for target in (*self.targets.values(), *(PoseTarget(child) for child, _ in self._parts)):
             target.rest()
-
-    def _play_cache(self, play: bool) -> None:
-        """Let a baked cache move the head, or not."""
-        if (cache := self.obj.modifiers.get(MODIFIER)) is not None:
-            cache.show_viewport = cache.show_render = play
 
     def _key(self) -> bpy.types.ShapeKey:
         key = self.obj.data.shape_keys.key_blocks.get(LIVE_KEY)

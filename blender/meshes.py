@@ -27,6 +27,15 @@ def mesh_of(obj: bpy.types.Object | None) -> bpy.types.Mesh:
     return obj.data
 
 
+def require_own(mesh: bpy.types.Mesh) -> None:
+    """Raise HeadError where `mesh` is linked from another file: what is written to it is gone with this one."""
+    if mesh.library is not None:
+        raise HeadError(
+            f"The mesh {mesh.name} is linked from another file, and what is changed here would be lost. "
+            "Change it there, or make it local."
+        )
+
+
 def is_head(obj: bpy.types.Object) -> bool:
     """Whether `obj` is a mesh with landmarks."""
     return isinstance(obj.data, bpy.types.Mesh) and LANDMARKS_PROPERTY in obj.data
@@ -45,7 +54,7 @@ def read_vertices(mesh: bpy.types.Mesh) -> NDArray[np.float32]:
         mesh.shape_keys.reference_key.points.foreach_get("co", flat)
     elif mesh.is_editmode:
         raise HeadError(f"{mesh.name} is being edited. Leave Edit mode first.")
-    else:
+    elif len(mesh.vertices):  # an empty mesh lacks the attribute
         mesh.attributes["position"].data.foreach_get("vector", flat)
     return from_blender(flat.reshape(-1, 3))
 
@@ -99,7 +108,14 @@ def read_landmarks(obj: bpy.types.Object) -> NDArray[np.intp]:
 
 
 def write_landmarks(mesh: bpy.types.Mesh, landmarks: NDArray[np.integer]) -> None:
-    """Keep (66,) `landmarks` with `mesh`: they go with it through undo, saving, copying and renaming."""
+    """Keep (66,) `landmarks` with `mesh`: they go with it through undo, saving, copying and renaming.
+
+    Raises
+    ------
+    HeadError
+        Where `mesh` is linked from another file.
+    """
+    require_own(mesh)
     mesh[LANDMARKS_PROPERTY] = [int(vertex) for vertex in landmarks]
     mesh[COUNT_PROPERTY] = len(mesh.vertices)
 
@@ -163,9 +179,9 @@ def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating]) -> NDA
     eyeballs = [eyeball_of(eye).tolist() for eye in (points[side < 0], points[side >= 0]) if len(eye) > 3]
     for child in obj.children:
         if str(child.get(PART_PROPERTY, "")).startswith("eye") and isinstance(child.data, bpy.types.Mesh):
-            centre = from_blender(np.array((child.matrix_parent_inverse @ child.matrix_basis).translation))
-            radius = np.linalg.norm(read_vertices(child.data), axis=1).max()
-            eyeballs.append([*centre, float(radius) * float(child.scale[0])])
+            within = child.matrix_parent_inverse @ child.matrix_basis
+            radius = float(np.linalg.norm(read_vertices(child.data), axis=1).max(initial=0.0))
+            eyeballs.append([*from_blender(np.array(within.translation)), radius * within.median_scale])
     return np.array(eyeballs).reshape(-1, 4)
 
 
@@ -199,7 +215,13 @@ def write_regions(obj: bpy.types.Object, weights: NDArray[np.floating]) -> None:
     """Make the vertex groups Upper, Middle and Lower of `obj` hold (3, V) `weights`; other groups stay.
 
     Eyes that were cut out of the skin are in none of them: lids slide over eyes that stay where they are.
+
+    Raises
+    ------
+    HeadError
+        Where the mesh is linked from another file.
     """
+    require_own(obj.data)
     shares = np.array(weights)
     shares[:, eye_vertices(obj)] = 0.0
     for name, row in zip(REGION_GROUPS, shares, strict=True):

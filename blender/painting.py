@@ -5,14 +5,24 @@ from __future__ import annotations
 import bpy
 
 from ..core.deform.region_edit import Side, mirror_regions, smooth_regions
-from .meshes import mesh_of, read_faces, read_landmarks, read_regions, read_vertices, write_regions
+from ..core.errors import HeadError
+from .meshes import mesh_of, read_faces, read_landmarks, read_regions, read_vertices, require_own, write_regions
 from .names import REGION_GROUPS
 
 _BRUSH = "Facemime Paint"
 
 
 def paint_region(context: bpy.types.Context, obj: bpy.types.Object, region: int) -> None:
-    """Put Blender into Weight Paint mode on the group of `region`, a row of `REGION_GROUPS`, with a brush ready."""
+    """Put Blender into Weight Paint mode on the group of `region`, a row of `REGION_GROUPS`, with a brush ready.
+
+    Raises
+    ------
+    HeadError
+        Where `obj` is hidden, or its mesh is linked from another file.
+    """
+    require_own(obj.data)
+    if not obj.visible_get():
+        raise HeadError(f"{obj.name} is hidden. Show it first.")
     name = REGION_GROUPS[region]
     group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
     obj.vertex_groups.active_index = group.index

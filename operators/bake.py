@@ -14,7 +14,7 @@ from ..core.bake.key_map import KeyMap, best_preset, learn_map, load_map, preset
 from ..core.errors import FacemimeError, HeadError
 from ..core.files import replacing
 from ..core.retarget import calibrate
-from ..puppet import puppet_head, puppet_heads
+from ..puppet import puppet_heads
 from ..scene import takes_store
 from ..scene.bake_table import read_table, write_table
 from ..scene.settings import bake_settings, drive_options, pose_targets, puppet_settings
@@ -50,10 +50,10 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
         take = takes_store.read(line)
         if Session.current is not None:
             Session.current.close()
-        head, *others = heads_in(context)
+        heads = heads_in(context)
         settings = puppet_settings(scene.facemime, bake_settings(scene.facemime_takes.bake, line.name))
-        report = puppet_head(scene, head, take, settings, pose_targets(scene.facemime.posing, head))
-        puppet_heads(scene, others, take, settings)
+        targets = pose_targets(scene.facemime.posing, heads[0])
+        report, *_ = puppet_heads(scene, heads, take, settings, targets)
         self.report({"INFO"}, f"{len(report.motion.times)} frames, {report.told()}")
         return {"FINISHED"}
 

@@ -6,7 +6,7 @@ from bpy.props import StringProperty
 from ..blender.meshes import is_head, read_rig
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
-from ..puppet import puppet_head, puppet_heads
+from ..puppet import puppet_heads
 from ..scene.settings import face_of, pose_targets, puppet_settings
 from ..sessions.tracking import TrackingSession
 from .shared import AsksForFile, in_object_mode
@@ -81,8 +81,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
         settings = context.scene.facemime
         others = [obj for obj in context.selected_objects if obj != head and is_head(obj)]
         targets = None if head is None else pose_targets(settings.posing, head)
-        report = puppet_head(context.scene, head, take, puppet_settings(settings), targets)
-        puppet_heads(context.scene, others, take, puppet_settings(settings))
+        report, *_ = puppet_heads(context.scene, [head, *others], take, puppet_settings(settings), targets)
         lost = len(take) - int(take.found.sum())
         self.report(
             {"INFO"},

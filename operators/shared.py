@@ -7,7 +7,7 @@ import bpy
 from bpy.props import StringProperty
 
 from ..blender.meshes import is_head
-from ..core.errors import FacemimeError
+from ..core.errors import FacemimeError, SourceError
 
 
 class ReportsErrors:
@@ -58,8 +58,11 @@ class AsksForFile(ReportsErrors):
 
     @property
     def path(self) -> Path:
-        """The file that was chosen."""
-        return Path(bpy.path.abspath(self.filepath))
+        """The file that was chosen; SourceError where none was: the browser gives its folder then."""
+        path = Path(bpy.path.abspath(self.filepath))
+        if not path.name or path.is_dir():
+            raise SourceError("No file was chosen. Choose one, or type its name.")
+        return path
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Open the file browser."""

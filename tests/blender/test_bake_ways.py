@@ -297,6 +297,8 @@ def test_keys_that_no_table_knows_and_absolute_ones_are_refused():
     head.data.shape_keys.use_relative = False
     with pytest.raises(HeadError, match="absolute"):
         read_keys(head)
+    with pytest.raises(HeadError, match="absolute"):
+        bake(head)
 
 
 def test_several_heads_have_a_cache_each(tmp_path):
@@ -320,3 +322,36 @@ def test_times_beyond_blenders_last_frame_are_told_and_nothing_changes(start):
     with pytest.raises(SourceError, match="beyond Blender's last frame"):
         puppet_head(bpy.context.scene, head, replace(take, times=take.times + start))
     assert head.data.shape_keys is None and head.animation_data is None
+
+
+@pytest.mark.parametrize("keys", ["named", "mapped"])
+def test_keys_that_a_vertex_group_limits_count_as_they_are_seen_and_muted_ones_not_at_all(keys):
+    head = add_head(bpy.context, units=True)
+    blocks = head.data.shape_keys.key_blocks
+    blocks["browInnerUp"].mute = True
+    half = head.vertex_groups.new(name="Half")
+    half.add([vertex.index for vertex in head.data.vertices if vertex.co.x > 0.0], 0.5, "REPLACE")
+    blocks["jawOpen"].vertex_group = "Half"
+    report = bake(head, keys=keys)
+    assert largest_error(head, report) <= report.worst_error + 1e-4
+    assert report.keys == 51 and blocks["browInnerUp"].value == 0.0
+    for block in blocks:
+        block.mute = True
+    with pytest.raises(HeadError, match="no shape keys of its own"):
+        bake(head, keys=keys)
+
+
+@pytest.mark.parametrize("keys", ["new", "named"])
+def test_a_key_that_is_shown_alone_does_not_hide_the_bake(keys):
+    head = add_head(bpy.context, units=True)
+    head.show_only_shape_key = True
+    report = bake(head, keys=keys)
+    assert largest_error(head, report) <= report.worst_error + 1e-4
+
+
+def test_several_heads_are_baked_all_or_none(tmp_path):
+    heads = [add_head(bpy.context, name=name) for name in ("One", "Two")]
+    heads[1].vertex_groups.clear()
+    with pytest.raises(HeadError, match="Two lacks the vertex groups"):
+        puppet_heads(bpy.context.scene, heads, performance())
+    assert all(head.data.shape_keys is None and head.animation_data is None for head in heads)

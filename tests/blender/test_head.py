@@ -126,3 +126,11 @@ def test_a_rotation_changes_axes_as_the_points_it_turns_do(angles, points):
     assert np.allclose(turned, to_blender(points) @ rotation_to_blender(rotation).T, atol=1e-9)
     assert np.allclose(HEAD_TO_BLENDER.T @ rotation_to_blender(rotation) @ HEAD_TO_BLENDER, rotation)
     assert np.isclose(np.linalg.det(rotation_to_blender(rotation)), 1)
+
+
+def test_eyeballs_grow_with_the_head_when_its_scale_is_applied():
+    head = add_head(bpy.context)
+    before = read_rig(head).eyeballs
+    head.scale = (3.0, 3.0, 3.0)
+    bpy.ops.object.transform_apply(location=False, rotation=False)
+    assert read_rig(head).eyeballs == pytest.approx(3.0 * before, rel=1e-4)

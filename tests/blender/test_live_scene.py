@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
+from facemime.blender.bake_cache import MODIFIER
 from facemime.blender.head import add_head
 from facemime.blender.live import LIVE_KEY, LiveHeadObject
 from facemime.core.errors import HeadError
@@ -101,3 +102,25 @@ def test_linked_heads_are_refused_with_what_to_do(take, tmp_path):
         loaded.objects = ["Facemime Head"]
     with pytest.raises(HeadError, match="Make Local"):
         LiveHeadObject(loaded.objects[0], {})
+
+
+def test_a_key_that_is_shown_alone_and_a_cache_that_is_switched_off_come_back(take):
+    head = add_head(bpy.context, units=True)
+    cache = head.modifiers.new(MODIFIER, "MESH_CACHE")
+    head.show_only_shape_key, head.active_shape_key_index, cache.show_render = True, 3, False
+    bpy.context.scene.facemime.source.loop = True
+    bpy.ops.facemime.puppet()
+    ticks_until(moving)
+    rest = shown(add_head(bpy.context))
+    assert np.abs(shown(head) - rest).max() > 1e-3
+    bpy.ops.facemime.stop_puppet()
+    assert head.show_only_shape_key and head.active_shape_key_index == 3
+    assert cache.show_viewport and not cache.show_render
+
+
+def test_absolute_keys_on_which_nothing_would_show_are_refused(take):
+    head = add_head(bpy.context, units=True)
+    head.data.shape_keys.use_relative = False
+    with pytest.raises(RuntimeError, match="Switch Relative on"):
+        bpy.ops.facemime.puppet()
+    assert LIVE_KEY not in head.data.shape_keys.key_blocks and running() is None

@@ -155,3 +155,12 @@ def test_one_take_moves_all_selected_heads(tmp_path):
     first.select_set(True)
     assert bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.facetake")) == {"FINISHED"}
     np.testing.assert_allclose(key_coordinates(first), key_coordinates(second), atol=1e-6)
+
+
+@pytest.mark.parametrize("operator", ["export_preset", "import_preset", "export_key_map", "import_take"])
+@pytest.mark.parametrize("name", ["", "folder/", "folder"])
+def test_a_file_browser_that_is_left_without_a_name_is_told(operator, name, tmp_path):
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(RuntimeError, match="No file was chosen"):
+        getattr(bpy.ops.facemime, operator)(filepath=name and str(tmp_path / name))
+    assert [path.name for path in tmp_path.rglob("*")] == ["folder"]

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from facemime.blender.head import add_head
-from facemime.blender.meshes import read_landmarks, read_regions
+from facemime.blender.meshes import read_landmarks, read_regions, write_landmarks, write_regions
 from facemime.blender.names import REGION_GROUPS
+from facemime.blender.painting import paint_region
+from facemime.core.errors import HeadError
 from facemime.core.landmarks import from_ibug
 from facemime.ui import region_overlay
 from facemime.ui.region_overlay import coloured_triangles, shown_regions
@@ -118,3 +120,34 @@ def test_weights_are_read_again_after_the_mesh_was_changed_and_only_then():
     assert region_overlay._Kept.stale
     region_overlay._on_update(bpy.context.scene, SimpleNamespace(updates=[]))
     assert region_overlay._Kept.stale
+
+
+def test_a_hidden_head_is_not_painted_but_told():
+    head = add_head(bpy.context)
+    head.hide_viewport = True
+    with pytest.raises(RuntimeError, match="is hidden"):
+        bpy.ops.facemime.paint_region(region="UPPER")
+
+
+def test_what_would_be_lost_is_not_written_to_a_mesh_of_another_file(tmp_path):
+    add_head(bpy.context)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, data):
+        data.meshes = ["Facemime Head"]
+    head = bpy.data.objects.new("Linked", data.meshes[0])
+    for write in (
+        lambda: write_landmarks(head.data, read_landmarks(head)),
+        lambda: write_regions(head, read_regions(head)),
+        lambda: paint_region(bpy.context, head, 0),
+    ):
+        with pytest.raises(HeadError, match="linked from another file"):
+            write()
+
+
+def test_a_mesh_without_vertices_is_told_to_be_none():
+    obj = bpy.data.objects.new("Empty", bpy.data.meshes.new("Empty"))
+    bpy.context.collection.objects.link(obj)
+    bpy.context.view_layer.objects.active = obj
+    with pytest.raises(RuntimeError, match="has 0 vertices"):
+        bpy.ops.facemime.bind_landmarks()
