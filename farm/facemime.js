@@ -9,6 +9,8 @@ const JOB_TYPE = {
         { key: "count", type: "int32", required: true, description: "How many clips there are" },
         { key: "output", type: "string", subtype: "dir_path", required: true, description: "Folder for what comes out" },
         { key: "head", type: "string", default: "", description: "FILE.blend:OBJECT; the built-in head if empty" },
+        { key: "face", type: "string", default: "",
+          description: "Of several people left, right, or the one at pixels X,Y; the largest if empty" },
         { key: "pose", type: "string", choices: ["rotation", "full", "none"], default: "rotation",
           description: "How much of the head's movement is followed" },
         { key: "keys", type: "string", choices: ["new", "named", "mapped", "cache", "alembic"], default: "new",
@@ -20,8 +22,8 @@ const JOB_TYPE = {
 
 function compileJob(job) {
     const settings = job.settings;
-    const options = ["-o", settings.output, "--head", settings.head || "", "--pose", settings.pose || "rotation",
-        "--keys", settings.keys || "new", "--map", settings.map || ""];
+    const options = ["-o", settings.output, "--head", settings.head || "", "--face", settings.face || "",
+        "--pose", settings.pose || "rotation", "--keys", settings.keys || "new", "--map", settings.map || ""];
     if (settings.smooth) options.push("--smooth");
 
     const report = facemime("report", ["batch", settings.clips].concat(options));

@@ -143,13 +143,15 @@ def flamenco_tasks(settings: dict) -> list[dict]:
 
 def test_the_command_lines_of_the_flamenco_job_do_every_clip_and_the_report(tmp_path):
     clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
-    tasks = flamenco_tasks({"clips": str(clips), "count": 2, "output": str(out), "smooth": True, "keys": "cache"})
+    settings = {"clips": str(clips), "count": 2, "output": str(out), "face": "left", "smooth": True, "keys": "cache"}
+    tasks = flamenco_tasks(settings)
     assert [task["name"] for task in tasks] == ["clip-1", "clip-2", "report"]
     assert tasks[-1]["after"] == ["clip-1", "clip-2"]
     for task in tasks:
         (command,) = task["commands"]
         assert command["name"] == "exec"
         line = [command["parameters"]["exe"], *command["parameters"]["args"]]
+        assert line[line.index("--face") + 1] == "left"
         done = subprocess.run(line, env=ENVIRONMENT, capture_output=True, text=True, timeout=300, check=False)
         assert done.returncode == 0, done.stderr
     assert json.loads((out / "report.json").read_text())["counts"]["skipped"] == 2 and len(records(out)) == 2
@@ -175,3 +177,5 @@ def test_the_open_job_description_runs_every_clip_and_the_report(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     assert json.loads((out / "report.json").read_text())["counts"]["skipped"] == 2
     assert len(records(out)) == 2 and "Chunks run: 3" in done.stdout
+    refused = subprocess.run([*line, "-p", "Face=nobody"], env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    assert refused.returncode != 0 and "'nobody' names no face" in refused.stdout
