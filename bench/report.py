@@ -32,7 +32,9 @@ class Table:
 def parser(description: str) -> argparse.ArgumentParser:
     """Arguments that every bench understands."""
     arguments = argparse.ArgumentParser(description=description)
-    arguments.add_argument("--json", type=Path, metavar="FILE", help="write the numbers there")
+    arguments.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the numbers there, the tables beside it as .md"
+    )
     arguments.add_argument("--figure", type=Path, metavar="FILE.png", help="draw the figure there")
     return arguments
 
@@ -59,9 +61,11 @@ def bars(path: Path, title: str, names: Sequence[str], values: Sequence[float], 
 
 
 def finish(arguments: argparse.Namespace, tables: Sequence[Table], numbers: dict[str, object]) -> None:
-    """Print the tables and write the JSON where asked for."""
-    print("\n".join(table.markdown() for table in tables))
+    """Print the tables; where a JSON is asked for, write it, and the tables beside it, for `bench.docs`."""
+    printed = "\n".join(table.markdown() for table in tables)
+    print(printed)
     if arguments.json is not None:
+        arguments.json.with_suffix(".md").write_text(printed, encoding="utf-8")
         arguments.json.write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
 
 

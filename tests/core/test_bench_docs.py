@@ -1,0 +1,76 @@
+"""The documents' tables are those that the benches printed."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from bench import docs
+from bench.report import Table, finish
+
+ROOT = Path(__file__).parents[2]
+BEFORE = """# Speed
+Some words.
+
+<!-- table: Milliseconds -->
+| stage | median |
+|---|---|
+| detect | 17 |
+| track | 5 |
+
+| what I measured by hand | |
+|---|---|
+| light | dim |
+  <!-- table: Rates -->
+| fps |
+|---|
+| 1 |
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A document in a folder of documents, and what a bench left."""
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "speed.md").write_text(BEFORE, encoding="utf-8")
+    tables = [
+        Table("Milliseconds", ("stage", "median"), [("detect", 16.31), ("fit", 2.0), ("track", 4.868)]),
+        Table("In no document", ("a",), [("b",)]),
+    ]
+    finish(argparse.Namespace(json=tmp_path / "speed.json"), tables, {"fps": 160})
+    return tmp_path
+
+
+def test_a_benchs_tables_go_where_a_document_names_them_and_nowhere_else(folder, capsys):
+    capsys.readouterr()
+    assert docs.main([str(folder / "speed.md"), "--docs", str(folder / "docs")]) == 0
+    assert capsys.readouterr().out == f"{folder / 'docs' / 'speed.md'}: Milliseconds\n"
+    rows = "| detect | 17 |\n| track | 5 |\n"
+    after = BEFORE.replace(rows, "| detect | 16.3 |\n| fit | 2 |\n| track | 4.87 |\n")
+    assert (folder / "docs" / "speed.md").read_text(encoding="utf-8") == after
+    assert (folder / "speed.json").read_text() == '{\n  "fps": 160\n}\n'
+    assert docs.main([str(folder / "speed.md"), "--docs", str(folder / "docs")]) == 0
+    assert (folder / "docs" / "speed.md").read_text(encoding="utf-8") == after
+
+
+def test_a_marker_without_a_table_is_told_and_the_document_stays(folder, capsys):
+    broken = BEFORE.replace("<!-- table: Milliseconds -->\n", "<!-- table: Milliseconds -->\n\n")
+    (folder / "docs" / "speed.md").write_text(broken, encoding="utf-8")
+    assert docs.main([str(folder / "speed.md"), "--docs", str(folder / "docs")]) == 1
+    assert "the table 'Milliseconds' is missing" in capsys.readouterr().err
+    assert (folder / "docs" / "speed.md").read_text(encoding="utf-8") == broken
+
+
+def test_without_results_the_benches_are_named(folder, capsys):
+    (folder / "empty.md").write_text("nothing", encoding="utf-8")
+    assert docs.main([str(folder / "empty.md"), "--docs", str(folder / "docs")]) == 1
+    assert "Run a bench first" in capsys.readouterr().err
+    assert (folder / "docs" / "speed.md").read_text(encoding="utf-8") == BEFORE
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs").glob("*.md")), ids=lambda path: path.name)
+def test_our_documents_are_well_marked(path):
+    text = path.read_text(encoding="utf-8")
+    assert docs.with_tables(text, {}) == (text, [])
