@@ -170,14 +170,18 @@ def puppet_heads(
     FacemimeError
         As `puppet_head`; where one of them cannot be driven or take a bake, none has changed.
     """
-    for number, obj in enumerate(objects):
-        mesh_of(obj)
-        own = {"head": PoseTarget.of(obj)}
-        _checked_rig(obj, own if number or targets is None else targets, settings.bake)
+    check_heads(objects, settings.bake, targets)
     return [
         puppet_head(scene, obj, take, _with_path(settings, obj) if number else settings, None if number else targets)
         for number, obj in enumerate(objects)
     ]
+
+
+def check_heads(objects: Sequence[bpy.types.Object], bake: BakeSettings, targets: Targets | None = None) -> None:
+    """Raise HeadError where one of `objects` cannot be driven or take the bake; `targets` as for `puppet_heads`."""
+    for number, obj in enumerate(objects):
+        mesh_of(obj)
+        _checked_rig(obj, {"head": PoseTarget.of(obj)} if number or targets is None else targets, bake)
 
 
 def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) -> HeadRig:

@@ -3,10 +3,12 @@
 import bpy
 from bpy.props import StringProperty
 
-from ..blender.meshes import is_head, read_rig
+from ..blender.meshes import is_head
+from ..core.errors import FacemimeError
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
-from ..puppet import puppet_heads
+from ..puppet import check_heads, puppet_heads
+from ..scene import takes_store
 from ..scene.settings import face_of, pose_targets, puppet_settings
 from ..sessions.tracking import TrackingSession
 from .shared import AsksForFile, in_object_mode
@@ -40,10 +42,11 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Track in the background and bake when it ends; in one go where there is no window."""
-        read_rig(context.active_object)
-        path = self.path
+        path, heads = self.path, _heads(context, context.active_object)
+        settings = context.scene.facemime
+        check_heads(heads, puppet_settings(settings).bake, pose_targets(settings.posing, heads[0]))
         if path.suffix == SUFFIX:
-            return self.bake(context, context.active_object, load_take(path))
+            return self.bake(context, heads[0], load_take(path))
         self._session = TrackingSession(path, face_of(context.scene.facemime.source))
         self._head = context.active_object.name
         if bpy.app.background:
@@ -68,20 +71,30 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
         return self.reporting(self.finish, context)
 
     def finish(self, context: bpy.types.Context) -> set[str]:
-        """Bake what the session tracked."""
+        """Bake what the session tracked; where that fails, it is kept in the list of takes.
+
+        Raises
+        ------
+        FacemimeError
+            Where nothing was tracked, or it cannot be baked.
+        """
         try:
             take = self._session.take()
-            head = context.scene.objects.get(self._head)
-            return self.bake(context, head, take)
+            try:
+                return self.bake(context, context.scene.objects.get(self._head), take)
+            except FacemimeError as error:
+                if not take.found.any():
+                    raise
+                line = takes_store.keep(context.scene, take, self._session.video.stem)
+                raise type(error)(f"{error} What was tracked is in the list of takes: {line.name}.") from error
         finally:
             self.cancel(context)
 
     def bake(self, context: bpy.types.Context, head: bpy.types.Object | None, take: Take) -> set[str]:
         """Bake `take` to `head`, and to the other selected heads, and say what came out."""
         settings = context.scene.facemime
-        others = [obj for obj in context.selected_objects if obj != head and is_head(obj)]
         targets = None if head is None else pose_targets(settings.posing, head)
-        report, *_ = puppet_heads(context.scene, [head, *others], take, puppet_settings(settings), targets)
+        report, *_ = puppet_heads(context.scene, _heads(context, head), take, puppet_settings(settings), targets)
         lost = len(take) - int(take.found.sum())
         self.report(
             {"INFO"},
@@ -99,6 +112,11 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
             context.window_manager.progress_end()
             context.workspace.status_text_set(None)
         self._timer = None
+
+
+def _heads(context: bpy.types.Context, first: bpy.types.Object | None) -> list[bpy.types.Object | None]:
+    """`first`, and the other heads that are selected."""
+    return [first, *(obj for obj in context.selected_objects if obj != first and is_head(obj))]
 
 
 def register() -> None:

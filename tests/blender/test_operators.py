@@ -164,3 +164,25 @@ def test_a_file_browser_that_is_left_without_a_name_is_told(operator, name, tmp_
     with pytest.raises(RuntimeError, match="No file was chosen"):
         getattr(bpy.ops.facemime, operator)(filepath=name and str(tmp_path / name))
     assert [path.name for path in tmp_path.rglob("*")] == ["folder"]
+
+
+def test_what_cannot_be_baked_is_said_before_the_video_is_tracked(monkeypatch):
+    monkeypatch.setattr(TrackingSession, "__init__", lambda *_: pytest.fail("it was tracked"))
+    add_head(bpy.context).driver_add("delta_rotation_euler", 0)
+    with pytest.raises(RuntimeError, match="has animation of its own"):
+        bpy.ops.facemime.puppet_video(filepath=str(SAMPLE))
+
+
+def test_what_was_tracked_is_kept_where_it_cannot_be_baked(tmp_path, monkeypatch):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "project.blend"))
+    head, settings = add_head(bpy.context), bpy.context.scene.facemime
+    settings.find_neutral, settings.neutral = False, 99.0
+    monkeypatch.setattr(TrackingSession, "take", lambda session: performance())
+    with pytest.raises(
+        RuntimeError, match=r"Choose another neutral\. What was tracked is in the list of takes: sample"
+    ):
+        bpy.ops.facemime.puppet_video(filepath=str(SAMPLE))
+    (line,) = bpy.context.scene.facemime_takes.items
+    assert line.name == "sample" and line.length == pytest.approx(performance().times[-1])
+    assert len(load_take(tmp_path / "takes" / "sample.facetake")) == len(performance())
+    assert Session.current is None and head.data.shape_keys is None
