@@ -17,7 +17,7 @@ from .kernels import Kernel, distances
 from .regions import REGIONS, membership
 
 REGULARISATION = 1e-3
-_RIDGE = 0.1
+_RIDGE = 0.2
 """Of the mean variance of a region's control points."""
 
 

@@ -94,7 +94,7 @@ def test_half_the_points_and_the_take_bring_the_skin_nearer_to_that_of_all(kerne
     every, alone, learnt = (
         np.stack([driver.deform(d) for d in UNITS]) for driver in (head_deformer(r, kernel) for r in rigs)
     )
-    assert np.linalg.norm(learnt - every) < 0.8 * np.linalg.norm(alone - every)
+    assert np.linalg.norm(learnt - every) < 0.9 * np.linalg.norm(alone - every)
 
 
 def test_what_was_learnt_is_written_and_read_and_older_files_have_none():
