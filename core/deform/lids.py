@@ -22,9 +22,9 @@ from .surface import JOINED, SurfaceGraph
 
 EYES = from_ibug((36, 37, 38, 39, 40, 41)), from_ibug((45, 44, 43, 42, 47, 46))
 """Right and left eye: outer corner, upper lid, inner corner, lower lid; each other's mirror image."""
-_UPPER, _LOWER = slice(1, 3), slice(4, 6)
-_USUAL = np.array([[0.76, 0.0], [-0.48, 0.0]])
-"""Curves of the upper and of the lower lid, as in `EyeOutline`: about those of labelled scans."""
+_LIDS = (1, 2, 4, 5)
+_USUAL = np.array([0.76, -0.48, 0.0])
+"""Bows and lean, as in `EyeOutline`: about those of labelled scans."""
 _TRUST = 0.03
 """How much the usual curve counts beside two landmarks: about a quarter."""
 _WITHIN = 0.1
@@ -43,11 +43,11 @@ _PITS = 95.0
 """Percentile of the skin that lies before the sphere: what noise dents deeper does not push the eye in."""
 _STEEP = 0.95
 _LEAST_RIM = 12
-_LIDS = (1.0 / 3.0, 2.0 / 3.0)
+_THIRDS = (1.0 / 3.0, 2.0 / 3.0)
 """Where along a lid its two landmarks lie."""
 _SPINE = (0.3, 0.7)
 _SPREAD = (0.2, 0.8)
-_LEAST_BOW = 0.5
+_LEAST_BOW, _MOST_LEAN = 0.5, 0.2
 _MIDDLE = np.array([0.5, 0.04, 0.2])
 _STEEPEST = 0.9
 _HALVINGS = 40
@@ -66,15 +66,18 @@ class EyeOutline:
         Rows: unit vectors towards the inner corner, up, and towards the viewer.
     width : float
         From corner to corner.
-    lids : (2, 2) float
-        `(a, b)` of the upper and of the lower lid: its height over the line from corner to corner, in widths, is
-        s (1 - s) (a + b (2 s - 1)) at the share s of the way to the inner corner.
+    bows : (2,) float
+    lean : float
+        The height of a lid over the line from corner to corner, in widths, is s (1 - s) (bow + lean (2 s - 1)) at the
+        share s of the way to the inner corner. Both lids lean the same way, as they do in people, and lie opposite
+        each other in the same shares of the eye's opening, so that they meet everywhere when they shut.
     """
 
     corner: FloatArray
     axes: FloatArray
     width: float
-    lids: FloatArray
+    bows: FloatArray
+    lean: float
 
     def local(self, points: FloatArray) -> FloatArray:
         """(..., 3) in widths from the outer corner: along to the inner one, up, and towards the viewer."""
@@ -87,7 +90,7 @@ class EyeOutline:
     def depth_within(self, local: FloatArray) -> FloatArray:
         """(...) how far a point lies within the almond, by height, in widths; below 0 outside."""
         along, up = local[..., 0], local[..., 1]
-        upper, lower = (along * (1.0 - along) * (a + b * (2.0 * along - 1.0)) for a, b in self.lids)
+        upper, lower = (along * (1.0 - along) * (bow + self.lean * (2.0 * along - 1.0)) for bow in self.bows)
         return np.asarray(np.minimum(upper - up, up - lower))
 
 
@@ -125,9 +128,11 @@ class EyeCut:
 
     def landmark_places(self, points: FloatArray) -> NDArray[np.intp]:
         """(6,) places in the rim, which leads through `points` (N, 3), for the landmarks of an eye in `EYES`' order."""
+        # Opposite each other, so that the upper one comes down on the lower one.
+        along = self.outline.local(points)[:, :1]
         upper = np.arange(self.inner + 1)
         lower = np.append(np.arange(self.inner, len(points)), 0)
-        above, below = upper[at_shares(points[upper], _LIDS)], lower[at_shares(points[lower], _LIDS)]
+        above, below = upper[at_shares(along[upper], _THIRDS)], lower[at_shares(along[lower], _THIRDS)]
         return np.array([0, *above, self.inner, *below])
 
     def on_eye(self, points: FloatArray) -> FloatArray:
@@ -139,7 +144,7 @@ class EyeCut:
         local = self.outline.local(points)
         spine = np.zeros_like(local)
         spine[:, 0] = np.clip(local[:, 0], *_SPINE)
-        spine[:, 1] = (self.outline.lids[:, 0] / 8.0).sum()
+        spine[:, 1] = self.outline.bows.mean() / 4.0
         away = (local - spine)[:, :2]
         local[:, :2] += distance * away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
         return self.outline.places(self._sunk(local))
@@ -175,18 +180,20 @@ def eye_outline(vertices: FloatArray, landmarks: IntArray, eye: IntArray) -> Eye
     towards = np.cross(along, up)
     axes = np.stack([along, up, towards if towards[2] < 0.0 else -towards])
     local = (points - points[0]) @ axes.T / width
-    lids = [_lid(local[lid], usual) for lid, usual in zip((_UPPER, _LOWER), _USUAL, strict=True)]
-    return EyeOutline(points[0], axes, width, np.array(lids))
+    *bows, lean = _bows(local)
+    return EyeOutline(points[0], axes, width, np.array(bows), float(lean))
 
 
-def _lid(points: FloatArray, usual: FloatArray) -> FloatArray:
-    """(2,) `a` and `b` of a lid with two landmarks: least squares, drawn to the `usual` ones."""
-    share = np.clip(points[:, 0], *_SPREAD)
+def _bows(points: FloatArray) -> FloatArray:
+    """(3,) `bows` and `lean` of lids with landmarks (6, 3) in an eye's own frame: least squares, drawn to the usual."""
+    share = np.clip(points[_LIDS, 0], *_SPREAD)
     bow = share * (1.0 - share)
-    terms = np.column_stack([bow, bow * (2.0 * share - 1.0)])
-    fitted = np.linalg.solve(terms.T @ terms + _TRUST * np.eye(2), terms.T @ points[:, 1] + _TRUST * usual)
-    bow, skew = usual[0] * max(fitted[0] / usual[0], _LEAST_BOW), fitted[1]
-    return np.array([bow, np.clip(skew, -abs(bow), abs(bow))])
+    upper = np.arange(len(_LIDS)) < 2
+    terms = np.column_stack([bow * upper, bow * ~upper, bow * (2.0 * share - 1.0)])
+    pull = _TRUST * np.eye(3)
+    fitted = np.linalg.solve(terms.T @ terms + pull, terms.T @ points[_LIDS, 1] + pull @ _USUAL)
+    upper_bow, lower_bow = _USUAL[:2] * np.maximum(fitted[:2] / _USUAL[:2], _LEAST_BOW)
+    return np.array([upper_bow, lower_bow, np.clip(fitted[2], -_MOST_LEAN, _MOST_LEAN)])
 
 
 def eyes_joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[bool]:

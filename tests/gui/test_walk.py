@@ -335,7 +335,7 @@ def test_regions_are_shown_mended_and_checked_by_clicks(blender, sidebar):
     blender.wait_for("bpy.context.mode == 'OBJECT'")
 
 
-def test_an_imported_scan_becomes_a_head_that_opens_its_mouth_by_clicks(blender, sidebar):
+def test_an_imported_scan_becomes_a_head_that_opens_mouth_and_eyes_by_clicks(blender, sidebar):
     places, faces = scanned()
     lines = [f"v {x:.6f} {-y:.6f} {-z:.6f}" for x, y, z in places]
     lines += ["f " + " ".join(str(v + 1) for v in face) for face in faces.tolist()]
@@ -348,6 +348,8 @@ def test_an_imported_scan_becomes_a_head_that_opens_its_mouth_by_clicks(blender,
     blender.wait_for("'facemime_landmarks' in bpy.data.objects['scan'].data")
     sidebar.press("bpy.ops.facemime.open_lips")
     blender.wait_for(f"len(bpy.data.objects['scan'].data.vertices) > {len(places)}")
+    sidebar.press("bpy.ops.facemime.open_eyes")
+    blender.wait_for("'Facemime Eyes' in bpy.data.objects['scan'].vertex_groups")
     blender.wait_for("len(bpy.context.window_manager.facemime.findings) == 0")
     look_from_the_front(sidebar)
     blender.shot("scan")
