@@ -187,14 +187,24 @@ class PicturePlayer(PacedSource):
         self._folder, self._rate = Path(folder), rate
 
     def frames(self) -> Iterator[LiveFrame]:
-        """All pictures of the folder."""
+        """All pictures of the folder; one that cannot be read is left out, as a camera's lost frame is."""
         if not self._folder.is_dir():
             raise SourceError(f"There is no folder {self._folder}. Choose the folder that holds the pictures.")
         paths = sorted(path for path in self._folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
         if not paths:
             raise SourceError(f"There is no picture in {self._folder}. JPEG, PNG, BMP, TIFF and WebP are read.")
-        for index, path in enumerate(paths):
-            yield LiveFrame(index / self._rate, read_image(path))
+        unreadable: SourceError | None = None
+        shown = 0
+        for path in paths:
+            try:
+                image = read_image(path)
+            except SourceError as error:
+                unreadable = error
+                continue
+            yield LiveFrame(shown / self._rate, image)
+            shown += 1
+        if not shown and unreadable is not None:
+            raise unreadable
 
 
 class TakePlayer(PacedSource):

@@ -99,6 +99,17 @@ def test_pictures_of_a_folder_are_played_in_the_order_of_their_names(tmp_path):
     assert [frame.time for frame in frames] == pytest.approx([0.0, 0.05, 0.1])
 
 
+def test_a_picture_that_cannot_be_read_is_left_out_and_only_all_of_them_are_an_error(tmp_path):
+    (tmp_path / "face1.png").write_text("no picture")
+    with pytest.raises(SourceError, match="is not a picture"):
+        PicturePlayer(tmp_path).read(1.0)
+    for index in (0, 2):
+        cv2.imwrite(str(tmp_path / f"face{index}.png"), np.full((4, 4, 3), 50 * index, np.uint8))
+    frames = played(PicturePlayer(tmp_path, rate=20.0))
+    assert [int(frame.image[0, 0, 0]) for frame in frames] == [0, 100]
+    assert [frame.time for frame in frames] == pytest.approx([0.0, 0.05])
+
+
 def test_a_take_is_played_without_pictures():
     take = performance()
     frames = played(TakePlayer(take, "take", speed=20.0))
