@@ -63,7 +63,7 @@ class PoseTarget:
 
     def moved(self, translation: FloatArray) -> FloatArray:
         """(..., 3) in the target's own channels, of translations of the head frame in the unit of the head."""
-        scale = 1.0 if self.bone else np.array(self.obj.scale)
+        scale = 1.0 if self.bone else np.abs(self.obj.scale)
         return np.asarray((to_blender(translation) * scale) @ self._axes().T)
 
     def apply(self, rotation: FloatArray | None, translation: FloatArray | None) -> None:
@@ -106,10 +106,11 @@ class PoseTarget:
         setattr(self.owner, f"{self.prefix}location", (0.0, 0.0, 0.0))
 
     def _axes(self) -> FloatArray:
-        """(3, 3) from Blender's axes of the head to those of the target's channels."""
+        """(3, 3) from Blender's axes of the head to those of the target's channels; mirrors where its scale does."""
         if self.bone:
             return np.array(self.obj.data.bones[self.bone].matrix_local.to_3x3()).T
-        return np.array(own_rotation(self.obj))
+        mirrored = np.where(np.array(self.obj.scale) < 0.0, -1.0, 1.0)
+        return np.array(own_rotation(self.obj)) * mirrored
 
     def _curves(self, channel: str, values: FloatArray, tolerance: float | None) -> list[Curve]:
         path = f"{self.path}{self.prefix}{channel}"

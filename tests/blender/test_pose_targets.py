@@ -56,3 +56,23 @@ def test_a_pose_turns_the_head_about_its_own_axes_wherever_it_stands(mode):
     target.rest()
     bpy.context.view_layer.update()
     np.testing.assert_allclose(np.array(head.matrix_world.to_3x3().normalized()), before, atol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [(-1, 1, 1), (1, -2, 1), (-1, -1, -1)])
+def test_a_mirrored_head_turns_and_moves_as_its_mirror_image(scale):
+    head = add_head(bpy.context)
+    head.rotation_euler, head.scale = (0.4, -0.2, 0.7), scale
+    bpy.context.view_layer.update()
+    before = np.array(head.matrix_world)
+    turn, move = np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]]), np.array([0.1, 0.2, 0.3])
+    PoseTarget(head).apply(turn, None)
+    bpy.context.view_layer.update()
+    chin = np.array([0.0, -0.1, -0.1])
+    in_blender = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    if len(set(np.abs(scale))) == 1:  # otherwise a turned head is skewed, whatever turns it
+        turned = np.array(head.matrix_world)[:3, :3] @ chin
+        np.testing.assert_allclose(turned, before[:3, :3] @ in_blender @ chin, atol=1e-5)
+    PoseTarget(head).apply(np.eye(3), move)
+    bpy.context.view_layer.update()
+    moved = np.array(head.matrix_world)[:3, 3] - before[:3, 3]
+    np.testing.assert_allclose(moved, before[:3, :3] @ (0.1, 0.3, -0.2), atol=1e-5)
