@@ -24,6 +24,8 @@ from .meshes import (
 )
 from .names import COUNT_PROPERTY, LANDMARKS_PROPERTY, MARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 
+_STRAIN = 0.04
+"""Eye distances by which a template is bent at most to fit a human head."""
 _UPRIGHT = np.cos(np.radians(20.0))
 """A mesh that looks away from -Y by more than that is turned; less is how the head is held."""
 
@@ -32,8 +34,9 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
     """Find the landmarks of `obj` from the user's marks, or from none, and propose its regions.
 
     Without marks the face is looked for along the axes of the scene, first towards -Y and upright: importers turn the
-    object and leave the vertices lying. Where these are not upright, they are turned, and the object's transform back,
-    so that nothing moves in the scene.
+    object and leave the vertices lying. Then it is looked for along the object's own axes: it may stand turned by any
+    angle. Where the vertices are not upright, they are turned, and the object's transform back, so that nothing moves
+    in the scene.
 
     Raises
     ------
@@ -46,8 +49,9 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
     skin, faces = _skin(obj)
     number = {vertex: place for place, vertex in enumerate(skin.tolist())}
     marks = {landmark: number[vertex] for landmark, vertex in marks.items() if vertex in number}
-    binding = bind_landmarks(read_vertices(mesh)[skin] @ seen.T, faces, marks)
-    upright = seen if _is_small(binding.rotation) else binding.rotation @ seen
+    axes = [seen] if marks or np.allclose(seen, np.eye(3), atol=1e-3) else [seen, np.eye(3)]
+    binding, along = _bound(read_vertices(mesh)[skin], faces, marks, axes)
+    upright = along if _is_small(binding.rotation) else binding.rotation @ along
     if not _is_small(upright):
         _turn(obj, HEAD_TO_BLENDER @ upright @ HEAD_TO_BLENDER.T)
     write_landmarks(mesh, skin[binding.landmarks])
@@ -120,6 +124,34 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
         raise HeadError("Another landmark lies on that vertex. Pick a vertex of its own.")
     landmarks[landmark] = vertex
     write_landmarks(obj.data, landmarks)
+
+
+def _bound(
+    vertices: NDArray[np.floating], faces: NDArray[np.intp], marks: dict[int, int], axes: list[NDArray[np.floating]]
+) -> tuple[Binding, NDArray[np.floating]]:
+    """The landmarks, and along which of `axes`, rotations (3, 3), they were looked for: the first along which there is
+    a face, else those along which the template was bent least.
+
+    Raises
+    ------
+    HeadError
+        Where no face is found along any of them.
+    """
+    found: list[tuple[Binding, NDArray[np.floating]]] = []
+    failure: HeadError | None = None
+    for rotation in axes:
+        try:
+            binding = bind_landmarks(vertices @ rotation.T, faces, marks)
+        except HeadError as error:
+            failure = error
+            continue
+        found.append((binding, rotation))
+        if binding.strain <= _STRAIN:
+            break
+    if not found:
+        assert failure is not None
+        raise failure
+    return min(found, key=lambda pair: pair[0].strain)
 
 
 def _skin(obj: bpy.types.Object) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

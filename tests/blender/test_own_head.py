@@ -103,6 +103,21 @@ def test_a_mesh_that_faces_backwards_is_bound_without_a_click_and_stays_where_it
     assert abs(abs(obj.matrix_world.to_euler().z) - np.pi) < 0.05
 
 
+@pytest.mark.parametrize(
+    ("rotation", "scale"), [((0.0, 0.0, 2.2), (1, 1, 1)), ((0.4, -0.3, 0.9), (3, 3, 3)), ((0.0, 0.0, 0.0), (-1, 1, 1))]
+)
+def test_a_head_is_bound_without_a_click_however_its_object_stands_or_is_mirrored(true, rotation, scale):
+    obj = bare_head()
+    obj.rotation_euler, obj.scale = rotation, scale
+    bpy.context.view_layer.update()
+    rest, before = read_vertices(obj.data), obj.matrix_world.copy()
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    assert off(obj, true).mean() < 0.02
+    np.testing.assert_array_equal(read_vertices(obj.data), rest)
+    np.testing.assert_allclose(np.array(obj.matrix_world), np.array(before), atol=1e-6)
+
+
 def test_a_landmark_is_moved_to_the_picked_vertex(true):
     obj = add_head(bpy.context)
     free = next(v for v in range(len(obj.data.vertices)) if v not in true)
