@@ -158,7 +158,7 @@ def puppet_heads(
 ) -> list[PuppetReport]:
     """Drive many heads by one take, each with its own landmarks, regions and pose.
 
-    Each but the first has a cache named after it, where one is asked for.
+    Each has a cache named after it, where one is asked for.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def puppet_heads(
     """
     check_heads(objects, settings.bake, targets)
     return [
-        puppet_head(scene, obj, take, _with_path(settings, obj) if number else settings, None if number else targets)
+        puppet_head(scene, obj, take, _with_path(settings, obj), None if number else targets)
         for number, obj in enumerate(objects)
     ]
 

@@ -21,6 +21,7 @@ from ..scene.settings import bake_settings, drive_options, pose_targets, puppet_
 from ..sessions.session import Session
 from .shared import (
     AsksForFile,
+    AsksForFileToWrite,
     OnHead,
     ReportsErrors,
     heads_in,
@@ -129,7 +130,7 @@ class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FACEMIME_OT_export_key_map(AsksForFile, bpy.types.Operator):
+class FACEMIME_OT_export_key_map(AsksForFileToWrite, bpy.types.Operator):
     """Write the table of keys to a file that you can share"""
 
     bl_idname = "facemime.export_key_map"
@@ -140,7 +141,7 @@ class FACEMIME_OT_export_key_map(AsksForFile, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Write it."""
-        with replacing(self.path.with_suffix(".json")) as temporary:
+        with replacing(self.path_ending(".json")) as temporary:
             temporary.write_text(read_table(context.scene.facemime_takes.bake).to_json() + "\n", encoding="utf-8")
         return {"FINISHED"}
 

@@ -4,7 +4,7 @@ import bpy
 from bpy.props import StringProperty
 
 from ..scene import presets
-from .shared import AsksForFile, ReportsErrors, register_all, unregister_all
+from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors, register_all, unregister_all
 
 
 class FACEMIME_OT_save_preset(ReportsErrors, bpy.types.Operator):
@@ -77,7 +77,7 @@ class FACEMIME_OT_import_preset(AsksForFile, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FACEMIME_OT_export_preset(AsksForFile, bpy.types.Operator):
+class FACEMIME_OT_export_preset(AsksForFileToWrite, bpy.types.Operator):
     """Write strength, smoothing and limits to a file that you can share"""
 
     bl_idname = "facemime.export_preset"
@@ -88,7 +88,7 @@ class FACEMIME_OT_export_preset(AsksForFile, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Write the file."""
-        presets.save(context.scene.facemime, self.path.with_suffix(presets.SUFFIX))
+        presets.save(context.scene.facemime, self.path_ending(presets.SUFFIX))
         return {"FINISHED"}
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import bpy
-from bpy.props import StringProperty
+from bpy.props import BoolProperty, StringProperty
 
 from ..blender.meshes import is_head
 from ..core.errors import FacemimeError, SourceError
@@ -68,6 +68,17 @@ class AsksForFile(ReportsErrors):
         """Open the file browser."""
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
+
+
+class AsksForFileToWrite(AsksForFile):
+    """Mixin: asks for a file that it writes; the browser warns of one that is there already."""
+
+    check_existing: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+
+    def path_ending(self, suffix: str) -> Path:
+        """The file that was named, with `suffix` behind its name where that ends otherwise."""
+        path = self.path
+        return path if path.suffix.lower() == suffix else path.with_name(path.name + suffix)
 
 
 class OnMesh(ReportsErrors):

@@ -12,6 +12,7 @@ from ..sessions.show import TakeShow
 from .puppet import running
 from .shared import (
     AsksForFile,
+    AsksForFileToWrite,
     ReportsErrors,
     heads_in,
     push_undo,
@@ -150,7 +151,7 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FACEMIME_OT_export_take(AsksForFile, OnTake, bpy.types.Operator):
+class FACEMIME_OT_export_take(AsksForFileToWrite, OnTake, bpy.types.Operator):
     """Write the chosen take to a file of its own, or as a table of numbers"""
 
     bl_idname = "facemime.export_take"
@@ -160,12 +161,11 @@ class FACEMIME_OT_export_take(AsksForFile, OnTake, bpy.types.Operator):
     filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        path = self.path
         take = takes_store.read(takes_store.chosen(context.scene))
-        if path.suffix.lower() == ".csv":
-            to_csv(take, path)
+        if self.path.suffix.lower() == ".csv":
+            to_csv(take, self.path)
         else:
-            save_take(take, path.with_suffix(SUFFIX))
+            save_take(take, self.path_ending(SUFFIX))
         return {"FINISHED"}
 
 

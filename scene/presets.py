@@ -56,7 +56,6 @@ def save(settings: FacemimeSettings, path: Path) -> None:
         "settings": {name: getattr(settings, name) for name in _SETTINGS},
         "posing": {name: getattr(posing, name) for name in _POSING},
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
 

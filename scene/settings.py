@@ -174,6 +174,6 @@ def add_performer(settings: FacemimeSettings, name: str = "") -> None:
 def remove_performer(settings: FacemimeSettings) -> None:
     """Remove the performer who is chosen."""
     if not 0 <= settings.performer < len(settings.performers):
-        raise FacemimeError("No performer is chosen.")
+        raise FacemimeError("No performer is chosen. Choose one in the list.")
     settings.performers.remove(settings.performer)
     settings.performer = min(settings.performer, len(settings.performers) - 1)

@@ -1,6 +1,7 @@
 """The list of takes: what is chosen in it is shown, changed and baked."""
 
 import wave
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -152,8 +153,27 @@ def test_the_chosen_take_is_baked_as_the_panel_says(keys, imported, takes, tmp_p
     assert bpy.ops.facemime.bake_take() == {"FINISHED"}
     baked = [key for key in head.data.shape_keys.key_blocks if key.name.startswith(BAKED_KEY_PREFIX)]
     assert len(baked) == (2 if keys == "new" else 0)
-    assert (tmp_path / "caches" / "First.pc2").exists() == (keys == "cache")
+    assert (tmp_path / "caches" / "First Facemime_Head.pc2").exists() == (keys == "cache")
     assert head.animation_data.nla_tracks and head.animation_data.action is None
+
+
+def test_heads_that_are_baked_one_after_the_other_keep_their_own_caches(imported, takes):
+    takes.bake.keys = "cache"
+    for name in ("One", "Two"):
+        add_head(bpy.context, name=name)
+        assert bpy.ops.facemime.bake_take() == {"FINISHED"}
+    paths = {bpy.data.objects[name].modifiers[0].filepath for name in ("One", "Two")}
+    assert len(paths) == 2 and all(Path(bpy.path.abspath(path)).is_file() for path in paths)
+
+
+@pytest.mark.parametrize(
+    ("operator", "suffix"), [("export_take", ".facetake"), ("export_key_map", ".json"), ("export_preset", ".json")]
+)
+def test_an_export_keeps_the_whole_name_and_writes_over_no_other_file(operator, suffix, imported, tmp_path):
+    other = tmp_path / f"Take 1{suffix}"
+    other.write_text("mine")
+    assert getattr(bpy.ops.facemime, operator)(filepath=str(tmp_path / "Take 1.5")) == {"FINISHED"}
+    assert other.read_text() == "mine" and (tmp_path / f"Take 1.5{suffix}").is_file()
 
 
 def test_a_bake_and_the_removal_of_a_take_are_one_undo_step_each(imported):
