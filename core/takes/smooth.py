@@ -28,6 +28,8 @@ CUTOFFS: dict[str, float] = {
     "gaze": 8.0,
 }
 """Hz at which half of a movement passes, part by part."""
+_LOWEST, _HIGHEST = 1e-3, 1e5
+"""Hz: of a cutoff, and from which on nothing is smoothed."""
 _LONGEST_STEP = 0.25
 _FEWEST = 5
 
@@ -55,12 +57,14 @@ def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) ->
     Raises
     ------
     FacemimeError
-        For a part that is none and a cutoff that is not above 0.
+        For a part that is none and a cutoff that is too low.
     """
     chosen = {**CUTOFFS, **(cutoffs or {})}
     for part, cutoff in chosen.items():
-        if part not in CUTOFFS or not cutoff > 0.0:
-            raise FacemimeError(f"{part}={cutoff:g} is no cutoff. Give Hz above 0 for one of: {', '.join(CUTOFFS)}.")
+        if part not in CUTOFFS or not cutoff >= _LOWEST:
+            raise FacemimeError(
+                f"{part}={cutoff:g} is no cutoff. Give {_LOWEST:g} Hz or more for one of: {', '.join(CUTOFFS)}."
+            )
     shape, pose, gaze = take.shape.astype(np.float64), take.pose.copy(), take.gaze.astype(np.float64)
     for run in _runs(take.times, take.found):
         for part, (rows, _) in SHAPE_PARTS.items():
@@ -99,7 +103,7 @@ def low_pass(times: FloatArray, values: FloatArray, cutoff: float) -> FloatArray
     Butterworth filter of second order run forward and backward, without the filter's transients at both ends and
     without its need of even times. A straight line passes unchanged. Pentadiagonal, so the cost is linear in N.
     """
-    if not np.isfinite(cutoff):
+    if not cutoff < _HIGHEST:
         return values
     steps = np.diff(times)
     share = np.convolve(steps, [0.5, 0.5])
