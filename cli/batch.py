@@ -99,6 +99,8 @@ def run_batch(arguments: argparse.Namespace) -> int:
         last = (entry.said.splitlines() or ["no reason was told"])[-1]
         print(f"facemime: {entry.clip}: {last.removeprefix('facemime: ')}", file=sys.stderr)
     print(f"facemime: {len(failed)} of {len(entries)} clips failed; see {folder / 'report.html'}.", file=sys.stderr)
+    if interrupted:
+        print("facemime: interrupted. The same line again goes on where this one ended.", file=sys.stderr)
     return _INTERRUPTED if interrupted else min(len(failed), _MOST_FAILED)
 
 
