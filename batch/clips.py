@@ -101,7 +101,7 @@ class Namer:
 
 
 def checksum(path: Path) -> str:
-    """SHA-256 of a file's content."""
+    """SHA-256 of a file's content; SourceError where it cannot be read."""
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()

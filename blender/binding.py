@@ -117,7 +117,7 @@ def picked_vertex(obj: bpy.types.Object) -> int:
 
 
 def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
-    """Bind `landmark` (position in the 66) of `obj` to `vertex`."""
+    """Bind `landmark` (position in the 66) of `obj` to `vertex`; HeadError where another one lies there."""
     landmarks = read_landmarks(obj)
     taken = np.flatnonzero(landmarks == vertex)
     if len(taken) and taken[0] != landmark:

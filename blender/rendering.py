@@ -28,6 +28,11 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
 
     Rendered at twice the size without anti-aliasing and averaged: without a graphics card that takes a quarter of the
     time of Workbench's own eight samples and looks the same.
+
+    Raises
+    ------
+    OutputError
+        Where Blender cannot draw, or the temporary folder is full.
     """
     require_display_library()
     render = scene.render

@@ -43,7 +43,13 @@ def add_face_option(parser: argparse.ArgumentParser) -> None:
 
 
 def face_of(text: str | None) -> tuple[float, float] | None:
-    """The place that `--face` names, as for `FaceTracker.choose`; None for the largest face."""
+    """The place that `--face` names, as for `FaceTracker.choose`; None for the largest face.
+
+    Raises
+    ------
+    FacemimeError
+        Where it names none.
+    """
     if not text:
         return None
     if text in _SIDES:

@@ -122,7 +122,13 @@ def run_import(arguments: argparse.Namespace) -> int:
 
 
 def parse_span(text: str, default: tuple[float, float] = (float("-inf"), float("inf"))) -> tuple[float, float]:
-    """`A:B` as two numbers of seconds, either of which may be left out for the default."""
+    """`A:B` as two numbers of seconds, either of which may be left out for the default.
+
+    Raises
+    ------
+    FacemimeError
+        Where it is no span, or one without length.
+    """
     first, colon, last = text.partition(":")
     try:
         start, end = float(first) if first else default[0], float(last) if last else default[1]
@@ -134,7 +140,7 @@ def parse_span(text: str, default: tuple[float, float] = (float("-inf"), float("
 
 
 def parse_cutoffs(text: str) -> dict[str, float]:
-    """`mouth=6,jaw=4` as Hz by part."""
+    """`mouth=6,jaw=4` as Hz by part; FacemimeError where it is something else."""
     cutoffs = {}
     for item in filter(None, text.split(",")):
         part, _, value = item.partition("=")

@@ -172,7 +172,7 @@ def add_performer(settings: FacemimeSettings, name: str = "") -> None:
 
 
 def remove_performer(settings: FacemimeSettings) -> None:
-    """Remove the performer who is chosen."""
+    """Remove the performer who is chosen; FacemimeError where none is."""
     if not 0 <= settings.performer < len(settings.performers):
         raise FacemimeError("No performer is chosen. Choose one in the list.")
     settings.performers.remove(settings.performer)
