@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..blender.bake import frames_of
 from ..blender.bake_cache import caches_beside
 from ..blender.head import add_head
-from ..blender.meshes import read_rig, write_selection
+from ..blender.meshes import write_selection
 from ..blender.names import LANDMARKS_PROPERTY
 from ..blender.preview_scene import setup_preview
 from ..blender.rendering import quiet, render_frames, set_rate, write_video
@@ -29,7 +29,7 @@ from ..core.images import write_image
 from ..core.motion import most_different
 from ..core.overlay import contact_sheet, label, picture_of_face, picture_of_frame
 from ..core.takes.take import Take
-from ..puppet import BakeSettings, PuppetReport, PuppetSettings, puppet_head
+from ..puppet import BakeSettings, PuppetReport, PuppetSettings, check_heads, puppet_head
 from .console import Progress
 
 Image = NDArray[np.uint8]
@@ -101,21 +101,21 @@ def bake_settings(arguments: argparse.Namespace) -> BakeSettings:
 
 
 def open_head(
-    spec: str | None, points: GreedySelection | None = None, *, units: bool = False
+    spec: str | None, points: GreedySelection | None, bake: BakeSettings
 ) -> tuple[bpy.types.Scene, bpy.types.Object]:
     """The scene and the head to drive, by `points` if given: the built-in one in a new file, or OBJECT of FILE.blend.
 
-    With `units` the built-in one has its face units as shape keys.
+    The built-in one has its face units as shape keys where `bake` goes to keys that are there.
 
     Raises
     ------
     SourceError, HeadError
-        Where the file cannot be opened, or holds no such object, or none or several with landmarks, or what driving
-        needs is missing.
+        Where the file cannot be opened, or holds no such object, or none or several with landmarks, or the head cannot
+        be driven or take the bake.
     """
     if spec is None:
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-        head = add_head(bpy.context, units=units)
+        head = add_head(bpy.context, units=bake.keys in ("named", "mapped"))
         if points is not None:
             write_selection(head.data, points)
         return bpy.context.scene, head
@@ -140,7 +140,7 @@ def open_head(
         raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Name one: --head {path}:OBJECT.")
     if points is not None:
         write_selection(head.data, points)
-    read_rig(head)
+    check_heads([head], bake)
     return bpy.context.scene, head
 
 

@@ -40,7 +40,7 @@ from .takes import add_commands as add_take_commands
 from .takes import load_telling
 
 INTERRUPTED = 130
-_UNFINISHED = f".unfinished{SUFFIX}"
+_UNFINISHED, _INTERRUPTED = f".unfinished{SUFFIX}", f".interrupted{SUFFIX}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -166,12 +166,12 @@ def run_track(arguments: argparse.Namespace) -> int:
     unfinished = arguments.output.with_suffix(_UNFINISHED)
     with _telling_of(unfinished):
         take = _track(arguments.video, unfinished, face_of(arguments.face))
+        if arguments.smooth:
+            take = smooth_take(take)
+            save_take(take, unfinished)
+        if take.info.get("interrupted"):
+            return _interrupted(take, unfinished, arguments.output)
         _settle(unfinished, arguments.output)
-    if arguments.smooth:
-        save_take(smooth_take(take), arguments.output)
-    if take.info.get("interrupted"):
-        print(f"facemime: interrupted; the {len(take)} frames tracked are in {arguments.output}.", file=sys.stderr)
-        return INTERRUPTED
     return 0
 
 
@@ -183,6 +183,30 @@ def run_puppet(arguments: argparse.Namespace) -> int:
         raise FacemimeError(
             f"puppet needs Blender ({error}). Run: blender --command facemime puppet ..., or install bpy."
         ) from error
+    _check_outputs(arguments)
+    bake = headless.bake_settings(arguments)
+    points = None if arguments.points is None else from_json(_text(arguments.points))
+    scene, head = headless.open_head(arguments.head, points, bake)
+    if arguments.source.suffix.lower() == SUFFIX:
+        take = load_telling(arguments.source)
+        if arguments.take is not None:
+            save_take(take, arguments.take)
+        headless.puppet(arguments, scene, head, take, None, bake)
+        return 0
+    unfinished = (arguments.take or arguments.output).with_suffix(_UNFINISHED)
+    with _telling_of(unfinished):
+        take = _track(arguments.source, unfinished, face_of(arguments.face))
+        if take.info.get("interrupted"):
+            return _interrupted(take, unfinished, arguments.take or arguments.output.with_suffix(_INTERRUPTED))
+        if arguments.take is not None:
+            _settle(unfinished, arguments.take)
+        headless.puppet(arguments, scene, head, take, arguments.source, bake)
+    unfinished.unlink(missing_ok=True)
+    return 0
+
+
+def _check_outputs(arguments: argparse.Namespace) -> None:
+    """Raise OutputError now where one of the outputs of `puppet` cannot be written, or is the video itself."""
     if arguments.preview is not None and arguments.preview.resolve() == arguments.source.resolve():
         raise OutputError(f"Cannot write {arguments.preview}: it is the video that is tracked. Give another name.")
     for path, suffixes in (
@@ -193,28 +217,6 @@ def run_puppet(arguments: argparse.Namespace) -> int:
     ):
         if path is not None:
             check_writable(path, suffixes)
-    bake = headless.bake_settings(arguments)
-    points = None if arguments.points is None else from_json(_text(arguments.points))
-    scene, head = headless.open_head(arguments.head, points, units=bake.keys in ("named", "mapped"))
-    if arguments.source.suffix == SUFFIX:
-        take = load_telling(arguments.source)
-        if arguments.take is not None:
-            save_take(take, arguments.take)
-        headless.puppet(arguments, scene, head, take, None, bake)
-        return 0
-    unfinished = (arguments.take or arguments.output).with_suffix(_UNFINISHED)
-    with _telling_of(unfinished):
-        take = _track(arguments.source, unfinished, face_of(arguments.face))
-        interrupted = bool(take.info.get("interrupted"))
-        kept = arguments.take or (arguments.output.with_suffix(f".interrupted{SUFFIX}") if interrupted else None)
-        if kept is not None:
-            _settle(unfinished, kept)
-        if interrupted:
-            print(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.", file=sys.stderr)
-            return INTERRUPTED
-        headless.puppet(arguments, scene, head, take, arguments.source, bake)
-    unfinished.unlink(missing_ok=True)
-    return 0
 
 
 def run_select(arguments: argparse.Namespace) -> int:
@@ -294,6 +296,13 @@ def _telling_of(unfinished: Path) -> Iterator[None]:
         if not unfinished.exists():
             raise
         raise KeyboardInterrupt(f"what was tracked is in {unfinished}") from stop
+
+
+def _interrupted(take: Take, unfinished: Path, kept: Path) -> int:
+    """Give what was tracked until Ctrl-C its name, and say so; returns the exit status."""
+    _settle(unfinished, kept)
+    print(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.", file=sys.stderr)
+    return INTERRUPTED
 
 
 def _settle(unfinished: Path, kept: Path) -> None:

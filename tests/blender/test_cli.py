@@ -17,6 +17,7 @@ import pytest
 
 import facemime
 from facemime.blender import rendering
+from facemime.blender.head import add_head
 from facemime.core.errors import OutputError
 from facemime.core.takes.file import load_take, save_take
 from takes import performance
@@ -188,6 +189,13 @@ def test_a_disk_that_is_full_costs_no_tracking(clip, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["out.unfinished.facetake"]
     done = run("puppet", tmp_path / "none.mp4", "-o", tmp_path / "out.blend")
     assert done.returncode == 1 and (tmp_path / "out.unfinished.facetake").exists()
+
+
+def test_a_head_that_takes_no_bake_is_told_before_the_video_is_tracked(clip, tmp_path):
+    add_head(bpy.context).driver_add("delta_rotation_euler", 0)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "own.blend"))
+    done = run("puppet", clip, "-o", tmp_path / "out.blend", "--head", tmp_path / "own.blend")
+    assert done.returncode == 1 and "has animation of its own" in done.stderr and "Tracking" not in done.stderr
 
 
 def test_outputs_that_nobody_reads_are_no_error(tmp_path):
