@@ -14,12 +14,17 @@ from ..arrays import FloatArray
 from ..errors import ModelError
 
 DETECTORS = ("haarcascade_frontalface_default", "haarcascade_frontalface_alt2", "haarcascade_profileface")
-EFFORTS = (0, 1, 2, 3, 4, 5)
+EFFORTS = (0, 1, 2, 3, 4, 5, 6, 7)
 """0: faces as large as before one's own camera. 1: smaller ones. 2: also small, dim and odd ones. 3: profiles. 4: heads
-that are tilted. 5: wherever a single window looked like a face: nearly everywhere, for the tracker to sort out."""
-_QUICK_SIDE, _FINE_SIDE = 320, 480
-"""Pixels to which the longer side of an image is shrunk before it is searched."""
+that are tilted. 5, 6: faces far away, in images that are large enough for them. 7: wherever a single window looked like
+a face: nearly everywhere, for the tracker to sort out."""
+_SIDES = (320, 320, 480, 320, 320, 960, 1920, 480)
+"""Pixels to which the longer side of an image is shrunk before it is searched, for each effort."""
+_FAR = {5: _SIDES[2], 6: _SIDES[5]}
+"""The side at which an earlier effort searched: images that are no larger have no more to show."""
 _SMALLEST = 28
+_FARTHEST = 72
+"""Pixels up to which faces far away are looked for; earlier efforts see larger ones."""
 _NEAR = 72
 """Pixels of the quick side: faces of a quarter of the picture are looked for first, in a third of the time."""
 _TILTS = (0.5, -0.5)
@@ -69,8 +74,8 @@ class BoxDetector:
 
         4 to 100 ms an effort at 640 x 480; the first finds most faces.
         """
-        plain, factor = _shrink(grey, _FINE_SIDE if effort in (2, 5) else _QUICK_SIDE)
-        if min(plain.shape) < _SMALLEST:
+        plain, factor = _shrink(grey, _SIDES[effort])
+        if min(plain.shape) < _SMALLEST or max(grey.shape) <= _FAR.get(effort, 0):
             return []
         even = cv2.equalizeHist(plain).astype(np.uint8)
         if effort == 0:
@@ -83,6 +88,8 @@ class BoxDetector:
             found += [FaceBox(b, 1) for b in self._run(local, 1, neighbours=1)]
         elif effort == 3:
             found = self._profiles(even)
+        elif effort in _FAR:
+            found = [FaceBox(b, 1) for b in self._run(even, 1, neighbours=2, largest=_FARTHEST, growth=1.2)]
         elif effort == 4:
             found = [b for roll in _TILTS for b in self._tilted(even, roll)]
         else:
@@ -93,10 +100,16 @@ class BoxDetector:
         return sorted(distinct, key=lambda f: -f.box[2])
 
     def _run(
-        self, grey: NDArray[np.uint8], detector: int, neighbours: int, smallest: int = _SMALLEST, largest: int = 0
+        self,
+        grey: NDArray[np.uint8],
+        detector: int,
+        neighbours: int,
+        smallest: int = _SMALLEST,
+        largest: int = 0,
+        growth: float = 1.12,
     ) -> list[FloatArray]:
         cascade, limits = self._cascades[detector], ((smallest, smallest), (largest, largest))
-        boxes = cascade.detectMultiScale(grey, 1.12, neighbours, minSize=limits[0], maxSize=limits[1])
+        boxes = cascade.detectMultiScale(grey, growth, neighbours, minSize=limits[0], maxSize=limits[1])
         return [np.array(b, np.float64) for b in boxes]
 
     def _profiles(self, grey: NDArray[np.uint8]) -> list[FaceBox]:

@@ -118,6 +118,20 @@ def test_the_face_of_an_8k_picture_is_found_where_it_is(tracker, face, landmarks
     assert away.mean() < 0.05 * result.pose[0]
 
 
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (1920, 1080), (3840, 2160)])
+def test_a_small_face_in_a_large_picture_is_found_where_it_is(tracker, face, landmarks, width, height):
+    factor = 18.0 * width / 1280 / tracker.locate(face).pose[0]
+    small = cv2.resize(face, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    picture = np.random.default_rng(0).normal(110.0, 6.0, (height, width, 3)).clip(0, 255).astype(np.uint8)
+    x, y = width // 3, height // 5
+    picture[y : y + len(small), x : x + small.shape[1]] = small
+    tracker.reset()
+    result = tracker.locate(picture)
+    assert result.found
+    away = np.linalg.norm(result.landmarks - ((landmarks + 0.5) * factor - 0.5 + (x, y)), axis=1)
+    assert away.mean() < 0.05 * result.pose[0]
+
+
 @pytest.mark.parametrize("level", [0, 1, 127, 254, 255])
 def test_a_picture_of_one_tone_shows_no_face(tracker, level):
     assert not look(tracker, np.full((480, 640, 3), level, np.uint8)).found
