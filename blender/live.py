@@ -6,6 +6,7 @@ file saved in the middle) the mesh itself is safe.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -143,7 +144,8 @@ class LiveHeadObject:
                 self.obj.shape_key_clear()
         self.obj.show_only_shape_key = self._pinned
         for target in (*self.targets.values(), *(PoseTarget(child) for child, _ in self._parts)):
-            target.rest()
+            with contextlib.suppress(ReferenceError):  # the user deleted it
+                target.rest()
 
     def _key(self) -> bpy.types.ShapeKey:
         key = self.obj.data.shape_keys.key_blocks.get(LIVE_KEY)

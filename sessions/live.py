@@ -168,7 +168,7 @@ class LiveSession(Session):
         except ReferenceError:  # the user deleted it
             self._gone.append(shown)
             if len(self._gone) == len(self._objects):
-                raise HeadError("The head was deleted.") from None
+                raise HeadError("The head, or an object that follows it, was deleted. Start again.") from None
 
     def _count_down(self) -> None:
         if not self._waiting:

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from facemime.blender.head import add_head
+from facemime.blender.names import PART_PROPERTY
 from facemime.blender.targets import PoseTarget
 from facemime.operators.puppet import running
-from live_ticks import ticks_until
+from live_ticks import outcome_of_ticks, ticks_until
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
@@ -33,6 +34,20 @@ def test_head_pose_goes_to_a_bone_and_the_eyes_to_objects(take):
     with pytest.raises(RuntimeError, match="no bone Nose"):
         bpy.ops.facemime.puppet()
     assert running() is None
+
+
+def test_an_object_that_is_deleted_while_it_takes_the_pose_ends_the_puppet_and_leaves_the_head_at_rest(take):
+    head = add_head(bpy.context)
+    empty = bpy.data.objects.new("Pose", None)
+    bpy.context.collection.objects.link(empty)
+    scene = bpy.context.scene
+    scene.facemime.posing.object, scene.facemime.source.loop = empty, True
+    teeth = next(child for child in head.children if child[PART_PROPERTY] == "teeth_lower")
+    bpy.ops.facemime.puppet()
+    ticks_until(lambda: abs(teeth.delta_rotation_euler.x) > 0.02)
+    bpy.data.objects.remove(empty)
+    assert outcome_of_ticks() == {"CANCELLED"} and running() is None
+    assert head.data.shape_keys is None and tuple(teeth.delta_rotation_euler) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("mode", ["XYZ", "QUATERNION", "AXIS_ANGLE"])
