@@ -36,15 +36,15 @@ _STRETCH = 0.35
 _SNAP = 0.15
 """Of an edge: a vertex as near to the cut as that is taken to lie on it, which saves slivers."""
 _ROUND = 0.7
-"""Radius of the sphere on which lids lie, in widths of the eye; so it is, within a fiftieth, on labelled faces."""
+"""Radius of the sphere on which lids lie, in widths of the eye: 0.01 to 0.02 off (rms) on labelled faces."""
 _BESIDE = 0.15
 """How far about the cut the sphere is kept behind the skin, and how far the eye goes on behind the lids, in widths."""
 _PITS = 95.0
 """Percentile of the skin that lies before the sphere: what noise dents deeper does not push the eye in."""
 _STEEP = 0.95
 _LEAST_RIM = 12
-_THIRDS = (1.0 / 3.0, 2.0 / 3.0)
-"""Where along a lid its two landmarks lie."""
+_ALONG = (0.36, 0.68)
+"""Where along an eye a lid's two landmarks lie: about there on labelled faces, 0.26 to 0.40 and 0.65 to 0.72."""
 _SPINE = (0.3, 0.7)
 _SPREAD = (0.2, 0.8)
 _LEAST_BOW, _MOST_LEAN = 0.5, 0.2
@@ -132,7 +132,7 @@ class EyeCut:
         along = self.outline.local(points)[:, :1]
         upper = np.arange(self.inner + 1)
         lower = np.append(np.arange(self.inner, len(points)), 0)
-        above, below = upper[at_shares(along[upper], _THIRDS)], lower[at_shares(along[lower], _THIRDS)]
+        above, below = upper[at_shares(along[upper], _ALONG)], lower[at_shares(along[lower], _ALONG)]
         return np.array([0, *above, self.inner, *below])
 
     def on_eye(self, points: FloatArray) -> FloatArray:
