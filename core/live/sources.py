@@ -24,6 +24,8 @@ from ..tracking.result import TrackResult
 
 _LATEST = 1.0
 """Seconds by which frames may be late before the clock is set back instead: after a computer's sleep, say."""
+_CATCHING_UP = 0.1
+"""Seconds that leaving late frames out may take: what is read more slowly than it plays would only get later."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,9 @@ class PacedSource(LiveSource):
         while self._next is not None and self._due(self._next) <= now:
             shown, dropped = self._next, dropped + 1
             self._advance()
+            if (late := perf_counter()) - now > _CATCHING_UP:
+                self._began = late - shown.time / self._speed
+                break
         return replace(shown, taken=now, dropped=dropped)
 
     def close(self) -> None:

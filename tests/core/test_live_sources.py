@@ -10,6 +10,7 @@ import pytest
 import facemime
 from facemime.core.capture import VideoSource
 from facemime.core.errors import SourceError
+from facemime.core.live import sources
 from facemime.core.live.sources import LiveFrame, LiveSource, PacedSource, PicturePlayer, TakePlayer, VideoPlayer
 from takes import performance
 
@@ -67,6 +68,24 @@ def test_what_came_due_while_nobody_looked_is_dropped_and_counted():
         pass
     late = source.read(1.0)
     assert late.dropped >= 4 and late.image[0, 0, 0] == late.dropped + 1
+
+
+def test_what_is_read_more_slowly_than_it_plays_is_played_slowly_and_not_ever_later(monkeypatch):
+    class Slow(Numbers):
+        clock_now = 100.0
+
+        def frames(self):
+            for frame in super().frames():
+                Slow.clock_now += 0.15
+                yield frame
+
+    monkeypatch.setattr(sources, "perf_counter", lambda: Slow.clock_now)
+    source = Slow(loop=True)
+    dropped = []
+    for _ in range(12):
+        Slow.clock_now += 0.05  # what is done with a frame
+        dropped.append(source.read(0.0).dropped)
+    assert max(dropped) <= 1
 
 
 def test_a_loop_goes_on_in_one_growing_time():
