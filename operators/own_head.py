@@ -161,7 +161,8 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> set[str]:
         count = open_eyes(context.active_object)
-        self.report({"INFO"}, f"{count} eyes cut out of the skin along their lids")
+        advice = "If the cut is beside the lids, undo it, mark the corners of the eyes, and bind again"
+        self.report({"INFO"}, f"Cut along the lids of {count} eyes. {advice}")
         tell_findings(self, context)
         return {"FINISHED"}
 

@@ -27,31 +27,31 @@ _USUAL = np.array([0.76, -0.48, 0.0])
 """Bows and lean, as in `EyeOutline`: about those of labelled scans."""
 _TRUST = 0.03
 """How much the usual curve counts beside two landmarks: about a quarter."""
-_WITHIN = 0.1
-"""Of the eye's width from its corners: nearer to them a way from lid to lid may lead round an open eye."""
-_REACH = 1.0
-_FINE = 0.1
-"""Longest edge about an eye that is not too coarse, and how far from it the lids still stretch, in its widths."""
-_STRETCH = 0.35
+_SPREAD, _LEAST_BOW, _MOST_LEAN = (0.2, 0.8), 0.5, 0.2
+"""What landmarks can make of it: where along the eye they count, the least share of the usual bow, and the lean."""
+_STEEPEST = 0.9
+"""Sine of the angle beyond which two corners lie above each other."""
+_WITHIN, _REACH = 0.1, 1.0
+"""From an eye's corners, in its widths: nearer, or farther, a way from lid to lid may lead round an open eye."""
+_FINE, _STRETCH = 0.1, 0.35
+"""Longest edge about an eye that is not too coarse, and how far from it lids still stretch, in its widths."""
 _SNAP = 0.15
 """Of an edge: a vertex as near to the cut as that is taken to lie on it, which saves slivers."""
-_ROUND = 0.7
-"""Radius of the sphere on which lids lie, in widths of the eye: 0.01 to 0.02 off (rms) on labelled faces."""
-_BESIDE = 0.15
-"""How far about the cut the sphere is kept behind the skin, and how far the eye goes on behind the lids, in widths."""
-_PITS = 95.0
-"""Percentile of the skin that lies before the sphere: what noise dents deeper does not push the eye in."""
-_STEEP = 0.95
 _LEAST_RIM = 12
+"""Vertices of a rim: fewer make no almond."""
+_MIDDLE = np.array([0.5, 0.04, 0.2])
+"""About where the middle of an eye lies in its own frame."""
 _ALONG = (0.36, 0.68)
 """Where along an eye a lid's two landmarks lie: about there on labelled faces, 0.26 to 0.40 and 0.65 to 0.72."""
+_ROUND = 0.7
+"""Radius of the sphere on which lids lie, in widths of the eye: 0.01 to 0.02 off (rms) on labelled faces."""
+_BESIDE, _PITS = 0.15, 95.0
+"""Skin as near to the cut lies before the sphere, this percentage of it: a pit of noise does not push the eye in."""
+_STEEP = 0.95
+"""Share of the sphere's radius beyond which its sides are too steep to be used."""
 _SPINE = (0.3, 0.7)
-_SPREAD = (0.2, 0.8)
-_LEAST_BOW, _MOST_LEAN = 0.5, 0.2
-_MIDDLE = np.array([0.5, 0.04, 0.2])
-_STEEPEST = 0.9
-_HALVINGS = 40
-_STEPS = 12
+"""The part of an eye's middle line from which all sides lie outward."""
+_HALVINGS, _STEPS = 40, 12
 
 
 @dataclass(frozen=True)
@@ -265,12 +265,12 @@ def cut_eye(vertices: FloatArray, faces: IntArray, outline: EyeOutline) -> EyeCu
         loop = _loop(pieces)
         if loop is not None:
             break
+    if not pieces or (loop is not None and len(loop) < _LEAST_RIM):
+        raise HeadError("The mesh is too coarse at the eyes. Subdivide them first.")
     within = np.unique([v for piece in pieces for v in piece if side[v] > 0])
     holes = {v for edge in graph.edges[graph.faces_at == 1].tolist() for v in edge}
     if loop is None or holes.intersection(within.tolist()) or holes.intersection(loop):
         raise HeadError("The mesh has holes at the eyes. Fill them, or cut along the lids: Edge > Edge Split.")
-    if len(loop) < _LEAST_RIM:
-        raise HeadError("The mesh is too coarse at the eyes. Subdivide them first.")
     places = np.concatenate([local, _between(local[ends], shares)])
     rim, inner = _from_outer_corner(loop, places)
     beside = np.isfinite(graph.ways(np.unique(ends).tolist(), _BESIDE * outline.width))
