@@ -93,7 +93,7 @@ def from_json(text: str) -> GreedySelection:
         steps = tuple(_step(**step) for step in data["steps"])
         tolerance, reached = float(data["tolerance"]), bool(data["reached"])
         return GreedySelection(membership, steps, tolerance, reached, _covariance(data.get("covariance")))
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise SourceError(
             f"These are no control points of Facemime ({error}). Make some with: facemime select TAKE -o POINTS.json"
         ) from error

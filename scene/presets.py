@@ -75,7 +75,7 @@ def load(settings: FacemimeSettings, path: Path) -> None:
         chosen = [(settings, name, data["settings"]) for name in _SETTINGS]
         chosen += [(settings.posing, name, data["posing"]) for name in _POSING]
         values = [(owner, name, _checked(owner, name, given[name])) for owner, name, given in chosen if name in given]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise SourceError(f"{path} is not a preset that can be read ({error}). Choose another file.") from error
     for owner, name, value in values:
         setattr(owner, name, value)

@@ -84,7 +84,7 @@ def from_json(text: str) -> KeyMap:
             raise ValueError("it does not say that it is one")
         rows = tuple(_row(row) for row in data["rows"])
         return KeyMap(str(data["name"]), rows)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise SourceError(f"This is no table of keys ({error}). Give one that Facemime exported.") from error
 
 

@@ -45,6 +45,7 @@ def test_a_preset_is_shared_as_a_file(tmp_path):
         '{"format": "other"}',
         '{"format": "facemime-preset"}',
         '{"format": "facemime-preset", "settings": 3}',
+        "[" * 100_000,
     ]
     + [
         json.dumps({"format": "facemime-preset", "settings": {"smoothing": 0.5, name: value}, "posing": {}})

@@ -105,7 +105,7 @@ def test_a_selection_written_and_read_is_the_same():
     assert again.steps == selection.steps and again.tolerance == selection.tolerance
 
 
-@pytest.mark.parametrize("text", ["", "{}", '{"format": "other"}', "[1, 2]"])
+@pytest.mark.parametrize("text", ["", "{}", '{"format": "other"}', "[1, 2]", "[" * 100_000])
 def test_text_that_is_no_selection_is_refused(text):
     with pytest.raises(SourceError, match="no control points of Facemime"):
         from_json(text)
