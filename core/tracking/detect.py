@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
 
@@ -14,20 +15,45 @@ from ..arrays import FloatArray
 from ..errors import ModelError
 
 DETECTORS = ("haarcascade_frontalface_default", "haarcascade_frontalface_alt2", "haarcascade_profileface")
-EFFORTS = (0, 1, 2, 3, 4, 5, 6, 7)
-"""0: faces as large as before one's own camera. 1: smaller ones. 2: also small, dim and odd ones. 3: profiles. 4: heads
-that are tilted. 5, 6: faces far away, in images that are large enough for them. 7: wherever a single window looked like
-a face: nearly everywhere, for the tracker to sort out."""
-_SIDES = (320, 320, 480, 320, 320, 960, 1920, 480)
-"""Pixels to which the longer side of an image is shrunk before it is searched, for each effort."""
-_FAR = {5: _SIDES[2], 6: _SIDES[5]}
+
+
+class Effort(IntEnum):
+    """Where and how faces are looked for."""
+
+    NEAR = 0
+    """As large as before one's own camera."""
+    SMALL = 1
+    FILLING = 2
+    """So near that they fill the picture, or are cut by its rim."""
+    FINE = 3
+    """Also small, dim and odd ones."""
+    PROFILE = 4
+    TILTED = 5
+    LYING = 6
+    FAR = 7
+    FARTHER = 8
+    """In images that are large enough for faces far away."""
+    ANYTHING = 9
+    """Wherever a single window looked like a face: nearly everywhere, for the tracker to sort out."""
+
+
+EFFORTS = tuple(Effort)
+_QUICK_SIDE = 320
+_SIDES = {Effort.FILLING: 240, Effort.FINE: 480, Effort.FAR: 960, Effort.FARTHER: 1920, Effort.ANYTHING: 480}
+"""Pixels to which the longer side of an image is shrunk before it is searched, where it is not the quick side."""
+_SEARCHED = {Effort.FAR: _SIDES[Effort.FINE], Effort.FARTHER: _SIDES[Effort.FAR]}
 """The side at which an earlier effort searched: images that are no larger have no more to show."""
+_RIM = 60
+"""Pixels by which an image's rim is drawn out for faces that fill it."""
 _SMALLEST = 28
 _FARTHEST = 72
 """Pixels up to which faces far away are looked for; earlier efforts see larger ones."""
 _NEAR = 72
 """Pixels of the quick side: faces of a quarter of the picture are looked for first, in a third of the time."""
-_TILTS = (0.5, -0.5)
+_FILLING = 96
+"""Pixels from which on a face fills the picture."""
+_TILTS = {Effort.TILTED: (0.5, -0.5), Effort.LYING: (1.05, -1.05, 1.6, -1.6)}
+"""Radians, each good for a quarter of a radian to either side."""
 
 
 @dataclass(frozen=True)
@@ -69,35 +95,39 @@ class BoxDetector:
             )
         return cascades
 
-    def boxes(self, grey: NDArray[np.uint8], effort: int) -> list[FaceBox]:
+    def boxes(self, grey: NDArray[np.uint8], effort: Effort) -> list[FaceBox]:
         """Boxes that one of `EFFORTS` sees in the grey image (H, W), largest first.
 
         4 to 100 ms an effort at 640 x 480; the first finds most faces.
         """
-        plain, factor = _shrink(grey, _SIDES[effort])
-        if min(plain.shape) < _SMALLEST or max(grey.shape) <= _FAR.get(effort, 0):
+        plain, factor = _shrink(grey, _SIDES.get(effort, _QUICK_SIDE))
+        if min(plain.shape) < _SMALLEST or max(grey.shape) <= _SEARCHED.get(effort, 0):
             return []
-        even = cv2.equalizeHist(plain).astype(np.uint8)
-        if effort == 0:
-            found = [FaceBox(b, 1) for b in self._run(even, 1, neighbours=3, smallest=_NEAR)]
-        elif effort == 1:
-            found = [FaceBox(b, 1) for b in self._run(even, 1, neighbours=3, largest=_NEAR)]
-        elif effort == 2:
-            local = cv2.createCLAHE(4.0, (6, 6)).apply(plain).astype(np.uint8)
-            found = [FaceBox(b, 0) for b in self._run(even, 0, neighbours=2)]
-            found += [FaceBox(b, 1) for b in self._run(local, 1, neighbours=1)]
-        elif effort == 3:
-            found = self._profiles(even)
-        elif effort in _FAR:
-            found = [FaceBox(b, 1) for b in self._run(even, 1, neighbours=2, largest=_FARTHEST, growth=1.2)]
-        elif effort == 4:
-            found = [b for roll in _TILTS for b in self._tilted(even, roll)]
-        else:
-            local = cv2.createCLAHE(4.0, (6, 6)).apply(plain).astype(np.uint8)
-            seen = [(d, b) for d in (0, 1) for picture in (plain, local) for b in self._run(picture, d, neighbours=0)]
-            found = [FaceBox(b, d) for d, b in seen]
+        found = self._found(plain, effort)
         distinct = _distinct([FaceBox(f.box * factor, f.detector, f.roll) for f in found])
         return sorted(distinct, key=lambda f: -f.box[2])
+
+    def _found(self, plain: NDArray[np.uint8], effort: Effort) -> list[FaceBox]:
+        even = cv2.equalizeHist(plain).astype(np.uint8)
+        if effort == Effort.NEAR:
+            return [FaceBox(b, 1) for b in self._run(even, 1, neighbours=3, smallest=_NEAR)]
+        if effort == Effort.SMALL:
+            return [FaceBox(b, 1) for b in self._run(even, 1, neighbours=3, largest=_NEAR)]
+        if effort == Effort.FILLING:
+            drawn = cv2.copyMakeBorder(even, _RIM, _RIM, _RIM, _RIM, cv2.BORDER_REPLICATE).astype(np.uint8)
+            return [FaceBox(b - (_RIM, _RIM, 0, 0), 1) for b in self._run(drawn, 1, neighbours=3, smallest=_FILLING)]
+        if effort in _SEARCHED:
+            return [FaceBox(b, 1) for b in self._run(even, 1, neighbours=2, largest=_FARTHEST, growth=1.2)]
+        if effort == Effort.PROFILE:
+            return self._profiles(even)
+        if effort in _TILTS:
+            return [b for roll in _TILTS[effort] for b in self._tilted(even, roll)]
+        local = cv2.createCLAHE(4.0, (6, 6)).apply(plain).astype(np.uint8)
+        if effort == Effort.FINE:
+            found = [FaceBox(b, 0) for b in self._run(even, 0, neighbours=2)]
+            return found + [FaceBox(b, 1) for b in self._run(local, 1, neighbours=1)]
+        seen = [(d, b) for d in (0, 1) for picture in (plain, local) for b in self._run(picture, d, neighbours=0)]
+        return [FaceBox(b, d) for d, b in seen]
 
     def _run(
         self,

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import FloatArray, as_image
 from .company import Company, portrait
-from .detect import EFFORTS, BoxDetector
+from .detect import EFFORTS, BoxDetector, Effort
 from .fitter import COARSE, REFINED, FaceFitter, Fit
 from .gaze import find_gaze
 from .model_file import TrackerModel, load_model
@@ -33,8 +33,10 @@ _LOOKED_AT = 3
 """Every so many frames it is looked at who is followed."""
 _APART = 0.6
 """Eye distances between the centres of two fits from which on they are two people's."""
-_QUICK = (0, 1)
+_QUICK = (Effort.NEAR, Effort.SMALL)
 """The efforts that look for others in view."""
+_EVERY_FRAME = (*_QUICK, Effort.FILLING)
+"""Those that are made in every frame while nobody is in view, beside one of the others in turn."""
 LEFTMOST, RIGHTMOST = (-1e6, 0.0), (1e6, 0.0)
 """Places for `FaceTracker.choose`: far out to either side."""
 _STAGES = ("detect", "look", "fit", "check", "gaze")
@@ -122,8 +124,8 @@ class FaceTracker:
             if followed.confidence >= self.lost_below and self._is_same(grey, followed):
                 return self._keep(grey, followed)
             self._lost = self._last
-        # While nobody is in view, each frame makes the quick efforts and one of the others, in turn.
-        efforts = EFFORTS if self._misses == 0 else (*_QUICK, 2 + self._misses % (len(EFFORTS) - 2))
+        others = EFFORTS[len(_EVERY_FRAME) :]
+        efforts = EFFORTS if self._misses == 0 else (*_EVERY_FRAME, others[self._misses % len(others)])
         found = self._chosen(grey, list(self._detect(grey, efforts)))
         if found is None:
             self._last = None
@@ -171,7 +173,7 @@ class FaceTracker:
         found = [c for effort in _QUICK for c in self._others(grey, here, effort)]
         return min([c for c in found if c.pose[4] > here[4]] or found, key=lambda c: float(c.pose[4]), default=None)
 
-    def _others(self, grey: NDArray[np.uint8], pose: FloatArray, effort: int) -> list[_Candidate]:
+    def _others(self, grey: NDArray[np.uint8], pose: FloatArray, effort: Effort) -> list[_Candidate]:
         """Faces in view that are not the one at `pose` (6,); only boxes beside that one are looked at."""
 
         def apart(other: FloatArray) -> bool:
@@ -179,7 +181,7 @@ class FaceTracker:
 
         return [c for c in self._faces_in(grey, [p for p in self._starts(grey, effort) if apart(p)]) if apart(c.pose)]
 
-    def _detect(self, grey: NDArray[np.uint8], efforts: tuple[int, ...]) -> Iterator[_Candidate]:
+    def _detect(self, grey: NDArray[np.uint8], efforts: tuple[Effort, ...]) -> Iterator[_Candidate]:
         """Convincing faces, effort by effort; none is made after one that finds a face beyond doubt.
 
         Where a certain face is waited for, which may be a small one, the smaller ones are looked at in any case.
@@ -188,10 +190,10 @@ class FaceTracker:
             found = self._faces_in(grey, self._starts(grey, effort))
             yield from found
             certain = any(c.confidence >= _BEYOND_DOUBT for c in found)
-            if certain and not (effort == 0 and self._waited_for):
+            if certain and not (effort == Effort.NEAR and self._waited_for):
                 return
 
-    def _starts(self, grey: NDArray[np.uint8], effort: int) -> list[FloatArray]:
+    def _starts(self, grey: NDArray[np.uint8], effort: Effort) -> list[FloatArray]:
         """Frontal poses (6,) of the boxes that the detector proposes."""
         began = perf_counter()
         boxes = self._detector.boxes(grey, effort)[:_MOST_BOXES]

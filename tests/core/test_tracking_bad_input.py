@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.arrays import as_image
-from facemime.core.landmarks import EDGES, N_LANDMARKS
+from facemime.core.landmarks import EDGES, INNER, N_LANDMARKS
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.tracker import FaceTracker
 
@@ -130,6 +130,29 @@ def test_a_small_face_in_a_large_picture_is_found_where_it_is(tracker, face, lan
     assert result.found
     away = np.linalg.norm(result.landmarks - ((landmarks + 0.5) * factor - 0.5 + (x, y)), axis=1)
     assert away.mean() < 0.05 * result.pose[0]
+
+
+@pytest.mark.parametrize(("top", "side"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.1)])
+def test_a_face_that_fills_the_picture_or_is_cut_by_its_rim_is_found(tracker, face, landmarks, top, side):
+    low, high = landmarks.min(axis=0), landmarks.max(axis=0)
+    first = (low + (high - low) * (side, top)).astype(int)
+    last = (high + 1).astype(int)
+    tracker.reset()
+    result = tracker.locate(np.ascontiguousarray(face[first[1] : last[1], first[0] : last[0]]))
+    assert result.found
+    assert np.linalg.norm(result.landmarks + first - landmarks, axis=1)[INNER].mean() < 0.03 * result.pose[0]
+
+
+@pytest.mark.parametrize("degrees", [-90, -70, -50, 50, 70, 90])
+def test_the_face_of_somebody_who_lies_down_is_found(tracker, face, landmarks, degrees):
+    turn = cv2.getRotationMatrix2D(landmarks.mean(axis=0).tolist(), -degrees, 1.0)
+    lying = cv2.warpAffine(face, turn, face.shape[1::-1], borderMode=cv2.BORDER_REPLICATE)
+    tracker.reset()
+    result = tracker.locate(lying)
+    assert result.found
+    assert np.degrees(result.pose[3]) == pytest.approx(degrees + np.degrees(tracker.locate(face).pose[3]), abs=2.0)
+    away = np.linalg.norm(result.landmarks - (landmarks @ turn[:, :2].T + turn[:, 2]), axis=1)
+    assert away[INNER].mean() < 0.03 * result.pose[0]
 
 
 @pytest.mark.parametrize("level", [0, 1, 127, 254, 255])
