@@ -238,6 +238,11 @@ class Retargeter:
     mouth_gain : float
         As in `Neutral`: what the lower region's motion down and up is multiplied by beside its strength.
 
+    Raises
+    ------
+    SourceError, HeadError
+        Where the neutral face, or the avatar's landmarks, of a region lie on one line.
+
     Notes
     -----
     Motion is scaled by the ratio of the avatar's extent to the performer's, across and down separately, region by
@@ -308,7 +313,12 @@ def _scale(neutral: FloatArray, head: FloatArray) -> FloatArray:
     members = membership()
     ratios = np.empty((len(REGIONS), 3))
     for row, region in zip(ratios, REGIONS, strict=True):
-        row[:2] = _spread(head[region.landmarks]) / _spread(neutral[region.landmarks])
+        across = _spread(neutral[region.landmarks])
+        if not (across > 0).all():
+            raise SourceError("The neutral face is no face: landmarks lie on one line. Choose another neutral or take.")
+        row[:2] = _spread(head[region.landmarks]) / across
+        if not (row[:2] > 0).all():
+            raise HeadError("All landmarks of a region lie on one line. Bind them to the vertices that they name.")
         row[2] = np.sqrt(row[0] * row[1])
     scale: FloatArray = np.asarray(members.T @ ratios / members.sum(axis=0)[:, None])
     opening = _opening(head) / _opening(neutral)
@@ -319,10 +329,7 @@ def _scale(neutral: FloatArray, head: FloatArray) -> FloatArray:
 
 def _spread(points: FloatArray) -> FloatArray:
     """Root mean square extent across and down, (2,)."""
-    spread = points[:, :2].std(axis=0)
-    if not (spread > 0).all():
-        raise HeadError("All landmarks of a region lie on one line. Bind them to the vertices that they name.")
-    return np.asarray(spread)
+    return np.asarray(points[:, :2].std(axis=0))
 
 
 def _opening(points: FloatArray) -> FloatArray:

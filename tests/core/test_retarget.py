@@ -218,3 +218,13 @@ def test_without_a_known_gaze_eyes_stay_on_the_viewer(rig):
 def test_a_rig_whose_landmarks_do_not_fit_the_mesh_is_refused(rig):
     with pytest.raises(HeadError, match="no longer has"):
         HeadRig(rig.vertices[:100], rig.landmarks, rig.region_weights[:, :100], rig.jaw_pivot)
+
+
+def test_whether_the_performer_or_the_head_is_flat_is_told_apart():
+    head = load_head()
+    landmarks = head.vertices[head.landmarks].astype(float)
+    flat = landmarks * (1.0, 0.0, 1.0)
+    with pytest.raises(SourceError, match="Choose another neutral"):
+        Retargeter(flat, landmarks)
+    with pytest.raises(HeadError, match="Bind them"):
+        Retargeter(landmarks, flat)
