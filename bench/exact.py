@@ -50,7 +50,7 @@ _EXPRESSIONS: dict[str, dict[str, float]] = {
 AXES: dict[str, tuple[str, tuple[float | str, ...]]] = {
     "yaw": ("degrees", (0, 10, 20, 30, 40, 50, 60)),
     "pitch": ("degrees, down is positive", (-30, -20, -10, 0, 10, 20, 30)),
-    "roll": ("degrees", (0, 10, 20, 30, 40, 50)),
+    "roll": ("degrees", (0, 10, 20, 30, 40, 50, 70, 90)),
     "expression": ("", tuple(_EXPRESSIONS)),
     "side light": ("share of the light", (0.0, 0.3, 0.6, 0.8, 0.95)),
     "darkness": ("exposure", (1.0, 0.5, 0.25, 0.12, 0.06)),
