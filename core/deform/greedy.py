@@ -187,11 +187,17 @@ class _Search:
     def __init__(
         self, points: FloatArray, motion: FloatArray, kernel: str, always: frozenset[int], never: frozenset[int]
     ) -> None:
-        self.points, self.kernel = points, kernel_named(kernel)
+        self.kernel = kernel_named(kernel)
         self.motion = np.ascontiguousarray(motion.transpose(1, 0, 2))
         self.width = float(np.linalg.norm(np.subtract(*points[_FACE_SIDES])))
         self.sigmas = region_sigmas(points, self.kernel)
         self.covariance = landmark_covariance(motion)
+        own = [region.landmarks for region in REGIONS]
+        self.phi = [
+            self.kernel.phi(distances(points[each], points[each]), sigma)
+            for each, sigma in zip(own, self.sigmas.tolist(), strict=True)
+        ]
+        self.alike = [self.covariance[np.ix_(each, each)] for each in own]
         self.candidates = membership()
         self.candidates[:, sorted(never)] = False
         self.always = always - never
@@ -199,9 +205,8 @@ class _Search:
             raise HeadError("A region lost all its landmarks. Leave at least one of each region.")
         self.members = np.zeros_like(self.candidates)
         none = self.members.any(axis=0)
-        self.error, self.frame = (
-            np.stack(each) for each in zip(*(self._errors(r, none) for r in range(3)), strict=True)
-        )
+        at_rest = [self._errors(row, none) for row in range(len(REGIONS))]
+        self.error, self.frame = (np.stack(each) for each in zip(*at_rest, strict=True))
         self.steps: list[GreedyStep] = []
 
     def start(self, max_points: int) -> None:
@@ -267,8 +272,8 @@ class _Search:
         """Drop the point whose loss costs least, where all stay within `tolerance`; whether one was dropped."""
         best: tuple[float, int] | None = None
         for landmark in np.flatnonzero(self.members.any(axis=0)).tolist():
-            left = self._replaced(landmark, landmark)
-            if landmark in self.always or not left.any(axis=1).all():
+            last = self.members[:, landmark] & (self.members.sum(axis=1) == 1)
+            if landmark in self.always or last.any():
                 continue
             error = self._worst_without(landmark)
             if error <= tolerance and (best is None or error < best[0]):
@@ -324,8 +329,7 @@ class _Search:
         """
         own = REGIONS[row].landmarks
         chosen = np.flatnonzero(known[own])
-        phi = self.kernel.phi(distances(self.points[own], self.points[own]), self.sigmas[row])
-        matrix = follow_in_region(phi, self.covariance[np.ix_(own, own)], chosen)
+        matrix = follow_in_region(self.phi[row], self.alike[row], chosen)
         motion = self.motion[own]
         off = np.tensordot(matrix, motion[chosen], axes=1) - motion
         squared = np.einsum("pnk,pnk->pn", off, off)
