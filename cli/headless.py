@@ -169,8 +169,15 @@ def save_blend(path: Path) -> None:
         except RuntimeError as error:
             reason = str(error).strip().removeprefix("Error: ").lower()
             raise OutputError(f"Cannot write {path}: {reason}. Choose another place for the output.") from error
-        if not temporary.read_bytes().endswith(_END_OF_BLEND):  # Blender misses a disk that is full only at the end
+        if _end_of(temporary) != _END_OF_BLEND:  # Blender misses a disk that is full only at the end
             raise OutputError(f"Cannot write {path}: no space is left. Choose another place for the output.")
+
+
+def _end_of(path: Path) -> bytes:
+    """As many of a file's last bytes as `_END_OF_BLEND` has."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - len(_END_OF_BLEND)))
+        return file.read()
 
 
 def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: Path) -> None:
