@@ -5,8 +5,11 @@ An action remembers which curves are ours, so that a second bake replaces them a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import bpy
 import numpy as np
@@ -16,7 +19,8 @@ from ..core.bake.clean import needed_keys
 from ..core.errors import HeadError
 
 TRACK = "Facemime"
-"""Name of the NLA track of a bake; one that was renamed is the user's and stays."""
+"""Name of the NLA track of a bake, numbered where it needs several; one that was renamed is the user's and stays."""
+_TRACK_NAME = re.compile(rf"{TRACK}(\.\d{{3}})?")
 _OWNED = "facemime_curves"
 """Custom property of an action: the data paths of our curves, a line each."""
 _KEYS = 'key_blocks["Facemime '
@@ -108,27 +112,79 @@ def remove_bake(owner: bpy.types.ID) -> set[str]:
     return removed
 
 
-def mute_curves(owner: bpy.types.ID, prefix: str) -> list[bpy.types.FCurve]:
-    """Silence the curves of `owner` whose data path starts with `prefix`; returns those that were not silent before."""
-    return _muted(fcurve for fcurve in _existing(owner) if fcurve.data_path.startswith(prefix))
+@dataclass(frozen=True)
+class Muted:
+    """A curve, track or shape key that was muted.
+
+    It is looked up again when it is unmuted: Blender's pointer to it dies when the user removes it, and writing to that
+    ends Blender.
+
+    Attributes
+    ----------
+    find : callable
+        Gives the thing, None where it was removed; may raise ReferenceError where the data-block it was in was deleted.
+    """
+
+    find: Callable[[], Any]
+
+    @classmethod
+    def all_of(cls, finds: Iterable[Callable[[], Any]]) -> list[Muted]:
+        """Mute what `finds` find and is not muted yet."""
+        audible = [find for find in finds if not find().mute]
+        for find in audible:
+            find().mute = True
+        return [cls(find) for find in audible]
+
+    def unmute(self) -> None:
+        """Let it be heard again, if it is still there."""
+        try:
+            thing = self.find()
+        except ReferenceError:
+            return
+        if thing is not None:
+            thing.mute = False
 
 
-def mute_bake(owner: bpy.types.ID) -> list[bpy.types.FCurve | bpy.types.NlaTrack]:
-    """Silence what a bake wrote for `owner`; returns what was not silent before."""
+def mute_curves(owner: bpy.types.ID, prefix: str) -> list[Muted]:
+    """Mute the curves of `owner` whose data path starts with `prefix`; returns those that were not muted before."""
+    return Muted.all_of(_curve_finders(owner, lambda path: path.startswith(prefix)))
+
+
+def mute_bake(owner: bpy.types.ID) -> list[Muted]:
+    """Mute what a bake wrote for `owner`; returns what was not muted before."""
     owned = _owned(owner.animation_data.action) if owner.animation_data is not None else set()
-    return _muted([*(curve for curve in _existing(owner) if curve.data_path in owned), *_tracks(owner)])
+    tracks = [partial(_find_track, owner, track.name) for track in _tracks(owner)]
+    return Muted.all_of([*_curve_finders(owner, owned.__contains__), *tracks])
 
 
-def _muted(things: Iterable) -> list:
-    audible = [thing for thing in things if not thing.mute]
-    for thing in audible:
-        thing.mute = True
-    return audible
+def _curve_finders(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Callable[[], Any]]:
+    data = owner.animation_data
+    slot = getattr(data, "action_slot", None)
+    handle = 0 if slot is None else slot.handle
+    return [
+        partial(_find_curve, data.action, handle, curve.data_path, curve.array_index)
+        for curve in _existing(owner)
+        if wanted(curve.data_path)
+    ]
+
+
+def _find_curve(action: bpy.types.Action, handle: int, path: str, index: int) -> bpy.types.FCurve | None:
+    """The curve of the slot with that handle; actions without slots have one bag of curves."""
+    if not hasattr(action, "slots"):
+        return action.fcurves.find(path, index=index)
+    bags = (bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags)
+    found = (bag.fcurves.find(path, index=index) for bag in bags if bag.slot_handle == handle)
+    return next((curve for curve in found if curve is not None), None)
+
+
+def _find_track(owner: bpy.types.ID, name: str) -> bpy.types.NlaTrack | None:
+    data = owner.animation_data
+    return None if data is None else data.nla_tracks.get(name)
 
 
 def _tracks(owner: bpy.types.ID) -> list[bpy.types.NlaTrack]:
     data = owner.animation_data
-    return [] if data is None else [track for track in data.nla_tracks if track.name == TRACK]
+    return [] if data is None else [track for track in data.nla_tracks if _TRACK_NAME.fullmatch(track.name)]
 
 
 def _fill(action: bpy.types.Action, fcurves, frames: NDArray[np.floating], curves: Sequence[Curve]) -> None:
@@ -153,8 +209,8 @@ def _push(owner: bpy.types.ID, name: str, frames: NDArray[np.floating], curves: 
     action = bpy.data.actions.new(name)
     slot = action.slots.new(id_type=owner.id_type, name=owner.name) if hasattr(action, "slots") else None
     _fill(action, _fcurves_of(action, slot), frames, curves)
-    track = data.nla_tracks.get(TRACK) or data.nla_tracks.new()
-    track.name = TRACK
+    track = data.nla_tracks.new()
+    track.name = TRACK  # Blender numbers it where there is one: a track has room for one strip at a time
     strip = track.strips.new(name, int(np.floor(frames[0])), action)
     if slot is not None:
         strip.action_slot = slot

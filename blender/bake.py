@@ -99,13 +99,15 @@ def bake_pose(
     """
     angle, length = clean or (None, None)
     head = targets["head"]
-    curves = head.rotation_curves(motion.rotation, angle) if rotation else []
+    curves = {head.obj: head.rotation_curves(motion.rotation, angle) if rotation else []}
     if translation:
-        curves += head.translation_curves(motion.translation, length)
-    write_curves(head.obj, f"{head.obj.name} Pose", frames, curves, nla=nla)
+        curves[head.obj] += head.translation_curves(motion.translation, length)
     for part, target in _part_targets(obj, targets):
         turns = motion.jaw if part in JAW_PARTS else motion.gaze
-        write_curves(target.obj, f"{target.obj.name} Motion", frames, target.rotation_curves(turns, angle), nla=nla)
+        curves.setdefault(target.obj, []).extend(target.rotation_curves(turns, angle))
+    for owner, owned in curves.items():
+        name = f"{owner.name} {'Pose' if owner == head.obj else 'Motion'}"
+        write_curves(owner, name, frames, owned, nla=nla)
 
 
 def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:

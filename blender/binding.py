@@ -19,6 +19,7 @@ from .meshes import (
     read_landmarks,
     read_regions,
     read_vertices,
+    stored_integers,
     write_landmarks,
     write_regions,
 )
@@ -81,7 +82,9 @@ def what_is_missing(obj: bpy.types.Object) -> list[tuple[str, str]]:
     mesh = obj.data
     if LANDMARKS_PROPERTY not in mesh:
         return [("This mesh has no landmarks yet", "facemime.bind_landmarks")]
-    if int(mesh.get(COUNT_PROPERTY, len(mesh.vertices))) != len(mesh.vertices):
+    if (bound_at := stored_integers(mesh, COUNT_PROPERTY)) is not None and not np.array_equal(
+        bound_at, len(mesh.vertices)
+    ):
         return [("The mesh was edited since its landmarks were bound", "facemime.bind_landmarks")]
     if any(name not in obj.vertex_groups for name in REGION_GROUPS):
         return [("The face's regions are missing", "facemime.propose_regions")]
@@ -90,8 +93,10 @@ def what_is_missing(obj: bpy.types.Object) -> list[tuple[str, str]]:
 
 def read_marks(mesh: bpy.types.Mesh) -> dict[int, int]:
     """The user's marks: iBUG number to vertex."""
-    flat = [int(i) for i in mesh.get(MARKS_PROPERTY, ())]
-    return dict(zip(flat[::2], flat[1::2], strict=True))
+    flat = stored_integers(mesh, MARKS_PROPERTY)
+    if flat is None or flat.ndim != 1 or len(flat) % 2:
+        return {}
+    return dict(flat.reshape(-1, 2).tolist())
 
 
 def write_mark(mesh: bpy.types.Mesh, number: int, vertex: int) -> None:

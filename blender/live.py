@@ -7,8 +7,9 @@ file saved in the middle) the mesh itself is safe.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import bpy
 import numpy as np
@@ -16,16 +17,19 @@ from numpy.typing import NDArray
 
 from ..core.drive import HeadFrame
 from ..core.errors import HeadError
-from .actions import baked_paths, mute_bake, mute_curves
+from .actions import Muted, baked_paths, mute_bake, mute_curves
 from .bake import EYE_PARTS, JAW_PARTS
 from .bake_cache import MODIFIER
 from .bake_keys import BAKED_KEY_PREFIX, require_relative, value_path
 from .frames import flat_in_blender
-from .meshes import mesh_of
+from .meshes import exists, mesh_of
 from .names import PART_PROPERTY
 from .targets import PoseTarget
 
 LIVE_KEY = "Facemime Live"
+_TARGET_NAMES = {"head": "object or bone that takes the head's pose"} | {
+    eye: f"object or bone that takes the gaze of the {eye.removeprefix('eye_')} eye" for eye in sorted(EYE_PARTS)
+}
 
 
 @dataclass
@@ -60,10 +64,12 @@ class LiveHeadObject:
                 "Make it local: Object > Relations > Make Local."
             )
         require_relative(self.obj)
+        self._name = self.obj.name
         self._parts = [(child, _kind(child)) for child in self.obj.children if _kind(child)]
+        self._mesh = mesh
         self._count = len(mesh.vertices)
         self._had_keys = mesh.shape_keys is not None
-        self._muted: list = []
+        self._muted: list[Muted] = []
         self._pinned = False
         self._cache_played = (False, False)
         self._shown = False
@@ -73,23 +79,36 @@ class LiveHeadObject:
         """How many vertices the mesh had when this began."""
         return self._count
 
+    @property
+    def gone(self) -> bool:
+        """Whether the head was deleted."""
+        return not exists(self.obj)
+
     def attach(self) -> None:
-        """Make the live key, and silence what an earlier bake left to move the same things."""
-        self._had_keys = self.obj.data.shape_keys is not None
-        if not self._had_keys:
-            self.obj.shape_key_add(name="Basis", from_mix=False)
+        """Make the live key, and mute what an earlier bake left to move the same things; nothing if the head is gone.
+
+        Raises
+        ------
+        HeadError
+            If the mesh was replaced or changed so that it can no longer be driven.
+        """
+        if self.gone:
+            return
+        self._require_same_mesh()
+        self._had_keys = self._mesh.shape_keys is not None
         self._key()
         self._muted = []
-        owners = [self.obj, *(child for child, _ in self._parts), *(target.obj for target in self.targets.values())]
-        for owner in owners:
+        targets = [target.obj for target in self.targets.values() if target.exists]
+        for owner in dict.fromkeys([self.obj, *(child for child, _ in self._living_parts()), *targets]):
             self._muted += mute_curves(owner, "delta_") + mute_bake(owner)
-        keys = self.obj.data.shape_keys
+        keys = self._mesh.shape_keys
         baked = baked_paths(keys)
-        for key in keys.key_blocks:
-            ours = key.name.startswith(BAKED_KEY_PREFIX) or value_path(key.name) in baked
-            if ours and key.name != LIVE_KEY and not key.mute:
-                key.mute = True
-                self._muted.append(key)
+        ours = [
+            key.name
+            for key in keys.key_blocks
+            if key.name != LIVE_KEY and (key.name.startswith(BAKED_KEY_PREFIX) or value_path(key.name) in baked)
+        ]
+        self._muted += Muted.all_of(partial(keys.key_blocks.get, name) for name in ours)
         self._pinned, self.obj.show_only_shape_key = self.obj.show_only_shape_key, False
         if (cache := self.obj.modifiers.get(MODIFIER)) is not None:
             self._cache_played = (cache.show_viewport, cache.show_render)
@@ -97,7 +116,7 @@ class LiveHeadObject:
         self._shown = True
 
     def write(self, frame: HeadFrame, flat: NDArray[np.float32] | None = None) -> None:
-        """Show `frame`; what is being edited in Edit mode is left alone.
+        """Show `frame`; what is being edited in Edit mode is left alone, and so are parts that were deleted.
 
         Parameters
         ----------
@@ -107,19 +126,25 @@ class LiveHeadObject:
         Raises
         ------
         HeadError
-            Where the mesh was changed so that it can no longer be driven.
+            If the mesh was changed so that it can no longer be driven, or an object or bone chosen under Pose is gone.
         """
         if self.obj.mode == "EDIT":
             return
-        mesh = self.obj.data
-        if len(mesh.vertices) != self.vertices or len(frame.vertices) != self.vertices:
-            raise HeadError(f"{self.obj.name} was changed: its vertices are others now. Bind the landmarks again.")
+        self._require_same_mesh()
+        if len(frame.vertices) != self.vertices:
+            raise _changed(self._name)
+        for name, target in self.targets.items():
+            if not target.exists:
+                raise HeadError(
+                    f"The {_TARGET_NAMES[name]} was deleted. Choose another one under Pose, or clear that field; then "
+                    "start again."
+                )
         self._key().points.foreach_set("co", as_keys_take_it(frame) if flat is None else flat)
-        mesh.update_tag()
+        self._mesh.update_tag()
         self.targets["head"].apply(
             frame.rotation if self.follow.rotation else None, frame.translation if self.follow.translation else None
         )
-        for child, kind in self._parts:
+        for child, kind in self._living_parts():
             if kind not in self.targets:
                 PoseTarget(child).apply(frame.jaw if kind == "jaw" else frame.gaze, None)
         for eye in ("eye_left", "eye_right"):
@@ -127,32 +152,50 @@ class LiveHeadObject:
                 self.targets[eye].apply(frame.gaze, None)
 
     def detach(self, *, keep: bool) -> None:
-        """End the showing; `keep` leaves the head as it is, with the live key, else all is as before."""
+        """End the showing; `keep` leaves the head as it is, with the live key; otherwise all that is left is put back."""
         if not self._shown:
             return
         self._shown = False
-        for silenced in self._muted:
-            silenced.mute = False
+        for muted in self._muted:
+            muted.unmute()
         self._muted = []
-        if (cache := self.obj.modifiers.get(MODIFIER)) is not None:
+        if not self.gone and (cache := self.obj.modifiers.get(MODIFIER)) is not None:
             cache.show_viewport, cache.show_render = self._cache_played
         if keep:
             return
-        if (keys := self.obj.data.shape_keys) is not None and (key := keys.key_blocks.get(LIVE_KEY)) is not None:
-            _remove(self.obj, key)
-            if not self._had_keys and len(keys.key_blocks) == 1:
-                self.obj.shape_key_clear()
-        self.obj.show_only_shape_key = self._pinned
+        if exists(self._mesh):
+            self._remove_key()
+        if not self.gone and self.obj.data == self._mesh:
+            self.obj.show_only_shape_key = self._pinned
         for target in (*self.targets.values(), *(PoseTarget(child) for child, _ in self._parts)):
-            with contextlib.suppress(ReferenceError):  # the user deleted it
+            if target.exists:
                 target.rest()
 
+    def _require_same_mesh(self) -> None:
+        if self.obj.data != self._mesh or len(self._mesh.vertices) != self._count:
+            raise _changed(self._name)
+
+    def _living_parts(self) -> list[tuple[bpy.types.Object, str]]:
+        return [(child, kind) for child, kind in self._parts if exists(child)]
+
     def _key(self) -> bpy.types.ShapeKey:
-        key = self.obj.data.shape_keys.key_blocks.get(LIVE_KEY)
+        """The live key, made again where it, or all keys, were deleted meanwhile."""
+        if self._mesh.shape_keys is None:
+            self.obj.shape_key_add(name="Basis", from_mix=False)
+        key = self._mesh.shape_keys.key_blocks.get(LIVE_KEY)
         if key is None:
             key = self.obj.shape_key_add(name=LIVE_KEY, from_mix=False)
             key.value = 1.0
         return key
+
+    def _remove_key(self) -> None:
+        keys = self._mesh.shape_keys
+        if keys is None or LIVE_KEY not in keys.key_blocks:
+            return
+        with _object_of(self._mesh, self.obj) as obj:
+            _remove(obj, keys.key_blocks[LIVE_KEY])
+            if not self._had_keys and len(keys.key_blocks) == 1:
+                obj.shape_key_clear()
 
 
 def as_keys_take_it(frame: HeadFrame) -> NDArray[np.float32]:
@@ -170,6 +213,23 @@ def _remove(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> None:
     obj.shape_key_remove(key)
     if name is not None:
         obj.active_shape_key_index = obj.data.shape_keys.key_blocks.find(name)
+
+
+@contextlib.contextmanager
+def _object_of(mesh: bpy.types.Mesh, obj: bpy.types.Object) -> Iterator[bpy.types.Object]:
+    """An object with `mesh`, through which alone its shape keys can be removed: `obj`, or one made for the moment."""
+    if exists(obj) and obj.data == mesh:
+        yield obj
+        return
+    stand_in = bpy.data.objects.new("Facemime", mesh)
+    try:
+        yield stand_in
+    finally:
+        bpy.data.objects.remove(stand_in)
+
+
+def _changed(name: str) -> HeadError:
+    return HeadError(f"The mesh of {name} has changed. Undo that change, or bind the landmarks again, and start again.")
 
 
 def _kind(child: bpy.types.Object) -> str:

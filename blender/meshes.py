@@ -18,6 +18,14 @@ from .names import COUNT_PROPERTY, EYES_GROUP, LANDMARKS_PROPERTY, PART_PROPERTY
 _JAW_SIDES = (2, 14)
 
 
+def exists(block: bpy.types.ID) -> bool:
+    """Whether a data-block that Python refers to is still there: it dies when the user deletes it."""
+    try:
+        return bool(block.name)
+    except ReferenceError:
+        return False
+
+
 def mesh_of(obj: bpy.types.Object | None) -> bpy.types.Mesh:
     """The mesh of `obj`; HeadError where there is no object or it is no mesh."""
     if obj is None:
@@ -90,21 +98,33 @@ def read_landmarks(obj: bpy.types.Object) -> NDArray[np.intp]:
         Where none are bound, or the mesh is no longer the one that they were bound on.
     """
     mesh = mesh_of(obj)
-    bound = mesh.get(LANDMARKS_PROPERTY)
-    if bound is None or len(bound) != N_LANDMARKS:
+    landmarks, bound_at = stored_integers(mesh, LANDMARKS_PROPERTY), stored_integers(mesh, COUNT_PROPERTY)
+    if landmarks is None or landmarks.shape != (N_LANDMARKS,):
         raise HeadError(
             f"{obj.name} has no landmarks. Bind them (sidebar, Facemime, Your Own Head), or use the built-in head."
         )
-    count, before = len(mesh.vertices), int(mesh.get(COUNT_PROPERTY, len(mesh.vertices)))
-    landmarks = np.array(bound, dtype=np.intp)
-    if count != before:
+    count = len(mesh.vertices)
+    if bound_at is not None and not np.array_equal(bound_at, count):
         raise HeadError(
-            f"{obj.name} had {before} vertices when its landmarks were bound and has {count} now. "
+            f"{obj.name} had {bound_at} vertices when its landmarks were bound and has {count} now. "
             "Undo that change, or bind the landmarks again."
         )
     if landmarks.min() < 0 or landmarks.max() >= count:
         raise HeadError(f"The landmarks of {obj.name} name vertices that the mesh no longer has. Bind them again.")
     return landmarks
+
+
+def stored_integers(mesh: bpy.types.Mesh, name: str) -> NDArray[np.intp] | None:
+    """The whole number or numbers in a custom property of `mesh`; None where it is missing or holds something else.
+
+    Custom properties are the user's to edit, and other add-ons'.
+    """
+    value = mesh.get(name)
+    try:
+        numbers = np.asarray(value.to_list() if hasattr(value, "to_list") else value)
+    except ValueError:
+        return None
+    return numbers.astype(np.intp) if numbers.dtype.kind in "iu" and numbers.ndim <= 1 else None
 
 
 def write_landmarks(mesh: bpy.types.Mesh, landmarks: NDArray[np.integer]) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..core.errors import HeadError
 from .actions import Curve
 from .frames import rotation_to_blender, to_blender
+from .meshes import exists
 
 FloatArray = NDArray[np.floating]
 
@@ -40,6 +41,11 @@ class PoseTarget:
             named = f"no bone {bone}" if bone else "bones; name the one that takes the pose"
             raise HeadError(f"The armature {obj.name} has {named}. Choose a bone of it.")
         return cls(obj, bone if obj.type == "ARMATURE" else "")
+
+    @property
+    def exists(self) -> bool:
+        """Whether the object, and its bone, are still there."""
+        return exists(self.obj) and (not self.bone or (self.obj.pose is not None and self.bone in self.obj.pose.bones))
 
     @property
     def owner(self) -> bpy.types.Object | bpy.types.PoseBone:

@@ -189,7 +189,9 @@ def _over_viewport(context: bpy.types.Context, event: bpy.types.Event) -> bool:
 def _painting(context: bpy.types.Context) -> bool:
     """Whether a stroke of a brush is under way."""
     window = context.window
-    return window is not None and any(op.bl_idname.startswith("PAINT_OT") for op in window.modal_operators)
+    return window is not None and any(
+        op is not None and op.bl_idname.startswith("PAINT_OT") for op in window.modal_operators
+    )  # one that has just ended leaves None
 
 
 def _redraw(context: bpy.types.Context, kind: str) -> None:

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from time import perf_counter
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..blender.live import LiveHeadObject, as_keys_take_it
-from ..core.drive import HeadFrame
 from ..core.errors import HeadError
 from ..core.live.sources import LiveSource
 from ..core.live.timing import Delays, Stopwatch
@@ -61,7 +56,6 @@ class LiveSession(Session):
         self.stopwatch, self.keep = Stopwatch(), False
         self.shown: LiveResult | None = None
         self._objects = [shown for shown, _ in heads]
-        self._gone: list[LiveHeadObject] = []
         self._on_calibrated = on_calibrated
         self._at: float | None = None
         self._range = False
@@ -99,9 +93,10 @@ class LiveSession(Session):
             return False
         asked = perf_counter()
         self._number, self.shown = latest.number, latest
+        self._require_heads()
         for shown, frame, flat in zip(self._objects, latest.heads, latest.prepared, strict=False):
-            if shown not in self._gone:
-                self._write(shown, frame, flat)
+            if not shown.gone:
+                shown.write(frame, flat)
         self._note(latest, asked)
         return True
 
@@ -138,8 +133,7 @@ class LiveSession(Session):
         """End the worker, release the source, and leave the heads as `keep` says."""
         self.worker.close()
         for shown in self._objects:
-            with contextlib.suppress(ReferenceError):  # the user deleted it
-                shown.detach(keep=self.keep)
+            shown.detach(keep=self.keep)
         super().close()
 
     def abandon(self) -> None:
@@ -162,13 +156,9 @@ class LiveSession(Session):
         """Write what is tracked from now on."""
         self.worker.record(recorder)
 
-    def _write(self, shown: LiveHeadObject, frame: HeadFrame, flat: NDArray[np.float32]) -> None:
-        try:
-            shown.write(frame, flat)
-        except ReferenceError:  # the user deleted it
-            self._gone.append(shown)
-            if len(self._gone) == len(self._objects):
-                raise HeadError("The head, or an object that follows it, was deleted. Start again.") from None
+    def _require_heads(self) -> None:
+        if all(shown.gone for shown in self._objects):
+            raise HeadError("The head was deleted. Add or select another one, and start again.")
 
     def _count_down(self) -> None:
         if not self._waiting:

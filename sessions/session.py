@@ -11,6 +11,8 @@ import atexit
 import bpy
 from bpy.app.handlers import persistent
 
+from ..core.errors import HeadError
+
 
 class Session:
     """Base: the one session that runs."""
@@ -53,7 +55,10 @@ def _suspend(*_: object) -> None:
 @persistent
 def _resume(*_: object) -> None:
     if Session.current is not None:
-        Session.current.resume()
+        try:
+            Session.current.resume()
+        except HeadError:  # changed so that nothing can be shown on it any longer
+            Session.current.close()
 
 
 def _abandon_current() -> None:

@@ -61,7 +61,8 @@ class TakeShow(Session):
             return
         result = self._take.result(int(np.abs(self._take.times - seconds_of(scene)).argmin()))
         for shown, driver in self._heads:
-            shown.write(driver.frame(result))
+            if not shown.gone:
+                shown.write(driver.frame(result))
 
     def close(self) -> None:
         """Put the heads back."""
@@ -75,10 +76,7 @@ class TakeShow(Session):
     def suspend(self) -> None:
         """Put the heads back for a moment."""
         for shown, _ in self._heads:
-            try:
-                shown.detach(keep=False)
-            except ReferenceError:  # the user deleted it
-                continue
+            shown.detach(keep=False)
 
     def resume(self) -> None:
         """Show the take on the heads."""
@@ -95,7 +93,7 @@ def _show(scene: bpy.types.Scene, *_: object) -> None:
         return
     try:
         session.show(scene)
-    except (ReferenceError, HeadError):  # a head was deleted or changed: there is nothing left to show it on
+    except HeadError:  # a head was changed: there is nothing left to show the take on
         session.close()
 
 

@@ -84,12 +84,12 @@ def follow_rigs(session: LiveSession) -> None:
         Where a head can no longer be driven.
     """
     heads = session.worker.heads
-    rigs = [read_rig(shown.obj) for shown in session.objects]
-    if all(_same(head.rig, rig) for head, rig in zip(heads, rigs, strict=True)):
-        return
-    session.update(
-        [head if _same(head.rig, rig) else LiveHead(rig, head.options) for head, rig in zip(heads, rigs, strict=True)]
-    )
+    rigs = [head.rig if shown.gone else read_rig(shown.obj) for shown, head in zip(session.objects, heads, strict=True)]
+    changed = [not _same(head.rig, rig) for head, rig in zip(heads, rigs, strict=True)]
+    if any(changed):
+        session.update(
+            [LiveHead(rig, head.options) if new else head for head, rig, new in zip(heads, rigs, changed, strict=True)]
+        )
 
 
 def _follow(settings: FacemimeSettings) -> Follow:
@@ -97,5 +97,14 @@ def _follow(settings: FacemimeSettings) -> Follow:
 
 
 def _same(one: HeadRig, other: HeadRig) -> bool:
-    names = ("vertices", "landmarks", "region_weights", "jaw_pivot", "eyeballs", "control_points", "covariance")
+    names = (
+        "vertices",
+        "landmarks",
+        "region_weights",
+        "jaw_pivot",
+        "eyeballs",
+        "control_points",
+        "covariance",
+        "faces",
+    )
     return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
