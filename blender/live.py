@@ -152,7 +152,7 @@ class LiveHeadObject:
                 self.targets[eye].apply(frame.gaze, None)
 
     def detach(self, *, keep: bool) -> None:
-        """End the showing; `keep` leaves the head as it is, with the live key; otherwise all that is left is put back."""
+        """End the showing; `keep` leaves the head as it is, with the live key; otherwise all that is left goes back."""
         if not self._shown:
             return
         self._shown = False

@@ -1,15 +1,26 @@
-"""A live session from a test: the events that its operator gets, waiting for what they do, and what is seen then."""
+"""A live session from a test: frames when they are asked for, the events that its operator gets, and what is seen."""
 
 import time
 from types import SimpleNamespace
 
 import bpy
 import numpy as np
+from clocks import PATIENCE, AskedClock
 
+from facemime.core.live.sources import PacedSource
 from facemime.operators.puppet import FACEMIME_OT_puppet, running
 
 TIMER = SimpleNamespace(type="TIMER", value="NOTHING", ctrl=False, oskey=False)
 CLICK = SimpleNamespace(type="LEFTMOUSE", value="PRESS", ctrl=False, oskey=False)
+
+
+def let_a_frame_come() -> None:
+    """Where a session runs: one more frame of its source, tracked and driven."""
+    session, clock = running(), PacedSource.pace
+    if session is not None and isinstance(session.worker.source, PacedSource) and isinstance(clock, AskedClock):
+        clock.ask(lambda: session.worker.running)
+    else:
+        time.sleep(0.002)
 
 
 def tick(event=TIMER) -> set[str]:
@@ -17,24 +28,25 @@ def tick(event=TIMER) -> set[str]:
     return FACEMIME_OT_puppet.instance.modal(bpy.context, event)
 
 
-def ticks_until(condition, seconds: float = 30.0) -> None:
-    """Ticks until `condition` holds or the operator has ended."""
-    end = time.monotonic() + seconds
+def ticks_until(condition) -> None:
+    """Frames and ticks until `condition` holds or the operator has ended."""
+    end = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < end, "waited in vain"
+        let_a_frame_come()
         if FACEMIME_OT_puppet.instance is None or tick() != {"PASS_THROUGH"}:
             assert condition()
             return
-        time.sleep(0.002)
 
 
-def outcome_of_ticks(seconds: float = 30.0) -> set[str]:
-    """Ticks until the operator ends; how it ended."""
-    end = time.monotonic() + seconds
-    while (outcome := tick()) == {"PASS_THROUGH"}:
+def outcome_of_ticks() -> set[str]:
+    """Frames and ticks until the operator ends; how it ended."""
+    end = time.monotonic() + PATIENCE
+    while True:
         assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.002)
-    return outcome
+        let_a_frame_come()
+        if (outcome := tick()) != {"PASS_THROUGH"}:
+            return outcome
 
 
 def shown(obj: bpy.types.Object) -> np.ndarray:
@@ -47,14 +59,14 @@ def shown(obj: bpy.types.Object) -> np.ndarray:
 
 
 def moving() -> bool:
-    """Whether a frame with a face has been shown; the source must loop, as a busy machine drops frames."""
+    """Whether a frame with a face past the thirtieth is shown, where `takes.performance` is far from its neutral."""
     session = running()
     return session is not None and session.shown is not None and session._number > 30 and bool(session.shown.heads)
 
 
 def wait_for(condition) -> None:
-    """Until the worker has come so far."""
-    end = time.monotonic() + 60.0
+    """Frames until the worker has come so far."""
+    end = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.005)
+        let_a_frame_come()

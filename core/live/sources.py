@@ -85,6 +85,20 @@ class LiveSource(ABC):
         """Release it and wake a `read` that waits; may be called twice."""
 
 
+class Clock:
+    """The time that a `PacedSource` keeps to: the computer's, or one whose seconds pass on request, for tests."""
+
+    def now(self) -> float:
+        """Seconds since some moment."""
+        return perf_counter()
+
+    def wait_until(self, due: float, timeout: float, closed: threading.Event) -> bool:
+        """Wait for `due`, `timeout` seconds at most, or until `closed` is set; whether it came within that time."""
+        ahead = due - self.now()
+        closed.wait(min(max(ahead, 0.0), timeout))
+        return ahead <= timeout
+
+
 class PacedSource(LiveSource):
     """Something recorded, played by the clock; what came due meanwhile is dropped.
 
@@ -94,7 +108,14 @@ class PacedSource(LiveSource):
         Start over at the end.
     speed : float
         1 is as recorded.
+
+    Attributes
+    ----------
+    pace : Clock
+        Shared by all sources; may be another one before the first `read`.
     """
+
+    pace = Clock()
 
     def __init__(self, name: str, *, loop: bool = False, speed: float = 1.0) -> None:
         if not 0.01 <= speed <= 100.0:
@@ -117,15 +138,15 @@ class PacedSource(LiveSource):
             self._start()
         if self._next is None or not self._wait(timeout):
             return None
-        now, shown, dropped = perf_counter(), self._next, -1
+        now, shown, dropped = self.pace.now(), self._next, -1
         self._began += max(0.0, now - self._due(shown) - _LATEST)
         while self._next is not None and self._due(self._next) <= now:
             shown, dropped = self._next, dropped + 1
             self._advance()
-            if (late := perf_counter()) - now > _CATCHING_UP:
+            if (late := self.pace.now()) - now > _CATCHING_UP:
                 self._began = late - shown.time / self._speed
                 break
-        return replace(shown, taken=now, dropped=dropped)
+        return replace(shown, taken=perf_counter(), dropped=dropped)
 
     def close(self) -> None:
         """Stop; a waiting `read` returns None."""
@@ -135,7 +156,7 @@ class PacedSource(LiveSource):
         self._frames = self._repeated()
         self._advance()
         if self._next is not None:
-            self._began = perf_counter() - self._next.time / self._speed
+            self._began = self.pace.now() - self._next.time / self._speed
 
     def _repeated(self) -> Iterator[LiveFrame]:
         """The frames, over and over where they loop, in one growing time."""
@@ -163,9 +184,8 @@ class PacedSource(LiveSource):
     def _wait(self, timeout: float) -> bool:
         """Whether the next frame came due within `timeout`, and nobody closed the source."""
         assert self._next is not None
-        ahead = self._due(self._next) - perf_counter()
-        self._closed.wait(min(max(ahead, 0.0), timeout))
-        return ahead <= timeout and not self._closed.is_set()
+        came = self.pace.wait_until(self._due(self._next), timeout, self._closed)
+        return came and not self._closed.is_set()
 
 
 class VideoPlayer(PacedSource):

@@ -5,11 +5,13 @@ import threading
 
 import bpy
 import pytest
+from clocks import AskedClock
 from scans import scanned
 
 import facemime
 from facemime.blender.frames import to_blender
 from facemime.blender.head import add_head
+from facemime.core.live.sources import PacedSource
 from facemime.core.retarget import calibrate
 from facemime.core.takes.file import save_take
 from facemime.operators.puppet import FACEMIME_OT_puppet
@@ -32,6 +34,11 @@ def _registered():
 @pytest.fixture(autouse=True)
 def _empty_file(_registered):
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+
+
+@pytest.fixture(autouse=True)
+def _frames_come_when_asked(monkeypatch):
+    monkeypatch.setattr(PacedSource, "pace", AskedClock())
 
 
 @pytest.fixture

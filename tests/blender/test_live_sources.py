@@ -1,7 +1,5 @@
 """What a live session needs, a source and a calibration: where they are kept, and what is said where they fail."""
 
-import time
-
 import bpy
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ from facemime.blender.head import add_head
 from facemime.operators.puppet import FACEMIME_OT_puppet, running
 from facemime.scene.preferences import preferences
 from facemime.scene.settings import read_calibration
-from live_ticks import moving, tick, ticks_until
+from live_ticks import moving, tick, ticks_until, wait_for
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
@@ -68,9 +66,7 @@ def test_a_source_that_is_not_there_is_reported_and_leaves_the_head_alone(tmp_pa
         reports, outcome = [str(error)], {"CANCELLED"}
     if outcome == {"RUNNING_MODAL"}:
         session = running()
-        end = time.monotonic() + 30.0
-        while session.worker.error is None and time.monotonic() < end:
-            time.sleep(0.01)
+        wait_for(lambda: session.worker.error is not None)
         reports = [str(session.worker.error)]
         assert tick() == {"CANCELLED"}
     assert said in reports[0]

@@ -1,6 +1,5 @@
 """Takes are recorded, whole or in part, with the video or without."""
 
-import time
 from math import cos, radians, sin
 
 import bpy
@@ -75,9 +74,7 @@ def test_without_a_puppet_nothing_can_be_recorded():
 def rerecord(**options) -> None:
     """Record a part anew, with the timer's ticks."""
     assert bpy.ops.facemime.rerecord_take(lead=0.05, **options) == {"FINISHED"}
-    while PunchIn.current is not None:
-        punch_in._watch()
-        time.sleep(0.005)
+    wait_for(lambda: punch_in._watch() is None)
 
 
 def test_a_part_of_a_take_is_recorded_anew_and_the_rest_stays(session, imported, takes):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clocks import PATIENCE, EagerClock
 
 import facemime
 from facemime.core.apertures import LOWER_LIPS, UPPER_LIDS, lid_gaps
@@ -73,10 +74,7 @@ def frames_of(take) -> list[LiveFrame]:
 def run(worker: LiveWorker) -> LiveWorker:
     """Start, and wait for the end of the source."""
     worker.start()
-    end = time.monotonic() + 60.0
-    while worker.running and time.monotonic() < end:
-        time.sleep(0.002)
-    assert not worker.running
+    wait_for(lambda: not worker.running)
     return worker
 
 
@@ -99,14 +97,13 @@ def test_the_heads_are_those_that_the_same_frames_give_without_a_worker():
 
 
 def test_a_real_clip_is_tracked_as_offline():
-    source = VideoPlayer(SAMPLE, speed=0.05)
+    source = VideoPlayer(SAMPLE)
+    source.pace = EagerClock()
     worker = LiveWorker(source, heads=(LiveHead(built_in_rig()),), options=LiveOptions(smoothing=0.0, preview=160))
     recorded = Recorded()
     worker.record(recorded)
     worker.start()
-    end = time.monotonic() + 60.0
-    while worker.counts.tracked < 8 and time.monotonic() < end:
-        time.sleep(0.01)
+    wait_for(lambda: worker.counts.tracked >= 8)
     worker.close()
     tracker = FaceTracker.load()
     with VideoSource(SAMPLE) as video:
@@ -167,7 +164,9 @@ def test_what_is_recorded_is_what_was_tracked_not_what_was_smoothed():
 
 def test_options_and_heads_may_change_while_it_runs_and_what_is_costly_is_kept():
     take, rig = performance(), built_in_rig()
-    worker = LiveWorker(TakePlayer(take, "take", loop=True, speed=4.0), neutral=calibrate(take), heads=(LiveHead(rig),))
+    source = TakePlayer(take, "take", loop=True)
+    source.pace = EagerClock()
+    worker = LiveWorker(source, neutral=calibrate(take), heads=(LiveHead(rig),))
     worker.start()
     wait_for(lambda: worker.latest is not None and worker.latest.heads)
     deformer = worker._drivers[0].deformer
@@ -182,7 +181,7 @@ def test_options_and_heads_may_change_while_it_runs_and_what_is_costly_is_kept()
 
 def wait_for(condition) -> None:
     """Until `condition` holds."""
-    end = time.monotonic() + 30.0
+    end = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < end, "waited in vain"
         time.sleep(0.002)
