@@ -7,7 +7,7 @@ file saved in the middle) the mesh itself is safe.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -196,6 +196,12 @@ class LiveHeadObject:
             _remove(obj, keys.key_blocks[LIVE_KEY])
             if not self._had_keys and len(keys.key_blocks) == 1:
                 obj.shape_key_clear()
+
+
+def require_one_left(heads: Sequence[LiveHeadObject]) -> None:
+    """Raise HeadError if all of `heads` were deleted."""
+    if all(shown.gone for shown in heads):
+        raise HeadError("The head was deleted. Add or select another one, and start again.")
 
 
 def as_keys_take_it(frame: HeadFrame) -> NDArray[np.float32]:

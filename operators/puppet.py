@@ -109,6 +109,8 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         session = self._session
         kept = session is not None and session.keep and Session.current is session
         self.cancel(context)
+        if session is not None and session.warning:
+            self.report({"WARNING"}, session.warning)
         if kept:
             bpy.ops.ed.undo_push(message="Puppet")
         _redraw(context, "UI")

@@ -1,8 +1,11 @@
 """The list of takes: record, show, import, export, pack, remove, and what recordings a crash left."""
 
+import contextlib
+
 import bpy
 from bpy.props import StringProperty
 
+from ..core.errors import OutputError, SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import from_csv, to_csv
 from ..scene import takes_store
@@ -122,10 +125,17 @@ class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """List them."""
-        paths = takes_store.unlisted(context.scene)
+        paths, unreadable = takes_store.unlisted(context.scene), []
         for path in paths:
-            takes_store.add(context.scene, path)
-        self.report({"INFO"}, f"{len(paths)} takes found in {takes_store.folder()}")
+            try:
+                takes_store.add(context.scene, path)
+            except SourceError:
+                unreadable.append(path.name)
+        self.report({"INFO"}, f"{len(paths) - len(unreadable)} takes found in {takes_store.folder()}")
+        if unreadable:
+            self.report(
+                {"WARNING"}, f"Nothing can be read in {', '.join(unreadable)}. Delete these files, or ignore them."
+            )
         return {"FINISHED"}
 
 
@@ -215,7 +225,8 @@ def register() -> None:
 
 def unregister() -> None:
     """Unregister the operators; a recording ends."""
-    stop_recording()
+    with contextlib.suppress(OutputError):  # nobody is there to read it, and what was written before is safe
+        stop_recording()
     Recording.current = None
     unwatch(_watch)
     unregister_all(_CLASSES)

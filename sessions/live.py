@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from time import perf_counter
 
-from ..blender.live import LiveHeadObject, as_keys_take_it
-from ..core.errors import HeadError
+from ..blender.live import LiveHeadObject, as_keys_take_it, require_one_left
+from ..core.errors import HeadError, OutputError
 from ..core.live.sources import LiveSource
 from ..core.live.timing import Delays, Stopwatch
 from ..core.live.worker import LiveHead, LiveOptions, LiveResult, LiveWorker, Recorder
@@ -41,6 +41,8 @@ class LiveSession(Session):
         Whether the heads stay as they are at the end.
     shown : LiveResult or None
         What the heads show: the worker's newest result may be newer.
+    warning : str
+        What went wrong at the end; "" if all went well.
     """
 
     def __init__(
@@ -53,7 +55,7 @@ class LiveSession(Session):
         on_calibrated: Callable[[Neutral], object] = lambda neutral: None,
     ) -> None:
         super().__init__()
-        self.stopwatch, self.keep = Stopwatch(), False
+        self.stopwatch, self.keep, self.warning = Stopwatch(), False, ""
         self.shown: LiveResult | None = None
         self._objects = [shown for shown, _ in heads]
         self._on_calibrated = on_calibrated
@@ -93,7 +95,7 @@ class LiveSession(Session):
             return False
         asked = perf_counter()
         self._number, self.shown = latest.number, latest
-        self._require_heads()
+        require_one_left(self._objects)
         for shown, frame, flat in zip(self._objects, latest.heads, latest.prepared, strict=False):
             if not shown.gone:
                 shown.write(frame, flat)
@@ -130,16 +132,28 @@ class LiveSession(Session):
         return 0.0 if self._at is None else max(0.0, self._at - perf_counter())
 
     def close(self) -> None:
-        """End the worker, release the source, and leave the heads as `keep` says."""
-        self.worker.close()
+        """End the worker, release the source, and leave the heads as `keep` says; `warning` tells what went wrong."""
+        self._close_worker()
         for shown in self._objects:
             shown.detach(keep=self.keep)
         super().close()
 
     def abandon(self) -> None:
         """End the worker and release the source alone."""
-        self.worker.close()
+        self._close_worker()
         super().close()
+
+    def _close_worker(self) -> None:
+        try:
+            self.worker.close()
+        except OutputError as error:
+            self.worker.recording_error = error
+            self.warning = str(error)
+        if self.worker.running:
+            self.warning = (
+                f"{self.worker.source.name} does not answer. It is left to end by itself; if it does not, unplug it or "
+                "restart Blender."
+            )
 
     def suspend(self) -> None:
         """Put the heads back for a moment: to save the file without what is only shown."""
@@ -155,10 +169,6 @@ class LiveSession(Session):
     def record(self, recorder: Recorder) -> None:
         """Write what is tracked from now on."""
         self.worker.record(recorder)
-
-    def _require_heads(self) -> None:
-        if all(shown.gone for shown in self._objects):
-            raise HeadError("The head was deleted. Add or select another one, and start again.")
 
     def _count_down(self) -> None:
         if not self._waiting:

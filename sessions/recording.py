@@ -47,8 +47,11 @@ class Recording:
     def __init__(self, session: LiveSession, path: Path, scene: str, video_fps: float | None = None) -> None:
         self.path, self.frames, self.closed, self.scene = path, 0, False, scene
         self._session, self._offset, self._last = session, 0.0, 0.0
-        self._video = None if video_fps is None else ReferenceVideo(path.with_suffix(VIDEO_SUFFIX), video_fps)
+        self._video: ReferenceVideo | None = None
         self._writer = TakeWriter(path, self._info())
+        if video_fps is not None:
+            self._video = ReferenceVideo(path.with_suffix(VIDEO_SUFFIX), video_fps)
+            self._writer.info = self._info()
         session.record(self)
         Recording.current = self
 

@@ -9,7 +9,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..blender.bake import seconds_of
-from ..blender.live import Follow, LiveHeadObject
+from ..blender.live import Follow, LiveHeadObject, require_one_left
 from ..blender.meshes import read_rig
 from ..core.drive import HeadDriver
 from ..core.errors import HeadError
@@ -56,10 +56,11 @@ class TakeShow(Session):
         self.resume()
 
     def show(self, scene: bpy.types.Scene) -> None:
-        """Show the frame of the take that is nearest in time to the current one of `scene`."""
+        """Show the frame of the take nearest in time to the current one of `scene`; HeadError as for `LiveHeadObject`."""
         if scene.name != self._scene:
             return
         result = self._take.result(int(np.abs(self._take.times - seconds_of(scene)).argmin()))
+        require_one_left([shown for shown, _ in self._heads])
         for shown, driver in self._heads:
             if not shown.gone:
                 shown.write(driver.frame(result))
@@ -93,7 +94,7 @@ def _show(scene: bpy.types.Scene, *_: object) -> None:
         return
     try:
         session.show(scene)
-    except HeadError:  # a head was changed: there is nothing left to show the take on
+    except HeadError:  # changed or deleted: there is nothing left to show the take on
         session.close()
 
 

@@ -27,6 +27,8 @@ from .sources import LiveFrame, LiveSource
 PROGRAM = Path(__file__).with_name("camera_process.py")
 _OPENING, _SILENCE, _AGAIN = 15.0, 4.0, 2.0
 """Seconds until a camera that opens, or that gave frames, counts as hanging; and until it is tried again."""
+_ENDING = 2.0
+"""Seconds to wait for a process that was killed: one whose driver hangs in the kernel dies when that lets go of it."""
 _LARGEST = 1 << 28
 
 
@@ -77,6 +79,7 @@ class Camera(LiveSource):
         self._opening, self._silence = opening, silence
         self._news = threading.Condition()
         self._process: subprocess.Popen[bytes] | None = None
+        self._listener: threading.Thread | None = None
         self._frame: LiveFrame | None = None
         self._failure = ""
         self._heard = self._again = 0.0
@@ -102,20 +105,19 @@ class Camera(LiveSource):
         return frame
 
     def close(self) -> None:
-        """End the process; may be called twice."""
+        """End the process, which takes `_ENDING` seconds at most; may be called twice."""
         with self._news:
             self._closed = True
             self._news.notify_all()
         self._end()
 
     def _open(self) -> None:
-        folders = os.pathsep.join({str(Path(str(module.__file__)).parents[1]) for module in (cv2, np)})
         asked = self.settings
         self._failure, self._frame = "", None
         self._heard = perf_counter() + self._opening - self._silence
         try:
             self._process = subprocess.Popen(
-                [*self._command, folders, asked.device, str(asked.width), str(asked.height), str(asked.rate)],
+                [*self._command, module_folders(), asked.device, str(asked.width), str(asked.height), str(asked.rate)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
@@ -123,10 +125,22 @@ class Camera(LiveSource):
         except OSError:
             self._failure = "no python"
             return
-        threading.Thread(target=self._listen, args=(self._process,), name="facemime-camera", daemon=True).start()
+        self._listener = threading.Thread(
+            target=self._attend, args=(self._process,), name="facemime-camera", daemon=True
+        )
+        self._listener.start()
+
+    def _attend(self, process: subprocess.Popen[bytes]) -> None:
+        """Listen to `process` until it ends, and clear up after it; in a thread of its own, as either may take long."""
+        self._listen(process)
+        process.kill()
+        process.wait()
+        for stream in (process.stdin, process.stdout):
+            if stream is not None:
+                stream.close()
 
     def _listen(self, process: subprocess.Popen[bytes]) -> None:
-        """Keep the newest frame of `process` until it ends; in a thread of its own."""
+        """Keep the newest frame of `process` until it says no more."""
         assert process.stdout is not None
         failure = "died"
         try:
@@ -157,15 +171,15 @@ class Camera(LiveSource):
         return "hangs" if self._process is not None and perf_counter() - self._heard > self._silence else ""
 
     def _end(self) -> None:
+        """Kill the process; one that does not die in time is left to its listener."""
         with self._news:
             process, self._process = self._process, None
+            listener, self._listener = self._listener, None
         if process is None:
             return
         process.kill()
-        process.wait()
-        for stream in (process.stdin, process.stdout):
-            if stream is not None:
-                stream.close()
+        if listener is not None:
+            listener.join(_ENDING)
 
 
 def _message(stream: IO[bytes]) -> LiveFrame | str | None:
@@ -182,6 +196,11 @@ def _message(stream: IO[bytes]) -> LiveFrame | str | None:
     if len(data) < size or size != 3 * height * width:
         return None
     return LiveFrame(0.0, np.frombuffer(data, np.uint8).reshape(height, width, 3), None, taken)
+
+
+def module_folders() -> str:
+    """Where a program that this one starts finds cv2 and numpy, as PATH lists folders."""
+    return os.pathsep.join({str(Path(str(module.__file__)).parents[1]) for module in (cv2, np)})
 
 
 def python_executable() -> str:

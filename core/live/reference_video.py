@@ -1,28 +1,37 @@
 """What the camera saw, kept beside a take: to look at while animating, and to track again.
 
-A camera gives frames when it can, a video plays them evenly. So a frame goes into the slots of an even grid that its
-time covers, and frame n of the file shows what was seen at n / fps seconds, to the last.
+It is written by a process of its own (`video_process`): a video's last seconds wait in memory to be packed, and only a
+program that outlives a crash of Blender can still write them.
 """
 
 from __future__ import annotations
 
+import contextlib
+import os
+import subprocess
 import threading
 from pathlib import Path
-from queue import Full, Queue
+from queue import SimpleQueue
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import SourceError
+from .camera import module_folders, python_executable
+from .video_process import HEADER
+
 SUFFIX = ".mkv"
 """Of the container: what is written of it can be played although its end was never written."""
-_CODEC = "mp4v"
-_WAITING = 32
-"""Frames that may wait to be packed; those behind them are left out, and the one before them shown instead."""
+PROGRAM = Path(__file__).with_name("video_process.py")
+_ROOM = 1 << 28
+"""Bytes of frames that may wait to be packed; those behind them are left out, and the one before them shown instead."""
+_ENDING = 20.0
+"""Seconds to wait for the last frames to be written; after that they are written while the user goes on."""
 
 
 class ReferenceVideo:
-    """A video that is written in a thread of its own, until `close`.
+    """A video that is written beside the program, until `close`.
 
     Parameters
     ----------
@@ -34,49 +43,43 @@ class ReferenceVideo:
 
     def __init__(self, path: Path, fps: float) -> None:
         self.path, self.fps = path, fps
-        self._waiting: Queue[tuple[float, NDArray[np.uint8]] | None] = Queue(_WAITING)
+        self._waiting: SimpleQueue[tuple[float, NDArray[np.uint8]] | None] = SimpleQueue()
+        self._bytes = 0
+        self._counting = threading.Lock()
         self._thread = threading.Thread(target=self._work, name="facemime-video", daemon=True)
         self._thread.start()
 
     def add(self, time: float, image: NDArray[np.uint8]) -> None:
         """Take in a frame, (H, W, 3) BGR or (H, W) grey, seen `time` seconds after the first; never waits."""
-        try:
-            self._waiting.put_nowait((time, image.copy()))
-        except Full:
-            return
+        if self._bytes + image.nbytes <= _ROOM and self._thread.is_alive():
+            self._count(image.nbytes)
+            self._waiting.put((time, image.copy()))
 
     def close(self) -> None:
         """Write what waits, and end the file."""
         if self._thread.is_alive():
             self._waiting.put(None)
-            self._thread.join()
+            self._thread.join(_ENDING)
 
     @property
     def written(self) -> bool:
         """Whether there is a file with something in it."""
         return self.path.is_file() and self.path.stat().st_size > 0
 
-    def _work(self) -> None:
-        writer: cv2.VideoWriter | None = None
-        shown: NDArray[np.uint8] | None = None
-        written = 0
-        while (item := self._waiting.get()) is not None:
-            time, image = item
-            image = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
-            if writer is None or shown is None:
-                writer, shown = self._opened(image), image
-            if image.shape != shown.shape:
-                image = np.asarray(cv2.resize(image, (shown.shape[1], shown.shape[0])), np.uint8)
-            slot = round(time * self.fps)
-            for _ in range(written, slot):
-                writer.write(shown)
-            if slot >= written:
-                writer.write(image)
-            written, shown = max(written, slot + 1), image
-        if writer is not None:
-            writer.release()
+    def _count(self, added: int) -> None:
+        with self._counting:
+            self._bytes += added
 
-    def _opened(self, image: NDArray[np.uint8]) -> cv2.VideoWriter:
-        codec = cv2.VideoWriter.fourcc(*_CODEC)
-        height, width = image.shape[:2]
-        return cv2.VideoWriter(str(self.path), cv2.CAP_FFMPEG, codec, self.fps, (width, height))
+    def _work(self) -> None:
+        with contextlib.suppress(OSError, SourceError):  # `written` says so
+            command = [python_executable(), "-s", str(PROGRAM), module_folders(), os.fspath(self.path), str(self.fps)]
+            quiet = subprocess.DEVNULL
+            with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet) as process:
+                assert process.stdin is not None
+                while (item := self._waiting.get()) is not None:
+                    time, image = item
+                    self._count(-image.nbytes)
+                    colour = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+                    process.stdin.write(HEADER.pack(time, *colour.shape[:2]))
+                    process.stdin.write(np.ascontiguousarray(colour).data)
+                    process.stdin.flush()

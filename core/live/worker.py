@@ -28,6 +28,8 @@ from .calibration import NeutralCalibration, Quality, RangeCalibration
 from .sources import LiveFrame, LiveSource
 
 _PATIENCE = 0.1
+_ENDING = 5.0
+"""Seconds to wait for the thread, which may be in the middle of a frame, or stuck in a driver or on a disk."""
 _RECENT = 900
 """Frames that `recent_take` looks back: half a minute of most cameras."""
 
@@ -202,11 +204,20 @@ class LiveWorker:
         return self._calibration is not None
 
     def close(self) -> None:
-        """End the thread, the source and a recording; may be called twice, and before `start`."""
+        """End the thread, the source and a recording; may be called twice, and before `start`.
+
+        If the source or the disk does not answer, it returns after some seconds all the same: `running` stays true, and
+        the thread ends by itself when it can.
+
+        Raises
+        ------
+        OutputError
+            If the end of a recording cannot be written.
+        """
         self._stop.set()
         self.source.close()
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join(_ENDING)
         self.stop_recording()
 
     def calibrate(self, *, range_of: Neutral | None = None) -> None:
@@ -233,8 +244,15 @@ class LiveWorker:
 
     def stop_recording(self) -> None:
         """End the recording, if there is one; OutputError where its end cannot be written."""
-        with self._recording:
+        if not self._recording.acquire(timeout=_ENDING):
+            raise OutputError(
+                "The disk that the take is recorded to does not answer. What was written before is kept; look for it "
+                "with Find Takes when the disk is back."
+            )
+        try:
             recorder, self._recorder = self._recorder, None
+        finally:
+            self._recording.release()
         if recorder is not None:
             recorder.close()
 

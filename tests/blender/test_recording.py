@@ -1,5 +1,6 @@
 """Takes are recorded, whole or in part, with the video or without."""
 
+import threading
 from math import cos, radians, sin
 
 import bpy
@@ -12,7 +13,7 @@ from facemime.blender.head import add_head
 from facemime.blender.reference import add_reference
 from facemime.core.capture import VideoSource
 from facemime.core.retarget import calibrate
-from facemime.core.takes.file import load_take
+from facemime.core.takes.file import load_take, save_take
 from facemime.operators import punch_in
 from facemime.scene import takes_store
 from facemime.sessions.punch_in import PunchIn
@@ -20,6 +21,7 @@ from facemime.sessions.recording import Recording, settle
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
 from live_ticks import wait_for
+from takes import performance
 
 pytestmark = pytest.mark.usefixtures("in_a_project")
 
@@ -63,6 +65,26 @@ def test_a_recording_is_not_listed_in_another_file_but_found_in_its_own(session,
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "project.blend"))
     assert bpy.ops.facemime.find_takes() == {"FINISHED"}
     assert [line.name for line in bpy.context.scene.facemime_takes.items] == ["Left"]
+
+
+def test_takes_are_found_beside_files_that_cannot_be_read(takes, tmp_path):
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    save_take(performance(), folder / "Good.facetake")
+    save_take(performance(), folder / "Zoe.facetake")
+    (folder / "Broken.facetake").write_bytes((folder / "Good.facetake").read_bytes()[:60])
+    (folder / "Empty.facetake").touch()
+    assert bpy.ops.facemime.find_takes() == {"FINISHED"}
+    assert [line.name for line in takes.items] == ["Good", "Zoe"]
+
+
+def test_a_recording_that_is_refused_leaves_no_thread(session, takes, tmp_path):
+    takes.video = True
+    (tmp_path / "takes").write_text("not a folder")
+    before = threading.active_count()
+    with pytest.raises(RuntimeError, match="Cannot write"):
+        bpy.ops.facemime.record_take()
+    assert threading.active_count() == before and Recording.current is None
 
 
 def test_without_a_puppet_nothing_can_be_recorded():

@@ -168,3 +168,24 @@ def test_every_failure_is_explained_in_two_sentences():
 def test_the_python_that_is_started_can_import_opencv():
     assert Path(python_executable()).exists()
     assert np.__version__ and cv2.__version__
+
+
+def test_a_driver_whose_output_stays_open_after_its_death_does_not_hold_the_reader_up(camera, tmp_path, monkeypatch):
+    """As one that hangs in the kernel: it cannot be killed, and whoever waits for its end waits for ever."""
+    monkeypatch.setattr(camera_module, "_ENDING", 0.2)
+    seen = tmp_path / "seen"
+    text = f"""
+import subprocess, sys, time
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+with open({str(seen)!r}, "w") as file: file.write(str(child.pid))
+time.sleep(600)
+"""
+    source = camera(CameraSettings("7"), command=program(tmp_path, text))
+    while not seen.exists() or not seen.read_text():
+        assert source.read(0.05) is None
+    listener = source._listener
+    source.close()
+    assert listener.is_alive()
+    os.kill(int(seen.read_text()), 9)
+    listener.join(PATIENCE)
+    assert not listener.is_alive()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from facemime.core.apertures import LOWER_LIPS, UPPER_LIDS, lid_gaps
 from facemime.core.capture import VideoSource
 from facemime.core.drive import DriveOptions, HeadDriver, built_in_rig
 from facemime.core.errors import OutputError, SourceError
+from facemime.core.live import worker as worker_module
 from facemime.core.live.calibration import RangeCalibration
 from facemime.core.live.sources import LiveFrame, LiveSource, TakePlayer, VideoPlayer
 from facemime.core.live.timing import STAGES, Delays, Stopwatch
@@ -238,3 +240,46 @@ def test_the_stopwatch_names_what_is_slow_and_only_that():
         watch.add(Delays((0.001, 0.02, 0.001, 0.001, 0.001)))
     assert watch.slowest() == "track" and watch.rate > 0
     assert set(watch.percentiles(50.0, 95.0)) == {*STAGES, "total"}
+
+
+class Stuck(Listed):
+    """Does not come back from a read before it is let go, as a driver or a disk that hangs."""
+
+    def __init__(self):
+        super().__init__([])
+        self.asked, self.let_go = threading.Event(), threading.Event()
+
+    def read(self, timeout):
+        self.asked.set()
+        self.let_go.wait()
+        return None
+
+
+def test_a_source_that_does_not_answer_is_left_behind(monkeypatch):
+    monkeypatch.setattr(worker_module, "_ENDING", 0.1)
+    source = Stuck()
+    worker = LiveWorker(source)
+    worker.start()
+    assert source.asked.wait(PATIENCE)
+    worker.close()
+    assert worker.running and source.closed
+    source.let_go.set()
+    wait_for(lambda: not worker.running)
+    assert worker.error is None
+
+
+def test_a_disk_that_does_not_answer_ends_in_an_error_and_not_in_a_wait_for_ever(monkeypatch):
+    monkeypatch.setattr(worker_module, "_ENDING", 0.1)
+    writing, let_go = threading.Event(), threading.Event()
+    recorded = Recorded()
+    recorded.append = lambda *frame: writing.set() or let_go.wait()
+    worker = LiveWorker(Listed(frames_of(performance())))
+    worker.record(recorded)
+    worker.start()
+    assert writing.wait(PATIENCE)
+    with pytest.raises(OutputError, match="does not answer"):
+        worker.close()
+    let_go.set()
+    wait_for(lambda: not worker.running)
+    worker.close()
+    assert recorded.closed

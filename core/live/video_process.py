@@ -1,0 +1,66 @@
+"""Run as a program of its own: writes the frames that come on its standard input to a video.
+
+Usage: python video_process.py FOLDERS PATH FPS. FOLDERS are where cv2 and numpy lie. Each message is `HEADER`: seconds
+since the first frame, height, width; then BGR pixels. At the end of its input, which is also the end of the program
+that started it, whatever became of that, it ends the file properly. Imports nothing of Facemime: that would need its
+package on the path.
+
+A camera gives frames when it can, a video plays them evenly. So a frame goes into the slots of an even grid that its
+time covers, and frame n of the file shows what was seen at n / fps seconds, to the last.
+"""
+
+import os
+import signal
+import struct
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+HEADER = struct.Struct("<dII")
+_CODEC = "mp4v"
+
+
+def main() -> int:
+    """Write until the input ends; the exit status is 1 where the video cannot be written."""
+    sys.path[:0] = sys.argv[1].split(os.pathsep)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that started it
+    import cv2
+
+    path, fps = sys.argv[2], float(sys.argv[3])
+    writer: Any = None
+    shown: Any = None
+    written = 0
+    for time, seen in _frames():
+        if writer is None:
+            height, width = seen.shape[:2]
+            writer = cv2.VideoWriter(path, cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*_CODEC), fps, (width, height))
+            if not writer.isOpened():
+                return 1
+            shown = seen
+        size = (shown.shape[1], shown.shape[0])
+        image = seen if seen.shape == shown.shape else cv2.resize(seen, size)
+        slot = round(time * fps)
+        for _ in range(written, slot):
+            writer.write(shown)
+        if slot >= written:
+            writer.write(image)
+        written, shown = max(written, slot + 1), image
+    if writer is not None:
+        writer.release()
+    return 0
+
+
+def _frames() -> Iterator[tuple[float, Any]]:
+    import numpy as np
+
+    source = sys.stdin.buffer
+    while len(head := source.read(HEADER.size)) == HEADER.size:
+        time, height, width = HEADER.unpack(head)
+        pixels = source.read(3 * height * width)
+        if len(pixels) < 3 * height * width:
+            return
+        yield time, np.frombuffer(pixels, np.uint8).reshape(height, width, 3)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
