@@ -56,7 +56,7 @@ class TakeShow(Session):
         self.resume()
 
     def show(self, scene: bpy.types.Scene) -> None:
-        """Show the frame of the take nearest in time to the current one of `scene`; HeadError as for `LiveHeadObject`."""
+        """Show the frame of the take nearest to the current one of `scene`; HeadError as for `LiveHeadObject`."""
         if scene.name != self._scene:
             return
         result = self._take.result(int(np.abs(self._take.times - seconds_of(scene)).argmin()))
