@@ -5,7 +5,7 @@ import bpy
 from ..core.errors import FacemimeError
 from ..sessions.live import LiveSession
 from ..sessions.session import Session
-from ..sessions.start import follow_rigs, follow_settings, start_session
+from ..sessions.start import RigWatch, follow_settings, start_session
 from .shared import ReportsErrors, heads_in, register_all, unregister_all, with_heads
 
 _TICK = 1.0 / 120.0
@@ -31,6 +31,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     """
 
     _session: LiveSession | None = None
+    _rigs: RigWatch | None = None
     _timer: bpy.types.Timer | None = None
     _scene = ""
     _clicked = False
@@ -53,6 +54,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             # So that an undo while it runs undoes the session and not what came before.
             bpy.ops.ed.undo_push(message="Puppet")
         self._session = start_session(context.scene, heads_in(context))
+        self._rigs = RigWatch(self._session)
         self._scene = context.scene.name
         FACEMIME_OT_puppet.instance = self
         manager = context.window_manager
@@ -94,7 +96,8 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             follow_settings(session, scene.facemime)
         if self._clicked and not _painting(context):
             self._clicked = False
-            follow_rigs(session)
+            self._rigs.look()
+        self._rigs.step()
         if session.step():
             _redraw(context, "WINDOW")
         if session.ended:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import bpy
-import numpy as np
 
 from ..blender.live import Follow, LiveHeadObject
-from ..blender.meshes import read_rig
-from ..core.drive import HeadRig
+from ..blender.meshes import read_rig, rig_checks
 from ..core.errors import HeadError
 from ..core.live.worker import LiveHead, LiveOptions
 from ..scene.preferences import preferences
@@ -75,36 +73,39 @@ def follow_settings(session: LiveSession, settings: FacemimeSettings) -> None:
         shown.follow = _follow(settings)
 
 
-def follow_rigs(session: LiveSession) -> None:
-    """Let a running session follow what was painted, bound or chosen since its heads were read.
+class RigWatch:
+    """Lets a running session follow what is painted, bound or chosen: a slice of a look at its heads at each `step`."""
 
-    Raises
-    ------
-    FacemimeError
-        Where a head can no longer be driven.
-    """
-    heads = session.worker.heads
-    rigs = [head.rig if shown.gone else read_rig(shown.obj) for shown, head in zip(session.objects, heads, strict=True)]
-    changed = [not _same(head.rig, rig) for head, rig in zip(heads, rigs, strict=True)]
-    if any(changed):
-        session.update(
-            [LiveHead(rig, head.options) if new else head for head, rig, new in zip(heads, rigs, changed, strict=True)]
-        )
+    def __init__(self, session: LiveSession) -> None:
+        self._session = session
+        self._checks: dict[int, Iterator[bool]] = {}
+
+    def look(self) -> None:
+        """Begin to look at all heads: something may have changed."""
+        living = (number for number, shown in enumerate(self._session.objects) if not shown.gone)
+        heads = self._session.worker.heads
+        self._checks = {number: rig_checks(self._session.objects[number].obj, heads[number].rig) for number in living}
+
+    def step(self) -> None:
+        """Look at a slice of a head, and read the whole head again if that has changed; costs nothing between looks.
+
+        Raises
+        ------
+        FacemimeError
+            If a head can no longer be driven.
+        """
+        if not self._checks:
+            return
+        number, checks = next(iter(self._checks.items()))
+        shown = self._session.objects[number]
+        same = None if shown.gone else next(checks, None)
+        if not same:
+            del self._checks[number]
+        if same is False:
+            heads = list(self._session.worker.heads)
+            heads[number] = LiveHead(read_rig(shown.obj), heads[number].options)
+            self._session.update(heads)
 
 
 def _follow(settings: FacemimeSettings) -> Follow:
     return Follow(rotation=settings.rotation, translation=settings.translation)
-
-
-def _same(one: HeadRig, other: HeadRig) -> bool:
-    names = (
-        "vertices",
-        "landmarks",
-        "region_weights",
-        "jaw_pivot",
-        "eyeballs",
-        "control_points",
-        "covariance",
-        "faces",
-    )
-    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)

@@ -8,7 +8,7 @@ import facemime
 from facemime.blender.frames import to_blender
 from facemime.blender.head import add_head
 from facemime.blender.live import LIVE_KEY
-from facemime.blender.meshes import read_rig, read_selection
+from facemime.blender.meshes import read_faces, read_rig, read_selection
 from facemime.blender.names import REGION_GROUPS
 from facemime.core.drive import HeadDriver
 from facemime.core.retarget import calibrate
@@ -133,6 +133,22 @@ def test_painted_regions_act_after_the_next_click(take):
     upper.remove(untouched)
     assert tick(CLICK) == {"PASS_THROUGH"}
     ticks_until(lambda: np.abs(shown(head) - rest)[untouched].max() < 1e-7)
+
+
+def test_faces_that_were_turned_act_after_the_next_click_and_a_click_alone_changes_nothing(take):
+    head = add_head(bpy.context)
+    bpy.context.scene.facemime.source.loop = True
+    bpy.ops.facemime.puppet()
+    ticks_until(moving)
+    before = running().worker.heads
+    tick(CLICK)
+    for _ in range(5):
+        tick()
+    assert running().worker.heads is before
+    head.data.flip_normals()
+    tick(CLICK)
+    ticks_until(lambda: running().worker.heads is not before)
+    np.testing.assert_array_equal(running().worker.heads[0].rig.faces, read_faces(head.data))
 
 
 def test_a_new_session_ends_the_one_before(take):

@@ -408,7 +408,7 @@ BLENDERS: dict[str, Callable[[Stage], None]] = {
     "separate": operator("mesh.separate", type="LOOSE"),
     "purge": operator("outliner.orphans_purge", do_recursive=True),
     "apply transform": operator("object.transform_apply"),
-    "apply visually": operator("object.visual_geometry_to_mesh"),
+    "apply visually": operator("object.visual_transform_apply"),
     "add modifier": operator("object.modifier_add", type="SUBSURF"),
     "apply modifiers": operator("object.convert", target="MESH", keep_original=True),
     "single user": operator("object.make_single_user", object=True, obdata=True),
