@@ -1,6 +1,7 @@
 """Every test starts from an empty file with factory settings."""
 
 import gc
+import signal
 import threading
 
 import bpy
@@ -21,6 +22,16 @@ from facemime.sessions.recording import Recording
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
 from takes import performance
+
+_ENDING = 120
+"""Seconds until a Blender that hangs at its exit, as 4.5 does where something is still registered, is ended."""
+
+
+def pytest_unconfigure(config):
+    """Let the system end a process whose tests are over: where Blender hangs, Python runs no longer."""
+    if hasattr(signal, "alarm"):
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(_ENDING)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -22,7 +22,9 @@ def archive(platform: str) -> Path:
     return found[-1]
 
 
-@pytest.mark.parametrize("version", ["4.2", "4.5", "5.0", "5.2"])
+@pytest.mark.parametrize(
+    "version", ["4.5", *(pytest.param(v, marks=pytest.mark.thorough) for v in ("4.2", "5.0", "5.2"))]
+)
 @pytest.mark.skipif(sys.platform != "linux", reason="the environments are Linux ones")
 def test_the_zip_installs_puppets_the_head_and_leaves_no_trace(version):
     python = blender_python(version)

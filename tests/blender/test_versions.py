@@ -11,11 +11,23 @@ import pytest
 
 from blenders import ROOT, blender_python
 
+pytestmark = [pytest.mark.thorough, pytest.mark.timeout(1800)]
+
 RUNNER = ("_pytest", "iniconfig", "packaging", "pluggy", "py", "pygments", "pytest", "pytest_timeout")
 """The test runner and what it needs, all of it plain Python; those environments hold bpy alone."""
 SUITES = (
-    *("bake_ways", "control_points", "key_table", "lips", "live", "live_scene", "live_sources", "operators"),
-    *("own_head", "panels", "pose_targets", "presets", "recording", "regions", "takes_files", "takes_list"),
+    *("bake_ways", "control_points", "key_table", "lips", "live", "live_deleted", "live_scene", "live_sources"),
+    *(
+        "operators",
+        "own_head",
+        "panels",
+        "pose_targets",
+        "presets",
+        "recording",
+        "regions",
+        "takes_files",
+        "takes_list",
+    ),
 )
 
 
@@ -39,7 +51,7 @@ def test_operators_panels_and_live_sessions_hold_in_this_blender_too(version, tm
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=580,
+        timeout=1790,
         check=False,
     )
     assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-2000:]

@@ -14,6 +14,8 @@ from window import ROOT, SHOTS, Blender, places
 
 MODULE = "bl_ext.user_default.facemime"
 SUITES = ("trixie", "sid")
+_QUICK = "sid"
+"""Of the newest Blender; the other one is left to `make test-all`."""
 _INSTALL = """
 class FACEMIME_PT_install(bpy.types.Panel):
     bl_label = "Install"
@@ -67,7 +69,9 @@ def started(suite: str, name: str, **options: Any) -> Blender:
     return Blender(place_of(suite), f"{suite}/{name}", **options)
 
 
-@pytest.fixture(scope="module", params=SUITES)
+@pytest.fixture(
+    scope="module", params=[pytest.param(suite, marks=[pytest.mark.thorough] * (suite != _QUICK)) for suite in SUITES]
+)
 def blender(request: pytest.FixtureRequest) -> Iterator[Blender]:
     """A window with the extension installed. Tests begin with a new file each."""
     name = Path(request.module.__file__).stem.removeprefix("test_")

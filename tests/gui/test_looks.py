@@ -12,6 +12,8 @@ from conftest import install, started
 from sidebar import Sidebar
 from window import Blender
 
+pytestmark = pytest.mark.thorough
+
 _LIGHT = """
 import os
 folder = bpy.utils.preset_paths("interface_theme")[0]

@@ -16,7 +16,8 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 SHOTS = ROOT / "build" / "gui"
-_DEADLINE = 30.0
+_DEADLINE = 120.0
+"""Seconds that a test waits for something: Blender draws in software, and the machine may be busy with other things."""
 
 
 class GuiError(AssertionError):
