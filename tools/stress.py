@@ -1,4 +1,4 @@
-"""Run every live and window test again and again while twice as many processes as there are cores keep the machine busy.
+"""Run every live and window test again and again, with two busy processes for each core beside them.
 
 Usage: python tools/stress.py [RUNS] [--live | --windows]; 50 runs of both by default. Prints a line for each run, then
 how many failed, which is also the exit status. A test that fails once here races the clock: mend that, not the load.

@@ -202,6 +202,33 @@ def test_bones_take_the_pose_of_head_and_eyes_as_they_do_live(mode):
     assert all(eye.animation_data is None or not curves_of(eye) for eye in eyes)
 
 
+@pytest.mark.parametrize("nla", [False, True])
+def test_head_and_eyes_that_follow_bones_of_one_armature_are_baked_side_by_side(nla):
+    head, rig = add_head(bpy.context), armature("Head", "Eye")
+    targets = {"head": PoseTarget.of(rig, "Head"), "eye_left": PoseTarget.of(rig, "Eye")}
+    for _ in range(2):  # the second bake replaces the first
+        bake(head, targets, nla=nla)
+        data = rig.animation_data
+        tracks = [track.name for track in data.nla_tracks]
+        assert (data.action is None, tracks) == ((True, [TRACK]) if nla else (False, []))
+    turned = set()
+    for frame in range(1, 60):
+        bpy.context.scene.frame_set(frame)
+        turned |= {bone.name for bone in rig.pose.bones if bone.rotation_quaternion.angle > 0.05}
+    assert "Head" in turned
+
+
+def test_a_track_of_ours_that_holds_another_strip_is_left_and_the_bake_gets_one_of_its_own():
+    head = add_head(bpy.context)
+    action = bpy.data.actions.new("Mine")
+    head.animation_data_create().nla_tracks.new().name = "Mine"
+    bake(head, nla=True)
+    head.animation_data.nla_tracks[TRACK].name = "Kept"
+    bake(head, nla=True)
+    assert [track.name for track in head.animation_data.nla_tracks] == ["Mine", "Kept", TRACK]
+    bpy.data.actions.remove(action)
+
+
 def test_a_pose_that_an_animator_gave_the_delta_transform_is_left_alone():
     head = add_head(bpy.context)
     head.keyframe_insert("delta_location", frame=3)

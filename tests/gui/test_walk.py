@@ -57,6 +57,30 @@ if session is not None and session.shown is not None and session.worker.neutral 
 """What is shown and from which frame; nothing where the next frame came meanwhile."""
 
 
+_EVERY_FRAME = f"""
+from {MODULE}.core.live import sources
+class Patient(sources.Clock):
+    time = 0.0
+    def now(self):
+        return self.time
+    def wait_until(self, due, timeout, closed):
+        ahead = due - self.time
+        closed.wait(min(max(ahead, 0.0), timeout))
+        self.time = max(self.time, due) if ahead <= timeout else self.time
+        return ahead <= timeout
+sources.PacedSource.pace = Patient()
+"""
+"""The clip plays no faster than it is, and slower where the machine is busy: no frame is left out."""
+
+
+@pytest.fixture
+def every_frame(blender: Blender) -> Iterator[None]:
+    """A clock that waits for whoever is late."""
+    blender.do(_EVERY_FRAME)
+    yield
+    blender.do("sources.PacedSource.pace = sources.Clock()")
+
+
 @pytest.fixture
 def sidebar(blender: Blender) -> Iterator[Sidebar]:
     """The sidebar over an empty scene; afterwards nothing may run any longer, and nothing may have gone wrong."""
@@ -112,6 +136,7 @@ def test_the_head_is_added_by_a_click_and_undone_by_a_key(blender, sidebar):
     blender.wait_for("len(bpy.data.objects) == 0")
 
 
+@pytest.mark.usefixtures("every_frame")
 def test_the_sample_clip_moves_the_head_as_it_does_without_a_window_and_escape_ends_it(blender, sidebar):
     add_head(sidebar)
     blender.do("bpy.context.scene.facemime.smoothing = 0.0")
@@ -138,6 +163,17 @@ def headless_vertices(time: float, neutral: Neutral) -> np.ndarray:
     for _ in range(round(time * video.get(cv2.CAP_PROP_FPS)) + 1):
         result = tracker.track(video.read()[1])
     return HeadDriver(built_in_rig(), neutral).frame(result).vertices
+
+
+def test_the_head_deleted_by_a_key_while_it_moves_ends_the_puppet_and_comes_back_by_undo(blender, sidebar):
+    add_head(sidebar)
+    start(sidebar)
+    blender.move(*sidebar.view())
+    blender.redraw()
+    blender.key("Delete")
+    blender.wait_for("Session.current is None and workers() == []")
+    blender.key("ctrl+z")
+    blender.wait_for(f"len(bpy.data.objects) > 0 and {HEAD} is not None and moved({HEAD}) == 0.0")
 
 
 def test_a_pose_that_is_kept_is_one_undo_step_and_lives_in_the_file(blender, sidebar):
