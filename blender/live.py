@@ -108,7 +108,7 @@ class LiveHeadObject:
             for key in keys.key_blocks
             if key.name != LIVE_KEY and (key.name.startswith(BAKED_KEY_PREFIX) or value_path(key.name) in baked)
         ]
-        self._muted += Muted.all_of(partial(keys.key_blocks.get, name) for name in ours)
+        self._muted += Muted.all_of([partial(_find_key, keys, name) for name in ours])
         self._pinned, self.obj.show_only_shape_key = self.obj.show_only_shape_key, False
         if (cache := self.obj.modifiers.get(MODIFIER)) is not None:
             self._cache_played = (cache.show_viewport, cache.show_render)
@@ -210,6 +210,11 @@ def as_keys_take_it(frame: HeadFrame) -> NDArray[np.float32]:
     Made by the thread that drives: OpenCV lets other threads run meanwhile, for which the main thread would wait.
     """
     return flat_in_blender(frame.vertices)
+
+
+def _find_key(keys: bpy.types.Key, name: str) -> bpy.types.ShapeKey | None:
+    """The key of that name. Not a bound `keys.key_blocks.get`: Blender invalidates data-blocks, but no collections."""
+    return keys.key_blocks.get(name)
 
 
 def _remove(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> None:

@@ -94,7 +94,9 @@ def read_faces(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
 def read_corners(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
     """The vertices of all faces' corners, one face behind the other."""
     corners = np.empty(len(mesh.loops), dtype=np.int32)
-    if len(corners):  # an empty mesh lacks the attribute
+    if mesh.is_editmode:  # its attributes are those of what is being edited
+        mesh.loops.foreach_get("vertex_index", corners)
+    elif len(corners):  # an empty mesh lacks the attribute
         mesh.attributes[".corner_vert"].data.foreach_get("value", corners)
     return corners
 
@@ -188,7 +190,7 @@ def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
     HeadError
         As `read_rig`.
     """
-    mesh = mesh_of(obj)
+    mesh_of(obj)
     quick = _read_quickly(obj)
     # Eyes that have turned have their old size but for rounding.
     yield all(
@@ -198,8 +200,10 @@ def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
         for name, value in quick.items()
     )
     if rig.faces is not None:
-        yield len(rig.faces) == len(mesh.polygons) and np.array_equal(read_corners(mesh), rig.faces[rig.faces >= 0])
-    for first in range(0, len(mesh.vertices), _VERTICES_A_CHECK):
+        faces = mesh_of(obj).polygons
+        yield len(rig.faces) == len(faces) and np.array_equal(read_corners(obj.data), rig.faces[rig.faces >= 0])
+    for first in range(0, len(rig.vertices), _VERTICES_A_CHECK):
+        mesh_of(obj)
         part = slice(first, first + _VERTICES_A_CHECK)
         yield np.array_equal(read_weights(obj, part), rig.region_weights[:, part])
 

@@ -98,7 +98,7 @@ class RigWatch:
             return
         number, checks = next(iter(self._checks.items()))
         shown = self._session.objects[number]
-        same = None if shown.gone else next(checks, None)
+        same = None if shown.gone or shown.obj.mode == "EDIT" else next(checks, None)
         if not same:
             del self._checks[number]
         if same is False:

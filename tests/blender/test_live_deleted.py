@@ -114,6 +114,42 @@ def test_a_head_that_was_converted_is_said_in_one_sentence(looping):
     assert outcome_of_ticks() == {"CANCELLED"} and running() is None
 
 
+def clear(head: bpy.types.Object) -> None:
+    """The mesh's geometry."""
+    head.data.clear_geometry()
+
+
+def edit(head: bpy.types.Object) -> None:
+    """In Edit mode."""
+    bpy.ops.object.mode_set(mode="EDIT")
+
+
+def swap(head: bpy.types.Object) -> None:
+    """The mesh for another one, which is then the only one."""
+    old, head.data = head.data, bpy.data.meshes.new("Other")
+    bpy.data.meshes.remove(old)
+
+
+def convert(head: bpy.types.Object) -> None:
+    """To a curve."""
+    bpy.ops.object.convert(target="CURVE")
+
+
+@pytest.mark.parametrize("change", [clear, edit, swap, convert])
+@pytest.mark.parametrize("slices", [0, 1, 2, 3])
+def test_a_head_that_changes_while_it_is_looked_at_ends_in_a_sentence_or_goes_on(looping, change, slices):
+    head = add_head(bpy.context)
+    start()
+    tick(CLICK)
+    for _ in range(slices):
+        tick()
+    change(head)
+    outcomes = {outcome for _ in range(8) if running() is not None for outcome in tick(CLICK)}
+    assert outcomes <= {"PASS_THROUGH", "CANCELLED"}
+    if running() is not None:
+        bpy.ops.facemime.stop_puppet()
+
+
 def test_a_bone_that_is_deleted_while_it_takes_the_pose_ends_the_puppet(looping):
     head = add_head(bpy.context)
     bpy.ops.object.armature_add()
