@@ -6,21 +6,22 @@ below, under the fields' names, offsets as float16 and a part's prefixed with it
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .archives import MAX_BYTES, Archive, read_archive
 from .deform.regions import REGIONS
 from .errors import ModelError
 from .landmarks import N_LANDMARKS
+from .reading import read_bytes
 
 REGION_NAMES = tuple(region.name for region in REGIONS)
 PART_NAMES = ("eye_left", "eye_right", "teeth_upper", "teeth_lower", "tongue")
 FORMAT = "facemime-head-1"
+_ROUNDING = 1e-5
 
 HEAD_FILE = Path(__file__).parents[1] / "assets" / "head" / "head.npz"
 
@@ -98,69 +99,63 @@ def load_head(path: Path | None = None) -> Head:
     """
     path = HEAD_FILE if path is None else Path(path)
     try:
-        with np.load(path, allow_pickle=False) as file:
-            data = {key: file[key] for key in file.files}
+        archive = read_archive(read_bytes(path, MAX_BYTES))
     except FileNotFoundError as error:
         raise ModelError(f"The head {path} is missing. Install Facemime again, or run make head.") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+    except OSError as error:
+        raise ModelError(f"The head {path} cannot be read: {error.strerror}. Install Facemime again.") from error
+    except ValueError as error:
         raise ModelError(f"The head {path} is damaged ({error}). Install Facemime again.") from error
-    if str(data.get("format", "")) != FORMAT:
+    if archive.text("format") != FORMAT:
         raise ModelError(f"{path} is no Facemime head of this version. Give a file that training/head built.")
     try:
-        head = _head(data)
-    except (KeyError, ValueError, TypeError) as error:
-        raise ModelError(f"The head {path} is incomplete ({error}). Install Facemime again.") from error
-    if problem := _inconsistency(head):
-        raise ModelError(f"The head {path} is inconsistent: {problem}. Install Facemime again.")
+        head = _head(archive)
+    except ValueError as error:
+        raise ModelError(f"The head {path} is incomplete or inconsistent: {error}. Install Facemime again.") from error
     return head
 
 
-def _head(data: dict[str, NDArray[Any]]) -> Head:
-    names = tuple(str(name) for name in data["unit_names"])
+def _head(archive: Archive) -> Head:
+    vertices = archive.reals("vertices", (None, 3), np.float32)
+    count = len(vertices)
+    names = archive.texts("unit_names")
+    landmarks = archive.wholes("landmarks", (N_LANDMARKS,), 0, count - 1)
+    if len(np.unique(vertices[landmarks], axis=0)) != N_LANDMARKS:
+        raise ValueError("landmarks lie on one another")
+    regions = archive.reals("regions", (len(REGION_NAMES), count), np.float32)
+    if regions.min() < 0.0 or regions.sum(axis=0).max() > 1.0 + _ROUNDING:
+        raise ValueError("regions has shares that are not within 0 to 1")
+    faces, uv = _faces(archive, "", count)
     return Head(
-        vertices=data["vertices"].astype(np.float32),
-        faces=data["faces"].astype(np.int32),
-        uv=data["uv"].astype(np.float32),
-        landmarks=data["landmarks"].astype(np.intp),
-        regions=data["regions"].astype(np.float32),
+        vertices=vertices,
+        faces=faces,
+        uv=uv,
+        landmarks=landmarks,
+        regions=regions,
         unit_names=names,
-        units=data["units"].astype(np.float32),
-        parts=tuple(_part(name, data) for name in PART_NAMES),
-        jaw_pivot=data["jaw_pivot"].astype(np.float32),
+        units=archive.reals("units", (len(names), count, 3), np.float32),
+        parts=tuple(_part(name, len(names), archive) for name in PART_NAMES),
+        jaw_pivot=archive.reals("jaw_pivot", (3,), np.float32),
     )
 
 
-def _part(name: str, data: dict[str, NDArray[Any]]) -> HeadPart:
+def _part(name: str, unit_count: int, archive: Archive) -> HeadPart:
+    vertices = archive.reals(f"{name}.vertices", (None, 3), np.float32)
+    faces, uv = _faces(archive, f"{name}.", len(vertices))
     return HeadPart(
         name=name,
-        vertices=data[f"{name}.vertices"].astype(np.float32),
-        faces=data[f"{name}.faces"].astype(np.int32),
-        uv=data[f"{name}.uv"].astype(np.float32),
-        pivot=data[f"{name}.pivot"].astype(np.float32),
-        units=data[f"{name}.units"].astype(np.float32),
+        vertices=vertices,
+        faces=faces,
+        uv=uv,
+        pivot=archive.reals(f"{name}.pivot", (3,), np.float32),
+        units=archive.reals(f"{name}.units", (unit_count, len(vertices), 3), np.float32),
     )
 
 
-def _inconsistency(head: Head) -> str | None:
-    """What does not fit together, or None."""
-    count, unit_count = len(head.vertices), len(head.unit_names)
-    shapes = {
-        "regions": (head.regions.shape, (len(REGION_NAMES), count)),
-        "units": (head.units.shape, (unit_count, count, 3)),
-        "landmarks": (head.landmarks.shape, (N_LANDMARKS,)),
-        "uv": (head.uv.shape, (*head.faces.shape, 2)),
-    }
-    for part in head.parts:
-        shapes[f"{part.name}.units"] = (part.units.shape, (unit_count, len(part.vertices), 3))
-        shapes[f"{part.name}.uv"] = (part.uv.shape, (*part.faces.shape, 2))
-    for name, (found, expected) in shapes.items():
-        if found != expected:
-            return f"{name} has the shape {found}, not {expected}"
-    for name, indices, limit in [
-        ("landmarks", head.landmarks, count),
-        ("faces", head.faces, count),
-        *((f"{part.name}.faces", part.faces, len(part.vertices)) for part in head.parts),
-    ]:
-        if indices.size and (indices.max() >= limit or indices.min() < -1):
-            return f"{name} name vertices that are not there"
-    return None
+def _faces(archive: Archive, prefix: str, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Faces, none of which has a vertex twice, and the texture coordinates of their corners."""
+    faces = archive.wholes(f"{prefix}faces", (None, 4), -1, count - 1)
+    ordered = np.sort(faces, axis=1)
+    if (faces[:, :3] < 0).any() or (ordered[:, 1:] == ordered[:, :-1]).any():
+        raise ValueError(f"{prefix}faces has a face that is none")
+    return faces.astype(np.int32), archive.reals(f"{prefix}uv", (len(faces), 4, 2), np.float32)

@@ -8,7 +8,6 @@ covariance, as how far a face moves differs from head to head much more than wha
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -17,10 +16,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..archives import MAX_BYTES, read_archive
 from ..arrays import FloatArray, IntArray
 from ..errors import ModelError
 from ..head import load_head
 from ..landmarks import N_LANDMARKS, OUTER_EYE_CORNERS
+from ..reading import read_bytes
 from .kernels import distances
 from .skin import SkinCovariance, skin_covariance
 from .warp import Warp
@@ -171,19 +172,19 @@ def load_expressions(path: Path = EXPRESSIONS_FILE) -> ExpressionModel:
         The file is missing, damaged, or of another version.
     """
     try:
-        with np.load(path, allow_pickle=False) as data:
-            if str(data["format"]) != FORMAT:
-                raise ValueError("another version")
-            model = ExpressionModel(
-                *(data[name].astype(np.float32) for name in ("places", "sides", "features", "landmarks"))
-            )
-        count = len(model.places)
-        shapes = [model.places.shape, model.sides.shape, model.features.shape[:1], model.landmarks.shape]
-        if shapes != [(count, 3), (count, 3), (count,), (N_LANDMARKS, 3)]:
-            raise ValueError("its arrays do not fit together")
+        archive = read_archive(read_bytes(path, MAX_BYTES))
+        if archive.text("format") != FORMAT:
+            raise ValueError("another version")
+        places = archive.reals("places", (None, 3), np.float32)
+        model = ExpressionModel(
+            places=places,
+            sides=archive.reals("sides", (len(places), 3), np.float32),
+            features=archive.reals("features", (len(places), None), np.float32),
+            landmarks=archive.reals("landmarks", (N_LANDMARKS, 3), np.float32),
+        )
     except FileNotFoundError as error:
         raise ModelError(f"The expressions {path} are missing. Install Facemime again.") from error
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError) as error:
         raise ModelError(f"The expressions {path} are damaged ({error}). Install Facemime again.") from error
     return model
 

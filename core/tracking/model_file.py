@@ -5,25 +5,33 @@ from __future__ import annotations
 import hashlib
 import io
 import struct
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..archives import MAX_BYTES, Archive, read_archive
 from ..arrays import FloatArray
 from ..errors import ModelError, OutputError
-from .check import FaceCheck
-from .experts import FaceExperts, PartExperts
+from ..landmarks import N_LANDMARKS, OUTER_EYE_CORNERS
+from ..reading import read_bytes
+from .check import N_FEATURES, FaceCheck
+from .detect import DETECTORS
+from .experts import FACE_STRIDE, PART_STRIDE, FaceExperts, PartExperts
 from .network import Network
-from .patch_experts import PatchExperts
+from .patch_experts import PATCH, PatchExperts
 from .pdm import PointDistributionModel
 
 MAGIC = b"FACEMIME TRACKER"
 FORMAT_VERSION = 3
 _VIEWS = ("frontal", "side")
 _HEADER = struct.Struct("<16sIQ32s")
+_LARGEST_SIDE = 512
+"""Pixels, of the pictures that experts look at and of the scales at which they do: four times what is in use."""
+_FARTHEST, _HEAVIEST = 100.0, 1e4
+_MOST_MODES, _MOST_PARTS = 512, 16
+"""Modes: as many as a take can hold."""
 _ADVICE = "Reinstall Facemime, or make the model again with `make model`."
 
 
@@ -95,11 +103,27 @@ def _pack_patches(patches: tuple[PatchExperts, PatchExperts]) -> dict[str, NDArr
     return arrays
 
 
-def _unpack_patches(name: str, arrays: dict[str, NDArray[np.generic]]) -> PatchExperts:
-    hidden = arrays[f"{name}_hidden"].astype(np.float32) * arrays[f"{name}_step"].astype(np.float32)[:, None]
+def _unpack_patches(name: str, archive: Archive) -> PatchExperts:
+    (scale,) = archive.reals("patch_scale", ()).reshape(1).tolist()
+    if not 1.0 <= scale <= _LARGEST_SIDE:
+        raise ValueError(f"patch_scale is not within 1 to {_LARGEST_SIDE}")
+    step = archive.reals(f"{name}_step", (N_LANDMARKS, None), np.float32)
+    units = step.shape[1]
+    if float(np.abs(step).max(initial=0.0)) > _HEAVIEST:
+        raise ValueError(f"{name}_step is above {_HEAVIEST:g}")
+    hidden = archive.reals(f"{name}_hidden", (N_LANDMARKS, PATCH * PATCH, units), np.float32) * step[:, None]
     hidden -= hidden.mean(axis=1, keepdims=True)
-    rest = (arrays[f"{name}_{part}"].astype(np.float32) for part in ("hidden_bias", "output", "output_bias"))
-    return PatchExperts(float(arrays["patch_scale"].item()), hidden, *rest)
+    bias, output, output_bias = (
+        archive.reals(f"{name}_{part}", shape, np.float32)
+        for part, shape in (
+            ("hidden_bias", (N_LANDMARKS, units)),
+            ("output", (N_LANDMARKS, units)),
+            ("output_bias", (N_LANDMARKS,)),
+        )
+    )
+    if any(float(np.abs(values).max(initial=0.0)) > _HEAVIEST for values in (hidden, bias, output, output_bias)):
+        raise ValueError(f"{name} has a weight above {_HEAVIEST:g}")
+    return PatchExperts(scale, hidden, bias, output, output_bias)
 
 
 def _packed(network: Network) -> NDArray[np.uint8]:
@@ -143,16 +167,16 @@ def load_model(path: Path) -> TrackerModel:
     """
     payload, digest = _checked_payload(path)
     try:
-        with np.load(io.BytesIO(payload), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        return _assemble(arrays, digest.hex()[:12])
-    except (KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise ModelError(f"The tracker model {path} lacks a part ({error}). {_ADVICE}") from error
+        return _assemble(read_archive(payload), digest.hex()[:12])
+    except ValueError as error:
+        raise ModelError(f"The tracker model {path} is damaged ({error}). {_ADVICE}") from error
 
 
 def _checked_payload(path: Path) -> tuple[bytes, bytes]:
     try:
-        content = path.read_bytes()
+        content = read_bytes(path, MAX_BYTES)
+    except ValueError as error:
+        raise ModelError(f"The tracker model {path} is damaged: {error}. {_ADVICE}") from error
     except OSError as error:
         raise ModelError(f"The tracker model {path} cannot be read: {error.strerror}. {_ADVICE}") from error
     if content[: len(MAGIC)] != MAGIC:
@@ -173,34 +197,75 @@ def _checked_payload(path: Path) -> tuple[bytes, bytes]:
     return payload, digest
 
 
-def _assemble(arrays: dict[str, NDArray[np.generic]], model_id: str) -> TrackerModel:
-    def real(name: str) -> FloatArray:
-        return arrays[name].astype(np.float64)
-
-    face, glance = (
-        FaceExperts(Network(arrays[f"face_{i}_network"].tobytes(), "maps", "face"), scale, size)
-        for i, (scale, size) in enumerate(zip(real("face_scales").tolist(), arrays["face_sizes"].tolist(), strict=True))
-    )
-    scales, sizes, paired = (arrays[f"part_{name}"].tolist() for name in ("scales", "sizes", "paired"))
-    parts = [
-        PartExperts(
-            Network(arrays[f"part_{i}_network"].tobytes(), "maps"),
-            arrays[f"part_{i}_landmarks"].astype(np.intp),
-            scales[i],
-            (sizes[i][0], sizes[i][1]),
-            paired[i],
-        )
-        for i in range(len(scales))
-    ]
+def _assemble(archive: Archive, model_id: str) -> TrackerModel:
+    face, glance = (_face(i, archive) for i in range(2))
+    visibility = archive.reals("visibility", (2, N_LANDMARKS))
+    if visibility.min() < 0.0 or visibility.max() > 1.0:
+        raise ValueError("visibility is not within 0 to 1")
+    box_offset = archive.reals("box_offset", (len(DETECTORS), 3))
+    if not (box_offset[:, 2] > 0.0).all():
+        raise ValueError("box_offset has a scale that is not above 0")
     return TrackerModel(
-        pdm=PointDistributionModel(real("mean_shape"), real("basis"), real("eigenvalues")),
+        pdm=_pdm(archive),
         face=face,
         glance=glance,
-        parts=tuple(parts),
-        patches=(_unpack_patches(_VIEWS[0], arrays), _unpack_patches(_VIEWS[1], arrays)),
-        definition=real("definition"),
-        visibility=real("visibility"),
-        box_offset=real("box_offset"),
-        check=FaceCheck(real("check_weights")),
+        parts=_parts(archive),
+        patches=(_unpack_patches(_VIEWS[0], archive), _unpack_patches(_VIEWS[1], archive)),
+        definition=_places("definition", archive),
+        visibility=visibility,
+        box_offset=box_offset,
+        check=FaceCheck(archive.reals("check_weights", (N_FEATURES,))),
         model_id=model_id,
     )
+
+
+def _places(name: str, archive: Archive, *more: int | None) -> FloatArray:
+    """(66, 3) places in the head frame, or moves from such."""
+    places = archive.reals(name, (N_LANDMARKS, 3, *more))
+    if np.abs(places).max(initial=0.0) > _FARTHEST:
+        raise ValueError(f"{name} lies outside a head")
+    return places
+
+
+def _pdm(archive: Archive) -> PointDistributionModel:
+    mean, basis = _places("mean_shape", archive), _places("basis", archive, None)
+    eigenvalues = archive.reals("eigenvalues", (basis.shape[2],))
+    if not 1 <= len(eigenvalues) <= _MOST_MODES or not (eigenvalues > 0.0).all():
+        raise ValueError(f"eigenvalues are not 1 to {_MOST_MODES} numbers above 0")
+    if not 0.5 < float(np.linalg.norm(np.subtract(*mean[OUTER_EYE_CORNERS]))) < 2.0:
+        raise ValueError("mean_shape is not in outer-eye distances")
+    return PointDistributionModel(mean, basis, eigenvalues)
+
+
+def _scales(name: str, count: int | None, archive: Archive) -> list[float]:
+    scales = archive.reals(name, (count,))
+    if not ((scales >= 1.0) & (scales <= _LARGEST_SIDE)).all():
+        raise ValueError(f"{name} is not within 1 to {_LARGEST_SIDE}")
+    return [float(scale) for scale in scales]
+
+
+def _face(place: int, archive: Archive) -> FaceExperts:
+    size = int(archive.wholes("face_sizes", (2,), 16, _LARGEST_SIDE)[place])
+    network = Network(archive.data(f"face_{place}_network"), "maps", "face")
+    if size % 16:
+        raise ValueError(f"face_sizes has {size}, which is no multiple of 16")
+    cells = size // FACE_STRIDE
+    network.check((size, size), (1, N_LANDMARKS, cells, cells), (1, 1, cells // 4, cells // 4))
+    return FaceExperts(network, _scales("face_scales", 2, archive)[place], size)
+
+
+def _parts(archive: Archive) -> tuple[PartExperts, ...]:
+    scales = _scales("part_scales", None, archive)
+    if not 1 <= len(scales) <= _MOST_PARTS:
+        raise ValueError(f"there are {len(scales)} parts, not 1 to {_MOST_PARTS}")
+    sizes = archive.wholes("part_sizes", (len(scales), 2), 8, _LARGEST_SIDE)
+    paired = archive.flags("part_paired", (len(scales),)).tolist()
+    parts = []
+    for i, (width, height) in enumerate(sizes.tolist()):
+        landmarks = archive.wholes(f"part_{i}_landmarks", (None,), 0, N_LANDMARKS - 1)
+        network = Network(archive.data(f"part_{i}_network"), "maps")
+        if not 1 <= len(landmarks) == len(set(landmarks.tolist())) or width % 8 or height % 8:
+            raise ValueError(f"part {i} names no landmarks, or one twice, or its size is no multiple of 8")
+        network.check((width, height), (1, len(landmarks), height // PART_STRIDE, width // PART_STRIDE))
+        parts.append(PartExperts(network, landmarks, scales[i], (width, height), paired[i]))
+    return tuple(parts)

@@ -213,6 +213,27 @@ def test_a_head_whose_arrays_do_not_fit_is_refused(tmp_path):
         load_head(tmp_path / "lacking.npz")
 
 
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("vertices", lambda a: a.__setitem__((5, 1), np.nan), "vertices is not finite"),
+        ("units", lambda a: a.__setitem__((0, 0, 0), np.inf), "units is not finite"),
+        ("landmarks", lambda a: a.__setitem__(3, -1), "landmarks is not within"),
+        ("landmarks", lambda a: a.__setitem__(slice(None), 7), "landmarks lie on one another"),
+        ("regions", lambda a: a.__setitem__((0, 0), 2.0), "regions has shares"),
+        ("faces", lambda a: a.__setitem__((0, 1), a[0, 0]), "faces has a face that is none"),
+        ("tongue.faces", lambda a: a.__setitem__((0, 0), -1), "tongue.faces has a face that is none"),
+    ],
+)
+def test_a_head_whose_values_make_no_head_is_refused(tmp_path, name, change, message):
+    with np.load(HEAD_FILE) as file:
+        arrays = {key: file[key] for key in file.files}
+    change(arrays[name])
+    np.savez(tmp_path / "bad.npz", **arrays)
+    with pytest.raises(ModelError, match=message):
+        load_head(tmp_path / "bad.npz")
+
+
 @given(st.floats(0.0, 0.999), st.integers(0, 255))
 def test_a_truncated_head_is_refused(tmp_path_factory, share, filler):
     content = HEAD_FILE.read_bytes()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import struct
 from pathlib import Path
 
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 
 from facemime.core.errors import ModelError
-from facemime.core.tracking.model_file import FORMAT_VERSION, MAGIC, load_model, save_model
+from facemime.core.tracking.model_file import _HEADER, FORMAT_VERSION, MAGIC, load_model, save_model
 from facemime.core.tracking.tracker import DEFAULT_MODEL, FaceTracker
 
 
@@ -71,3 +73,37 @@ def test_a_newer_format_is_refused_and_the_message_says_what_to_do(tmp_path: Pat
     content[len(MAGIC) : len(MAGIC) + 4] = struct.pack("<I", FORMAT_VERSION + 1)
     with pytest.raises(ModelError, match="Update Facemime"):
         load_model(changed(tmp_path, bytes(content)))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("eigenvalues", np.zeros(48, np.float32), "eigenvalues"),
+        ("eigenvalues", np.ones(47, np.float32), "eigenvalues has the shape"),
+        ("mean_shape", np.zeros((66, 3), np.float32), "outer-eye distances"),
+        ("definition", np.full((66, 3), np.nan, np.float32), "definition is not finite"),
+        ("visibility", np.full((2, 66), 2.0, np.float32), "visibility"),
+        ("box_offset", np.zeros((3, 3), np.float32), "box_offset"),
+        ("face_scales", np.zeros(2), "face_scales"),
+        ("face_sizes", np.array([96, 50], np.int32), "multiple of 16"),
+        ("part_sizes", np.array([[48, 36], [40, 40]], np.int32), "multiple of 8"),
+        ("part_1_landmarks", np.full(23, 40, np.int16), "part 1"),
+        ("part_0_landmarks", np.full(11, 66, np.int16), "part_0_landmarks is not within"),
+        ("part_paired", np.array([1, 0], np.int32), "part_paired has the type"),
+        ("patch_scale", np.array(0.0), "patch_scale"),
+        ("frontal_step", np.full((66, 32), 3e38, np.float32), "frontal_step"),
+        ("side_output", np.zeros((66, 31), np.float16), "side_output has the shape"),
+        ("face_0_network", np.zeros(100, np.uint8), "cannot read a network"),
+        ("check_weights", np.zeros(7, np.float32), "check_weights has the shape"),
+    ],
+)
+def test_a_model_that_could_not_track_is_refused(tmp_path: Path, name: str, value: np.ndarray, message: str) -> None:
+    with np.load(io.BytesIO(DEFAULT_MODEL.read_bytes()[_HEADER.size :])) as file:
+        arrays = {key: file[key] for key in file.files} | {name: value}
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    payload = stream.getvalue()
+    digest = hashlib.sha256(payload).digest()
+    path = changed(tmp_path, _HEADER.pack(MAGIC, FORMAT_VERSION, len(payload), digest) + payload)
+    with pytest.raises(ModelError, match=message):
+        load_model(path)

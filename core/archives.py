@@ -1,0 +1,177 @@
+"""Numpy archives (`.npz`) from anywhere: read within bounds, and handed out only as what they ought to be.
+
+`np.load` trusts a file: a header of a hundred bytes may ask for any amount of memory, and what is damaged ends in a
+dozen kinds of exceptions, by the codec and by the byte. Here the sizes that the archive states are checked before
+anything is allocated, and whatever is wrong is one `ValueError`.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import zipfile
+import zlib
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .arrays import FloatArray
+
+MAX_BYTES = 16 << 20
+"""Of the file, and of all members when they are unpacked: several times the largest that is shipped."""
+MAX_MEMBERS = 256
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_ENCRYPTED = 0x1
+_DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, RuntimeError)
+"""What `zipfile` raises for archives that are damaged, encrypted (RuntimeError) or of a later kind (its subclass)."""
+_MAGIC = b"\x93NUMPY"
+_PREFIXES = {1: struct.Struct("<H"), 2: struct.Struct("<I"), 3: struct.Struct("<I")}
+_HEADER = re.compile(
+    r"\{'descr': '([<>|=]?[biufU]\d{0,9})', 'fortran_order': (True|False), 'shape': \(([\d, ]{0,200})\), \}\s*"
+)
+_MAX_HEADER = 4096
+
+Shape = tuple[int | None, ...]
+
+
+class Archive:
+    """The arrays of an archive by name; each is asked for as what it has to be.
+
+    All methods raise ValueError, which says what is wrong with which array. A dimension of None may have any length.
+    """
+
+    def __init__(self, arrays: dict[str, NDArray[Any]]) -> None:
+        self._arrays = arrays
+
+    def text(self, name: str) -> str:
+        """One text; empty where there is none of that name."""
+        array = self._arrays.get(name)
+        return str(array[()]) if array is not None and array.dtype.kind == "U" and array.ndim == 0 else ""
+
+    def texts(self, name: str) -> tuple[str, ...]:
+        """Some texts, all different."""
+        array = self._of(name, (None,), "U")
+        if len(set(array.tolist())) != len(array):
+            raise ValueError(f"{name} has a name twice")
+        return tuple(array.tolist())
+
+    def reals(self, name: str, shape: Shape, dtype: type = np.float64) -> FloatArray:
+        """Finite numbers of `dtype`."""
+        array = self._of(name, shape, "fiu")
+        with np.errstate(over="ignore"):
+            out: FloatArray = array.astype(dtype)
+        if not np.isfinite(out).all():
+            raise ValueError(f"{name} is not finite")
+        return out
+
+    def wholes(self, name: str, shape: Shape, low: int, high: int) -> NDArray[np.intp]:
+        """Whole numbers from `low` to `high`, both included."""
+        array = self._of(name, shape, "iu")
+        if array.size and (int(array.min()) < low or int(array.max()) > high):
+            raise ValueError(f"{name} is not within {low} to {high}")
+        return array.astype(np.intp)
+
+    def flags(self, name: str, shape: Shape) -> NDArray[np.bool_]:
+        """Yes or no."""
+        return self._of(name, shape, "b").astype(np.bool_)
+
+    def data(self, name: str) -> bytes:
+        """Bytes, stored as an array of them."""
+        array = self._of(name, (None,), "u")
+        if array.dtype != np.uint8:
+            raise ValueError(f"{name} has the type {array.dtype}")
+        return array.tobytes()
+
+    def _of(self, name: str, shape: Shape, kinds: str) -> NDArray[Any]:
+        if (array := self._arrays.get(name)) is None:
+            raise ValueError(f"{name} is missing")
+        if array.dtype.kind not in kinds:
+            raise ValueError(f"{name} has the type {array.dtype}")
+        fits = array.ndim == len(shape) and all(
+            want in (None, have) for want, have in zip(shape, array.shape, strict=True)
+        )
+        if not fits:
+            wanted = str(tuple("any" if want is None else want for want in shape)).replace("'", "")
+            raise ValueError(f"{name} has the shape {array.shape}, not {wanted}")
+        return array
+
+
+def read_archive(data: bytes, most: int = MAX_BYTES) -> Archive:
+    """Read an archive of numbers and texts.
+
+    Parameters
+    ----------
+    data : bytes
+        A zip file of `.npy` members, stored or deflated.
+    most : int
+        Bytes that all members together may unpack to.
+
+    Raises
+    ------
+    ValueError
+        Where it is no such archive, is damaged, or would unpack to more.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = archive.infolist()
+            _check_members(members, most)
+            return Archive({m.filename.removesuffix(".npy"): _array(m, archive) for m in members})
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        struct.error,
+        EOFError,
+        OSError,
+        NotImplementedError,
+        RuntimeError,
+    ) as error:
+        raise ValueError("its archive is damaged") from error
+
+
+def _check_members(members: list[zipfile.ZipInfo], most: int) -> None:
+    if len(members) > MAX_MEMBERS:
+        raise ValueError(f"it has {len(members)} members; {MAX_MEMBERS} are read at most")
+    if (total := sum(member.file_size for member in members)) > most:
+        raise ValueError(f"it unpacks to {total >> 20} MB; {most >> 20} MB are read at most")
+    for member in members:
+        if member.compress_type not in _METHODS or member.flag_bits & _ENCRYPTED:
+            raise ValueError("it is encrypted, or packed in a way that numpy does not write")
+        if not member.filename.endswith(".npy"):
+            raise ValueError("a member is not a numpy array")
+    if len({member.filename for member in members}) != len(members):
+        raise ValueError("two members have the same name")
+
+
+def _array(member: zipfile.ZipInfo, archive: zipfile.ZipFile) -> NDArray[Any]:
+    with archive.open(member) as stream:
+        content = stream.read(member.file_size)
+        if len(content) != member.file_size or stream.read(1):
+            raise ValueError("a member is not as long as the archive says")
+    return _array_of(content)
+
+
+def _array_of(content: bytes) -> NDArray[Any]:
+    """The array of an `.npy`; its size is held against what is there before it is made."""
+    version = content[len(_MAGIC)] if len(content) > len(_MAGIC) + 2 else 0
+    if not content.startswith(_MAGIC) or version not in _PREFIXES:
+        raise ValueError("a member is not a numpy array")
+    prefix = _PREFIXES[version]
+    start = len(_MAGIC) + 2 + prefix.size
+    (length,) = prefix.unpack_from(content, len(_MAGIC) + 2)
+    header = content[start : start + min(length, _MAX_HEADER)].decode("latin-1")
+    found = _HEADER.fullmatch(header)
+    if found is None:
+        raise ValueError("a member's header is damaged")
+    try:
+        dtype = np.dtype(found[1])
+    except TypeError as error:
+        raise ValueError(f"a member has the unknown type {found[1]}") from error
+    shape = tuple(int(side) for side in found[3].split(",") if side.strip())
+    count = prod(shape)
+    if count * dtype.itemsize != len(content) - start - length or any(side > len(content) for side in shape):
+        raise ValueError("a member is not as long as its header says")
+    flat = np.frombuffer(content, dtype, count, start + length) if count else np.empty(0, dtype)
+    return flat.reshape(shape, order="F" if found[2] == "True" else "C")
