@@ -5,20 +5,31 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import asdict, replace
+from math import isnan, nan
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .arrays import FloatArray
 from .deform.greedy import DEFAULT_TOLERANCE, GreedySelection, GreedyStep, greedy_select
+from .deform.regions import REGIONS
 from .drive import HeadRig
 from .errors import HeadError, SourceError
 from .landmarks import IBUG68_INDICES, N_LANDMARKS, from_ibug
+from .reading import as_list, as_number, as_object, as_text, as_whole, parse_json, shown
 from .retarget import Neutral, calibrate, retargeter_for
 from .takes.take import Take
 
 _LEFT_OUT = frozenset(range(68)) - frozenset(IBUG68_INDICES.tolist())
 _FORMAT = "facemime-control-points-1"
+_BEYOND = 68
+_ACTIONS = ("start", "add", "drop")
+_MOST_STEPS = 10_000
+_LARGEST_ERROR, _LARGEST_VARIANCE = 1e3, 1e15
+"""Widths of the face; squares of whatever the head is measured in."""
+_ROUNDING = 1e-3
+"""Of the largest variance: what five digits leave of an eigenvalue of 0."""
 
 
 def select_for_take(
@@ -84,34 +95,74 @@ def from_json(text: str) -> GreedySelection:
         Where the text is something else.
     """
     try:
-        data: dict[str, Any] = json.loads(text)
-        if data["format"] != _FORMAT:
+        data = as_object(parse_json(text, nan=True), "the text")
+        if data.get("format") != _FORMAT:
             raise ValueError("another format")
-        membership = np.zeros((3, N_LANDMARKS), dtype=np.bool_)
-        for row, numbers in zip(membership, data["regions"], strict=True):
-            row[from_ibug(numbers)] = True
-        steps = tuple(_step(**step) for step in data["steps"])
-        tolerance, reached = float(data["tolerance"]), bool(data["reached"])
-        return GreedySelection(membership, steps, tolerance, reached, _covariance(data.get("covariance")))
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        steps = as_list(data.get("steps"), "steps", _MOST_STEPS)
+        reached = data.get("reached")
+        if not isinstance(reached, bool):
+            raise ValueError(f"reached is {shown(reached)}, not true or false")
+        return GreedySelection(
+            _members(data.get("regions")),
+            tuple(_step(as_object(step, f"step {number}")) for number, step in enumerate(steps, 1)),
+            as_number(data.get("tolerance"), "tolerance", 0.0, _LARGEST_ERROR),
+            reached,
+            _covariance(data.get("covariance")),
+        )
+    except ValueError as error:
         raise SourceError(
             f"These are no control points of Facemime ({error}). Make some with: facemime select TAKE -o POINTS.json"
         ) from error
 
 
-def _covariance(triangle: list[float] | None) -> FloatArray | None:
+def _members(regions: Any) -> NDArray[np.bool_]:
+    """(3, 66) of the lists of landmarks, which have some of each region and none of another."""
+    rows = as_list(regions, "regions", len(REGIONS))
+    if len(rows) != len(REGIONS):
+        raise ValueError(f"there are {len(rows)} regions, not {len(REGIONS)}")
+    members = np.zeros((len(REGIONS), N_LANDMARKS), dtype=np.bool_)
+    for row, region, numbers in zip(members, REGIONS, rows, strict=True):
+        row[[_landmark(number) for number in as_list(numbers, region.name, N_LANDMARKS)]] = True
+        if not row.any() or (np.delete(row, region.landmarks)).any():
+            raise ValueError(f"the region {region.name} has no control point, or one that is not its own")
+    return members
+
+
+def _landmark(number: Any) -> int:
+    return int(from_ibug([as_whole(number, "a landmark", 0, 67)])[0])
+
+
+def _covariance(triangle: Any) -> FloatArray | None:
     if triangle is None:
         return None
+    rows = np.tril_indices(N_LANDMARKS)
+    values = as_list(triangle, "covariance", len(rows[0]))
+    if len(values) != len(rows[0]):
+        raise ValueError(f"covariance has {len(values)} numbers, not {len(rows[0])}")
     matrix = np.zeros((N_LANDMARKS, N_LANDMARKS))
-    matrix[np.tril_indices(N_LANDMARKS)] = triangle
-    if not np.isfinite(matrix).all():
-        raise ValueError("its covariance is not finite")
-    return np.asarray(matrix + np.tril(matrix, -1).T)
+    matrix[rows] = [as_number(value, "covariance", -_LARGEST_VARIANCE, _LARGEST_VARIANCE) for value in values]
+    matrix += np.tril(matrix, -1).T
+    least, *_, largest = np.linalg.eigvalsh(matrix).tolist()
+    if least < -_ROUNDING * largest or largest < 0.0:
+        raise ValueError("covariance is not that of any motion")
+    return matrix
 
 
-def _step(landmark: int, worst: int, **others: Any) -> GreedyStep:
-    here, there = from_ibug((landmark, worst)).tolist()
-    return GreedyStep(landmark=here, worst=there, **others)
+def _step(data: dict[str, Any]) -> GreedyStep:
+    if data.get("action") not in _ACTIONS:
+        raise ValueError(f"the action of a step is {shown(data.get('action'))}")
+    error = data.get("error")
+    unknown = isinstance(error, float) and isnan(error)  # of what was changed by hand
+    return GreedyStep(
+        action=data["action"],
+        landmark=_landmark(data.get("landmark")),
+        region=as_whole(data.get("region"), "the region of a step", 0, len(REGIONS) - 1),
+        reason=as_text(data.get("reason"), "the reason of a step"),
+        points=as_whole(data.get("points"), "the points of a step", 0, N_LANDMARKS),
+        error=nan if unknown else as_number(error, "the error of a step", 0.0, _LARGEST_ERROR),
+        frame=as_whole(data.get("frame"), "the frame of a step", 0, 2**31),
+        worst=_landmark(data.get("worst")),
+    )
 
 
 def parse_landmarks(text: str) -> list[int]:
@@ -128,7 +179,7 @@ def parse_landmarks(text: str) -> list[int]:
     try:
         for part in filter(None, (part.strip() for part in text.split(","))):
             first, dash, last = part.partition("-")
-            span = range(int(first), int(last or first) + 1)
+            span = range(int(first), min(int(last or first), _BEYOND) + 1)
             if not span:
                 raise ValueError(f"{part} runs backwards")
             numbers += [number for number in span if not dash or number not in _LEFT_OUT]

@@ -22,6 +22,7 @@ from .arrays import FloatArray, IntArray, as_points
 from .deform.regions import LOWER, REGIONS, membership
 from .errors import HeadError, SourceError
 from .landmarks import BROWS, MIRROR, N_LANDMARKS, from_ibug
+from .reading import as_object, parse_json
 from .rotation import euler_to_matrix
 from .takes.take import Take
 
@@ -32,6 +33,10 @@ _NARROWEST_EYE = 0.15
 _SURELY_SHUT = 0.45
 _HARDLY_OPEN, _WIDE_OPEN, _MOST_GAIN = 0.12, 0.35, 1.4
 """Of the mouth, outer-eye distances from neutral."""
+_MAY_BE_UNKNOWN = ("gaze", "open_mouth")
+_LARGEST, _LARGEST_NUMBER = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0}, 1e7
+"""Of a stored calibration: outer-eye distances, radians; seconds and pixels."""
+_FLAT, _TURN_ROUNDING = 1e-4, 1e-3
 MIRROR_WIDTH = 1.0
 """Pixels: the width of which a mirrored picture has its middle at x = 0, as has a mirrored `Neutral`."""
 _MOUTH_CORNERS = from_ibug((48, 54))
@@ -94,26 +99,50 @@ class Neutral:
         return {f.name: _plain(np.asarray(getattr(self, f.name), dtype=np.float64)) for f in fields(self)}
 
     @classmethod
+    def from_json(cls, text: str) -> Neutral:
+        """From the JSON of what `to_dict` gave; SourceError as for `from_dict`."""
+        try:
+            return cls.from_dict(as_object(parse_json(text), "it"))
+        except ValueError as error:
+            raise SourceError(f"The stored calibration is damaged ({error}). Calibrate again.") from error
+
+    @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Neutral:
         """From what `to_dict` gave.
 
         Raises
         ------
         SourceError
-            Where something is missing, has another shape, or is no number.
+            Where something is missing, has another shape, or is not what a calibration can be.
         """
         shapes = {"shape": (N_LANDMARKS, 3), "rotation": (3, 3), "position": (3,), "gaze": (2,)}
         values: dict[str, Any] = {}
         for name in (f.name for f in fields(cls)):
             try:
                 value = np.array(data[name], dtype=np.float64)
-            except (KeyError, TypeError, ValueError) as error:
+            except (KeyError, TypeError, ValueError, OverflowError) as error:
                 raise SourceError(f"The stored calibration is damaged ({name}). Calibrate again.") from error
-            known = name in ("gaze", "open_mouth") or np.isfinite(value).all()
-            if value.shape != shapes.get(name, ()) or not known:
+            known = np.isfinite(value) | ((name in _MAY_BE_UNKNOWN) & np.isnan(value))
+            within = np.abs(np.nan_to_num(value)).max(initial=0.0) <= _LARGEST.get(name, _LARGEST_NUMBER)
+            if value.shape != shapes.get(name, ()) or not known.all() or not within:
                 raise SourceError(f"The stored calibration is damaged ({name}). Calibrate again.")
             values[name] = value if name in shapes else float(value)
-        return cls(**values)
+        neutral = cls(**values)
+        turn = neutral.rotation
+        sound = {
+            "rotation": np.allclose(turn @ turn.T, np.eye(3), atol=_TURN_ROUNDING) and np.linalg.det(turn) > 0.0,
+            "position": neutral.position[0] > 0.0,
+            "shut": 0.0 <= neutral.shut < _SURELY_SHUT,
+            "shape": _is_face(neutral.shape),
+        }
+        if wrong := [name for name, is_sound in sound.items() if not is_sound]:
+            raise SourceError(f"The stored calibration is damaged ({wrong[0]}). Calibrate again.")
+        return neutral
+
+
+def _is_face(shape: FloatArray) -> bool:
+    """Whether each region of a shape (66, 3) has some width and height."""
+    return all(float(_spread(shape[region.landmarks]).min()) > _FLAT for region in REGIONS)
 
 
 def _plain(value: FloatArray) -> Any:

@@ -56,7 +56,7 @@ class FACEMIME_OT_remove_preset(ReportsErrors, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Remove the file."""
-        presets.path_of(self.name).unlink(missing_ok=True)
+        presets.remove(self.name)
         return {"FINISHED"}
 
 
@@ -72,8 +72,9 @@ class FACEMIME_OT_import_preset(AsksForFile, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> set[str]:
         """Load it, and keep it among the presets."""
         path = self.path
+        kept = presets.path_of(path.stem)
         presets.load(context.scene.facemime, path)
-        presets.save(context.scene.facemime, presets.path_of(path.stem))
+        presets.save(context.scene.facemime, kept)
         return {"FINISHED"}
 
 

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import bpy
 
 from ..core.errors import OutputError, SourceError
 from ..core.files import replacing
-from .properties import FacemimePosing, FacemimeSettings
+from ..core.presets import SUFFIX, Setting, file_name, from_json, to_json
+from ..core.reading import read_text
+from .properties import FacemimeSettings
 from .storage import user_folder
 
-SUFFIX = ".json"
-_FORMAT = "facemime-preset"
 _SETTINGS = (
     *("mode", "kernel", "strength_upper", "strength_middle", "strength_lower", "smoothing", "mirror"),
     *("rotation", "translation"),
@@ -22,6 +20,7 @@ _SETTINGS = (
 _POSING = (
     *("rotation_strength", "rotation_limit", "location_strength", "location_limit", "eyes_strength", "eyes_limit"),
 )
+_NAMES = {"settings": _SETTINGS, "posing": _POSING}
 
 
 def folder() -> Path:
@@ -42,22 +41,15 @@ def path_of(name: str) -> Path:
     OutputError
         For a name that cannot be a file's.
     """
-    clean = name.strip()
-    if not clean or clean.startswith(".") or any(letter in '<>:"/\\|?*' or ord(letter) < 32 for letter in clean):
-        raise OutputError(f"{name!r} cannot be the name of a preset. Use letters, digits and spaces.")
-    return folder() / f"{clean}{SUFFIX}"
+    return folder() / file_name(name)
 
 
 def save(settings: FacemimeSettings, path: Path) -> None:
     """Write the settings to `path`; OutputError where that fails."""
-    posing: FacemimePosing = settings.posing
-    data = {
-        "format": _FORMAT,
-        "settings": {name: getattr(settings, name) for name in _SETTINGS},
-        "posing": {name: getattr(posing, name) for name in _POSING},
-    }
+    owners = _owners(settings)
+    values = {group: {name: getattr(owners[group], name) for name in names} for group, names in _NAMES.items()}
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+        temporary.write_text(to_json(values), encoding="utf-8")
 
 
 def load(settings: FacemimeSettings, path: Path) -> None:
@@ -68,25 +60,41 @@ def load(settings: FacemimeSettings, path: Path) -> None:
     SourceError
         Where the file is missing or no preset. No setting has changed then.
     """
+    owners = _owners(settings)
+    known = {group: {name: _setting(owners[group], name) for name in names} for group, names in _NAMES.items()}
     try:
-        data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if data.get("format") != _FORMAT:
-            raise ValueError("it is not a preset of Facemime")
-        chosen = [(settings, name, data["settings"]) for name in _SETTINGS]
-        chosen += [(settings.posing, name, data["posing"]) for name in _POSING]
-        values = [(owner, name, _checked(owner, name, given[name])) for owner, name, given in chosen if name in given]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        values = from_json(read_text(path), known)
+    except (OSError, ValueError) as error:
         raise SourceError(f"{path} is not a preset that can be read ({error}). Choose another file.") from error
-    for owner, name, value in values:
-        setattr(owner, name, value)
+    except SourceError as error:
+        raise SourceError(f"{path}: {error}") from error
+    for group, chosen in values.items():
+        for name, value in chosen.items():
+            setattr(owners[group], name, value)
 
 
-def _checked(owner: bpy.types.PropertyGroup, name: str, value: Any) -> Any:
-    """`value` as it may be assigned; ValueError where it may not."""
+def remove(name: str) -> None:
+    """Remove the preset `name`; nothing where there is none.
+
+    Raises
+    ------
+    OutputError
+        Where it cannot be a preset's name, or the file cannot be removed.
+    """
+    path = path_of(name)
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise OutputError(f"{path} cannot be removed: {reason}. Remove it by hand.") from error
+
+
+def _owners(settings: FacemimeSettings) -> dict[str, bpy.types.PropertyGroup]:
+    return {"settings": settings, "posing": settings.posing}
+
+
+def _setting(owner: bpy.types.PropertyGroup, name: str) -> Setting:
     rna = owner.bl_rna.properties[name]
-    kinds: dict[str, type | tuple[type, ...]] = {"FLOAT": (int, float), "BOOLEAN": bool, "ENUM": str}
-    if not isinstance(value, kinds[rna.type]) or (rna.type == "FLOAT" and isinstance(value, bool)):
-        raise ValueError(f"{name} is {value!r}")
-    if rna.type == "ENUM" and value not in rna.enum_items:
-        raise ValueError(f"{name} is {value!r}")
-    return value
+    if rna.type == "FLOAT":
+        return Setting(low=rna.hard_min, high=rna.hard_max)
+    return Setting(choices=tuple(rna.enum_items.keys()) if rna.type == "ENUM" else ())

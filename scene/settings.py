@@ -145,12 +145,7 @@ def read_calibration(settings: FacemimeSettings) -> Neutral | None:
     if not 0 <= settings.performer < len(settings.performers):
         return None
     text = settings.performers[settings.performer].calibration
-    if not text:
-        return None
-    try:
-        return Neutral.from_dict(json.loads(text))
-    except ValueError as error:
-        raise SourceError("The stored calibration is damaged. Calibrate again.") from error
+    return Neutral.from_json(text) if text else None
 
 
 def write_calibration(settings: FacemimeSettings, neutral: Neutral) -> str:

@@ -18,11 +18,14 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import SourceError
+from ..reading import as_list, as_number, as_object, as_text, parse_json, read_text, shown
 from .arkit import COEFFICIENTS
 from .least_squares import bounded_least_squares
 
 PRESETS = Path(__file__).parents[2] / "assets" / "key_maps"
 _FORMAT = "facemime-key-map"
+_MOST_ROWS, _LARGEST = 10_000, 1e6
+"""Rows, and gains and offsets, of any table that makes sense."""
 _KINDS = ("modifier", "expression", "phoneme")
 _FEWEST = 3
 _RIDGE = 1e-3
@@ -79,29 +82,31 @@ class KeyMap:
 def from_json(text: str) -> KeyMap:
     """The table that `text` holds; SourceError where it is none."""
     try:
-        data = json.loads(text)
+        data = as_object(parse_json(text), "the text")
         if data.get("format") != _FORMAT:
             raise ValueError("it does not say that it is one")
-        rows = tuple(_row(row) for row in data["rows"])
-        return KeyMap(str(data["name"]), rows)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        rows = as_list(data.get("rows"), "rows", _MOST_ROWS)
+        return KeyMap(as_text(data.get("name"), "name"), tuple(_row(as_object(row, "a row")) for row in rows))
+    except ValueError as error:
         raise SourceError(f"This is no table of keys ({error}). Give one that Facemime exported.") from error
 
 
 def _row(data: Mapping[str, Any]) -> KeyRow:
-    row = KeyRow(str(data["source"]), str(data["key"]), float(data.get("gain", 1)), float(data.get("offset", 0)))
-    if row.source not in COEFFICIENTS:
-        raise ValueError(f"{row.source!r} is none of ARKit's coefficients")
-    if not np.isfinite([row.gain, row.offset]).all():
-        raise ValueError(f"the gain of {row.key!r} is no number")
-    return row
+    if (source := as_text(data.get("source"), "source")) not in COEFFICIENTS:
+        raise ValueError(f"{shown(source)} is not an ARKit coefficient")
+    key = as_text(data.get("key"), "key")
+    gain, offset = (
+        as_number(data.get(name, default), f"the {name} of {shown(key)}", -_LARGEST, _LARGEST)
+        for name, default in (("gain", 1.0), ("offset", 0.0))
+    )
+    return KeyRow(source, key, gain, offset)
 
 
 def load_map(path: Path) -> KeyMap:
     """The table at `path`; SourceError where there is none."""
     try:
-        return from_json(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
+        return from_json(read_text(Path(path)))
+    except (OSError, ValueError) as error:
         raise SourceError(f"{path} cannot be read ({error}). Give a table of keys.") from error
     except SourceError as error:
         raise SourceError(f"{path}: {error}") from error

@@ -49,7 +49,10 @@ def test_a_preset_is_shared_as_a_file(tmp_path):
     ]
     + [
         json.dumps({"format": "facemime-preset", "settings": {"smoothing": 0.5, name: value}, "posing": {}})
-        for name, value in (("kernel", "magic"), ("strength_upper", "much"), ("mirror", 1), ("strength_lower", True))
+        for name, value in (
+            *(("kernel", "magic"), ("strength_upper", "much"), ("mirror", 1), ("strength_lower", True)),
+            *(("strength_lower", float("nan")), ("strength_lower", float("inf")), ("strength_lower", 10**400)),
+        )
     ],
 )
 def test_a_file_that_is_no_preset_changes_nothing(tmp_path, text):
@@ -59,7 +62,23 @@ def test_a_file_that_is_no_preset_changes_nothing(tmp_path, text):
     assert bpy.context.scene.facemime.smoothing == 1.0
 
 
-@pytest.mark.parametrize("name", ["", "  ", "../outside", "a/b", ".hidden", "what?"])
-def test_a_name_that_cannot_be_a_files_is_refused(name):
+@pytest.mark.parametrize("name", ["", "  ", "../outside", "a/b", ".hidden", "what?", "\U0001f600" * 60, "nul"])
+@pytest.mark.parametrize("operator", ["save_preset", "load_preset", "remove_preset"])
+def test_a_name_that_cannot_be_a_files_is_refused(operator, name):
     with pytest.raises(RuntimeError, match="cannot be the name"):
-        bpy.ops.facemime.save_preset(name=name)
+        getattr(bpy.ops.facemime, operator)(name=name)
+
+
+def test_a_preset_that_cannot_be_removed_is_told(tmp_path):
+    (tmp_path / "presets" / "Folder.json").mkdir(parents=True)
+    with pytest.raises(RuntimeError, match="cannot be removed"):
+        bpy.ops.facemime.remove_preset(name="Folder")
+
+
+def test_an_import_under_a_name_that_cannot_be_kept_changes_nothing(tmp_path):
+    assert bpy.ops.facemime.export_preset(filepath=str(tmp_path / "Calm.json")) == {"FINISHED"}
+    (tmp_path / "Calm.json").rename(tmp_path / "what?.json")
+    bpy.context.scene.facemime.smoothing = 3.0
+    with pytest.raises(RuntimeError, match="cannot be the name"):
+        bpy.ops.facemime.import_preset(filepath=str(tmp_path / "what?.json"))
+    assert bpy.context.scene.facemime.smoothing == 3.0
