@@ -8,7 +8,7 @@ frame (y down, z away), still in millimetres.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import SourceError
+from .reading import read_bytes, shown
 
 _TO_HEAD = np.array([1.0, -1.0, -1.0], dtype=np.float32)
 _MOST = 50_000_000
-"""No count of a sound file is larger; a larger one would ask for memory before the end of the file is noticed."""
+"""No count of a sound file is larger."""
+_MOST_FILE = 256 << 20
+_MOST_MORPHS, _MOST_MORPH_BYTES = 1000, 256 << 20
+"""Of a file. An empty statistical morph takes twelve bytes of it and as many of memory for every vertex."""
+_FARTHEST = 1e9
+"""Millimetres: what is farther away is no head, and its squares would not be finite."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,7 @@ def read_tri(path: Path) -> FaceGenMesh:
     names = ("V", "T", "Q", "LV", "LS", "X", "ext", "Md", "Ms", "K")
     count = dict(zip(names, (reader.count(name) for name in names), strict=True))
     reader.skip(16)
+    reader.check_morphs(count["Md"] + count["Ms"], count["V"])
     vertices = reader.vectors(count["V"], "vertices")
     targets = reader.vectors(count["K"], "vertices of the statistical morphs")
     triangles = reader.indices((count["T"], 3), count["V"], "triangles")
@@ -75,7 +82,7 @@ def read_tri(path: Path) -> FaceGenMesh:
     used = 0
     for _ in range(count["Ms"]):
         name, moved = reader.label(wide), reader.count("vertices of a statistical morph")
-        rows = reader.indices((moved,), count["V"], f"vertices of the morph {name}")
+        rows = reader.indices((moved,), count["V"], f"vertices of the morph {shown(name)}")
         if used + moved > count["K"]:
             reader.fail("more vertices of statistical morphs than the header states")
         offsets = np.zeros_like(vertices)
@@ -84,7 +91,7 @@ def read_tri(path: Path) -> FaceGenMesh:
         used += moved
     reader.end()
     faces = np.concatenate([np.pad(triangles, ((0, 0), (0, 1)), constant_values=-1), quads])
-    return FaceGenMesh(vertices, faces, uv, tuple(morphs), labels)
+    return _sound(path, FaceGenMesh(vertices, faces, uv, tuple(morphs), labels))
 
 
 def read_egm(path: Path, mesh: FaceGenMesh) -> tuple[tuple[str, NDArray[np.float32]], ...]:
@@ -102,6 +109,7 @@ def read_egm(path: Path, mesh: FaceGenMesh) -> tuple[tuple[str, NDArray[np.float
         raise SourceError(
             f"{path} is for a mesh of {vertices} vertices, this one has {len(mesh.vertices)}. Give the .egm beside it."
         )
+    reader.check_morphs(symmetric + asymmetric, vertices)
     names = [f"Symmetric {i + 1:02d}" for i in range(symmetric)]
     names += [f"Asymmetric {i + 1:02d}" for i in range(asymmetric)]
     modes = tuple((name, reader.differences(vertices)[: len(mesh.vertices)]) for name in names)
@@ -122,13 +130,13 @@ def read_obj(path: Path) -> FaceGenMesh:
     corners: list[list[tuple[int, int]]] = []
     number = 0
     try:
-        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        for line in read_bytes(path, _MOST_FILE).decode("utf-8", "replace").splitlines():
             number += 1
             kind, _, rest = line.strip().partition(" ")
             if kind == "v":
-                vertices.append([float(value) for value in rest.split()[:3]])
+                vertices.append(_numbers(rest, 3))
             elif kind == "vt":
-                texture.append([float(value) for value in rest.split()[:2]])
+                texture.append(_numbers(rest, 2))
             elif kind == "f":
                 corners += _fan([_corner(text, len(vertices), len(texture)) for text in rest.split()])
         places = np.array(vertices, dtype=np.float32).reshape(len(vertices), 3)
@@ -136,14 +144,50 @@ def read_obj(path: Path) -> FaceGenMesh:
     except OSError as error:
         raise SourceError(f"{path} cannot be read ({error.strerror}). Choose another file.") from error
     except ValueError as error:
-        raise SourceError(f"{path} is damaged at line {number} ({error}). Export it again.") from error
+        where = f" at line {number}" if number else ""
+        raise SourceError(f"{path} is damaged{where} ({error}). Export it again.") from error
     if not len(places) or not corners:
         raise SourceError(f"{path} holds no mesh. Export it again, with its faces.")
     faces = np.array([[vertex for vertex, _ in face] for face in corners], dtype=np.int32)
     of_texture = np.array([[index for _, index in face] for face in corners])
     has_uv = len(texture) > 0 and bool((of_texture[faces >= 0] >= 0).all())
     uv = np.where((faces >= 0)[..., None], coordinates[np.maximum(of_texture, 0)], 0.0) if has_uv else None
-    return FaceGenMesh(places * _TO_HEAD, faces, None if uv is None else uv.astype(np.float32), (), {})
+    mesh = FaceGenMesh(places * _TO_HEAD, faces, None if uv is None else uv.astype(np.float32), (), {})
+    return _sound(path, mesh)
+
+
+def _sound(path: Path, mesh: FaceGenMesh) -> FaceGenMesh:
+    """The mesh without faces that have no three corners, or are there twice; SourceError where no area is left.
+
+    Blender takes such faces, and its Subdivide then ends in a crash, or never.
+    """
+    faces = mesh.faces.copy()
+    ordered = np.sort(faces, axis=1)
+    for row in np.flatnonzero(((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] >= 0)).any(axis=1)).tolist():
+        corners = [corner for corner in faces[row].tolist() if corner >= 0]
+        distinct = [place for place, corner in enumerate(corners) if corner != corners[place - 1]]
+        if len(distinct) == 3 == len({corners[place] for place in distinct}):  # a quad with a side of no length
+            faces[row] = [*(corners[place] for place in distinct), -1]
+            if mesh.uv is not None:
+                mesh.uv[row, :3] = mesh.uv[row, distinct]
+        else:
+            faces[row] = -1
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    kept = np.sort(first)
+    kept = kept[faces[kept, 2] >= 0]
+    corners = mesh.vertices.astype(np.float64)[faces[kept]]
+    with_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    if not with_area.any():
+        raise SourceError(f"{path} holds no mesh: none of its faces has an area. Export it again.")
+    uv = None if mesh.uv is None else mesh.uv[kept]
+    return replace(mesh, faces=faces[kept], uv=uv)
+
+
+def _numbers(text: str, count: int) -> list[float]:
+    numbers = [float(value) for value in text.split()[:count]]
+    if len(numbers) < count or not all(abs(number) <= _FARTHEST for number in numbers):
+        raise ValueError(f"{shown(text.strip())} where {count} numbers are needed")
+    return numbers
 
 
 def _corner(text: str, vertices: int, texture: int) -> tuple[int, int]:
@@ -157,7 +201,7 @@ def _from_one(index: int, count: int) -> int:
     """OBJ counts from one, or backwards from the last."""
     place = index - 1 if index > 0 else count + index
     if not 0 <= place < count:
-        raise ValueError(f"{index} where {count} were given")
+        raise ValueError(f"{shown(index)} where {count} were given")
     return place
 
 
@@ -195,9 +239,11 @@ class _Reader:
     def __init__(self, path: Path, kind: bytes, version: bytes) -> None:
         self.path = path
         try:
-            self._data = path.read_bytes()
+            self._data = read_bytes(path, _MOST_FILE)
         except OSError as error:
             raise SourceError(f"{path} cannot be read ({error.strerror}). Choose another file.") from error
+        except ValueError as error:
+            raise SourceError(f"{path} cannot be read: {error}. Choose another file.") from error
         if self._data[:5] != kind:
             raise SourceError(f"{path} is no {kind.decode()} file of FaceGen (byte 0). Choose another file.")
         if self._data[5:8] != version:
@@ -230,6 +276,11 @@ class _Reader:
         self._at += 4
         return int(value)
 
+    def check_morphs(self, morphs: int, vertices: int) -> None:
+        """Fail where so many morphs are more than any head has, before anything is made of them."""
+        if morphs > _MOST_MORPHS or 12 * morphs * vertices > _MOST_MORPH_BYTES:
+            self.fail(f"{morphs} morphs of {vertices} vertices, more than a head has")
+
     def array(self, dtype: str, shape: tuple[int, ...], what: str) -> NDArray[Any]:
         """Numbers of `dtype`."""
         size = int(np.prod(shape)) * np.dtype(dtype).itemsize
@@ -242,7 +293,12 @@ class _Reader:
 
     def vectors(self, count: int, what: str) -> NDArray[np.float32]:
         """(count, 3) in the head frame."""
-        return np.asarray(self.array("<f4", (count, 3), what) * _TO_HEAD, dtype=np.float32)
+        start = self._at
+        values = self.array("<f4", (count, 3), what)
+        if np.abs(values).max(initial=0.0) > _FARTHEST:
+            self._at = start
+            self.fail(f"{what} that are too far away")
+        return np.asarray(values * _TO_HEAD, dtype=np.float32)
 
     def indices(self, shape: tuple[int, ...], limit: int, what: str) -> NDArray[np.int32]:
         """Indices below `limit`."""
@@ -256,6 +312,8 @@ class _Reader:
     def differences(self, count: int) -> NDArray[np.float32]:
         """A scale and (count, 3) 16-bit displacements."""
         scale = float(self.array("<f4", (1,), "the scale of a morph")[0])
+        if abs(scale) > _FARTHEST / 2**15:
+            self.fail("a morph that moves too far")
         return np.asarray(self.array("<i2", (count, 3), "a morph") * (scale * _TO_HEAD), dtype=np.float32)
 
     def label(self, wide: bool) -> str:
@@ -264,7 +322,7 @@ class _Reader:
         self._need(length, "a label")
         text = self._data[self._at : self._at + length].decode("utf-16-le" if wide else "latin-1", "replace")
         self._at += length
-        return text.rstrip("\0")
+        return text.partition("\0")[0]
 
     def _need(self, size: int, what: str) -> None:
         if self._at + size > len(self._data):

@@ -10,15 +10,18 @@ from typing import Any
 MAX_TEXT = 8 << 20
 """Bytes of a JSON file: eighty times the largest that is written."""
 _DIGITS = 18
+_PIECE = 1 << 20
 
 
 def read_bytes(path: Path, most: int) -> bytes:
     """The content of a file of at most `most` bytes; ValueError where it has more, OSError where it cannot be read."""
+    content = bytearray()
     with open(path, "rb") as stream:
-        content = stream.read(most + 1)
-    if len(content) > most:
-        raise ValueError(f"it is larger than {most >> 20} MB")
-    return content
+        while piece := stream.read(_PIECE):  # `read(most)` would take as much memory at once
+            content += piece
+            if len(content) > most:
+                raise ValueError(f"it is larger than {most >> 20} MB")
+    return bytes(content)
 
 
 def read_text(path: Path) -> str:

@@ -1,7 +1,9 @@
 """FaceGen's files: read as PyFFI reads them, and refused with the place where they are broken."""
 
 import io
+import struct
 import time
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -157,3 +159,93 @@ def test_a_missing_file_is_told(tmp_path):
     for read, name in ((read_tri, "none.tri"), (read_obj, "none.obj")):
         with pytest.raises(SourceError, match="cannot be read"):
             read(tmp_path / name)
+
+
+def morphs(vertices: int, differences: int, statistical: int) -> bytes:
+    """A `.tri` of a flat mesh with empty statistical morphs."""
+    header = [vertices, 1, 0, 0, 0, 0, 0, differences, statistical, 0, 0, 0, 0, 0]
+    places = np.random.default_rng(1).random((vertices, 3), np.float32)
+    out = b"FRTRI003" + struct.pack("<14i", *header) + places.tobytes() + np.array([0, 1, 2], np.int32).tobytes()
+    one = struct.pack("<i", 1) + b"\0" + struct.pack("<f", 1.0) + bytes(6 * vertices)
+    return out + one * differences + (struct.pack("<i", 1) + b"\0" + struct.pack("<i", 0)) * statistical
+
+
+@pytest.mark.parametrize(("vertices", "differences", "statistical"), [(20_000, 0, 40_000), (15, 5000, 0)])
+def test_more_morphs_than_a_head_has_are_refused_before_memory_is_taken(write, vertices, differences, statistical):
+    path = write("head.tri", morphs(vertices, differences, statistical))
+    tracemalloc.start()
+    with pytest.raises(SourceError, match="more than a head has"):
+        read_tri(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 4 * path.stat().st_size + (4 << 20)
+
+
+def test_as_many_morphs_as_a_head_has_are_read(write):
+    assert len(read_tri(write("head.tri", morphs(20_000, 50, 250))).morphs) == 300
+
+
+def test_an_egm_that_claims_more_modes_than_it_has_bytes_is_refused_at_once(write):
+    mesh = read_tri(write("head.tri", tri()))
+    claim = egm()[:12] + struct.pack("<2i", 50_000_000, 50_000_000) + egm()[20:164]
+    tracemalloc.start()
+    with pytest.raises(SourceError, match="more than a head has"):
+        read_egm(write("head.egm", claim), mesh)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 4 << 20
+
+
+@pytest.mark.parametrize(
+    ("number", "what"), [(np.nan, "not finite"), (np.inf, "not finite"), (1e30, "too far"), (-1e12, "too far")]
+)
+def test_a_tri_with_vertices_that_are_nowhere_is_refused(write, number, what):
+    content = tri()[:64] + struct.pack("<f", number) + tri()[68:]
+    with pytest.raises(SourceError, match=what):
+        read_tri(write("head.tri", content))
+
+
+def test_a_morph_that_moves_to_infinity_is_refused(write):
+    content = tri().replace(struct.pack("<f", 0.01), struct.pack("<f", 3e38))
+    with pytest.raises(SourceError, match="moves too far"):
+        read_tri(write("head.tri", content))
+
+
+@pytest.mark.parametrize("line", ["v nan 0 0", "v inf 0 0", "v 1e39 0 0", "v 0 0", "vt nan 0", "vt 0"])
+def test_an_obj_with_vertices_that_are_nowhere_is_refused_with_its_line(write, line):
+    with pytest.raises(SourceError, match="line 2"):
+        read_obj(write("head.obj", f"# first\n{line}\n{OBJ}"))
+
+
+def test_faces_that_are_none_are_left_out(write):
+    """Blender's Subdivide ends in a crash on the first, and never on the second."""
+    odd = "f 1 1 1\nf 2 2 3\nf 1 2 1 3\nf 5 5 5 5\nf 2/2 5/1 3/3\n"
+    mesh = read_obj(write("head.obj", OBJ + odd))
+    np.testing.assert_array_equal(mesh.faces, read_obj(write("head.obj", OBJ)).faces)
+
+
+def test_a_quad_with_a_side_of_no_length_becomes_a_triangle_with_its_texture(write):
+    lines = OBJ.splitlines()[:9]
+    for face in ("f 1/1 1/1 2/2 3/3", "f 1/1 2/2 2/2 3/3", "f 1/1 2/2 3/3 3/3", "f 1/1 2/2 3/3 1/1"):
+        mesh = read_obj(write("head.obj", "\n".join([*lines, face])))
+        assert sorted(mesh.faces[0].tolist()) == [-1, 0, 1, 2] and mesh.faces[0, 3] == -1
+        np.testing.assert_array_equal(mesh.uv[0, :3], UVS[mesh.faces[0, :3]])
+
+
+@pytest.mark.parametrize("faces", ["f 1 1 1\n", "f 1 2 1 3\n", "f 6 7 8\n", "f 9 9 10\n"])
+def test_a_mesh_without_any_area_is_refused(write, faces):
+    flat = "v 0 0 0\nv 0 0 0\nv 0 0 0\nv 1 1 1\nv 2 2 2\n"
+    with pytest.raises(SourceError, match="none of its faces has an area"):
+        read_obj(write("head.obj", OBJ[: OBJ.index("vt")] + flat + faces))
+
+
+def test_a_label_ends_where_it_says_so(write):
+    """Blender takes no name with a null in it."""
+    content = tri().replace(b"Smile", b"Sm\0le")
+    assert read_tri(write("head.tri", content)).morphs[0][0] == "Sm"
+
+
+def test_an_index_of_many_digits_is_told_in_few_words(write):
+    with pytest.raises(SourceError, match="line 1") as caught:
+        read_obj(write("head.obj", "f 1 2 " + "9" * 3000))
+    assert len(str(caught.value)) < 300
