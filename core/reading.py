@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,16 @@ _PIECE = 1 << 20
 
 def read_bytes(path: Path, most: int) -> bytes:
     """The content of a file of at most `most` bytes; ValueError where it has more, OSError where it cannot be read."""
-    content = bytearray()
+    pieces, length = [], 0
     with open(path, "rb") as stream:
-        while piece := stream.read(_PIECE):  # `read(most)` would take as much memory at once
-            content += piece
-            if len(content) > most:
+        # As much as it says it has, and not `read(most)`, which would take that memory at once; a pipe says 0.
+        wanted = min(os.fstat(stream.fileno()).st_size, most) + 1
+        while piece := stream.read(wanted):
+            pieces.append(piece)
+            length, wanted = length + len(piece), _PIECE
+            if length > most:
                 raise ValueError(f"it is larger than {most >> 20} MB")
-    return bytes(content)
+    return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
 
 def read_text(path: Path) -> str:
@@ -44,18 +48,16 @@ def parse_json(text: str | bytes, *, nan: bool = False) -> Any:
     Raises
     ------
     ValueError
-        Where it is no JSON, nested too deeply, or has a number or a letter that is none.
+        Where it is no JSON, nested too deeply, or has a number that is none or too large.
     """
     try:
-        value = json.loads(text, parse_int=_whole, parse_float=_real, parse_constant=_nan if nan else _refused)
-        json.dumps(value, ensure_ascii=False).encode()
+        return json.loads(text, parse_int=_whole, parse_float=_real, parse_constant=_nan if nan else _refused)
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
     except UnicodeError as error:
-        raise ValueError("a text in it has letters that are none") from error
+        raise ValueError("it is not a text in UTF-8") from error
     except json.JSONDecodeError as error:
         raise ValueError(f"it is not JSON: {error.msg} in line {error.lineno}") from error
-    return value
 
 
 def as_number(value: Any, name: str, low: float, high: float) -> float:
@@ -76,6 +78,8 @@ def as_text(value: Any, name: str, most: int = 200) -> str:
     """`value` as a text of at most `most` letters; ValueError where it is something else."""
     if not isinstance(value, str) or len(value) > most:
         raise ValueError(f"{name} is {shown(value)}, not a text of at most {most} letters")
+    if any("\ud800" <= letter <= "\udfff" for letter in value):  # JSON can have them; no file and no Blender takes them
+        raise ValueError(f"{name} is {shown(value)}, which has halves of letters")
     return value
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import OutputError, SourceError
 from ..files import replacing
+from ..reading import read_bytes
 from ..tracking.result import TrackResult
 from .format import (
     END,
@@ -28,12 +29,15 @@ from .format import (
     info_content,
     info_of,
 )
-from .take import Take, TakeRecorder, check_increase, check_take, join
+from .take import FIELDS, Take, TakeRecorder, check_increase, check_take
 
 SUFFIX = ".facetake"
 LONGEST_WAIT = 1.0
 """Seconds of the take or of the clock, whichever are over sooner, after which frames are handed to the disk."""
 FRAMES_A_CHUNK = 64
+_MOST_FILE = 1 << 30
+_MOST_UNPACKED, _UNPACKED_ANYHOW = 192, 32 << 20
+"""Bytes in memory for each of the file's, and beside these. A take in which no face was found has 127; a face, four."""
 
 
 class TakeWriter:
@@ -168,7 +172,7 @@ def load_take(path: Path) -> Take:
     if not path.is_file():
         raise SourceError(f"There is no take {path}. Make one with: facemime track VIDEO -o {path.name}")
     try:
-        return take_of(path.read_bytes())
+        return take_of(read_bytes(path, _MOST_FILE))
     except NewerFormatError as error:
         raise SourceError(f"{path} was written by a newer Facemime. Update Facemime to open it.") from error
     except (ValueError, OSError) as error:
@@ -179,21 +183,25 @@ def load_take(path: Path) -> Take:
 
 def take_of(data: bytes) -> Take:
     """The take that the bytes of a file hold, as `load_take`; ValueError where they hold none."""
-    reading = _Reading()
+    reading, most = _Reading(), _MOST_UNPACKED * len(data) + _UNPACKED_ANYHOW
     for chunk in chunks_in(data):
         if isinstance(chunk, Chunk):
             with contextlib.suppress(ValueError):  # a checksum that is right over content that is not: damage as any
                 reading.add(chunk)
+            if reading.size > most:
+                raise ValueError(f"it unpacks to more than {most >> 20} MB, which no recording of its size does")
     return reading.take()
 
 
 class _Reading:
-    """Puts intact chunks together and keeps account of what is missing between them."""
+    """Puts intact chunks together and keeps account of what is missing between them; `size` is the bytes they take."""
 
     def __init__(self) -> None:
         self._info: dict[str, Any] | None = None
-        self._parts: list[Take] = []
-        self._frames, self._stated = 0, -1
+        self._parts: dict[str, list[Any]] = {name: [] for name in FIELDS}
+        self._modes = -1
+        self._until = -np.inf
+        self._frames, self._stated, self.size = 0, -1, 0
         self._lost: list[str] = []
 
     def add(self, chunk: Chunk) -> None:
@@ -203,28 +211,33 @@ class _Reading:
             self._stated = frames if chunk.kind == END else self._stated
         elif chunk.kind == FRAMES and chunk.first >= self._frames:
             part = frames_of(chunk.content, chunk.count)
-            check_take(join([*self._parts[-1:], part]))
+            check_take(part)
+            check_increase(self._until, float(part.times[0]))
+            modes = part.shape_params.shape[1]
+            if self._modes not in (-1, modes):
+                raise ValueError(f"frames of {modes} modes follow such of {self._modes}")
             if missing := chunk.first - self._frames:
-                since = f"between {self._until():.2f} s and" if self._parts else "before"
+                since = f"between {self._until:.2f} s and" if self._modes >= 0 else "before"
                 self._lost.append(f"{missing} frames {since} {part.times[0]:.2f} s")
-            self._parts.append(part)
+            for name, arrays in self._parts.items():
+                array = getattr(part, name)
+                arrays.append(array if array.base is None else array.copy())
+                self.size += array.nbytes
+            self._modes, self._until = modes, float(part.times[-1])
             self._frames = chunk.first + chunk.count
 
     def take(self) -> Take:
-        """All that came, and what is lost in its `info`."""
-        if not self._parts:
+        """All that came, and what is lost in its `info`; to be called once."""
+        if self._modes < 0:
             raise ValueError("no frame in it can be read")
         if self._stated < 0:
-            self._lost.append(f"what came after {self._until():.2f} s, a second at most")
+            self._lost.append(f"what came after {self._until:.2f} s, a second at most")
         elif self._stated > self._frames:
-            self._lost.append(f"{self._stated - self._frames} frames after {self._until():.2f} s")
+            self._lost.append(f"{self._stated - self._frames} frames after {self._until:.2f} s")
         if self._info is None:
             self._lost.append("how it was made")
-        take = join(self._parts)
-        take.info.update(self._info or {})
+        # Array by array, so that no more than one of them is there twice.
+        take = Take(**{name: np.concatenate(self._parts.pop(name)) for name in FIELDS}, info=dict(self._info or {}))
         if self._lost:
             take.info["recovered"] = f"The file was cut or damaged, and lost are: {'; '.join(self._lost)}."
         return take
-
-    def _until(self) -> float:
-        return float(self._parts[-1].times[-1])

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..landmarks import N_LANDMARKS
+from ..reading import parse_json
 from .take import Take
 
 FORMAT_VERSION = 1
@@ -147,10 +148,7 @@ def info_content(info: dict[str, Any], frames: int) -> bytes:
 
 def info_of(content: bytes) -> tuple[dict[str, Any], int]:
     """What `info_content` was given, without what cannot be; ValueError where it is something else."""
-    try:
-        told = json.loads(content)
-    except RecursionError as error:
-        raise ValueError("what it tells is nested too deeply") from error
+    told = parse_json(content)
     if not isinstance(told, dict) or not isinstance(told.get("info"), dict) or not isinstance(told.get("frames"), int):
         raise ValueError("it does not tell how it was made")
     info = {key: value for key, value in told["info"].items() if key not in _KINDS or _KINDS[key](value)}
@@ -161,6 +159,20 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and 0 < value < 1e6
 
 
+def _is_time(value: Any) -> bool:
+    return isinstance(value, int | float) and abs(value) < 1e9
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and len(value) < 4096
+
+
+def _is_spans(value: Any) -> bool:
+    return isinstance(value, list) and all(
+        isinstance(span, list) and len(span) == 2 and all(map(_is_time, span)) for span in value
+    )
+
+
 def _is_side(value: Any) -> bool:
     return isinstance(value, int) and 0 < value <= _LARGEST_SIDE
 
@@ -169,8 +181,10 @@ _KINDS: dict[str, Callable[[Any], bool]] = {
     "fps": _is_number,
     "image_size": lambda value: isinstance(value, list) and len(value) == 2 and all(map(_is_side, value)),
     "calibration": lambda value: isinstance(value, dict),
-    "bridged": lambda value: isinstance(value, list),
-    "punched_in": lambda value: isinstance(value, list),
+    "bridged": _is_spans,
+    "punched_in": _is_spans,
+    "offset": _is_time,
+    **dict.fromkeys(("source", "model", "clock", "started", "recovered", "reference_video", "sound"), _is_text),
 }
 """Of what is computed with, what it may be: a file may say anything."""
 
@@ -200,7 +214,8 @@ def frames_of(content: bytes, count: int) -> Take:
     """The frames that `frames_content` was given; ValueError where the content is something else."""
     times = np.frombuffer(content[: 8 * count], "<f8")
     multiples = _unpacked(content[8 * count :], count)
-    table = np.where(multiples == _UNKNOWN, np.nan, multiples * _steps(multiples.shape[1] - _FIXED))
+    table = multiples * _steps(multiples.shape[1] - _FIXED)
+    table[multiples == _UNKNOWN] = np.nan
     arrays: dict[str, Any] = {}
     column = 0
     for name, shape, _ in LAYOUT:
@@ -226,7 +241,7 @@ def _packed(multiples: NDArray[np.int64]) -> bytes:
     return zlib.compress(planes.tobytes(), 6)
 
 
-def _unpacked(deflated: bytes, count: int) -> NDArray[np.int64]:
+def _unpacked(deflated: bytes, count: int) -> NDArray[np.int32]:
     limit = 4 * count * (_FIXED + MAX_MODES)
     stream = zlib.decompressobj()
     try:
@@ -236,7 +251,6 @@ def _unpacked(deflated: bytes, count: int) -> NDArray[np.int64]:
     columns, rest = divmod(len(raw), 4 * count) if count else (0, 1)
     if rest or not _FIXED <= columns <= _FIXED + MAX_MODES or not stream.eof:
         raise ValueError(f"{len(raw)} bytes are no {count} frames")
-    folded = np.frombuffer(raw, np.uint8).reshape(4, -1).T.copy().view("<u4").reshape(columns, count).T
-    change = (folded >> 1).astype(np.int64) ^ -(folded & 1).astype(np.int64)
-    multiples = np.cumsum(change, axis=0)
-    return np.asarray((multiples + 2**31) % 2**32 - 2**31)
+    folded = np.frombuffer(raw, np.uint8).reshape(4, -1).T.copy().view("<u4").reshape(columns, count)
+    change = (folded >> 1).astype(np.int32) ^ -(folded & 1).astype(np.int32)
+    return np.ascontiguousarray(np.cumsum(change, axis=1, dtype=np.int32).T)  # it wraps, as what it undoes did

@@ -13,6 +13,7 @@ from ..apertures import eye_apertures, mouth_aperture
 from ..errors import SourceError
 from ..files import replacing
 from ..landmarks import IBUG68_INDICES
+from ..reading import shown
 from .format import info_content, info_of
 from .take import Take, check_take
 from .timing import project
@@ -134,5 +135,5 @@ def _values(cells: list[list[str]], names: list[str], place: dict[str, int]) -> 
             try:
                 values[row, column] = float(text) if text else np.nan
             except ValueError:
-                raise ValueError(f"row {row + 1} has {text!r} for {name}, which is no number") from None
+                raise ValueError(f"row {row + 1} has {shown(text)} for {name}, which is no number") from None
     return values

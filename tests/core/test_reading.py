@@ -163,7 +163,7 @@ def test_what_is_no_calibration_at_all_is_refused(text):
 
 def test_nan_is_read_only_where_it_is_asked_for():
     assert np.isnan(parse_json("NaN", nan=True))
-    for text in ("NaN", "Infinity", "1e999", "1" * 5000, '"\\ud800"', "[" * 100_000, "{"):
+    for text in ("NaN", "Infinity", "1e999", "1" * 5000, "[" * 100_000, "{"):
         with pytest.raises(ValueError):
             parse_json(text)
 

@@ -29,6 +29,7 @@ from facemime.core.takes import format as layout
 from facemime.core.takes.file import TakeWriter, load_take, save_take, take_of
 from facemime.core.takes.format import HEADER, LAYOUT, MARKER, chunk_bytes, chunks_in, frames_content, info_content
 from facemime.core.takes.take import FIELDS, Take
+from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.tracker import FaceTracker
 from takes import performance
 
@@ -326,3 +327,86 @@ def test_the_document_states_the_columns_and_steps_that_are_written():
     assert list(stated["columns"]) == [name for name, _, _ in LAYOUT]
     np.testing.assert_array_equal(stated["steps"], layout._steps(0)[: len(stated["steps"])])
     assert (layout._steps(9)[len(stated["steps"]) :] == 2.0**-13).all()
+
+
+def packed_frames(times: np.ndarray, modes: int) -> bytes:
+    """Frames that unpack to as much as they can: nothing but zeros."""
+    columns = int(sum(np.prod(shape) for _, shape, _ in LAYOUT[:-1])) + modes
+    return times.astype("<f8").tobytes() + zlib.compress(bytes(4 * len(times) * columns), 9)
+
+
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused_within_bounds(tmp_path):
+    out, first = chunk_bytes(layout.START, info_content({}, 0)), 0
+    content = packed_frames(np.arange(256), 512)
+    while len(out) < 600_000:
+        times = (np.arange(256) + first).astype("<f8").tobytes()
+        out += chunk_bytes(layout.FRAMES, times + content[len(times) :], count=256, first=first)
+        first += 256
+    path = tmp_path / "bomb.facetake"
+    path.write_bytes(out)
+    tracemalloc.start()
+    with pytest.raises(SourceError, match="unpacks to more than"):
+        load_take(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 200 * len(out) + (48 << 20)
+
+
+def test_a_take_in_which_no_face_was_ever_found_is_read(tmp_path):
+    """It packs thirty times better than a face does."""
+    with TakeWriter(tmp_path / "empty.facetake", {}, sync=False) as writer:
+        for frame in range(40_000):
+            writer.append(frame / 30.0, TrackResult.nothing(48))
+    assert len(load_take(tmp_path / "empty.facetake")) == 40_000
+
+
+def test_reading_takes_no_more_than_half_as_much_again_as_the_take(written, tmp_path):
+    take = take_of(written)
+    times = np.arange(20 * len(take)) / 25.0
+    long = replace(take.part(np.tile(np.arange(len(take)), 20)), times=times)
+    save_take(long, tmp_path / "long.facetake")
+    tracemalloc.start()
+    loaded = load_take(tmp_path / "long.facetake")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1.6 * sum(getattr(loaded, name).nbytes for name in FIELDS) + (2 << 20)
+
+
+def test_frames_of_another_model_behind_the_first_are_damage(written):
+    *_, end = starts(written)
+    content = packed_frames(np.array([90.0]), 7)
+    part = take_of(written[:end] + chunk_bytes(layout.FRAMES, content, count=1, first=60) + written[end:])
+    assert len(part) == 60 and part.shape_params.shape[1] == 2
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("offset", "soon"),
+        ("offset", 1e300),
+        ("offset", None),
+        ("bridged", [1, 2]),
+        ("bridged", [[0.0, "x"]]),
+        ("punched_in", {}),
+        ("source", ["a"]),
+        ("model", 3),
+        ("sound", {}),
+    ],
+)
+def test_what_a_file_tells_in_another_kind_is_left_out(written, key, value):
+    end = starts(written)[-1]
+    info = {"fps": 25.0, key: value}
+    told = take_of(written[:end] + chunk_bytes(layout.END, info_content(info, 60))).info
+    assert told == {"fps": 25.0}
+
+
+def test_a_number_without_end_in_what_a_file_tells_is_damage(written):
+    end = starts(written)[-1]
+    content = b'{"info": {"fps": 25.0, "offset": ' + b"9" * 400 + b'}, "frames": 60}'
+    assert take_of(written[:end] + chunk_bytes(layout.END, content)).info["source"] == "performance.mp4"
+
+
+def test_a_source_whose_name_is_no_text_is_kept(written, tmp_path):
+    """As Linux gives file names that are in another encoding."""
+    save_take(replace(take_of(written), info={"source": "caf\udce9.mp4"}), tmp_path / "odd.facetake")
+    assert load_take(tmp_path / "odd.facetake").info == {"source": "caf\udce9.mp4"}
