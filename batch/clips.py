@@ -20,9 +20,11 @@ import numpy as np
 
 from ..core.errors import SourceError
 from ..core.files import replacing
+from ..core.reading import parse_json, read_text
 from ..core.takes.take import Take
 from ..core.tracking.tracker import FaceTracker
 from ..core.version import version
+from .record import checked_record
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"})
 _OUTPUTS = frozenset({".blend", ".facetake", ".png", ".pc2", ".abc"})
@@ -113,11 +115,10 @@ def checksum(path: Path) -> str:
 def read_record(job: Job, folder: Path) -> dict[str, Any] | None:
     """What is kept of a clip that is done; None where it is not, or where its outputs are gone."""
     try:
-        record = json.loads(job.output(folder, ".json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):  # missing or cut off: it is done again
+        record = checked_record(parse_json(read_text(job.output(folder, ".json"))))
+    except (OSError, ValueError):  # missing, cut off or not a record: the clip is done again
         return None
-    complete = isinstance(record, dict) and all((folder / name).is_file() for name in record.get("outputs", [""]))
-    return record if complete else None
+    return record if all((folder / name).is_file() for name in record["outputs"]) else None
 
 
 def write_record(job: Job, folder: Path, take: Take, seconds: float, thumbnails: Sequence[bytes]) -> None:

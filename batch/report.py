@@ -51,7 +51,7 @@ def write_report(entries: Sequence[Entry], folder: Path) -> None:
     with replacing(folder / "report.json") as temporary:
         temporary.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
     with replacing(folder / "report.html") as temporary:
-        temporary.write_text(_page(entries, folder), encoding="utf-8")
+        temporary.write_text(_page(entries, folder), encoding="utf-8", errors="replace")
 
 
 def _counts(entries: Sequence[Entry]) -> dict[str, int]:
@@ -70,21 +70,24 @@ def _without_pictures(entry: Entry) -> dict[str, Any]:
 def _page(entries: Sequence[Entry], folder: Path) -> str:
     counts = ", ".join(f"{count} {status}" for status, count in _counts(entries).items() if count)
     # What failed comes first, then what was tracked least surely.
-    order = sorted(entries, key=lambda entry: (entry.status != "failed", min(entry.record.get("confidence", [1.0]))))
-    body = "\n".join(_article(entry, folder) for entry in order)
+    body = "\n".join(_article(entry, folder) for entry in sorted(entries, key=_place))
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Facemime: {counts}</title>'
         f"<style>{_STYLE}</style></head>\n<body><h1>{len(entries)} clips: {counts}</h1>\n{body}\n</body></html>\n"
     )
 
 
+def _place(entry: Entry) -> tuple[bool, float]:
+    return entry.status != "failed", min(entry.record.get("confidence", ()), default=1.0)
+
+
 def _article(entry: Entry, folder: Path) -> str:
-    parts = [f"<h2>{escape(entry.clip)}: {entry.status}</h2>"]
+    parts = [f"<h2>{escape(entry.clip)}: {escape(entry.status)}</h2>"]
     if entry.said:
         parts.append(f"<pre>{escape(entry.said)}</pre>")
     if record := entry.record:
         parts.append(
-            f"<p>{record['length']:.1f} s, a face in {record['found']} of {record['frames']} frames, "
+            f"<p>{record['length']:.1f} s, a face in {record['found']:d} of {record['frames']:d} frames, "
             f"done in {record['seconds']:.1f} s</p>"
         )
         parts.append(_figure(_curve(record["confidence"]), "confidence over time, 0 to 1"))
@@ -98,11 +101,11 @@ def _article(entry: Entry, folder: Path) -> str:
 
 
 def _figure(content: str, caption: str) -> str:
-    return f"<figure>{content}<figcaption>{caption}</figcaption></figure>" if content else ""
+    return f"<figure>{content}<figcaption>{escape(caption)}</figcaption></figure>" if content else ""
 
 
 def _image(jpeg: str) -> str:
-    return f'<img alt="" src="data:image/jpeg;base64,{jpeg}">' if jpeg else ""
+    return f'<img alt="" src="data:image/jpeg;base64,{escape(jpeg)}">' if jpeg else ""
 
 
 def _curve(confidence: Sequence[float]) -> str:
@@ -121,7 +124,7 @@ def _sheet(path: Path) -> str:
         image = read_image(path)
     except SourceError:
         return ""
-    height = round(_SHEET_WIDTH * image.shape[0] / image.shape[1])
+    height = max(1, round(_SHEET_WIDTH * image.shape[0] / image.shape[1]))
     small = cv2.resize(image, (_SHEET_WIDTH, height), interpolation=cv2.INTER_AREA)
     return base64.b64encode(jpeg_of(small)).decode()
 

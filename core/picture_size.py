@@ -66,7 +66,7 @@ def _tiff(data: bytes) -> Size | None:
     else:
         at = struct.unpack_from(order + "I", data, 4)[0]
         (count,), at, step, value = struct.unpack_from(order + "H", data, at), at + 2, 12, 8
-    sides = {}
+    sides: dict[int, int] = {}
     for entry in range(at, min(at + count * step, len(data) - step + 1), step):
         tag, number = struct.unpack_from(order + "HH", data, entry)
         if tag in (_TIFF_WIDTH, _TIFF_HEIGHT):

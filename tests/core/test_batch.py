@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -86,6 +87,53 @@ def test_the_worst_frames_are_the_least_sure_ones_some_time_apart():
     curve = confidence_curve(performance(1000))
     assert len(curve) == 300 and min(curve) == 0.0 and max(curve) == 1.0
     assert len(worst_frames(performance(2))) == 1
+
+
+@pytest.fixture
+def done(tmp_path) -> tuple[Job, Path, dict]:
+    """A clip that is done, its record's path, and what stands in it."""
+    job = Job(tmp_path / "a.mp4", "a-1")
+    job.output(tmp_path, ".blend").write_bytes(b"x")
+    write_record(job, tmp_path, performance(), 1.0, [b"jpeg"])
+    path = job.output(tmp_path, ".json")
+    return job, path, json.loads(path.read_text())
+
+
+@pytest.mark.parametrize(
+    "key", ["clip", "outputs", "frames", "found", "length", "seconds", "confidence", "worst", "thumbnails"]
+)
+def test_a_clip_whose_record_lacks_a_part_is_not_done(done, key):
+    job, path, record = done
+    assert read_record(job, path.parent) == record
+    path.write_text(json.dumps({name: value for name, value in record.items() if name != key}))
+    assert read_record(job, path.parent) is None
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("found", value) for value in (61, -1, "<b>", True, 1e300, 10**400)),
+        *(("length", value) for value in (float("nan"), float("inf"), "1", None)),
+        *(("outputs", value) for value in ([], ["../a-1.blend"], ["/etc/passwd"], ["a\\b"], [""], [3], "a-1.blend")),
+        *(("confidence", value) for value in (["<script>"], [2.0], [float("nan")], 3, [0.5] * 5000)),
+        *(("worst", value) for value in (["x"], [[]], [None])),
+        *(("thumbnails", value) for value in (['"><script>alert(1)</script>'], [3], {})),
+        ("clip", ["a"]),
+    ],
+)
+def test_a_clip_whose_record_holds_something_else_is_not_done(done, key, value):
+    job, path, record = done
+    path.write_text(json.dumps(record | {key: value}))
+    assert read_record(job, path.parent) is None
+
+
+def test_nothing_that_a_clip_is_called_or_has_said_is_markup_in_the_report(tmp_path):
+    odd = "<script>alert(1)</script>\udce9"
+    record = {"length": 1.0, "found": 1, "frames": 2, "seconds": 1.0, "confidence": [], "worst": [0.5]}
+    record["thumbnails"] = ['"><script>alert(2)</script>']
+    write_report([Entry(odd, odd, odd, odd, record), Entry("b", "failed")], tmp_path)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<script" not in page and "&lt;script&gt;" in page
 
 
 def test_the_report_stands_for_itself_and_names_what_failed_first(tmp_path):
