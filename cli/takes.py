@@ -11,7 +11,7 @@ from ..core.files import check_writable
 from ..core.images import write_image
 from ..core.takes.figure import draw_before_after
 from ..core.takes.file import SUFFIX, load_take, save_take
-from ..core.takes.mend import bridge_gaps, mirror_tracked, remove_outliers, renew_neutral
+from ..core.takes.mend import anonymise, bridge_gaps, mirror_tracked, remove_outliers, renew_neutral
 from ..core.takes.smooth import CUTOFFS, smooth_take, smooth_zero_phase
 from ..core.takes.spreadsheet import from_csv, to_csv
 from ..core.takes.take import Take
@@ -42,6 +42,7 @@ def add_commands(commands: Commands) -> None:
     )
     mend.add_argument("--shift", type=float, default=0.0, metavar="S", help="seconds later")
     mend.add_argument("--rate", type=float, metavar="FPS", help="frames at an even rate")
+    mend.add_argument("--anonymous", action="store_true", help="leave out names, dates and the shape of the face")
     mend.add_argument("--figure", type=Path, metavar="CURVES.png", help="draw every part before and after")
     mend.set_defaults(run=run_mend)
 
@@ -104,7 +105,9 @@ def _mended(take: Take, arguments: argparse.Namespace) -> Take:
         take = trim(take, *parse_span(arguments.trim))
     if arguments.shift:
         take = shift_time(take, arguments.shift)
-    return take if arguments.rate is None else resample(take, arguments.rate)
+    if arguments.rate is not None:
+        take = resample(take, arguments.rate)
+    return anonymise(take) if arguments.anonymous else take
 
 
 def run_export(arguments: argparse.Namespace) -> int:

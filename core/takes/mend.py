@@ -1,4 +1,4 @@
-"""Mending a take: frames that jump out of line, gaps, the wrong side of the mirror, another neutral."""
+"""Mending a take: frames that jump out of line, gaps, the wrong side of the mirror, another neutral, and its privacy."""
 
 from __future__ import annotations
 
@@ -8,20 +8,25 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..apertures import mouth_aperture
 from ..arrays import FloatArray
 from ..errors import SourceError
-from ..retarget import Neutral, calibrate
+from ..retarget import Neutral, Retargeter, calibrate
 from ..rotation import euler_to_matrix
 from ..tracking.mirror import mirror_result
 from ..tracking.tracker import FaceTracker
 from .take import Take, TakeRecorder
-from .timing import lose, mix
+from .timing import lose, mix, project
 
 _LEAST = (0.05, 0.12, 0.2)
 """What is never an outlier: landmarks' distance in eye distances, turn in radians, move in eye distances."""
 _TIMES_NOISE = 8.0
 _NEIGHBOURS = 2
 _NEUTRAL_SPAN = 0.2
+_NOT_PERSONAL = (
+    *("fps", "image_size", "model", "clock", "mirrored", "smoothed", "bridged", "punched_in", "interrupted"),
+)
+"""What an anonymous take still tells of how it was made."""
 
 
 def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: float = 1.0) -> Take:
@@ -129,3 +134,28 @@ def renew_neutral(take: Take, frame_time: float) -> Take:
     """
     neutral = calibrate(take, frame_time - _NEUTRAL_SPAN / 2.0, _NEUTRAL_SPAN)
     return replace(take, info={**take.info, "calibration": neutral.to_dict()})
+
+
+def anonymise(take: Take) -> Take:
+    """The performance without the performer's name and face: an average face that moves as the performer's did.
+
+    Each frame's shape becomes the model's mean face, moved by what `Retargeter` makes of it, and the landmarks follow
+    from it; coefficients, pupils and each landmark's confidence, which tell of the performer's own face, are gone, and
+    so are the names and dates in `info`. A head is driven as before, up to rounding. How the performer moves, holds the
+    head, looks and blinks stays: that is the performance, and somebody who knows the performer may recognise it.
+    """
+    info = {key: take.info[key] for key in _NOT_PERSONAL if key in take.info}
+    result = replace(lose(take, np.ones(len(take), bool)), found=take.found.copy(), info=info)
+    result.confidence[:] = take.confidence
+    result.pose[:], result.gaze[:] = take.pose, take.gaze
+    if not take.found.any():
+        return result
+    neutral, mean = calibrate(take), FaceTracker.load().pdm.mean_shape
+    retargeter = Retargeter(neutral.shape, mean)
+    for frame in np.flatnonzero(take.found).tolist():
+        result.shape[frame] = mean + retargeter.displacements(take.shape[frame])
+    seen = result.found
+    result.landmarks[seen] = project(result.shape[seen].astype(np.float64), result.pose[seen])
+    opened = neutral.open_mouth - float(mouth_aperture(neutral.shape))
+    average = replace(neutral, shape=mean, open_mouth=float(mouth_aperture(mean)) + opened)
+    return replace(result, info={**info, "calibration": average.to_dict()})

@@ -133,6 +133,7 @@ def test_mend_does_what_the_functions_do_in_its_order(saved, tmp_path):
         (["--smooth", "zero-phase", "--cutoff", "mouth=2,right eye=3"], lambda t: t.info["smoothed"] == "zero-phase"),
         (["--smooth", "zero-phase", "--cutoff", "mouth=1e300,jaw=0.001"], lambda take: take.found.sum() == 59),
         (["--neutral", "0.5"], lambda take: abs(take.info["calibration"]["start"] - 0.4) < 0.03),
+        (["--anonymous"], lambda take: "source" not in take.info and take.found.sum() == 59),
         (["--shift", "-0.5"], lambda take: take.times[0] == -0.5),
     ],
 )

@@ -11,10 +11,13 @@ from scipy import signal
 
 import facemime
 from facemime.core.apertures import mouth_aperture
+from facemime.core.drive import HeadDriver, built_in_rig
 from facemime.core.errors import FacemimeError, SourceError
+from facemime.core.landmarks import OUTER_EYE_CORNERS
+from facemime.core.motion import drive_take
 from facemime.core.pipeline import track_video
 from facemime.core.retarget import Neutral, calibrate
-from facemime.core.takes.mend import bridge_gaps, find_outliers, mirror_take, remove_outliers, renew_neutral
+from facemime.core.takes.mend import anonymise, bridge_gaps, find_outliers, mirror_take, remove_outliers, renew_neutral
 from facemime.core.takes.smooth import CUTOFFS, before_after, low_pass, smooth_zero_phase
 from facemime.core.takes.take import FIELDS, Take, check_take
 from facemime.core.takes.timing import lose
@@ -167,3 +170,50 @@ def test_the_neutral_chosen_is_the_face_at_that_time(tracked):
     assert abs((stored.start + stored.end) / 2 - time) < 0.1
     with pytest.raises(SourceError, match="Choose another neutral"):
         renew_neutral(tracked, 99.0)
+
+
+def test_an_anonymous_take_drives_a_head_as_the_take_does(tracked):
+    rig = built_in_rig()
+    told = [drive_take(HeadDriver(rig, calibrate(take)), take).vertices for take in (tracked, anonymise(tracked))]
+    unit = np.linalg.norm(np.subtract(*rig.vertices[rig.landmarks[OUTER_EYE_CORNERS]].astype(float)))
+    assert np.linalg.norm(told[1] - told[0], axis=-1).max() < 0.005 * unit
+
+
+def test_an_anonymous_take_has_the_average_face_and_nothing_that_names_anybody(tracked):
+    personal = {
+        "source": "Jane.mp4",
+        "started": "2026-01-01T12:00:00+01:00",
+        "seen_by": "Jane's camera",
+        "sound": "j.wav",
+    }
+    take = replace(tracked, info={**tracked.info, **personal, "offset": 3.0, "note": "Jane"})
+    out = anonymise(take)
+    assert set(out.info) == {"fps", "image_size", "model", "clock", "calibration"}
+    np.testing.assert_allclose(calibrate(out).shape, FaceTracker.load().pdm.mean_shape)
+    for name in ("shape_params", "landmark_confidence", "pupils"):
+        assert np.isnan(getattr(out, name)).all(), name
+    for name in ("times", "pose", "gaze", "found", "confidence"):
+        np.testing.assert_array_equal(getattr(out, name), getattr(take, name))
+    assert not np.isfinite(out.shape[~out.found]).any() and np.isfinite(out.shape[out.found]).all()
+    check_take(out)
+
+
+def test_two_faces_that_move_alike_are_one_anonymous_take():
+    """One is half as high and deep again, brows and mouth too, and moves as much as it is larger."""
+    take = performance(80)
+    other = replace(take, shape=take.shape * np.array([1.0, 1.5, 1.5], np.float32))
+    one, two = anonymise(take), anonymise(other)
+    np.testing.assert_allclose(two.shape[..., :2], one.shape[..., :2], atol=2e-3)
+    np.testing.assert_allclose(two.landmarks, one.landmarks, atol=0.3)
+
+
+def test_an_anonymous_take_stays_anonymous_and_keeps_how_wide_the_mouth_opens(tracked):
+    neutral = replace(calibrate(tracked), open_mouth=0.25)
+    once = anonymise(replace(tracked, info={**tracked.info, "calibration": neutral.to_dict()}))
+    assert calibrate(once).mouth_gain == pytest.approx(neutral.mouth_gain) != 1.0
+    np.testing.assert_allclose(anonymise(once).shape, once.shape, atol=1e-3)
+
+
+def test_a_take_without_a_face_is_anonymous_too():
+    out = anonymise(gone(performance(10), *range(10)))
+    assert not out.found.any() and "source" not in out.info
