@@ -1,4 +1,4 @@
-"""Mending a take: frames that jump out of line, gaps, the wrong side of the mirror, another neutral, and its privacy."""
+"""Mending a take: frames that jump out of line, gaps, the wrong side of the mirror, another neutral; and privacy."""
 
 from __future__ import annotations
 

@@ -1,0 +1,422 @@
+"""What is fuzzed: for each format an intact file, ways to damage it, and what reads it and then works with it."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import csv
+import hashlib
+import io
+import json
+import tempfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import cv2
+import numpy as np
+
+from facegen_files import OBJ, egm, tri
+from facemime.batch.record import checked_record
+from facemime.core import control_points, presets
+from facemime.core.bake import key_map
+from facemime.core.capture import VideoSource
+from facemime.core.deform.follow import following
+from facemime.core.deform.greedy import GreedySelection, GreedyStep
+from facemime.core.deform.kernels import kernel_named
+from facemime.core.deform.regions import membership, region_sigmas
+from facemime.core.drive import HeadDriver, built_in_rig
+from facemime.core.errors import FacemimeError, HeadError, SourceError
+from facemime.core.facegen import FaceGenMesh, read_egm, read_obj, read_tri
+from facemime.core.head import HEAD_FILE, PART_NAMES, load_head
+from facemime.core.images import read_image
+from facemime.core.point_table import draw_curve, drop_by_hand, point_rows
+from facemime.core.presets import Setting
+from facemime.core.reading import parse_json
+from facemime.core.retarget import Neutral, calibrate, retargeter_for
+from facemime.core.takes.file import load_take, save_take
+from facemime.core.takes.format import HEADER, MARKER, chunk_bytes, chunks_in
+from facemime.core.takes.mend import anonymise, bridge_gaps, mirror_take, remove_outliers
+from facemime.core.takes.smooth import smooth_zero_phase
+from facemime.core.takes.spreadsheet import from_csv, to_csv
+from facemime.core.takes.take import Take, check_take
+from facemime.core.takes.timing import resample, restart, trim
+from facemime.core.tracking.detect import BoxDetector
+from facemime.core.tracking.model_file import _HEADER, FORMAT_VERSION, MAGIC
+from facemime.core.tracking.tracker import DEFAULT_MODEL, FaceTracker
+from takes import performance
+
+from .mutators import Arrays, archive_bytes, mutated_archive, mutated_bytes, mutated_json, npy_bytes
+
+SAMPLE = Path(HEAD_FILE).parents[1] / "sample" / "sample.mp4"
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format.
+
+    Attributes
+    ----------
+    suffix : str
+    intact : callable
+        The bytes of a sound file.
+    mutated : callable
+        Those of a damaged one.
+    read : callable
+        Reads a file, and does with it what the program does.
+    megabytes : int
+        What that may take beside what the process has.
+    """
+
+    suffix: str
+    intact: Callable[[], bytes]
+    mutated: Callable[[Random], bytes]
+    read: Callable[[Path], None]
+    megabytes: int = 256
+
+
+def _text(read: Callable[[str], None]) -> Callable[[Path], None]:
+    """Reads text as the program does, which refuses what is no UTF-8 before any parser sees it."""
+    return lambda path: read(path.read_text(encoding="utf-8", errors="replace"))
+
+
+def _json(data: Callable[[], Any], read: Callable[[str], None]) -> Format:
+    return Format(
+        ".json",
+        lambda: json.dumps(data()).encode(),
+        lambda rng: mutated_json(rng, data()),
+        _text(read),
+    )
+
+
+@cache
+def _head_arrays() -> Arrays:
+    """A head of little more than its landmarks."""
+    with np.load(HEAD_FILE) as file:
+        arrays = {name: file[name] for name in file.files}
+    chosen = arrays["landmarks"].astype(int)
+    arrays |= {name: arrays[name][:, chosen] for name in ("units", "regions")}
+    arrays["vertices"], arrays["landmarks"] = arrays["vertices"][chosen], np.arange(66, dtype=np.int16)
+    faces = np.array([[0, 1, 2, -1], [3, 4, 5, 6]], np.int16)
+    arrays |= {"faces": faces, "uv": arrays["uv"][:2]}
+    for part in PART_NAMES:
+        arrays |= {f"{part}.vertices": arrays[f"{part}.vertices"][:7], f"{part}.units": arrays[f"{part}.units"][:, :7]}
+        arrays |= {f"{part}.faces": faces, f"{part}.uv": arrays[f"{part}.uv"][:2]}
+    return arrays
+
+
+def _read_head(path: Path) -> None:
+    head = load_head(path)
+    for mesh in (head, *head.parts):
+        assert np.isfinite(mesh.vertices).all() and np.isfinite(mesh.units).all() and np.isfinite(mesh.uv).all()
+        assert (np.sort(mesh.faces, axis=1)[:, 1:] >= 0).all() and mesh.faces.max(initial=0) < len(mesh.vertices)
+    assert len(set(head.landmarks.tolist())) == 66 and head.landmarks.min() >= 0
+    retargeter_for(_neutral(), head.vertices[head.landmarks])
+
+
+@cache
+def _tracker_arrays() -> Arrays:
+    """The shipped model with two units for each patch expert."""
+    with np.load(io.BytesIO(DEFAULT_MODEL.read_bytes()[_HEADER.size :])) as file:
+        arrays = {name: file[name] for name in file.files}
+    for view in ("frontal", "side"):
+        arrays[f"{view}_hidden"] = arrays[f"{view}_hidden"][:, :, :2]
+        arrays |= {f"{view}_{part}": arrays[f"{view}_{part}"][:, :2] for part in ("step", "hidden_bias", "output")}
+    return arrays
+
+
+def _tracker_bytes(payload: bytes) -> bytes:
+    digest = hashlib.sha256(payload).digest()
+    return _HEADER.pack(MAGIC, FORMAT_VERSION, len(payload), digest) + payload
+
+
+def _mutated_tracker(rng: Random) -> bytes:
+    data = _tracker_bytes(mutated_archive(rng, _tracker_arrays()))
+    return mutated_bytes(rng, data) if rng.random() < 0.1 else data
+
+
+@cache
+def _face() -> np.ndarray:
+    with VideoSource(SAMPLE) as source:
+        return cv2.resize(next(iter(source)).image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+
+
+@cache
+def _detector() -> BoxDetector:
+    return BoxDetector()
+
+
+def _read_tracker(path: Path) -> None:
+    tracker = FaceTracker.load(path)
+    tracker._detector = _detector()  # which reads its own files, and slowly
+    for _ in range(2):
+        tracker.track(_face())
+
+
+@cache
+def _neutral() -> Neutral:
+    return calibrate(performance())
+
+
+def _read_neutral(text: str) -> None:
+    neutral = Neutral.from_json(text)
+    rig = built_in_rig()
+    for one in (neutral, neutral.mirrored()):
+        moved = retargeter_for(one, rig.vertices[rig.landmarks]).displacements(_neutral().shape + 0.01)
+        assert np.isfinite(moved).all()
+
+
+def _points() -> Any:
+    steps = [GreedyStep("start", i, 0, "frontalis", i + 1, 0.5 / (i + 1), i, 20) for i in range(3)]
+    steps += [GreedyStep("add", 30, 1, "error", 4, 0.05, 9, 8), GreedyStep("drop", 2, 0, "", 3, float("nan"), 0, 0)]
+    selection = GreedySelection(membership(), tuple(steps), 0.01, False, np.eye(66) * 1e-4)
+    return json.loads(control_points.to_json(selection))
+
+
+def _read_points(text: str) -> None:
+    selection = control_points.from_json(text)
+    assert all(isinstance(row.reason, str) and row.order >= 0 for row in point_rows(selection))
+    assert np.isfinite(draw_curve(selection)).all()
+    rig, kernel = built_in_rig(), kernel_named("gaussian")
+    points = np.asarray(rig.vertices, np.float64)[rig.landmarks]
+    sigmas = region_sigmas(points, kernel)
+    assert np.isfinite(following(points, selection.membership, selection.covariance, kernel, sigmas)).all()
+    assert len(control_points.from_json(control_points.to_json(selection)).steps) == len(selection.steps)
+    with contextlib.suppress(HeadError):  # the last one of a region
+        drop_by_hand(selection, int(selection.landmarks[0]))
+
+
+def _key_map() -> Any:
+    return json.loads(key_map.presets()[0].to_json())
+
+
+def _read_key_map(text: str) -> None:
+    table = key_map.from_json(text)
+    for values in table.apply(np.full((2, 52), 0.5), dict.fromkeys(table.keys, (0.0, 1.0))).values():
+        assert np.isfinite(values).all()
+    table.matched(["Jaw Open"])
+    json.loads(table.to_json())
+
+
+_PRESET = {
+    "settings": {
+        "mode": Setting(choices=("3d", "planar")),
+        "strength_upper": Setting(low=0.0, high=5.0),
+        "smoothing": Setting(low=0.0, high=20.0),
+        "mirror": Setting(),
+    },
+    "posing": {"rotation_limit": Setting(low=0.0, high=3.14), "eyes_strength": Setting(low=0.0, high=10.0)},
+}
+
+
+def _record() -> Any:
+    picture = base64.b64encode(_picture(".jpg")).decode()
+    record = {"clip": "a.mp4", "outputs": ["a-1.blend"], "frames": 9, "found": 8, "length": 0.4, "seconds": 2.5}
+    return record | {"confidence": [0.5, 1.0], "worst": [0.1], "thumbnails": [picture]}
+
+
+def _read_record(text: str) -> None:
+    try:
+        checked_record(parse_json(text))
+    except ValueError as error:  # as `read_record` has it, to which it is a clip that is not done
+        raise SourceError(str(error)) from error
+
+
+def _preset() -> Any:
+    values = {"mode": "3d", "strength_upper": 1.5, "smoothing": 1, "mirror": True}
+    return json.loads(presets.to_json({"settings": values, "posing": {"rotation_limit": 0.5, "eyes_strength": 1.0}}))
+
+
+def _read_preset(text: str) -> None:
+    for group, values in presets.from_json(text, _PRESET).items():
+        for name, value in values.items():
+            assert _PRESET[group][name].checked(value, name) == value
+
+
+def _read_facegen(mesh: FaceGenMesh, modes: tuple[Any, ...] = ()) -> None:
+    assert np.isfinite(mesh.vertices).all() and len(mesh.faces)
+    assert np.linalg.norm(np.ptp(mesh.vertices, axis=0)) > 0
+    for face in mesh.faces.tolist():
+        corners = [vertex for vertex in face if vertex >= 0]
+        assert len(set(corners)) == len(corners) >= 3 and max(corners) < len(mesh.vertices)
+    for name, offsets in (*mesh.morphs, *modes):
+        assert isinstance(name, str) and np.isfinite(mesh.vertices + offsets).all()
+
+
+def _mutated_obj(rng: Random) -> bytes:
+    words = ("nan", "inf", "1e39", "0", "-1", "99", "1/1", "2//", "1/0/0", "9" * 500, "f 1 1 1", "v 0 0 0", "f 2 2 3")
+    lines = OBJ.splitlines()
+    for _ in range(rng.randint(1, 4)):
+        at = rng.randrange(len(lines))
+        parts = lines[at].split()
+        if rng.random() < 0.2 or not parts:
+            lines.insert(at, rng.choice((*words, lines[at], "f " + "1 2 3 " * 2000)))
+        else:
+            parts[rng.randrange(len(parts))] = rng.choice(words)
+            lines[at] = " ".join(parts)
+    data = "\n".join(lines).encode()
+    return mutated_bytes(rng, data) if rng.random() < 0.3 else data
+
+
+def _mutated_tri(rng: Random) -> bytes:
+    return mutated_bytes(rng, tri(labels=rng.random() < 0.5, per_vertex_uv=rng.random() < 0.3))
+
+
+@cache
+def _mesh() -> FaceGenMesh:
+    with tempfile.NamedTemporaryFile(suffix=".tri") as file:
+        Path(file.name).write_bytes(tri())
+        return read_tri(Path(file.name))
+
+
+@cache
+def _take_bytes() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        save_take(performance(), Path(folder) / "take.facetake")
+        return (Path(folder) / "take.facetake").read_bytes()
+
+
+def _mutated_take(rng: Random) -> bytes:
+    if rng.random() < 0.3:
+        return mutated_bytes(rng, _take_bytes())
+    out = b""
+    chunks = list(chunks_in(_take_bytes()))
+    changed = rng.randrange(len(chunks))
+    for number, chunk in enumerate(chunks):
+        content, count, first = chunk.content, chunk.count, chunk.first
+        if number == changed:
+            if chunk.kind != b"F":
+                content = mutated_json(rng, json.loads(content))
+            elif rng.random() < 0.7:
+                times, table = content[: 8 * count], zlib.decompress(content[8 * count :])
+                table = bytes(50_000_000) if rng.random() < 0.02 else mutated_bytes(rng, table)
+                content = (mutated_bytes(rng, times) if rng.random() < 0.3 else times) + zlib.compress(table)
+            else:
+                content, count = mutated_bytes(rng, content), rng.choice((count, 0, 1, 256, 65535))
+                first = rng.choice((first, 0, 10**6, 2**32 - 1))
+        out += chunk_bytes(chunk.kind, content, count=count, first=first)
+    if rng.random() < 0.05:
+        out += rng.choice((MARKER, out[: HEADER.size])) * 10_000
+    return out
+
+
+def _read_take(path: Path) -> None:
+    _use(load_take(path))
+
+
+_USES: tuple[Callable[[Take], Any], ...] = (
+    lambda take: HeadDriver(built_in_rig(), calibrate(take)).frame(take.result(int(take.found.argmax()))),
+    mirror_take,
+    lambda take: remove_outliers(bridge_gaps(take)),
+    smooth_zero_phase,
+    lambda take: resample(take, 30.0),
+    restart,
+    anonymise,
+    lambda take: trim(take, 0.2, 1.0),
+)
+
+
+def _use(take: Take) -> None:
+    """One of the things that a take is used for; what cannot be done with it is said in words."""
+    check_take(take)
+    with contextlib.suppress(FacemimeError):
+        _USES[zlib.crc32(take.times.tobytes() + take.shape.tobytes()) % len(_USES)](take)
+
+
+@cache
+def _csv_bytes() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        to_csv(performance(8), Path(folder) / "take.csv")
+        return (Path(folder) / "take.csv").read_bytes()
+
+
+def _mutated_csv(rng: Random) -> bytes:
+    if rng.random() < 0.4:
+        return mutated_bytes(rng, _csv_bytes())
+    rows = list(csv.reader(io.StringIO(_csv_bytes().decode())))
+    for _ in range(rng.randint(1, 3)):
+        row = rng.choice(rows)
+        if row:
+            cells = ("", "nan", "inf", "-1e400", "1" * 500, "0x1", "-1", "word", '"', "time", "pitch")
+            row[rng.randrange(len(row))] = rng.choice(cells)
+        if rng.random() < 0.2:
+            rng.shuffle(rows)
+    stream = io.StringIO()
+    csv.writer(stream).writerows(rows)
+    return stream.getvalue().encode()
+
+
+def _read_csv(path: Path) -> None:
+    _use(from_csv(path))
+
+
+_SUFFIXES = (".png", ".jpg", ".bmp", ".tiff", ".webp", ".ppm", ".pgm")
+
+
+@cache
+def _picture(suffix: str) -> bytes:
+    picture = cv2.resize(_face(), (64, 48))
+    return bytes(cv2.imencode(suffix, picture[..., 0] if suffix == ".pgm" else picture)[1])
+
+
+def _mutated_picture(rng: Random) -> bytes:
+    return mutated_bytes(rng, _picture(rng.choice(_SUFFIXES)))
+
+
+def _read_picture(path: Path) -> None:
+    image = read_image(path)
+    assert image.ndim == 3 and image.size
+    cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+
+
+@cache
+def _video() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = str(Path(folder) / "clip.mp4")
+        out = cv2.VideoWriter(path, cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (64, 48))
+        for shift in range(12):
+            out.write(np.roll(cv2.resize(_face(), (64, 48)), shift, axis=1))
+        out.release()
+        return Path(path).read_bytes()
+
+
+def _read_video(path: Path) -> None:
+    with VideoSource(path) as source:
+        for frame in source:
+            assert frame.image.size and np.isfinite(frame.time)
+            if frame.index > 50:
+                break
+
+
+FORMATS: dict[str, Format] = {
+    "head": Format(
+        ".npz",
+        lambda: archive_bytes({f"{name}.npy": npy_bytes(array) for name, array in _head_arrays().items()}),
+        lambda rng: mutated_archive(rng, _head_arrays()),
+        _read_head,
+    ),
+    "tracker": Format(
+        ".tracker",
+        lambda: _tracker_bytes(archive_bytes({f"{n}.npy": npy_bytes(a) for n, a in _tracker_arrays().items()})),
+        _mutated_tracker,
+        _read_tracker,
+    ),
+    "control points": _json(_points, _read_points),
+    "key map": _json(_key_map, _read_key_map),
+    "batch record": _json(_record, _read_record),
+    "preset": _json(_preset, _read_preset),
+    "calibration": _json(lambda: _neutral().to_dict(), _read_neutral),
+    "facegen tri": Format(".tri", tri, _mutated_tri, lambda path: _read_facegen(read_tri(path))),
+    "facegen egm": Format(
+        ".egm", egm, lambda rng: mutated_bytes(rng, egm()), lambda path: _read_facegen(_mesh(), read_egm(path, _mesh()))
+    ),
+    "facegen obj": Format(".obj", OBJ.encode, _mutated_obj, lambda path: _read_facegen(read_obj(path))),
+    "take": Format(".facetake", _take_bytes, _mutated_take, _read_take),
+    "take csv": Format(".csv", _csv_bytes, _mutated_csv, _read_csv),
+    "picture": Format(".png", lambda: _picture(".png"), _mutated_picture, _read_picture, 512),
+    "video": Format(".mp4", _video, lambda rng: mutated_bytes(rng, _video()), _read_video, 512),
+}
