@@ -1,7 +1,5 @@
 """Bake the chosen take, and the table of keys by which it moves those that a head has."""
 
-import json
-
 import bpy
 import numpy as np
 from bpy.props import StringProperty
@@ -10,14 +8,15 @@ from ..blender.bake import frames_of
 from ..blender.bake_keys import key_names
 from ..blender.meshes import is_head
 from ..core.bake.arkit import arkit_coefficients
-from ..core.bake.key_map import KeyMap, best_preset, learn_map, load_map, presets
-from ..core.errors import FacemimeError, HeadError
+from ..core.bake.key_map import KeyMap, KeyPose, best_preset, learn_map, load_map, presets
+from ..core.errors import FacemimeError, HeadError, SourceError
 from ..core.files import replacing
 from ..core.retarget import calibrate
 from ..puppet import puppet_heads
 from ..scene import takes_store
 from ..scene.bake_table import read_table, write_table
 from ..scene.settings import bake_settings, drive_options, pose_targets, puppet_settings
+from ..scene.takes_properties import FacemimeBake
 from ..sessions.session import Session
 from .shared import (
     AsksForFile,
@@ -169,8 +168,7 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
         coefficients = arkit_coefficients(take, calibrate(take), drive_options(scene.facemime))
         told = coefficients[int(np.abs(frames - scene.frame_current_final).argmin())]
         values = {name: blocks[name].value for name in key_names(context.active_object)}
-        data = {"coefficients": told.tolist(), "values": values}
-        scene.facemime_takes.bake.poses.add().data = json.dumps(data)
+        scene.facemime_takes.bake.poses.add().data = KeyPose(told, values).to_json()
         return {"FINISHED"}
 
 
@@ -192,17 +190,29 @@ class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> set[str]:
         """Learn, and forget the poses."""
         bake = context.scene.facemime_takes.bake
-        poses = [json.loads(pose.data) for pose in bake.poses]
-        posed = {name for pose in poses for name, value in pose["values"].items() if value != 0.0}
-        keys = sorted(posed | {row.key for row in bake.rows if all(row.key in pose["values"] for pose in poses)})
+        poses = _poses(bake)
+        posed = {name for pose in poses for name, value in pose.values.items() if value != 0.0}
+        keys = sorted(posed | {row.key for row in bake.rows if all(row.key in pose.values for pose in poses)})
         if not posed:
             raise FacemimeError("No shape key is moved in any of the poses. Pose the head, then add that.")
-        coefficients = np.array([pose["coefficients"] for pose in poses])
-        values = np.array([[pose["values"].get(key, 0.0) for key in keys] for pose in poses])
+        coefficients = np.array([pose.coefficients for pose in poses])
+        values = np.array([[pose.values.get(key, 0.0) for key in keys] for pose in poses])
         start = read_table(bake) if len(bake.rows) else KeyMap("Table", ())
         write_table(bake, learn_map(coefficients, values, keys, start))
         bake.poses.clear()
         return {"FINISHED"}
+
+
+def _poses(bake: FacemimeBake) -> list[KeyPose]:
+    """The poses that were added; one that is damaged is removed, and told by a SourceError."""
+    poses = []
+    for number, pose in enumerate(bake.poses):
+        try:
+            poses.append(KeyPose.from_json(pose.data))
+        except SourceError:
+            bake.poses.remove(number)
+            raise
+    return poses
 
 
 _CLASSES = (

@@ -12,6 +12,7 @@ from bpy.app.handlers import persistent
 
 from ..core.errors import FacemimeError, SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take, take_of
+from ..core.takes.format import NewerFormatError
 from ..core.takes.take import Take
 from .preferences import preferences
 from .storage import free_path, project_folder, relative
@@ -177,5 +178,7 @@ def _loaded(path: Path, changed: int) -> Take:
 def _unpacked(line: FacemimeTake) -> Take:
     try:
         return take_of(base64.b64decode(line.packed.as_string()))
+    except NewerFormatError as error:
+        raise SourceError(f"The packed take {line.name} was written by a newer Facemime. Update Facemime.") from error
     except (ValueError, binascii.Error) as error:
         raise SourceError(f"The packed take {line.name} is damaged ({error}). Import it again.") from error

@@ -43,6 +43,36 @@ class KeyRow:
 
 
 @dataclass(frozen=True)
+class KeyPose:
+    """Keys as the user posed them: their `values` by name, for a frame with `coefficients` (52,)."""
+
+    coefficients: FloatArray
+    values: dict[str, float]
+
+    def to_json(self) -> str:
+        """As `from_json` reads it."""
+        return json.dumps({"coefficients": self.coefficients.tolist(), "values": self.values})
+
+    @classmethod
+    def from_json(cls, text: str) -> KeyPose:
+        """From what `to_json` gave; SourceError where it is something else."""
+        try:
+            data = as_object(parse_json(text), "the text")
+            numbers = as_list(data.get("coefficients"), "coefficients", len(COEFFICIENTS))
+            if len(numbers) != len(COEFFICIENTS):
+                raise ValueError(f"there are {len(numbers)} coefficients, not {len(COEFFICIENTS)}")
+            values = as_object(data.get("values"), "values")
+            return cls(
+                np.array([as_number(number, "a coefficient", -_LARGEST, _LARGEST) for number in numbers]),
+                {key: as_number(value, shown(key), -_LARGEST, _LARGEST) for key, value in values.items()},
+            )
+        except ValueError as error:
+            raise SourceError(
+                f"A stored pose is damaged ({error}) and was removed. Add it again, or learn from the others."
+            ) from error
+
+
+@dataclass(frozen=True)
 class KeyMap:
     """A table, by `name`."""
 

@@ -40,3 +40,13 @@ def test_a_head_of_unknown_keys_has_no_table_to_be_detected():
         head.shape_key_add(name=name, from_mix=False)
     with pytest.raises(RuntimeError, match="no preset knows"):
         bpy.ops.facemime.detect_key_map()
+
+
+@pytest.mark.parametrize("data", ["", "[]", '{"values": {}}', '{"coefficients": [NaN], "values": {}}', "[" * 100_000])
+def test_a_damaged_pose_is_removed_and_told(imported, takes, data):
+    add_head(bpy.context, units=True)
+    assert bpy.ops.facemime.add_key_pose() == {"FINISHED"}
+    takes.bake.poses.add().data = data
+    with pytest.raises(RuntimeError, match="stored pose is damaged"):
+        bpy.ops.facemime.learn_key_map()
+    assert len(takes.bake.poses) == 1
