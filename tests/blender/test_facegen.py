@@ -35,3 +35,22 @@ def test_a_broken_file_is_reported_and_adds_nothing(tmp_path):
     with pytest.raises(RuntimeError, match="damaged at byte"):
         bpy.ops.facemime.import_facegen(filepath=str(tmp_path / "head.tri"))
     assert not bpy.data.objects
+
+
+def test_faces_that_are_none_do_not_reach_blender(tmp_path):
+    """Subdivide ends in a crash on a face of one vertex, and never on one that has a vertex twice."""
+    (tmp_path / "head.obj").write_text(OBJ + "f 1 1 1\nf 2 2 3\nf 1 2 1 3\n")
+    assert bpy.ops.facemime.import_facegen(filepath=str(tmp_path / "head.obj")) == {"FINISHED"}
+    assert len(bpy.context.active_object.data.polygons) == 5
+    assert not bpy.context.active_object.data.validate()
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert bpy.ops.mesh.subdivide() == {"FINISHED"}
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert len(bpy.context.active_object.data.polygons) > 5
+
+
+def test_an_obj_without_any_area_is_reported_and_adds_nothing(tmp_path):
+    (tmp_path / "head.obj").write_text(OBJ[: OBJ.index("f ")] + "f 1 1 1\n")
+    with pytest.raises(RuntimeError, match="none of its faces has an area"):
+        bpy.ops.facemime.import_facegen(filepath=str(tmp_path / "head.obj"))
+    assert not bpy.data.objects
