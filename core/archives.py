@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import re
 import struct
+import sys
 import zipfile
 import zlib
 from math import prod
@@ -27,6 +28,7 @@ _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 0x1
 _DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, RuntimeError)
 """What `zipfile` raises for archives that are damaged, encrypted (RuntimeError) or of a later kind (its subclass)."""
+_MEMBER = b"PK\x01\x02"
 _MAGIC = b"\x93NUMPY"
 _PREFIXES = {1: struct.Struct("<H"), 2: struct.Struct("<I"), 3: struct.Struct("<I")}
 _HEADER = re.compile(
@@ -114,6 +116,8 @@ def read_archive(data: bytes, most: int = MAX_BYTES) -> Archive:
     ValueError
         Where it is no such archive, is damaged, or would unpack to more.
     """
+    if data.count(_MEMBER) > MAX_MEMBERS:  # before `zipfile` makes an object of each
+        raise ValueError(f"it has more than {MAX_MEMBERS} members")
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
@@ -132,8 +136,6 @@ def read_archive(data: bytes, most: int = MAX_BYTES) -> Archive:
 
 
 def _check_members(members: list[zipfile.ZipInfo], most: int) -> None:
-    if len(members) > MAX_MEMBERS:
-        raise ValueError(f"it has {len(members)} members; {MAX_MEMBERS} are read at most")
     if (total := sum(member.file_size for member in members)) > most:
         raise ValueError(f"it unpacks to {total >> 20} MB; {most >> 20} MB are read at most")
     for member in members:
@@ -171,7 +173,13 @@ def _array_of(content: bytes) -> NDArray[Any]:
         raise ValueError(f"a member has the unknown type {found[1]}") from error
     shape = tuple(int(side) for side in found[3].split(",") if side.strip())
     count = prod(shape)
-    if count * dtype.itemsize != len(content) - start - length or any(side > len(content) for side in shape):
+    if (
+        not dtype.itemsize
+        or count * dtype.itemsize != len(content) - start - length
+        or any(side > len(content) for side in shape)
+    ):
         raise ValueError("a member is not as long as its header says")
     flat = np.frombuffer(content, dtype, count, start + length) if count else np.empty(0, dtype)
+    if dtype.kind == "U" and count and int(flat.view(f"{dtype.byteorder}u4").max()) > sys.maxunicode:
+        raise ValueError("a member has letters that are none")  # at which numpy would end in a SystemError
     return flat.reshape(shape, order="F" if found[2] == "True" else "C")

@@ -63,6 +63,9 @@ def test_what_numpy_wrote_is_read():
         ("more than can be counted", npy(stated("<f8", "(9223372036854775807, 9)"))),
         ("a long text", npy(stated("<U900000000", "()"))),
         ("nothing, of any length", npy(stated("<f4", "(0, 9223372036854775807)"))),
+        ("letters that are none", npy(stated("<U1", "()"), b"\xff" * 4)),
+        ("letters that are none, the other way round", npy(stated(">U2", "(1,)"), b"\xff" * 8)),
+        ("texts without letters", npy(stated("<U0", "(3,)"))),
         ("an unknown type", npy(stated("<f7", "(1,)"), bytes(7))),
     ],
 )
