@@ -181,5 +181,5 @@ def _array_of(content: bytes) -> NDArray[Any]:
         raise ValueError("a member is not as long as its header says")
     flat = np.frombuffer(content, dtype, count, start + length) if count else np.empty(0, dtype)
     if dtype.kind == "U" and count and int(flat.view(f"{dtype.byteorder}u4").max()) > sys.maxunicode:
-        raise ValueError("a member has letters that are none")  # at which numpy would end in a SystemError
+        raise ValueError("a member has invalid characters")  # at which numpy would end in a SystemError
     return flat.reshape(shape, order="F" if found[2] == "True" else "C")

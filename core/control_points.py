@@ -144,7 +144,7 @@ def _covariance(triangle: Any) -> FloatArray | None:
     matrix += np.tril(matrix, -1).T
     least, *_, largest = np.linalg.eigvalsh(matrix).tolist()
     if least < -_ROUNDING * largest or largest < 0.0:
-        raise ValueError("covariance is not that of any motion")
+        raise ValueError("covariance is not a covariance matrix")
     return matrix
 
 

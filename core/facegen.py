@@ -157,9 +157,9 @@ def read_obj(path: Path) -> FaceGenMesh:
 
 
 def _sound(path: Path, mesh: FaceGenMesh) -> FaceGenMesh:
-    """The mesh without faces that have no three corners, or are there twice; SourceError where no area is left.
+    """The mesh without degenerate and duplicate faces; SourceError where no area is left.
 
-    Blender takes such faces, and its Subdivide then ends in a crash, or never.
+    Blender accepts such faces, and Subdivide then crashes on them, or never ends.
     """
     faces = mesh.faces.copy()
     ordered = np.sort(faces, axis=1)

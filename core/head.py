@@ -121,10 +121,10 @@ def _head(archive: Archive) -> Head:
     names = archive.texts("unit_names")
     landmarks = archive.wholes("landmarks", (N_LANDMARKS,), 0, count - 1)
     if len(np.unique(vertices[landmarks], axis=0)) != N_LANDMARKS:
-        raise ValueError("landmarks lie on one another")
+        raise ValueError("two landmarks share a place")
     regions = archive.reals("regions", (len(REGION_NAMES), count), np.float32)
     if regions.min() < 0.0 or regions.sum(axis=0).max() > 1.0 + _ROUNDING:
-        raise ValueError("regions has shares that are not within 0 to 1")
+        raise ValueError("regions has shares outside 0 to 1")
     faces, uv = _faces(archive, "", count)
     return Head(
         vertices=vertices,
@@ -157,5 +157,5 @@ def _faces(archive: Archive, prefix: str, count: int) -> tuple[NDArray[np.int32]
     faces = archive.wholes(f"{prefix}faces", (None, 4), -1, count - 1)
     ordered = np.sort(faces, axis=1)
     if (faces[:, :3] < 0).any() or (ordered[:, 1:] == ordered[:, :-1]).any():
-        raise ValueError(f"{prefix}faces has a face that is none")
+        raise ValueError(f"{prefix}faces has a degenerate face")
     return faces.astype(np.int32), archive.reals(f"{prefix}uv", (len(faces), 4, 2), np.float32)

@@ -39,8 +39,8 @@ def read_image(path: Path) -> NDArray[np.uint8]:
         size = stated_size(data)
         if size is not None and (max(size) > MAX_SIDE or size[0] * size[1] > MAX_PIXELS):
             raise SourceError(
-                f"{path} is {size[0]} x {size[1]} pixels; {MAX_PIXELS // 10**6} megapixels and {MAX_SIDE} pixels to a "
-                "side are read at most. Make it smaller and try again."
+                f"{path} is {size[0]} x {size[1]} pixels; the limit is {MAX_PIXELS // 10**6} megapixels "
+                f"and {MAX_SIDE} pixels a side. Make it smaller and try again."
             )
         image = None if size is None else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except (OSError, ValueError, cv2.error) as error:

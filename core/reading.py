@@ -48,7 +48,7 @@ def parse_json(text: str | bytes, *, nan: bool = False) -> Any:
     Raises
     ------
     ValueError
-        Where it is no JSON, nested too deeply, or has a number that is none or too large.
+        Where it is no JSON, nested too deeply, or has a number that is not finite or too large.
     """
     try:
         return json.loads(text, parse_int=_whole, parse_float=_real, parse_constant=_nan if nan else _refused)
@@ -79,7 +79,7 @@ def as_text(value: Any, name: str, most: int = 200) -> str:
     if not isinstance(value, str) or len(value) > most:
         raise ValueError(f"{name} is {shown(value)}, not a text of at most {most} letters")
     if any("\ud800" <= letter <= "\udfff" for letter in value):  # JSON can have them; no file and no Blender takes them
-        raise ValueError(f"{name} is {shown(value)}, which has halves of letters")
+        raise ValueError(f"{name} is {shown(value)}, which has invalid characters")
     return value
 
 
@@ -120,4 +120,4 @@ def _nan(name: str) -> float:
 
 
 def _refused(name: str) -> Any:
-    raise ValueError(f"{name} is no number")
+    raise ValueError(f"{name} is not a number")

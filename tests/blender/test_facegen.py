@@ -37,8 +37,8 @@ def test_a_broken_file_is_reported_and_adds_nothing(tmp_path):
     assert not bpy.data.objects
 
 
-def test_faces_that_are_none_do_not_reach_blender(tmp_path):
-    """Subdivide ends in a crash on a face of one vertex, and never on one that has a vertex twice."""
+def test_degenerate_faces_do_not_reach_blender(tmp_path):
+    """Subdivide crashes on a face of a single vertex, and never ends on one with a repeated vertex."""
     (tmp_path / "head.obj").write_text(OBJ + "f 1 1 1\nf 2 2 3\nf 1 2 1 3\n")
     assert bpy.ops.facemime.import_facegen(filepath=str(tmp_path / "head.obj")) == {"FINISHED"}
     assert len(bpy.context.active_object.data.polygons) == 5

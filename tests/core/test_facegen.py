@@ -217,8 +217,8 @@ def test_an_obj_with_vertices_that_are_nowhere_is_refused_with_its_line(write, l
         read_obj(write("head.obj", f"# first\n{line}\n{OBJ}"))
 
 
-def test_faces_that_are_none_are_left_out(write):
-    """Blender's Subdivide ends in a crash on the first, and never on the second."""
+def test_degenerate_and_duplicate_faces_are_left_out(write):
+    """Blender's Subdivide crashes on the first, and never ends on the second."""
     odd = "f 1 1 1\nf 2 2 3\nf 1 2 1 3\nf 5 5 5 5\nf 2/2 5/1 3/3\n"
     mesh = read_obj(write("head.obj", OBJ + odd))
     np.testing.assert_array_equal(mesh.faces, read_obj(write("head.obj", OBJ)).faces)

@@ -219,10 +219,10 @@ def test_a_head_whose_arrays_do_not_fit_is_refused(tmp_path):
         ("vertices", lambda a: a.__setitem__((5, 1), np.nan), "vertices is not finite"),
         ("units", lambda a: a.__setitem__((0, 0, 0), np.inf), "units is not finite"),
         ("landmarks", lambda a: a.__setitem__(3, -1), "landmarks is not within"),
-        ("landmarks", lambda a: a.__setitem__(slice(None), 7), "landmarks lie on one another"),
+        ("landmarks", lambda a: a.__setitem__(slice(None), 7), "two landmarks share a place"),
         ("regions", lambda a: a.__setitem__((0, 0), 2.0), "regions has shares"),
-        ("faces", lambda a: a.__setitem__((0, 1), a[0, 0]), "faces has a face that is none"),
-        ("tongue.faces", lambda a: a.__setitem__((0, 0), -1), "tongue.faces has a face that is none"),
+        ("faces", lambda a: a.__setitem__((0, 1), a[0, 0]), "faces has a degenerate face"),
+        ("tongue.faces", lambda a: a.__setitem__((0, 0), -1), "tongue.faces has a degenerate face"),
     ],
 )
 def test_a_head_whose_values_make_no_head_is_refused(tmp_path, name, change, message):

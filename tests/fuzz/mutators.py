@@ -148,7 +148,7 @@ def _other_values(rng: Random, array: np.ndarray) -> np.ndarray:
         return out
     if out.dtype == np.uint8 and out.ndim == 1:  # a network
         return np.frombuffer(mutated_bytes(rng, out.tobytes()), np.uint8)
-    if out.dtype.kind == "U" and rng.random() < 0.3:  # letters that are none
+    if out.dtype.kind == "U" and rng.random() < 0.3:  # invalid characters
         return np.frombuffer(b"\xff" * out.nbytes, out.dtype).reshape(out.shape)
     if out.dtype.kind == "U":
         out.reshape(-1)[rng.randrange(out.size)] = rng.choice(("", "other", "\0", out.reshape(-1)[0]))
