@@ -123,15 +123,7 @@ def read_archive(data: bytes, most: int = MAX_BYTES) -> Archive:
             members = archive.infolist()
             _check_members(members, most)
             return Archive({m.filename.removesuffix(".npy"): _array(m, archive) for m in members})
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        struct.error,
-        EOFError,
-        OSError,
-        NotImplementedError,
-        RuntimeError,
-    ) as error:
+    except _DAMAGE as error:
         raise ValueError("its archive is damaged") from error
 
 

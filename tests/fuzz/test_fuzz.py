@@ -22,7 +22,8 @@ _MOST_ENDS = 20
 """Of the process, after which the format is given up."""
 
 
-@pytest.mark.timeout(1200)
+@pytest.mark.thorough
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", sorted(FORMATS))
 def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     outcomes, failures = fuzzed(name, COUNT, tmp_path / "progress.json")
