@@ -194,7 +194,8 @@ class LiveHeadObject:
             return
         with _object_of(self._mesh, self.obj) as obj:
             _remove(obj, keys.key_blocks[LIVE_KEY])
-            if not self._had_keys and len(keys.key_blocks) == 1:
+            keys = self._mesh.shape_keys  # gone with its last key
+            if keys is not None and not self._had_keys and len(keys.key_blocks) == 1:
                 obj.shape_key_clear()
 
 

@@ -107,6 +107,15 @@ def test_all_shape_keys_deleted_meanwhile_are_made_again_and_gone_at_the_end(loo
     np.testing.assert_allclose(shown(head), rest, atol=1e-7)
 
 
+def test_a_basis_deleted_meanwhile_leaves_no_key_at_the_end(looping):
+    head = add_head(bpy.context)
+    start()
+    head.shape_key_remove(head.data.shape_keys.reference_key)
+    some_frames()
+    bpy.ops.facemime.stop_puppet()
+    assert head.data.shape_keys is None
+
+
 def test_a_head_that_was_converted_is_said_in_one_sentence(looping):
     add_head(bpy.context)
     start()
