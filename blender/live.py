@@ -22,7 +22,7 @@ from .bake import EYE_PARTS, JAW_PARTS
 from .bake_cache import MODIFIER
 from .bake_keys import BAKED_KEY_PREFIX, require_relative, value_path
 from .frames import flat_in_blender
-from .meshes import exists, mesh_of
+from .meshes import exists, mesh_of, read_vertices, write_vertices
 from .names import PART_PROPERTY
 from .targets import PoseTarget
 
@@ -70,6 +70,7 @@ class LiveHeadObject:
         self._count = len(mesh.vertices)
         self._had_keys = mesh.shape_keys is not None
         self._muted: list[Muted] = []
+        self._rest: NDArray[np.float32] | None = None
         self._pinned = False
         self._cache_played = (False, False)
         self._shown = False
@@ -96,7 +97,9 @@ class LiveHeadObject:
             return
         self._require_same_mesh()
         self._had_keys = self._mesh.shape_keys is not None
-        self._key()
+        if not self._mesh.is_editmode:
+            self._rest = read_vertices(self._mesh)
+        self._key().value = 1.0  # what Edit mode brings back of one that was removed is at 0
         self._muted = []
         targets = [target.obj for target in self.targets.values() if target.exists]
         for owner in dict.fromkeys([self.obj, *(child for child, _ in self._living_parts()), *targets]):
@@ -172,8 +175,13 @@ class LiveHeadObject:
                 target.rest()
 
     def _require_same_mesh(self) -> None:
-        if self.obj.data != self._mesh or len(self._mesh.vertices) != self._count:
+        if self.obj.data != self._mesh or len(self._mesh.vertices) != self._count or self._basis_lost():
             raise _changed(self._name)
+
+    def _basis_lost(self) -> bool:
+        """Whether the basis was deleted: Blender makes the next key the basis then, and that may be the live one."""
+        keys = self._mesh.shape_keys
+        return keys is not None and keys.reference_key.name == LIVE_KEY
 
     def _living_parts(self) -> list[tuple[bpy.types.Object, str]]:
         return [(child, kind) for child, kind in self._parts if exists(child)]
@@ -192,11 +200,16 @@ class LiveHeadObject:
         keys = self._mesh.shape_keys
         if keys is None or LIVE_KEY not in keys.key_blocks:
             return
+        lost = self._basis_lost() and self._rest is not None
+        if lost:
+            keys.reference_key.points.foreach_set("co", flat_in_blender(self._rest))
         with _object_of(self._mesh, self.obj) as obj:
             _remove(obj, keys.key_blocks[LIVE_KEY])
             keys = self._mesh.shape_keys  # gone with its last key
             if keys is not None and not self._had_keys and len(keys.key_blocks) == 1:
                 obj.shape_key_clear()
+        if lost and self._mesh.shape_keys is None and not self._mesh.is_editmode:
+            write_vertices(self._mesh, self._rest)
 
 
 def require_one_left(heads: Sequence[LiveHeadObject]) -> None:

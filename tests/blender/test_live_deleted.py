@@ -107,13 +107,34 @@ def test_all_shape_keys_deleted_meanwhile_are_made_again_and_gone_at_the_end(loo
     np.testing.assert_allclose(shown(head), rest, atol=1e-7)
 
 
-def test_a_basis_deleted_meanwhile_leaves_no_key_at_the_end(looping):
-    head = add_head(bpy.context)
+@pytest.mark.parametrize("units", [False, True])
+def test_a_basis_deleted_meanwhile_ends_the_puppet_and_the_head_is_as_it_was(looping, units):
+    head = add_head(bpy.context, units=units)
+    rest = shown(head)
     start()
-    head.shape_key_remove(head.data.shape_keys.reference_key)
-    some_frames()
-    bpy.ops.facemime.stop_puppet()
+    keys = head.data.shape_keys
+    for key in [key for key in keys.key_blocks if key.name != LIVE_KEY]:
+        head.shape_key_remove(key)
+    assert outcome_of_ticks() == {"CANCELLED"}
     assert head.data.shape_keys is None
+    np.testing.assert_allclose(shown(head), rest, atol=1e-7)
+
+
+def test_saving_in_edit_mode_goes_on_and_leaves_the_head_at_rest(looping, tmp_path):
+    head = add_head(bpy.context)
+    rest = shown(head)
+    start()
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    some_frames()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    number = running()._number
+    ticks_until(lambda: np.abs(shown(head) - rest).max() > 1e-3 or running()._number > number + 60)
+    assert np.abs(shown(head) - rest).max() > 1e-3
+    bpy.ops.facemime.stop_puppet()
+    np.testing.assert_allclose(shown(head), rest, atol=1e-7)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
+    np.testing.assert_allclose(shown(bpy.data.objects["Facemime Head"]), rest, atol=1e-7)
 
 
 def test_a_head_that_was_converted_is_said_in_one_sentence(looping):
