@@ -11,6 +11,7 @@ import base64
 import glob
 import hashlib
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from ..core.capture import check_readable, require_utf8_name
 from ..core.errors import SourceError
-from ..core.files import replacing
+from ..core.files import reason_of, replacing
 from ..core.reading import parse_json, read_text
 from ..core.takes.take import Take
 from ..core.tracking.tracker import FaceTracker
@@ -28,6 +30,8 @@ from .record import checked_record
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"})
 _OUTPUTS = frozenset({".blend", ".facetake", ".png", ".pc2", ".abc"})
+_LONGEST_LIST = 1 << 26
+"""Characters; what is longer is a film with an unusual suffix."""
 _CURVE_POINTS = 300
 _WORST, _APART = 3, 0.5
 
@@ -58,27 +62,40 @@ def find_clips(sources: Sequence[Path]) -> list[Path]:
     """
     clips: list[Path] = []
     for source in sources:
-        if source.is_dir():
-            files = (path for path in source.rglob("*") if not path.name.startswith(".") and path.is_file())
-            found = sorted(path for path in files if path.suffix.lower() in VIDEO_SUFFIXES)
-        elif source.suffix.lower() in VIDEO_SUFFIXES:
-            found = [source]
+        if os.path.isdir(source):
+            found = _videos_in(source)
+        elif not check_readable(source) and source.suffix.lower() not in VIDEO_SUFFIXES:
+            raise _no_list(source)
         else:
-            found = _listed(source)
+            found = [source] if source.suffix.lower() in VIDEO_SUFFIXES else _listed(source)
         if not found:
             raise SourceError(f"There is no clip in {source}. Videos are {', '.join(sorted(VIDEO_SUFFIXES))}.")
         clips += found
     return clips
 
 
+def _videos_in(folder: Path) -> list[Path]:
+    files = (path for path in folder.rglob("*") if not path.name.startswith(".") and os.path.isfile(path))
+    try:
+        return sorted(path for path in files if path.suffix.lower() in VIDEO_SUFFIXES)
+    except OSError as error:
+        raise SourceError(f"The folder {folder} cannot be read: {reason_of(error)}. Change its permissions.") from error
+
+
 def _listed(path: Path) -> list[Path]:
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        with open(path, encoding="utf-8-sig") as stream:
+            text = stream.read(_LONGEST_LIST + 1)
     except (OSError, UnicodeDecodeError) as error:
-        raise SourceError(
-            f"{path} is no folder and no list of clips. Give a folder, or a text, a path a line."
-        ) from error
-    return [path.parent / line.strip() for line in lines if line.strip() and not line.startswith("#")]
+        raise _no_list(path) from error
+    if len(text) > _LONGEST_LIST or "\0" in text:
+        raise _no_list(path)
+    lines = (line.strip() for line in text.splitlines())
+    return [path.parent / line for line in lines if line and not line.startswith("#")]
+
+
+def _no_list(path: Path) -> SourceError:
+    return SourceError(f"{path} is no folder and no list of clips. Give a folder, or a text in UTF-8, a path a line.")
 
 
 class Namer:
@@ -98,18 +115,19 @@ class Namer:
 
     def job(self, clip: Path) -> Job:
         """The job of `clip`; SourceError where it cannot be read."""
+        require_utf8_name(clip)
         key = hashlib.sha256(checksum(clip).encode() + self._settings).hexdigest()
         return Job(clip, f"{clip.stem}-{key[:12]}")
 
 
 def checksum(path: Path) -> str:
     """SHA-256 of a file's content; SourceError where it cannot be read."""
+    check_readable(path)
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise SourceError(f"{path} cannot be read: {reason}. Check the path.") from error
+        raise SourceError(f"{path} cannot be read: {reason_of(error)}. Check the path.") from error
 
 
 def read_record(job: Job, folder: Path) -> dict[str, Any] | None:

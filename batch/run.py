@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
 from ..core.errors import FacemimeError
+from .leash import LEASH
 
 _LINES = 12
+_PATIENCE = 10.0
+"""Seconds that a process may take to end tidily."""
 
 
 @dataclass(frozen=True)
@@ -64,16 +70,24 @@ class LocalRunner:
         self._pool.shutdown(wait=False, cancel_futures=True)
         for process in list(self._running):
             process.terminate()
+        end = time.monotonic() + _PATIENCE
+        while self._running and time.monotonic() < end:
+            time.sleep(0.02)
+        for process in list(self._running):
+            process.kill()
         self._pool.shutdown(wait=True)
 
     def _one(self, index: int, line: Sequence[str]) -> Outcome:
         if self._closed:
             return Outcome(index, 130, "stopped")
-        pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
-        with subprocess.Popen([*own_command(), *line], text=True, errors="replace", **pipes) as process:
+        with _started(line) as process:
             self._running.add(process)
-            _, said = process.communicate()
-            self._running.discard(process)
+            if self._closed:  # meanwhile
+                process.terminate()
+            try:
+                _, said = process.communicate()
+            finally:
+                self._running.discard(process)
         return Outcome(index, process.returncode, _last(said))
 
 
@@ -117,8 +131,29 @@ class DaskRunner:
 
 def run_line(line: list[str]) -> tuple[int, str]:
     """Run one command line of `facemime` to its end; returns its exit status and the last it said."""
-    done = subprocess.run([*own_command(), *line], stdin=subprocess.DEVNULL, capture_output=True, check=False)
-    return done.returncode, _last(done.stderr.decode(errors="replace"))
+    with _started(line) as process:
+        _, said = process.communicate()
+    return process.returncode, _last(said)
+
+
+@contextmanager
+def _started(line: Sequence[str]) -> Iterator[subprocess.Popen[str]]:
+    """A process that runs `line`, and ends with this one, however that ends: its standard input does then."""
+    end, held = os.pipe()  # which no other process inherits, so that nothing else keeps it open
+    try:
+        with subprocess.Popen(
+            [*own_command(), *line],
+            stdin=end,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            env={**os.environ, LEASH: "1"},
+        ) as process:
+            yield process
+    finally:
+        os.close(end)
+        os.close(held)
 
 
 def _last(said: str) -> str:

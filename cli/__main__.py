@@ -1,7 +1,5 @@
 """`python -m facemime.cli`."""
 
-import sys
+from .entry import start
 
-from .main import main
-
-sys.exit(main())
+start()

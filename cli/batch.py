@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,24 +15,34 @@ from ..batch.run import DaskRunner, LocalRunner, Runner
 from ..core.capture import VideoSource
 from ..core.errors import FacemimeError, SourceError
 from ..core.files import check_writable, locked
+from ..core.locks import lock_of, sweep
 from ..core.overlay import picture_of_frame
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
-from .console import Progress
-from .options import Commands, add_bake_options, add_command, add_head_options, add_output, as_line, settings_of
+from .console import Progress, printable, tell
+from .options import (
+    Commands,
+    add_bake_options,
+    add_command,
+    add_head_options,
+    add_output,
+    as_line,
+    settings_of,
+    whole_number,
+)
+from .stopping import INTERRUPTED
 
 _SOURCES = "videos, folders of them, or a text with a path a line"
 _OUTPUT = "where each clip's .blend, .facetake, .png and record go; what is there already is not done again"
 _THUMBNAIL = (240, 180)
 _MOST_FAILED = 99
-_INTERRUPTED = 130
 
 
 def add_commands(commands: Commands) -> None:
     """Make the commands known to the parser."""
     clip = add_command(commands, "clip", "puppet one of many clips, if that is not done yet; what batch runs")
     clip.add_argument("source", type=Path, metavar="VIDEO|FOLDER|LIST", help=_SOURCES)
-    clip.add_argument("--number", type=int, metavar="N", help="which clip of the folder or the list, from 1")
+    clip.add_argument("--number", type=whole_number, metavar="N", help="which clip of the folder or the list, from 1")
     add_output(clip, "DIR", _OUTPUT)
     add_head_options(clip)
     add_bake_options(clip)
@@ -43,7 +52,9 @@ def add_commands(commands: Commands) -> None:
     batch.add_argument("sources", nargs="+", type=Path, metavar="FOLDER|LIST|VIDEO", help=_SOURCES)
     add_output(batch, "DIR", f"{_OUTPUT}; and report.html")
     jobs = max(1, (os.cpu_count() or 2) // 2)
-    batch.add_argument("--jobs", type=int, default=jobs, metavar="N", help=f"clips at a time (half the cores: {jobs})")
+    batch.add_argument(
+        "--jobs", type=whole_number, default=jobs, metavar="N", help=f"clips at a time (half the cores: {jobs})"
+    )
     batch.add_argument("--dask", metavar="ADDRESS", help="on the workers of this Dask scheduler instead of here")
     add_head_options(batch)
     add_bake_options(batch)
@@ -57,7 +68,8 @@ def run_clip(arguments: argparse.Namespace) -> int:
     job = Namer(settings_of(arguments)).job(_chosen(find_clips([arguments.source]), arguments.number))
     folder = arguments.output
     outputs = {suffix: str(job.output(folder, suffix)) for suffix in (".blend", SUFFIX, ".png")}
-    with locked(job.output(folder, ".lock")):
+    with locked(lock_of(job.output(folder, ".json"))):
+        sweep(folder)
         if read_record(job, folder) is not None:
             return 0
         started = time.monotonic()
@@ -87,6 +99,7 @@ def run_batch(arguments: argparse.Namespace) -> int:
     if arguments.dask is None and importlib.util.find_spec("bpy") is None:
         raise FacemimeError("batch needs Blender. Run: blender --command facemime batch ..., or install bpy.")
     folder.mkdir(parents=True, exist_ok=True)
+    sweep(folder)
     runner: Runner = LocalRunner(arguments.jobs) if arguments.dask is None else DaskRunner(arguments.dask)
     jobs, failures = _jobs(clips, Namer(settings_of(arguments)))
     before = {name for name, job in jobs.items() if read_record(job, folder) is not None}
@@ -97,11 +110,11 @@ def run_batch(arguments: argparse.Namespace) -> int:
     failed = [entry for entry in entries if entry.status == "failed"]
     for entry in failed:
         last = (entry.said.splitlines() or ["no reason was told"])[-1]
-        print(f"facemime: {entry.clip}: {last.removeprefix('facemime: ')}", file=sys.stderr)
-    print(f"facemime: {len(failed)} of {len(entries)} clips failed; see {folder / 'report.html'}.", file=sys.stderr)
+        tell(f"facemime: {entry.clip}: {last.removeprefix('facemime: ')}")
+    tell(f"facemime: {len(failed)} of {len(entries)} clips failed; see {folder / 'report.html'}.")
     if interrupted:
-        print("facemime: interrupted. The same line again goes on where this one ended.", file=sys.stderr)
-    return _INTERRUPTED if interrupted else min(len(failed), _MOST_FAILED)
+        tell("facemime: interrupted. The same line again goes on where this one ended.")
+    return INTERRUPTED if interrupted else min(len(failed), _MOST_FAILED)
 
 
 def _run(runner: Runner, todo: Sequence[Job], total: int, arguments: argparse.Namespace) -> tuple[dict[str, str], bool]:
@@ -133,7 +146,7 @@ def _jobs(clips: Sequence[Path], namer: Namer) -> tuple[dict[str, Job], list[Ent
         try:
             job = namer.job(clip)
         except SourceError as error:
-            failures.append(Entry(clip.name, "failed", said=str(error)))
+            failures.append(Entry(printable(clip.name), "failed", said=printable(str(error))))
         else:
             jobs.setdefault(job.name.rpartition("-")[2], job)
     return {job.name: job for job in jobs.values()}, failures
@@ -142,8 +155,8 @@ def _jobs(clips: Sequence[Path], namer: Namer) -> tuple[dict[str, Job], list[Ent
 def _entry(job: Job, folder: Path, before: bool, said: str | None) -> Entry:
     """What the report tells of a clip: that it is done is known by its record alone."""
     if (record := read_record(job, folder)) is not None:
-        return Entry(job.clip.name, "skipped" if before else "done", job.name, record=record)
-    return Entry(job.clip.name, "not reached" if said is None else "failed", job.name, said or "")
+        return Entry(printable(job.clip.name), "skipped" if before else "done", job.name, record=record)
+    return Entry(printable(job.clip.name), "not reached" if said is None else "failed", job.name, said or "")
 
 
 def _chosen(clips: Sequence[Path], number: int | None) -> Path:

@@ -6,8 +6,12 @@ _handle = None
 
 
 def _run(arguments: list[str]) -> int:
+    from ..batch.leash import follow_stdin
     from . import main as cli
+    from .stopping import open_standard_streams
 
+    open_standard_streams()
+    follow_stdin()
     return cli.main(arguments)
 
 

@@ -1,13 +1,17 @@
-"""What the command line says while it works."""
+"""What the command line says while it works. All of it goes through here."""
 
 from __future__ import annotations
 
 import os
 import sys
 import time
+import unicodedata
 from typing import TextIO
 
 from ..core.errors import OutputError
+
+_UNSEEN = frozenset({"Cc", "Cs", "Zl", "Zp"})
+_TURNING = frozenset("\u200e\u200f\u061c\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 
 
 def say(text: str) -> None:
@@ -21,11 +25,40 @@ def say(text: str) -> None:
     if sys.stdout is None:  # closed by whoever called
         return
     try:
-        print(text, flush=True)
+        print("\n".join(printable(line) for line in text.split("\n")), flush=True)
     except BrokenPipeError:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - what is left in the buffer goes there when Python ends
     except OSError as error:
         raise OutputError(f"Cannot write to the standard output: {(error.strerror or str(error)).lower()}.") from error
+
+
+def tell(text: str) -> None:
+    """Write a line for the user to the standard error; that nobody reads it, or its disk is full, is no error."""
+    write_error(printable(text) + "\n")
+
+
+def write_error(text: str) -> None:
+    """Write `text` as it is to the standard error, as `tell`."""
+    if sys.stderr is None:
+        return
+    try:
+        sys.stderr.write(text)
+        sys.stderr.flush()
+    except OSError:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - what is left in the buffer goes there when Python ends
+
+
+def printable(text: str) -> str:
+    """`text` on one line, with the characters by which a file's name could command a terminal written as escapes."""
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(_escaped(c) if unicodedata.category(c) in _UNSEEN or c in _TURNING else c for c in text)
+
+
+def _escaped(character: str) -> str:
+    if "\udc80" <= character <= "\udcff":  # a byte that is not UTF-8
+        return f"\\x{ord(character) - 0xDC00:02x}"
+    return character.encode("unicode_escape").decode()
 
 
 class Progress:
@@ -42,10 +75,11 @@ class Progress:
     """
 
     def __init__(self, title: str, total: int = 0, stream: TextIO | None = None, unit: str = "frames") -> None:
-        self.title, self.total, self.done = title, total, 0
+        self.title, self.total, self.done = printable(title), total, 0
         self._unit, self._rate = unit, "fps" if unit == "frames" else f"{unit}/s"
-        self._stream = sys.stderr if stream is None else stream
-        self._live = self._stream.isatty()
+        self._stream = stream
+        shown = sys.stderr if stream is None else stream
+        self._live = shown is not None and shown.isatty()
         self._start = time.perf_counter()
         self._drawn = 0.0
 
@@ -55,15 +89,19 @@ class Progress:
         now = time.perf_counter()
         if self._live and now - self._drawn > 0.1:
             self._drawn = now
-            self._stream.write("\r\x1b[K" + self.line())
-            self._stream.flush()
+            self._write("\r\x1b[K" + self.line())
 
     def finish(self, note: str = "") -> None:
         """End the line, with what came out."""
-        self._stream.write(
-            ("\r\x1b[K" if self._live else "") + self.line(ended=True) + (f", {note}" if note else "") + "\n"
-        )
-        self._stream.flush()
+        note = f", {printable(note)}" if note else ""
+        self._write(("\r\x1b[K" if self._live else "") + self.line(ended=True) + note + "\n")
+
+    def _write(self, text: str) -> None:
+        if self._stream is None:
+            write_error(text)
+        else:
+            self._stream.write(text)
+            self._stream.flush()
 
     def line(self, ended: bool = False) -> str:
         """The line as it stands: title, bar, count, rate and the time left."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import sys
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,8 +19,8 @@ from ..blender.meshes import write_selection
 from ..blender.names import LANDMARKS_PROPERTY
 from ..blender.preview_scene import setup_preview
 from ..blender.rendering import quiet, render_frames, set_rate, write_video
-from ..core.bake.key_map import load_map
-from ..core.capture import Frame, VideoSource, at_constant_rate
+from ..core.bake.key_map import KeyMap, load_map
+from ..core.capture import Frame, VideoSource, at_constant_rate, check_readable, require_utf8_name
 from ..core.deform.greedy import GreedySelection
 from ..core.drive import DriveOptions
 from ..core.errors import FacemimeError, HeadError, OutputError, SourceError
@@ -30,7 +30,8 @@ from ..core.motion import most_different
 from ..core.overlay import contact_sheet, label, picture_of_face, picture_of_frame
 from ..core.takes.take import Take
 from ..puppet import BakeSettings, PuppetReport, PuppetSettings, check_heads, puppet_head
-from .console import Progress
+from .console import Progress, tell
+from .options import head_file
 
 Image = NDArray[np.uint8]
 
@@ -62,9 +63,8 @@ def puppet(
     )
     report = puppet_head(scene, head, take, settings)
     neutral = report.neutral
-    print(
-        f"Baked {len(report.motion.times)} frames: {report.told()}; neutral at {neutral.start:.2f}-{neutral.end:.2f} s",
-        file=sys.stderr,
+    tell(
+        f"Baked {len(report.motion.times)} frames: {report.told()}; neutral at {neutral.start:.2f}-{neutral.end:.2f} s"
     )
     if arguments.head is not None:  # a user's own file keeps its camera and its render settings
         save_blend(arguments.output)
@@ -94,10 +94,17 @@ def bake_settings(arguments: argparse.Namespace) -> BakeSettings:
         keys=arguments.keys,
         max_keys=arguments.max_keys,
         clean=arguments.clean / 100.0,
-        table=None if arguments.map is None else load_map(arguments.map),
+        table=_table(arguments.map),
         nla=arguments.nla,
         path=arguments.output if cached else None,
     )
+
+
+def _table(path: Path | None) -> KeyMap | None:
+    if path is None:
+        return None
+    check_readable(path)
+    return load_map(path)
 
 
 def open_head(
@@ -119,13 +126,13 @@ def open_head(
         if points is not None:
             write_selection(head.data, points)
         return bpy.context.scene, head
-    file, found, name = spec.rpartition(".blend:")
-    path, name = (Path(file + ".blend"), name) if found else (Path(spec), "")
-    if not path.is_file():
+    path, name = head_file(spec)
+    if path is None or not check_readable(path):
         raise SourceError(f"There is no file {path}. Give --head as FILE.blend:OBJECT.")
+    require_utf8_name(path)
     try:
-        with quiet():
-            bpy.ops.wm.open_mainfile(filepath=str(path.resolve()))
+        with quiet():  # whatever the preferences say: a head from elsewhere may bring programs of its own
+            bpy.ops.wm.open_mainfile(filepath=os.path.realpath(path), use_scripts=False)
     except RuntimeError as error:
         raise SourceError(f"{path} cannot be opened by this Blender. Check that it is a .blend file.") from error
     bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and LANDMARKS_PROPERTY in obj.data]

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.capture import require_file
+from ..core.capture import check_readable, require_file, require_utf8_name
 from ..core.control_points import from_json, parse_landmarks, select_for_take, to_json
 from ..core.deform.greedy import GreedySelection
 from ..core.deform.regions import REGIONS
 from ..core.drive import built_in_rig
 from ..core.errors import FacemimeError, OutputError, SourceError
-from ..core.files import check_writable, replacing
+from ..core.files import check_writable, free_name, reason_of, replacing, settle
 from ..core.images import IMAGE_SUFFIXES, read_image, write_image
 from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
 from ..core.overlay import draw_landmarks
@@ -34,33 +34,53 @@ from ..core.takes.take import Take
 from ..core.tracking.tracker import FaceTracker
 from ..core.version import version
 from .batch import add_commands as add_batch_commands
-from .console import Progress, say
-from .options import add_bake_options, add_command, add_face_option, add_head_options, add_output, face_of
+from .console import Progress, say, tell
+from .options import (
+    Parser,
+    add_bake_options,
+    add_command,
+    add_face_option,
+    add_head_options,
+    add_output,
+    face_of,
+    head_file,
+    number,
+    whole_number,
+)
+from .outputs import outputs_of
+from .stopping import INTERRUPTED, STOPPING
 from .takes import add_commands as add_take_commands
 from .takes import load_telling
 
-INTERRUPTED = 130
-_UNFINISHED, _INTERRUPTED = f".unfinished{SUFFIX}", f".interrupted{SUFFIX}"
+_UNFINISHED, _INTERRUPTED = f".unfinished{SUFFIX}", ".interrupted"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit status: 0, 1 for an error that was told, 2 for usage, 130 for Ctrl-C."""
+    """Run the command.
+
+    Returns
+    -------
+    int
+        The exit status: 0, 1 for an error that was told, 2 for usage, 130 for Ctrl-C, 143 for SIGTERM.
+    """
     with contextlib.ExitStack() as stack:
         if sys.stderr is None:  # closed by whoever called
             stack.enter_context(contextlib.redirect_stderr(stack.enter_context(open(os.devnull, "w"))))
-        arguments = _parser().parse_args(argv)
         try:
-            return int(arguments.run(arguments))
+            arguments = _parser().parse_args(argv)
+            status = int(arguments.run(arguments))
         except FacemimeError as error:
-            print(f"facemime: {error}", file=sys.stderr)
+            tell(f"facemime: {error}")
             return 1
         except KeyboardInterrupt as stop:
-            print(f"facemime: interrupted; {stop or 'what was written before stays'}.", file=sys.stderr)
-            return INTERRUPTED
+            kept = f"; {stop}" if str(stop) else ". Files that were complete before are kept"
+            tell(f"facemime: interrupted{kept}.")
+            status = INTERRUPTED
+        return STOPPING.status if status == INTERRUPTED else status
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="facemime", description="Live face puppetry for Blender.")
+    parser = Parser(prog="facemime", description="Live face puppetry for Blender.")
     parser.add_argument("--version", action="version", version=f"facemime {version()}")
     commands = parser.add_subparsers(dest="command", required=True)
 
@@ -83,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     puppet.add_argument("--preview", type=Path, metavar="OUT.mp4", help="video of performer and avatar side by side")
     puppet.add_argument("--sheet", type=Path, metavar="OUT.png", help="contact sheet of the most different expressions")
     puppet.add_argument("--take", type=Path, metavar="TAKE.facetake", help="also keep the take")
-    puppet.add_argument("--neutral", type=float, metavar="SECONDS", help="where the neutral second starts; else found")
+    puppet.add_argument("--neutral", type=number, metavar="SECONDS", help="where the neutral second starts; else found")
     add_head_options(puppet)
     add_bake_options(puppet)
     puppet.set_defaults(run=run_puppet)
@@ -91,13 +111,13 @@ def _parser() -> argparse.ArgumentParser:
     select = add_command(commands, "select", "choose the control points that a take needs on the built-in head")
     select.add_argument("take", type=Path, metavar="TAKE.facetake", help="what track made")
     select.add_argument("-o", "--output", type=Path, metavar="POINTS.json", help="for puppet --points")
-    select.add_argument("--tolerance", type=float, default=1.0, metavar="PERCENT", help="of the face's width (1)")
+    select.add_argument("--tolerance", type=number, default=1.0, metavar="PERCENT", help="of the face's width (1)")
     select.add_argument(
-        "--max-points", type=int, default=N_LANDMARKS, metavar="N", help=f"at most so many ({N_LANDMARKS})"
+        "--max-points", type=whole_number, default=N_LANDMARKS, metavar="N", help=f"at most so many ({N_LANDMARKS})"
     )
     select.add_argument("--add", default="", metavar="17,19-21", help="landmarks to have in any case, iBUG numbers")
     select.add_argument("--remove", default="", metavar="0-3,30", help="landmarks never to have")
-    select.add_argument("--neutral", type=float, metavar="SECONDS", help="where the neutral second starts; else found")
+    select.add_argument("--neutral", type=number, metavar="SECONDS", help="where the neutral second starts; else found")
     select.set_defaults(run=run_select)
 
     add_take_commands(commands)
@@ -108,7 +128,11 @@ def _parser() -> argparse.ArgumentParser:
 def run_landmarks(arguments: argparse.Namespace) -> int:
     """`facemime landmarks`: one row a picture, NaN where there is no face."""
     paths = _images(arguments.images)
-    check_writable(arguments.output, {".npz"})
+    with outputs_of(((arguments.output, {".npz"}),), {}):
+        return _locate(paths, arguments)
+
+
+def _locate(paths: Sequence[Path], arguments: argparse.Namespace) -> int:
     drawings = [] if arguments.overlay is None else _drawings(paths, arguments.overlay)
     tracker = FaceTracker.load()
     landmarks = np.full((len(paths), N_LANDMARKS, 2), np.nan)
@@ -129,17 +153,25 @@ def run_landmarks(arguments: argparse.Namespace) -> int:
                     write_image(drawings[i], draw_landmarks(image, result.landmarks))
             done = i + 1
             progress.update(done)
+    kept = arguments.output if done == len(paths) else _beside(arguments.output, arguments.output.suffix)
     names, landmarks, confidence = np.array([path.name for path in paths[:done]]), landmarks[:done], confidence[:done]
-    with replacing(arguments.output) as temporary, open(temporary, "wb") as stream:
+    with replacing(kept) as temporary, open(temporary, "wb") as stream:
         np.savez_compressed(stream, names=names, landmarks=landmarks, confidence=confidence)
     found = int(np.isfinite(landmarks[:, 0, 0]).sum())
     progress.finish(f"a face in {found} of {len(paths)}")
     for error in unreadable:
-        print(f"facemime: {error}", file=sys.stderr)
+        tell(f"facemime: {error}")
     if done < len(paths):
-        print(f"facemime: interrupted; the first {done} pictures are in {arguments.output}.", file=sys.stderr)
+        tell(f"facemime: interrupted; the first {done} pictures are in {kept}.")
         return INTERRUPTED
     return 1 if unreadable else 0
+
+
+def _beside(output: Path, suffix: str) -> Path:
+    """Where the part of an interrupted run goes: `output` where nothing is there yet, a free name beside it else."""
+    if not os.path.lexists(output):
+        return output
+    return free_name(output.with_suffix(f"{_INTERRUPTED}{suffix}"))
 
 
 def _drawings(paths: Sequence[Path], folder: Path) -> list[Path]:
@@ -154,7 +186,7 @@ def _drawings(paths: Sequence[Path], folder: Path) -> list[Path]:
     for path in paths:
         names = itertools.chain([path.stem], (f"{path.stem}-{number}" for number in itertools.count(2)))
         drawings[next(place for name in names if (place := folder / f"{name}.png") not in drawings)] = None
-    if any(path.parent.resolve() == folder.resolve() for path in paths):
+    if any(os.path.realpath(path.parent) == os.path.realpath(folder) for path in paths):
         raise OutputError(f"Cannot draw in {folder}: the pictures themselves are there. Give --overlay another folder.")
     check_writable(next(iter(drawings)))
     return list(drawings)
@@ -162,85 +194,89 @@ def _drawings(paths: Sequence[Path], folder: Path) -> list[Path]:
 
 def run_track(arguments: argparse.Namespace) -> int:
     """`facemime track`: a video to a take."""
-    check_writable(arguments.output, {SUFFIX})
     unfinished = arguments.output.with_suffix(_UNFINISHED)
-    with _telling_of(unfinished):
+    outputs, inputs = ((arguments.output, {SUFFIX}),), {"the video that is tracked": arguments.video}
+    with outputs_of(outputs, inputs, unfinished), _telling_of(unfinished := _unused(unfinished)):
         take = _track(arguments.video, unfinished, face_of(arguments.face))
         if arguments.smooth:
             take = smooth_take(take)
             save_take(take, unfinished)
         if take.info.get("interrupted"):
-            return _interrupted(take, unfinished, arguments.output)
-        _settle(unfinished, arguments.output)
+            return _interrupted(take, unfinished, _beside(arguments.output, SUFFIX))
+        settle(unfinished, arguments.output)
     return 0
 
 
 def run_puppet(arguments: argparse.Namespace) -> int:
     """`facemime puppet`: a video or a take to an animated head, and pictures of it."""
     try:
-        from . import headless
+        with STOPPING.importing():
+            from . import headless
     except ImportError as error:
         raise FacemimeError(
             f"puppet needs Blender ({error}). Run: blender --command facemime puppet ..., or install bpy."
         ) from error
-    _check_outputs(arguments)
-    bake = headless.bake_settings(arguments)
-    points = None if arguments.points is None else from_json(_text(arguments.points))
-    scene, head = headless.open_head(arguments.head, points, bake)
-    if arguments.source.suffix.lower() == SUFFIX:
-        take = load_telling(arguments.source)
-        if arguments.take is not None:
-            save_take(take, arguments.take)
-        headless.puppet(arguments, scene, head, take, None, bake)
-        return 0
-    unfinished = (arguments.take or arguments.output).with_suffix(_UNFINISHED)
-    with _telling_of(unfinished):
-        take = _track(arguments.source, unfinished, face_of(arguments.face))
-        if take.info.get("interrupted"):
-            return _interrupted(take, unfinished, arguments.take or arguments.output.with_suffix(_INTERRUPTED))
-        if arguments.take is not None:
-            _settle(unfinished, arguments.take)
-        headless.puppet(arguments, scene, head, take, arguments.source, bake)
-    unfinished.unlink(missing_ok=True)
-    return 0
-
-
-def _check_outputs(arguments: argparse.Namespace) -> None:
-    """Raise OutputError now where one of the outputs of `puppet` cannot be written, or is the video itself."""
-    if arguments.preview is not None and arguments.preview.resolve() == arguments.source.resolve():
-        raise OutputError(f"Cannot write {arguments.preview}: it is the video that is tracked. Give another name.")
-    for path, suffixes in (
+    outputs = (
         (arguments.output, {".blend"}),
         (arguments.preview, {".mp4"}),
         (arguments.sheet, {".png", ".jpg"}),
         (arguments.take, {SUFFIX}),
-    ):
+    )
+    tracked = arguments.source.suffix.lower() != SUFFIX
+    inputs = {
+        "the video that is tracked" if tracked else "the take that moves the head": arguments.source,
+        "the file of the head": head_file(arguments.head)[0],
+        "the file of the control points": arguments.points,
+        "the table of keys": arguments.map,
+    }
+    for path, _ in outputs:
         if path is not None:
-            check_writable(path, suffixes)
+            require_utf8_name(path)
+    unfinished = (arguments.take or arguments.output).with_suffix(_UNFINISHED)
+    with outputs_of(outputs, inputs, *([unfinished] if tracked else [])):
+        bake = headless.bake_settings(arguments)
+        points = None if arguments.points is None else from_json(_text(arguments.points))
+        scene, head = headless.open_head(arguments.head, points, bake)
+        if not tracked:
+            take = load_telling(arguments.source)
+            if arguments.take is not None:
+                save_take(take, arguments.take)
+            headless.puppet(arguments, scene, head, take, None, bake)
+            return 0
+        with _telling_of(unfinished := _unused(unfinished)):
+            take = _track(arguments.source, unfinished, face_of(arguments.face))
+            if take.info.get("interrupted"):
+                kept = arguments.take or arguments.output.with_suffix(f"{_INTERRUPTED}{SUFFIX}")
+                return _interrupted(take, unfinished, _beside(kept, SUFFIX) if arguments.take else free_name(kept))
+            if arguments.take is not None:
+                settle(unfinished, arguments.take)
+            headless.puppet(arguments, scene, head, take, arguments.source, bake)
+        unfinished.unlink(missing_ok=True)
+    return 0
 
 
 def run_select(arguments: argparse.Namespace) -> int:
     """`facemime select`: a take to control points; the curve of error goes to the output, a line a step."""
-    if arguments.output is not None:
-        check_writable(arguments.output, {".json"})
     if not arguments.tolerance > 0:
         raise FacemimeError(f"The tolerance must be above 0 %; got {arguments.tolerance}.")
-    take = load_telling(arguments.take)
-    selection = select_for_take(
-        built_in_rig(),
-        take,
-        neutral=calibrate(take, arguments.neutral),
-        tolerance=arguments.tolerance / 100.0,
-        max_points=arguments.max_points,
-        always=parse_landmarks(arguments.add),
-        never=parse_landmarks(arguments.remove),
-    )
-    if arguments.output is not None:
-        with replacing(arguments.output) as temporary:
-            temporary.write_text(to_json(selection) + "\n", encoding="utf-8")
+    always, never = parse_landmarks(arguments.add), parse_landmarks(arguments.remove)
+    with outputs_of(((arguments.output, {".json"}),), {"the take that is read": arguments.take}):
+        take = load_telling(arguments.take)
+        selection = select_for_take(
+            built_in_rig(),
+            take,
+            neutral=calibrate(take, arguments.neutral),
+            tolerance=arguments.tolerance / 100.0,
+            max_points=arguments.max_points,
+            always=always,
+            never=never,
+        )
+        if arguments.output is not None:
+            with replacing(arguments.output) as temporary:
+                temporary.write_text(to_json(selection) + "\n", encoding="utf-8")
     say(_table(selection))
     if not selection.reached:
-        print("facemime: the tolerance was not reached; allow more points, or a larger one.", file=sys.stderr)
+        tell("facemime: the tolerance was not reached; allow more points, or a larger one.")
     return 0
 
 
@@ -258,21 +294,29 @@ def _table(selection: GreedySelection) -> str:
 
 
 def _text(path: Path) -> str:
+    check_readable(path)
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise SourceError(f"{path} cannot be read ({error}). Give a file that facemime select -o wrote.") from error
 
 
+def _unused(unfinished: Path) -> Path:
+    """A free name for what is not finished; what an earlier run left under another one is told, and stays."""
+    name = free_name(unfinished)
+    if name != unfinished:
+        tell(f"facemime: {unfinished} is what an earlier run tracked before it was broken off; it is kept.")
+    return name
+
+
 def _track(video: Path, unfinished: Path, face: tuple[float, float] | None) -> Take:
-    """The take of `video`, written to `unfinished` as it grows; what an earlier run left there is replaced."""
+    """The take of `video`, written to `unfinished` as it grows."""
+    require_file(video)
     tracker = FaceTracker.load()
     progress = Progress(f"Tracking {video.name}")
-    require_file(video)
-    unfinished.unlink(missing_ok=True)
     track_video(video, tracker, lambda done, total, _: progress.update(done, total), unfinished, face)
     if not unfinished.exists():
-        raise FacemimeError(f"Interrupted before the first frame of {video}. Start it again.")
+        raise KeyboardInterrupt("no frame was tracked yet")
     take = load_take(unfinished)
     progress.finish(f"a face in {int(take.found.sum())} of {len(take)}")
     if not take.found.any() and not take.info.get("interrupted"):
@@ -300,26 +344,27 @@ def _telling_of(unfinished: Path) -> Iterator[None]:
 
 def _interrupted(take: Take, unfinished: Path, kept: Path) -> int:
     """Give what was tracked until Ctrl-C its name, and say so; returns the exit status."""
-    _settle(unfinished, kept)
-    print(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.", file=sys.stderr)
+    settle(unfinished, kept)
+    tell(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.")
     return INTERRUPTED
-
-
-def _settle(unfinished: Path, kept: Path) -> None:
-    """Give a finished take its name."""
-    with replacing(kept) as temporary:
-        os.replace(unfinished, temporary)
 
 
 def _images(paths: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for path in paths:
-        if path.is_dir():
-            files += sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
-        elif path.exists():
+        if os.path.isdir(path):
+            files += _pictures_in(path)
+        elif check_readable(path):
             files.append(path)
         else:
             raise SourceError(f"There is no file or folder {path}. Check the path.")
     if not files:
         raise SourceError("There is no picture in the folders given. JPEG, PNG, BMP, TIFF and WebP are read.")
     return files
+
+
+def _pictures_in(folder: Path) -> list[Path]:
+    try:
+        return sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+    except OSError as error:
+        raise SourceError(f"The folder {folder} cannot be read: {reason_of(error)}. Change its permissions.") from error

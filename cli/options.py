@@ -3,22 +3,64 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
+import sys
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from ..core.deform.kernels import KERNELS
 from ..core.drive import INFORMED
 from ..core.errors import FacemimeError
 from ..core.tracking.tracker import LEFTMOST, RIGHTMOST
+from .console import printable, say, write_error
 
 _SIDES = {"left": LEFTMOST, "right": RIGHTMOST}
 _PATHS = ("head", "points", "map")
 _FLAGS = ("smooth", "nla")
+_LARGEST = 1_000_000_000
+_FURTHEST = 1_000_000
 _NAMES = ("face", "head", "mode", "kernel", "points", "smooth", "pose", "keys", "max_keys", "clean", "map", "nla")
 
 
 Commands = argparse._SubParsersAction  # argparse names the type of what add_subparsers gives in no other way
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose messages cannot command a terminal, and may go where nobody reads."""
+
+    def _print_message(self, message: str, file: IO[str] | None = None) -> None:
+        text = "\n".join(printable(line) for line in message.rstrip("\n").split("\n"))
+        if file is sys.stdout:
+            say(text)
+        else:
+            write_error(text + "\n")
+
+
+def whole_number(text: str) -> int:
+    """The type of an option that counts something."""
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{_shortened(text)} is no whole number") from None
+    if abs(value) > _LARGEST:
+        raise argparse.ArgumentTypeError(f"{_shortened(text)} is too large")
+    return value
+
+
+def number(text: str) -> float:
+    """The type of an option that measures something."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{_shortened(text)} is no number that can be used")
+    return value
+
+
+def _shortened(text: str) -> str:
+    return repr(text if len(text) <= 20 else f"{text[:17]}...")
 
 
 def add_command(commands: Commands, name: str, told: str) -> argparse.ArgumentParser:
@@ -55,9 +97,11 @@ def face_of(text: str | None) -> tuple[float, float] | None:
     if text in _SIDES:
         return _SIDES[text]
     try:
-        x, y = (int(number) for number in text.split(","))
+        x, y = (int(part) for part in text.split(","))
     except ValueError:
-        raise FacemimeError(f"{text!r} names no face. Give left, right, or pixels as 320,240.") from None
+        x = y = _FURTHEST + 1
+    if max(abs(x), abs(y)) > _FURTHEST:
+        raise FacemimeError(f"{_shortened(text)} names no face. Give left, right, or pixels as 320,240.")
     return float(x), float(y)
 
 
@@ -86,7 +130,7 @@ def add_bake_options(parser: argparse.ArgumentParser) -> None:
         help="new shape keys; the head's own, fitted to the motion or by a table; every vertex exactly, in a .pc2 or "
         "also .abc beside the output (new)",
     )
-    bake.add_argument("--max-keys", type=int, default=64, metavar="K", help="new keys at most (64)")
+    bake.add_argument("--max-keys", type=whole_number, default=64, metavar="K", help="new keys at most (64)")
     bake.add_argument(
         "--clean",
         type=float,
@@ -98,6 +142,14 @@ def add_bake_options(parser: argparse.ArgumentParser) -> None:
         "--map", type=_path, metavar="TABLE.json", help="for --keys mapped; else the preset that fits best"
     )
     bake.add_argument("--nla", action="store_true", help="put the animation onto NLA tracks")
+
+
+def head_file(spec: str | None) -> tuple[Path | None, str]:
+    """The file and the object, or no object, that `--head` names; no file where it is not given."""
+    if spec is None:
+        return None, ""
+    file, found, name = spec.rpartition(".blend:")
+    return (Path(file + ".blend"), name) if found else (Path(spec), "")
 
 
 def _path(text: str) -> Path | None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
+from ..core.capture import check_readable
 from ..core.errors import FacemimeError
-from ..core.files import check_writable
 from ..core.images import write_image
 from ..core.takes.figure import draw_before_after
 from ..core.takes.file import SUFFIX, load_take, save_take
@@ -16,7 +15,9 @@ from ..core.takes.smooth import CUTOFFS, smooth_take, smooth_zero_phase
 from ..core.takes.spreadsheet import from_csv, to_csv
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
-from .options import Commands, add_command, add_output
+from .console import tell
+from .options import Commands, add_command, add_output, number
+from .outputs import outputs_of
 
 
 def add_commands(commands: Commands) -> None:
@@ -26,7 +27,7 @@ def add_commands(commands: Commands) -> None:
     add_output(mend, "OUT.facetake", "the mended one")
     mend.add_argument("--punch-in", type=Path, metavar="OTHER.facetake", help="put a part of another take in")
     mend.add_argument("--at", metavar="A:B", help="seconds of the part that is put in; by default all of it")
-    mend.add_argument("--blend", type=float, default=0.2, metavar="S", help="over which it passes over (0.2)")
+    mend.add_argument("--blend", type=number, default=0.2, metavar="S", help="over which it passes over (0.2)")
     mend.add_argument("--outliers", action="store_true", help="drop frames that jump out of line")
     gaps = mend.add_mutually_exclusive_group()
     gaps.add_argument("--bridge", action="store_true", help="move through gaps without a face")
@@ -36,7 +37,7 @@ def add_commands(commands: Commands) -> None:
     cutoffs = ",".join(f"{part}={cutoff:g}" for part, cutoff in CUTOFFS.items())
     mend.add_argument("--cutoff", default="", metavar="PART=HZ,...", help=f"for zero-phase ({cutoffs})")
     mend.add_argument("--mirror", action="store_true", help="swap left and right")
-    mend.add_argument("--neutral", type=float, metavar="S", help="the face at this time is the neutral one")
+    mend.add_argument("--neutral", type=number, metavar="S", help="the face at this time is the neutral one")
     mend.add_argument(
         "--trim", metavar="A:B", help="keep these seconds; either may be left out (--trim=-1:4 where A is below 0)"
     )
@@ -59,24 +60,25 @@ def add_commands(commands: Commands) -> None:
 
 def load_telling(path: Path) -> Take:
     """The take at `path`; what its file has lost goes to standard error."""
+    check_readable(path)
     take = load_take(path)
     if told := take.info.get("recovered"):
-        print(f"facemime: {path}: {told}", file=sys.stderr)
+        tell(f"facemime: {path}: {told}")
     return take
 
 
 def run_mend(arguments: argparse.Namespace) -> int:
     """`facemime mend`: a take to a better one."""
-    check_writable(arguments.output, {SUFFIX})
-    if arguments.figure is not None:
-        check_writable(arguments.figure, {".png", ".jpg"})
-    take = load_telling(arguments.take)
-    mended = _mended(take, arguments)
-    save_take(mended, arguments.output)
-    if arguments.figure is not None:
-        write_image(arguments.figure, draw_before_after(take, mended))
+    outputs = ((arguments.output, {SUFFIX}), (arguments.figure, {".png", ".jpg"}))
+    inputs = {"the take that is mended": arguments.take, "the take that is put in": arguments.punch_in}
+    with outputs_of(outputs, inputs):
+        take = load_telling(arguments.take)
+        mended = _mended(take, arguments)
+        save_take(mended, arguments.output)
+        if arguments.figure is not None:
+            write_image(arguments.figure, draw_before_after(take, mended))
     lost = len(mended) - int(mended.found.sum())
-    print(f"{len(mended)} frames, {lost} without a face ({len(take) - int(take.found.sum())} before)", file=sys.stderr)
+    tell(f"{len(mended)} frames, {lost} without a face ({len(take) - int(take.found.sum())} before)")
     return 0
 
 
@@ -112,15 +114,16 @@ def _mended(take: Take, arguments: argparse.Namespace) -> Take:
 
 def run_export(arguments: argparse.Namespace) -> int:
     """`facemime export`: a take to a table."""
-    check_writable(arguments.output, {".csv"})
-    to_csv(load_telling(arguments.take), arguments.output)
+    with outputs_of(((arguments.output, {".csv"}),), {"the take that is exported": arguments.take}):
+        to_csv(load_telling(arguments.take), arguments.output)
     return 0
 
 
 def run_import(arguments: argparse.Namespace) -> int:
     """`facemime import`: a table to a take."""
-    check_writable(arguments.output, {SUFFIX})
-    save_take(from_csv(arguments.table), arguments.output)
+    with outputs_of(((arguments.output, {SUFFIX}),), {"the table that is imported": arguments.table}):
+        check_readable(arguments.table)
+        save_take(from_csv(arguments.table), arguments.output)
     return 0
 
 

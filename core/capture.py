@@ -7,6 +7,8 @@ and webcams have a variable rate, and animation timed by counting runs out of st
 from __future__ import annotations
 
 import os
+import re
+import stat
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +21,10 @@ from numpy.typing import NDArray
 from .errors import SourceError
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+MOST_PIXELS = 1 << 26
+"""Of a frame, 8192 by 8192: decoding a larger one takes gigabytes."""
+_ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+:|subfile,", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -51,16 +57,22 @@ class VideoSource:
     Raises
     ------
     SourceError
-        Where there is no such file, it is no video, or not one frame of it can be decoded.
+        Where there is no such file, it is no video, its frames are too large, or not one of them can be decoded.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
         require_file(self.path)
+        require_utf8_name(self.path)
         cv2.setLogLevel(0)
-        self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+        # FFmpeg takes what stands before a colon for a protocol, but never where a slash comes first.
+        self._capture = cv2.VideoCapture(os.path.abspath(self.path), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
             raise SourceError(f"{self.path} is not a video that can be read. Convert it to MP4 (H.264) and try again.")
+        width, height = (int(self._capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        if width * height > MOST_PIXELS:
+            self._capture.release()
+            raise SourceError(f"The frames of {self.path} are too large: {width} x {height} pixels. Scale it down.")
         self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
         self.turn = round(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
@@ -114,10 +126,50 @@ def at_constant_rate(frames: Iterable[Frame], fps: float) -> Iterator[Frame]:
 
 
 def require_file(path: Path) -> None:
-    """Raise SourceError, saying which it is, where `path` is missing, no file, or not readable."""
-    if not path.exists():
+    """Raise SourceError, saying which it is, where `path` is missing, no regular file, or not readable."""
+    if not check_readable(path):
         raise SourceError(f"There is no file {path}. Check the path.")
-    if not path.is_file():
-        raise SourceError(f"{path} is not a file. Give the path of a file.")
+
+
+def check_readable(path: Path) -> bool:
+    """Whether there is a file `path`.
+
+    Raises
+    ------
+    SourceError
+        Where something else is there, such as a folder or a pipe, whose end may never come, or it may not be read.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except PermissionError as error:
+        raise SourceError(
+            f"{path} cannot be read: no permission to enter its folder. Change the folder's permissions."
+        ) from error
+    except (OSError, ValueError) as error:  # too long, a loop of links, a zero byte
+        reason = (error.strerror or str(error)).lower() if isinstance(error, OSError) else str(error)
+        raise SourceError(f"{path} cannot be read: {reason}. Check the path.") from error
+    if not stat.S_ISREG(mode):
+        kind = "" if stat.S_ISDIR(mode) else " but a pipe or a device"
+        raise SourceError(f"{path} is not a file{kind}. Give the path of a file.")
     if not os.access(path, os.R_OK):
         raise SourceError(f"{path} cannot be read: no permission. Change its permissions or copy it elsewhere.")
+    return True
+
+
+def require_utf8_name(path: Path) -> None:
+    """Raise SourceError where the name of `path` is not UTF-8: OpenCV and Blender would end the process."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        name = str(path).encode(errors="backslashreplace").decode()
+        raise SourceError(f"The name of {name} is not valid UTF-8. Rename it and try again.") from error
+
+
+def is_address(text: str) -> bool:
+    """Whether FFmpeg would take `text` for an address, such as `http:host/x`, and might go to the network for it.
+
+    A drive letter of Windows is none.
+    """
+    return _ADDRESS.match(text) is not None

@@ -22,6 +22,7 @@ from .retarget import Neutral, calibrate, retargeter_for
 from .takes.take import Take
 
 _LEFT_OUT = frozenset(range(68)) - frozenset(IBUG68_INDICES.tolist())
+_LAST = int(IBUG68_INDICES[-1])
 _FORMAT = "facemime-control-points-1"
 _BEYOND = 68
 _ACTIONS = ("start", "add", "drop")
@@ -182,6 +183,8 @@ def parse_landmarks(text: str) -> list[int]:
             span = range(int(first), min(int(last or first), _BEYOND) + 1)
             if not span:
                 raise ValueError(f"{part} runs backwards")
+            if not 0 <= span[0] <= span[-1] <= _LAST:  # before a long range fills the memory
+                raise ValueError(f"landmarks are numbered from 0 to {_LAST}")
             numbers += [number for number in span if not dash or number not in _LEFT_OUT]
         return [int(i) for i in from_ibug(numbers)]
     except ValueError as error:

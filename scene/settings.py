@@ -12,6 +12,7 @@ from pathlib import Path
 import bpy
 
 from ..blender.targets import PoseTarget
+from ..core.capture import is_address
 from ..core.drive import DriveOptions
 from ..core.errors import FacemimeError, SourceError
 from ..core.live.camera import Camera, CameraSettings, device_of, list_cameras
@@ -106,7 +107,7 @@ def _camera() -> Camera:
     device = device_of(chosen.camera, list_cameras())
     if not device:
         raise SourceError("No camera is named. Give its number: 0 is the first.")
-    if "://" in device and not bpy.app.online_access:
+    if is_address(device) and not bpy.app.online_access:
         raise SourceError(
             f"{device} is on the network, and Blender may not go there. Allow Online Access in Preferences > System."
         )

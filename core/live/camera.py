@@ -20,6 +20,7 @@ from typing import IO
 import cv2
 import numpy as np
 
+from ..capture import is_address
 from ..errors import SourceError
 from .camera_process import FAILED, HEADER
 from .sources import LiveFrame, LiveSource
@@ -113,11 +114,13 @@ class Camera(LiveSource):
 
     def _open(self) -> None:
         asked = self.settings
+        named = asked.device.isdecimal() or is_address(asked.device)
+        device = asked.device if named else os.path.abspath(asked.device)  # which is never taken for an address
         self._failure, self._frame = "", None
         self._heard = perf_counter() + self._opening - self._silence
         try:
             self._process = subprocess.Popen(
-                [*self._command, module_folders(), asked.device, str(asked.width), str(asked.height), str(asked.rate)],
+                [*self._command, module_folders(), device, str(asked.width), str(asked.height), str(asked.rate)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
@@ -204,12 +207,20 @@ def module_folders() -> str:
 
 
 def python_executable() -> str:
-    """The Python that runs here, also inside Blender."""
-    if "python" in Path(sys.executable).name.lower():
-        return sys.executable
+    """The Python that runs here, also inside Blender; never one that happens to be on the path for programs.
+
+    Raises
+    ------
+    SourceError
+        Where there is none.
+    """
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
-    places = [Path(sys.prefix, "bin", version), Path(sys.prefix, "bin", "python.exe"), Path(sys.prefix, "python.exe")]
-    return next((str(place) for place in places if place.is_file()), version)
+    own = [sys.executable] if "python" in Path(sys.executable or "").name.lower() else []
+    names = (f"bin/{version}", "bin/python3", "bin/python.exe", "python.exe")
+    for place in (*own, *(os.path.join(folder, name) for folder in (sys.prefix, sys.base_prefix) for name in names)):
+        if os.path.isabs(place) and os.path.isfile(place):
+            return place
+    raise SourceError(_EXPLANATIONS["no python"])
 
 
 def explained(failure: str, device: str) -> str:

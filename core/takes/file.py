@@ -154,9 +154,14 @@ def save_take(take: Take, path: Path) -> None:
     """
     with replacing(Path(path)) as temporary:
         temporary.unlink()
-        with TakeWriter(temporary, take.info, sync=False) as writer:
-            for frame, time in enumerate(take.times.tolist()):
-                writer.append(time, take.result(frame))
+        try:
+            with TakeWriter(temporary, take.info, sync=False) as writer:
+                for frame, time in enumerate(take.times.tolist()):
+                    writer.append(time, take.result(frame))
+        except OutputError as error:
+            if not isinstance(error.__cause__, OSError):
+                raise
+            raise error.__cause__ from error  # which `replacing` tells by the name that the user gave
 
 
 def load_take(path: Path) -> Take:

@@ -1,0 +1,201 @@
+"""Locks between processes, and the clearing away of what a killed process left.
+
+A lock is the system's own (`flock`, on Windows `msvcrt.locking`) on a small hidden file: it goes with the process that
+has it, however that ends, so that a file left by a killed one blocks nobody. Temporary files carry the name of such a
+lock. Where a lock can be had, its owner is gone, and whatever carries its name is waste.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import secrets
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from io import FileIO
+from pathlib import Path
+
+PREFIX = ".facemime-"
+_SUFFIX = ".lock"
+_OURS = re.compile(rf"{re.escape(PREFIX)}([0-9a-f]{{16}}){re.escape(_SUFFIX)}")
+_PAUSE = 0.02
+
+
+def lock_of(path: Path) -> Path:
+    """The lock of a file that is written over: beside it, named by its name's checksum, which is never too long."""
+    mark = hashlib.sha256(os.fsencode(os.path.normcase(path.name))).hexdigest()[:16]
+    return path.with_name(_lock_name(mark))
+
+
+def _lock_name(mark: str) -> str:
+    return f"{PREFIX}{mark}{_SUFFIX}"
+
+
+@contextmanager
+def holding(path: Path, patience: float | None = None) -> Iterator[bool]:
+    """Hold the lock that is the file `path`, which is gone afterwards.
+
+    Parameters
+    ----------
+    patience : float or None
+        Seconds to wait for another process that has it; None waits as long as that takes.
+
+    Yields
+    ------
+    bool
+        Whether it is held; False where another process has it still.
+
+    Raises
+    ------
+    OSError
+        Where the file cannot be made, or the file system has no locks.
+    """
+    stream = _acquired(path, patience)
+    if stream is None:
+        yield False
+        return
+    with stream:
+        try:
+            yield True
+        finally:
+            if sys.platform != "win32":  # there an open file cannot be taken away
+                with suppress(OSError):  # another user's, in a folder where only owners may delete
+                    path.unlink()
+    if sys.platform == "win32":
+        with suppress(OSError):  # the next one has it open already
+            path.unlink()
+
+
+@contextmanager
+def temporary_beside(path: Path) -> Iterator[Path]:
+    """An empty file in the folder of `path`, with its suffix, for as long as this lasts.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be made.
+    """
+    mark = secrets.token_hex(8)
+    with _held_if_possible(path.with_name(_lock_name(mark))):
+        temporary = path.with_name(f"{PREFIX}{mark}{path.suffix}")
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+        try:
+            yield temporary
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def sweep(folder: Path) -> None:
+    """Delete the locks and temporary files in `folder` whose process is gone; what cannot be deleted stays."""
+    with suppress(OSError):
+        names = os.listdir(folder)
+        for name in names:
+            if ours := _OURS.fullmatch(name):
+                with suppress(OSError):  # another user's, or gone by now
+                    _sweep_one(folder, ours[1], names)
+
+
+def _sweep_one(folder: Path, mark: str, names: list[str]) -> None:
+    lock = folder / _lock_name(mark)
+    stream = FileIO(lock, "r+")
+    if not _try_lock(stream):
+        stream.close()
+        return
+    with stream:
+        for name in names:
+            if name.startswith(f"{PREFIX}{mark}.") and name != lock.name:
+                (folder / name).unlink(missing_ok=True)
+        if sys.platform != "win32":
+            lock.unlink(missing_ok=True)
+    if sys.platform == "win32":
+        with suppress(OSError):
+            lock.unlink()
+
+
+@contextmanager
+def _held_if_possible(path: Path) -> Iterator[None]:
+    """Hold a lock of which nobody else knows yet; without it where the file system has no locks."""
+    try:
+        stream = _acquired(path, 0.0)
+    except OSError:
+        path.unlink(missing_ok=True)
+        stream = None
+    try:
+        yield
+    finally:
+        if stream is not None:
+            if sys.platform != "win32":
+                path.unlink(missing_ok=True)
+            stream.close()
+            if sys.platform == "win32":
+                with suppress(OSError):
+                    path.unlink()
+
+
+def _acquired(path: Path, patience: float | None) -> FileIO | None:
+    """The locked file; opened again where the one that was waited for has been taken away meanwhile."""
+    end = None if patience is None else time.monotonic() + patience
+    while True:
+        stream = _opened(path)
+        try:
+            got = _lock(stream) if end is None else _try_lock(stream)
+            if got and _still_there(stream, path):
+                return stream
+        except BaseException:
+            stream.close()
+            raise
+        stream.close()
+        if not got and end is not None:
+            if time.monotonic() >= end:
+                return None
+            time.sleep(_PAUSE)
+
+
+def _opened(path: Path) -> FileIO:
+    try:
+        return FileIO(path, "a")
+    except PermissionError:
+        if not path.exists():
+            raise
+        return FileIO(path, "r")  # another user's; it can be locked all the same
+
+
+def _still_there(stream: FileIO, path: Path) -> bool:
+    if sys.platform == "win32":
+        return True
+    with suppress(FileNotFoundError):
+        return os.path.samestat(os.fstat(stream.fileno()), os.stat(path))
+    return False
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock(stream: FileIO) -> bool:
+        with suppress(OSError):  # it gives up after ten seconds
+            msvcrt.locking(stream.fileno(), msvcrt.LK_LOCK, 1)
+            return True
+        return False
+
+    def _try_lock(stream: FileIO) -> bool:
+        with suppress(OSError):
+            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
+            return True
+        return False
+
+else:
+    import fcntl
+
+    def _lock(stream: FileIO) -> bool:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        return True
+
+    def _try_lock(stream: FileIO) -> bool:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
