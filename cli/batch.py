@@ -68,6 +68,7 @@ def run_clip(arguments: argparse.Namespace) -> int:
     job = Namer(settings_of(arguments)).job(_chosen(find_clips([arguments.source]), arguments.number))
     folder = arguments.output
     outputs = {suffix: str(job.output(folder, suffix)) for suffix in (".blend", SUFFIX, ".png")}
+    check_writable(job.output(folder, ".json"))
     with locked(lock_of(job.output(folder, ".json"))):
         sweep(folder)
         if read_record(job, folder) is not None:

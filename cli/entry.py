@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from typing import NoReturn
@@ -34,19 +35,19 @@ def start() -> NoReturn:
 
 
 def _leave(status: int) -> NoReturn:
+    """End at once: Python's own end takes signals for its death, and Blender's waits for ever where a scene holds a
+    driver that it did not run.
+    """
     STOPPING.leave()
-    for name in ("stdout", "stderr"):
-        try:
-            getattr(sys, name).flush()
-        except OSError:  # nobody reads; Python would complain of it once more at its end
-            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - for what is left of the process
-    if "bpy" not in sys.modules:
-        sys.exit(status)
-    _leave_blender(status)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):  # nobody reads
+            stream.flush()
+    if "bpy" in sys.modules:
+        _remove_blenders_folder()
+    os._exit(status)
 
 
-def _leave_blender(status: int) -> NoReturn:
-    """End without Blender's own clean-up, which waits for ever where a scene holds a driver that it did not run."""
+def _remove_blenders_folder() -> None:
     import shutil
 
     import bpy
@@ -54,4 +55,3 @@ def _leave_blender(status: int) -> NoReturn:
     folder = os.path.normpath(bpy.app.tempdir) if bpy.app.tempdir else ""
     if os.path.basename(folder).startswith("blender_"):  # else it is the user's folder for all temporary files
         shutil.rmtree(folder, ignore_errors=True)
-    os._exit(status)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -194,7 +195,7 @@ def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: 
     width, height = _image_size(take)
     left_width = min(2 * AVATAR_SIDE, 2 * round(AVATAR_SIDE * width / height / 2))
     progress = Progress("Rendering", len(frames))
-    avatars = render_frames(scene, frames_of(scene, np.array([f.time for f in frames])), (AVATAR_SIDE, AVATAR_SIDE))
+    avatars = _avatars(scene, np.array([frame.time for frame in frames]))
     indices = [frame.index for frame in frames]
     pictures = _pictures(take, video, indices)
 
@@ -209,13 +210,24 @@ def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: 
 
 def write_sheet(scene: bpy.types.Scene, take: Take, video: Path | None, frames: NDArray[np.intp], path: Path) -> None:
     """Write a contact sheet: performer beside avatar for each of `frames` of `take`."""
-    avatars = render_frames(scene, frames_of(scene, take.times[frames]), (AVATAR_SIDE, AVATAR_SIDE))
+    avatars = _avatars(scene, take.times[frames])
     pairs = []
     for frame, picture, avatar in zip(frames, _pictures(take, video, frames.tolist()), avatars, strict=True):
         face = picture_of_face(picture, _landmarks(take, frame), TILE_SIDE)
         small = cv2.resize(avatar, (TILE_SIDE, TILE_SIDE), interpolation=cv2.INTER_AREA)
         pairs.append((label(face, f"{take.times[frame]:.2f} s"), np.asarray(small, dtype=np.uint8)))
     write_image(path, contact_sheet(pairs))
+
+
+def _avatars(scene: bpy.types.Scene, times: NDArray[np.float64]) -> Iterator[Image]:
+    """Pictures of the scene at `times`, seconds; OutputError where Blender cannot keep one for a moment."""
+    try:
+        yield from render_frames(scene, frames_of(scene, times), (AVATAR_SIDE, AVATAR_SIDE))
+    except (RuntimeError, OSError) as error:
+        raise OutputError(
+            f"Blender cannot render a picture ({str(error).strip().removeprefix('Error: ')}). "
+            f"Free some space in {tempfile.gettempdir()}, or set TMPDIR to another folder."
+        ) from error
 
 
 def _stamps(take: Take) -> Iterator[Frame]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import io
 import itertools
 import os
 import sys
@@ -155,8 +156,10 @@ def _locate(paths: Sequence[Path], arguments: argparse.Namespace) -> int:
             progress.update(done)
     kept = arguments.output if done == len(paths) else _beside(arguments.output, arguments.output.suffix)
     names, landmarks, confidence = np.array([path.name for path in paths[:done]]), landmarks[:done], confidence[:done]
-    with replacing(kept) as temporary, open(temporary, "wb") as stream:
-        np.savez_compressed(stream, names=names, landmarks=landmarks, confidence=confidence)
+    content = io.BytesIO()  # an archive that meets the end of the disk complains once more when it is thrown away
+    np.savez_compressed(content, names=names, landmarks=landmarks, confidence=confidence)
+    with replacing(kept) as temporary:
+        temporary.write_bytes(content.getvalue())
     found = int(np.isfinite(landmarks[:, 0, 0]).sum())
     progress.finish(f"a face in {found} of {len(paths)}")
     for error in unreadable:

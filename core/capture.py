@@ -163,7 +163,7 @@ def require_utf8_name(path: Path) -> None:
     try:
         str(path).encode()
     except UnicodeEncodeError as error:
-        name = str(path).encode(errors="backslashreplace").decode()
+        name = os.fsencode(path).decode(errors="backslashreplace")
         raise SourceError(f"The name of {name} is not valid UTF-8. Rename it and try again.") from error
 
 

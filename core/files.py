@@ -18,7 +18,7 @@ from pathlib import Path
 from .errors import OutputError
 from .locks import holding, lock_of, sweep, temporary_beside
 
-_PATIENCE = 1.0
+_PATIENCE = 0.25
 """Seconds to wait for an output: as another process looks for waste it may have the lock for a moment."""
 
 

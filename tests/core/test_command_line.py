@@ -1,0 +1,450 @@
+"""The command line, for whatever it is given: one clear error, no traceback, nothing lost."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import facemime
+from facemime.batch.clips import Namer, find_clips
+from facemime.cli import console
+from facemime.cli import main as cli
+from facemime.cli.console import Progress, printable, say, tell
+from facemime.core.errors import SourceError
+from facemime.core.images import write_image
+from facemime.core.takes.file import load_take, save_take
+from takes import performance
+
+SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
+START = [sys.executable, "-m", "facemime.cli"]
+HUGE = "9" * 400
+needs_posix = pytest.mark.skipif(os.name != "posix", reason="signals and pipes as POSIX has them")
+
+
+def run(*arguments: object, **options: object) -> subprocess.CompletedProcess:
+    """Run the command in a process of its own."""
+    options = {"capture_output": True, "text": True, "timeout": 120, "check": False} | options
+    return subprocess.run([*START, *map(str, arguments)], **options)
+
+
+def broken_off(*arguments: object, when: Path, by: int = signal.SIGINT) -> tuple[int, str]:
+    """The exit status of the command, and what it says, where the signal `by` comes as soon as `when` has content."""
+    with subprocess.Popen([*START, *map(str, arguments)], stderr=subprocess.PIPE, text=True) as process:
+        while not (when.exists() and when.stat().st_size):
+            assert process.poll() is None
+            time.sleep(0.005)
+        process.send_signal(by)
+        said = process.stderr.read()
+    return process.returncode, said
+
+
+@pytest.fixture
+def take(tmp_path) -> Path:
+    """A take of 60 frames."""
+    save_take(performance(), tmp_path / "take.facetake")
+    return tmp_path / "take.facetake"
+
+
+@needs_posix
+@pytest.mark.parametrize(("by", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_run_that_is_broken_off_never_replaces_a_whole_take(take, tmp_path, by, status):
+    whole = take.read_bytes()
+    unfinished = tmp_path / "take.unfinished.facetake"
+    for part in ("take.interrupted.facetake", "take.interrupted-2.facetake"):
+        ended, said = broken_off("track", SAMPLE, "-o", take, when=unfinished, by=by)
+        assert ended == status and "Traceback" not in said and f"are in {tmp_path / part}." in said, said
+        assert take.read_bytes() == whole and 0 < len(load_take(tmp_path / part)) < 255
+    names = {"take.facetake", "take.interrupted.facetake", "take.interrupted-2.facetake"}
+    assert set(os.listdir(tmp_path)) == names
+
+
+def test_pictures_that_are_broken_off_never_replace_whole_ones(tmp_path, monkeypatch, capsys):
+    image = np.full((60, 60, 3), 90, np.uint8)
+    for name in ("a.png", "b.png"):
+        write_image(tmp_path / "in" / name, image)
+    line = ["landmarks", str(tmp_path / "in"), "-o", str(tmp_path / "out.npz")]
+    assert cli.main(line) == 0
+    whole, read = (tmp_path / "out.npz").read_bytes(), cli.read_image
+
+    def interrupt(path):
+        if path.name == "b.png":
+            raise KeyboardInterrupt
+        return read(path)
+
+    monkeypatch.setattr(cli, "read_image", interrupt)
+    assert cli.main(line) == 130
+    assert f"the first 1 pictures are in {tmp_path / 'out.interrupted.npz'}" in capsys.readouterr().err
+    assert (tmp_path / "out.npz").read_bytes() == whole
+    assert np.load(tmp_path / "out.interrupted.npz")["names"].tolist() == ["a.png"]
+
+
+@needs_posix
+def test_what_a_killed_run_tracked_is_kept_by_all_later_ones(tmp_path):
+    output, left = tmp_path / "take.facetake", tmp_path / "take.unfinished.facetake"
+    broken_off("track", SAMPLE, "-o", output, when=left, by=signal.SIGKILL)
+    tracked = left.read_bytes()
+    assert 0 < len(load_take(left)) < 255
+    (tmp_path / "junk.mp4").write_text("no video")
+    for video, status in ((tmp_path / "junk.mp4", 1), (SAMPLE, 0)):
+        done = run("track", video, "-o", output)
+        assert done.returncode == status and f"{left} is what an earlier run tracked" in done.stderr
+    assert left.read_bytes() == tracked and len(load_take(output)) == 255
+    assert set(os.listdir(tmp_path)) == {"take.facetake", "take.unfinished.facetake", "junk.mp4"}
+
+
+@needs_posix
+def test_a_killed_run_loses_a_second_at_most(tmp_path):
+    output, left = tmp_path / "take.facetake", tmp_path / "take.unfinished.facetake"
+    with subprocess.Popen([*START, "track", SAMPLE, "-o", output], stderr=subprocess.DEVNULL) as process:
+        while not left.exists() or left.stat().st_size < 50_000:
+            assert process.poll() is None
+            time.sleep(0.005)
+        process.kill()
+    take = load_take(left)
+    assert len(take) >= 26 and "a second at most" in take.info["recovered"]
+
+
+@needs_posix
+def test_of_two_runs_at_one_output_the_second_is_refused(tmp_path):
+    output, unfinished = tmp_path / "take.facetake", tmp_path / "take.unfinished.facetake"
+    with subprocess.Popen([*START, "track", SAMPLE, "-o", output], stderr=subprocess.PIPE, text=True) as first:
+        while not unfinished.exists():
+            assert first.poll() is None
+            time.sleep(0.005)
+        first.send_signal(signal.SIGSTOP)  # so that it is not done before the second begins
+        second = run("track", SAMPLE, "-o", tmp_path / "." / "take.facetake")
+        first.send_signal(signal.SIGCONT)
+        assert "Traceback" not in first.stderr.read()
+    assert second.returncode == 1 and "Another facemime is writing" in second.stderr
+    assert first.returncode == 0 and len(load_take(output)) == 255 and os.listdir(tmp_path) == ["take.facetake"]
+
+
+@needs_posix
+def test_a_take_that_cannot_take_its_place_is_kept_and_said(tmp_path, monkeypatch, capsys):
+    clip, output = tmp_path / "clip.mp4", tmp_path / "take.facetake"
+    shutil.copy(SAMPLE, clip)
+    output.write_text("old")
+    replace = os.replace
+
+    def refuse(source, target):
+        if Path(target) == output:
+            raise PermissionError(1, "Operation not permitted")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", refuse)
+    monkeypatch.setattr(cli, "track_video", lambda *arguments: save_take(performance(), arguments[3]))
+    assert cli.main(["track", str(clip), "-o", str(output)]) == 1
+    said = capsys.readouterr().err
+    assert (
+        "operation not permitted" in said and f"What was tracked is in {tmp_path / 'take.unfinished.facetake'}" in said
+    )
+    assert len(load_take(tmp_path / "take.unfinished.facetake")) == 60 and output.read_text() == "old"
+
+
+@needs_posix
+def test_a_take_is_never_mended_onto_itself(take, tmp_path, capsys):
+    (tmp_path / "link.facetake").symlink_to(take)
+    (tmp_path / "hard.facetake").hardlink_to(take)
+    before = take.read_bytes()
+    for name in ("take.facetake", "link.facetake", "hard.facetake"):
+        assert cli.main(["mend", str(take), "-o", str(tmp_path / name), "--mirror"]) == 1
+        assert "it is the take that is mended" in capsys.readouterr().err
+    other = tmp_path / "other.facetake"
+    save_take(performance(), other)
+    assert cli.main(["mend", str(take), "-o", str(other), "--punch-in", str(other)]) == 1
+    assert "it is the take that is put in" in capsys.readouterr().err and take.read_bytes() == before
+
+
+# What is read
+
+
+@needs_posix
+@pytest.mark.parametrize(
+    "line",
+    [
+        ["batch", "{pipe}", "-o", "{out}"],
+        ["batch", "{zero}", "-o", "{out}"],
+        ["clip", "{pipe}", "-o", "{out}"],
+        ["clip", "{list}", "-o", "{out}"],
+        ["track", "{zero}", "-o", "{out}.facetake"],
+        ["mend", "{pipe}", "-o", "{out}.facetake"],
+        ["mend", "{take}", "-o", "{out}.facetake", "--punch-in", "{pipe}"],
+        ["import", "{pipe}", "-o", "{out}.facetake"],
+        ["export", "{pipe}", "-o", "{out}.csv"],
+        ["select", "{pipe}"],
+        ["landmarks", "{pipe}", "-o", "{out}.npz"],
+    ],
+    ids=" ".join,
+)
+def test_what_has_no_end_is_not_read(take, tmp_path, capsys, line):
+    places = {"take": take, "out": tmp_path / "out", "pipe": tmp_path / "pipe", "zero": tmp_path / "zero.mp4"}
+    os.mkfifo(places["pipe"])
+    places["zero"].symlink_to("/dev/zero")
+    places["list"] = tmp_path / "list.txt"
+    places["list"].write_text("zero.mp4\n")
+    assert cli.main([part.format(**places) for part in line]) == 1
+    assert "is not a file but a pipe or a device" in capsys.readouterr().err
+
+
+@needs_posix
+def test_names_that_no_file_can_have_and_folders_that_nobody_may_enter_are_one_clear_error_each(take, tmp_path):
+    """All in one process: what root may always do is taken from it first."""
+    (tmp_path / "shut").mkdir()
+    (tmp_path / "shut").chmod(0)
+    write_image(tmp_path / "a.png", np.zeros((8, 8, 3), np.uint8))
+    lines = []
+    for bad in (tmp_path / "shut" / "name", tmp_path / ("x" * 300)):
+        out, png = tmp_path / "out", tmp_path / "a.png"
+        lines += [
+            ["track", f"{bad}.mp4", "-o", f"{out}.facetake"],
+            ["track", SAMPLE, "-o", f"{bad}.facetake"],
+            ["landmarks", f"{bad}.png", "-o", f"{out}.npz"],
+            ["landmarks", bad, "-o", f"{out}.npz"],
+            ["landmarks", bad.parent if bad.parent.name == "shut" else bad, "-o", f"{out}.npz"],
+            ["landmarks", png, "-o", f"{bad}.npz"],
+            ["landmarks", png, "-o", f"{out}.npz", "--overlay", bad],
+            ["select", f"{bad}.facetake"],
+            ["select", take, "-o", f"{bad}.json"],
+            ["mend", f"{bad}.facetake", "-o", f"{out}.facetake"],
+            ["mend", take, "-o", f"{bad}.facetake"],
+            ["mend", take, "-o", f"{out}.facetake", "--punch-in", f"{bad}.facetake"],
+            ["mend", take, "-o", f"{out}.facetake", "--figure", f"{bad}.png"],
+            ["export", f"{bad}.facetake", "-o", f"{out}.csv"],
+            ["export", take, "-o", f"{bad}.csv"],
+            ["import", f"{bad}.csv", "-o", f"{out}.facetake"],
+            ["clip", f"{bad}.mp4", "-o", out],
+            ["clip", bad, "-o", out],
+            ["clip", SAMPLE, "-o", bad],
+            ["batch", bad, "-o", out],
+            ["batch", f"{bad}.txt", "-o", out],
+            ["batch", SAMPLE, "-o", bad],
+        ]
+    script = (
+        "import ctypes, json, os, sys\n"
+        "from facemime.cli import main as cli\n"
+        "if os.geteuid() == 0:\n"
+        "    libc = ctypes.CDLL(None)\n"
+        "    for power in (1, 2):\n"  # CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH
+        "        libc.prctl(24, power, 0, 0, 0)\n"
+        "    if 'once' not in sys.argv:\n"
+        "        os.execv(sys.executable, [sys.executable, '-c', os.environ['SCRIPT'], 'once'])\n"
+        "if os.access(os.environ['SHUT'], os.X_OK): sys.exit(77)\n"
+        "for line in json.loads(os.environ['LINES']):\n"
+        "    print(cli.main(line), *line, file=sys.stderr, flush=True)\n"
+    )
+    import json
+
+    given = {"SCRIPT": script, "SHUT": str(tmp_path / "shut"), "LINES": json.dumps([[*map(str, x)] for x in lines])}
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=os.environ | given, capture_output=True, text=True, check=False
+    )
+    (tmp_path / "shut").chmod(0o700)
+    if done.returncode == 77:
+        pytest.skip("this user may enter every folder")
+    assert done.returncode == 0, done.stderr[-2000:]
+    said = done.stderr.splitlines()
+    assert len(said) == 2 * len(lines) and all(line.startswith("facemime: ") for line in said[::2]), done.stderr
+    assert all(line.startswith("1 ") for line in said[1::2])
+
+
+def test_a_list_of_clips_is_a_short_text_in_utf_8(tmp_path, monkeypatch):
+    for encoding in ("utf-16", "utf-16-le", "utf-16-be"):
+        (tmp_path / "list.txt").write_bytes("a.mp4\nb.mp4\n".encode(encoding))
+        with pytest.raises(SourceError, match="a text in UTF-8"):
+            find_clips([tmp_path / "list.txt"])
+    from facemime.batch import clips
+
+    monkeypatch.setattr(clips, "_LONGEST_LIST", 10)
+    (tmp_path / "film.mpg").write_text("a" * 11)
+    with pytest.raises(SourceError, match="no list of clips"):
+        find_clips([tmp_path / "film.mpg"])
+    (tmp_path / "list.txt").write_text("b.mp4\n")
+    assert find_clips([tmp_path / "list.txt"]) == [tmp_path / "b.mp4"]
+
+
+@needs_posix
+def test_a_clip_whose_name_is_no_utf_8_is_refused(tmp_path):
+    clip = Path(os.fsdecode(os.fsencode(tmp_path) + b"/a\xff.mp4"))
+    try:
+        clip.write_bytes(b"x")
+    except OSError:
+        pytest.skip("this file system refuses such names itself")
+    with pytest.raises(SourceError, match=r"The name of .*a\\xff.mp4 is not valid UTF-8"):
+        Namer({}).job(clip)
+    done = run("track", clip, "-o", tmp_path / "take.facetake")
+    assert done.returncode == 1 and "not valid UTF-8" in done.stderr
+
+
+@needs_posix
+def test_a_colon_in_a_videos_name_makes_it_no_address(tmp_path):
+    for name in ("12:30.mp4", "http:a.mp4"):
+        writer = cv2.VideoWriter(str(tmp_path / name), cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (64, 48))
+        for value in range(3):
+            writer.write(np.full((48, 64, 3), value, np.uint8))
+        writer.release()
+        done = run("track", name, "-o", "take.facetake", cwd=tmp_path)
+        assert done.returncode == 1 and "No face was found" in done.stderr
+
+
+# Numbers
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["select", "{take}", "--add", "0-999999999"],
+        ["select", "{take}", "--remove", f"0-{HUGE}"],
+        ["select", "{take}", "--add", HUGE],
+        *(["select", "{take}", f"--tolerance={value}"] for value in (HUGE, "inf", "nan", "-1")),
+        *(["select", "{take}", f"--max-points={value}"] for value in (HUGE, "nan", "1e3", "0")),
+        *(["select", "{take}", f"--neutral={value}"] for value in (HUGE, "inf", "nan", "1e300")),
+        *(["mend", "{take}", "-o", "{out}.facetake", f"--rate={value}"] for value in (HUGE, "nan", "1e300")),
+        *(["mend", "{take}", "-o", "{out}.facetake", f"--shift={value}"] for value in (HUGE, "nan")),
+        *(["mend", "{take}", "-o", "{out}.facetake", f"--neutral={value}"] for value in (HUGE, "nan")),
+        *(["mend", "{take}", "-o", "{out}.facetake", f"--trim={value}:"] for value in (HUGE, "nan", "x" * 400)),
+        *(["mend", "{take}", "-o", "{out}.facetake", "--punch-in", "{take}", f"--blend={v}"] for v in (HUGE, "nan")),
+        ["mend", "{take}", "-o", "{out}.facetake", "--punch-in", HUGE],
+        ["track", "{take}", "-o", "{out}.facetake", "--face", f"{HUGE},{HUGE}"],
+        *(["clip", "{take}.mp4", "-o", "{out}", f"--number={value}"] for value in (HUGE, "nan", "-1")),
+        *(["batch", "{take}.mp4", "-o", "{out}", f"--jobs={value}"] for value in (HUGE, "inf", "-1")),
+    ],
+    ids=lambda options: " ".join(options)[:60],
+)
+def test_a_number_that_cannot_be_is_one_clear_error(take, tmp_path, capsys, options):
+    line = [part.format(take=take, out=tmp_path / "out") for part in options]
+    try:
+        status = cli.main(line)
+    except SystemExit as usage:
+        status = usage.code
+    said = capsys.readouterr().err
+    assert status in (1, 2) and said.splitlines()[-1].startswith("facemime")
+    assert "Warning" not in said and set(os.listdir(tmp_path)) == {"take.facetake"}
+
+
+# What is said
+
+
+def test_no_name_commands_the_terminal(tmp_path, capsys, monkeypatch):
+    name = "a\x1b]0;mine\x07\x9b31m\u202egpj.mp4\nfacemime: done"
+    seen = r"a\x1b]0;mine\x07\x9b31m\u202egpj.mp4\nfacemime: done"
+    assert printable(name) == seen and printable("Übung \u202f 12:30 é.mp4") == "Übung \u202f 12:30 é.mp4"
+    assert printable("a\udcff.mp4") == r"a\xff.mp4"
+    say(f"{name}\n\x1b")
+    tell(name)
+    assert capsys.readouterr() == (f"{seen}\n\\x1b\n".replace(r"\nfacemime", "\nfacemime"), f"{seen}\n")
+    Progress(f"Tracking {name}").finish(name)
+    for line in (["track", name, "-o", "x.facetake"], ["mend", "a", "-o", name], [name], ["track", "--face", name]):
+        try:
+            cli.main(line)
+        except SystemExit as usage:
+            assert usage.code == 2
+    said = capsys.readouterr()
+    assert not {"\x1b", "\x07", "\x9b", "\u202e"} & set(said.err + said.out) and seen in said.err
+
+
+class Full:
+    """A stream on a disk that is full, or whose reader has gone."""
+
+    def write(self, text: str) -> int:
+        raise BrokenPipeError
+
+    def flush(self) -> None:
+        raise BrokenPipeError
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_nobody_who_reads_the_messages_is_no_error(take, tmp_path, monkeypatch):
+    for stream in (Full(), None):
+        monkeypatch.setattr(console.sys, "stderr", stream)
+        progress = Progress("Working", 3)
+        progress.update(1)
+        progress.finish()
+        assert cli.main(["mend", str(take), "-o", str(tmp_path / "out.facetake")]) == 0
+        assert cli.main(["mend", "none", "-o", str(tmp_path / "out.facetake")]) == 1
+
+
+@needs_posix
+def test_messages_and_results_go_where_nobody_reads(take, tmp_path):
+    mend = f"{sys.executable} -m facemime.cli mend {take} -o {tmp_path / 'out.facetake'}"
+    helped = f"{sys.executable} -m facemime.cli --help"
+    for line, status in (
+        (f"{mend} 2>/dev/full", 0),
+        (f"{mend} 2>&1 >/dev/null | true; exit ${{PIPESTATUS[0]}}", 0),
+        (f"{mend} >&- 2>&- <&-", 0),
+        (f"{mend} --nonsense 2>/dev/full", 2),
+        (f"{helped} | true; exit ${{PIPESTATUS[0]}}", 0),
+        (f"{helped} >/dev/full", 1),
+    ):
+        done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+        assert done.returncode == status and "Traceback" not in done.stderr, (line, done.stderr)
+    assert len(load_take(tmp_path / "out.facetake")) == 60
+
+
+@needs_posix
+def test_a_full_disk_is_told_by_the_name_that_was_given(take, tmp_path):
+    import resource
+
+    def full() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+
+    write_image(tmp_path / "a.png", np.zeros((8, 8, 3), np.uint8))
+    lines = [["mend", take, "-o", tmp_path / "out.facetake"], ["export", take, "-o", tmp_path / "out.csv"]]
+    lines += [["landmarks", *([tmp_path / "a.png"] * 40), "-o", tmp_path / "out.npz"]]
+    for line in lines:
+        done = run(*line, preexec_fn=full, env=os.environ | {"OPENCV_LOG_LEVEL": "OFF"})
+        if line[0] != "landmarks" or done.returncode:
+            (said,) = (text for text in done.stderr.splitlines() if text.startswith("facemime:"))
+            assert done.returncode == 1 and str(line[-1]) in said and "Traceback" not in done.stderr, done.stderr
+    assert not [name for name in os.listdir(tmp_path) if name.startswith(".")]
+
+
+# Signals
+
+
+@needs_posix
+@pytest.mark.parametrize(("by", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_it_starts_ends_it_at_once_and_tidily(tmp_path, by, status):
+    slow = tmp_path / "numpy.py"  # stands for the real one, which takes its time on a slow disk
+    slow.write_text("open('importing', 'w').close()\nimport time\ntime.sleep(600)\n")
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    with subprocess.Popen([*START, "--version"], stderr=subprocess.PIPE, cwd=tmp_path, env=environment) as process:
+        while not (tmp_path / "importing").exists():
+            assert process.poll() is None
+            time.sleep(0.005)
+        process.send_signal(by)
+        said = process.stderr.read()
+    assert process.returncode == status and said == b"facemime: interrupted; nothing was written.\n"
+
+
+@needs_posix
+def test_an_interrupt_without_a_reason_is_told_in_a_whole_sentence(take, monkeypatch, capsys):
+    def interrupt(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("facemime.cli.takes.load_take", interrupt)
+    assert cli.main(["export", str(take), "-o", str(take.with_suffix(".csv"))]) == 130
+    assert capsys.readouterr().err == "facemime: interrupted. Files that were complete before are kept.\n"
+
+
+@needs_posix
+def test_a_command_started_to_ignore_ctrl_c_ignores_it(tmp_path):
+    unfinished = tmp_path / "take.unfinished.facetake"
+    line = f"trap '' INT; exec {sys.executable} -m facemime.cli track {SAMPLE} -o {tmp_path / 'take.facetake'}"
+    with subprocess.Popen(["bash", "-c", line], stderr=subprocess.DEVNULL) as process:
+        while not unfinished.exists():
+            assert process.poll() is None
+            time.sleep(0.005)
+        process.send_signal(signal.SIGINT)
+    assert process.returncode == 0 and len(load_take(tmp_path / "take.facetake")) == 255
