@@ -10,7 +10,6 @@ import os
 import sys
 from typing import NoReturn
 
-from ..batch.leash import follow_stdin
 from .stopping import STOPPING, open_standard_streams
 
 
@@ -18,6 +17,8 @@ def start() -> NoReturn:
     """Run the command line of this process and end it with the exit status."""
     STOPPING.install()
     open_standard_streams()
+    from ..batch.leash import follow_stdin
+
     follow_stdin()
     from .main import main
 

@@ -33,6 +33,7 @@ from ..core.takes.take import Take
 from ..puppet import BakeSettings, PuppetReport, PuppetSettings, check_heads, puppet_head
 from .console import Progress, tell
 from .options import head_file
+from .stopping import STOPPING
 
 Image = NDArray[np.uint8]
 
@@ -62,7 +63,9 @@ def puppet(
         translation=arguments.pose == "full",
         bake=bake,
     )
+    STOPPING.check()
     report = puppet_head(scene, head, take, settings)
+    STOPPING.check()
     neutral = report.neutral
     tell(
         f"Baked {len(report.motion.times)} frames: {report.told()}; neutral at {neutral.start:.2f}-{neutral.end:.2f} s"
@@ -122,7 +125,8 @@ def open_head(
         be driven or take the bake.
     """
     if spec is None:
-        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+        with STOPPING.holding():
+            bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
         head = add_head(bpy.context, units=bake.keys in ("named", "mapped"))
         if points is not None:
             write_selection(head.data, points)
@@ -132,7 +136,8 @@ def open_head(
         raise SourceError(f"There is no file {path}. Give --head as FILE.blend:OBJECT.")
     require_utf8_name(path)
     try:
-        with quiet():  # whatever the preferences say: a head from elsewhere may bring programs of its own
+        # A head from elsewhere may bring programs of its own: none is run, whatever the preferences say.
+        with STOPPING.holding(), quiet():
             bpy.ops.wm.open_mainfile(filepath=os.path.realpath(path), use_scripts=False)
     except RuntimeError as error:
         raise SourceError(f"{path} cannot be opened by this Blender. Check that it is a .blend file.") from error
@@ -172,7 +177,7 @@ def save_blend(path: Path) -> None:
     with replacing(path) as temporary:
         temporary.unlink()
         try:
-            with quiet(), caches_beside(path):
+            with STOPPING.holding(), quiet(), caches_beside(path):
                 bpy.ops.wm.save_as_mainfile(filepath=str(temporary.resolve()), copy=True, compress=True)
         except RuntimeError as error:
             reason = str(error).strip().removeprefix("Error: ").lower()
@@ -201,10 +206,12 @@ def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: 
 
     def composed() -> Iterator[Image]:
         for i, (index, picture, avatar) in enumerate(zip(indices, pictures, avatars, strict=True)):
+            STOPPING.check()
             progress.update(i + 1)
             yield np.hstack([picture_of_frame(picture, _landmarks(take, index), left_width, AVATAR_SIDE), avatar])
 
-    write_video(composed(), fps, path)
+    with STOPPING.holding():
+        write_video(composed(), fps, path)
     progress.finish(str(path))
 
 
@@ -221,8 +228,12 @@ def write_sheet(scene: bpy.types.Scene, take: Take, video: Path | None, frames: 
 
 def _avatars(scene: bpy.types.Scene, times: NDArray[np.float64]) -> Iterator[Image]:
     """Pictures of the scene at `times`, seconds; OutputError where Blender cannot keep one for a moment."""
+    pictures = render_frames(scene, frames_of(scene, times), (AVATAR_SIDE, AVATAR_SIDE))
     try:
-        yield from render_frames(scene, frames_of(scene, times), (AVATAR_SIDE, AVATAR_SIDE))
+        for _ in times:
+            with STOPPING.holding():
+                picture = next(pictures)
+            yield picture
     except (RuntimeError, OSError) as error:
         raise OutputError(
             f"Blender cannot render a picture ({str(error).strip().removeprefix('Error: ')}). "

@@ -32,6 +32,7 @@ from ..core.retarget import calibrate
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.smooth import smooth_take
 from ..core.takes.take import Take
+from ..core.tracking.result import TrackResult
 from ..core.tracking.tracker import FaceTracker
 from ..core.version import version
 from .batch import add_commands as add_batch_commands
@@ -141,8 +142,9 @@ def _locate(paths: Sequence[Path], arguments: argparse.Namespace) -> int:
     progress = Progress("Finding landmarks", len(paths), unit="pictures")
     unreadable: list[SourceError] = []
     done = 0
-    with contextlib.suppress(KeyboardInterrupt):
+    with contextlib.suppress(KeyboardInterrupt), STOPPING.noting():
         for i, path in enumerate(paths):
+            STOPPING.check()
             try:
                 image = read_image(path)
             except SourceError as error:
@@ -317,7 +319,13 @@ def _track(video: Path, unfinished: Path, face: tuple[float, float] | None) -> T
     require_file(video)
     tracker = FaceTracker.load()
     progress = Progress(f"Tracking {video.name}")
-    track_video(video, tracker, lambda done, total, _: progress.update(done, total), unfinished, face)
+
+    def on_frame(done: int, total: int, _: TrackResult) -> bool:
+        progress.update(done, total)
+        return not STOPPING.heard
+
+    with STOPPING.noting():
+        track_video(video, tracker, on_frame, unfinished, face)
     if not unfinished.exists():
         raise KeyboardInterrupt("no frame was tracked yet")
     take = load_take(unfinished)

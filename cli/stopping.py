@@ -27,13 +27,15 @@ class Stopping:
     ----------
     status : int
         The exit status of a run that a signal ended: 128 and the signal's number, 130 before any came.
+    heard : bool
+        Whether one came.
     """
 
     def __init__(self) -> None:
         self.status = INTERRUPTED
         self._handlers: dict[int, Any] = {}
-        self._at_once = self._over = False
-        self._heard = -_TOGETHER
+        self.heard = self._at_once = self._over = False
+        self._holds, self._last = 0, -_TOGETHER
 
     def install(self) -> None:
         """Listen to signals, but to those that this process was started to ignore; until `run` they end it at once."""
@@ -69,6 +71,31 @@ class Stopping:
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
             self._at_once = before
 
+    @contextlib.contextmanager
+    def noting(self) -> Iterator[None]:
+        """Raise nothing when a signal comes, but set `heard`.
+
+        Where Blender calls Python, it prints what is raised and goes on. OpenCV 4.11 crashes: it asks for the text of
+        an argument's error to choose between the variants of a function, and takes none for impossible.
+        """
+        self._holds += 1
+        try:
+            yield
+        finally:
+            self._holds -= 1
+
+    @contextlib.contextmanager
+    def holding(self) -> Iterator[None]:
+        """Let a signal wait until this is over."""
+        with self.noting():
+            yield
+        self.check()
+
+    def check(self) -> None:
+        """Raise KeyboardInterrupt where a signal came that waits, or that somebody swallowed."""
+        if self.heard:
+            raise KeyboardInterrupt
+
     def _restore(self) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
@@ -79,10 +106,11 @@ class Stopping:
         if self._at_once:
             end_at_once(128 + number)
         now = time.monotonic()
-        if now - self._heard < _TOGETHER:
+        if now - self._last < _TOGETHER:
             return
-        self._heard, self.status = now, 128 + number
-        raise KeyboardInterrupt
+        self._last, self.heard, self.status = now, True, 128 + number
+        if not self._holds:
+            raise KeyboardInterrupt
 
 
 STOPPING = Stopping()
