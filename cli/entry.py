@@ -17,11 +17,11 @@ def start() -> NoReturn:
     """Run the command line of this process and end it with the exit status."""
     STOPPING.install()
     open_standard_streams()
-    from ..batch.leash import follow_stdin
+    with STOPPING.starting():
+        from ..batch.leash import follow_stdin
 
-    follow_stdin()
-    from .main import main
-
+        follow_stdin()
+        from .main import main
     STOPPING.run()
     try:
         status = main()

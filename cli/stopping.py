@@ -9,6 +9,7 @@ import contextlib
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from types import FrameType
@@ -54,22 +55,34 @@ class Stopping:
         self._over = True
 
     @contextlib.contextmanager
+    def starting(self) -> Iterator[None]:
+        """Let no thread hear signals that a library starts while it is imported: `importing` could not stop those."""
+        over = threading.Event()
+        listener = threading.Thread(target=over.wait, name="facemime-signals", daemon=True)
+        listener.start()  # hears them in place of the main thread, which acts on them all the same
+        try:
+            with _blocked():
+                yield
+        finally:
+            over.set()
+            listener.join()
+
+    @contextlib.contextmanager
     def importing(self) -> Iterator[None]:
-        """Let signals end the process at once, without a traceback, when this is over; Blender's import takes them."""
+        """Let signals end the process at once, without a traceback, when this is over.
+
+        Blender takes Ctrl-C for itself as soon as it is imported.
+        """
         if not self._handlers:
             yield
             return
         self._at_once, before = True, self._at_once
-        masked = hasattr(signal, "pthread_sigmask")
-        if masked:
-            signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
-        try:
-            yield
-        finally:
-            self._restore()
-            if masked:
-                signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
-            self._at_once = before
+        with _blocked():
+            try:
+                yield
+            finally:
+                self._restore()
+        self._at_once = before
 
     @contextlib.contextmanager
     def noting(self) -> Iterator[None]:
@@ -114,6 +127,19 @@ class Stopping:
 
 
 STOPPING = Stopping()
+
+
+@contextlib.contextmanager
+def _blocked() -> Iterator[None]:
+    """Let signals wait, where the system can, until this is over."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
 
 
 def end_at_once(status: int) -> NoReturn:

@@ -417,7 +417,7 @@ def test_a_full_disk_is_told_by_the_name_that_was_given(take, tmp_path):
 @pytest.mark.parametrize(("by", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_while_it_starts_ends_it_at_once_and_tidily(tmp_path, by, status):
     slow = tmp_path / "numpy.py"  # stands for the real one, which takes its time on a slow disk
-    slow.write_text("open('importing', 'w').close()\nimport time\ntime.sleep(600)\n")
+    slow.write_text("open('importing', 'w').close()\nimport time\nwhile True: time.sleep(0.01)\n")
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
     with subprocess.Popen([*START, "--version"], stderr=subprocess.PIPE, cwd=tmp_path, env=environment) as process:
         while not (tmp_path / "importing").exists():
