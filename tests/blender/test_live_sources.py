@@ -49,6 +49,8 @@ def preferred():
         ("PICTURES", "none", "There is no folder"),
         ("TAKE", "none.facetake", "There is no take"),
         ("CAMERA", "http://phone:8080/video", "Online Access"),
+        ("CAMERA", "http:phone/video", "Online Access"),
+        ("CAMERA", "TCP:phone", "Online Access"),
         ("CAMERA", "/dev/none", "cannot be opened"),
     ],
 )
@@ -56,7 +58,7 @@ def test_a_source_that_is_not_there_is_reported_and_leaves_the_head_alone(tmp_pa
     head = add_head(bpy.context)
     source = bpy.context.scene.facemime.source
     source.kind = kind
-    path = name if "://" in name or not name else str(tmp_path / name)
+    path = name if ":" in name or not name else str(tmp_path / name)
     source.video = source.folder = source.take = path
     preferred.camera = path
     reports = []

@@ -1,6 +1,8 @@
 """Frames from files."""
 
+import contextlib
 import os
+import socket
 from pathlib import Path
 
 import cv2
@@ -8,7 +10,8 @@ import numpy as np
 import pytest
 from turned import turned_clip
 
-from facemime.core.capture import Frame, VideoSource, at_constant_rate
+from facemime.core import capture
+from facemime.core.capture import Frame, VideoSource, at_constant_rate, is_address
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.images import read_image, write_image
 
@@ -104,3 +107,59 @@ def test_pictures_survive_and_bad_ones_are_refused(tmp_path):
             read_image(path)
     with pytest.raises(OutputError, match="suffix"):
         write_image(tmp_path / "a.xyz", image)
+
+
+def test_frames_that_would_fill_the_memory_are_refused_before_one_is_decoded(tmp_path, monkeypatch):
+    path = write_clip(tmp_path / "clip.avi", 2, codec="MJPG")
+    monkeypatch.setattr(capture, "MOST_PIXELS", 64 * 48)
+    with VideoSource(path) as source:
+        assert len(list(source)) == 2
+    monkeypatch.setattr(capture, "MOST_PIXELS", 64 * 48 - 1)
+    with pytest.raises(SourceError, match="too large: 64 x 48 pixels"):
+        VideoSource(path)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes and devices as POSIX has them")
+def test_pipes_and_devices_are_no_files(tmp_path):
+    os.mkfifo(tmp_path / "pipe.mp4")
+    (tmp_path / "zero.mp4").symlink_to("/dev/zero")
+    for name in ("pipe.mp4", "zero.mp4"):
+        with pytest.raises(SourceError, match="but a pipe or a device"):
+            VideoSource(tmp_path / name)
+        with pytest.raises(SourceError, match="but a pipe or a device"):
+            read_image(tmp_path / name)
+    for name in ("a\0b", "x" * 300):
+        with pytest.raises(SourceError, match="Check the path"):
+            VideoSource(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["http://phone:8080/video", "http:phone/video", "HTTP:x", "rtsp:x", "udp://@:1234", "tcp:x", "concat:a|b", "file:a",
+     "async:http:x", "subfile,,start,0,end,0,,:http:x"],
+)  # fmt: skip
+def test_whatever_ffmpeg_takes_for_an_address_is_one(text):
+    assert is_address(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["0", "12:30.mp4", "/dev/video0", "C:\\clips\\a.mp4", "c:/clips/a.mp4", "./http:x", "/a/http://x", "a.mp4"]
+)
+def test_files_and_numbers_are_no_addresses(text):
+    assert not is_address(text)
+
+
+def test_a_list_of_pieces_on_the_network_is_not_followed(tmp_path):
+    """FFmpeg keeps files from leading it to the network, whatever they are called."""
+    asked = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.0)
+        address = f"http://127.0.0.1:{server.getsockname()[1]}/a.ts"
+        hls = f"#EXTM3U\n#EXT-X-TARGETDURATION:5\n#EXTINF:5,\n{address}\n#EXT-X-ENDLIST\n"
+        for name, text in (("a.m3u8", hls), ("a.mp4", hls), ("a.ffconcat", f"ffconcat version 1.0\nfile {address}\n")):
+            (tmp_path / name).write_text(text)
+            with pytest.raises(SourceError):
+                list(VideoSource(tmp_path / name))
+            with contextlib.suppress(BlockingIOError):
+                asked.append(server.accept())
+    assert not asked

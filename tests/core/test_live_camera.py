@@ -165,6 +165,26 @@ def test_every_failure_is_explained_in_two_sentences():
         assert text.endswith(".") and 30 < len(text) < 200
 
 
+def test_no_python_is_started_because_the_path_for_programs_has_one(monkeypatch, tmp_path):
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    (tmp_path / version).touch(mode=0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "none"))
+    for executable in ("/opt/blender", "", None, version):
+        monkeypatch.setattr(sys, "executable", executable)
+        assert Path(python_executable()).is_relative_to(sys.base_prefix)
+    monkeypatch.setattr(sys, "base_prefix", str(tmp_path / "none"))
+    with pytest.raises(SourceError, match="Blender's Python cannot be started"):
+        python_executable()
+
+
+def test_a_file_that_is_named_like_an_address_is_opened_as_a_file(tmp_path, monkeypatch, camera):
+    (tmp_path / "12:30.mp4").symlink_to(SAMPLE)
+    monkeypatch.chdir(tmp_path)
+    assert until(camera(CameraSettings("12:30.mp4")), lambda frame: True).image.shape == (480, 640, 3)
+
+
 def test_the_python_that_is_started_can_import_opencv():
     assert Path(python_executable()).exists()
     assert np.__version__ and cv2.__version__
