@@ -191,7 +191,9 @@ def _drawings(paths: Sequence[Path], folder: Path) -> list[Path]:
     for path in paths:
         names = itertools.chain([path.stem], (f"{path.stem}-{number}" for number in itertools.count(2)))
         drawings[next(place for name in names if (place := folder / f"{name}.png") not in drawings)] = None
-    if any(os.path.realpath(path.parent) == os.path.realpath(folder) for path in paths):
+    pictures = {os.path.realpath(path) for path in paths}
+    there = {os.path.dirname(picture) for picture in pictures}  # and a link among the drawings may lead to one
+    if os.path.realpath(folder) in there or any(os.path.realpath(drawing) in pictures for drawing in drawings):
         raise OutputError(f"Cannot draw in {folder}: the pictures themselves are there. Give --overlay another folder.")
     check_writable(next(iter(drawings)))
     return list(drawings)

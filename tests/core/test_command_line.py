@@ -88,6 +88,18 @@ def test_pictures_that_are_broken_off_never_replace_whole_ones(tmp_path, monkeyp
 
 
 @needs_posix
+def test_nothing_is_drawn_over_a_picture_through_a_link(tmp_path, capsys):
+    picture = tmp_path / "in" / "a.png"
+    write_image(picture, np.full((60, 60, 3), 90, np.uint8))
+    (tmp_path / "drawn").mkdir()
+    (tmp_path / "drawn" / "a.png").symlink_to(picture)
+    before = picture.read_bytes()
+    line = ["landmarks", str(picture), "-o", str(tmp_path / "out.npz"), "--overlay", str(tmp_path / "drawn")]
+    assert cli.main(line) == 1 and "Give --overlay another folder" in capsys.readouterr().err
+    assert picture.read_bytes() == before
+
+
+@needs_posix
 def test_what_a_killed_run_tracked_is_kept_by_all_later_ones(tmp_path):
     output, left = tmp_path / "take.facetake", tmp_path / "take.unfinished.facetake"
     broken_off("track", SAMPLE, "-o", output, when=left, by=signal.SIGKILL)
