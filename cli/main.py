@@ -28,6 +28,7 @@ from ..core.images import IMAGE_SUFFIXES, read_image, write_image
 from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
 from ..core.overlay import draw_landmarks
 from ..core.pipeline import track_video
+from ..core.reading import read_text
 from ..core.retarget import calibrate
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.smooth import smooth_take
@@ -303,8 +304,8 @@ def _table(selection: GreedySelection) -> str:
 def _text(path: Path) -> str:
     check_readable(path)
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        return read_text(path)
+    except (OSError, ValueError) as error:
         raise SourceError(f"{path} cannot be read ({error}). Give a file that facemime select -o wrote.") from error
 
 

@@ -45,6 +45,8 @@ _ABOUT_MARKS = 3.0
 """Reach of the head about the marks' centre, in distances of the outermost mark."""
 _RIGID_STEPS = 25
 _SMOOTHINGS = (1.0, 0.3, 0.1)
+_FEWEST = 5
+"""Points that a bend in space needs at least; four fix its affine part."""
 _LEFT_OUT = (
     (np.concatenate([EYE_RIGHT, EYE_LEFT]), 0.12),
     (np.concatenate([MOUTH_OUTER, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER]), 0.06),
@@ -152,7 +154,13 @@ class Laid:
 
 
 def lay_over(template: Template, places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> Laid:
-    """The template over the mesh or its head, without marks in that attitude in which it has to be bent least."""
+    """The template over the mesh or its head, without marks in that attitude in which it has to be bent least.
+
+    Raises
+    ------
+    HeadError
+        If nothing of the mesh lies where the template's skin is, in any attitude.
+    """
     best: Laid | None = None
     for attitude in _ATTITUDES[:1] if picked else _ATTITUDES:
         turned = places @ attitude.T
@@ -167,7 +175,8 @@ def lay_over(template: Template, places: FloatArray, faces: IntArray, picked: Ma
                 best = laid
             if best.strain < _LITTLE_STRAIN:
                 return best
-    assert best is not None
+    if best is None or not np.isfinite(best.strain):
+        raise HeadError("No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin.")
     return best
 
 
@@ -176,7 +185,8 @@ def _laid(
 ) -> Laid:
     pose = _pose_from_marks(template, surface.places, marks) if marks else _pose_from_shape(template, surface)
     bent, residual = _bend(template, surface, pose, marks)
-    return Laid(attitude, part, marks, surface, pose, bent, residual / pose[0], _strain(template, bent))
+    strain = _strain(template, bent) if np.isfinite(residual) else np.inf
+    return Laid(attitude, part, marks, surface, pose, bent, residual / pose[0], strain)
 
 
 def _heads_of(places: FloatArray, picked: Mapping[int, int]) -> list[NDArray[np.intp]]:
@@ -250,7 +260,7 @@ def _similarity(source: FloatArray, target: FloatArray) -> Pose:
 
 
 def _bend(template: Template, surface: Surface, pose: Pose, picked: Mapping[int, int]) -> tuple[FloatArray, float]:
-    """The template's vertices on the mesh, and the median distance that is left."""
+    """The template's vertices on the mesh, and the median distance that is left: infinite if the mesh is elsewhere."""
     size, rotation, shift = pose
     rest = size * template.places @ rotation.T + shift
     bent = rest
@@ -261,6 +271,8 @@ def _bend(template: Template, surface: Surface, pose: Pose, picked: Mapping[int,
             goal = surface.places[surface.nearest(bent[template.skin], normals[template.skin])]
             distance = np.linalg.norm(goal - bent[template.skin], axis=1)
             near = distance < 0.15 * size
+            if np.count_nonzero(near) + len(own) < _FEWEST:
+                return bent, np.inf
             source = np.concatenate([rest[template.skin][near], rest[own]])
             target = np.concatenate([goal[near], surface.places[list(picked.values())]])
             bent = Warp(source, target, 0.05 * smoothing)(rest)

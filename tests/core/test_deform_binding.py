@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scans import scanned
 
 from facemime.core.deform.binding import MARKS, bind_landmarks
@@ -250,3 +252,20 @@ def test_a_warp_between_points_of_one_plane_is_refused():
     flat = np.random.default_rng(0).normal(size=(20, 3)) * [1, 1, 0]
     with pytest.raises(HeadError, match="lie in one plane"):
         Warp(flat, flat, smoothing=0.0)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(st.data())
+def test_a_mesh_that_is_no_face_is_refused_in_a_sentence_or_bound_to_vertices_that_it_has(data):
+    count = data.draw(st.integers(1, 300))
+    rng = np.random.default_rng(data.draw(st.integers(0, 10**6)))
+    points = rng.normal(size=(count, 3)) * [10.0 ** data.draw(st.integers(-6, 6)) for _ in range(3)]
+    points[:, data.draw(st.integers(0, 2))] *= data.draw(st.sampled_from((0.0, 1.0, 1e6)))
+    points[: data.draw(st.integers(0, count))] = points[0]
+    faces = rng.integers(0, count, (data.draw(st.integers(0, 200)), 3))
+    try:
+        found = bind_landmarks(points, faces).landmarks
+    except HeadError as error:
+        assert str(error).endswith(".")
+    else:
+        assert found.shape == (66,) and found.min() >= 0 and found.max() < count

@@ -348,9 +348,10 @@ def take_the_pose(stage: Stage) -> None:
 @pushed
 def override(stage: Stage) -> None:
     """Link a head from another file and override it."""
-    if not stage.files.blend.exists() or bpy.context.mode != "OBJECT":
+    path = stage.files.blend
+    if not path.exists() or bpy.context.mode != "OBJECT" or bpy.data.filepath == str(path):
         return
-    with bpy.data.libraries.load(str(stage.files.blend), link=True) as (there, here):
+    with bpy.data.libraries.load(str(path), link=True) as (there, here):
         here.objects = there.objects[:2]
     for linked in here.objects:
         if linked is not None and linked.library is not None:
