@@ -103,8 +103,8 @@ def with_a_body() -> tuple[np.ndarray, np.ndarray]:
 
 def test_the_head_of_a_whole_body_is_found_with_and_without_marks():
     places, faces = with_a_body()
-    for given in (None, marks()):
-        binding = bind_landmarks(places, faces, given)
+    for picked in (None, marks()):
+        binding = bind_landmarks(places, faces, picked)
         assert binding.body and mean_error(places, binding.landmarks) < 0.02
     assert not bind_landmarks(VERTICES, HEAD.faces).body
 
