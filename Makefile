@@ -25,13 +25,16 @@ check: setup
 
 # What most changes can break: all that needs no Blender, Blender 4.5, and one real window. A test that hangs ends by its
 # own limit (pyproject.toml); there is none round the whole, which may be as slow as the machine is.
-PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+# Two processes on two cores, each with one thread for linear algebra: more would wait for one another.
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+# What is long and of one piece comes first.
+SUITES := tests/gui tests/blender tests/fuzz tests/core
 test: setup build blenders windows build/head/.ready
-	$(PYTEST) tests -m "not thorough"
+	$(PYTEST) $(SUITES) -m "not thorough"
 
 # And the rest: all other versions of Blender and their windows, fuzzers, random sequences.
 test-all: test
-	$(PYTEST) tests -m thorough
+	$(PYTEST) $(SUITES) -m thorough
 
 # Every live and window test again and again on a machine that is busy with other things.
 RUNS ?= 50

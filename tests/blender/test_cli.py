@@ -82,11 +82,11 @@ def test_puppet_leaves_a_blend_a_video_a_sheet_and_a_take(clip, tmp_path):
 @pytest.mark.parametrize(
     ("options", "left", "told"),
     [
-        (("--keys", "named", "--clean", "0.5"), set(), "52 shape keys"),
-        (("--keys", "mapped", "--nla"), set(), "52 shape keys"),
-        (("--max-keys", "1"), set(), "1 shape keys"),
-        (("--keys", "cache"), {"out.pc2"}, "every vertex exactly"),
-        (("--keys", "alembic"), {"out.pc2", "out.abc"}, "every vertex exactly"),
+        (("--keys", "named", "--clean", "0.5"), (), "52 shape keys"),
+        (("--keys", "mapped", "--nla"), (), "52 shape keys"),
+        (("--max-keys", "1"), (), "1 shape keys"),
+        (("--keys", "cache"), ("out.pc2",), "every vertex exactly"),
+        (("--keys", "alembic"), ("out.pc2", "out.abc"), "every vertex exactly"),
     ],
     ids=str,
 )
@@ -94,7 +94,7 @@ def test_puppet_bakes_to_what_is_asked_for(options, left, told, tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     done = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", *options)
     assert done.returncode == 0 and told in done.stderr and done.stdout == ""
-    assert {path.name for path in tmp_path.iterdir()} == {"take.facetake", "out.blend"} | left
+    assert {path.name for path in tmp_path.iterdir()} == {"take.facetake", "out.blend", *left}
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out.blend"))
     head = bpy.data.objects["Facemime Head"]
     if left:

@@ -214,6 +214,7 @@ def test_the_performer_is_calibrated_by_a_click_and_kept_by_name(blender, sideba
     stop(sidebar)
 
 
+@pytest.mark.thorough
 def test_a_take_is_recorded_shown_changed_and_baked_by_clicks(blender, sidebar):
     add_head(sidebar)
     choose_video(sidebar)
@@ -400,6 +401,7 @@ def test_an_imported_scan_becomes_a_head_that_opens_mouth_and_eyes_by_clicks(ble
     stop(sidebar)
 
 
+@pytest.mark.thorough
 def test_control_points_are_chosen_from_a_take_picked_on_the_head_dropped_and_undone(blender, sidebar):
     add_head(sidebar)
     save_take(performance(), blender.folder / "take.facetake")
