@@ -23,10 +23,11 @@ from .bake_cache import MODIFIER
 from .bake_keys import BAKED_KEY_PREFIX, require_relative, value_path
 from .frames import flat_in_blender
 from .meshes import exists, mesh_of, read_vertices, write_vertices
-from .names import PART_PROPERTY
+from .names import LIVE_PROPERTY, PART_PROPERTY
 from .targets import PoseTarget
 
 LIVE_KEY = "Facemime Live"
+_HAD_KEYS, _MADE_KEYS = 1, 2
 _TARGET_NAMES = {"head": "object or bone that takes the head's pose"} | {
     eye: f"object or bone that takes the gaze of the {eye.removeprefix('eye_')} eye" for eye in sorted(EYE_PARTS)
 }
@@ -68,7 +69,6 @@ class LiveHeadObject:
         self._parts = [(child, _kind(child)) for child in self.obj.children if _kind(child)]
         self._mesh = mesh
         self._count = len(mesh.vertices)
-        self._had_keys = mesh.shape_keys is not None
         self._muted: list[Muted] = []
         self._rest: NDArray[np.float32] | None = None
         self._pinned = False
@@ -96,9 +96,13 @@ class LiveHeadObject:
         if self.gone:
             return
         self._require_same_mesh()
-        self._had_keys = self._mesh.shape_keys is not None
         if not self._mesh.is_editmode:
             self._rest = read_vertices(self._mesh)
+        if self._mesh.shape_keys is None:
+            self.obj.shape_key_add(name="Basis", from_mix=False)
+            self._mesh[LIVE_PROPERTY] = _MADE_KEYS
+        elif LIVE_PROPERTY not in self._mesh:
+            self._mesh[LIVE_PROPERTY] = _HAD_KEYS
         self._key().value = 1.0  # what Edit mode brings back of one that was removed is at 0
         self._muted = []
         targets = [target.obj for target in self.targets.values() if target.exists]
@@ -154,10 +158,23 @@ class LiveHeadObject:
             if eye in self.targets:
                 self.targets[eye].apply(frame.gaze, None)
 
-    def detach(self, *, keep: bool) -> None:
-        """End the showing; `keep` leaves the head as it is, with the live key; otherwise all that is left goes back."""
+    def detach(self, *, keep: bool, blocks: bool = True) -> bool:
+        """End the showing.
+
+        Parameters
+        ----------
+        keep : bool
+            Leave the head as it is, with the live key; otherwise all that is still there is put back.
+        blocks : bool
+            Whether data-blocks may be removed; not between two undo steps (`blender.undo`).
+
+        Returns
+        -------
+        bool
+            Whether one was, so that an undo step is due.
+        """
         if not self._shown:
-            return
+            return False
         self._shown = False
         for muted in self._muted:
             muted.unmute()
@@ -165,51 +182,77 @@ class LiveHeadObject:
         if not self.gone and (cache := self.obj.modifiers.get(MODIFIER)) is not None:
             cache.show_viewport, cache.show_render = self._cache_played
         if keep:
-            return
-        if exists(self._mesh):
-            self._remove_key()
+            self._mesh.pop(LIVE_PROPERTY, None)
+            return False
+        removed = exists(self._mesh) and clear_live(self._mesh, self.obj, self._rest, blocks=blocks)
         if not self.gone and self.obj.data == self._mesh:
             self.obj.show_only_shape_key = self._pinned
         for target in (*self.targets.values(), *(PoseTarget(child) for child, _ in self._parts)):
             if target.exists:
                 target.rest()
+        return removed
 
     def _require_same_mesh(self) -> None:
-        if self.obj.data != self._mesh or len(self._mesh.vertices) != self._count or self._basis_lost():
+        keys_deleted = self._shown and (self._mesh.shape_keys is None or _basis_lost(self._mesh))
+        if self.obj.data != self._mesh or len(self._mesh.vertices) != self._count or keys_deleted:
             raise _changed(self._name)
-
-    def _basis_lost(self) -> bool:
-        """Whether the basis was deleted: Blender makes the next key the basis then, and that may be the live one."""
-        keys = self._mesh.shape_keys
-        return keys is not None and keys.reference_key.name == LIVE_KEY
 
     def _living_parts(self) -> list[tuple[bpy.types.Object, str]]:
         return [(child, kind) for child, kind in self._parts if exists(child)]
 
     def _key(self) -> bpy.types.ShapeKey:
-        """The live key, made again where it, or all keys, were deleted meanwhile."""
-        if self._mesh.shape_keys is None:
-            self.obj.shape_key_add(name="Basis", from_mix=False)
+        """The live key, made again if it alone was deleted."""
         key = self._mesh.shape_keys.key_blocks.get(LIVE_KEY)
         if key is None:
             key = self.obj.shape_key_add(name=LIVE_KEY, from_mix=False)
             key.value = 1.0
         return key
 
-    def _remove_key(self) -> None:
-        keys = self._mesh.shape_keys
-        if keys is None or LIVE_KEY not in keys.key_blocks:
-            return
-        lost = self._basis_lost() and self._rest is not None
-        if lost:
-            keys.reference_key.points.foreach_set("co", flat_in_blender(self._rest))
-        with _object_of(self._mesh, self.obj) as obj:
-            _remove(obj, keys.key_blocks[LIVE_KEY])
-            keys = self._mesh.shape_keys  # gone with its last key
-            if keys is not None and not self._had_keys and len(keys.key_blocks) == 1:
-                obj.shape_key_clear()
-        if lost and self._mesh.shape_keys is None and not self._mesh.is_editmode:
-            write_vertices(self._mesh, self._rest)
+
+def clear_live(
+    mesh: bpy.types.Mesh,
+    obj: bpy.types.Object | None = None,
+    rest: NDArray[np.float32] | None = None,
+    *,
+    blocks: bool = True,
+) -> bool:
+    """Take out of `mesh` what a live session shows in it, even one that ended long ago with a crash.
+
+    Parameters
+    ----------
+    obj : optional
+        One with that mesh, where one is known.
+    rest : (V, 3), optional
+        Where the vertices belong if the basis was deleted and the live key has become it.
+    blocks : bool
+        As for `LiveHeadObject.detach`.
+
+    Returns
+    -------
+    bool
+        Whether shape keys that were made for the session are gone, which is a data-block.
+    """
+    keys, made = mesh.shape_keys, mesh.get(LIVE_PROPERTY) == _MADE_KEYS
+    lost = _basis_lost(mesh) and rest is not None
+    if lost:
+        keys.reference_key.points.foreach_set("co", flat_in_blender(rest))
+    with _object_of(mesh, obj) as holder:
+        if keys is not None and LIVE_KEY in keys.key_blocks and (blocks or len(keys.key_blocks) > 1):
+            _remove(holder, keys.key_blocks[LIVE_KEY])
+        if blocks and made and mesh.shape_keys is not None and len(mesh.shape_keys.key_blocks) == 1:
+            holder.shape_key_clear()
+    if lost and mesh.shape_keys is None and not mesh.is_editmode:
+        write_vertices(mesh, rest)
+    if blocks or not made:
+        mesh.pop(LIVE_PROPERTY, None)
+    return keys is not None and mesh.shape_keys is None
+
+
+def clear_all_live(*, blocks: bool) -> None:
+    """Take out of all meshes what a session showed that no longer runs: in a file that was opened, or a step undone."""
+    for mesh in bpy.data.meshes:
+        if LIVE_PROPERTY in mesh and mesh.library is None:
+            clear_live(mesh, blocks=blocks)
 
 
 def require_one_left(heads: Sequence[LiveHeadObject]) -> None:
@@ -224,6 +267,12 @@ def as_keys_take_it(frame: HeadFrame) -> NDArray[np.float32]:
     Made by the thread that drives: OpenCV lets other threads run meanwhile, for which the main thread would wait.
     """
     return flat_in_blender(frame.vertices)
+
+
+def _basis_lost(mesh: bpy.types.Mesh) -> bool:
+    """Whether the basis was deleted: Blender makes the next key the basis then, and that may be the live one."""
+    keys = mesh.shape_keys
+    return keys is not None and keys.reference_key.name == LIVE_KEY
 
 
 def _find_key(keys: bpy.types.Key, name: str) -> bpy.types.ShapeKey | None:
@@ -241,9 +290,9 @@ def _remove(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> None:
 
 
 @contextlib.contextmanager
-def _object_of(mesh: bpy.types.Mesh, obj: bpy.types.Object) -> Iterator[bpy.types.Object]:
+def _object_of(mesh: bpy.types.Mesh, obj: bpy.types.Object | None) -> Iterator[bpy.types.Object]:
     """An object with `mesh`, through which alone its shape keys can be removed: `obj`, or one made for the moment."""
-    if exists(obj) and obj.data == mesh:
+    if obj is not None and exists(obj) and obj.data == mesh:
         yield obj
         return
     stand_in = bpy.data.objects.new("Facemime", mesh)

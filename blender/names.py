@@ -12,6 +12,9 @@ MARKS_PROPERTY = "facemime_marks"
 SELECTION_PROPERTY = "facemime_control_points"
 """Custom property of the mesh: the chosen control points and why, as `core.control_points.to_json` writes them."""
 
+LIVE_PROPERTY = "facemime_live"
+"""Custom property of the mesh while it is shown live: 1, or 2 where it had no shape keys before."""
+
 PART_PROPERTY = "facemime_part"
 """Custom property of a child object that says which part of the head it is: one of `PART_OBJECTS`' keys."""
 

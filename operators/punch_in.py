@@ -4,11 +4,12 @@ import bpy
 from bpy.props import FloatProperty, IntProperty
 
 from ..blender.bake import seconds_at
+from ..blender.undo import push_undo
 from ..core.errors import FacemimeError
 from ..scene import takes_store
 from ..sessions.punch_in import PunchIn
 from .puppet import running
-from .shared import push_undo, register_all, unregister_all, unwatch, watch
+from .shared import register_all, unregister_all, unwatch, watch
 from .takes import OnTake
 
 _WATCH = 0.02

@@ -50,9 +50,6 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Begin, and go on with every tick of a timer."""
-        if not context.scene.facemime.keep_pose:
-            # So that an undo while it runs undoes the session and not what came before.
-            bpy.ops.ed.undo_push(message="Puppet")
         self._session = start_session(context.scene, heads_in(context))
         self._rigs = RigWatch(self._session)
         self._scene = context.scene.name

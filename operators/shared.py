@@ -122,13 +122,6 @@ def unwatch(step: Callable[[], float | None]) -> None:
         bpy.app.timers.unregister(step)
 
 
-def push_undo(message: str) -> None:
-    """An undo step from a timer, which has no window of its own; nothing where there is no window at all."""
-    if windows := bpy.context.window_manager.windows:
-        with bpy.context.temp_override(window=windows[0]):
-            bpy.ops.ed.undo_push(message=message)
-
-
 def register_all(classes: tuple[type, ...]) -> None:
     """Register `classes` in their order."""
     for cls in classes:

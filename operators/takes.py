@@ -5,6 +5,7 @@ import contextlib
 import bpy
 from bpy.props import StringProperty
 
+from ..blender.undo import push_undo
 from ..core.errors import OutputError, SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import from_csv, to_csv
@@ -18,7 +19,6 @@ from .shared import (
     AsksForFileToWrite,
     ReportsErrors,
     heads_in,
-    push_undo,
     register_all,
     unregister_all,
     unwatch,

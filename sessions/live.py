@@ -7,6 +7,7 @@ from itertools import pairwise
 from time import perf_counter
 
 from ..blender.live import LiveHeadObject, as_keys_take_it, require_one_left
+from ..blender.undo import push_undo
 from ..core.errors import HeadError, OutputError
 from ..core.live.sources import LiveSource
 from ..core.live.timing import Delays, Stopwatch
@@ -72,6 +73,7 @@ class LiveSession(Session):
         except Exception:
             self.close()
             raise
+        push_undo("Start Puppet")
         self.worker.start()
 
     @property
@@ -131,12 +133,13 @@ class LiveSession(Session):
             return None
         return 0.0 if self._at is None else max(0.0, self._at - perf_counter())
 
-    def close(self) -> None:
+    def close(self, *, blocks: bool = True) -> None:
         """End the worker, release the source, and leave the heads as `keep` says; `warning` tells what went wrong."""
         self._close_worker()
-        for shown in self._objects:
-            shown.detach(keep=self.keep)
+        removed = [shown.detach(keep=self.keep, blocks=blocks) for shown in self._objects]
         super().close()
+        if any(removed):
+            push_undo("Stop Puppet")
 
     def abandon(self) -> None:
         """End the worker and release the source alone."""
@@ -158,7 +161,7 @@ class LiveSession(Session):
     def suspend(self) -> None:
         """Put the heads back for a moment: to save the file without what is only shown."""
         for shown in self._objects:
-            shown.detach(keep=False)
+            shown.detach(keep=False, blocks=False)
 
     def resume(self) -> None:
         """Show the heads again after `suspend`."""

@@ -11,6 +11,7 @@ import atexit
 import bpy
 from bpy.app.handlers import persistent
 
+from ..blender.live import clear_all_live
 from ..core.errors import HeadError
 
 
@@ -24,8 +25,14 @@ class Session:
             Session.current.close()
         Session.current = self
 
-    def close(self) -> None:
-        """End it; may be called twice."""
+    def close(self, *, blocks: bool = True) -> None:
+        """End it; may be called twice.
+
+        Parameters
+        ----------
+        blocks : bool
+            Whether data-blocks may be removed, and an undo step made for that.
+        """
         if Session.current is self:
             Session.current = None
 
@@ -41,9 +48,22 @@ class Session:
 
 
 @persistent
-def _close_current(*_: object) -> None:
+def _close_as_it_is(*_: object) -> None:
+    """Before a step is undone, or another file opened."""
     if Session.current is not None:
-        Session.current.close()
+        Session.current.close(blocks=False)
+
+
+@persistent
+def _clear_undone(*_: object) -> None:
+    """A step that was made while a session ran has in it what was shown then."""
+    clear_all_live(blocks=False)
+
+
+@persistent
+def _clear_opened(*_: object) -> None:
+    """A file that was saved while a session ran, or by Blender itself before a crash, too."""
+    clear_all_live(blocks=True)
 
 
 @persistent
@@ -67,9 +87,12 @@ def _abandon_current() -> None:
 
 
 _HANDLERS = {
-    "load_pre": _close_current,
-    "undo_pre": _close_current,
-    "redo_pre": _close_current,
+    "load_pre": _close_as_it_is,
+    "load_post": _clear_opened,
+    "undo_pre": _close_as_it_is,
+    "redo_pre": _close_as_it_is,
+    "undo_post": _clear_undone,
+    "redo_post": _clear_undone,
     "save_pre": _suspend,
     "save_post": _resume,
     "save_post_fail": _resume,
@@ -85,7 +108,8 @@ def register() -> None:
 
 def unregister() -> None:
     """End a running session with the extension."""
-    _close_current()
+    if Session.current is not None:
+        Session.current.close()
     for name, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, name).remove(handler)
     atexit.unregister(_abandon_current)

@@ -11,6 +11,7 @@ from bpy.app.handlers import persistent
 from ..blender.bake import seconds_of
 from ..blender.live import Follow, LiveHeadObject, require_one_left
 from ..blender.meshes import read_rig
+from ..blender.undo import push_undo
 from ..core.drive import HeadDriver
 from ..core.errors import HeadError
 from ..core.retarget import calibrate
@@ -54,6 +55,7 @@ class TakeShow(Session):
         self._scene = scene.name
         super().__init__()
         self.resume()
+        push_undo("Show Take")
 
     def show(self, scene: bpy.types.Scene) -> None:
         """Show the frame of the take nearest to the current one of `scene`; HeadError as for `LiveHeadObject`."""
@@ -65,10 +67,12 @@ class TakeShow(Session):
             if not shown.gone:
                 shown.write(driver.frame(result))
 
-    def close(self) -> None:
+    def close(self, *, blocks: bool = True) -> None:
         """Put the heads back."""
-        self.suspend()
+        removed = [shown.detach(keep=False, blocks=blocks) for shown, _ in self._heads]
         super().close()
+        if any(removed):
+            push_undo("Stop Showing Take")
 
     def abandon(self) -> None:
         """Nothing runs beside Blender."""
@@ -77,7 +81,7 @@ class TakeShow(Session):
     def suspend(self) -> None:
         """Put the heads back for a moment."""
         for shown, _ in self._heads:
-            shown.detach(keep=False)
+            shown.detach(keep=False, blocks=False)
 
     def resume(self) -> None:
         """Show the take on the heads."""

@@ -62,7 +62,7 @@ class TrackingSession(Session):
             raise FacemimeError("Tracking was stopped before the first frame. Start it again.")
         return self._recorder.finish()
 
-    def close(self) -> None:
+    def close(self, *, blocks: bool = True) -> None:
         """End the worker and wait for it."""
         self.stop()
         self._thread.join()

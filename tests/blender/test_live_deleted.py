@@ -11,7 +11,7 @@ import pytest
 
 from facemime.blender.head import add_head
 from facemime.blender.live import LIVE_KEY
-from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, MARKS_PROPERTY, PART_PROPERTY
+from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, LIVE_PROPERTY, MARKS_PROPERTY, PART_PROPERTY
 from facemime.operators.puppet import running
 from live_ticks import CLICK, moving, outcome_of_ticks, shown, tick, ticks_until
 
@@ -95,16 +95,69 @@ def test_a_mesh_that_another_object_shares_rests_after_the_head_was_deleted(loop
     np.testing.assert_array_equal(shown(sibling), rest)
 
 
-def test_all_shape_keys_deleted_meanwhile_are_made_again_and_gone_at_the_end(looping):
-    head = add_head(bpy.context, units=True)
+@pytest.mark.parametrize("units", [False, True])
+def test_all_shape_keys_deleted_meanwhile_end_the_puppet_and_leave_the_head_at_rest(looping, units):
+    head = add_head(bpy.context, units=units)
     rest = shown(head)
     start()
     bpy.ops.object.shape_key_remove(all=True)
-    some_frames()
-    assert np.abs(shown(head) - rest).max() > 1e-3
-    bpy.ops.facemime.stop_puppet()
-    assert LIVE_KEY not in head.data.shape_keys.key_blocks
+    assert outcome_of_ticks() == {"CANCELLED"} and running() is None
+    assert head.data.shape_keys is None and LIVE_PROPERTY not in head.data
     np.testing.assert_allclose(shown(head), rest, atol=1e-7)
+
+
+def steps_from_here(*operators: str) -> None:
+    """Undo steps that a user makes while the puppet runs."""
+    for name in operators:
+        bpy.ops.object.select_all(action=name)
+        bpy.ops.ed.undo_push(message=name)
+
+
+def test_an_undo_into_the_middle_of_a_session_that_is_over_shows_the_head_at_rest(looping):
+    head = add_head(bpy.context)
+    rest = shown(head)
+    bpy.ops.ed.undo_push(message="head")
+    start()
+    steps_from_here("DESELECT", "SELECT")
+    some_frames()
+    bpy.ops.facemime.stop_puppet()
+    assert head.data.shape_keys is None and LIVE_PROPERTY not in head.data
+    for move in [bpy.ops.ed.undo] * 4 + [bpy.ops.ed.redo] * 4:
+        assert move() == {"FINISHED"}
+        again = bpy.data.objects["Facemime Head"]
+        np.testing.assert_array_equal(shown(again), rest)
+        keys = again.data.shape_keys
+        assert keys is None or [key.name for key in keys.key_blocks] == ["Basis"]
+    assert again.data.shape_keys is None
+
+
+def test_an_undo_while_it_runs_ends_it_and_goes_back_by_one_step_alone(looping):
+    head = add_head(bpy.context)
+    rest = shown(head)
+    bpy.ops.ed.undo_push(message="head")
+    start()
+    steps_from_here("DESELECT")
+    some_frames()
+    assert bpy.ops.ed.undo() == {"FINISHED"} and running() is None
+    np.testing.assert_array_equal(shown(bpy.data.objects["Facemime Head"]), rest)
+    assert bpy.ops.ed.undo() == {"FINISHED"}
+    assert bpy.data.objects["Facemime Head"].data.shape_keys is None
+    assert bpy.ops.ed.redo() == {"FINISHED"} and bpy.ops.ed.redo() == {"FINISHED"}
+    np.testing.assert_array_equal(shown(bpy.data.objects["Facemime Head"]), rest)
+
+
+def test_what_a_crash_left_in_a_file_that_blender_saved_is_taken_out_as_it_is_opened(looping, tmp_path):
+    head = add_head(bpy.context)
+    rest = shown(head)
+    start()
+    bpy.data.libraries.write(str(tmp_path / "autosave.blend"), {bpy.context.scene})  # as no handler hears of
+    running().close()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "autosave.blend"))
+    scene = bpy.data.scenes[0]
+    again = next(obj for obj in scene.objects if obj.name == "Facemime Head")
+    assert again.data.shape_keys is None and LIVE_PROPERTY not in again.data
+    bpy.context.window.scene = scene
+    np.testing.assert_array_equal(shown(again), rest)
 
 
 @pytest.mark.parametrize("units", [False, True])
