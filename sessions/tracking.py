@@ -12,6 +12,9 @@ from ..core.tracking.result import TrackResult
 from ..core.tracking.tracker import FaceTracker
 from .session import Session
 
+_ENDING = 10.0
+"""Seconds."""
+
 
 class TrackingSession(Session):
     """Tracks a video in a thread of its own; `close` ends it at any time and keeps what was tracked.
@@ -63,9 +66,9 @@ class TrackingSession(Session):
         return self._recorder.finish()
 
     def close(self, *, blocks: bool = True) -> None:
-        """End the worker and wait for it."""
+        """End the worker, and wait for it as long as a frame may take; one that hangs ends by itself when it can."""
         self.stop()
-        self._thread.join()
+        self._thread.join(_ENDING)
         super().close()
 
     def _work(self) -> None:
