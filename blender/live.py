@@ -181,8 +181,9 @@ class LiveHeadObject:
         self._muted = []
         if not self.gone and (cache := self.obj.modifiers.get(MODIFIER)) is not None:
             cache.show_viewport, cache.show_render = self._cache_played
-        if keep:
+        if keep and exists(self._mesh):
             self._mesh.pop(LIVE_PROPERTY, None)
+        if keep:
             return False
         removed = exists(self._mesh) and clear_live(self._mesh, self.obj, self._rest, blocks=blocks)
         if not self.gone and self.obj.data == self._mesh:

@@ -54,6 +54,17 @@ def test_the_other_head_goes_on_after_one_is_deleted_and_the_mouse_clicked(loopi
     assert outcome_of_ticks() == {"CANCELLED"} and running() is None
 
 
+@pytest.mark.parametrize("keep", [False, True])
+def test_a_head_deleted_with_its_mesh_ends_in_a_sentence_whether_its_pose_is_kept_or_not(looping, keep):
+    head = add_head(bpy.context)
+    bpy.context.scene.facemime.keep_pose = keep
+    start()
+    mesh = head.data
+    bpy.data.objects.remove(head)
+    bpy.data.meshes.remove(mesh)
+    assert outcome_of_ticks() == {"CANCELLED"} and running() is None
+
+
 def test_after_one_of_two_heads_is_deleted_the_file_is_saved_with_the_other_at_rest(looping, tmp_path):
     first, second = two_heads()
     rest = shown(first)
