@@ -185,7 +185,11 @@ class LiveHeadObject:
             self._mesh.pop(LIVE_PROPERTY, None)
         if keep:
             return False
-        removed = exists(self._mesh) and clear_live(self._mesh, self.obj, self._rest, blocks=blocks)
+        removed = False
+        if exists(self._mesh):
+            # What nobody uses is not saved, and one undo step brings a deleted head back.
+            deleted = self.gone and not self._mesh.users
+            removed = clear_live(self._mesh, self.obj, self._rest, blocks=blocks and not deleted)
         if not self.gone and self.obj.data == self._mesh:
             self.obj.show_only_shape_key = self._pinned
         for target in (*self.targets.values(), *(PoseTarget(child) for child, _ in self._parts)):

@@ -54,6 +54,18 @@ def test_the_other_head_goes_on_after_one_is_deleted_and_the_mouse_clicked(loopi
     assert outcome_of_ticks() == {"CANCELLED"} and running() is None
 
 
+def test_one_undo_brings_a_head_back_that_was_deleted_while_it_moved(looping):
+    head = add_head(bpy.context)
+    rest = shown(head)
+    bpy.ops.ed.undo_push(message="head")
+    start()
+    bpy.ops.object.delete()
+    bpy.ops.ed.undo_push(message="delete")
+    assert outcome_of_ticks() == {"CANCELLED"} and running() is None
+    assert bpy.ops.ed.undo() == {"FINISHED"}
+    np.testing.assert_array_equal(shown(bpy.data.objects["Facemime Head"]), rest)
+
+
 @pytest.mark.parametrize("keep", [False, True])
 def test_a_head_deleted_with_its_mesh_ends_in_a_sentence_whether_its_pose_is_kept_or_not(looping, keep):
     head = add_head(bpy.context)
