@@ -13,7 +13,7 @@ from ..core.tracking.tracker import FaceTracker
 from .session import Session
 
 _ENDING = 10.0
-"""Seconds."""
+"""Seconds to wait for the thread, which may be in the middle of a frame."""
 
 
 class TrackingSession(Session):
