@@ -23,9 +23,7 @@ _LEAST = (0.05, 0.12, 0.2)
 _TIMES_NOISE = 8.0
 _NEIGHBOURS = 2
 _NEUTRAL_SPAN = 0.2
-_NOT_PERSONAL = tuple(
-    ["fps", "image_size", "model", "clock", "mirrored", "smoothed", "bridged", "punched_in", "interrupted"]
-)
+_NOT_PERSONAL = ("fps", "image_size", "model", "clock", "mirrored", "smoothed", "bridged", "punched_in", "interrupted")
 """What an anonymous take still tells of how it was made."""
 
 
