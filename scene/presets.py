@@ -30,7 +30,7 @@ def folder() -> Path:
 
 def names() -> list[str]:
     """The presets that there are, in the order of their names."""
-    return sorted((path.stem for path in folder().glob(f"*{SUFFIX}")), key=str.casefold)
+    return sorted((path.stem for path in folder().glob(f"[!.]*{SUFFIX}")), key=str.casefold)
 
 
 def path_of(name: str) -> Path:

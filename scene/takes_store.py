@@ -120,7 +120,7 @@ def unpack(line: FacemimeTake) -> Path:
 def unlisted(scene: bpy.types.Scene) -> list[Path]:
     """Takes in the folder that are not in the list: recorded before a crash, or removed from it."""
     known = {Path(bpy.path.abspath(line.path)).resolve() for line in scene.facemime_takes.items if line.path}
-    return sorted(path for path in folder().glob(f"*{SUFFIX}") if path.resolve() not in known)
+    return sorted(path for path in folder().glob(f"[!.]*{SUFFIX}") if path.resolve() not in known)
 
 
 @persistent

@@ -31,7 +31,7 @@ def batch(*arguments: object) -> subprocess.CompletedProcess:
 
 
 def records(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.glob("*.json") if path.name != "report.json")
+    return sorted(path for path in folder.glob("[!.]*.json") if path.name != "report.json")
 
 
 def write_clips(folder: Path, count: int) -> Path:
