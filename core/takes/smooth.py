@@ -31,6 +31,8 @@ CUTOFFS: dict[str, float] = {
 _LOWEST, _HIGHEST = 1e-3, 1e5
 """Hz: of a cutoff, and from which on nothing is smoothed."""
 _LONGEST_STEP = 0.25
+_SHORTEST_STEP = 1e-3
+"""Seconds that frames count as apart at least: where a part was punched in, two may be nearly at one time."""
 _FEWEST = 5
 
 
@@ -105,7 +107,7 @@ def low_pass(times: FloatArray, values: FloatArray, cutoff: float) -> FloatArray
     """
     if not cutoff < _HIGHEST:
         return values
-    steps = np.diff(times)
+    steps = np.maximum(np.diff(times), _SHORTEST_STEP)
     share = np.convolve(steps, [0.5, 0.5])
     middle = 0.5 * (steps[1:] + steps[:-1])
     # A row of the second difference: z'' at the middle of three frames, times the root of the time it stands for.

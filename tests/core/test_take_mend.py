@@ -217,3 +217,13 @@ def test_an_anonymous_take_stays_anonymous_and_keeps_how_wide_the_mouth_opens(tr
 def test_a_take_without_a_face_is_anonymous_too():
     out = anonymise(gone(performance(10), *range(10)))
     assert not out.found.any() and "source" not in out.info
+
+
+@pytest.mark.parametrize("apart", [1e-3, 1e-6, 1e-9, 1e-12])
+def test_frames_that_are_nearly_at_one_time_are_smoothed_like_any(apart):
+    times = np.sort(np.concatenate([np.arange(40) / 25.0, np.arange(5, 30) / 25.0 + apart]))
+    wave = np.sin(2.0 * np.pi * 0.5 * times)[:, None]
+    for cutoff in (0.5, 6.0, 20.0):
+        smoothed = low_pass(times, wave, cutoff)
+        assert np.isfinite(smoothed).all() and np.abs(smoothed).max() < 1.2
+    np.testing.assert_allclose(low_pass(times, wave, 20.0), wave, atol=0.05)
