@@ -118,7 +118,7 @@ class Blender:
         theirs.close()
 
     def close(self) -> None:
-        """End Blender and the screen, whatever they do, and keep what Blender printed."""
+        """End Blender and the screen, whatever they do, and keep what Blender printed, and where it crashed."""
         for name in ("process", "screen"):
             process = getattr(self, name, None)
             if process is not None and process.poll() is None:
@@ -128,6 +128,8 @@ class Blender:
             self._link.close()
         if getattr(self, "log", None) is not None and self.log.exists():
             shutil.copy(self.log, self.shots / "log.txt")
+        for report in self.folder.glob("*.crash.txt"):
+            shutil.copy(report, self.shots)
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def printed(self) -> str:
