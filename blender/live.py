@@ -253,11 +253,14 @@ def clear_live(
     return keys is not None and mesh.shape_keys is None
 
 
-def clear_all_live(*, blocks: bool) -> None:
-    """Take out of all meshes what a session showed that no longer runs: in a file that was opened, or a step undone."""
-    for mesh in bpy.data.meshes:
-        if LIVE_PROPERTY in mesh and mesh.library is None:
-            clear_live(mesh, blocks=blocks)
+def clear_all_live(*, blocks: bool) -> bool:
+    """Take out of all meshes what a session showed that no longer runs: in a file that was opened, or a step undone.
+
+    Returns whether a data-block is gone, as `clear_live`.
+    """
+    left = [mesh for mesh in bpy.data.meshes if LIVE_PROPERTY in mesh and mesh.library is None]
+    gone = [clear_live(mesh, blocks=blocks) for mesh in left]
+    return any(gone)
 
 
 def require_one_left(heads: Sequence[LiveHeadObject]) -> None:

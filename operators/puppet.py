@@ -4,7 +4,7 @@ import bpy
 
 from ..core.errors import FacemimeError
 from ..sessions.live import LiveSession
-from ..sessions.session import Session
+from ..sessions.session import Session, clear_later
 from ..sessions.start import RigWatch, follow_settings, start_session
 from .shared import ReportsErrors, heads_in, register_all, unregister_all, with_heads
 
@@ -108,6 +108,8 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         """End the session and the timer, one undo step where the heads keep their pose."""
         session = self._session
         kept = session is not None and session.keep and Session.current is session
+        if session is not None:
+            session.close()
         self.cancel(context)
         if session is not None and session.warning:
             self.report({"WARNING"}, session.warning)
@@ -117,9 +119,11 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         return {"FINISHED"}
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """End the session and the timer; may be called twice."""
-        if self._session is not None:
-            self._session.close()
+        """End the session and the timer; may be called twice, and by Blender while it closes a window or a file."""
+        if self._session is not None and Session.current is self._session:
+            # An undo step from here ends Blender 4.3.
+            self._session.close(blocks=False)
+            clear_later()
         self._session = None
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
@@ -217,5 +221,5 @@ def register() -> None:
 def unregister() -> None:
     """Unregister the operators; one that runs ends first."""
     if FACEMIME_OT_puppet.instance is not None:
-        FACEMIME_OT_puppet.instance.cancel(bpy.context)
+        FACEMIME_OT_puppet.instance.finish(bpy.context)
     unregister_all(_CLASSES)

@@ -12,6 +12,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..blender.live import clear_all_live
+from ..blender.undo import push_undo
 from ..core.errors import HeadError
 
 
@@ -58,6 +59,17 @@ def _close_as_it_is(*_: object) -> None:
 def _clear_undone(*_: object) -> None:
     """A step that was made while a session ran has in it what was shown then."""
     clear_all_live(blocks=False)
+
+
+def clear_later() -> None:
+    """Take out what a session left that could remove no data-block where it ended, when Blender has time for it."""
+    if not bpy.app.timers.is_registered(_clear_left):
+        bpy.app.timers.register(_clear_left, first_interval=0.05)
+
+
+def _clear_left() -> None:
+    if Session.current is None and clear_all_live(blocks=True):
+        push_undo("Stop Puppet")
 
 
 @persistent
@@ -112,4 +124,6 @@ def unregister() -> None:
         Session.current.close()
     for name, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, name).remove(handler)
+    if bpy.app.timers.is_registered(_clear_left):
+        bpy.app.timers.unregister(_clear_left)
     atexit.unregister(_abandon_current)
