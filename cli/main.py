@@ -310,7 +310,7 @@ def _text(path: Path) -> str:
 
 
 def _unused(unfinished: Path) -> Path:
-    """A free name for what is not finished; what an earlier run left under another one is told, and stays."""
+    """A free name for an unfinished take; says so if an earlier run left one, which is kept."""
     name = free_name(unfinished)
     if name != unfinished:
         tell(f"facemime: {unfinished} is what an earlier run tracked before it was broken off; it is kept.")

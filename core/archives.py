@@ -49,7 +49,7 @@ class Archive:
         self._arrays = arrays
 
     def text(self, name: str) -> str:
-        """One text; empty where there is none of that name."""
+        """One text; empty if no array has that name."""
         array = self._arrays.get(name)
         return str(array[()]) if array is not None and array.dtype.kind == "U" and array.ndim == 0 else ""
 

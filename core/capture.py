@@ -170,6 +170,6 @@ def require_utf8_name(path: Path) -> None:
 def is_address(text: str) -> bool:
     """Whether FFmpeg would take `text` for an address, such as `http:host/x`, and might go to the network for it.
 
-    A drive letter of Windows is none.
+    A Windows drive letter is not an address.
     """
     return _ADDRESS.match(text) is not None

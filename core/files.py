@@ -88,7 +88,7 @@ def check_writable(path: Path, suffixes: Collection[str] = ()) -> None:
     with _refusing(path):
         target = _target(path)
         with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
-            os.lstat(target)  # too long a name is told by this alone
+            os.lstat(target)  # the only call that notices a name that is too long
         folder = target.parent
         while not os.path.exists(folder) and folder != folder.parent:
             folder = folder.parent

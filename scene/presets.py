@@ -74,7 +74,7 @@ def load(settings: FacemimeSettings, path: Path) -> None:
 
 
 def remove(name: str) -> None:
-    """Remove the preset `name`; nothing where there is none.
+    """Remove the preset `name`, if it exists.
 
     Raises
     ------
