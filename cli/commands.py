@@ -1,18 +1,17 @@
 """`blender --command facemime ...`: the command line inside Blender."""
 
+from typing import NoReturn
+
 import bpy
 
 _handle = None
 
 
-def _run(arguments: list[str]) -> int:
-    from ..batch.leash import follow_stdin
-    from . import main as cli
-    from .stopping import open_standard_streams
+def _run(arguments: list[str]) -> NoReturn:
+    """Run the command and end Blender with its exit status; signals are heard as they are elsewhere."""
+    from .entry import start
 
-    open_standard_streams()
-    follow_stdin()
-    return cli.main(arguments)
+    start(arguments)
 
 
 def register() -> None:

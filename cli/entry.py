@@ -1,6 +1,6 @@
 """Where the command's own process starts and ends.
 
-`main` is for whoever has a process already: tests, and Blender.
+`main` is for whoever goes on afterwards: tests, and programs that call Facemime.
 """
 
 from __future__ import annotations
@@ -8,13 +8,14 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+from collections.abc import Sequence
 from typing import NoReturn
 
 from .stopping import STOPPING, open_standard_streams
 
 
-def start() -> NoReturn:
-    """Run the command line of this process and end it with the exit status."""
+def start(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line `arguments`, or else that of this process, and end the process with the exit status."""
     STOPPING.install()
     open_standard_streams()
     with STOPPING.starting():
@@ -24,7 +25,7 @@ def start() -> NoReturn:
         from .main import main
     STOPPING.run()
     try:
-        status = main()
+        status = main(arguments)
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else 0
     except KeyboardInterrupt:

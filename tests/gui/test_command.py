@@ -1,0 +1,135 @@
+"""`blender --command facemime ...`: the command in a real Blender, where it ends the whole program."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from conftest import _QUICK, SUITES, archive, place_of
+from facemime.core.takes.file import load_take, save_take
+from takes import performance
+from window import ROOT
+
+CLIP = ROOT / "assets" / "sample" / "sample.mp4"
+_DRIVER_THAT_BLENDER_BLOCKS = """
+import bpy
+bpy.ops.wm.open_mainfile(filepath="head.blend", use_scripts=False)
+other = bpy.data.objects.new("Other", None)
+bpy.context.scene.collection.objects.link(other)
+other.driver_add("location", 0).driver.expression = "noise.random()"
+bpy.ops.wm.save_as_mainfile(filepath="blocked.blend")
+"""
+"""And keeps from ending by itself."""
+
+
+class Installed:
+    """Blender without a window, with the extension installed from the command line, in a folder of its own."""
+
+    def __init__(self, place: Path) -> None:
+        self._place = place
+        self.folder = Path(tempfile.mkdtemp(prefix="facemime-", dir=place / "tmp"))
+        self._inside = Path("/") / self.folder.relative_to(place)
+        shutil.copy(archive(), self.folder / "facemime.zip")
+        self.run(
+            "--command", "extension", "install-file", "-r", "user_default", "--enable", "facemime.zip", timeout=600
+        )
+
+    def line(self, *arguments: object) -> list[str]:
+        """The line that runs Blender in the folder."""
+        words = ["env", "-C", str(self._inside), "blender", *map(str, arguments)]
+        return ["chroot", str(self._place), *words]
+
+    def environment(self) -> dict[str, str]:
+        """Variables that keep all that Blender writes in the folder."""
+        inside = str(self._inside)
+        kept = {"HOME": inside, "TMPDIR": inside, "BLENDER_USER_RESOURCES": f"{inside}/profile", "LANG": "C.UTF-8"}
+        return {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin"} | kept
+
+    def run(self, *arguments: object, timeout: float = 300.0) -> subprocess.CompletedProcess:
+        """Run Blender to its end."""
+        line = self.line(*arguments)
+        return subprocess.run(
+            line, env=self.environment(), capture_output=True, text=True, timeout=timeout, check=False
+        )
+
+    def children(self) -> list[str]:
+        """Blenders that still run in the folder."""
+        found = []
+        for process in Path("/proc").glob("[0-9]*"):
+            try:
+                if b"blender" in (process / "cmdline").read_bytes() and os.readlink(process / "cwd") == str(
+                    self.folder
+                ):
+                    found.append(process.name)
+            except OSError:  # it has ended meanwhile
+                continue
+        return found
+
+
+@pytest.fixture(
+    scope="module", params=[pytest.param(suite, marks=[pytest.mark.thorough] * (suite != _QUICK)) for suite in SUITES]
+)
+def installed(request: pytest.FixtureRequest) -> Iterator[Installed]:
+    blender = Installed(place_of(request.param))
+    save_take(performance(), blender.folder / "take.facetake")
+    shutil.copy(CLIP, blender.folder / "clip.mp4")
+    yield blender
+    shutil.rmtree(blender.folder)
+
+
+def test_a_puppet_ends_blender_even_where_a_driver_keeps_it_from_its_end(installed):
+    done = installed.run("--command", "facemime", "puppet", "take.facetake", "-o", "head.blend")
+    assert done.returncode == 0 and "shape keys, worst vertex error" in done.stderr, done.stderr
+    installed.run("-b", "--python-expr", _DRIVER_THAT_BLENDER_BLOCKS)
+    assert (installed.folder / "blocked.blend").exists()
+    done = installed.run(
+        "--command", "facemime", "puppet", "take.facetake", "-o", "out.blend", "--head", "blocked.blend:Facemime Head"
+    )
+    assert done.returncode == 0 and (installed.folder / "out.blend").stat().st_size > 10_000, done.stderr
+
+
+def test_an_error_is_one_line_and_the_exit_status(installed):
+    done = installed.run("--command", "facemime", "puppet", "nothing.mp4", "-o", "out.blend")
+    assert done.returncode == 1 and "facemime: " in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(("by", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_blender_and_the_part_is_kept(installed, by, status):
+    unfinished, part = installed.folder / "part.unfinished.facetake", installed.folder / "part.interrupted.facetake"
+    line = installed.line("--command", "facemime", "puppet", "clip.mp4", "-o", "part.blend")
+    with subprocess.Popen(line, env=installed.environment(), stderr=subprocess.PIPE, text=True) as process:
+        while not (unfinished.exists() and unfinished.stat().st_size > 5_000):
+            assert process.poll() is None
+            time.sleep(0.005)
+        process.send_signal(by)
+        said = process.stderr.read()
+    assert process.returncode == status and "Traceback" not in said, said
+    assert 0 < len(load_take(part)) < 255 and not unfinished.exists()
+    part.unlink()
+
+
+def test_a_batch_runs_its_clips_in_blender_and_takes_them_along_when_it_is_killed(installed):
+    done = installed.run("--command", "facemime", "batch", "clip.mp4", "-o", "batch", timeout=600)
+    assert done.returncode == 0, done.stderr
+    records = [json.loads(path.read_text()) for path in (installed.folder / "batch").glob("*.json")]
+    assert [record["frames"] for record in records if "frames" in record] == [255]
+    assert (installed.folder / "batch" / "report.html").exists()
+    line = installed.line("--command", "facemime", "batch", "clip.mp4", "-o", "killed")
+    with subprocess.Popen(line, env=installed.environment(), stderr=subprocess.DEVNULL) as process:
+        while len(installed.children()) < 2:
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.kill()
+    end = time.monotonic() + 60.0
+    while installed.children() and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not installed.children()
