@@ -6,7 +6,6 @@ import contextlib
 import ctypes
 import os
 import sys
-import tempfile
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from ..core.capture import VideoSource
 from ..core.errors import OutputError, SourceError
 from ..core.files import replacing
+from ..core.locks import temporary_folder
 
 Image = NDArray[np.uint8]
 
@@ -43,8 +43,8 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
         render.image_settings.media_type = "IMAGE"
     render.image_settings.file_format = "BMP"
     render.image_settings.color_mode = "RGB"
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "frame.bmp"
+    with temporary_folder() as folder:
+        path = folder / "frame.bmp"
         render.filepath = str(path)
         for frame in frames:
             whole = int(np.floor(frame))
@@ -74,16 +74,16 @@ def write_video(images: Iterable[Image], fps: float, path: Path) -> None:
     OutputError
         Where the file cannot be written.
     """
-    with replacing(Path(path)) as temporary, tempfile.TemporaryDirectory() as folder:
+    with replacing(Path(path)) as temporary, temporary_folder() as folder:
         names = []
         for i, image in enumerate(images):
             names.append(f"{i:06d}.jpg")
-            if not cv2.imwrite(str(Path(folder) / names[-1]), image, (cv2.IMWRITE_JPEG_QUALITY, 97)):
+            if not cv2.imwrite(str(folder / names[-1]), image, (cv2.IMWRITE_JPEG_QUALITY, 97)):
                 raise OutputError(f"Cannot write pictures to {folder}. Free some disk space.")
         if not names:
             raise OutputError("There is no picture to make a video of.")
         temporary.unlink()
-        _encode(Path(folder), names, (image.shape[1], image.shape[0]), fps, temporary)
+        _encode(folder, names, (image.shape[1], image.shape[0]), fps, temporary)
         if _frames_in(temporary) < len(names):  # Blender does not tell
             raise OutputError(f"Blender could not write {path}. Free some disk space, or choose another place.")
 

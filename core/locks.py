@@ -11,7 +11,9 @@ import hashlib
 import os
 import re
 import secrets
+import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -88,6 +90,27 @@ def temporary_beside(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """An empty folder where the system keeps temporary files, for as long as this lasts; those of the dead go.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be made.
+    """
+    place = Path(tempfile.gettempdir())
+    sweep(place)
+    mark = secrets.token_hex(8)
+    with _held_if_possible(place / _lock_name(mark)):
+        folder = place / f"{PREFIX}{mark}.folder"
+        folder.mkdir(mode=0o700)
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
 def sweep(folder: Path) -> None:
     """Delete the locks and temporary files in `folder` whose process is gone; what cannot be deleted stays."""
     with suppress(OSError):
@@ -107,12 +130,19 @@ def _sweep_one(folder: Path, mark: str, names: list[str]) -> None:
     with stream:
         for name in names:
             if name.startswith(f"{PREFIX}{mark}.") and name != lock.name:
-                (folder / name).unlink(missing_ok=True)
+                _remove(folder / name)
         if sys.platform != "win32":
             lock.unlink(missing_ok=True)
     if sys.platform == "win32":
         with suppress(OSError):
             lock.unlink()
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import os
 import stat
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import pytest
 from facemime.core import files
 from facemime.core.errors import OutputError
 from facemime.core.files import check_distinct, check_writable, claimed, free_name, replacing, settle
-from facemime.core.locks import holding, lock_of, sweep
+from facemime.core.locks import holding, lock_of, sweep, temporary_folder
 
 needs_posix = pytest.mark.skipif(os.name != "posix", reason="permissions and links as POSIX has them")
 
@@ -184,6 +185,25 @@ def test_the_next_run_in_a_folder_deletes_what_a_killed_one_left_and_nothing_els
     sweep(tmp_path)
     assert set(os.listdir(tmp_path)) == kept
     sweep(tmp_path / "none")
+
+
+def test_the_pictures_of_a_killed_preview_go_with_the_next_one(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    text = (
+        "from facemime.core.locks import temporary_folder\n"
+        "with temporary_folder() as path:\n    (path / 'a.jpg').touch()\n"
+        "    print(path, flush=True)\n    time.sleep(600)"
+    )
+    with in_another_process(text) as dead, in_another_process(text) as alive:
+        waste, used = Path(dead.stdout.readline().strip()), Path(alive.stdout.readline().strip())
+        assert waste.parent == used.parent == tmp_path and list(waste.iterdir())
+        dead.kill()
+        dead.wait()
+        with temporary_folder() as folder:
+            assert folder.parent == tmp_path and not list(folder.iterdir())
+        assert not waste.exists() and list(used.iterdir()) and not folder.exists()
+        alive.kill()
 
 
 def test_a_file_system_without_locks_is_written_to_all_the_same(tmp_path, monkeypatch):
