@@ -3,9 +3,8 @@
 Run as a program in any Blender's Python: sequences.py FIRST COUNT STEPS FOLDER [--bare] [--only N,N,...]
 
 It prints "seed N" before each sequence and "step N NAME" before each step, so that whoever reads knows what ended it,
-and "fault NAME" with a traceback for each step that raised what no user should see. With
---bare Facemime's own steps are left out, and Suzanne stands in for its head: what still ends Blender then is Blender's
-own. With --only a sequence is cut down to the given steps.
+and "fault NAME" with a traceback for each step that raised what no user should see. With --bare Facemime's own steps are
+left out, and Suzanne stands in for its head: what still ends Blender then is Blender's own. With --only a sequence is cut down to the given steps.
 """
 
 from __future__ import annotations
@@ -451,6 +450,7 @@ OFTEN = (
     ("puppet",) * 8 + ("tick",) * 14 + ("add_head",) * 3 + ("bake_take", "puppet_video", "show_take", "import_take") * 2
 )
 STEPS = {**OURS, **BLENDERS, "add Suzanne": operator("mesh.primitive_monkey_add")}
+_STAND_INS = {"add_head": "add Suzanne"}
 NAMES = [*OURS, *OFTEN, *BLENDERS, *["undo"] * 5, *["redo"] * 2]
 
 
@@ -465,9 +465,8 @@ def play(seed: int, count: int, files: Files, bare: bool, only: set[int] | None)
     print(f"seed {seed}", flush=True)
     files.blend.unlink(missing_ok=True)
     bpy.ops.wm.read_homefile(use_empty=bool(seed % 2), use_factory_startup=True)
-    for number, name in enumerate(["add_head", "puppet", "tick", *names]):
-        if bare and name in OURS:
-            name = "add Suzanne" if name == "add_head" else ""
+    for number, chosen in enumerate(["add_head", "puppet", "tick", *names]):
+        name = _STAND_INS.get(chosen, chosen if chosen not in OURS else "") if bare else chosen
         if not name or (only is not None and number not in only):
             continue
         stage = Stage(files, np.random.default_rng([seed, number]))
