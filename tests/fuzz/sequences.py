@@ -3,8 +3,9 @@
 Run as a program in any Blender's Python: sequences.py FIRST COUNT STEPS FOLDER [--bare] [--only N,N,...]
 
 It prints "seed N" before each sequence and "step N NAME" before each step, so that whoever reads knows what ended it,
-and "fault NAME" with a traceback for each step that raised what no user should see. With --bare Facemime's own steps are
-left out, and Suzanne stands in for its head: what still ends Blender then is Blender's own. With --only a sequence is cut down to the given steps.
+and "fault NAME" with a traceback for each step that raised what no user should see. With --bare Facemime's own steps
+are left out, and Suzanne stands in for its head: what still ends Blender then is Blender's own. With --only a sequence
+is cut down to the given steps.
 """
 
 from __future__ import annotations
