@@ -11,22 +11,24 @@ import bpy
 import numpy as np
 
 from .blender.actions import check_curves
-from .blender.bake import Targets, bake_pose, check_bakeable, check_range, frames_of, remove_baked, set_range
-from .blender.bake_cache import bake_cache, export_alembic
-from .blender.bake_keys import MeshKeys, bake_new_keys, bake_values, key_names, read_keys, value_path
+from .blender.animation.bake import Targets, bake_pose, check_bakeable, check_range, frames_of, remove_baked, set_range
+from .blender.animation.bake_cache import bake_cache, export_alembic
+from .blender.animation.bake_keys import MeshKeys, bake_new_keys, bake_values, key_names, read_keys, value_path
+from .blender.animation.targets import PoseTarget
 from .blender.meshes import mesh_of, read_rig
-from .blender.targets import PoseTarget
 from .core.arrays import FloatArray
 from .core.bake.arkit import arkit_coefficients
+from .core.bake.basis import fit_basis
 from .core.bake.fit import fit_keys, mix_errors
 from .core.bake.key_map import KeyMap, best_preset, expression_keys
 from .core.bake.point_cache import SUFFIX
-from .core.deform.basis import fit_basis
-from .core.drive import DriveOptions, HeadDriver, HeadRig
+from .core.drive.driver import HeadDriver
+from .core.drive.motion import HeadMotion, drive_take
+from .core.drive.settings import DriveOptions
 from .core.errors import HeadError, OutputError
+from .core.heads.rig import HeadRig
 from .core.landmarks import OUTER_EYE_CORNERS
-from .core.motion import HeadMotion, drive_take
-from .core.retarget import Neutral, calibrate
+from .core.takes.neutral import Neutral, calibrate
 from .core.takes.smooth import smooth_take
 from .core.takes.take import Take
 

@@ -18,9 +18,9 @@ from .operators import (
     take_edits,
     takes,
 )
-from .scene import panel_properties, preferences, properties, takes_properties, takes_store
 from .sessions import punch_in as punch_in_session
 from .sessions import session, show
+from .settings import panel_properties, preferences, properties, takes_properties, takes_store
 from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
 from .ui import expression as expression_panel

@@ -13,7 +13,7 @@ import numpy as np
 from bench.live import dense_head
 from bench.report import Table
 from facemime.blender.actions import Curve, write_curves
-from facemime.blender.head import add_head
+from facemime.blender.heads.built_in import add_head
 from facemime.core.bake.arkit import COEFFICIENTS
 from facemime.core.takes.take import Take
 from facemime.puppet import BakeSettings, PuppetSettings, puppet_head

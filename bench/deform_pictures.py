@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bench.deformers import Method, triangles_of
 from bench.heads import TrueHead
-from facemime.core.deform.greedy import GreedySelection
+from facemime.core.control_points.greedy import GreedySelection
 from facemime.core.landmarks import EDGES
 
 Image = NDArray[np.uint8]

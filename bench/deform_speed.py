@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.report import Table
+from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.rbf import RBFDeformer
-from facemime.core.drive import HeadRig, built_in_rig, head_deformer
+from facemime.core.heads.rig import HeadRig, built_in_rig
 
 COLUMNS = ("mesh", "vertices", "points", "prepare ms", "frame µs", "MB", "copy µs")
 _SIZES = ((1_781, 30), (26_000, 60), (100_000, 60))

@@ -13,11 +13,12 @@ from scipy.sparse import coo_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
 from bench.heads import Points, TrueHead, random_mixtures
+from facemime.core.control_points.greedy import GreedySelection, greedy_select
 from facemime.core.deform.expressions import ExpressionModel
-from facemime.core.deform.greedy import GreedySelection, greedy_select
+from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.rbf import RBFDeformer
-from facemime.core.deform.regions import DEFAULT_KERNEL
-from facemime.core.drive import HeadRig, head_deformer
+from facemime.core.heads.regions import DEFAULT_KERNEL
+from facemime.core.heads.rig import HeadRig
 from facemime.core.landmarks import N_LANDMARKS, from_ibug
 
 Predict = Callable[[NDArray[np.float32]], NDArray[np.float32]]

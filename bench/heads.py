@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.core.deform.propose import propose_regions
-from facemime.core.deform.surface import SurfaceGraph
-from facemime.core.drive import HeadRig
-from facemime.core.head import load_head
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.proposal import propose_regions
+from facemime.core.heads.rig import HeadRig
 from facemime.core.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, MOUTH_OUTER, OUTER_EYE_CORNERS, from_ibug
+from facemime.core.mesh.surface import SurfaceGraph
 from training.expressions.__main__ import ARKIT_EXCEPTIONS
 from training.tracker.heads import FACE, load_ict
 

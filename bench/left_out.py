@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bench.deformers import regions
 from bench.heads import AREAS, TrueHead
-from facemime.core.deform.kernels import distances, gaussian
+from facemime.core.mesh.kernels import distances, gaussian
 
 _VERTICES = 500
 _NEAR = 0.3

@@ -17,12 +17,12 @@ import numpy as np
 
 import facemime
 from bench.report import Table, bars, finish, parser
-from facemime.blender.head import add_head
+from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_landmarks, write_landmarks
 from facemime.core.live.timing import STAGES
-from facemime.scene.preferences import preferences
 from facemime.sessions.live import LiveSession
 from facemime.sessions.start import follow_settings, start_session
+from facemime.settings.preferences import preferences
 
 LEVELS = {0: "1,781", 2: "26k", 3: "100k"}
 _PERIOD = 1.0 / 120.0

@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 
 from bench.report import Table, bars, finish, parser
-from facemime.blender.head import add_head
+from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_rig, write_vertices
 from facemime.core.capture import VideoSource
-from facemime.core.drive import HeadDriver
-from facemime.core.pipeline import track_video
-from facemime.core.retarget import calibrate
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.takes.from_video import track_video
+from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.tracker import FaceTracker
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -15,17 +15,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.blender.bake import frames_of
-from facemime.blender.head import add_head
-from facemime.blender.preview_scene import setup_preview
-from facemime.blender.rendering import render_frames, set_rate
+from facemime.blender.animation.bake import frames_of
+from facemime.blender.heads.built_in import add_head
+from facemime.blender.media.preview_scene import setup_preview
+from facemime.blender.media.rendering import render_frames, set_rate
 from facemime.core.capture import VideoSource
-from facemime.core.overlay import label, picture_of_face
-from facemime.core.pipeline import track_video
 from facemime.core.takes.figure import draw_before_after
+from facemime.core.takes.from_video import track_video
 from facemime.core.takes.smooth import smooth_zero_phase
 from facemime.core.takes.take import Take
 from facemime.core.takes.timing import punch_in, shift_time, trim
+from facemime.core.tracking.overlay import label, picture_of_face
 from facemime.core.tracking.tracker import FaceTracker
 from facemime.puppet import BakeSettings, PuppetSettings, puppet_head
 

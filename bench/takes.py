@@ -17,9 +17,9 @@ import numpy as np
 
 from bench.bakes import bake_tables
 from bench.report import Table, bars, finish, parser
-from facemime.core.pipeline import track_video
 from facemime.core.takes.file import TakeWriter, load_take, save_take, take_of
 from facemime.core.takes.format import HEADER, LAYOUT, Chunk, chunks_in, frames_content
+from facemime.core.takes.from_video import track_video
 from facemime.core.takes.spreadsheet import to_csv
 from facemime.core.takes.take import FIELDS, Take
 from facemime.core.tracking.tracker import FaceTracker

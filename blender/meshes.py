@@ -8,11 +8,11 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.control_points import from_json, to_json
-from ..core.deform.eyeballs import eyeball_of
-from ..core.deform.greedy import GreedySelection
-from ..core.drive import HeadRig
+from ..core.control_points.greedy import GreedySelection
+from ..core.control_points.select import from_json, to_json
 from ..core.errors import HeadError
+from ..core.heads.eyeballs import eyeball_of
+from ..core.heads.rig import HeadRig
 from ..core.landmarks import N_LANDMARKS, OUTER_EYE_CORNERS
 from .frames import flat_in_blender, from_blender
 from .names import COUNT_PROPERTY, EYES_GROUP, LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY

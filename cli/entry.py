@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from .stopping import STOPPING, open_standard_streams
+from .terminal.stopping import STOPPING, open_standard_streams
 
 
 def start(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -19,7 +19,7 @@ def start(arguments: Sequence[str] | None = None) -> NoReturn:
     STOPPING.install()
     open_standard_streams()
     with STOPPING.starting():
-        from ..batch.leash import follow_stdin
+        from .terminal.leash import follow_stdin
 
         follow_stdin()
         from .main import main

@@ -13,27 +13,27 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blender.bake import frames_of
-from ..blender.bake_cache import caches_beside
-from ..blender.head import add_head
+from ..blender.animation.bake import frames_of
+from ..blender.animation.bake_cache import caches_beside
+from ..blender.heads.built_in import add_head
+from ..blender.media.preview_scene import setup_preview
+from ..blender.media.rendering import quiet, render_frames, set_rate, write_video
 from ..blender.meshes import write_selection
 from ..blender.names import LANDMARKS_PROPERTY
-from ..blender.preview_scene import setup_preview
-from ..blender.rendering import quiet, render_frames, set_rate, write_video
 from ..core.bake.key_map import KeyMap, load_map
 from ..core.capture import Frame, VideoSource, at_constant_rate, check_readable, require_utf8_name
-from ..core.deform.greedy import GreedySelection
-from ..core.drive import DriveOptions
+from ..core.control_points.greedy import GreedySelection
+from ..core.drive.motion import most_different
+from ..core.drive.settings import DriveOptions
 from ..core.errors import FacemimeError, HeadError, OutputError, SourceError
 from ..core.files import replacing
 from ..core.images import write_image
-from ..core.motion import most_different
-from ..core.overlay import contact_sheet, label, picture_of_face, picture_of_frame
 from ..core.takes.take import Take
+from ..core.tracking.overlay import contact_sheet, label, picture_of_face, picture_of_frame
 from ..puppet import BakeSettings, PuppetReport, PuppetSettings, check_heads, puppet_head
-from .console import Progress, tell
-from .options import head_file
-from .stopping import STOPPING
+from .terminal.console import Progress, tell
+from .terminal.options import head_file
+from .terminal.stopping import STOPPING
 
 Image = NDArray[np.uint8]
 

@@ -18,27 +18,29 @@ from pathlib import Path
 import numpy as np
 
 from ..core.capture import check_readable, require_file, require_utf8_name
-from ..core.control_points import from_json, parse_landmarks, select_for_take, to_json
-from ..core.deform.greedy import GreedySelection
-from ..core.deform.regions import REGIONS
-from ..core.drive import built_in_rig
+from ..core.control_points.greedy import GreedySelection
+from ..core.control_points.select import from_json, parse_landmarks, select_for_take, to_json
 from ..core.errors import FacemimeError, OutputError, SourceError
 from ..core.files import check_writable, free_name, reason_of, replacing, settle
+from ..core.heads.regions import REGIONS
+from ..core.heads.rig import built_in_rig
 from ..core.images import IMAGE_SUFFIXES, read_image, write_image
 from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
-from ..core.overlay import draw_landmarks
-from ..core.pipeline import track_video
 from ..core.reading import read_text
-from ..core.retarget import calibrate
 from ..core.takes.file import SUFFIX, load_take, save_take
+from ..core.takes.from_video import track_video
+from ..core.takes.neutral import calibrate
 from ..core.takes.smooth import smooth_take
 from ..core.takes.take import Take
+from ..core.tracking.overlay import draw_landmarks
 from ..core.tracking.result import TrackResult
 from ..core.tracking.tracker import FaceTracker
 from ..core.version import version
-from .batch import add_commands as add_batch_commands
-from .console import Progress, say, tell
-from .options import (
+from .batch.command import add_commands as add_batch_commands
+from .takes import add_commands as add_take_commands
+from .takes import load_telling
+from .terminal.console import Progress, say, tell
+from .terminal.options import (
     Parser,
     add_bake_options,
     add_command,
@@ -50,10 +52,8 @@ from .options import (
     number,
     whole_number,
 )
-from .outputs import outputs_of
-from .stopping import INTERRUPTED, STOPPING
-from .takes import add_commands as add_take_commands
-from .takes import load_telling
+from .terminal.outputs import outputs_of
+from .terminal.stopping import INTERRUPTED, STOPPING
 
 _UNFINISHED, _INTERRUPTED = f".unfinished{SUFFIX}", ".interrupted"
 

@@ -6,18 +6,19 @@ import argparse
 from pathlib import Path
 
 from ..core.capture import check_readable
+from ..core.drive.anonymous import anonymise
 from ..core.errors import FacemimeError
 from ..core.images import write_image
 from ..core.takes.figure import draw_before_after
 from ..core.takes.file import SUFFIX, load_take, save_take
-from ..core.takes.mend import anonymise, bridge_gaps, mirror_tracked, remove_outliers, renew_neutral
+from ..core.takes.mending import bridge_gaps, mirror_tracked, remove_outliers, renew_neutral
 from ..core.takes.smooth import CUTOFFS, smooth_take, smooth_zero_phase
 from ..core.takes.spreadsheet import from_csv, to_csv
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
-from .console import tell
-from .options import Commands, add_command, add_output, number
-from .outputs import outputs_of
+from .terminal.console import tell
+from .terminal.options import Commands, add_command, add_output, number
+from .terminal.outputs import outputs_of
 
 
 def add_commands(commands: Commands) -> None:

@@ -4,31 +4,22 @@ import bpy
 import numpy as np
 from bpy.props import StringProperty
 
-from ..blender.bake import frames_of
-from ..blender.bake_keys import key_names
+from ..blender.animation.bake import frames_of
+from ..blender.animation.bake_keys import key_names
 from ..blender.meshes import is_head
+from ..blender.registering import register_all, unregister_all
 from ..core.bake.arkit import arkit_coefficients
 from ..core.bake.key_map import KeyMap, KeyPose, best_preset, learn_map, load_map, presets
 from ..core.errors import FacemimeError, HeadError, SourceError
 from ..core.files import replacing
-from ..core.retarget import calibrate
+from ..core.takes.neutral import calibrate
 from ..puppet import puppet_heads
-from ..scene import takes_store
-from ..scene.bake_table import read_table, write_table
-from ..scene.settings import bake_settings, drive_options, pose_targets, puppet_settings
-from ..scene.takes_properties import FacemimeBake
 from ..sessions.session import Session
-from .shared import (
-    AsksForFile,
-    AsksForFileToWrite,
-    OnHead,
-    ReportsErrors,
-    heads_in,
-    in_object_mode,
-    register_all,
-    unregister_all,
-    with_heads,
-)
+from ..settings import takes_store
+from ..settings.bake_table import read_table, write_table
+from ..settings.takes_properties import FacemimeBake
+from ..settings.values import bake_settings, drive_options, pose_targets, puppet_settings
+from .shared import AsksForFile, AsksForFileToWrite, OnHead, ReportsErrors, heads_in, in_object_mode, with_heads
 from .takes import OnTake
 
 

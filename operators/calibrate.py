@@ -3,10 +3,11 @@
 import bpy
 from bpy.props import EnumProperty, FloatProperty, StringProperty
 
-from ..scene.settings import add_performer, remove_performer
+from ..blender.registering import register_all, unregister_all
 from ..sessions.live import COUNTDOWN
+from ..settings.values import add_performer, remove_performer
 from .puppet import running
-from .shared import ReportsErrors, register_all, unregister_all
+from .shared import ReportsErrors
 
 
 class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):

@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import StringProperty
 
-from ..scene.preferences import preferences
+from ..settings.preferences import preferences
 
 
 class FACEMIME_OT_choose_camera(bpy.types.Operator):

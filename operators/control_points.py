@@ -4,18 +4,19 @@ import bpy
 import numpy as np
 from bpy.props import FloatProperty, IntProperty, StringProperty
 
-from ..blender.landmark_places import NEAR, landmark_places, nearest_landmark
+from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
 from ..blender.meshes import is_head, read_rig, read_selection, write_selection
-from ..core.control_points import parse_landmarks, select_for_take
+from ..blender.registering import register_all, unregister_all
+from ..core.control_points.select import parse_landmarks, select_for_take
+from ..core.control_points.table import add_by_hand, drop_by_hand
 from ..core.errors import HeadError
 from ..core.landmarks import N_LANDMARKS
-from ..core.point_table import add_by_hand, drop_by_hand
-from ..core.retarget import Neutral, calibrate
 from ..core.takes.file import load_take
+from ..core.takes.neutral import Neutral, calibrate
 from ..core.takes.take import Take
-from ..scene.settings import puppet_settings
+from ..settings.values import puppet_settings
 from .puppet import running
-from .shared import AsksForFile, OnHead, OnMesh, register_all, unregister_all
+from .shared import AsksForFile, OnHead, OnMesh
 
 
 class SelectsPoints(OnMesh):

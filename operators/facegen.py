@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import FloatProperty, StringProperty
 
-from ..blender.facegen import MILLIMETRE, import_facegen
+from ..blender.heads.facegen import MILLIMETRE, import_facegen
 from .shared import AsksForFile, in_object_mode
 
 

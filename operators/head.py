@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import BoolProperty
 
-from ..blender.head import add_head
+from ..blender.heads.built_in import add_head
 from .shared import ReportsErrors, in_object_mode
 
 

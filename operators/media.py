@@ -5,11 +5,12 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
-from ..blender.reference import add_reference
-from ..blender.sound import add_sound
+from ..blender.media.reference import add_reference
+from ..blender.media.sound import add_sound
+from ..blender.registering import register_all, unregister_all
 from ..core.errors import SourceError
-from ..scene import takes_store
-from .shared import AsksForFile, heads_in, register_all, unregister_all, with_heads
+from ..settings import takes_store
+from .shared import AsksForFile, heads_in, with_heads
 from .takes import OnTake
 
 

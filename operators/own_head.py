@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import EnumProperty, IntProperty
 
-from ..blender.binding import (
+from ..blender.heads.binding import (
     bind_head,
     check_object,
     clear_marks,
@@ -12,12 +12,13 @@ from ..blender.binding import (
     propose_head_regions,
     write_mark,
 )
-from ..blender.eyes import open_eyes
-from ..blender.lips import open_lips
-from ..core.deform.binding import MARKS
+from ..blender.heads.eyes import open_eyes
+from ..blender.heads.lips import open_lips
+from ..blender.registering import register_all, unregister_all
+from ..core.heads.binding import MARKS
 from ..core.landmarks import from_ibug
-from ..scene.panel_properties import keep_findings
-from .shared import OnHead, OnMesh, in_object_mode, register_all, unregister_all
+from ..settings.panel_properties import keep_findings
+from .shared import OnHead, OnMesh, in_object_mode
 
 _STRANGE = 0.07
 """Strain of a binding above which it may well be of something else than a face."""

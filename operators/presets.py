@@ -3,8 +3,9 @@
 import bpy
 from bpy.props import StringProperty
 
-from ..scene import presets
-from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors, register_all, unregister_all
+from ..blender.registering import register_all, unregister_all
+from ..settings import presets
+from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors
 
 
 class FACEMIME_OT_save_preset(ReportsErrors, bpy.types.Operator):

@@ -3,13 +3,13 @@
 import bpy
 from bpy.props import FloatProperty, IntProperty
 
-from ..blender.bake import seconds_at
+from ..blender.animation.bake import seconds_at
+from ..blender.registering import register_all, unregister_all, unwatch, watch
 from ..blender.undo import push_undo
 from ..core.errors import FacemimeError
-from ..scene import takes_store
 from ..sessions.punch_in import PunchIn
+from ..settings import takes_store
 from .puppet import running
-from .shared import register_all, unregister_all, unwatch, watch
 from .takes import OnTake
 
 _WATCH = 0.02

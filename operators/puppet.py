@@ -2,11 +2,12 @@
 
 import bpy
 
+from ..blender.registering import register_all, unregister_all
 from ..core.errors import FacemimeError
 from ..sessions.live import LiveSession
 from ..sessions.session import Session, clear_later
 from ..sessions.start import RigWatch, follow_settings, start_session
-from .shared import ReportsErrors, heads_in, register_all, unregister_all, with_heads
+from .shared import ReportsErrors, heads_in, with_heads
 
 _TICK = 1.0 / 120.0
 _STATUS = 0.25

@@ -8,9 +8,9 @@ from ..core.errors import FacemimeError
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
 from ..puppet import check_heads, puppet_heads
-from ..scene import takes_store
-from ..scene.settings import face_of, pose_targets, puppet_settings
 from ..sessions.tracking import TrackingSession
+from ..settings import takes_store
+from ..settings.values import face_of, pose_targets, puppet_settings
 from .shared import AsksForFile, in_object_mode
 
 _TICK = 0.1

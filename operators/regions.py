@@ -3,8 +3,9 @@
 import bpy
 from bpy.props import EnumProperty, IntProperty
 
-from ..blender.painting import mirror_painted, paint_region, smooth_painted
-from .shared import OnHead, ReportsErrors, register_all, unregister_all
+from ..blender.heads.painting import mirror_painted, paint_region, smooth_painted
+from ..blender.registering import register_all, unregister_all
+from .shared import OnHead, ReportsErrors
 
 
 class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):

@@ -3,16 +3,16 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
-from ..blender.bake import seconds_of
-from ..blender.images import keep_picture
+from ..blender.animation.bake import seconds_of
+from ..blender.media.images import keep_picture
+from ..blender.registering import register_all, unregister_all
 from ..core.errors import FacemimeError
 from ..core.takes.figure import draw_before_after
-from ..core.takes.mend import bridge_gaps, mirror_tracked, remove_outliers, renew_neutral
+from ..core.takes.mending import bridge_gaps, mirror_tracked, remove_outliers, renew_neutral
 from ..core.takes.smooth import smooth_zero_phase
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, restart, shift_time, trim
-from ..scene import takes_store
-from .shared import register_all, unregister_all
+from ..settings import takes_store
 from .takes import OnTake
 
 _LONGEST_GAP = 1.0

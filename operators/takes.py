@@ -5,26 +5,17 @@ import contextlib
 import bpy
 from bpy.props import StringProperty
 
+from ..blender.registering import register_all, unregister_all, unwatch, watch
 from ..blender.undo import push_undo
 from ..core.errors import OutputError, SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import from_csv, to_csv
-from ..scene import takes_store
 from ..sessions.recording import Recording, settle, start_recording, stop_recording
 from ..sessions.session import Session
 from ..sessions.show import TakeShow
+from ..settings import takes_store
 from .puppet import running
-from .shared import (
-    AsksForFile,
-    AsksForFileToWrite,
-    ReportsErrors,
-    heads_in,
-    register_all,
-    unregister_all,
-    unwatch,
-    watch,
-    with_heads,
-)
+from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors, heads_in, with_heads
 
 _WATCH = 0.25
 

@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from time import perf_counter
 
-from ..blender.live import LiveHeadObject, as_keys_take_it, require_one_left
+from ..blender.animation.live import LiveHeadObject, as_keys_take_it, require_one_left
 from ..blender.undo import push_undo
 from ..core.errors import HeadError, OutputError
 from ..core.live.sources import LiveSource
 from ..core.live.timing import Delays, Stopwatch
 from ..core.live.worker import LiveHead, LiveOptions, LiveResult, LiveWorker, Recorder
-from ..core.retarget import Neutral
+from ..core.takes.neutral import Neutral
 from .session import Session
 
 COUNTDOWN = 3.0

@@ -11,7 +11,7 @@ from bpy.app.handlers import persistent
 from ..core.errors import FacemimeError, HeadError
 from ..core.takes.file import load_take
 from ..core.takes.timing import punch_in, shift_time
-from ..scene import takes_store
+from ..settings import takes_store
 from .live import LiveSession
 from .recording import Recording, settle, start_recording, stop_recording
 from .session import Session

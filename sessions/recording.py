@@ -15,8 +15,8 @@ from ..core.live.reference_video import ReferenceVideo
 from ..core.takes.file import TakeWriter
 from ..core.takes.take import describe
 from ..core.tracking.result import TrackResult
-from ..scene.preferences import preferences
-from ..scene.takes_store import add, new_path
+from ..settings.preferences import preferences
+from ..settings.takes_store import add, new_path
 from .live import LiveSession
 
 

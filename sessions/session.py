@@ -11,7 +11,7 @@ import atexit
 import bpy
 from bpy.app.handlers import persistent
 
-from ..blender.live import clear_all_live
+from ..blender.animation.live import clear_all_live
 from ..blender.undo import push_undo
 from ..core.errors import HeadError
 

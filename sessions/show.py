@@ -8,16 +8,16 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..blender.bake import seconds_of
-from ..blender.live import Follow, LiveHeadObject, require_one_left
+from ..blender.animation.bake import seconds_of
+from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
 from ..blender.meshes import read_rig
 from ..blender.undo import push_undo
-from ..core.drive import HeadDriver
+from ..core.drive.driver import HeadDriver
 from ..core.errors import HeadError
-from ..core.retarget import calibrate
+from ..core.takes.neutral import calibrate
 from ..core.takes.smooth import smooth_take
 from ..core.takes.take import Take
-from ..scene.settings import drive_options, pose_targets
+from ..settings.values import drive_options, pose_targets
 from .session import Session
 
 

@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 
 import bpy
 
-from ..blender.live import Follow, LiveHeadObject
+from ..blender.animation.live import Follow, LiveHeadObject
 from ..blender.meshes import read_rig, rig_checks
 from ..core.errors import HeadError
 from ..core.live.worker import LiveHead, LiveOptions
-from ..scene.preferences import preferences
-from ..scene.properties import FacemimeSettings
-from ..scene.settings import drive_options, face_of, open_source, pose_targets, read_calibration, write_calibration
+from ..settings.preferences import preferences
+from ..settings.properties import FacemimeSettings
+from ..settings.values import drive_options, face_of, open_source, pose_targets, read_calibration, write_calibration
 from .live import LiveSession
 
 

@@ -6,7 +6,7 @@ import threading
 from pathlib import Path
 
 from ..core.errors import FacemimeError
-from ..core.pipeline import track_video
+from ..core.takes.from_video import track_video
 from ..core.takes.take import Take, TakeRecorder
 from ..core.tracking.result import TrackResult
 from ..core.tracking.tracker import FaceTracker

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from facemime.core.deform.lids import EyeCut
-from facemime.core.head import load_head
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.lids import EyeCut
 from facemime.core.landmarks import OUTER_EYE_CORNERS
 
 HEAD = load_head()

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from facemime.core.head import load_head
+from facemime.core.heads.built_in import load_head
 from facemime.core.landmarks import OUTER_EYE_CORNERS, from_ibug
 from facemime.core.takes.take import Take
 

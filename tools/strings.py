@@ -23,7 +23,7 @@ _NOT_SHOWN = {"WINDOW", "Facemime"}
 
 def sources() -> list[Path]:
     """The modules whose texts users see in Blender."""
-    return sorted([*ROOT.glob("operators/*.py"), *ROOT.glob("ui/*.py"), *ROOT.glob("scene/*.py")])
+    return sorted([*ROOT.glob("operators/*.py"), *ROOT.glob("ui/*.py"), *ROOT.glob("settings/*.py")])
 
 
 def strings(path: Path) -> Iterator[str]:

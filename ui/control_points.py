@@ -9,13 +9,13 @@ import bpy.utils.previews
 
 from ..blender.meshes import is_head, read_selection
 from ..blender.names import SELECTION_PROPERTY
-from ..core.control_points import from_json
-from ..core.deform.greedy import GreedySelection
-from ..core.deform.regions import REGIONS
+from ..blender.registering import register_all, unregister_all
+from ..core.control_points.greedy import GreedySelection
+from ..core.control_points.select import from_json
+from ..core.control_points.table import PointRow, draw_curve, point_rows
 from ..core.errors import FacemimeError
+from ..core.heads.regions import REGIONS
 from ..core.landmarks import IBUG68_INDICES
-from ..core.point_table import PointRow, draw_curve, point_rows
-from ..operators.shared import register_all, unregister_all
 from .sidebar import Sidebar, is_narrow, labels, place, side_by_side
 
 _CURVE = "curve"

@@ -2,8 +2,8 @@
 
 import bpy
 
-from ..operators.shared import register_all, unregister_all
-from ..scene import presets
+from ..blender.registering import register_all, unregister_all
+from ..settings import presets
 from .sidebar import Sidebar, place
 
 

@@ -3,8 +3,8 @@
 import bpy
 from bpy.app.translations import pgettext_iface as _
 
-from ..blender.binding import read_marks, what_is_missing
-from ..operators.shared import register_all, unregister_all
+from ..blender.heads.binding import read_marks, what_is_missing
+from ..blender.registering import register_all, unregister_all
 from .sidebar import Sidebar, draw_findings, labels, place
 
 

@@ -6,10 +6,10 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blender.landmark_places import landmark_places
+from ..blender.heads.landmark_places import landmark_places
 from ..blender.meshes import is_head
+from ..core.control_points.table import REGION_COLOURS, PointRow
 from ..core.errors import FacemimeError
-from ..core.point_table import REGION_COLOURS, PointRow
 from .control_points import shown_rows
 
 _CORNERS = 12

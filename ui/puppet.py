@@ -2,8 +2,8 @@
 
 import bpy
 
+from ..blender.registering import register_all, unregister_all
 from ..operators.puppet import running
-from ..operators.shared import register_all, unregister_all
 from .sidebar import Sidebar, labels, place, side_by_side
 from .status import status_lines
 

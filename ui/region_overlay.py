@@ -14,8 +14,8 @@ from bpy.app.handlers import persistent
 from mathutils import Matrix
 
 from ..blender.meshes import is_head, read_regions
+from ..core.control_points.table import region_colours
 from ..core.errors import HeadError
-from ..core.point_table import region_colours
 from ..operators.puppet import running
 
 _TOWARDS_VIEWER = 0.002

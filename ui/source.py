@@ -4,10 +4,10 @@ import sys
 
 import bpy
 
+from ..blender.registering import register_all, unregister_all
 from ..core.live.camera import list_cameras
 from ..operators.puppet import running
-from ..operators.shared import register_all, unregister_all
-from ..scene.preferences import draw_camera, draw_preview, preferences
+from ..settings.preferences import draw_camera, draw_preview, preferences
 from .preview import panel_icon
 from .sidebar import Sidebar, labels, place
 

@@ -3,8 +3,8 @@
 import bpy
 from bpy.app.translations import pgettext_iface as _
 
+from ..blender.registering import register_all, unregister_all
 from ..operators.puppet import running
-from ..operators.shared import register_all, unregister_all
 from ..sessions.punch_in import PunchIn
 from ..sessions.recording import Recording
 from ..sessions.session import Session

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import bpy
 
-FOLDER = Path(__file__).parents[1] / "assets" / "translations"
+from ..core.assets import ASSETS
+
+FOLDER = ASSETS / "translations"
 _CONTEXTS = ("*", "Operator")
 
 

@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from ..drive import DriveOptions, HeadDriver, built_in_rig
-from ..head import load_head
-from ..motion import HeadMotion, drive_take
-from ..posing import Posing
-from ..retarget import Neutral
+from ..drive.driver import HeadDriver
+from ..drive.motion import HeadMotion, drive_take
+from ..drive.posing import Posing
+from ..drive.settings import DriveOptions
+from ..heads.built_in import load_head
+from ..heads.rig import built_in_rig
 from ..rotation import fit_rotation
+from ..takes.neutral import Neutral
 from ..takes.take import Take
 from .fit import fit_keys
 

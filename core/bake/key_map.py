@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 
 from ..arrays import FloatArray
+from ..assets import ASSETS
 from ..errors import SourceError
 from ..reading import as_list, as_number, as_object, as_text, parse_json, read_text, shown
 from .arkit import COEFFICIENTS
 from .least_squares import bounded_least_squares
 
-PRESETS = Path(__file__).parents[2] / "assets" / "key_maps"
+PRESETS = ASSETS / "key_maps"
 _FORMAT = "facemime-key-map"
 _MOST_ROWS, _LARGEST = 10_000, 1e6
 """Rows, and gains and offsets, of any table that makes sense."""

@@ -18,16 +18,17 @@ from numpy.typing import NDArray
 
 from ..archives import MAX_BYTES, read_archive
 from ..arrays import FloatArray, IntArray
+from ..assets import ASSETS
 from ..errors import ModelError
-from ..head import load_head
+from ..heads.built_in import load_head
 from ..landmarks import N_LANDMARKS, OUTER_EYE_CORNERS
+from ..mesh.kernels import distances
+from ..mesh.warp import Warp
 from ..reading import read_bytes
-from .kernels import distances
 from .skin import SkinCovariance, skin_covariance
-from .warp import Warp
 
 FORMAT = "facemime-expressions-1"
-EXPRESSIONS_FILE = Path(__file__).parents[2] / "assets" / "expressions" / "ict.npz"
+EXPRESSIONS_FILE = ASSETS / "expressions" / "ict.npz"
 
 AMOUNT = 0.7
 REACH = 0.2

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..errors import HeadError
-from .kernels import Kernel, distances
-from .regions import REGIONS, membership
+from ..heads.regions import REGIONS, membership
+from ..mesh.kernels import Kernel, distances
 
 REGULARISATION = 1e-3
 _RIDGE = 0.2

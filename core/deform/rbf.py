@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import FloatArray, as_points
 from ..errors import HeadError
+from ..mesh.kernels import Kernel, distances, kernel_named
 from .blocks import BlockProduct, RegionMatrix
-from .kernels import Kernel, distances, kernel_named
 from .skin import SkinCovariance
 
 MAX_CONDITION = 1e10

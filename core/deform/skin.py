@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray, IntArray, as_points
 from ..errors import HeadError
 from ..landmarks import EYE_LEFT, EYE_RIGHT, OUTER_EYE_CORNERS
-from .dissection import NestedDissection
-from .kernels import distances
+from ..mesh.kernels import distances
+from ..mesh.sparse import NestedDissection
 
 REACH = 0.25
 """Way along the skin, in outer-eye distances, on which the covariance falls to 0.6."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import SourceError
-from ..retarget import Neutral, calibrate, shut_level
+from ..takes.neutral import Neutral, calibrate, shut_level
 from ..takes.take import TakeRecorder
 from ..tracking.result import TrackResult
 

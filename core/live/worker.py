@@ -16,11 +16,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drive import DriveOptions, HeadDriver, HeadFrame, HeadRig
+from ..drive.driver import HeadDriver, HeadFrame
+from ..drive.settings import DriveOptions
 from ..errors import FacemimeError, OutputError
-from ..overlay import preview_of
-from ..retarget import Neutral
+from ..heads.rig import HeadRig
+from ..takes.neutral import Neutral
 from ..takes.take import Take, TakeRecorder
+from ..tracking.overlay import preview_of
 from ..tracking.result import TrackResult
 from ..tracking.smoothing import ResultSmoother
 from ..tracking.tracker import FaceTracker

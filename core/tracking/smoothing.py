@@ -14,16 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from ..landmarks import (
-    BROWS,
-    EYE_LEFT,
-    EYE_RIGHT,
-    JAW,
-    MOUTH_INNER_LOWER,
-    MOUTH_INNER_UPPER,
-    MOUTH_OUTER,
-    NOSE,
-)
+from ..landmarks import BROWS, EYE_LEFT, EYE_RIGHT, JAW, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, MOUTH_OUTER, NOSE
 from ..rotation import euler_to_matrix
 from .result import TrackResult
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import FloatArray, as_image
+from ..assets import ASSETS
 from .company import Company, portrait
 from .detect import EFFORTS, BoxDetector, Effort
 from .fitter import COARSE, REFINED, FaceFitter, Fit
@@ -20,7 +21,7 @@ from .model_file import TrackerModel, load_model
 from .pdm import FittedShape, PointDistributionModel
 from .result import TrackResult
 
-DEFAULT_MODEL = Path(__file__).parents[2] / "assets" / "tracker" / "face.tracker"
+DEFAULT_MODEL = ASSETS / "tracker" / "face.tracker"
 
 _MOST_BOXES, _MOST_FACES = 60, 4
 """How many boxes of an effort are looked at, and how many of them are fitted to the end."""

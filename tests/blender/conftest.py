@@ -11,16 +11,16 @@ from scans import scanned
 
 import facemime
 from facemime.blender.frames import to_blender
-from facemime.blender.head import add_head
+from facemime.blender.heads.built_in import add_head
 from facemime.core.live.sources import PacedSource
-from facemime.core.retarget import calibrate
 from facemime.core.takes.file import save_take
+from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import FACEMIME_OT_puppet
-from facemime.scene.settings import write_calibration
 from facemime.sessions.punch_in import PunchIn
 from facemime.sessions.recording import Recording
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
+from facemime.settings.values import write_calibration
 from takes import performance
 
 _ENDING = 120

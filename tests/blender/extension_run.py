@@ -62,8 +62,8 @@ def main() -> dict:
 def bake_every_way(bpy, head) -> dict:
     """Bake the clip to keys and to a cache by the installed modules; played, the vertices must be the live ones."""
     puppet = importlib.import_module(f"{MODULE}.puppet")
-    bake = importlib.import_module(f"{MODULE}.blender.bake")
-    pipeline = importlib.import_module(f"{MODULE}.core.pipeline")
+    bake = importlib.import_module(f"{MODULE}.blender.animation.bake")
+    pipeline = importlib.import_module(f"{MODULE}.core.takes.from_video")
     tracker = importlib.import_module(f"{MODULE}.core.tracking.tracker")
     take = pipeline.track_video(Path(CLIP), tracker.FaceTracker.load()).finish().part(slice(0, 50))
     scene, worst = bpy.context.scene, {}

@@ -4,13 +4,13 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.bake import frames_of
-from facemime.blender.bake_keys import BAKED_KEY_PREFIX
+from facemime.blender.animation.bake import frames_of
+from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX
+from facemime.blender.animation.targets import PoseTarget
 from facemime.blender.frames import from_blender, rotation_to_blender
-from facemime.blender.head import add_head
+from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_rig, write_vertices
 from facemime.blender.names import LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS
-from facemime.blender.targets import PoseTarget
 from facemime.core.errors import HeadError
 from facemime.core.landmarks import OUTER_EYE_CORNERS
 from facemime.puppet import PuppetSettings, puppet_head

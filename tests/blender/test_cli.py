@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import facemime
-from facemime.blender import rendering
-from facemime.blender.head import add_head
+from facemime.blender.heads.built_in import add_head
+from facemime.blender.media import rendering
 from facemime.core.errors import OutputError
 from facemime.core.takes.file import load_take, save_take
 from takes import performance

@@ -16,7 +16,7 @@ import bpy
 import pytest
 
 import facemime
-from facemime.blender.head import add_head
+from facemime.blender.heads.built_in import add_head
 from facemime.core.takes.file import load_take, save_take
 from takes import performance
 

@@ -6,12 +6,12 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.head import add_head
-from facemime.blender.landmark_places import landmark_places, nearest_landmark
+from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.landmark_places import landmark_places, nearest_landmark
 from facemime.blender.meshes import read_landmarks, read_rig, read_selection, write_selection
-from facemime.core.control_points import select_for_take
+from facemime.core.control_points.select import select_for_take
 from facemime.core.landmarks import from_ibug
-from facemime.scene.panel_properties import list_landmarks
+from facemime.settings.panel_properties import list_landmarks
 from facemime.ui.control_points import FACEMIME_UL_landmarks, shown_rows
 from facemime.ui.point_overlay import dots
 from takes import performance

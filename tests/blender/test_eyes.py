@@ -6,15 +6,15 @@ import pytest
 from scans import UNIT, scanned
 from seen import seen
 
-from facemime.blender.binding import check_object
 from facemime.blender.frames import to_blender
-from facemime.blender.head import add_head
+from facemime.blender.heads.binding import check_object
+from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import eye_vertices, read_faces, read_landmarks, read_regions, read_rig, read_vertices
 from facemime.core.apertures import LOWER_LIDS, UPPER_LIDS
-from facemime.core.deform.surface import SurfaceGraph
-from facemime.core.drive import HeadDriver
+from facemime.core.drive.driver import HeadDriver
 from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT, MIRROR
-from facemime.core.retarget import calibrate
+from facemime.core.mesh.surface import SurfaceGraph
+from facemime.core.takes.neutral import calibrate
 from takes import make_take
 
 WORDS = "The eyes are one skin with their lids, so that they cannot shut."

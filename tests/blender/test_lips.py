@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from scans import UNIT
 
-from facemime.blender.binding import check_object
-from facemime.blender.head import add_head
+from facemime.blender.heads.binding import check_object
+from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_faces, read_landmarks, read_regions, read_rig, read_vertices
-from facemime.core.deform.surface import SurfaceGraph
-from facemime.core.drive import HeadDriver
+from facemime.core.drive.driver import HeadDriver
 from facemime.core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
-from facemime.core.retarget import calibrate
+from facemime.core.mesh.surface import SurfaceGraph
+from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.result import TrackResult
 from takes import performance
 

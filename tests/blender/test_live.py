@@ -5,19 +5,19 @@ import numpy as np
 import pytest
 
 import facemime
+from facemime.blender.animation.live import LIVE_KEY
 from facemime.blender.frames import to_blender
-from facemime.blender.head import add_head
-from facemime.blender.live import LIVE_KEY
+from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_faces, read_rig, read_selection
 from facemime.blender.names import REGION_GROUPS
-from facemime.core.drive import HeadDriver
-from facemime.core.retarget import calibrate
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.tracker import LEFTMOST
 from facemime.operators.puppet import FACEMIME_OT_puppet, running
-from facemime.scene.settings import drive_options
 from facemime.sessions.live import LiveSession
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
+from facemime.settings.values import drive_options
 from live_ticks import CLICK, moving, shown, tick, ticks_until
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")

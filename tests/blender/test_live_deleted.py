@@ -9,8 +9,8 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.head import add_head
-from facemime.blender.live import LIVE_KEY
+from facemime.blender.animation.live import LIVE_KEY
+from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, LIVE_PROPERTY, MARKS_PROPERTY, PART_PROPERTY
 from facemime.operators.puppet import running
 from live_ticks import CLICK, moving, outcome_of_ticks, shown, tick, ticks_until
@@ -285,7 +285,7 @@ import sys
 sys.path.insert(0, {tests!r})
 import bpy, facemime, numpy as np
 from clocks import AskedClock
-from facemime.blender.head import add_head
+from facemime.blender.heads.built_in import add_head
 from facemime.core.live.sources import PacedSource
 from facemime.core.takes.file import save_take
 from live_ticks import moving, ticks_until

@@ -4,9 +4,9 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.bake_cache import MODIFIER
-from facemime.blender.head import add_head
-from facemime.blender.live import LIVE_KEY, LiveHeadObject
+from facemime.blender.animation.bake_cache import MODIFIER
+from facemime.blender.animation.live import LIVE_KEY, LiveHeadObject
+from facemime.blender.heads.built_in import add_head
 from facemime.core.errors import HeadError
 from facemime.operators.puppet import running
 from live_ticks import moving, outcome_of_ticks, shown, ticks_until

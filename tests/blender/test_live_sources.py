@@ -4,10 +4,10 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.head import add_head
+from facemime.blender.heads.built_in import add_head
 from facemime.operators.puppet import FACEMIME_OT_puppet, running
-from facemime.scene.preferences import preferences
-from facemime.scene.settings import read_calibration
+from facemime.settings.preferences import preferences
+from facemime.settings.values import read_calibration
 from live_ticks import moving, tick, ticks_until, wait_for
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import facemime
-from facemime.blender.head import add_head
+from facemime.blender.heads.built_in import add_head
 from facemime.cli import commands
 from facemime.core.takes.file import load_take, save_take
 from facemime.operators.puppet_video import FACEMIME_OT_puppet_video

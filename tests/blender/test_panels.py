@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from facemime.blender.binding import write_mark
-from facemime.blender.head import add_head
+from facemime.blender.heads.binding import write_mark
+from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_rig, write_selection
 from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
-from facemime.core.control_points import select_for_take
-from facemime.core.deform.regions import REGIONS
+from facemime.core.control_points.select import select_for_take
+from facemime.core.heads.regions import REGIONS
 from facemime.core.landmarks import IBUG68_INDICES
 from facemime.core.takes.file import save_take
 from facemime.ui.calibration import FACEMIME_PT_calibration

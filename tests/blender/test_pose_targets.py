@@ -4,9 +4,9 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.head import add_head
+from facemime.blender.animation.targets import PoseTarget
+from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import PART_PROPERTY
-from facemime.blender.targets import PoseTarget
 from facemime.operators.puppet import running
 from live_ticks import outcome_of_ticks, ticks_until
 

@@ -5,7 +5,7 @@ import json
 import bpy
 import pytest
 
-from facemime.scene import presets
+from facemime.settings import presets
 
 
 @pytest.fixture(autouse=True)

@@ -6,13 +6,13 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.head import add_head
+from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import is_head, read_vertices
 from facemime.core.takes.file import save_take
 from facemime.operators import punch_in, takes
 from facemime.operators.puppet import FACEMIME_OT_puppet
-from facemime.scene.preferences import preferences
 from facemime.sessions.session import Session
+from facemime.settings.preferences import preferences
 from takes import performance
 
 STEPS = 20

@@ -9,17 +9,17 @@ import pytest
 from mathutils import Vector
 from turned import turned_clip
 
-from facemime.blender.head import add_head
-from facemime.blender.reference import add_reference
+from facemime.blender.heads.built_in import add_head
+from facemime.blender.media.reference import add_reference
 from facemime.core.capture import VideoSource
-from facemime.core.retarget import calibrate
 from facemime.core.takes.file import load_take, save_take
+from facemime.core.takes.neutral import calibrate
 from facemime.operators import punch_in
-from facemime.scene import takes_store
 from facemime.sessions.punch_in import PunchIn
 from facemime.sessions.recording import Recording, settle
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
+from facemime.settings import takes_store
 from live_ticks import wait_for
 from takes import performance
 

@@ -6,10 +6,10 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.head import add_head
+from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.painting import paint_region
 from facemime.blender.meshes import read_landmarks, read_regions, write_landmarks, write_regions
 from facemime.blender.names import REGION_GROUPS
-from facemime.blender.painting import paint_region
 from facemime.core.errors import HeadError
 from facemime.core.landmarks import from_ibug
 from facemime.ui import region_overlay

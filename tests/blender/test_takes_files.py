@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from facemime.core.takes.file import save_take
-from facemime.scene import takes_store
+from facemime.settings import takes_store
 from takes import performance
 
 pytestmark = pytest.mark.usefixtures("in_a_project")

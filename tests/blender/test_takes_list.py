@@ -7,18 +7,18 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.bake_keys import BAKED_KEY_PREFIX
+from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX
+from facemime.blender.animation.live import LIVE_KEY
 from facemime.blender.frames import to_blender
-from facemime.blender.head import add_head
-from facemime.blender.live import LIVE_KEY
+from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_rig
-from facemime.core.drive import HeadDriver
-from facemime.core.retarget import calibrate
+from facemime.core.drive.driver import HeadDriver
 from facemime.core.takes.file import save_take
+from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.smooth import smooth_take
-from facemime.scene import takes_store
 from facemime.sessions.session import Session
 from facemime.sessions.show import TakeShow
+from facemime.settings import takes_store
 from takes import performance
 
 pytestmark = pytest.mark.usefixtures("in_a_project")

@@ -24,12 +24,12 @@ from facemime.core.bake.key_map import (
 )
 from facemime.core.bake.least_squares import bounded_least_squares
 from facemime.core.bake.point_cache import in_between, write_point_cache
-from facemime.core.drive import DriveOptions
+from facemime.core.drive.motion import HeadMotion
+from facemime.core.drive.settings import DriveOptions
 from facemime.core.errors import OutputError, SourceError
-from facemime.core.head import load_head
-from facemime.core.motion import HeadMotion
-from facemime.core.retarget import calibrate
+from facemime.core.heads.built_in import load_head
 from facemime.core.rotation import euler_to_matrix
+from facemime.core.takes.neutral import calibrate
 from takes import performance
 
 

@@ -13,10 +13,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from facemime.batch import run
-from facemime.batch.clips import Job, Namer, confidence_curve, find_clips, read_record, worst_frames, write_record
-from facemime.batch.report import Entry, write_report
 from facemime.cli import main as cli
+from facemime.cli.batch import run
+from facemime.cli.cli.batch.clips import (
+    Job,
+    Namer,
+    confidence_curve,
+    find_clips,
+    read_record,
+    worst_frames,
+    write_record,
+)
+from facemime.cli.cli.batch.report import Entry, write_report
 from facemime.core.errors import FacemimeError, OutputError, SourceError
 from facemime.core.files import locked
 from facemime.core.images import write_image

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 import facemime
-from facemime.batch.clips import Namer, find_clips
-from facemime.cli import console
 from facemime.cli import main as cli
-from facemime.cli.console import Progress, printable, say, tell
+from facemime.cli.cli.batch.clips import Namer, find_clips
+from facemime.cli.terminal import console
+from facemime.cli.terminal.console import Progress, printable, say, tell
 from facemime.core.errors import SourceError
 from facemime.core.images import write_image
 from facemime.core.takes.file import load_take, save_take
@@ -273,7 +273,7 @@ def test_a_list_of_clips_is_a_short_text_in_utf_8(tmp_path, monkeypatch):
         (tmp_path / "list.txt").write_bytes("a.mp4\nb.mp4\n".encode(encoding))
         with pytest.raises(SourceError, match="a text in UTF-8"):
             find_clips([tmp_path / "list.txt"])
-    from facemime.batch import clips
+    from facemime.cli.batch import clips
 
     monkeypatch.setattr(clips, "_LONGEST_LIST", 10)
     (tmp_path / "film.mpg").write_text("a" * 11)

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.deform.rbf import RBFDeformer
-from facemime.core.deform.regions import REGIONS, membership
 from facemime.core.errors import HeadError
+from facemime.core.heads.regions import REGIONS, membership
 from facemime.core.landmarks import from_ibug
 
 

@@ -6,14 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import scanned
 
-from facemime.core.deform.binding import MARKS, bind_landmarks
-from facemime.core.deform.check import check_head
-from facemime.core.deform.propose import propose_regions
-from facemime.core.deform.surface import SurfaceGraph, lips_joined
-from facemime.core.deform.warp import Warp
 from facemime.core.errors import HeadError
-from facemime.core.head import load_head
+from facemime.core.heads.binding import MARKS, bind_landmarks
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.checks import check_head
+from facemime.core.heads.proposal import propose_regions
 from facemime.core.landmarks import INNER, MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, OUTER_EYE_CORNERS, from_ibug
+from facemime.core.mesh.surface import SurfaceGraph, lips_joined
+from facemime.core.mesh.warp import Warp
 from facemime.core.rotation import euler_to_matrix
 
 HEAD = load_head()

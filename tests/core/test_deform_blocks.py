@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.deform.blocks import TOLERANCE, BlockProduct, RegionMatrix
-from facemime.core.deform.kernels import distances, gaussian
+from facemime.core.mesh.kernels import distances, gaussian
 
 
 def random_regions(rng: np.random.Generator, count: int, points: int) -> list[RegionMatrix]:

@@ -8,15 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.control_points import from_json, to_json
+from facemime.core.control_points.greedy import greedy_select
+from facemime.core.control_points.select import from_json, to_json
 from facemime.core.deform.follow import following, landmark_covariance
-from facemime.core.deform.greedy import greedy_select
-from facemime.core.deform.kernels import kernel_named
-from facemime.core.deform.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
-from facemime.core.drive import built_in_rig, head_deformer
+from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.errors import SourceError
-from facemime.core.head import load_head
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
+from facemime.core.heads.rig import built_in_rig
 from facemime.core.landmarks import from_ibug
+from facemime.core.mesh.kernels import kernel_named
 
 HEAD = load_head()
 POINTS = HEAD.vertices[HEAD.landmarks].astype(float)

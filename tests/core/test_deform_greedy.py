@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.control_points import from_json, parse_landmarks, select_for_take, to_json
-from facemime.core.deform.difference import SkinDifference
-from facemime.core.deform.greedy import START, greedy_select
-from facemime.core.deform.kernels import kernel_named
-from facemime.core.deform.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
-from facemime.core.drive import built_in_rig
+from facemime.core.control_points.difference import SkinDifference
+from facemime.core.control_points.greedy import START, greedy_select
+from facemime.core.control_points.select import from_json, parse_landmarks, select_for_take, to_json
 from facemime.core.errors import HeadError, SourceError
-from facemime.core.head import load_head
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
+from facemime.core.heads.rig import built_in_rig
 from facemime.core.landmarks import from_ibug
+from facemime.core.mesh.kernels import kernel_named
 from takes import performance
 
 HEAD = load_head()

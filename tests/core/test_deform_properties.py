@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.deform.kernels import KERNELS, distances
+from facemime.core.deform.head_deformer import INFORMED, head_deformer
 from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer
-from facemime.core.deform.regions import membership, region_sigmas
-from facemime.core.drive import INFORMED, HeadRig, built_in_rig, head_deformer
 from facemime.core.errors import HeadError
+from facemime.core.heads.regions import membership, region_sigmas
+from facemime.core.heads.rig import HeadRig, built_in_rig
 from facemime.core.landmarks import MIRROR
+from facemime.core.mesh.kernels import KERNELS, distances
 from facemime.core.rotation import euler_to_matrix
 
 ALL_KERNELS = [INFORMED, *KERNELS]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from facemime.core.deform.region_edit import mirror_regions, smooth_regions
-from facemime.core.head import load_head
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.region_edit import mirror_regions, smooth_regions
 from facemime.core.landmarks import MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
 
 HEAD = load_head()

@@ -6,10 +6,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.deform.dissection import NestedDissection
+from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.skin import skin_covariance
-from facemime.core.drive import built_in_rig, head_deformer
+from facemime.core.heads.rig import built_in_rig
 from facemime.core.landmarks import MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER
+from facemime.core.mesh.sparse import NestedDissection
 
 RIG = built_in_rig()
 LANDMARKS = np.asarray(RIG.vertices, float)[RIG.landmarks]

@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scans import HEAD, UNIT, VERTICES, scanned
 
-from facemime.core.deform.binding import bind_landmarks
-from facemime.core.deform.slit import lip_line, rim_landmarks
-from facemime.core.deform.surface import SurfaceGraph, lips_joined
 from facemime.core.errors import HeadError
+from facemime.core.heads.binding import bind_landmarks
+from facemime.core.heads.lips import lip_line, rim_landmarks
 from facemime.core.landmarks import from_ibug
+from facemime.core.mesh.surface import SurfaceGraph, lips_joined
 
 
 def test_the_line_leads_along_edges_from_corner_to_corner_between_the_lips():

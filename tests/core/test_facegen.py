@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from facegen_files import DIFFERENCE, OBJ, QUADS, TARGETS, TRIANGLES, UVS, VERTICES, egm, tri
 from facemime.core.errors import SourceError
-from facemime.core.facegen import read_egm, read_obj, read_tri
+from facemime.core.heads.facegen import read_egm, read_obj, read_tri
 
 HEAD = np.array([1, -1, -1], np.float32)
 

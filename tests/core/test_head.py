@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facemime.core.errors import ModelError
-from facemime.core.head import HEAD_FILE, PART_NAMES, Head, load_head
+from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, Head, load_head
 from facemime.core.landmarks import MIRROR, from_ibug
 
 SIDED = ["browDown", "browOuterUp", "cheekSquint", "eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp"]

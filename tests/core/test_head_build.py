@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facemime.core.head import HEAD_FILE
+from facemime.core.heads.built_in import HEAD_FILE
 
 ROOT = Path(__file__).parents[2]
 

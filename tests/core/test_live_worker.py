@@ -13,14 +13,16 @@ from clocks import PATIENCE, EagerClock
 import facemime
 from facemime.core.apertures import LOWER_LIPS, UPPER_LIDS, lid_gaps
 from facemime.core.capture import VideoSource
-from facemime.core.drive import DriveOptions, HeadDriver, built_in_rig
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.settings import DriveOptions
 from facemime.core.errors import OutputError, SourceError
+from facemime.core.heads.rig import built_in_rig
 from facemime.core.live import worker as worker_module
 from facemime.core.live.calibration import RangeCalibration
 from facemime.core.live.sources import LiveFrame, LiveSource, TakePlayer, VideoPlayer
 from facemime.core.live.timing import STAGES, Delays, Stopwatch
 from facemime.core.live.worker import LiveHead, LiveOptions, LiveWorker
-from facemime.core.retarget import calibrate
+from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.tracker import FaceTracker
 from takes import make_take, performance
 

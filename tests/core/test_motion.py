@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.deform.basis import fit_basis
-from facemime.core.motion import HeadMotion, most_different
+from facemime.core.bake.basis import fit_basis
+from facemime.core.drive.motion import HeadMotion, most_different
 
 
 @settings(max_examples=30, deadline=None)

@@ -4,9 +4,9 @@ import io
 
 import numpy as np
 
-from facemime.cli.console import Progress
-from facemime.core.head import load_head
-from facemime.core.overlay import contact_sheet, draw_landmarks, label, picture_of_face, picture_of_frame
+from facemime.cli.terminal.console import Progress
+from facemime.core.heads.built_in import load_head
+from facemime.core.tracking.overlay import contact_sheet, draw_landmarks, label, picture_of_face, picture_of_frame
 
 
 def face(scale: float, x: float, y: float) -> np.ndarray:

@@ -3,12 +3,19 @@
 import numpy as np
 import pytest
 
-from facemime.core.control_points import from_json, select_for_take, to_json
-from facemime.core.drive import HeadRig
+from facemime.core.control_points.select import from_json, select_for_take, to_json
+from facemime.core.control_points.table import (
+    add_by_hand,
+    draw_curve,
+    drop_by_hand,
+    error_curve,
+    point_rows,
+    region_colours,
+)
 from facemime.core.errors import HeadError
-from facemime.core.head import load_head
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.rig import HeadRig
 from facemime.core.landmarks import N_LANDMARKS
-from facemime.core.point_table import add_by_hand, draw_curve, drop_by_hand, error_curve, point_rows, region_colours
 from takes import performance
 
 

@@ -8,11 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.drive import DriveOptions, HeadDriver, built_in_rig
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.posing import Posing, limited_rotation, limited_vector
+from facemime.core.drive.settings import DriveOptions
 from facemime.core.errors import SourceError
-from facemime.core.posing import Posing, limited_rotation, limited_vector
-from facemime.core.retarget import Neutral, calibrate
+from facemime.core.heads.rig import built_in_rig
 from facemime.core.rotation import euler_to_matrix
+from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.tracking.mirror import mirror_result
 from takes import performance
 

@@ -9,14 +9,15 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from facemime.core import control_points, presets
+from facemime.core import presets
 from facemime.core.bake import key_map
-from facemime.core.deform.greedy import GreedySelection, GreedyStep
-from facemime.core.deform.regions import membership
+from facemime.core.control_points import select as control_points
+from facemime.core.control_points.greedy import GreedySelection, GreedyStep
 from facemime.core.errors import OutputError, SourceError
+from facemime.core.heads.regions import membership
 from facemime.core.presets import Setting, file_name
 from facemime.core.reading import MAX_TEXT, parse_json, read_bytes, read_text
-from facemime.core.retarget import Neutral, calibrate
+from facemime.core.takes.neutral import Neutral, calibrate
 from takes import performance
 
 STEP = GreedyStep("start", 20, 0, "frontalis", 1, 0.05, 3, 8)

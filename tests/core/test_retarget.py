@@ -5,14 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.deform.eyeballs import EyeballContact
-from facemime.core.drive import HeadDriver, HeadRig
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.eyes import EyeDriver, gaze_at_viewer
+from facemime.core.drive.retarget import Retargeter
 from facemime.core.errors import HeadError, SourceError
-from facemime.core.eyes import EyeDriver, gaze_at_viewer
-from facemime.core.head import load_head
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.eyeballs import EyeballContact
+from facemime.core.heads.rig import HeadRig
 from facemime.core.landmarks import from_ibug
-from facemime.core.retarget import Neutral, Retargeter, calibrate
 from facemime.core.rotation import euler_to_matrix, fit_rotation, matrix_to_euler
+from facemime.core.takes.neutral import Neutral, calibrate
 from takes import make_take
 
 ANGLES = st.floats(-1.2, 1.2)

@@ -16,7 +16,7 @@ from facemime.cli import main as cli
 from facemime.cli.takes import parse_cutoffs, parse_span
 from facemime.core.errors import FacemimeError, SourceError
 from facemime.core.takes.file import load_take, save_take
-from facemime.core.takes.mend import bridge_gaps, mirror_take
+from facemime.core.takes.mending import bridge_gaps, mirror_take
 from facemime.core.takes.spreadsheet import from_csv, to_csv
 from facemime.core.takes.take import FIELDS, Take
 from facemime.core.takes.timing import resample, trim

@@ -19,15 +19,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import facemime
-from facemime.core.drive import HeadDriver, built_in_rig
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.motion import drive_take
 from facemime.core.errors import OutputError, SourceError
+from facemime.core.heads.rig import built_in_rig
 from facemime.core.landmarks import OUTER_EYE_CORNERS
-from facemime.core.motion import drive_take
-from facemime.core.pipeline import track_video
-from facemime.core.retarget import calibrate
 from facemime.core.takes import format as layout
 from facemime.core.takes.file import TakeWriter, load_take, save_take, take_of
 from facemime.core.takes.format import HEADER, LAYOUT, MARKER, chunk_bytes, chunks_in, frames_content, info_content
+from facemime.core.takes.from_video import track_video
+from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import FIELDS, Take
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.tracker import FaceTracker

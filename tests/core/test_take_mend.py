@@ -11,13 +11,15 @@ from scipy import signal
 
 import facemime
 from facemime.core.apertures import mouth_aperture
-from facemime.core.drive import HeadDriver, built_in_rig
+from facemime.core.drive.anonymous import anonymise
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.motion import drive_take
 from facemime.core.errors import FacemimeError, SourceError
+from facemime.core.heads.rig import built_in_rig
 from facemime.core.landmarks import OUTER_EYE_CORNERS
-from facemime.core.motion import drive_take
-from facemime.core.pipeline import track_video
-from facemime.core.retarget import Neutral, calibrate
-from facemime.core.takes.mend import anonymise, bridge_gaps, find_outliers, mirror_take, remove_outliers, renew_neutral
+from facemime.core.takes.from_video import track_video
+from facemime.core.takes.mending import bridge_gaps, find_outliers, mirror_take, remove_outliers, renew_neutral
+from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.takes.smooth import CUTOFFS, before_after, low_pass, smooth_zero_phase
 from facemime.core.takes.take import FIELDS, Take, check_take
 from facemime.core.takes.timing import lose

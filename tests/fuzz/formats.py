@@ -21,26 +21,30 @@ import cv2
 import numpy as np
 
 from facegen_files import OBJ, egm, tri
-from facemime.batch.record import checked_record
-from facemime.core import control_points, presets
+from facemime.cli.cli.batch.record import checked_record
+from facemime.core import presets
 from facemime.core.bake import key_map
 from facemime.core.capture import VideoSource
+from facemime.core.control_points import select as control_points
+from facemime.core.control_points.greedy import GreedySelection, GreedyStep
+from facemime.core.control_points.table import draw_curve, drop_by_hand, point_rows
 from facemime.core.deform.follow import following
-from facemime.core.deform.greedy import GreedySelection, GreedyStep
-from facemime.core.deform.kernels import kernel_named
-from facemime.core.deform.regions import membership, region_sigmas
-from facemime.core.drive import HeadDriver, built_in_rig
+from facemime.core.drive.anonymous import anonymise
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.retarget import retargeter_for
 from facemime.core.errors import FacemimeError, HeadError, SourceError
-from facemime.core.facegen import FaceGenMesh, read_egm, read_obj, read_tri
-from facemime.core.head import HEAD_FILE, PART_NAMES, load_head
+from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, load_head
+from facemime.core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
+from facemime.core.heads.regions import membership, region_sigmas
+from facemime.core.heads.rig import built_in_rig
 from facemime.core.images import read_image
-from facemime.core.point_table import draw_curve, drop_by_hand, point_rows
+from facemime.core.mesh.kernels import kernel_named
 from facemime.core.presets import Setting
 from facemime.core.reading import parse_json
-from facemime.core.retarget import Neutral, calibrate, retargeter_for
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.format import HEADER, MARKER, chunk_bytes, chunks_in
-from facemime.core.takes.mend import anonymise, bridge_gaps, mirror_take, remove_outliers
+from facemime.core.takes.mending import bridge_gaps, mirror_take, remove_outliers
+from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.takes.smooth import smooth_zero_phase
 from facemime.core.takes.spreadsheet import from_csv, to_csv
 from facemime.core.takes.take import Take, check_take

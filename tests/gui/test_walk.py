@@ -13,10 +13,11 @@ from scans import scanned
 
 from conftest import MODULE
 from facemime.blender.frames import to_blender
-from facemime.core.drive import HeadDriver, built_in_rig
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.heads.rig import built_in_rig
 from facemime.core.landmarks import OUTER_EYE_CORNERS
-from facemime.core.retarget import Neutral
 from facemime.core.takes.file import save_take
+from facemime.core.takes.neutral import Neutral
 from facemime.core.tracking.tracker import FaceTracker
 from sidebar import Sidebar
 from takes import performance
@@ -275,7 +276,7 @@ def choose_video(sidebar: Sidebar) -> None:
 def confirm(sidebar: Sidebar, button: str) -> None:
     """Press a button that asks, and say yes; the take is in another file then."""
     blender = sidebar.blender
-    blender.do(f"from {MODULE}.scene import takes_store as store")
+    blender.do(f"from {MODULE}.settings import takes_store as store")
     before = blender.get(f"{LINE}.path")
     sidebar.press(button)
     blender.key("Return")
@@ -288,7 +289,7 @@ def test_what_is_set_is_kept_as_a_preset_and_loaded_again_by_clicks(blender, sid
     add_head(sidebar)
     sidebar.open_panel("FACEMIME_PT_expression")
     blender.do("bpy.context.scene.facemime.strength_lower = 1.5")
-    blender.do(f"from {MODULE}.scene import presets")
+    blender.do(f"from {MODULE}.settings import presets")
     sidebar.open_presets()
     blender.key("s")
     blender.redraw()

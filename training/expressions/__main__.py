@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from facemime.core.deform.expressions import EXPRESSIONS_FILE, FORMAT, ExpressionModel, learn
-from facemime.core.deform.propose import propose_regions
+from facemime.core.heads.proposal import propose_regions
 from training.head.build import to_bytes
 from training.tracker.heads import FACE, load_ict
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.core.head import FORMAT
+from facemime.core.heads.built_in import FORMAT
 from facemime.core.landmarks import from_ibug
 
 from .anatomy import landmark_vertices

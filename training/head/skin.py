@@ -7,18 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import anatomy
-from .canvas import (
-    FrontView,
-    Image,
-    Texels,
-    cloud,
-    distance_to_line,
-    distance_to_outline,
-    fade,
-    mix,
-    noise,
-    rasterise,
-)
+from .canvas import FrontView, Image, Texels, cloud, distance_to_line, distance_to_outline, fade, mix, noise, rasterise
 from .cut import CAVITY, SOCKET
 from .hair import beard_shade, brow_strokes, crop
 

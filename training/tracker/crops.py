@@ -9,13 +9,7 @@ import cv2
 import numpy as np
 
 from facemime.core.landmarks import MIRROR
-from facemime.core.tracking.experts import (
-    FACE_STRIDE,
-    PART_STRIDE,
-    face_picture,
-    first_cell,
-    part_picture,
-)
+from facemime.core.tracking.experts import FACE_STRIDE, PART_STRIDE, face_picture, first_cell, part_picture
 
 from .samples import SCALE, Samples
 

@@ -1,0 +1,1 @@
+"""Motion on heads: shown live by one shape key, or baked to keys, caches and curves."""

@@ -1,0 +1,142 @@
+"""A driven take as Blender animation: curves for head, eyes, teeth and tongue, and what a bake leaves is taken back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.drive.motion import HeadMotion
+from ...core.errors import HeadError, SourceError
+from ...core.takes.take import Take
+from ..actions import check_curves, remove_bake, write_curves
+from ..names import PART_PROPERTY
+from .bake_cache import remove_cache
+from .bake_keys import remove_baked_keys, require_relative
+from .targets import PoseTarget
+
+JAW_PARTS = frozenset({"teeth_lower", "tongue"})
+EYE_PARTS = frozenset({"eye_left", "eye_right"})
+Targets = Mapping[str, PoseTarget]
+_LAST_FRAME = 1_048_574
+"""Of Blender's timeline."""
+
+
+def frames_of(scene: bpy.types.Scene, times: NDArray[np.floating], start: float = 1.0) -> NDArray[np.floating]:
+    """The scene's frames, fractional where need be, at media `times` in seconds: in step at any scene rate."""
+    return start + times * (scene.render.fps / scene.render.fps_base)
+
+
+def seconds_of(scene: bpy.types.Scene, start: float = 1.0) -> float:
+    """The media's time at the scene's current frame, as `frames_of` puts it there."""
+    return seconds_at(scene, scene.frame_current_final, start)
+
+
+def seconds_at(scene: bpy.types.Scene, frame: float, start: float = 1.0) -> float:
+    """The media's time at `frame` of the scene."""
+    return float((frame - start) * scene.render.fps_base / scene.render.fps)
+
+
+def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, old_keys: bool) -> None:
+    """Raise HeadError where `obj` or one of `targets` cannot take a bake; nothing has changed then.
+
+    Parameters
+    ----------
+    new_keys, old_keys : bool
+        Whether the mesh gets new shape keys, or those that it has are animated.
+    """
+    for owner in {target.obj for target in _all_targets(obj, targets)}:
+        if owner.library is not None:
+            raise HeadError(
+                f"{owner.name} is linked from another file and cannot be animated here. Make a library override of it "
+                "(Object > Library Override > Make), or make it local."
+            )
+    mesh = obj.data
+    if new_keys and (mesh.library is not None or mesh.override_library is not None):
+        raise HeadError(
+            f"The mesh of {obj.name} is linked from another file and takes no new shape keys. "
+            "Bake to a cache, to the keys that it has, or make it local."
+        )
+    if new_keys:
+        require_relative(obj)
+    if old_keys and mesh.shape_keys is not None and mesh.shape_keys.library is not None:
+        raise HeadError(
+            f"The shape keys of {obj.name} are linked from another file and cannot be animated here. "
+            "Bake to a cache, or make them local."
+        )
+    for target in _all_targets(obj, targets):
+        check_curves(target.obj, target.data_paths)
+
+
+def check_range(take: Take, frames: NDArray[np.floating]) -> None:
+    """Raise SourceError where `frames`, increasing, of `take` reach beyond what Blender can play."""
+    if max(-frames[0], frames[-1]) > _LAST_FRAME:
+        raise SourceError(
+            f"The take reaches from {take.times[0]:.2f} s to {take.times[-1]:.2f} s, beyond Blender's last frame. "
+            "Check that these are seconds; a take is moved by: facemime mend TAKE --shift SECONDS -o OUT"
+        )
+
+
+def bake_pose(
+    obj: bpy.types.Object,
+    targets: Targets,
+    motion: HeadMotion,
+    frames: NDArray[np.floating],
+    *,
+    rotation: bool = True,
+    translation: bool = False,
+    clean: tuple[float, float] | None = None,
+    nla: bool = False,
+) -> None:
+    """Animate what takes the pose: "head" of `targets`, the eyes named there or those of `obj`, teeth and tongue.
+
+    Parameters
+    ----------
+    clean : (float, float), optional
+        How far a curve may be from its values where keys are left out: radians, and the mesh's unit.
+    """
+    angle, length = clean or (None, None)
+    head = targets["head"]
+    curves = {head.obj: head.rotation_curves(motion.rotation, angle) if rotation else []}
+    if translation:
+        curves[head.obj] += head.translation_curves(motion.translation, length)
+    for part, target in _part_targets(obj, targets):
+        turns = motion.jaw if part in JAW_PARTS else motion.gaze
+        curves.setdefault(target.obj, []).extend(target.rotation_curves(turns, angle))
+    for owner, owned in curves.items():
+        name = f"{owner.name} {'Pose' if owner == head.obj else 'Motion'}"
+        write_curves(owner, name, frames, owned, nla=nla)
+
+
+def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
+    """Take back what an earlier bake gave `obj` and `targets`: keys, cache, curves, pose."""
+    remove_baked_keys(obj)
+    remove_cache(obj)
+    places = _all_targets(obj, targets)
+    ours = {owner: remove_bake(owner) for owner in {target.obj for target in places}}
+    for target in places:
+        if not target.bone or ours[target.obj].intersection(target.data_paths):
+            target.rest()
+    bpy.context.view_layer.update()
+
+
+def _all_targets(obj: bpy.types.Object, targets: Targets) -> list[PoseTarget]:
+    """Whatever a bake of `obj` may pose; `obj` too where another one takes its pose now."""
+    return [PoseTarget(obj), targets["head"], *(target for _, target in _part_targets(obj, targets))]
+
+
+def _part_targets(obj: bpy.types.Object, targets: Targets) -> Iterator[tuple[str, PoseTarget]]:
+    """What turns with jaw and gaze: those of `targets`, else children of `obj`."""
+    for child in obj.children:
+        part = str(child.get(PART_PROPERTY, ""))
+        if part in JAW_PARTS or (part in EYE_PARTS and part not in targets):
+            yield part, PoseTarget(child)
+    yield from ((eye, targets[eye]) for eye in sorted(EYE_PARTS) if eye in targets)
+
+
+def set_range(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> None:
+    """Let the scene play the whole of `frames`."""
+    scene.frame_start = int(np.floor(frames[0] + 1e-3))
+    scene.frame_end = max(scene.frame_start, int(np.ceil(frames[-1] - 1e-3)))

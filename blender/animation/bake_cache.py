@@ -1,0 +1,121 @@
+"""Exact bakes: the positions of all vertices in a file that the Mesh Cache modifier plays, or as Alembic for others."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.bake.point_cache import in_between, write_point_cache
+from ...core.drive.motion import HeadMotion
+from ...core.errors import OutputError
+from ...core.files import replacing
+from ..frames import to_blender
+from ..media.rendering import quiet
+from ..meshes import read_vertices
+
+MODIFIER = "Facemime Cache"
+_ALEMBIC_BYTES = 24
+"""Of a vertex in a frame at most: its place, and its normal."""
+
+
+def bake_cache(obj: bpy.types.Object, motion: HeadMotion, frames: NDArray[np.floating], path: Path) -> None:
+    """Write every whole frame of `motion`, whose own frames are at `frames` (N,), to `path`, and let `obj` play it.
+
+    The modifier is the first, so that those of the user go on from it; shape keys do nothing under it.
+
+    Raises
+    ------
+    OutputError
+        Where the file cannot be written.
+    """
+    rest = read_vertices(obj.data)
+    first, last = int(np.floor(frames[0] + 1e-3)), int(np.ceil(frames[-1] - 1e-3))
+
+    def samples() -> Iterator[NDArray[np.floating]]:
+        for frame in range(first, last + 1):
+            yield to_blender(rest + in_between(frames, motion.vertices, frame))
+
+    write_point_cache(path, samples(), len(rest), first)
+    modifier = obj.modifiers.get(MODIFIER) or obj.modifiers.new(MODIFIER, "MESH_CACHE")
+    obj.modifiers.move(obj.modifiers.find(MODIFIER), 0)
+    modifier.cache_format = "PC2"
+    modifier.filepath = bpy.path.relpath(str(path.resolve())) if bpy.data.filepath else str(path.resolve())
+    modifier.frame_start = first
+    modifier.interpolation = "LINEAR"
+
+
+def remove_cache(obj: bpy.types.Object) -> None:
+    """Let `obj` play no cache of ours any longer; the file stays."""
+    if (modifier := obj.modifiers.get(MODIFIER)) is not None:
+        obj.modifiers.remove(modifier)
+
+
+@contextlib.contextmanager
+def caches_beside(path: Path) -> Iterator[None]:
+    """While a copy of the file is saved at `path`, name the caches in its folder by where they lie from there."""
+    modifiers = [
+        modifier
+        for obj in bpy.data.objects
+        if (modifier := obj.modifiers.get(MODIFIER)) is not None
+        and Path(bpy.path.abspath(modifier.filepath)).parent == path.resolve().parent
+    ]
+    before = [modifier.filepath for modifier in modifiers]
+    for modifier in modifiers:
+        modifier.filepath = f"//{Path(modifier.filepath).name}"
+    try:
+        yield
+    finally:
+        for modifier, filepath in zip(modifiers, before, strict=True):
+            modifier.filepath = filepath
+
+
+def export_alembic(scene: bpy.types.Scene, obj: bpy.types.Object, path: Path) -> None:
+    """Write `obj` and its children over the frames of `scene` as Alembic.
+
+    Raises
+    ------
+    OutputError
+        Where this Blender has no Alembic, or the file cannot be written.
+    """
+    if not getattr(bpy.app.build_options, "alembic", False):
+        raise OutputError("This Blender was built without Alembic. Bake to a cache.")
+    vertices = sum(len(part.data.vertices) for part in (obj, *obj.children) if part.type == "MESH")
+    needed = _ALEMBIC_BYTES * vertices * (scene.frame_end - scene.frame_start + 1)
+    if shutil.disk_usage(path.parent).free < needed:  # Blender would not fail in the middle but end
+        raise OutputError(f"Cannot write {path}: it takes up to {needed / 1e6:.0f} MB. Free some space.")
+    with replacing(path) as temporary, _only_selected([obj, *obj.children]):
+        try:
+            with quiet():
+                bpy.ops.wm.alembic_export(
+                    filepath=str(temporary.resolve()),
+                    check_existing=False,
+                    start=scene.frame_start,
+                    end=scene.frame_end,
+                    selected=True,
+                    as_background_job=False,
+                )
+        except RuntimeError as error:
+            raise OutputError(f"Blender could not write {path} ({error}). Choose another place.") from error
+        if temporary.stat().st_size == 0:
+            raise OutputError(f"Blender could not write {path}. Free some space, or choose another place.")
+
+
+@contextlib.contextmanager
+def _only_selected(objects: list[bpy.types.Object]) -> Iterator[None]:
+    layer = bpy.context.view_layer
+    selected, active = [obj for obj in layer.objects if obj.select_get()], layer.objects.active
+    for obj in layer.objects:
+        obj.select_set(obj in objects)
+    layer.objects.active = objects[0]
+    try:
+        yield
+    finally:
+        for obj in layer.objects:
+            obj.select_set(obj in selected)
+        layer.objects.active = active

@@ -1,0 +1,171 @@
+"""Shape keys of a bake: new ones from a basis, or values for those that the mesh has already."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.bake.basis import MotionBasis
+from ...core.errors import HeadError
+from ..actions import Curve, remove_bake, remove_curves, write_curves
+from ..frames import from_blender, to_blender
+
+BAKED_KEY_PREFIX = "Facemime "
+
+
+@dataclass(frozen=True)
+class MeshKeys:
+    """Shape keys that a mesh has.
+
+    Attributes
+    ----------
+    names : (K,) tuple of str
+    offsets : (K, V, 3) float32
+        Displacements at value 1, weighed by the keys' vertex groups: head frame, the mesh's unit.
+    lower, upper : (K,) float64
+        Ranges of their sliders.
+    """
+
+    names: tuple[str, ...]
+    offsets: NDArray[np.float32]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Of each key by its name."""
+        return {name: (low, high) for name, low, high in zip(self.names, self.lower, self.upper, strict=True)}
+
+    def chosen(self, names: Sequence[str]) -> MeshKeys:
+        """Those of `names` alone, in that order."""
+        rows = [self.names.index(name) for name in names]
+        return MeshKeys(tuple(names), self.offsets[rows], self.lower[rows], self.upper[rows])
+
+
+def key_names(obj: bpy.types.Object) -> list[str]:
+    """The shape keys of `obj` that are the user's: neither the basis nor ours."""
+    keys = obj.data.shape_keys
+    if keys is None:
+        return []
+    return [
+        key.name
+        for key in keys.key_blocks
+        if key != keys.reference_key and not key.name.startswith(BAKED_KEY_PREFIX) and key.slider_min < key.slider_max
+    ]
+
+
+def read_keys(obj: bpy.types.Object) -> MeshKeys:
+    """The user's shape keys of `obj` that are not muted.
+
+    Raises
+    ------
+    HeadError
+        Where there are none, or they are absolute.
+    """
+    keys = obj.data.shape_keys
+    names = [name for name in key_names(obj) if not keys.key_blocks[name].mute]
+    if not names:
+        raise HeadError(
+            f"{obj.name} has no shape keys of its own. Bake to new keys, or add the built-in head with Face Units."
+        )
+    require_relative(obj)
+    blocks = [keys.key_blocks[name] for name in names]
+    offsets = np.stack([_weights(obj, block) * (_points(block) - _points(block.relative_key)) for block in blocks])
+    return MeshKeys(
+        names=tuple(names),
+        offsets=np.ascontiguousarray(from_blender(offsets)),
+        lower=np.array([block.slider_min for block in blocks]),
+        upper=np.array([block.slider_max for block in blocks]),
+    )
+
+
+def require_relative(obj: bpy.types.Object) -> None:
+    """Raise HeadError where the shape keys of `obj` are absolute: none has a value then."""
+    keys = obj.data.shape_keys
+    if keys is not None and not keys.use_relative:
+        raise HeadError(f"The shape keys of {obj.name} are absolute. Switch Relative on, or bake to a cache.")
+
+
+def value_path(name: str) -> str:
+    """The data path of the value of the shape key `name`."""
+    return f'key_blocks["{bpy.utils.escape_identifier(name)}"].value'
+
+
+def bake_new_keys(
+    obj: bpy.types.Object, basis: MotionBasis, frames: NDArray[np.floating], *, clean: float = 0.0, nla: bool = False
+) -> None:
+    """Animate `obj` by new shape keys, those of `basis`; `clean` as for `bake_values`."""
+    if obj.data.shape_keys is None:
+        obj.shape_key_add(name="Basis", from_mix=False)
+    rest = _points(obj.data.shape_keys.reference_key)
+    values = {}
+    for i, mode in enumerate(basis.modes):
+        key = obj.shape_key_add(name=f"{BAKED_KEY_PREFIX}{i + 1:02d}", from_mix=False)
+        key.points.foreach_set("co", (rest + to_blender(mode)).astype(np.float32).reshape(-1))
+        key.slider_min, key.slider_max = -1.0, 1.0
+        key.value = 0.0
+        values[key.name] = basis.weights[:, i]
+    bake_values(obj, values, frames, basis.modes, clean=clean, nla=nla)
+
+
+def bake_values(
+    obj: bpy.types.Object,
+    values: Mapping[str, NDArray[np.floating]],
+    frames: NDArray[np.floating],
+    offsets: NDArray[np.floating],
+    *,
+    clean: float = 0.0,
+    nla: bool = False,
+) -> None:
+    """Animate shape keys of `obj` by `values`, (N,) each, whose displacements at value 1 are `offsets`, (K, V, 3).
+
+    Parameters
+    ----------
+    clean : float
+        How far a vertex may end from where all keys would put it, the mesh's unit; 0 leaves no key out.
+    """
+    peaks = np.sqrt(np.square(offsets).sum(axis=2).max(axis=1, initial=0.0))
+    curves = []
+    for (name, curve), peak in zip(values.items(), peaks, strict=True):
+        tolerance = clean / (len(peaks) * max(float(peak), 1e-9)) if clean > 0.0 else None
+        curves.append(Curve(value_path(name), 0, curve, tolerance))
+    obj.show_only_shape_key = False
+    write_curves(obj.data.shape_keys, f"{obj.name} Expression", frames, curves, nla=nla)
+
+
+def remove_baked_keys(obj: bpy.types.Object) -> None:
+    """Remove the shape keys that an earlier bake made, and its curves; keys that it moved are at 0 again."""
+    keys = obj.data.shape_keys
+    if keys is None:
+        return
+    for path in remove_bake(keys):
+        for key in keys.key_blocks:
+            if value_path(key.name) == path:
+                key.value = 0.0
+    remove_curves(keys, f'key_blocks["{BAKED_KEY_PREFIX}')
+    for key in [key for key in keys.key_blocks if key.name.startswith(BAKED_KEY_PREFIX)]:
+        obj.shape_key_remove(key)
+
+
+def _weights(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> NDArray[np.float32]:
+    """(V, 1) how much of `key` each vertex takes: its weight in the key's vertex group, where there is one."""
+    group = obj.vertex_groups.get(key.vertex_group)
+    if group is None:
+        return np.ones((len(key.points), 1), dtype=np.float32)
+    weights = np.zeros((len(key.points), 1), dtype=np.float32)
+    for vertex in obj.data.vertices:
+        for element in vertex.groups:
+            if element.group == group.index:
+                weights[vertex.index] = element.weight
+    return weights
+
+
+def _points(key: bpy.types.ShapeKey) -> NDArray[np.float32]:
+    """(V, 3) positions of a key, Blender's axes."""
+    flat = np.empty(3 * len(key.points), dtype=np.float32)
+    key.points.foreach_get("co", flat)
+    return flat.reshape(-1, 3)

@@ -1,0 +1,1 @@
+"""Heads as Blender has them: built, bound, cut and painted."""

@@ -1,0 +1,94 @@
+"""The built-in head as objects: one skin mesh with landmarks and regions, its parts as children."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.heads.built_in import HeadPart, load_head
+from ..frames import to_blender
+from ..meshes import write_landmarks, write_regions
+from ..names import PART_OBJECTS, PART_PROPERTY, UV_MAP
+from .materials import head_materials
+
+
+def add_head(context: bpy.types.Context, *, units: bool = False, name: str = "Facemime Head") -> bpy.types.Object:
+    """Add the built-in head at the origin, select it and make it active; with `units` its face units as shape keys.
+
+    The skin is the returned object; eyeballs, teeth and tongue are its children. It faces -Y and stands along +Z,
+    metres, and its origin lies between the ears.
+    """
+    head = load_head()
+    materials = head_materials()
+    mesh = _mesh(name, head.vertices, head.faces, head.uv, materials["skin"])
+    write_landmarks(mesh, head.landmarks)
+    skin = bpy.data.objects.new(name, mesh)
+    context.collection.objects.link(skin)
+    write_regions(skin, head.regions)
+    parts = [_add_part(context, skin, part, materials[part.name]) for part in head.parts]
+    if units:
+        _add_units(skin, head.vertices, head.unit_names, head.units)
+        for obj, part in zip(parts, head.parts, strict=True):
+            _add_units(obj, part.vertices - part.pivot, head.unit_names, part.units)
+    for other in context.selected_objects:
+        other.select_set(False)
+    skin.select_set(True)
+    context.view_layer.objects.active = skin
+    return skin
+
+
+def _mesh(
+    name: str,
+    vertices: NDArray[np.float32],
+    faces: NDArray[np.int32],
+    uv: NDArray[np.float32],
+    material: bpy.types.Material,
+) -> bpy.types.Mesh:
+    """A smooth-shaded mesh of (V, 3) `vertices` in the head frame and (F, 4) `faces` padded with -1."""
+    mesh = bpy.data.meshes.new(name)
+    corner = faces >= 0
+    counts = corner.sum(axis=1)
+    mesh.vertices.add(len(vertices))
+    mesh.loops.add(int(counts.sum()))
+    mesh.polygons.add(len(faces))
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(to_blender(vertices), dtype=np.float32).reshape(-1))
+    mesh.loops.foreach_set("vertex_index", faces[corner].astype(np.int32))
+    mesh.polygons.foreach_set("loop_start", (np.cumsum(counts) - counts).astype(np.int32))
+    mesh.polygons.foreach_set("loop_total", counts.astype(np.int32))
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), dtype=bool))
+    layer = mesh.uv_layers.new(name=UV_MAP)
+    layer.data.foreach_set("uv", np.ascontiguousarray(uv[corner], dtype=np.float32).reshape(-1))
+    mesh.materials.append(material)
+    mesh.update(calc_edges=True)
+    return mesh
+
+
+def _add_part(
+    context: bpy.types.Context, parent: bpy.types.Object, part: HeadPart, material: bpy.types.Material
+) -> bpy.types.Object:
+    """A child of `parent` whose origin is the part's pivot."""
+    mesh = _mesh(PART_OBJECTS[part.name], part.vertices - part.pivot, part.faces, part.uv, material)
+    obj = bpy.data.objects.new(PART_OBJECTS[part.name], mesh)
+    obj[PART_PROPERTY] = part.name
+    context.collection.objects.link(obj)
+    obj.parent = parent
+    obj.location = to_blender(part.pivot)
+    return obj
+
+
+def _add_units(
+    obj: bpy.types.Object, rest: NDArray[np.float32], names: tuple[str, ...], units: NDArray[np.float32]
+) -> None:
+    """Shape keys of all units for a part that any of them moves, at 0; from Blender 5 on a new key would start at 1.
+
+    Those that leave this part alone are there too: what drives ARKit's 52 keys looks each of them up by name.
+    """
+    if not units.any():
+        return
+    obj.shape_key_add(name="Basis", from_mix=False)
+    for name, offsets in zip(names, units, strict=True):
+        key = obj.shape_key_add(name=name, from_mix=False)
+        points = np.ascontiguousarray(to_blender(rest + offsets), dtype=np.float32)
+        key.points.foreach_set("co", points.reshape(-1))
+        key.value = 0.0

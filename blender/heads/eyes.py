@@ -1,0 +1,147 @@
+"""Eyes that are one skin with their lids, as a scan's are, cut out so that the lids can shut over them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ...core.arrays import FloatArray
+from ...core.errors import HeadError
+from ...core.heads.lids import EYES, EyeCut, EyeOutline, coarse_edges, cut_eye, eye_outline, eyes_joined
+from ...core.mesh.surface import SurfaceGraph
+from ..frames import from_blender, to_blender
+from ..meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks
+from ..names import EYES_GROUP
+from .binding import propose_head_regions
+from .cutting import apart, copy_moved, edited, indices, move, split_along, surface_of
+
+_ROUNDS = 5
+_SKIRT = 0.15
+"""How far an eye goes on behind the lids, in its widths: that shows when they open wide."""
+
+
+def open_eyes(obj: bpy.types.Object | None) -> int:
+    """Cut the mesh of `obj` along the lids of each eye that is one skin with them, and propose regions anew.
+
+    What lies within becomes an eye on a sphere just behind the lids, in the vertex group `EYES_GROUP` and in no region.
+    It goes on behind the lids, and walls lead there from their rim, so that nothing is to be seen through. The lids'
+    landmarks are bound to the rim. Coarse meshes are subdivided there.
+
+    Returns the number of eyes that were cut out.
+
+    Raises
+    ------
+    HeadError
+        Where the mesh has no landmarks, its eyes are open already, or it has holes there.
+    """
+    mesh = mesh_of(obj)
+    landmarks = read_landmarks(obj)
+    vertices = read_vertices(mesh)
+    joined = eyes_joined(vertices, read_faces(mesh), landmarks)
+    eyes = [eye for eye, one_skin in zip(EYES, joined, strict=True) if one_skin]
+    if not eyes:
+        raise HeadError("The eyes are open already. Nothing was cut.")
+    outlines = [eye_outline(vertices, landmarks, eye) for eye in eyes]
+    patches = []
+    with edited(mesh) as work:
+        for outline in outlines:
+            _subdivide(work, outline)
+        surface = surface_of(work)
+        cuts = [cut_eye(*surface, outline) for outline in outlines]
+        before = list(work.verts)
+        bound = [before[vertex] for vertex in landmarks.tolist()]
+        for eye, cut in zip(eyes, cuts, strict=True):
+            lids, patch = _cut_out(work, cut, before, bound)
+            for landmark, place in zip(eye.tolist(), cut.landmark_places(_places(lids)).tolist(), strict=True):
+                bound[landmark] = lids[place]
+            patches += patch
+        work.verts.index_update()
+        landmarks, members = indices(bound), indices(patches)
+    group = obj.vertex_groups.get(EYES_GROUP) or obj.vertex_groups.new(name=EYES_GROUP)
+    group.add(members.tolist(), 1.0, "REPLACE")
+    vertices = read_vertices(mesh)
+    vertices[members] = np.inf
+    write_landmarks(mesh, apart(landmarks, vertices, np.concatenate(eyes)))
+    propose_head_regions(obj)
+    return len(eyes)
+
+
+def _subdivide(work: bmesh.types.BMesh, outline: EyeOutline) -> None:
+    """Halve long edges about an eye. New vertices follow the old ones; references to these die, numbers do not."""
+    for _ in range(_ROUNDS):
+        long = coarse_edges(SurfaceGraph(*surface_of(work)), outline)
+        if not len(long):
+            break
+        vertices = list(work.verts)
+        edges = [work.edges.get((vertices[a], vertices[b])) for a, b in long.tolist()]
+        bmesh.ops.subdivide_edges(work, edges=edges, cuts=1, use_grid_fill=True)
+
+
+def _cut_out(
+    work: bmesh.types.BMesh, cut: EyeCut, before: list[bmesh.types.BMVert], bound: list[bmesh.types.BMVert]
+) -> tuple[list[bmesh.types.BMVert], list[bmesh.types.BMVert]]:
+    """Do what `cut` says; the lids' rim, and the vertices of the eye. What is `bound` there stays with the lids."""
+    vertices = before.copy()
+    for (within, without), share in zip(cut.edges.tolist(), cut.shares.tolist(), strict=True):
+        edge = work.edges.get((vertices[within], vertices[without]))
+        vertices.append(bmesh.utils.edge_split(edge, vertices[within], share)[1])
+    for a, b in cut.chords.tolist():
+        face = next(face for face in vertices[a].link_faces if vertices[b] in face.verts)
+        bmesh.utils.face_split(face, vertices[a], vertices[b])
+    copies = split_along(work, [vertices[i] for i in cut.rim.tolist()], closed=True)
+    if any(len(pair) != 2 for pair in copies):
+        raise HeadError("The mesh has holes at the eyes. Fill them, or cut along the lids: Edge > Edge Split.")
+    eye = _joined_to(vertices[int(cut.within[0])])
+    lids, rim = ([next(v for v in pair if (v in eye) == within) for pair in copies] for within in (False, True))
+    of_lid = {vertex: lid for pair, lid in zip(copies, lids, strict=True) for vertex in pair}
+    bound[:] = [of_lid.get(vertex, vertex) for vertex in bound]
+    patch = list(eye)
+    _move_to(work, patch, cut.on_eye(_places(patch)))
+    border = [copy_moved(work, vertex, Vector()) for vertex in rim]
+    _move_to(work, border, cut.behind_lids(_places(lids), _SKIRT))
+    _put_strip(work, rim, border)
+    _put_strip(work, lids, border)
+    for a, b in [*_round(lids), *_round(border)]:
+        work.edges.get((a, b)).smooth = False
+    return lids, patch + border
+
+
+def _put_strip(work: bmesh.types.BMesh, near: list[bmesh.types.BMVert], far: list[bmesh.types.BMVert]) -> None:
+    """Faces from one closed line, a border of the mesh, to another, which look as the border does."""
+    for (a, b), (c, d) in zip(_round(near), _round(far), strict=True):
+        first = work.edges.get((a, b)).link_loops[0]
+        last = first.link_loop_next
+        ahead = first.vert == a
+        face = work.faces.new((b, a, c, d) if ahead else (a, b, d, c), first.face)
+        for corner in face.loops:
+            corner.copy_from(first if (corner.vert in (a, c)) == ahead else last)
+
+
+def _round(line: list[bmesh.types.BMVert]) -> list[tuple[bmesh.types.BMVert, bmesh.types.BMVert]]:
+    """The ends of the edges of a closed line."""
+    return list(pairwise([*line, line[0]]))
+
+
+def _joined_to(vertex: bmesh.types.BMVert) -> dict[bmesh.types.BMVert, None]:
+    """All vertices that edges join to one, in the order in which they were found."""
+    found: dict[bmesh.types.BMVert, None] = {}
+    waiting = [vertex]
+    while waiting:
+        if (here := waiting.pop()) not in found:
+            found[here] = None
+            waiting += [edge.other_vert(here) for edge in here.link_edges]
+    return found
+
+
+def _places(vertices: list[bmesh.types.BMVert]) -> FloatArray:
+    return from_blender(np.array([vertex.co for vertex in vertices], dtype=np.float64))
+
+
+def _move_to(work: bmesh.types.BMesh, vertices: list[bmesh.types.BMVert], places: FloatArray) -> None:
+    """Move vertices to `places` (N, 3) in the head frame; other shape keys than the first by as much."""
+    for vertex, place in zip(vertices, to_blender(places).tolist(), strict=True):
+        move(work, vertex, Vector(place) - vertex.co)

@@ -1,0 +1,79 @@
+"""Where the landmarks of a head are in the world and in a viewport."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import HeadError
+from ..meshes import read_landmarks
+
+NEAR = 24.0
+"""Pixels at a resolution scale of 1: a click farther from all landmarks picks none."""
+
+
+class Places(NamedTuple):
+    """Places in a viewport.
+
+    Attributes
+    ----------
+    pixels : (66, 2) float
+        From the lower left corner of the region.
+    facing : (66,) bool
+        Whether the skin there is before the viewer and looks towards it.
+    """
+
+    pixels: NDArray[np.float64]
+    facing: NDArray[np.bool_]
+
+
+def landmark_places(
+    obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, view: NDArray[np.float64], size: tuple[int, int]
+) -> Places:
+    """Where the landmarks of the head `obj` are seen as it is shown, moved and with its modifiers.
+
+    Parameters
+    ----------
+    view : (4, 4) array
+        World to clip space: `perspective_matrix` of the region.
+    size : tuple of int
+        Width and height of the region, pixels.
+
+    Raises
+    ------
+    HeadError
+        Where the head has no landmarks, or a modifier leaves too few vertices.
+    """
+    landmarks = read_landmarks(obj)
+    evaluated = obj.evaluated_get(depsgraph)
+    vertices = evaluated.data.vertices
+    if len(vertices) < len(obj.data.vertices):
+        raise HeadError(f"A modifier of {obj.name} takes vertices away. Switch it off to see the landmarks.")
+    seen = [vertices[i] for i in landmarks.tolist()]
+    world = np.array(evaluated.matrix_world)
+    places = np.array([vertex.co for vertex in seen]) @ world[:3, :3].T + world[:3, 3]
+    normals = np.array([vertex.normal for vertex in seen]) @ np.linalg.inv(world[:3, :3])
+    return project(places, normals, view, size)
+
+
+def project(
+    places: NDArray[np.float64], normals: NDArray[np.float64], view: NDArray[np.float64], size: tuple[int, int]
+) -> Places:
+    """(N, 3) world `places` with their normals as pixels."""
+    clip = np.hstack([places, np.ones((len(places), 1))]) @ view.T
+    before = clip[:, 3] > 1e-9
+    flat = clip[:, :2] / np.where(before, clip[:, 3], 1.0)[:, None]
+    ahead = np.hstack([places + 1e-3 * normals, np.ones((len(places), 1))]) @ view.T
+    nearer = ahead[:, 2] * clip[:, 3] < clip[:, 2] * ahead[:, 3]
+    return Places((flat + 1.0) / 2.0 * np.array(size), before & nearer)
+
+
+def nearest_landmark(places: Places, pixel: tuple[float, float], reach: float = NEAR) -> int:
+    """The landmark nearest to `pixel` among those that look at the viewer; -1 where none is within `reach`."""
+    away = np.linalg.norm(places.pixels - np.array(pixel), axis=1)
+    away[~places.facing] = np.inf
+    nearest = int(away.argmin())
+    return nearest if away[nearest] <= reach else -1

@@ -1,0 +1,132 @@
+"""The head's materials: painted textures for Workbench, and with them skin, eyes and teeth for Eevee and Cycles.
+
+Workbench shows nothing but the active image texture, so that the look is in the pictures of `assets/head`; the shader
+adds what pictures cannot: light under the skin, pores, the gloss of eyes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import bpy
+
+from ...core.assets import ASSETS
+from ...core.errors import ModelError
+from ..names import UV_MAP
+
+TEXTURES = ASSETS / "head"
+
+Build = Callable[[bpy.types.NodeTree, bpy.types.Node], None]
+
+
+def head_materials() -> dict[str, bpy.types.Material]:
+    """New materials by use: "skin" and the names of the parts."""
+    eye = _material("Facemime Eye", "eye.jpg", (0.85, 0.83, 0.80), 0.06, _wet)
+    teeth = _material("Facemime Teeth", "teeth.jpg", (0.80, 0.76, 0.66), 0.18, _enamel)
+    return {
+        "skin": _material("Facemime Skin", "skin.jpg", (0.69, 0.45, 0.35), 0.46, _skin),
+        "eye_left": eye,
+        "eye_right": eye,
+        "teeth_upper": teeth,
+        "teeth_lower": teeth,
+        "tongue": _material("Facemime Tongue", "tongue.jpg", (0.55, 0.20, 0.20), 0.30, _wet),
+    }
+
+
+def plain_material(name: str, colour: tuple[float, float, float], roughness: float) -> bpy.types.Material:
+    """A new Principled material of one colour, in a viewport without nodes too."""
+    material = bpy.data.materials.new(name)
+    if material.node_tree is None:
+        material.use_nodes = True
+    material.diffuse_color = (*colour, 1.0)
+    material.roughness = roughness
+    material.specular_intensity = 0.5 if roughness < 0.4 else 0.15
+    shader = _shader(material)
+    shader.inputs["Base Color"].default_value = (*colour, 1.0)
+    shader.inputs["Roughness"].default_value = roughness
+    return material
+
+
+def _shader(material: bpy.types.Material) -> bpy.types.Node:
+    return next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+
+
+def _material(
+    name: str, picture: str, colour: tuple[float, float, float], roughness: float, finish: Build
+) -> bpy.types.Material:
+    """A Principled material with `picture`; `colour` and `roughness` are those of a viewport without textures."""
+    material = plain_material(name, colour, roughness)
+    tree, shader = material.node_tree, _shader(material)
+    texture = tree.nodes.new("ShaderNodeTexImage")
+    texture.image = _image(picture)
+    texture.location = (-600.0, 300.0)
+    coordinates = tree.nodes.new("ShaderNodeUVMap")
+    coordinates.uv_map = UV_MAP
+    coordinates.location = (-850.0, 300.0)
+    tree.links.new(coordinates.outputs["UV"], texture.inputs["Vector"])
+    tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+    finish(tree, shader)
+    for node in tree.nodes:
+        node.select = False
+    texture.select = True
+    tree.nodes.active = texture
+    return material
+
+
+def _image(picture: str) -> bpy.types.Image:
+    """The picture, packed so that a saved file needs no extension to be seen."""
+    path = TEXTURES / picture
+    if not path.is_file():
+        raise ModelError(f"The picture {path} of the head is missing. Install Facemime again.")
+    name = f"Facemime {path.stem.title()}"
+    image = bpy.data.images.get(name)
+    if image is None or tuple(image.size) == (0, 0):
+        image = bpy.data.images.load(str(path))
+        image.name = name
+        image.pack()
+    return image
+
+
+def _skin(tree: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
+    """Light under the skin, gloss that varies, pores."""
+    shader.inputs["Subsurface Weight"].default_value = 0.12
+    shader.inputs["Subsurface Radius"].default_value = (1.0, 0.35, 0.18)
+    shader.inputs["Subsurface Scale"].default_value = 0.004
+    shader.inputs["Specular IOR Level"].default_value = 0.42
+    patches = _noise(tree, 90.0, (-850.0, -50.0))
+    gloss = tree.nodes.new("ShaderNodeMapRange")
+    gloss.location = (-600.0, -50.0)
+    gloss.inputs["To Min"].default_value, gloss.inputs["To Max"].default_value = 0.36, 0.58
+    tree.links.new(patches.outputs[0], gloss.inputs["Value"])
+    tree.links.new(gloss.outputs[0], shader.inputs["Roughness"])
+    _bump(tree, shader, 1400.0, 0.10, 0.0004)
+
+
+def _wet(_: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
+    shader.inputs["Coat Weight"].default_value = 0.6
+    shader.inputs["Coat Roughness"].default_value = 0.03
+
+
+def _enamel(_: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
+    shader.inputs["Subsurface Weight"].default_value = 0.08
+    shader.inputs["Subsurface Scale"].default_value = 0.002
+
+
+def _noise(tree: bpy.types.NodeTree, scale: float, place: tuple[float, float]) -> bpy.types.Node:
+    """Noise that stays with the skin as it moves, since it follows the texture coordinates."""
+    node = tree.nodes.new("ShaderNodeTexNoise")
+    node.location = place
+    node.inputs["Scale"].default_value = scale
+    coordinates = next(other for other in tree.nodes if other.type == "UVMAP")
+    tree.links.new(coordinates.outputs["UV"], node.inputs["Vector"])
+    return node
+
+
+def _bump(tree: bpy.types.NodeTree, shader: bpy.types.Node, scale: float, strength: float, distance: float) -> None:
+    pores = _noise(tree, scale, (-850.0, -350.0))
+    bump = tree.nodes.new("ShaderNodeBump")
+    bump.location = (-300.0, -350.0)
+    bump.inputs["Strength"].default_value = strength
+    bump.inputs["Distance"].default_value = distance
+    tree.links.new(pores.outputs[0], bump.inputs["Height"])
+    tree.links.new(bump.outputs["Normal"], shader.inputs["Normal"])

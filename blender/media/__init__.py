@@ -1,0 +1,1 @@
+"""Pictures, videos and sound, into Blender and out of it."""

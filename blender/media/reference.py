@@ -1,0 +1,71 @@
+"""The video of a performance beside the head, in step with what is baked from it."""
+
+from __future__ import annotations
+
+from math import pi, radians
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ...core.capture import VideoSource
+from ..actions import Curve, write_curves
+
+_TURNS_VIDEOS = (4, 4, 0)
+"""The first Blender that shows the videos of telephones upright."""
+_HEIGHTS = 0.1
+"""Between head and picture, of the head's height."""
+
+
+def add_reference(scene: bpy.types.Scene, path: Path, offset: float, head: bpy.types.Object) -> bpy.types.Object:
+    """An empty with the video at `path`, as high as `head` and beside it, that shows what was seen at each frame.
+
+    Parameters
+    ----------
+    offset : float
+        Seconds in the video at the scene's frame 1.
+
+    Raises
+    ------
+    SourceError
+        Where the video cannot be read.
+    """
+    with VideoSource(path) as video:
+        fps, turn = video.fps, video.turn
+    image = bpy.data.images.load(str(path), check_existing=True)
+    image.source = "MOVIE"
+    empty = bpy.data.objects.new(f"{path.stem} Reference", None)
+    empty.empty_display_type, empty.data = "IMAGE", image
+    user = empty.image_user
+    user.use_auto_refresh, user.frame_start, user.frame_duration = True, 1, image.frame_duration
+    _keep_in_step(empty, image.frame_duration, fps, scene.render.fps / scene.render.fps_base, offset)
+    width, height = image.size
+    turned = bpy.app.version < _TURNS_VIDEOS
+    if turned and turn % 180:
+        width, height = height, width
+    _place(empty, head, width / max(height, 1), radians(turn) if turned else 0.0)
+    scene.collection.objects.link(empty)
+    return empty
+
+
+def _keep_in_step(empty: bpy.types.Object, count: int, fps: float, rate: float, offset: float) -> None:
+    """Show frame (t + offset) fps of the video's `count` at t seconds, in a scene of `rate` frames a second."""
+    frames = np.arange(1, max(2, int(np.ceil((count / fps - offset) * rate)) + 1))
+    shown = np.round((frames - 1) / rate * fps + offset * fps) - (frames - 1)
+    empty.image_user.frame_offset = int(shown[0])
+    if np.ptp(shown) > 0:
+        write_curves(empty, empty.name, frames, [Curve("image_user.frame_offset", 0, shown)])
+
+
+def _place(empty: bpy.types.Object, head: bpy.types.Object, aspect: float, turn: float) -> None:
+    """Upright, once turned by `turn` radians clockwise, to the left of `head` as it is seen from the front, where the
+    sidebar does not hide it.
+    """
+    corners = np.array([head.matrix_world @ Vector(corner) for corner in head.bound_box])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    height = float(high[2] - low[2])
+    empty.empty_display_size = height * max(aspect, 1.0)
+    x = low[0] - (_HEIGHTS + 0.5 * aspect) * height
+    empty.location = (x, 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2]))
+    empty.rotation_euler = (0.5 * pi, turn, 0.0)

@@ -1,0 +1,58 @@
+"""The record of a clip, checked as it is read: the folder of outputs is open to others, and the report shows it."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from pathlib import PurePath
+from typing import Any
+
+from ...core.reading import as_list, as_number, as_object, as_whole, shown
+
+_MOST_FRAMES, _MOST_SECONDS = 2**31, 1e9
+_MOST_OUTPUTS, _MOST_POINTS, _MOST_PICTURES = 16, 1000, 16
+
+
+def checked_record(data: Any) -> dict[str, Any]:
+    """The record that `data` is, without what does not belong to one.
+
+    Raises
+    ------
+    ValueError
+        Where something is missing or of another kind.
+    """
+    given = as_object(data, "the record")
+    record: dict[str, Any] = {
+        "clip": _name(given.get("clip")),
+        "outputs": [_name(name) for name in as_list(given.get("outputs"), "outputs", _MOST_OUTPUTS)],
+        "frames": as_whole(given.get("frames"), "frames", 1, _MOST_FRAMES),
+    }
+    if not record["outputs"]:
+        raise ValueError("it names no outputs")
+    record["found"] = as_whole(given.get("found"), "found", 0, record["frames"])
+    for name in ("length", "seconds"):
+        record[name] = as_number(given.get(name), name, 0.0, _MOST_SECONDS)
+    curve = as_list(given.get("confidence"), "confidence", _MOST_POINTS)
+    record["confidence"] = [as_number(point, "confidence", 0.0, 1.0) for point in curve]
+    worst = as_list(given.get("worst"), "worst", _MOST_PICTURES)
+    record["worst"] = [as_number(time, "worst", -_MOST_SECONDS, _MOST_SECONDS) for time in worst]
+    pictures = as_list(given.get("thumbnails"), "thumbnails", _MOST_PICTURES)
+    record["thumbnails"] = [_picture(text) for text in pictures]
+    return record
+
+
+def _name(value: Any) -> str:
+    """A file's own name; not a path, which may lead anywhere."""
+    if not isinstance(value, str) or value in ("", ".", "..") or PurePath(value).name != value or "\\" in value:
+        raise ValueError(f"{shown(value)} is not the name of a file")
+    return value
+
+
+def _picture(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"{shown(value)} is not a picture")
+    try:
+        base64.b64decode(value, validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise ValueError("a thumbnail is not in base 64") from error
+    return value

@@ -1,0 +1,118 @@
+"""What the command line says while it works. All of it goes through here."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import unicodedata
+from typing import TextIO
+
+from ...core.errors import OutputError
+
+_UNSEEN = frozenset({"Cc", "Cs", "Zl", "Zp"})
+_TURNING = frozenset("\u200e\u200f\u061c\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+
+
+def say(text: str) -> None:
+    """Write a result to the standard output; a reader that has had enough, such as `head`, is no error.
+
+    Raises
+    ------
+    OutputError
+        Where it cannot be written.
+    """
+    if sys.stdout is None:  # closed by whoever called
+        return
+    try:
+        print("\n".join(printable(line) for line in text.split("\n")), flush=True)
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - what is left in the buffer goes there when Python ends
+    except OSError as error:
+        raise OutputError(f"Cannot write to the standard output: {(error.strerror or str(error)).lower()}.") from error
+
+
+def tell(text: str) -> None:
+    """Write a line for the user to the standard error; that nobody reads it, or its disk is full, is no error."""
+    write_error(printable(text) + "\n")
+
+
+def write_error(text: str) -> None:
+    """Write `text` as it is to the standard error, as `tell`."""
+    if sys.stderr is None:
+        return
+    try:
+        sys.stderr.write(text)
+        sys.stderr.flush()
+    except OSError:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - what is left in the buffer goes there when Python ends
+
+
+def printable(text: str) -> str:
+    """`text` on one line, with the characters by which a file's name could command a terminal written as escapes."""
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(_escaped(c) if unicodedata.category(c) in _UNSEEN or c in _TURNING else c for c in text)
+
+
+def _escaped(character: str) -> str:
+    if "\udc80" <= character <= "\udcff":  # a byte that is not UTF-8
+        return f"\\x{ord(character) - 0xDC00:02x}"
+    return character.encode("unicode_escape").decode()
+
+
+class Progress:
+    """A line that is rewritten in place on a terminal, and printed once at the end elsewhere.
+
+    Parameters
+    ----------
+    title : str
+        What is being done.
+    total : int
+        Steps expected; 0 where unknown.
+    unit : str
+        What the steps are.
+    """
+
+    def __init__(self, title: str, total: int = 0, stream: TextIO | None = None, unit: str = "frames") -> None:
+        self.title, self.total, self.done = printable(title), total, 0
+        self._unit, self._rate = unit, "fps" if unit == "frames" else f"{unit}/s"
+        self._stream = stream
+        shown = sys.stderr if stream is None else stream
+        self._live = shown is not None and shown.isatty()
+        self._start = time.perf_counter()
+        self._drawn = 0.0
+
+    def update(self, done: int, total: int | None = None) -> None:
+        """Say that `done` steps are done; drawn ten times a second at most."""
+        self.done, self.total = done, self.total if total is None else total
+        now = time.perf_counter()
+        if self._live and now - self._drawn > 0.1:
+            self._drawn = now
+            self._write("\r\x1b[K" + self.line())
+
+    def finish(self, note: str = "") -> None:
+        """End the line, with what came out."""
+        note = f", {printable(note)}" if note else ""
+        self._write(("\r\x1b[K" if self._live else "") + self.line(ended=True) + note + "\n")
+
+    def _write(self, text: str) -> None:
+        if self._stream is None:
+            write_error(text)
+        else:
+            self._stream.write(text)
+            self._stream.flush()
+
+    def line(self, ended: bool = False) -> str:
+        """The line as it stands: title, bar, count, rate and the time left."""
+        elapsed = max(time.perf_counter() - self._start, 1e-6)
+        rate = self.done / elapsed
+        if ended:
+            return f"{self.title}: {self.done} {self._unit} in {elapsed:.1f} s, {rate:.1f} {self._rate}"
+        text = f"{self.title} {self.done}"
+        if self.total > 0:
+            filled = min(20, round(20 * self.done / self.total))
+            left = max(0.0, (self.total - self.done) / rate) if rate > 0 else 0.0
+            text = f"{self.title} [{'#' * filled}{'.' * (20 - filled)}] {self.done}/{self.total}"
+            return f"{text}  {rate:.1f} {self._rate}  {left:.0f} s left"
+        return f"{text}  {rate:.1f} {self._rate}"

@@ -1,0 +1,192 @@
+"""Control points for a head from a recorded take, and their file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, replace
+from math import isnan, nan
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+from ..drive.retarget import retargeter_for
+from ..errors import HeadError, SourceError
+from ..heads.regions import REGIONS
+from ..heads.rig import HeadRig
+from ..landmarks import IBUG68_INDICES, N_LANDMARKS, from_ibug
+from ..reading import as_list, as_number, as_object, as_text, as_whole, parse_json, shown
+from ..takes.neutral import Neutral, calibrate
+from ..takes.take import Take
+from .greedy import DEFAULT_TOLERANCE, GreedySelection, GreedyStep, greedy_select
+
+_LEFT_OUT = frozenset(range(68)) - frozenset(IBUG68_INDICES.tolist())
+_LAST = int(IBUG68_INDICES[-1])
+_FORMAT = "facemime-control-points-1"
+_BEYOND = 68
+_ACTIONS = ("start", "add", "drop")
+_MOST_STEPS = 10_000
+_LARGEST_ERROR, _LARGEST_VARIANCE = 1e3, 1e15
+"""Widths of the face; squares of whatever the head is measured in."""
+_ROUNDING = 1e-3
+"""Of the largest variance: what five digits leave of an eigenvalue of 0."""
+
+
+def select_for_take(
+    rig: HeadRig,
+    take: Take,
+    *,
+    neutral: Neutral | None = None,
+    tolerance: float = DEFAULT_TOLERANCE,
+    max_points: int = N_LANDMARKS,
+    always: Iterable[int] = (),
+    never: Iterable[int] = (),
+) -> GreedySelection:
+    """Choose the control points that `rig` needs for what happens in `take`; frames are numbered as in the take.
+
+    Parameters
+    ----------
+    neutral : optional
+        The performer's; found in the take by default.
+    tolerance, max_points, always, never
+        As for `greedy_select`.
+
+    Raises
+    ------
+    SourceError
+        Where no face was found in the take.
+    """
+    neutral = calibrate(take) if neutral is None else neutral
+    landmarks = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
+    retargeter = retargeter_for(neutral, landmarks)
+    found = np.flatnonzero(take.found)
+    motion = np.stack([retargeter.displacements(take.shape[frame]) for frame in found])
+    selection = greedy_select(
+        landmarks,
+        motion,
+        tolerance=tolerance,
+        max_points=max_points,
+        always=always,
+        never=never,
+        skin=(rig.vertices, rig.region_weights),
+    )
+    return replace(selection, steps=tuple(replace(step, frame=int(found[step.frame])) for step in selection.steps))
+
+
+def to_json(selection: GreedySelection) -> str:
+    """The selection as text, landmarks by their iBUG numbers; of the covariance, its lower triangle to five digits."""
+    steps = [
+        asdict(replace(step, landmark=int(IBUG68_INDICES[step.landmark]), worst=int(IBUG68_INDICES[step.worst])))
+        for step in selection.steps
+    ]
+    regions = [IBUG68_INDICES[row].tolist() for row in selection.membership]
+    header = {"format": _FORMAT, "tolerance": selection.tolerance, "reached": selection.reached}
+    if selection.covariance is not None:
+        header["covariance"] = [float(f"{x:.5g}") for x in selection.covariance[np.tril_indices(N_LANDMARKS)]]
+    return json.dumps(header | {"regions": regions, "steps": steps})
+
+
+def from_json(text: str) -> GreedySelection:
+    """The selection that `to_json` wrote.
+
+    Raises
+    ------
+    SourceError
+        Where the text is something else.
+    """
+    try:
+        data = as_object(parse_json(text, nan=True), "the text")
+        if data.get("format") != _FORMAT:
+            raise ValueError("another format")
+        steps = as_list(data.get("steps"), "steps", _MOST_STEPS)
+        reached = data.get("reached")
+        if not isinstance(reached, bool):
+            raise ValueError(f"reached is {shown(reached)}, not true or false")
+        return GreedySelection(
+            _members(data.get("regions")),
+            tuple(_step(as_object(step, f"step {number}")) for number, step in enumerate(steps, 1)),
+            as_number(data.get("tolerance"), "tolerance", 0.0, _LARGEST_ERROR),
+            reached,
+            _covariance(data.get("covariance")),
+        )
+    except ValueError as error:
+        raise SourceError(
+            f"These are no control points of Facemime ({error}). Make some with: facemime select TAKE -o POINTS.json"
+        ) from error
+
+
+def _members(regions: Any) -> NDArray[np.bool_]:
+    """(3, 66) of the lists of landmarks, which have some of each region and none of another."""
+    rows = as_list(regions, "regions", len(REGIONS))
+    if len(rows) != len(REGIONS):
+        raise ValueError(f"there are {len(rows)} regions, not {len(REGIONS)}")
+    members = np.zeros((len(REGIONS), N_LANDMARKS), dtype=np.bool_)
+    for row, region, numbers in zip(members, REGIONS, rows, strict=True):
+        row[[_landmark(number) for number in as_list(numbers, region.name, N_LANDMARKS)]] = True
+        if not row.any() or (np.delete(row, region.landmarks)).any():
+            raise ValueError(f"the region {region.name} has no control point, or one that is not its own")
+    return members
+
+
+def _landmark(number: Any) -> int:
+    return int(from_ibug([as_whole(number, "a landmark", 0, 67)])[0])
+
+
+def _covariance(triangle: Any) -> FloatArray | None:
+    if triangle is None:
+        return None
+    rows = np.tril_indices(N_LANDMARKS)
+    values = as_list(triangle, "covariance", len(rows[0]))
+    if len(values) != len(rows[0]):
+        raise ValueError(f"covariance has {len(values)} numbers, not {len(rows[0])}")
+    matrix = np.zeros((N_LANDMARKS, N_LANDMARKS))
+    matrix[rows] = [as_number(value, "covariance", -_LARGEST_VARIANCE, _LARGEST_VARIANCE) for value in values]
+    matrix += np.tril(matrix, -1).T
+    least, *_, largest = np.linalg.eigvalsh(matrix).tolist()
+    if least < -_ROUNDING * largest or largest < 0.0:
+        raise ValueError("covariance is not a covariance matrix")
+    return matrix
+
+
+def _step(data: dict[str, Any]) -> GreedyStep:
+    if data.get("action") not in _ACTIONS:
+        raise ValueError(f"the action of a step is {shown(data.get('action'))}")
+    error = data.get("error")
+    unknown = isinstance(error, float) and isnan(error)  # of what was changed by hand
+    return GreedyStep(
+        action=data["action"],
+        landmark=_landmark(data.get("landmark")),
+        region=as_whole(data.get("region"), "the region of a step", 0, len(REGIONS) - 1),
+        reason=as_text(data.get("reason"), "the reason of a step"),
+        points=as_whole(data.get("points"), "the points of a step", 0, N_LANDMARKS),
+        error=nan if unknown else as_number(error, "the error of a step", 0.0, _LARGEST_ERROR),
+        frame=as_whole(data.get("frame"), "the frame of a step", 0, 2**31),
+        worst=_landmark(data.get("worst")),
+    )
+
+
+def parse_landmarks(text: str) -> list[int]:
+    """Positions in the 66 of iBUG numbers and ranges such as "17,19-21"; empty text gives none.
+
+    A range runs over 60 and 64, which are not among the 66.
+
+    Raises
+    ------
+    HeadError
+        Where it is something else.
+    """
+    numbers: list[int] = []
+    try:
+        for part in filter(None, (part.strip() for part in text.split(","))):
+            first, dash, last = part.partition("-")
+            span = range(int(first), min(int(last or first), _BEYOND) + 1)
+            if not span:
+                raise ValueError(f"{part} runs backwards")
+            if not 0 <= span[0] <= span[-1] <= _LAST:  # before a long range fills the memory
+                raise ValueError(f"landmarks are numbered from 0 to {_LAST}")
+            numbers += [number for number in span if not dash or number not in _LEFT_OUT]
+        return [int(i) for i in from_ibug(numbers)]
+    except ValueError as error:
+        raise HeadError(f"{text!r} names no landmarks ({error}). Write iBUG numbers such as 17,19-21.") from error

@@ -1,0 +1,159 @@
+"""Control points as a table and a curve for people to look at, and changed by hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import HeadError
+from ..heads.regions import REGIONS, membership
+from ..landmarks import IBUG68_INDICES, N_LANDMARKS
+from .greedy import GreedySelection, GreedyStep
+
+BY_HAND = "added by hand"
+REGION_COLOURS = ((0.10, 0.50, 0.85), (0.95, 0.65, 0.10), (0.05, 0.65, 0.45))
+"""Of upper, middle and lower, sRGB: told apart by those too who see no red or no green."""
+
+
+@dataclass(frozen=True)
+class PointRow:
+    """A landmark as a control point.
+
+    Attributes
+    ----------
+    landmark : int
+        Position in the 66.
+    regions : tuple of int
+        Rows of `REGIONS` that it controls; empty where it is no control point.
+    order : int
+        Which it was in the choice, from 1; 0 where nothing chose it.
+    reason : str
+        A muscle, or the error that it takes away.
+    error : float
+        Worst error left when it had been added, as a fraction of the face's width; nan where nobody knows.
+    """
+
+    landmark: int
+    regions: tuple[int, ...]
+    order: int = 0
+    reason: str = ""
+    error: float = float("nan")
+
+
+def point_rows(selection: GreedySelection | None) -> list[PointRow]:
+    """A row for each of the 66 landmarks, in their order; all are control points where there is no `selection`."""
+    if selection is None:
+        return [PointRow(i, tuple(np.flatnonzero(column).tolist())) for i, column in enumerate(membership().T)]
+    added: dict[int, GreedyStep] = {}
+    for step in selection.steps:
+        if step.action == "drop":
+            if not selection.membership[step.region, step.landmark]:
+                added.pop(step.landmark, None)
+        else:
+            added.setdefault(step.landmark, step)
+    order = {landmark: place for place, landmark in enumerate(added, 1)}
+    rows = []
+    for landmark, column in enumerate(selection.membership.T):
+        row = PointRow(landmark, tuple(np.flatnonzero(column).tolist()))
+        if row.regions and landmark in added:
+            row = replace(row, order=order[landmark], reason=selection.reason(landmark), error=added[landmark].error)
+        rows.append(row)
+    return rows
+
+
+def add_by_hand(selection: GreedySelection, landmark: int) -> GreedySelection:
+    """The selection with `landmark` as a control point of each region that it belongs to.
+
+    Raises
+    ------
+    HeadError
+        Where it is one already.
+    """
+    if selection.membership[:, landmark].any():
+        raise HeadError(f"Landmark {IBUG68_INDICES[landmark]} is a control point already. Pick another one.")
+    return _changed(selection, landmark, "add", BY_HAND, membership()[:, landmark])
+
+
+def drop_by_hand(selection: GreedySelection | None, landmark: int) -> GreedySelection:
+    """The selection, or all landmarks where there is none, without `landmark`.
+
+    Raises
+    ------
+    HeadError
+        Where it is no control point, or the last one of a region.
+    """
+    selection = selection or GreedySelection(membership(), (), 0.0, True)
+    column = selection.membership[:, landmark]
+    if not column.any():
+        raise HeadError(f"Landmark {IBUG68_INDICES[landmark]} is no control point. Pick one that is.")
+    last = [region.name for region, row in zip(REGIONS, selection.membership, strict=True) if row.sum() == 1]
+    last = [name for name, has in zip([r.name for r in REGIONS], column, strict=True) if has and name in last]
+    if last:
+        raise HeadError(f"It is the last control point of the region {last[0]}. Add another one there first.")
+    return _changed(selection, landmark, "drop", "dropped by hand", np.zeros(len(REGIONS), dtype=np.bool_))
+
+
+def _changed(
+    selection: GreedySelection, landmark: int, action: str, reason: str, column: NDArray[np.bool_]
+) -> GreedySelection:
+    table = selection.membership.copy()
+    touched = np.flatnonzero(table[:, landmark] | column).tolist()
+    table[:, landmark] = column
+    points = int(table.any(axis=0).sum())
+    steps = tuple(GreedyStep(action, landmark, region, reason, points, float("nan"), 0, 0) for region in touched)
+    return replace(selection, membership=table, steps=selection.steps + steps)
+
+
+def error_curve(selection: GreedySelection) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Counts of control points, ascending, and the least worst error that was met with each."""
+    best: dict[int, float] = {}
+    for step in selection.steps:
+        if np.isfinite(step.error):
+            best[step.points] = min(step.error, best.get(step.points, np.inf))
+    counts = sorted(best)
+    return np.array(counts, dtype=np.intp), np.array([best[count] for count in counts], dtype=np.float64)
+
+
+def draw_curve(selection: GreedySelection, width: int = 320, height: int = 200) -> NDArray[np.float32]:
+    """(height, width, 4) picture of the worst error over the count, in per cent; rows from the bottom, as Blender's.
+
+    Strokes on nothing: they are seen on light panels and on dark ones.
+    """
+    counts, errors = error_curve(selection)
+    picture = np.zeros((height, width, 4), dtype=np.uint8)
+    left, right, low, top = 46, width - 12, height - 26, 14
+    ink, line, goal = (128, 128, 128, 255), (40, 130, 220, 255), (235, 150, 30, 255)
+    cv2.line(picture, (left, low), (right, low), ink, 1, cv2.LINE_AA)
+    cv2.line(picture, (left, top), (left, low), ink, 1, cv2.LINE_AA)
+    if len(counts) == 0:
+        return picture.astype(np.float32)[::-1] / 255.0
+    largest = max(float(errors.max()), selection.tolerance, 1e-9) * 1.05
+    across = left + (right - left) * (counts - 1) / max(N_LANDMARKS - 1, 1)
+    up = low - (low - top) * errors / largest
+    level = round(low - (low - top) * selection.tolerance / largest)
+    cv2.line(picture, (left, level), (right, level), goal, 1, cv2.LINE_AA)
+    points = np.round(np.stack([across, up], axis=1)).astype(np.int32)
+    cv2.polylines(picture, [points], False, line, 2, cv2.LINE_AA)
+    for x, y in points.tolist():
+        cv2.circle(picture, (x, y), 3, line, -1, cv2.LINE_AA)
+    for text, place in (
+        (f"{100 * largest:.1f}%", (2, top + 8)),
+        (f"{100 * selection.tolerance:.1f}%", (2, max(level + 4, top + 24))),
+        ("1", (left, height - 8)),
+        (str(N_LANDMARKS), (right - 16, height - 8)),
+    ):
+        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, 1, cv2.LINE_AA)
+    return np.ascontiguousarray(picture[::-1], dtype=np.float32) / 255.0
+
+
+def region_colours(weights: NDArray[np.float32] | NDArray[np.float64], opacity: float) -> NDArray[np.float32]:
+    """(V, 4) colour of each vertex of (3, V) `weights`: the regions' colours mixed, clear where no region is."""
+    weights = np.clip(np.asarray(weights, dtype=np.float32), 0.0, 1.0)
+    total = weights.sum(axis=0)
+    colours = np.zeros((weights.shape[1], 4), dtype=np.float32)
+    colours[:, :3] = (weights.T @ np.array(REGION_COLOURS, dtype=np.float32)) / np.maximum(total, 1e-6)[:, None]
+    colours[:, 3] = opacity * np.minimum(total, 1.0)
+    return colours

@@ -1,0 +1,99 @@
+"""Is a head ready to be driven? Each finding says what is wrong and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+from ..landmarks import IBUG68_INDICES
+from ..mesh.surface import SurfaceGraph, lips_joined
+from .lids import eyes_joined
+from .regions import REGIONS, membership
+
+_STRANGER = 0.01
+_LISTED = 8
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong with a head, and what to do, each one sentence; and the step that does it, where one does."""
+
+    problem: str
+    remedy: str
+    step: str = ""
+
+
+def check_head(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> list[Finding]:
+    """What would keep a head from being driven well; empty where nothing does.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+    faces : (F, K) array of int
+        Vertices of each face, padded with -1.
+    landmarks : (66,) array of int
+    region_weights : (3, V) array
+    """
+    findings = []
+    unique, counts = np.unique(landmarks, return_counts=True)
+    if (counts > 1).any():
+        twins = np.flatnonzero(np.isin(landmarks, unique[counts > 1]))
+        findings.append(Finding(f"Landmarks {_list(twins)} share vertices.", "Bind each to a vertex of its own."))
+    findings += _region_findings(landmarks, region_weights)
+    findings += _lip_findings(vertices, faces, landmarks)
+    findings += _eye_findings(vertices, faces, landmarks)
+    return findings
+
+
+def _region_findings(landmarks: IntArray, region_weights: FloatArray) -> list[Finding]:
+    findings = []
+    weights = np.asarray(region_weights)[:, landmarks]
+    outside = np.flatnonzero(weights.max(axis=0) < _STRANGER)
+    if len(outside):
+        findings.append(
+            Finding(
+                f"Landmarks {_list(outside)} lie in no region.", "Paint their regions over them, or bind them anew."
+            )
+        )
+    for region, members, row, whole in zip(REGIONS, membership(), weights, region_weights, strict=True):
+        if not np.asarray(whole).any():
+            findings.append(Finding(f"The region {region.name} is empty.", "Paint it, or propose the regions again."))
+        elif not (members & (row >= _STRANGER)).any():
+            findings.append(
+                Finding(
+                    f"The region {region.name} has none of its control points within.",
+                    "Paint it over its landmarks, or propose the regions again.",
+                )
+            )
+    return findings
+
+
+def _lip_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[Finding]:
+    if not lips_joined(SurfaceGraph(vertices, faces), landmarks):
+        return []
+    return [
+        Finding(
+            "The lips are joined into one skin, so that the mouth cannot open.",
+            "Press Open Lips, which cuts the mesh between them, or model a slit.",
+            "open_lips",
+        )
+    ]
+
+
+def _eye_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[Finding]:
+    if not any(eyes_joined(vertices, faces, landmarks)):
+        return []
+    return [
+        Finding(
+            "The eyes are one skin with their lids, so that they cannot shut.",
+            "Press Open Eyes, which cuts the mesh along the lids, or model eyes of their own.",
+            "open_eyes",
+        )
+    ]
+
+
+def _list(landmarks: IntArray) -> str:
+    numbers = [str(int(IBUG68_INDICES[i])) for i in landmarks]
+    return ", ".join(numbers[:_LISTED]) + (f" and {len(numbers) - _LISTED} more" if len(numbers) > _LISTED else "")

@@ -1,0 +1,329 @@
+"""FaceGen's heads: `.tri` (mesh with difference and statistical morphs), `.egm` (face space modes), and its OBJ.
+
+FaceGen's vertices keep their order through all three, which is what its morphs hang on: nothing is merged or sorted.
+FaceGen's axes are x to the viewer's right, y up, z to the viewer, in millimetres; what is read here is in the head
+frame (y down, z away), still in millimetres.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SourceError
+from ..reading import read_bytes, shown
+
+_TO_HEAD = np.array([1.0, -1.0, -1.0], dtype=np.float32)
+_MOST = 50_000_000
+"""No count of a sound file is larger."""
+_MOST_FILE = 256 << 20
+_MOST_MORPHS, _MOST_MORPH_BYTES = 1000, 256 << 20
+"""Of a file. An empty statistical morph takes twelve bytes of it and as many of memory for every vertex."""
+_FARTHEST = 1e9
+"""Millimetres: what is farther away is no head, and its squares would not be finite."""
+
+
+@dataclass(frozen=True)
+class FaceGenMesh:
+    """A mesh in the head frame, millimetres.
+
+    Attributes
+    ----------
+    vertices : (V, 3) float32
+    faces : (F, 4) int32
+        Vertices of each face, triangles padded with -1.
+    uv : (F, 4, 2) float32 or None
+        Texture coordinates of the faces' corners, v up.
+    morphs : tuple of (str, (V, 3) float32)
+        Name and displacement of each difference and statistical morph.
+    labels : dict of str to int
+        Vertices that the file names.
+    """
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    uv: NDArray[np.float32] | None
+    morphs: tuple[tuple[str, NDArray[np.float32]], ...]
+    labels: dict[str, int]
+
+
+def read_tri(path: Path) -> FaceGenMesh:
+    """Read a `.tri` of version 003.
+
+    Raises
+    ------
+    SourceError
+        The file is missing, encrypted, of another version, or damaged; the message tells at which byte.
+    """
+    reader = _Reader(path, b"FRTRI", b"003")
+    names = ("V", "T", "Q", "LV", "LS", "X", "ext", "Md", "Ms", "K")
+    count = dict(zip(names, (reader.count(name) for name in names), strict=True))
+    reader.skip(16)
+    reader.check_morphs(count["Md"] + count["Ms"], count["V"])
+    vertices = reader.vectors(count["V"], "vertices")
+    targets = reader.vectors(count["K"], "vertices of the statistical morphs")
+    triangles = reader.indices((count["T"], 3), count["V"], "triangles")
+    quads = reader.indices((count["Q"], 4), count["V"], "quads")
+    wide = bool(count["ext"] & 2)
+    labels = {}
+    for _ in range(count["LV"]):
+        vertex = reader.indices((1,), count["V"], "a labelled vertex")[0]
+        labels[reader.label(wide)] = int(vertex)
+    for _ in range(count["LS"]):
+        reader.skip(16)
+        reader.label(wide)
+    uv = _tri_uv(reader, count, triangles, quads)
+    morphs = [(reader.label(wide), reader.differences(count["V"])) for _ in range(count["Md"])]
+    used = 0
+    for _ in range(count["Ms"]):
+        name, moved = reader.label(wide), reader.count("vertices of a statistical morph")
+        rows = reader.indices((moved,), count["V"], f"vertices of the morph {shown(name)}")
+        if used + moved > count["K"]:
+            reader.fail("more vertices of statistical morphs than the header states")
+        offsets = np.zeros_like(vertices)
+        offsets[rows] = targets[used : used + moved] - vertices[rows]
+        morphs.append((name, offsets))
+        used += moved
+    reader.end()
+    faces = np.concatenate([np.pad(triangles, ((0, 0), (0, 1)), constant_values=-1), quads])
+    return _sound(path, FaceGenMesh(vertices, faces, uv, tuple(morphs), labels))
+
+
+def read_egm(path: Path, mesh: FaceGenMesh) -> tuple[tuple[str, NDArray[np.float32]], ...]:
+    """Read the modes of an `.egm` of version 002 that belongs to `mesh`: name and (V, 3) displacement at one unit.
+
+    Raises
+    ------
+    SourceError
+        As for `read_tri`; also where the file belongs to a mesh of another number of vertices.
+    """
+    reader = _Reader(path, b"FREGM", b"002")
+    vertices, symmetric, asymmetric = (reader.count(name) for name in ("vertices", "symmetric", "asymmetric modes"))
+    reader.skip(44)
+    if vertices < len(mesh.vertices):
+        raise SourceError(
+            f"{path} is for a mesh of {vertices} vertices, this one has {len(mesh.vertices)}. Give the .egm beside it."
+        )
+    reader.check_morphs(symmetric + asymmetric, vertices)
+    names = [f"Symmetric {i + 1:02d}" for i in range(symmetric)]
+    names += [f"Asymmetric {i + 1:02d}" for i in range(asymmetric)]
+    modes = tuple((name, reader.differences(vertices)[: len(mesh.vertices)]) for name in names)
+    reader.end()
+    return modes
+
+
+def read_obj(path: Path) -> FaceGenMesh:
+    """Read vertices, faces and texture coordinates of a Wavefront OBJ in the file's own order; the rest is left out.
+
+    Raises
+    ------
+    SourceError
+        The file is missing, or a line cannot be read; the message tells which.
+    """
+    vertices: list[list[float]] = []
+    texture: list[list[float]] = []
+    corners: list[list[tuple[int, int]]] = []
+    number = 0
+    try:
+        for line in read_bytes(path, _MOST_FILE).decode("utf-8", "replace").splitlines():
+            number += 1
+            kind, _, rest = line.strip().partition(" ")
+            if kind == "v":
+                vertices.append(_numbers(rest, 3))
+            elif kind == "vt":
+                texture.append(_numbers(rest, 2))
+            elif kind == "f":
+                corners += _fan([_corner(text, len(vertices), len(texture)) for text in rest.split()])
+        places = np.array(vertices, dtype=np.float32).reshape(len(vertices), 3)
+        coordinates = np.array(texture, dtype=np.float32).reshape(len(texture), 2)
+    except OSError as error:
+        raise SourceError(f"{path} cannot be read ({error.strerror}). Choose another file.") from error
+    except ValueError as error:
+        where = f" at line {number}" if number else ""
+        raise SourceError(f"{path} is damaged{where} ({error}). Export it again.") from error
+    if not len(places) or not corners:
+        raise SourceError(f"{path} holds no mesh. Export it again, with its faces.")
+    faces = np.array([[vertex for vertex, _ in face] for face in corners], dtype=np.int32)
+    of_texture = np.array([[index for _, index in face] for face in corners])
+    has_uv = len(texture) > 0 and bool((of_texture[faces >= 0] >= 0).all())
+    uv = np.where((faces >= 0)[..., None], coordinates[np.maximum(of_texture, 0)], 0.0) if has_uv else None
+    mesh = FaceGenMesh(places * _TO_HEAD, faces, None if uv is None else uv.astype(np.float32), (), {})
+    return _sound(path, mesh)
+
+
+def _sound(path: Path, mesh: FaceGenMesh) -> FaceGenMesh:
+    """The mesh without degenerate and duplicate faces; SourceError where no area is left.
+
+    Blender accepts such faces, and Subdivide then crashes on them, or never ends.
+    """
+    faces = mesh.faces.copy()
+    ordered = np.sort(faces, axis=1)
+    for row in np.flatnonzero(((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] >= 0)).any(axis=1)).tolist():
+        corners = [corner for corner in faces[row].tolist() if corner >= 0]
+        distinct = [place for place, corner in enumerate(corners) if corner != corners[place - 1]]
+        if len(distinct) == 3 == len({corners[place] for place in distinct}):  # a quad with a side of no length
+            faces[row] = [*(corners[place] for place in distinct), -1]
+            if mesh.uv is not None:
+                mesh.uv[row, :3] = mesh.uv[row, distinct]
+        else:
+            faces[row] = -1
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    kept = np.sort(first)
+    kept = kept[faces[kept, 2] >= 0]
+    corners = mesh.vertices.astype(np.float64)[faces[kept]]
+    with_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    if not with_area.any():
+        raise SourceError(f"{path} holds no mesh: none of its faces has an area. Export it again.")
+    uv = None if mesh.uv is None else mesh.uv[kept]
+    return replace(mesh, faces=faces[kept], uv=uv)
+
+
+def _numbers(text: str, count: int) -> list[float]:
+    numbers = [float(value) for value in text.split()[:count]]
+    if len(numbers) < count or not all(abs(number) <= _FARTHEST for number in numbers):
+        raise ValueError(f"{shown(text.strip())} where {count} numbers are needed")
+    return numbers
+
+
+def _corner(text: str, vertices: int, texture: int) -> tuple[int, int]:
+    """Vertex and texture coordinate of a corner `v`, `v/vt`, `v//vn` or `v/vt/vn`; the latter -1 where not given."""
+    parts = text.split("/")
+    vertex = _from_one(int(parts[0]), vertices)
+    return vertex, _from_one(int(parts[1]), texture) if len(parts) > 1 and parts[1] else -1
+
+
+def _from_one(index: int, count: int) -> int:
+    """OBJ counts from one, or backwards from the last."""
+    place = index - 1 if index > 0 else count + index
+    if not 0 <= place < count:
+        raise ValueError(f"{shown(index)} where {count} were given")
+    return place
+
+
+def _fan(face: list[tuple[int, int]]) -> list[list[tuple[int, int]]]:
+    """Triangles and quads as they are, padded; larger polygons as a fan of triangles."""
+    if len(face) < 3:
+        raise ValueError("a face of fewer than three corners")
+    if len(face) <= 4:
+        return [face + [(-1, -1)] * (4 - len(face))]
+    return [[face[0], face[i], face[i + 1], (-1, -1)] for i in range(1, len(face) - 1)]
+
+
+def _tri_uv(
+    reader: _Reader, count: dict[str, int], triangles: NDArray[np.int32], quads: NDArray[np.int32]
+) -> NDArray[np.float32] | None:
+    """(F, 4, 2): by a list and indices of each face, or one for each vertex."""
+    if count["X"]:
+        table = reader.array("<f4", (count["X"], 2), "texture coordinates")
+        of_triangles = reader.indices((count["T"], 3), count["X"], "texture of the triangles")
+        of_quads = reader.indices((count["Q"], 4), count["X"], "texture of the quads")
+    elif count["ext"] & 1:
+        table = reader.array("<f4", (count["V"], 2), "texture coordinates")
+        of_triangles, of_quads = triangles, quads
+    else:
+        return None
+    uv = np.zeros((len(triangles) + len(quads), 4, 2), dtype=np.float32)
+    uv[: len(triangles), :3] = table[of_triangles]
+    uv[len(triangles) :] = table[of_quads]
+    return uv
+
+
+class _Reader:
+    """Little-endian values one after the other; whatever does not fit is told with its place in the file."""
+
+    def __init__(self, path: Path, kind: bytes, version: bytes) -> None:
+        self.path = path
+        try:
+            self._data = read_bytes(path, _MOST_FILE)
+        except OSError as error:
+            raise SourceError(f"{path} cannot be read ({error.strerror}). Choose another file.") from error
+        except ValueError as error:
+            raise SourceError(f"{path} cannot be read: {error}. Choose another file.") from error
+        if self._data[:5] != kind:
+            raise SourceError(f"{path} is no {kind.decode()} file of FaceGen (byte 0). Choose another file.")
+        if self._data[5:8] != version:
+            found = self._data[5:8].decode("ascii", "replace")
+            raise SourceError(
+                f"{path} is of version {found} (byte 5); {version.decode()} is read. Export it again unencrypted."
+            )
+        self._at = 8
+
+    def fail(self, what: str) -> None:
+        """Raise SourceError for the place reached."""
+        raise SourceError(f"{self.path} is damaged at byte {self._at}: {what}. Export it again.")
+
+    def end(self) -> None:
+        """Nothing may follow."""
+        if self._at != len(self._data):
+            self.fail(f"{len(self._data) - self._at} bytes follow the end")
+
+    def skip(self, size: int) -> None:
+        """Leave `size` bytes out."""
+        self._need(size, "reserved bytes")
+        self._at += size
+
+    def count(self, what: str) -> int:
+        """A number of things, 32 bit."""
+        self._need(4, f"the number of {what}")
+        (value,) = struct.unpack_from("<i", self._data, self._at)
+        if not 0 <= value <= _MOST:
+            self.fail(f"{value} as the number of {what}")
+        self._at += 4
+        return int(value)
+
+    def check_morphs(self, morphs: int, vertices: int) -> None:
+        """Fail where so many morphs are more than any head has, before anything is made of them."""
+        if morphs > _MOST_MORPHS or 12 * morphs * vertices > _MOST_MORPH_BYTES:
+            self.fail(f"{morphs} morphs of {vertices} vertices, more than a head has")
+
+    def array(self, dtype: str, shape: tuple[int, ...], what: str) -> NDArray[Any]:
+        """Numbers of `dtype`."""
+        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+        self._need(size, what)
+        values = np.frombuffer(self._data, dtype, int(np.prod(shape)), self._at).reshape(shape)
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            self.fail(f"{what} that are not finite")
+        self._at += size
+        return values
+
+    def vectors(self, count: int, what: str) -> NDArray[np.float32]:
+        """(count, 3) in the head frame."""
+        start = self._at
+        values = self.array("<f4", (count, 3), what)
+        if np.abs(values).max(initial=0.0) > _FARTHEST:
+            self._at = start
+            self.fail(f"{what} that are too far away")
+        return np.asarray(values * _TO_HEAD, dtype=np.float32)
+
+    def indices(self, shape: tuple[int, ...], limit: int, what: str) -> NDArray[np.int32]:
+        """Indices below `limit`."""
+        start = self._at
+        values = self.array("<i4", shape, what)
+        if values.size and (values.min() < 0 or values.max() >= limit):
+            self._at = start
+            self.fail(f"{what} outside 0 to {limit - 1}")
+        return values.astype(np.int32)
+
+    def differences(self, count: int) -> NDArray[np.float32]:
+        """A scale and (count, 3) 16-bit displacements."""
+        scale = float(self.array("<f4", (1,), "the scale of a morph")[0])
+        if abs(scale) > _FARTHEST / 2**15:
+            self.fail("a morph that moves too far")
+        return np.asarray(self.array("<i2", (count, 3), "a morph") * (scale * _TO_HEAD), dtype=np.float32)
+
+    def label(self, wide: bool) -> str:
+        """A text with its length before it and a null after it."""
+        length = self.count("letters of a label") * (2 if wide else 1)
+        self._need(length, "a label")
+        text = self._data[self._at : self._at + length].decode("utf-16-le" if wide else "latin-1", "replace")
+        self._at += length
+        return text.partition("\0")[0]
+
+    def _need(self, size: int, what: str) -> None:
+        if self._at + size > len(self._data):
+            self.fail(f"the file ends within {what}")

@@ -1,0 +1,142 @@
+"""The three regions of any bound mesh, proposed from its landmarks and its openings; painted over by the user after.
+
+Across a slit the change is sharp, lid from lid and lip from lip, and told by the way along the surface: lips that are
+closed but not joined lie in one place, yet far apart on the skin. Elsewhere the regions overlap along the lines on
+which the muscles meet: from the outer corner of the eye to the temple, over the bridge of the nose, and from the corner
+of the mouth to the angle of the jaw (METHOD section 6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray
+from ..landmarks import BROWS, OUTER_EYE_CORNERS, from_ibug
+from ..mesh.surface import SurfaceGraph
+
+_UPPER_LIDS = (from_ibug(range(36, 40)), from_ibug(range(42, 46)))
+_LOWER_LIDS = (from_ibug((39, 40, 41, 36)), from_ibug((45, 46, 47, 42)))
+_UPPER_LIP = from_ibug(range(48, 55))
+_LOWER_LIP = from_ibug((54, 55, 56, 57, 58, 59, 48))
+_INNER_UPPER = from_ibug((48, 61, 62, 63, 54))
+_INNER_LOWER = from_ibug((54, 65, 66, 67, 48))
+"""The rims of lids and lips, from corner to corner."""
+_EYE_SOFTNESS, _MOUTH_SOFTNESS = 0.08, 0.22
+_SLIT_SOFTNESS = 0.002
+_REACH = 0.6
+"""Lengths in outer-eye distances: half widths of the overlaps, and how far from a slit the surface decides."""
+
+
+@dataclass(frozen=True)
+class _Slit:
+    """The side of a slit for vertices near it: `share` (V,) of the upper side, valid where `near` (V,)."""
+
+    share: FloatArray
+    near: NDArray[np.bool_]
+
+
+def propose_regions(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> FloatArray:
+    """(3, V) shares in 0..1 of the regions upper, middle and lower, their sum at most 1 and 0 where nothing moves.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Head frame, any unit.
+    faces : (F, K) array of int
+        Vertices of each face, padded with -1.
+    landmarks : (66,) array of int
+        Vertex of each landmark.
+    """
+    points = np.asarray(vertices, dtype=np.float64)[landmarks]
+    unit = float(np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS])))
+    centre = points[OUTER_EYE_CORNERS].mean(axis=0)
+    place = (np.asarray(vertices, dtype=np.float64) - centre) / unit
+    points = place[landmarks]
+    graph = SurfaceGraph(place, faces)
+    above_eyes = _above_eyes(place, points)
+    above_mouth = _above_mouth(place, points)
+    for upper, lower in zip(_UPPER_LIDS, _LOWER_LIDS, strict=True):
+        _decide(above_eyes, _slit(graph, landmarks, [upper], [lower], place, points))
+    lips = _slit(graph, landmarks, [_UPPER_LIP, _INNER_UPPER], [_LOWER_LIP, _INNER_LOWER], place, points)
+    _decide(above_mouth, lips)
+    shares = np.stack([above_eyes, (1.0 - above_eyes) * above_mouth, (1.0 - above_eyes) * (1.0 - above_mouth)])
+    shares *= _moving(place, points)
+    shares[shares < 0.01] = 0.0
+    return np.asarray(shares)
+
+
+def _slit(
+    graph: SurfaceGraph,
+    landmarks: IntArray,
+    upper: list[NDArray[np.intp]],
+    lower: list[NDArray[np.intp]],
+    place: FloatArray,
+    points: FloatArray,
+) -> _Slit:
+    """Whether the upper or the lower rim is nearer along the surface, between the slit's corners."""
+    rims = [{v for line in lines for v in _rim(graph, landmarks[line])} for lines in (upper, lower)]
+    corners = rims[0] & rims[1]
+    to_upper, to_lower = (graph.ways(rim - corners, _REACH) for rim in rims)
+    left, right = np.sort(points[upper[0][[0, -1]], 0])
+    between = (place[:, 0] >= left) & (place[:, 0] <= right)
+    near = between & np.isfinite(to_upper) & np.isfinite(to_lower)
+    share = np.full(len(place), 0.5)
+    share[near] = _step(to_lower[near] - to_upper[near], -_SLIT_SOFTNESS, _SLIT_SOFTNESS)
+    return _Slit(share, near)
+
+
+def _rim(graph: SurfaceGraph, line: IntArray) -> list[int]:
+    """Vertices along the surface through the landmark vertices `line`."""
+    return [v for a, b in zip(line[:-1].tolist(), line[1:].tolist(), strict=True) for v in graph.path(a, b)]
+
+
+def _decide(above: FloatArray, slit: _Slit) -> None:
+    above[slit.near] = slit.share[slit.near]
+
+
+def _above_eyes(place: FloatArray, points: FloatArray) -> FloatArray:
+    """Share above the line from temple to temple through the eyes' corners and the bridge of the nose."""
+    corners = points[from_ibug((36, 39, 42, 45))]
+    bridge = points[from_ibug((27, 28))].mean(axis=0)
+    line = np.stack([corners[0] - (0.3, 0.0, 0.0), *corners[:2], bridge, *corners[2:], corners[3] + (0.3, 0.0, 0.0)])
+    x = place[:, 0]
+    inside = ((x > corners[0, 0]) & (x < corners[1, 0])) | ((x > corners[2, 0]) & (x < corners[3, 0]))
+    outside = np.abs(x[:, None] - corners[:, 0]).min(axis=1) * ~inside
+    return _above(place, line, np.clip(0.8 * outside, _SLIT_SOFTNESS, _EYE_SOFTNESS))
+
+
+def _above_mouth(place: FloatArray, points: FloatArray) -> FloatArray:
+    """Share above the line from the mouth's corners to the angles of the jaw."""
+    right, left = points[from_ibug((48, 54))]
+    angle_right, angle_left = points[from_ibug((3, 4))].mean(axis=0), points[from_ibug((12, 13))].mean(axis=0)
+    x = place[:, 0]
+    outside = np.maximum(np.maximum(right[0] - x, x - left[0]), 0.0)
+    line = np.stack([angle_right, right, left, angle_left])
+    return _above(place, line, np.clip(1.2 * outside, _SLIT_SOFTNESS, _MOUTH_SOFTNESS))
+
+
+def _above(place: FloatArray, line: FloatArray, soft: FloatArray) -> FloatArray:
+    """1 above the line (y is down), 0 below, changing over `soft` on either side."""
+    height = np.interp(place[:, 0], line[:, 0], line[:, 1]) - place[:, 1]
+    return _step(height / soft, -1.0, 1.0)
+
+
+def _moving(place: FloatArray, points: FloatArray) -> FloatArray:
+    """1 on the face, 0 on skull, ears and the neck, and between the two a fade."""
+    x, y, z = place.T
+    ears, chin = points[[0, 16]], points[8]
+    brow = points[BROWS, 1].min()
+    side = _step(z, ears[:, 2].mean() + 0.3, ears[:, 2].mean() - 0.15)
+    scalp = _step(y, brow - 0.70, brow - 0.30)
+    throat = _step(y + 0.25 * (z - chin[2]), chin[1] + 0.80, chin[1] + 0.20)
+    within = np.abs(x - ears[:, 0].mean()) < np.abs(np.diff(ears[:, 0])) / 2.0 + 0.045
+    return np.asarray(side * scalp * throat * within)
+
+
+def _step(value: FloatArray, start: float, end: float) -> FloatArray:
+    """0 at `start`, 1 at `end`, level at both; `start` may be the greater."""
+    t = np.clip((value - start) / (end - start), 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))

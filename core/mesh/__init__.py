@@ -1,0 +1,1 @@
+"""Meshes and the space round them, whatever they show: surfaces, kernels, warps, sparse systems, nearest points."""

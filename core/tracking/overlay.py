@@ -1,0 +1,112 @@
+"""Landmarks drawn over a picture, and pictures put side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+from ..landmarks import EDGES
+from .result import TrackResult
+
+Image = NDArray[np.uint8]
+
+_LINE = (80, 220, 120)
+_POINT = (255, 255, 255)
+_TEXT = (235, 235, 235)
+_BACKGROUND = (24, 24, 24)
+_LINEAR = (np.arange(256) / 255.0) ** np.float32(2.2)
+_SURE, _GUESSED = np.array((90.0, 230.0, 90.0)), np.array((60.0, 60.0, 240.0))
+_SHIFT = 4
+
+
+def draw_landmarks(image: Image, landmarks: FloatArray) -> Image:
+    """Return a copy of a BGR `image` with (66, 2) `landmarks` in pixels drawn over it; untouched where they are NaN."""
+    canvas = image.copy()
+    if not np.isfinite(landmarks).all():
+        return canvas
+    extent = float(np.ptp(landmarks, axis=0).max())
+    width = max(1, round(extent / 280.0))
+    radius = round(np.clip(extent / 170.0, 0.8, 12.0) * (1 << _SHIFT))
+    fixed = np.round(np.clip(landmarks, -1e4, 1e4) * (1 << _SHIFT)).astype(np.int32)
+    for a, b in EDGES:
+        cv2.line(canvas, fixed[a].tolist(), fixed[b].tolist(), _LINE, width, cv2.LINE_AA, _SHIFT)
+    for point in fixed:
+        cv2.circle(canvas, point.tolist(), radius, _POINT, -1, cv2.LINE_AA, _SHIFT)
+    return canvas
+
+
+def picture_of_frame(image: Image, landmarks: FloatArray, width: int, height: int) -> Image:
+    """Return `image` scaled to fill (height, width) as far as it fits, `landmarks` drawn over it at that size."""
+    scale = min(width / image.shape[1], height / image.shape[0])
+    centre = np.array([image.shape[1], image.shape[0]]) / 2.0
+    return _picture(image, landmarks, scale, centre, width, height)
+
+
+def picture_of_face(image: Image, landmarks: FloatArray, side: int, margin: float = 0.35) -> Image:
+    """Return the square round `landmarks`, `margin` of the face's size wider on each side, and them drawn over it."""
+    low, high = landmarks.min(axis=0), landmarks.max(axis=0)
+    centre = (low + high) / 2.0 - (0.0, 0.12 * float(high[1] - low[1]))
+    scale = side / (float((high - low).max()) * (1.0 + 2.0 * margin))
+    return _picture(image, landmarks, scale, centre, side, side)
+
+
+def _picture(image: Image, landmarks: FloatArray, scale: float, centre: FloatArray, width: int, height: int) -> Image:
+    offset = np.array([width, height]) / 2.0 - scale * centre
+    if scale < 1:  # warpAffine alone would alias
+        blur = 0.5 / scale
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.6 * blur), dtype=np.uint8)
+    warp = np.array([[scale, 0.0, offset[0]], [0.0, scale, offset[1]]])
+    picture = cv2.warpAffine(image, warp, (width, height), flags=cv2.INTER_CUBIC, borderValue=_BACKGROUND)
+    return draw_landmarks(np.asarray(picture, dtype=np.uint8), scale * landmarks + offset)
+
+
+def preview_of(image: Image | None, result: TrackResult, width: int) -> NDArray[np.float32] | None:
+    """A small picture of a frame for a graphics card, with the landmarks coloured by confidence: red is a guess.
+
+    Returns
+    -------
+    (H, `width`, 4) float32 or None
+        RGBA, 0 to 1, linear light, the bottom row first; None where there is no `image`.
+    """
+    if image is None:
+        return None
+    scale = width / image.shape[1]
+    size = (width, max(1, round(image.shape[0] * scale)))
+    canvas = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+    if result.found:
+        sure = np.sqrt(np.nan_to_num(result.landmark_confidence, nan=1.0))[:, None]
+        colours = (1.0 - sure) * _GUESSED + sure * _SURE
+        fixed = np.round(np.clip(scale * result.landmarks, -1e4, 1e4) * (1 << _SHIFT)).astype(np.int32)
+        for point, colour in zip(fixed.tolist(), colours.tolist(), strict=True):
+            cv2.circle(canvas, point, 28, colour, -1, cv2.LINE_AA, _SHIFT)
+    rgba = cv2.cvtColor(canvas[::-1], cv2.COLOR_BGR2RGBA)
+    return np.asarray(_LINEAR[rgba], dtype=np.float32)
+
+
+def label(image: Image, text: str) -> Image:
+    """Return a copy of `image` with `text` in its lower left corner."""
+    canvas = image.copy()
+    scale = max(0.4, image.shape[0] / 640.0)
+    place = (round(12 * scale), image.shape[0] - round(14 * scale))
+    for colour, width in (((0, 0, 0), 4), (_TEXT, 1)):
+        cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, width, cv2.LINE_AA)
+    return canvas
+
+
+def contact_sheet(pairs: Sequence[tuple[Image, Image]], columns: int = 3, gap: int = 10) -> Image:
+    """Return pairs of equally sized pictures as a grid, the two of each pair touching."""
+    tiles = [np.hstack(pair) for pair in pairs]
+    height, width = tiles[0].shape[:2]
+    columns = min(columns, len(tiles))
+    rows = -(-len(tiles) // columns)
+    shape = (rows * height + (rows + 1) * gap, columns * width + (columns + 1) * gap, 3)
+    sheet = np.full(shape, _BACKGROUND, dtype=np.uint8)
+    for i, tile in enumerate(tiles):
+        top = gap + (i // columns) * (height + gap)
+        left = gap + (i % columns) * (width + gap)
+        sheet[top : top + height, left : left + width] = tile
+    return sheet

@@ -1,0 +1,149 @@
+"""Settings that belong to the scene. Plain values for the functions that use them come from `settings.py`."""
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from ..blender.registering import register_all, unregister_all
+
+
+class FacemimeSource(bpy.types.PropertyGroup):
+    """Where the face is seen; which camera is the user's, see `preferences.py`."""
+
+    kind: EnumProperty(
+        name="Source",
+        description="Where the face is seen",
+        items=(
+            ("CAMERA", "Camera", "A webcam, or the stream of a telephone", "CAMERA_DATA", 0),
+            ("VIDEO", "Video", "A video file", "FILE_MOVIE", 1),
+            ("PICTURES", "Image Sequence", "The pictures of a folder, in the order of their names", "IMAGE_DATA", 2),
+            ("TAKE", "Take", "A recorded take", "ACTION", 3),
+            ("SAMPLE", "Sample Clip", "The clip that comes with Facemime: to try it without a camera", "PLAY", 4),
+        ),
+        default="SAMPLE",
+    )
+    rate: FloatProperty(name="Rate", description="Frames a second", default=30.0, min=1.0, max=240.0)
+    video: StringProperty(name="Video", subtype="FILE_PATH")
+    folder: StringProperty(name="Folder", subtype="DIR_PATH")
+    take: StringProperty(name="Take", subtype="FILE_PATH")
+    loop: BoolProperty(name="Loop", description="Start over at the end", default=True)
+    speed: FloatProperty(name="Speed", description="1 is as recorded", default=1.0, min=0.05, max=20.0, soft_max=4.0)
+    face: EnumProperty(
+        name="Face",
+        description="Whom to follow where several people are in view",
+        items=(
+            ("LARGEST", "Largest", "The face nearest to the camera"),
+            ("LEFT", "Leftmost", "The face furthest to the left of the picture"),
+            ("RIGHT", "Rightmost", "The face furthest to the right of the picture"),
+        ),
+    )
+
+
+class FacemimePosing(bpy.types.PropertyGroup):
+    """How head and eyes follow, and what takes their pose."""
+
+    rotation_strength: FloatProperty(name="Rotation", default=1.0, min=0.0, soft_max=2.0, max=10.0)
+    rotation_limit: FloatProperty(
+        name="Rotation Limit", subtype="ANGLE", default=3.141593, min=0.0, max=3.141593, precision=0, step=100
+    )
+    location_strength: FloatProperty(name="Location", default=1.0, min=0.0, soft_max=2.0, max=10.0)
+    location_limit: FloatProperty(
+        name="Location Limit", description="In eye distances of the head", default=10.0, min=0.0, max=10.0
+    )
+    eyes_strength: FloatProperty(name="Eyes", default=1.0, min=0.0, soft_max=2.0, max=10.0)
+    eyes_limit: FloatProperty(
+        name="Eyes Limit", subtype="ANGLE", default=0.5235988, min=0.0, max=1.570796, precision=0, step=100
+    )
+    object: PointerProperty(
+        name="Pose Object",
+        description="Takes the head's pose instead of the head itself: an empty, or an armature and its bone",
+        type=bpy.types.Object,
+    )
+    bone: StringProperty(name="Bone", description="Of the armature that takes the pose")
+    eye_left: PointerProperty(name="Left Eye", description="Takes the gaze", type=bpy.types.Object)
+    eye_left_bone: StringProperty(name="Left Bone")
+    eye_right: PointerProperty(name="Right Eye", description="Takes the gaze", type=bpy.types.Object)
+    eye_right_bone: StringProperty(name="Right Bone")
+
+
+class FacemimePerformer(bpy.types.PropertyGroup):
+    """A performer's calibration, by `name`."""
+
+    calibration: StringProperty(options={"HIDDEN"})
+
+
+class FacemimeSettings(bpy.types.PropertyGroup):
+    """How a performance moves the head."""
+
+    mode: EnumProperty(
+        name="Depth",
+        description="Where the depth of a motion comes from",
+        items=(
+            ("3d", "3D", "Depth from the tracker's 3-D face"),
+            ("planar", "Planar", "Every vertex keeps its depth"),
+        ),
+        default="3d",
+    )
+    kernel: EnumProperty(
+        name="Skin",
+        description="How the skin between the landmarks follows them",
+        items=(
+            ("informed", "Informed", "By distance and by what moves together in known expressions"),
+            ("multiscale", "Multiscale", "By distance, near and far"),
+            ("gaussian", "Gaussian", "By one Gaussian of distance a region: the paper's"),
+            ("wendland", "Wendland", "By a smooth function of distance that ends"),
+            ("biharmonic", "Biharmonic", "By distance as a thin plate would"),
+        ),
+        default="informed",
+    )
+    strength_upper: FloatProperty(name="Brows and Upper Lids", default=1.0, min=0.0, soft_max=2.0, max=5.0)
+    strength_middle: FloatProperty(name="Cheeks and Upper Lip", default=1.0, min=0.0, soft_max=2.0, max=5.0)
+    strength_lower: FloatProperty(name="Lower Lip and Chin", default=1.0, min=0.0, soft_max=2.0, max=5.0)
+    smoothing: FloatProperty(
+        name="Smoothing",
+        description="How much is held still what hardly moves; 0 for nothing, more than 1 lags behind",
+        default=1.0,
+        min=0.0,
+        soft_max=3.0,
+        max=20.0,
+    )
+    mirror: BoolProperty(name="Mirror", description="The head is the performer's mirror image", default=False)
+    find_neutral: BoolProperty(
+        name="Find Neutral",
+        description="Find the second in which the performer's face is at rest; else say where it starts",
+        default=True,
+    )
+    neutral: FloatProperty(
+        name="Neutral At", description="Where the performer's neutral second starts", subtype="TIME_ABSOLUTE", min=0.0
+    )
+    rotation: BoolProperty(name="Head Rotation", description="Turn the head as the performer does", default=True)
+    translation: BoolProperty(name="Head Location", description="Move the head as the performer does", default=False)
+    keep_pose: BoolProperty(
+        name="Keep Pose", description="Leave the head as it is when the puppet is stopped; else it rests", default=False
+    )
+    performer: IntProperty(name="Performer", default=-1, min=-1)
+    performers: CollectionProperty(type=FacemimePerformer)
+    source: PointerProperty(type=FacemimeSource)
+    posing: PointerProperty(type=FacemimePosing)
+
+
+_CLASSES = (FacemimeSource, FacemimePosing, FacemimePerformer, FacemimeSettings)
+
+
+def register() -> None:
+    """Add the settings to every scene."""
+    register_all(_CLASSES)
+    bpy.types.Scene.facemime = PointerProperty(type=FacemimeSettings)
+
+
+def unregister() -> None:
+    """Take the settings away."""
+    del bpy.types.Scene.facemime
+    unregister_all(_CLASSES)

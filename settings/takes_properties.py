@@ -1,0 +1,104 @@
+"""The takes of a scene, what a bake is made to, and the table of keys. Plain values come from `takes_store.py`."""
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from ..blender.registering import register_all, unregister_all
+from ..core.bake.arkit import COEFFICIENTS
+
+
+class FacemimeTake(bpy.types.PropertyGroup):
+    """A take, by `name`: where it is, and what the user says of it."""
+
+    path: StringProperty(name="File", description="Relative to the .blend where that has a name")
+    packed: PointerProperty(name="Packed", description="The take within the .blend, as text", type=bpy.types.Text)
+    length: FloatProperty(name="Length", subtype="TIME_ABSOLUTE", min=0.0)
+    star: BoolProperty(name="Star", description="One of the good ones")
+    note: StringProperty(name="Note", description="What you think of it")
+
+
+class FacemimeKeyRow(bpy.types.PropertyGroup):
+    """A row of the table: a key gets a coefficient, times a gain, plus an offset."""
+
+    source: EnumProperty(
+        name="Source",
+        description="One of ARKit's 52 coefficients",
+        items=tuple((name, name, "") for name in COEFFICIENTS),
+        default="jawOpen",
+    )
+    key: StringProperty(name="Key", description="The shape key that it moves")
+    gain: FloatProperty(name="Gain", default=1.0, soft_min=-2.0, soft_max=2.0)
+    offset: FloatProperty(name="Offset", default=0.0, soft_min=-1.0, soft_max=1.0)
+
+
+class FacemimeKeyPose(bpy.types.PropertyGroup):
+    """A frame of a take for which the user posed the keys: its coefficients and their values, as JSON."""
+
+    data: StringProperty(options={"HIDDEN"})
+
+
+class FacemimeBake(bpy.types.PropertyGroup):
+    """What a take is baked to."""
+
+    keys: EnumProperty(
+        name="Bake To",
+        description="What a take becomes",
+        items=(
+            ("new", "New Shape Keys", "As few as the motion needs"),
+            ("named", "Own Shape Keys", "Those that the head has, fitted to the motion of its skin"),
+            ("mapped", "Own Shape Keys by Table", "Those that the head has, by the table of keys"),
+            ("cache", "Mesh Cache", "Every vertex exactly, in a file beside the .blend"),
+            ("alembic", "Mesh Cache and Alembic", "Every vertex exactly, and a file for other programs"),
+        ),
+        default="new",
+    )
+    max_keys: IntProperty(name="Most Keys", description="New shape keys at most", default=64, min=1, max=512)
+    clean: FloatProperty(
+        name="Clean Curves",
+        description="How far vertices may move by leaving keyframes out, of the eye distance; 0 keeps every frame",
+        subtype="PERCENTAGE",
+        default=0.0,
+        min=0.0,
+        max=10.0,
+        soft_max=2.0,
+        precision=2,
+    )
+    nla: BoolProperty(name="Push to NLA", description="Put the animation onto a track instead of the active action")
+    table: StringProperty(name="Table", description="Name of the table of keys")
+    rows: CollectionProperty(type=FacemimeKeyRow)
+    row: IntProperty(name="Row", min=0)
+    poses: CollectionProperty(type=FacemimeKeyPose)
+
+
+class FacemimeTakes(bpy.types.PropertyGroup):
+    """The takes of a scene."""
+
+    items: CollectionProperty(type=FacemimeTake)
+    index: IntProperty(name="Take", default=0, min=0)
+    video: BoolProperty(
+        name="Keep Video", description="Write what is seen beside the take: to look at, and to track again"
+    )
+    bake: PointerProperty(type=FacemimeBake)
+
+
+_CLASSES = (FacemimeTake, FacemimeKeyRow, FacemimeKeyPose, FacemimeBake, FacemimeTakes)
+
+
+def register() -> None:
+    """Add the takes to every scene."""
+    register_all(_CLASSES)
+    bpy.types.Scene.facemime_takes = PointerProperty(type=FacemimeTakes)
+
+
+def unregister() -> None:
+    """Take them away; those stored in files stay there."""
+    del bpy.types.Scene.facemime_takes
+    unregister_all(_CLASSES)
