@@ -13,10 +13,12 @@ import numpy as np
 from bench.live import dense_head
 from bench.report import Table
 from facemime.blender.actions import Curve, write_curves
+from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.built_in import add_head
 from facemime.core.bake.arkit import COEFFICIENTS
+from facemime.core.bake.settings import BakeSettings
+from facemime.core.puppet.settings import PuppetSettings
 from facemime.core.takes.take import Take
-from facemime.puppet import BakeSettings, PuppetSettings, puppet_head
 
 LEVELS = (0, 3)
 COUNTS = (2, 4, 8, 16, 32)

@@ -16,10 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facemime.blender.animation.bake import frames_of
+from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.media.preview_scene import setup_preview
 from facemime.blender.media.rendering import render_frames, set_rate
+from facemime.core.bake.settings import BakeSettings
 from facemime.core.capture import VideoSource
+from facemime.core.puppet.settings import PuppetSettings
 from facemime.core.takes.figure import draw_before_after
 from facemime.core.takes.from_video import track_video
 from facemime.core.takes.smooth import smooth_zero_phase
@@ -27,7 +30,6 @@ from facemime.core.takes.take import Take
 from facemime.core.takes.timing import punch_in, shift_time, trim
 from facemime.core.tracking.overlay import label, picture_of_face
 from facemime.core.tracking.tracker import FaceTracker
-from facemime.puppet import BakeSettings, PuppetSettings, puppet_head
 
 ROOT = Path(__file__).resolve().parents[1]
 CLIP = ROOT / "assets" / "sample" / "sample.mp4"

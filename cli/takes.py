@@ -10,7 +10,7 @@ from ..core.drive.anonymous import anonymise
 from ..core.errors import FacemimeError
 from ..core.images import write_image
 from ..core.takes.figure import draw_before_after
-from ..core.takes.file import SUFFIX, load_take, save_take
+from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.mending import bridge_gaps, mirror_tracked, remove_outliers, renew_neutral
 from ..core.takes.smooth import CUTOFFS, smooth_take, smooth_zero_phase
 from ..core.takes.spreadsheet import from_csv, to_csv
@@ -19,6 +19,7 @@ from ..core.takes.timing import punch_in, resample, shift_time, trim
 from .terminal.console import tell
 from .terminal.options import Commands, add_command, add_output, number
 from .terminal.outputs import outputs_of
+from .terminal.takes import load_with_warnings
 
 
 def add_commands(commands: Commands) -> None:
@@ -59,21 +60,12 @@ def add_commands(commands: Commands) -> None:
     read.set_defaults(run=run_import)
 
 
-def load_telling(path: Path) -> Take:
-    """The take at `path`; what its file has lost goes to standard error."""
-    check_readable(path)
-    take = load_take(path)
-    if told := take.info.get("recovered"):
-        tell(f"facemime: {path}: {told}")
-    return take
-
-
 def run_mend(arguments: argparse.Namespace) -> int:
     """`facemime mend`: a take to a better one."""
     outputs = ((arguments.output, {SUFFIX}), (arguments.figure, {".png", ".jpg"}))
     inputs = {"the take that is mended": arguments.take, "the take that is put in": arguments.punch_in}
     with outputs_of(outputs, inputs):
-        take = load_telling(arguments.take)
+        take = load_with_warnings(arguments.take)
         mended = _mended(take, arguments)
         save_take(mended, arguments.output)
         if arguments.figure is not None:
@@ -89,7 +81,7 @@ def _mended(take: Take, arguments: argparse.Namespace) -> Take:
     if arguments.cutoff and arguments.smooth != "zero-phase":
         raise FacemimeError("--cutoff is for smoothing without delay. Give --smooth zero-phase too.")
     if arguments.punch_in is not None:
-        insert = load_telling(arguments.punch_in)
+        insert = load_with_warnings(arguments.punch_in)
         start, end = parse_span(arguments.at or ":", (float(insert.times[0]), float(insert.times[-1])))
         take = punch_in(take, insert, start, end, arguments.blend)
     if arguments.outliers:
@@ -116,7 +108,7 @@ def _mended(take: Take, arguments: argparse.Namespace) -> Take:
 def run_export(arguments: argparse.Namespace) -> int:
     """`facemime export`: a take to a table."""
     with outputs_of(((arguments.output, {".csv"}),), {"the take that is exported": arguments.take}):
-        to_csv(load_telling(arguments.take), arguments.output)
+        to_csv(load_with_warnings(arguments.take), arguments.output)
     return 0
 
 

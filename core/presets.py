@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from .errors import OutputError, SourceError
-from .reading import as_number, as_object, parse_json, shown
+from .reading import as_object, parse_json, shown
+from .settings import Setting
 
 SUFFIX = ".json"
 _FORMAT = "facemime-preset"
@@ -17,23 +17,6 @@ _DEVICES = frozenset({"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("c
 """Names that Windows keeps for itself, whatever follows a dot behind them."""
 _LONGEST_NAME = 200
 """Bytes: with the suffix, and what a file is called while it is written, they fit into the 255 of file systems."""
-
-
-@dataclass(frozen=True)
-class Setting:
-    """What a setting may be: a number from `low` to `high`, one of `choices`, or, with neither, true or false."""
-
-    low: float | None = None
-    high: float | None = None
-    choices: tuple[str, ...] = ()
-
-    def checked(self, value: Any, name: str) -> Any:
-        """`value`; ValueError where the setting cannot have it."""
-        if self.low is not None and self.high is not None:
-            return as_number(value, name, self.low, self.high)
-        if not isinstance(value, str if self.choices else bool) or (self.choices and value not in self.choices):
-            raise ValueError(f"{name} is {shown(value)}")
-        return value
 
 
 Settings = Mapping[str, Mapping[str, Setting]]

@@ -1,31 +1,96 @@
 /* Flamenco job type: the clips of a folder or a list, one task each, then a report of all.
- * Goes into the `scripts` folder of the Flamenco manager. The workers need `facemime` on their path, and must see the
- * clips, the head and the output folder under the same paths. Started again, what is done is left as it is. */
+ * Made by tools/farm.py. Goes into the `scripts` folder of the Flamenco manager. The workers need `facemime` on their
+ * path, and must see the clips, the head and the output folder under the same paths. Run again, it skips clips that are
+ * done. */
 const JOB_TYPE = {
     label: "Facemime",
     description: "Move a head by the faces of many video clips",
     settings: [
-        { key: "clips", type: "string", required: true, description: "Folder of clips, or a text with a path a line" },
-        { key: "count", type: "int32", required: true, description: "How many clips there are" },
-        { key: "output", type: "string", subtype: "dir_path", required: true, description: "Folder for what comes out" },
-        { key: "head", type: "string", default: "", description: "FILE.blend:OBJECT; the built-in head if empty" },
+        { key: "clips", type: "string", required: true,
+          description: "Folder of clips, or a text file with one path per line" },
+        { key: "count", type: "int32", required: true, description: "Number of clips" },
+        { key: "output", type: "string", subtype: "dir_path", required: true, description: "Folder for the results" },
         { key: "face", type: "string", default: "",
-          description: "Of several people left, right, or the one at pixels X,Y; the largest if empty" },
-        { key: "pose", type: "string", choices: ["rotation", "full", "none"], default: "rotation",
-          description: "How much of the head's movement is followed" },
+          description: "of several people the leftmost, the rightmost, or the one at these pixels of the first frame; the largest by default" },
+        { key: "head", type: "string", default: "",
+          description: "your own head (the built-in one)" },
+        { key: "points", type: "string", default: "",
+          description: "control points that select chose" },
+        { key: "pose", type: "string", choices: ["none", "rotation", "full"], default: "rotation",
+          description: "head pose to follow (rotation)" },
+        { key: "smoothing", type: "float", default: 1.0,
+          description: "jitter smoothing: 0 is off, values above 1 add lag (1)" },
+        { key: "mode", type: "string", choices: ["3d", "planar"], default: "3d",
+          description: "where the depth of a motion comes from (3d)" },
+        { key: "kernel", type: "string", choices: ["informed", "multiscale", "gaussian", "wendland", "biharmonic"], default: "informed",
+          description: "how the skin between the landmarks follows them (informed)" },
+        { key: "strength_upper", type: "float", default: 1.0,
+          description: "strength of the motion of brows and upper lids (1)" },
+        { key: "strength_middle", type: "float", default: 1.0,
+          description: "strength of the motion of cheeks and upper lip (1)" },
+        { key: "strength_lower", type: "float", default: 1.0,
+          description: "strength of the motion of lower lip and chin (1)" },
+        { key: "mirror", type: "bool", default: false,
+          description: "move the head like the performer's mirror image" },
+        { key: "rotation_strength", type: "float", default: 1.0,
+          description: "head rotation relative to the performer's (1)" },
+        { key: "rotation_limit", type: "float", default: 180.0,
+          description: "largest turn of the head from rest (180)" },
+        { key: "location_strength", type: "float", default: 1.0,
+          description: "head motion relative to the performer's (1)" },
+        { key: "location_limit", type: "float", default: 10.0,
+          description: "largest move of the head from rest, in eye distances (10)" },
+        { key: "eyes_strength", type: "float", default: 1.0,
+          description: "eye rotation relative to the performer's (1)" },
+        { key: "eyes_limit", type: "float", default: 30.0,
+          description: "largest turn of the eyes from rest (30)" },
         { key: "keys", type: "string", choices: ["new", "named", "mapped", "cache", "alembic"], default: "new",
-          description: "New shape keys, the head's own, its own by a table, or every vertex in a file" },
-        { key: "map", type: "string", default: "", description: "Table of keys for 'mapped'; else what fits best" },
-        { key: "smooth", type: "bool", default: false, description: "Hold still what does not move" },
+          description: "what a take becomes (new)" },
+        { key: "max_keys", type: "int32", default: 64,
+          description: "maximum number of new shape keys (64)" },
+        { key: "clean", type: "float", default: 0.0,
+          description: "error allowed when removing keyframes, relative to the eye distance; 0 keeps every frame (0)" },
+        { key: "nla", type: "bool", default: false,
+          description: "put the animation onto an NLA track instead of the active action" },
+        { key: "map", type: "string", default: "",
+          description: "for --keys mapped (the preset that fits the head best)" },
     ],
 };
 
+const OPTIONS = [
+    "face",
+    "head",
+    "points",
+    "pose",
+    "smoothing",
+    "mode",
+    "kernel",
+    "strength-upper",
+    "strength-middle",
+    "strength-lower",
+    "mirror",
+    "rotation-strength",
+    "rotation-limit",
+    "location-strength",
+    "location-limit",
+    "eyes-strength",
+    "eyes-limit",
+    "keys",
+    "max-keys",
+    "clean",
+    "nla",
+    "map",
+];
+
 function compileJob(job) {
     const settings = job.settings;
-    const options = ["-o", settings.output, "--head", settings.head || "", "--face", settings.face || "",
-        "--pose", settings.pose || "rotation", "--keys", settings.keys || "new", "--map", settings.map || ""];
-    if (settings.smooth) options.push("--smooth");
-
+    const options = ["-o", settings.output];
+    for (const name of OPTIONS) {
+        const value = settings[name.split("-").join("_")];
+        if (value === true) options.push("--" + name);
+        else if (value === false) options.push("--no-" + name);
+        else if (value !== undefined && value !== "") options.push("--" + name, String(value));
+    }
     const report = facemime("report", ["batch", settings.clips].concat(options));
     for (let number = 1; number <= settings.count; number++) {
         const task = facemime("clip-" + number, ["clip", settings.clips, "--number", String(number)].concat(options));

@@ -6,6 +6,7 @@ from bpy.props import StringProperty
 
 from ..blender.animation.bake import frames_of
 from ..blender.animation.bake_keys import key_names
+from ..blender.animation.puppet import puppet_heads
 from ..blender.meshes import is_head
 from ..blender.registering import register_all, unregister_all
 from ..core.bake.arkit import arkit_coefficients
@@ -13,12 +14,11 @@ from ..core.bake.key_map import KeyMap, KeyPose, best_preset, learn_map, load_ma
 from ..core.errors import FacemimeError, HeadError, SourceError
 from ..core.files import replacing
 from ..core.takes.neutral import calibrate
-from ..puppet import puppet_heads
 from ..sessions.session import Session
 from ..settings import takes_store
 from ..settings.bake_table import read_table, write_table
 from ..settings.takes_properties import FacemimeBake
-from ..settings.values import bake_settings, drive_options, pose_targets, puppet_settings
+from ..settings.values import bake_settings, drive_settings, pose_targets, puppet_settings
 from .shared import AsksForFile, AsksForFileToWrite, OnHead, ReportsErrors, heads_in, in_object_mode, with_heads
 from .takes import OnTake
 
@@ -156,7 +156,7 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
         scene, blocks = context.scene, context.active_object.data.shape_keys.key_blocks
         take = takes_store.read(takes_store.chosen(scene))
         frames = frames_of(scene, take.times[take.found])
-        coefficients = arkit_coefficients(take, calibrate(take), drive_options(scene.facemime))
+        coefficients = arkit_coefficients(take, calibrate(take), drive_settings(scene.facemime))
         told = coefficients[int(np.abs(frames - scene.frame_current_final).argmin())]
         values = {name: blocks[name].value for name in key_names(context.active_object)}
         scene.facemime_takes.bake.poses.add().data = KeyPose(told, values).to_json()

@@ -3,11 +3,11 @@
 import bpy
 from bpy.props import StringProperty
 
+from ..blender.animation.puppet import check_heads, puppet_heads
 from ..blender.meshes import is_head
 from ..core.errors import FacemimeError
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
-from ..puppet import check_heads, puppet_heads
 from ..sessions.tracking import TrackingSession
 from ..settings import takes_store
 from ..settings.values import face_of, pose_targets, puppet_settings

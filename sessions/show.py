@@ -12,12 +12,10 @@ from ..blender.animation.bake import seconds_of
 from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
 from ..blender.meshes import read_rig
 from ..blender.undo import push_undo
-from ..core.drive.driver import HeadDriver
 from ..core.errors import HeadError
-from ..core.takes.neutral import calibrate
-from ..core.takes.smooth import smooth_take
+from ..core.puppet.performance import Performance
 from ..core.takes.take import Take
-from ..settings.values import drive_options, pose_targets
+from ..settings.values import pose_targets, puppet_settings
 from .session import Session
 
 
@@ -41,17 +39,16 @@ class TakeShow(Session):
         if not objects:
             raise HeadError("No head is selected. Add one with Add > Mesh > Facemime Head, or bind your own.")
         settings = scene.facemime
-        take = smooth_take(take, settings.smoothing)
-        neutral = calibrate(take, None if settings.find_neutral else settings.neutral)
-        follow, options = Follow(settings.rotation, settings.translation), drive_options(settings)
+        performance = Performance.of(take, puppet_settings(settings))
+        follow = Follow(settings.rotation, settings.translation)
         self._heads = [
             (
                 LiveHeadObject(obj, pose_targets(settings.posing, obj), follow),
-                HeadDriver(read_rig(obj), neutral, options),
+                performance.driver(read_rig(obj)),
             )
             for obj in objects
         ]
-        self._take = take.part(take.found)
+        self._take = performance.take.part(performance.take.found)
         self._scene = scene.name
         super().__init__()
         self.resume()

@@ -12,7 +12,7 @@ from ..core.errors import HeadError
 from ..core.live.worker import LiveHead, LiveOptions
 from ..settings.preferences import preferences
 from ..settings.properties import FacemimeSettings
-from ..settings.values import drive_options, face_of, open_source, pose_targets, read_calibration, write_calibration
+from ..settings.values import drive_settings, face_of, open_source, pose_targets, read_calibration, write_calibration
 from .live import LiveSession
 
 
@@ -29,7 +29,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
     settings = scene.facemime
     if settings.posing.object is not None and len(objects) > 1:
         raise HeadError("One pose object cannot take the pose of several heads. Clear it, or select one head.")
-    options = drive_options(settings)
+    options = drive_settings(settings)
     heads = [
         (LiveHeadObject(obj, pose_targets(settings.posing, obj), _follow(settings)), LiveHead(read_rig(obj), options))
         for obj in objects
@@ -63,7 +63,7 @@ def live_options(settings: FacemimeSettings) -> LiveOptions:
 
 def follow_settings(session: LiveSession, settings: FacemimeSettings) -> None:
     """Let a running session follow the settings as they are; costs some microseconds where nothing has changed."""
-    worker, options = session.worker, drive_options(settings)
+    worker, options = session.worker, drive_settings(settings)
     session.keep = settings.keep_pose
     if worker.options != (wanted := live_options(settings)):
         worker.options = wanted

@@ -6,21 +6,21 @@ from pathlib import Path
 
 import bpy
 
+from ..core.drive.settings import DriveSettings, PosingSettings
 from ..core.errors import OutputError, SourceError
 from ..core.files import replacing
-from ..core.presets import SUFFIX, Setting, file_name, from_json, to_json
+from ..core.presets import SUFFIX, file_name, from_json, to_json
+from ..core.puppet.settings import PuppetSettings
 from ..core.reading import read_text
+from ..core.settings import settings_of
 from .properties import FacemimeSettings
 from .storage import user_folder
 
-_SETTINGS = (
-    *("mode", "kernel", "strength_upper", "strength_middle", "strength_lower", "smoothing", "mirror"),
-    *("rotation", "translation"),
-)
-_POSING = (
-    *("rotation_strength", "rotation_limit", "location_strength", "location_limit", "eyes_strength", "eyes_limit"),
-)
-_NAMES = {"settings": _SETTINGS, "posing": _POSING}
+_KNOWN = {
+    "settings": {**settings_of(DriveSettings), **settings_of(PuppetSettings)},
+    "posing": settings_of(PosingSettings),
+}
+"""What a preset holds."""
 
 
 def folder() -> Path:
@@ -47,7 +47,7 @@ def path_of(name: str) -> Path:
 def save(settings: FacemimeSettings, path: Path) -> None:
     """Write the settings to `path`; OutputError where that fails."""
     owners = _owners(settings)
-    values = {group: {name: getattr(owners[group], name) for name in names} for group, names in _NAMES.items()}
+    values = {group: {name: getattr(owners[group], name) for name in names} for group, names in _KNOWN.items()}
     with replacing(path) as temporary:
         temporary.write_text(to_json(values), encoding="utf-8")
 
@@ -61,9 +61,8 @@ def load(settings: FacemimeSettings, path: Path) -> None:
         Where the file is missing or no preset. No setting has changed then.
     """
     owners = _owners(settings)
-    known = {group: {name: _setting(owners[group], name) for name in names} for group, names in _NAMES.items()}
     try:
-        values = from_json(read_text(path), known)
+        values = from_json(read_text(path), _KNOWN)
     except (OSError, ValueError) as error:
         raise SourceError(f"{path} is not a preset that can be read ({error}). Choose another file.") from error
     except SourceError as error:
@@ -91,10 +90,3 @@ def remove(name: str) -> None:
 
 def _owners(settings: FacemimeSettings) -> dict[str, bpy.types.PropertyGroup]:
     return {"settings": settings, "posing": settings.posing}
-
-
-def _setting(owner: bpy.types.PropertyGroup, name: str) -> Setting:
-    rna = owner.bl_rna.properties[name]
-    if rna.type == "FLOAT":
-        return Setting(low=rna.hard_min, high=rna.hard_max)
-    return Setting(choices=tuple(rna.enum_items.keys()) if rna.type == "ENUM" else ())

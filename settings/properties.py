@@ -1,4 +1,4 @@
-"""Settings that belong to the scene. Plain values for the functions that use them come from `settings.py`."""
+"""Settings that belong to the scene. Plain values for the functions that use them come from `values.py`."""
 
 import bpy
 from bpy.props import (
@@ -12,6 +12,9 @@ from bpy.props import (
 )
 
 from ..blender.registering import register_all, unregister_all
+from ..core.drive.settings import DriveSettings, PosingSettings
+from ..core.puppet.settings import PuppetSettings
+from .rna import with_settings
 
 
 class FacemimeSource(bpy.types.PropertyGroup):
@@ -46,21 +49,10 @@ class FacemimeSource(bpy.types.PropertyGroup):
     )
 
 
+@with_settings(PosingSettings)
 class FacemimePosing(bpy.types.PropertyGroup):
     """How head and eyes follow, and what takes their pose."""
 
-    rotation_strength: FloatProperty(name="Rotation", default=1.0, min=0.0, soft_max=2.0, max=10.0)
-    rotation_limit: FloatProperty(
-        name="Rotation Limit", subtype="ANGLE", default=3.141593, min=0.0, max=3.141593, precision=0, step=100
-    )
-    location_strength: FloatProperty(name="Location", default=1.0, min=0.0, soft_max=2.0, max=10.0)
-    location_limit: FloatProperty(
-        name="Location Limit", description="In eye distances of the head", default=10.0, min=0.0, max=10.0
-    )
-    eyes_strength: FloatProperty(name="Eyes", default=1.0, min=0.0, soft_max=2.0, max=10.0)
-    eyes_limit: FloatProperty(
-        name="Eyes Limit", subtype="ANGLE", default=0.5235988, min=0.0, max=1.570796, precision=0, step=100
-    )
     object: PointerProperty(
         name="Pose Object",
         description="Takes the head's pose instead of the head itself: an empty, or an armature and its bone",
@@ -79,42 +71,10 @@ class FacemimePerformer(bpy.types.PropertyGroup):
     calibration: StringProperty(options={"HIDDEN"})
 
 
+@with_settings(DriveSettings, PuppetSettings)
 class FacemimeSettings(bpy.types.PropertyGroup):
     """How a performance moves the head."""
 
-    mode: EnumProperty(
-        name="Depth",
-        description="Where the depth of a motion comes from",
-        items=(
-            ("3d", "3D", "Depth from the tracker's 3-D face"),
-            ("planar", "Planar", "Every vertex keeps its depth"),
-        ),
-        default="3d",
-    )
-    kernel: EnumProperty(
-        name="Skin",
-        description="How the skin between the landmarks follows them",
-        items=(
-            ("informed", "Informed", "By distance and by what moves together in known expressions"),
-            ("multiscale", "Multiscale", "By distance, near and far"),
-            ("gaussian", "Gaussian", "By one Gaussian of distance a region: the paper's"),
-            ("wendland", "Wendland", "By a smooth function of distance that ends"),
-            ("biharmonic", "Biharmonic", "By distance as a thin plate would"),
-        ),
-        default="informed",
-    )
-    strength_upper: FloatProperty(name="Brows and Upper Lids", default=1.0, min=0.0, soft_max=2.0, max=5.0)
-    strength_middle: FloatProperty(name="Cheeks and Upper Lip", default=1.0, min=0.0, soft_max=2.0, max=5.0)
-    strength_lower: FloatProperty(name="Lower Lip and Chin", default=1.0, min=0.0, soft_max=2.0, max=5.0)
-    smoothing: FloatProperty(
-        name="Smoothing",
-        description="How much is held still what hardly moves; 0 for nothing, more than 1 lags behind",
-        default=1.0,
-        min=0.0,
-        soft_max=3.0,
-        max=20.0,
-    )
-    mirror: BoolProperty(name="Mirror", description="The head is the performer's mirror image", default=False)
     find_neutral: BoolProperty(
         name="Find Neutral",
         description="Find the second in which the performer's face is at rest; else say where it starts",
@@ -123,8 +83,6 @@ class FacemimeSettings(bpy.types.PropertyGroup):
     neutral: FloatProperty(
         name="Neutral At", description="Where the performer's neutral second starts", subtype="TIME_ABSOLUTE", min=0.0
     )
-    rotation: BoolProperty(name="Head Rotation", description="Turn the head as the performer does", default=True)
-    translation: BoolProperty(name="Head Location", description="Move the head as the performer does", default=False)
     keep_pose: BoolProperty(
         name="Keep Pose", description="Leave the head as it is when the puppet is stopped; else it rests", default=False
     )

@@ -13,6 +13,8 @@ from bpy.props import (
 
 from ..blender.registering import register_all, unregister_all
 from ..core.bake.arkit import COEFFICIENTS
+from ..core.bake.settings import BakeSettings
+from .rna import with_settings
 
 
 class FacemimeTake(bpy.types.PropertyGroup):
@@ -45,33 +47,10 @@ class FacemimeKeyPose(bpy.types.PropertyGroup):
     data: StringProperty(options={"HIDDEN"})
 
 
+@with_settings(BakeSettings)
 class FacemimeBake(bpy.types.PropertyGroup):
     """What a take is baked to."""
 
-    keys: EnumProperty(
-        name="Bake To",
-        description="What a take becomes",
-        items=(
-            ("new", "New Shape Keys", "As few as the motion needs"),
-            ("named", "Own Shape Keys", "Those that the head has, fitted to the motion of its skin"),
-            ("mapped", "Own Shape Keys by Table", "Those that the head has, by the table of keys"),
-            ("cache", "Mesh Cache", "Every vertex exactly, in a file beside the .blend"),
-            ("alembic", "Mesh Cache and Alembic", "Every vertex exactly, and a file for other programs"),
-        ),
-        default="new",
-    )
-    max_keys: IntProperty(name="Most Keys", description="New shape keys at most", default=64, min=1, max=512)
-    clean: FloatProperty(
-        name="Clean Curves",
-        description="How far vertices may move by leaving keyframes out, of the eye distance; 0 keeps every frame",
-        subtype="PERCENTAGE",
-        default=0.0,
-        min=0.0,
-        max=10.0,
-        soft_max=2.0,
-        precision=2,
-    )
-    nla: BoolProperty(name="Push to NLA", description="Put the animation onto a track instead of the active action")
     table: StringProperty(name="Table", description="Name of the table of keys")
     rows: CollectionProperty(type=FacemimeKeyRow)
     row: IntProperty(name="Row", min=0)

@@ -13,19 +13,20 @@ import bpy
 
 from ..blender.animation.targets import PoseTarget
 from ..core.assets import ASSETS
+from ..core.bake.settings import BakeSettings
 from ..core.capture import is_address
-from ..core.drive.posing import Posing
-from ..core.drive.settings import DriveOptions
+from ..core.drive.settings import DriveSettings, PosingSettings
 from ..core.errors import FacemimeError, SourceError
 from ..core.live.camera import Camera, CameraSettings, device_of, list_cameras
 from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
+from ..core.puppet.settings import PuppetSettings
 from ..core.takes.file import load_take
 from ..core.takes.neutral import Neutral
 from ..core.tracking.tracker import LEFTMOST, RIGHTMOST
-from ..puppet import BakeSettings, PuppetSettings
 from .bake_table import read_table
 from .preferences import preferences
 from .properties import FacemimePosing, FacemimeSettings, FacemimeSource
+from .rna import read
 from .storage import project_folder
 from .takes_properties import FacemimeBake
 
@@ -34,47 +35,21 @@ _FACES = {"LARGEST": None, "LEFT": LEFTMOST, "RIGHT": RIGHTMOST}
 SAMPLE = ASSETS / "sample" / "sample.mp4"
 
 
-def drive_options(settings: FacemimeSettings) -> DriveOptions:
+def drive_settings(settings: FacemimeSettings) -> DriveSettings:
     """How a frame moves a head."""
-    posing = settings.posing
-    return DriveOptions(
-        mode=settings.mode,
-        strength=(settings.strength_upper, settings.strength_middle, settings.strength_lower),
-        kernel=settings.kernel,
-        mirror=settings.mirror,
-        posing=Posing(
-            rotation=posing.rotation_strength,
-            rotation_limit=posing.rotation_limit,
-            location=posing.location_strength,
-            location_limit=posing.location_limit,
-            eyes=posing.eyes_strength,
-            eyes_limit=posing.eyes_limit,
-        ),
-    )
+    return read(DriveSettings, settings, posing=read(PosingSettings, settings.posing))
 
 
 def puppet_settings(settings: FacemimeSettings, bake: BakeSettings = _TO_NEW_KEYS) -> PuppetSettings:
     """How a take is baked."""
-    return PuppetSettings(
-        drive=drive_options(settings),
-        neutral=None if settings.find_neutral else settings.neutral,
-        smoothing=settings.smoothing,
-        rotation=settings.rotation,
-        translation=settings.translation,
-        bake=bake,
-    )
+    neutral = None if settings.find_neutral else settings.neutral
+    return read(PuppetSettings, settings, drive=drive_settings(settings), neutral=neutral, bake=bake)
 
 
 def bake_settings(bake: FacemimeBake, name: str) -> BakeSettings:
     """What the take `name` is baked to; FacemimeError where the table has a row that makes no sense."""
-    return BakeSettings(
-        keys=bake.keys,
-        max_keys=bake.max_keys,
-        clean=bake.clean / 100.0,
-        table=read_table(bake) if bake.keys == "mapped" and len(bake.rows) else None,
-        nla=bake.nla,
-        path=project_folder("caches") / bpy.path.clean_name(name),
-    )
+    table = read_table(bake) if bake.keys == "mapped" and len(bake.rows) else None
+    return read(BakeSettings, bake, table=table, path=project_folder("caches") / bpy.path.clean_name(name))
 
 
 def face_of(source: FacemimeSource) -> tuple[float, float] | None:

@@ -5,7 +5,7 @@ set -eu
 video=$1
 out=build/demo
 made_from() {
-    { cat -- "$video" *.py cli/*.py core/*.py core/*/*.py blender/*.py assets/*/*; cat "$out"/demo.*; } 2>/dev/null | sha256sum
+    { find . -maxdepth 1 -name "*.py"; find cli core blender assets -type f ! -name "*.pyc"; } | sort | tr "\n" "\0" | xargs -0 cat -- "$video" "$out"/demo.* 2>/dev/null | sha256sum
 }
 mkdir -p "$out"
 if [ "$(made_from)" = "$(cat "$out/.made-from" 2>/dev/null)" ]; then

@@ -18,12 +18,15 @@ TRANSLATIONS = ROOT / "assets" / "translations"
 _ATTRIBUTES = {"bl_label", "bl_description"}
 _KEYWORDS = {"name", "description", "text", "heading", "title", "message"}
 _CALLS = {"_", "pgettext_iface", "pgettext_rpt", "labels", "label", "poll_message_set"}
+_SETTINGS = {"setting", "Choice"}
+"""Their first argument is a value."""
 _NOT_SHOWN = {"WINDOW", "Facemime"}
 
 
 def sources() -> list[Path]:
     """The modules whose texts users see in Blender."""
-    return sorted([*ROOT.glob("operators/*.py"), *ROOT.glob("ui/*.py"), *ROOT.glob("settings/*.py")])
+    patterns = ("operators/*.py", "ui/*.py", "settings/*.py", "core/*/settings.py")
+    return sorted(path for pattern in patterns for path in ROOT.glob(pattern))
 
 
 def strings(path: Path) -> Iterator[str]:
@@ -53,8 +56,8 @@ def _of_call(node: ast.Call) -> Iterator[str]:
             yield from _texts(word.value)
         elif word.arg == "items":
             yield from _of_items(word.value)
-    if called in _CALLS:
-        for argument in node.args:
+    if called in _CALLS or called in _SETTINGS:
+        for argument in node.args[called in _SETTINGS :]:
             yield from _texts(argument)
 
 

@@ -13,7 +13,7 @@ import hashlib
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ import numpy as np
 from ...core.capture import check_readable, require_utf8_name
 from ...core.errors import SourceError
 from ...core.files import reason_of, replacing
+from ...core.puppet.job import PuppetJob
 from ...core.reading import parse_json, read_text
 from ...core.takes.take import Take
 from ...core.tracking.tracker import FaceTracker
@@ -37,10 +38,10 @@ _WORST, _APART = 3, 0.5
 
 
 @dataclass(frozen=True)
-class Job:
+class Clip:
     """A clip to be done: `name` is what its outputs are called in the folder of outputs."""
 
-    clip: Path
+    path: Path
     name: str
 
     def output(self, folder: Path, suffix: str) -> Path:
@@ -99,25 +100,31 @@ def _no_list(path: Path) -> SourceError:
 
 
 class Namer:
-    """Gives jobs their names: the clip's own and a checksum of clip, `settings`, head, points, table, model
-    and version.
+    """Gives clips their names: the file's own, and a checksum of all that decides what comes out.
+
+    Parameters
+    ----------
+    job : PuppetJob
+        What is done with each clip.
     """
 
-    def __init__(self, settings: dict[str, Any]) -> None:
-        told = dict(settings)
-        for key in ("head", "points", "map"):
-            if told.get(key):
-                file, found, obj = str(told[key]).rpartition(".blend:")
-                path = Path(file + ".blend" if found else told[key])
-                told[key] = [checksum(path), obj if found else ""]
-        told |= {"model": FaceTracker.load().model_id, "facemime": version()}
-        self._settings = json.dumps(told, sort_keys=True, default=str).encode()
+    def __init__(self, job: PuppetJob) -> None:
+        files = {"head": None if job.head is None else job.head.path, "points": job.points, "map": job.map}
+        decides = {
+            "settings": asdict(job.settings),
+            "face": job.face,
+            "object": None if job.head is None else job.head.name,
+            "model": FaceTracker.load().model_id,
+            "facemime": version(),
+            **{name: None if path is None else checksum(path) for name, path in files.items()},
+        }
+        self._settings = json.dumps(decides, sort_keys=True).encode()
 
-    def job(self, clip: Path) -> Job:
-        """The job of `clip`; SourceError where it cannot be read."""
-        require_utf8_name(clip)
-        key = hashlib.sha256(checksum(clip).encode() + self._settings).hexdigest()
-        return Job(clip, f"{clip.stem}-{key[:12]}")
+    def clip(self, path: Path) -> Clip:
+        """The clip at `path`; SourceError where it cannot be read."""
+        require_utf8_name(path)
+        key = hashlib.sha256(checksum(path).encode() + self._settings).hexdigest()
+        return Clip(path, f"{path.stem}-{key[:12]}")
 
 
 def checksum(path: Path) -> str:
@@ -130,20 +137,20 @@ def checksum(path: Path) -> str:
         raise SourceError(f"{path} cannot be read: {reason_of(error)}. Check the path.") from error
 
 
-def read_record(job: Job, folder: Path) -> dict[str, Any] | None:
+def read_record(clip: Clip, folder: Path) -> dict[str, Any] | None:
     """What is kept of a clip that is done; None where it is not, or where its outputs are gone."""
     try:
-        record = checked_record(parse_json(read_text(job.output(folder, ".json"))))
+        record = checked_record(parse_json(read_text(clip.output(folder, ".json"))))
     except (OSError, ValueError):  # missing, cut off or not a record: the clip is done again
         return None
     return record if all((folder / name).is_file() for name in record["outputs"]) else None
 
 
-def write_record(job: Job, folder: Path, take: Take, seconds: float, thumbnails: Sequence[bytes]) -> None:
+def write_record(clip: Clip, folder: Path, take: Take, seconds: float, thumbnails: Sequence[bytes]) -> None:
     """Keep what a report tells of a clip, last of all its outputs: that it is there means that the clip is done."""
     record = {
-        "clip": job.clip.name,
-        "outputs": sorted(path.name for path in folder.glob(f"{glob.escape(job.name)}.*") if path.suffix in _OUTPUTS),
+        "clip": clip.path.name,
+        "outputs": sorted(path.name for path in folder.glob(f"{glob.escape(clip.name)}.*") if path.suffix in _OUTPUTS),
         "frames": len(take),
         "found": int(take.found.sum()),
         "length": float(take.times[-1] - take.times[0]),
@@ -152,7 +159,7 @@ def write_record(job: Job, folder: Path, take: Take, seconds: float, thumbnails:
         "worst": [round(float(take.times[frame]), 2) for frame in worst_frames(take)],
         "thumbnails": [base64.b64encode(picture).decode() for picture in thumbnails],
     }
-    with replacing(job.output(folder, ".json")) as temporary:
+    with replacing(clip.output(folder, ".json")) as temporary:
         temporary.write_text(json.dumps(record), encoding="utf-8")
 
 

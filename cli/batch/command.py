@@ -2,35 +2,36 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ...core.capture import VideoSource
 from ...core.errors import FacemimeError, SourceError
 from ...core.files import check_writable, locked
 from ...core.locks import lock_of, sweep
+from ...core.puppet.job import PuppetJob
 from ...core.takes.file import SUFFIX, load_take
 from ...core.takes.take import Take
 from ...core.tracking.overlay import picture_of_frame
+from ..puppet.command import run_puppet
 from ..terminal.console import Progress, printable, tell
 from ..terminal.options import (
     Commands,
-    add_bake_options,
     add_command,
-    add_head_options,
     add_output,
-    as_line,
-    settings_of,
+    add_puppet_options,
+    as_options,
+    puppet_job,
     whole_number,
 )
 from ..terminal.stopping import INTERRUPTED
-from .clips import Job, Namer, find_clips, read_record, worst_frames, write_record
+from .clips import Clip, Namer, find_clips, read_record, worst_frames, write_record
 from .report import Entry, jpeg_of, write_report
-from .run import DaskRunner, LocalRunner, Runner
+from .run import DaskRunner, LocalRunner, Outcome, Runner
 
 _SOURCES = "videos, folders of them, or a text with a path a line"
 _OUTPUT = "where each clip's .blend, .facetake, .png and record go; what is there already is not done again"
@@ -44,9 +45,8 @@ def add_commands(commands: Commands) -> None:
     clip.add_argument("source", type=Path, metavar="VIDEO|FOLDER|LIST", help=_SOURCES)
     clip.add_argument("--number", type=whole_number, metavar="N", help="which clip of the folder or the list, from 1")
     add_output(clip, "DIR", _OUTPUT)
-    add_head_options(clip)
-    add_bake_options(clip)
-    clip.set_defaults(run=run_clip)
+    add_puppet_options(clip)
+    clip.set_defaults(run=lambda a: run_clip(puppet_job(a, a.source, a.output), a.number))
 
     batch = add_command(commands, "batch", "puppet many clips; the exit status is how many failed, 99 at most")
     batch.add_argument("sources", nargs="+", type=Path, metavar="FOLDER|LIST|VIDEO", help=_SOURCES)
@@ -56,57 +56,68 @@ def add_commands(commands: Commands) -> None:
         "--jobs", type=whole_number, default=jobs, metavar="N", help=f"clips at a time (half the cores: {jobs})"
     )
     batch.add_argument("--dask", metavar="ADDRESS", help="on the workers of this Dask scheduler instead of here")
-    add_head_options(batch)
-    add_bake_options(batch)
-    batch.set_defaults(run=run_batch)
+    add_puppet_options(batch)
+    batch.set_defaults(run=lambda a: run_batch(puppet_job(a, a.sources[0], a.output), a.sources, a.jobs, a.dask))
 
 
-def run_clip(arguments: argparse.Namespace) -> int:
-    """`facemime clip`: one clip to a head, a take, a sheet and a record; two at once do it once."""
-    from .. import main as cli
+def run_clip(job: PuppetJob, number: int | None) -> int:
+    """`facemime clip`: one clip to a head, a take, a sheet and a record; two at once do it once.
 
-    job = Namer(settings_of(arguments)).job(_chosen(find_clips([arguments.source]), arguments.number))
-    folder = arguments.output
-    outputs = {suffix: str(job.output(folder, suffix)) for suffix in (".blend", SUFFIX, ".png")}
-    check_writable(job.output(folder, ".json"))
-    with locked(lock_of(job.output(folder, ".json"))):
+    Parameters
+    ----------
+    job : PuppetJob
+        Its source is a clip, a folder or a list of them, its output the folder of outputs.
+    number : int, optional
+        Which clip of a folder or a list, from 1.
+    """
+    folder = job.output
+    clip = Namer(job).clip(_chosen(find_clips([job.source]), number))
+    check_writable(clip.output(folder, ".json"))
+    with locked(lock_of(clip.output(folder, ".json"))):
         sweep(folder)
-        if read_record(job, folder) is not None:
+        if read_record(clip, folder) is not None:
             return 0
         started = time.monotonic()
-        line = [
-            str(job.clip.absolute()),
-            "-o",
-            outputs[".blend"],
-            "--take",
-            outputs[SUFFIX],
-            "--sheet",
-            outputs[".png"],
-        ]
-        if status := cli.main(["puppet", *line, *as_line(settings_of(arguments))]):
+        take = clip.output(folder, SUFFIX)
+        wanted = {"output": clip.output(folder, ".blend"), "take": take, "sheet": clip.output(folder, ".png")}
+        if status := run_puppet(replace(job, source=clip.path.absolute(), **wanted)):
             return status
-        take = load_take(Path(outputs[SUFFIX]))
-        write_record(job, folder, take, time.monotonic() - started, _thumbnails(job.clip, take))
+        tracked = load_take(take)
+        write_record(clip, folder, tracked, time.monotonic() - started, _thumbnails(clip.path, tracked))
     return 0
 
 
-def run_batch(arguments: argparse.Namespace) -> int:
-    """`facemime batch`: every clip that is not done yet, and a report of all."""
-    folder: Path = arguments.output
-    clips = find_clips(arguments.sources)
+def run_batch(job: PuppetJob, sources: Sequence[Path], jobs: int, dask: str | None) -> int:
+    """`facemime batch`: every clip that is not done yet, and a report of all; returns how many failed, 99 at most.
+
+    Parameters
+    ----------
+    job : PuppetJob
+        What is done with each clip; its output is the folder of outputs.
+    sources : sequence of Path
+        Clips, folders and lists of them.
+    jobs : int
+        Clips at a time on this machine.
+    dask : str, optional
+        Address of a scheduler whose workers run the clips instead.
+    """
+    folder = job.output
+    clips = find_clips(sources)
     check_writable(folder / "report.json")
-    if arguments.jobs < 1:
-        raise FacemimeError(f"At least one clip has to run at a time; got {arguments.jobs}. Give --jobs 1 or more.")
-    if arguments.dask is None and importlib.util.find_spec("bpy") is None:
+    if jobs < 1:
+        raise FacemimeError(f"At least one clip has to run at a time; got {jobs}. Give --jobs 1 or more.")
+    if dask is None and importlib.util.find_spec("bpy") is None:
         raise FacemimeError("batch needs Blender. Run: blender --command facemime batch ..., or install bpy.")
     folder.mkdir(parents=True, exist_ok=True)
     sweep(folder)
-    runner: Runner = LocalRunner(arguments.jobs) if arguments.dask is None else DaskRunner(arguments.dask)
-    jobs, failures = _jobs(clips, Namer(settings_of(arguments)))
-    before = {name for name, job in jobs.items() if read_record(job, folder) is not None}
-    todo = [job for name, job in jobs.items() if name not in before]
-    said, interrupted = _run(runner, todo, len(jobs), arguments)
-    entries = failures + [_entry(job, folder, job.name in before, said.get(job.name)) for job in jobs.values()]
+    runner: Runner = LocalRunner(jobs) if dask is None else DaskRunner(dask)
+    named, failures = _named(clips, Namer(job))
+    before = {name for name, clip in named.items() if read_record(clip, folder) is not None}
+    todo = [clip for name, clip in named.items() if name not in before]
+    lines = [["clip", str(clip.path.absolute()), "-o", str(folder.absolute()), *as_options(job)] for clip in todo]
+    ended, interrupted = _run(runner, lines, len(named))
+    said = {todo[outcome.index].name: outcome.said or f"ended with status {outcome.status}" for outcome in ended}
+    entries = failures + [_entry(clip, folder, clip.name in before, said.get(clip.name)) for clip in named.values()]
     write_report(entries, folder)
     failed = [entry for entry in entries if entry.status == "failed"]
     for entry in failed:
@@ -118,46 +129,43 @@ def run_batch(arguments: argparse.Namespace) -> int:
     return INTERRUPTED if interrupted else min(len(failed), _MOST_FAILED)
 
 
-def _run(runner: Runner, todo: Sequence[Job], total: int, arguments: argparse.Namespace) -> tuple[dict[str, str], bool]:
-    """What each clip that ended said, by its job's name, and whether the user stopped before all had."""
-    output = ["-o", str(arguments.output.absolute())]
-    lines = [["clip", str(job.clip.absolute()), *output, *as_line(settings_of(arguments))] for job in todo]
+def _run(runner: Runner, lines: Sequence[Sequence[str]], total: int) -> tuple[list[Outcome], bool]:
+    """How each line ended that did, and whether the user stopped before all had."""
     progress = Progress("Puppeting", total, unit="clips")
-    done = total - len(todo)
-    progress.update(done)
-    said: dict[str, str] = {}
+    before = total - len(lines)
+    progress.update(before)
+    ended: list[Outcome] = []
     try:
         for outcome in runner.run(lines):
-            said[todo[outcome.index].name] = outcome.said or f"ended with status {outcome.status}"
-            done += 1
-            progress.update(done)
+            ended.append(outcome)
+            progress.update(before + len(ended))
     except KeyboardInterrupt:
-        return said, True
+        return ended, True
     finally:
         runner.close()
         progress.finish()
-    return said, False
+    return ended, False
 
 
-def _jobs(clips: Sequence[Path], namer: Namer) -> tuple[dict[str, Job], list[Entry]]:
-    """The jobs by name, the same content once, and an entry for each clip that cannot be read."""
-    jobs: dict[str, Job] = {}
+def _named(clips: Sequence[Path], namer: Namer) -> tuple[dict[str, Clip], list[Entry]]:
+    """The clips by name, the same content once, and an entry for each clip that cannot be read."""
+    named: dict[str, Clip] = {}
     failures: list[Entry] = []
-    for clip in clips:
+    for path in clips:
         try:
-            job = namer.job(clip)
+            clip = namer.clip(path)
         except SourceError as error:
-            failures.append(Entry(printable(clip.name), "failed", said=printable(str(error))))
+            failures.append(Entry(printable(path.name), "failed", said=printable(str(error))))
         else:
-            jobs.setdefault(job.name.rpartition("-")[2], job)
-    return {job.name: job for job in jobs.values()}, failures
+            named.setdefault(clip.name.rpartition("-")[2], clip)
+    return {clip.name: clip for clip in named.values()}, failures
 
 
-def _entry(job: Job, folder: Path, before: bool, said: str | None) -> Entry:
+def _entry(clip: Clip, folder: Path, before: bool, said: str | None) -> Entry:
     """What the report tells of a clip: that it is done is known by its record alone."""
-    if (record := read_record(job, folder)) is not None:
-        return Entry(printable(job.clip.name), "skipped" if before else "done", job.name, record=record)
-    return Entry(printable(job.clip.name), "not reached" if said is None else "failed", job.name, said or "")
+    if (record := read_record(clip, folder)) is not None:
+        return Entry(printable(clip.path.name), "skipped" if before else "done", clip.name, record=record)
+    return Entry(printable(clip.path.name), "not reached" if said is None else "failed", clip.name, said or "")
 
 
 def _chosen(clips: Sequence[Path], number: int | None) -> Path:

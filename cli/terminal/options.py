@@ -6,21 +6,25 @@ import argparse
 import math
 import os
 import sys
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import IO, Any
 
-from ...core.deform.head_deformer import INFORMED
+from ...core.bake.settings import BakeSettings
+from ...core.drive.settings import DriveSettings, PosingSettings
 from ...core.errors import FacemimeError
-from ...core.mesh.kernels import KERNELS
+from ...core.puppet.job import HeadFile, PuppetJob
+from ...core.puppet.settings import PuppetSettings
+from ...core.settings import Setting, changed, settings_of
 from ...core.tracking.tracker import LEFTMOST, RIGHTMOST
 from .console import printable, say, write_error
 
 _SIDES = {"left": LEFTMOST, "right": RIGHTMOST}
-_PATHS = ("head", "points", "map")
-_FLAGS = ("smooth", "nla")
+_FOLLOWED = ("rotation", "translation")
+_POSES = {"none": (False, False), "rotation": (True, False), "full": (True, True)}
+"""What --pose says of those."""
 _LARGEST = 1_000_000_000
 _FURTHEST = 1_000_000
-_NAMES = ("face", "head", "mode", "kernel", "points", "smooth", "pose", "keys", "max_keys", "clean", "map", "nla")
 
 
 Commands = argparse._SubParsersAction  # argparse names the type of what add_subparsers gives in no other way
@@ -105,70 +109,126 @@ def face_of(text: str | None) -> tuple[float, float] | None:
     return float(x), float(y)
 
 
-def add_head_options(parser: argparse.ArgumentParser) -> None:
-    """The options that say which head is moved, by whom and how; `puppet`, `clip` and `batch` have them in common."""
+def add_puppet_options(parser: argparse.ArgumentParser) -> None:
+    """The options that say which head is moved, by whom, how, and to what it is baked; `puppet_job` reads them."""
     add_face_option(parser)
-    parser.add_argument("--head", metavar="FILE.blend[:OBJECT]", help="your own head; the built-in one by default")
-    parser.add_argument("--mode", choices=("3d", "planar"), default="3d", help="planar keeps every depth (3d)")
-    parser.add_argument(
-        "--kernel", choices=(INFORMED, *KERNELS), default=INFORMED, help=f"how skin follows landmarks ({INFORMED})"
-    )
+    parser.add_argument("--head", type=_head, metavar="FILE.blend[:OBJECT]", help="your own head (the built-in one)")
     parser.add_argument("--points", type=_path, metavar="POINTS.json", help="control points that select chose")
-    parser.add_argument("--smooth", action="store_true", help="hold still what does not move; a kept take stays raw")
-    parser.add_argument(
-        "--pose", choices=("rotation", "full", "none"), default="rotation", help="head pose to follow (rotation)"
-    )
-
-
-def add_bake_options(parser: argparse.ArgumentParser) -> None:
-    """The options that say what is animated."""
-    bake = parser.add_argument_group("what is animated")
+    how = parser.add_argument_group("how the head moves")
+    how.add_argument("--pose", choices=tuple(_POSES), default="rotation", help="head pose to follow (rotation)")
+    for group in (PuppetSettings, DriveSettings, PosingSettings):
+        _add_settings(how, group, without=_FOLLOWED)
+    bake = parser.add_argument_group("what it is baked to")
+    _add_settings(bake, BakeSettings)
     bake.add_argument(
-        "--keys",
-        choices=("new", "named", "mapped", "cache", "alembic"),
-        default="new",
-        help="new shape keys; the head's own, fitted to the motion or by a table; every vertex exactly, in a .pc2 or "
-        "also .abc beside the output (new)",
+        "--map", type=_path, metavar="TABLE.json", help="for --keys mapped (the preset that fits the head best)"
     )
-    bake.add_argument("--max-keys", type=whole_number, default=64, metavar="K", help="new keys at most (64)")
-    bake.add_argument(
-        "--clean",
-        type=float,
-        default=0.0,
-        metavar="PERCENT",
-        help="leave keyframes out: how far vertices may move by that, of the eye distance (0)",
-    )
-    bake.add_argument(
-        "--map", type=_path, metavar="TABLE.json", help="for --keys mapped; else the preset that fits best"
-    )
-    bake.add_argument("--nla", action="store_true", help="put the animation onto NLA tracks")
 
 
-def head_file(spec: str | None) -> tuple[Path | None, str]:
-    """The file and the object, or no object, that `--head` names; no file where it is not given."""
-    if spec is None:
-        return None, ""
-    file, found, name = spec.rpartition(".blend:")
-    return (Path(file + ".blend"), name) if found else (Path(spec), "")
+def _add_settings(parser: argparse._ArgumentGroup, group: type, without: Collection[str] = ()) -> None:
+    """An option for each setting of a group, named as its field is."""
+    for name, setting in settings_of(group).items():
+        if name in without:
+            continue
+        told = f"{setting.description[0].lower()}{setting.description[1:]}"
+        if setting.kind is bool:
+            parser.add_argument(_flag(name), action=argparse.BooleanOptionalAction, default=setting.default, help=told)
+            continue
+        default = _shown(setting, setting.default)
+        more = {"choices": setting.values} if setting.choices else {"metavar": _METAVARS[setting.unit]}
+        parser.add_argument(
+            _flag(name), type=_type_of(setting), default=setting.default, help=f"{told} ({default})", **more
+        )
+
+
+def _type_of(setting: Setting) -> Callable[[str], Any]:
+    """What reads an option's value, and refuses one that the setting cannot have."""
+
+    def read(text: str) -> Any:
+        value = whole_number(text) if setting.kind is int else number(text) / _scale(setting)
+        try:
+            return setting.checked(value, "the value")
+        except ValueError:
+            low, high = (_shown(setting, end) for end in (setting.low, setting.high))
+            raise argparse.ArgumentTypeError(f"{_shortened(text)} is not between {low} and {high}") from None
+
+    return str if setting.kind is str else read
+
+
+_METAVARS = {"": "N", "percent": "PERCENT", "angle": "DEGREES", "seconds": "SECONDS"}
+
+
+def _scale(setting: Setting) -> float:
+    return 180.0 / math.pi if setting.unit == "angle" else setting.scale
+
+
+def _shown(setting: Setting, value: Any) -> str:
+    """The value of a setting as an option has it: angles in degrees, fractions in percent."""
+    return str(value) if setting.kind in (str, int) else f"{value * _scale(setting):.12g}"
+
+
+def puppet_job(
+    arguments: argparse.Namespace, source: Path, output: Path, neutral: float | None = None, **wanted: Path | None
+) -> PuppetJob:
+    """The job that the options of `add_puppet_options` describe; `wanted` are further outputs of `PuppetJob`.
+
+    Raises
+    ------
+    FacemimeError
+        Where they make no sense.
+    """
+    if arguments.map is not None and arguments.keys != "mapped":
+        raise FacemimeError("A table is for keys that are mapped. Give --keys mapped, or no --map.")
+    given = vars(arguments)
+
+    def read(group: type, **more: Any) -> Any:
+        return group(**{name: given[name] for name in settings_of(group) if name in given}, **more)
+
+    settings = read(
+        PuppetSettings,
+        **dict(zip(_FOLLOWED, _POSES[arguments.pose], strict=True)),
+        neutral=neutral,
+        drive=read(DriveSettings, posing=read(PosingSettings)),
+        bake=read(BakeSettings),
+    )
+    face = face_of(arguments.face)
+    return PuppetJob(source, output, settings, face, arguments.head, arguments.points, arguments.map, **wanted)
+
+
+def as_options(job: PuppetJob) -> list[str]:
+    """The options that describe a job's head, settings and bake, with paths that hold in any folder."""
+    line: list[str] = []
+    if job.face is not None:
+        sides = {place: name for name, place in _SIDES.items()}
+        line += ["--face", sides.get(job.face) or ",".join(f"{part:.0f}" for part in job.face)]
+    if job.head is not None:
+        path = os.path.abspath(job.head.path)
+        line += ["--head", f"{path}:{job.head.name}" if job.head.name else path]
+    for name, path in (("points", job.points), ("map", job.map)):
+        if path is not None:
+            line += [_flag(name), os.path.abspath(path)]
+    followed = tuple(getattr(job.settings, name) for name in _FOLLOWED)
+    line += ["--pose", next(name for name, follows in _POSES.items() if follows == followed)]
+    for name, setting, value in changed(job.settings):
+        if name not in _FOLLOWED:
+            line += [_switch(name, value)] if setting.kind is bool else [_flag(name), _shown(setting, value)]
+    return line
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _switch(name: str, value: bool) -> str:
+    return _flag(name) if value else f"--no-{name.replace('_', '-')}"
 
 
 def _path(text: str) -> Path | None:
     return Path(text) if text else None
 
 
-def settings_of(arguments: argparse.Namespace) -> dict[str, Any]:
-    """The values of these options; one that is empty, as a farm's template gives it, is not given."""
-    given = {name: getattr(arguments, name) for name in _NAMES}
-    return {name: None if value is False or value == "" else value for name, value in given.items()}
-
-
-def as_line(settings: dict[str, Any]) -> list[str]:
-    """`settings_of` as they are given on a command line, with paths that hold in any folder."""
-    line: list[str] = []
-    for name, value in settings.items():
-        if value is None:
-            continue
-        line.append(f"--{name.replace('_', '-')}")
-        if name not in _FLAGS:
-            line.append(os.path.abspath(value) if name in _PATHS else str(value))
-    return line
+def _head(text: str) -> HeadFile | None:
+    if not text:
+        return None
+    file, found, name = text.rpartition(".blend:")
+    return HeadFile(Path(file + ".blend"), name) if found else HeadFile(Path(text))

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 from ..drive.driver import HeadDriver
 from ..drive.motion import HeadMotion, drive_take
-from ..drive.posing import Posing
-from ..drive.settings import DriveOptions
+from ..drive.settings import DriveSettings, PosingSettings
 from ..heads.built_in import load_head
 from ..heads.rig import built_in_rig
 from ..rotation import fit_rotation
@@ -35,11 +34,11 @@ _SINGLE = (
 )
 COEFFICIENTS = tuple(sorted([*_SINGLE, *(name + side for name in _SIDED for side in ("Left", "Right"))]))
 """The names of all 52, alphabetically; left and right are the performer's own."""
-_DEFAULTS = DriveOptions()
+_DEFAULTS = DriveSettings()
 _LOOKS = ("In", "Out", "Up", "Down")
 
 
-def arkit_coefficients(take: Take, neutral: Neutral, options: DriveOptions = _DEFAULTS) -> FloatArray:
+def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _DEFAULTS) -> FloatArray:
     """(N, 52) coefficients from 0 to 1 of the N frames of `take` in which a face was found.
 
     Where the eyes look is taken from the gaze, everything else is fitted to what the skin does beside that.
@@ -48,7 +47,7 @@ def arkit_coefficients(take: Take, neutral: Neutral, options: DriveOptions = _DE
     ----------
     neutral : Neutral
         The performer's.
-    options : DriveOptions
+    options : DriveSettings
         Mode, strength, mirror and strength of the eyes count; pose and its limits don't.
 
     Raises
@@ -56,7 +55,7 @@ def arkit_coefficients(take: Take, neutral: Neutral, options: DriveOptions = _DE
     SourceError
         Where no frame has a face.
     """
-    posing = Posing(eyes=options.posing.eyes, eyes_limit=options.posing.eyes_limit)
+    posing = PosingSettings(eyes_strength=options.posing.eyes_strength, eyes_limit=options.posing.eyes_limit)
     options = replace(options, posing=posing, incremental=False)
     return coefficients_of(drive_take(HeadDriver(built_in_rig(), neutral, options), take))
 

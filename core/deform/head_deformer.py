@@ -25,7 +25,7 @@ def head_deformer(
     expressions: tuple[ExpressionModel, ...] | None = None,
 ) -> RBFDeformer | IncrementalDeformer:
     """What moves the vertices of `rig` by the displacements of its 66 landmarks; `kernel` and `incremental` as for
-    `DriveOptions`.
+    `DriveSettings`.
 
     `expressions` are what the informed kernel knows of faces, by default what ships.
     """

@@ -20,11 +20,11 @@ from ..tracking.result import TrackResult
 from .eyes import EyeDriver
 from .posing import limited_rotation, limited_vector
 from .retarget import retargeter_for
-from .settings import DriveOptions
+from .settings import DriveSettings
 
 _CHIN = from_ibug(range(6, 11))
 _CAMERA_DISTANCE = 6.0
-_BY_DEFAULT = DriveOptions()
+_BY_DEFAULT = DriveSettings()
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class HeadDriver:
     rig : HeadRig
     neutral : Neutral
         The performer's, from `calibrate`.
-    options : DriveOptions
+    options : DriveSettings
     like : HeadDriver, optional
         Drove the same rig before: where its kernel is the same too, what was prepared for it is used again.
     """
@@ -69,7 +69,7 @@ class HeadDriver:
         self,
         rig: HeadRig,
         neutral: Neutral,
-        options: DriveOptions = _BY_DEFAULT,
+        options: DriveSettings = _BY_DEFAULT,
         *,
         like: HeadDriver | None = None,
     ) -> None:
@@ -95,15 +95,16 @@ class HeadDriver:
         posing = self.options.posing
         displacements = self.retargeter.displacements(result.shape)
         turned = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
-        rotation = limited_rotation(turned, posing.rotation, posing.rotation_limit)
+        rotation = limited_rotation(turned, posing.rotation_strength, posing.rotation_limit)
         vertices = self.deformer.deform(displacements)
         self.contact.resolve(vertices)
         return HeadFrame(
             vertices=vertices,
             rotation=rotation,
-            translation=self._unit * limited_vector(self._moved(result.pose), posing.location, posing.location_limit),
+            translation=self._unit
+            * limited_vector(self._moved(result.pose), posing.location_strength, posing.location_limit),
             jaw=fit_rotation(self._chin, self._chin + displacements[_CHIN]),
-            gaze=limited_rotation(self.eyes.rotation(result.gaze, rotation), posing.eyes, posing.eyes_limit),
+            gaze=limited_rotation(self.eyes.rotation(result.gaze, rotation), posing.eyes_strength, posing.eyes_limit),
         )
 
     def _moved(self, pose: FloatArray) -> FloatArray:
@@ -114,5 +115,5 @@ class HeadDriver:
         return np.array([*sideways, _CAMERA_DISTANCE * (scale / s - 1.0)])
 
 
-def _same_skin(one: DriveOptions, other: DriveOptions) -> bool:
+def _same_skin(one: DriveSettings, other: DriveSettings) -> bool:
     return one.kernel == other.kernel and not one.incremental and not other.incremental

@@ -1,36 +1,13 @@
-"""How far an avatar's head and eyes follow the performer's: strength and limits."""
+"""Rotations and vectors within limits: how far an avatar's head and eyes follow the performer's."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import inf, pi
+from math import pi
 
 import cv2
 import numpy as np
 
 from ..arrays import FloatArray
-
-
-@dataclass(frozen=True)
-class Posing:
-    """What the pose of the head and of the eyes is multiplied by, and where it ends.
-
-    Attributes
-    ----------
-    rotation, location, eyes : float
-        Strength: 0 rests, 1 follows the performer.
-    rotation_limit, eyes_limit : float
-        Radians from rest, about whatever axis.
-    location_limit : float
-        From rest, in the avatar's outer-eye distances.
-    """
-
-    rotation: float = 1.0
-    rotation_limit: float = pi
-    location: float = 1.0
-    location_limit: float = inf
-    eyes: float = 1.0
-    eyes_limit: float = pi
 
 
 def limited_rotation(rotation: FloatArray, strength: float, limit: float) -> FloatArray:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..drive.driver import HeadDriver, HeadFrame
-from ..drive.settings import DriveOptions
+from ..drive.settings import DriveSettings
 from ..errors import FacemimeError, OutputError
 from ..heads.rig import HeadRig
 from ..takes.neutral import Neutral
@@ -116,7 +116,7 @@ class LiveHead:
     """A head to drive: its rig, and how. A rig that was read anew is another one, and its driver is prepared again."""
 
     rig: HeadRig
-    options: DriveOptions = field(default_factory=DriveOptions)
+    options: DriveSettings = field(default_factory=DriveSettings)
 
 
 class LiveWorker:

@@ -61,7 +61,7 @@ def main() -> dict:
 
 def bake_every_way(bpy, head) -> dict:
     """Bake the clip to keys and to a cache by the installed modules; played, the vertices must be the live ones."""
-    puppet = importlib.import_module(f"{MODULE}.puppet")
+    puppet = importlib.import_module(f"{MODULE}.blender.animation.puppet")
     bake = importlib.import_module(f"{MODULE}.blender.animation.bake")
     pipeline = importlib.import_module(f"{MODULE}.core.takes.from_video")
     tracker = importlib.import_module(f"{MODULE}.core.tracking.tracker")

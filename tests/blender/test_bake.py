@@ -6,6 +6,7 @@ import pytest
 
 from facemime.blender.animation.bake import frames_of
 from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX
+from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.targets import PoseTarget
 from facemime.blender.frames import from_blender, rotation_to_blender
 from facemime.blender.heads.built_in import add_head
@@ -13,7 +14,7 @@ from facemime.blender.meshes import read_rig, write_vertices
 from facemime.blender.names import LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS
 from facemime.core.errors import HeadError
 from facemime.core.landmarks import OUTER_EYE_CORNERS
-from facemime.puppet import PuppetSettings, puppet_head
+from facemime.core.puppet.settings import PuppetSettings
 from takes import performance
 
 

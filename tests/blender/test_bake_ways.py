@@ -12,15 +12,17 @@ from facemime.blender.animation.bake import frames_of
 from facemime.blender.animation.bake_cache import MODIFIER
 from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX, read_keys
 from facemime.blender.animation.live import Follow, LiveHeadObject
+from facemime.blender.animation.puppet import PuppetReport, eye_distance, puppet_head, puppet_heads
 from facemime.blender.animation.targets import PoseTarget
 from facemime.blender.frames import from_blender, rotation_to_blender
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_rig
 from facemime.core.bake.key_map import KeyMap, KeyRow
+from facemime.core.bake.settings import BakeSettings
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import FacemimeError, HeadError, OutputError, SourceError
+from facemime.core.puppet.settings import PuppetSettings
 from facemime.core.takes.smooth import smooth_take
-from facemime.puppet import BakeSettings, PuppetReport, PuppetSettings, eye_distance, puppet_head, puppet_heads
 from takes import performance
 
 

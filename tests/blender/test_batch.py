@@ -144,7 +144,15 @@ def flamenco_tasks(settings: dict) -> list[dict]:
 
 def test_the_command_lines_of_the_flamenco_job_do_every_clip_and_the_report(tmp_path):
     clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
-    settings = {"clips": str(clips), "count": 2, "output": str(out), "face": "left", "smooth": True, "keys": "cache"}
+    settings = {
+        "clips": str(clips),
+        "count": 2,
+        "output": str(out),
+        "face": "left",
+        "smoothing": 0.5,
+        "nla": False,
+        "keys": "cache",
+    }
     tasks = flamenco_tasks(settings)
     assert [task["name"] for task in tasks] == ["clip-1", "clip-2", "report"]
     assert tasks[-1]["after"] == ["clip-1", "clip-2"]

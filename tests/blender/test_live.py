@@ -17,7 +17,7 @@ from facemime.operators.puppet import FACEMIME_OT_puppet, running
 from facemime.sessions.live import LiveSession
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
-from facemime.settings.values import drive_options
+from facemime.settings.values import drive_settings
 from live_ticks import CLICK, moving, shown, tick, ticks_until
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
@@ -33,7 +33,7 @@ def test_ticks_show_what_the_same_frame_gives_headless_and_the_end_puts_all_back
     running().worker.close()
     running().step()
     latest = running().shown
-    wanted = HeadDriver(rig, calibrate(take), drive_options(bpy.context.scene.facemime)).frame(latest.result)
+    wanted = HeadDriver(rig, calibrate(take), drive_settings(bpy.context.scene.facemime)).frame(latest.result)
     np.testing.assert_allclose(shown(head), to_blender(wanted.vertices), atol=1e-6)
     assert np.abs(shown(head) - before).max() > 1e-3
     assert bpy.ops.facemime.stop_puppet() == {"FINISHED"}

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import facemime
+from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.built_in import add_head
 from facemime.cli import commands
 from facemime.core.takes.file import load_take, save_take
 from facemime.operators.puppet_video import FACEMIME_OT_puppet_video
-from facemime.puppet import puppet_head
 from facemime.sessions.session import Session
 from facemime.sessions.tracking import TrackingSession
 from takes import performance

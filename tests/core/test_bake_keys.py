@@ -25,7 +25,7 @@ from facemime.core.bake.key_map import (
 from facemime.core.bake.least_squares import bounded_least_squares
 from facemime.core.bake.point_cache import in_between, write_point_cache
 from facemime.core.drive.motion import HeadMotion
-from facemime.core.drive.settings import DriveOptions
+from facemime.core.drive.settings import DriveSettings
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.heads.built_in import load_head
 from facemime.core.rotation import euler_to_matrix
@@ -89,7 +89,7 @@ def test_a_take_in_the_mirror_has_the_other_sides_coefficients():
     take = performance()
     neutral = calibrate(take)
     plain = arkit_coefficients(take, neutral)
-    mirrored = arkit_coefficients(take, neutral, DriveOptions(mirror=True))
+    mirrored = arkit_coefficients(take, neutral, DriveSettings(mirror=True))
     names = COEFFICIENTS
     assert plain.shape == (int(take.found.sum()), 52) and plain.min() >= 0.0 and plain.max() <= 1.0
     for left in ("browOuterUpLeft", "eyeLookOutLeft"):

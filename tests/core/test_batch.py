@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,8 +16,8 @@ import pytest
 
 from facemime.cli import main as cli
 from facemime.cli.batch import run
-from facemime.cli.cli.batch.clips import (
-    Job,
+from facemime.cli.batch.clips import (
+    Clip,
     Namer,
     confidence_curve,
     find_clips,
@@ -24,13 +25,21 @@ from facemime.cli.cli.batch.clips import (
     worst_frames,
     write_record,
 )
-from facemime.cli.cli.batch.report import Entry, write_report
+from facemime.cli.batch.report import Entry, write_report
+from facemime.cli.terminal.options import Parser, add_puppet_options, as_options, puppet_job
+from facemime.core.bake.settings import BakeSettings
+from facemime.core.drive.settings import DriveSettings, PosingSettings
 from facemime.core.errors import FacemimeError, OutputError, SourceError
 from facemime.core.files import locked
 from facemime.core.images import write_image
+from facemime.core.puppet.job import HeadFile, PuppetJob
+from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.settings import settings_of
 from takes import performance
+from tools import farm
 
-SETTINGS = {"head": None, "points": None, "mode": "3d"}
+ROOT = Path(__file__).resolve().parents[2]
+JOB = PuppetJob(Path("a.mp4"), Path("out"))
 
 
 def test_clips_are_found_in_folders_and_in_lists_in_a_fixed_order(tmp_path):
@@ -53,24 +62,60 @@ def test_a_clip_keeps_its_name_until_its_content_or_a_setting_changes(tmp_path):
     clip, copy, head = tmp_path / "a.mp4", tmp_path / "b.mp4", tmp_path / "own.blend"
     for path in (clip, copy, head):
         path.write_text("one")
-    name = Namer(SETTINGS).job(clip).name
-    assert name.startswith("a-") and Namer(dict(SETTINGS)).job(clip).name == name
-    assert Namer(SETTINGS).job(copy).name[2:] == name[2:]
-    assert Namer({**SETTINGS, "mode": "planar"}).job(clip).name != name
-    own = Namer({**SETTINGS, "head": f"{head}:Face"}).job(clip).name
-    assert Namer({**SETTINGS, "head": f"{head}:Other"}).job(clip).name != own != name
+    name = Namer(JOB).clip(clip).name
+    assert name.startswith("a-") and Namer(replace(JOB)).clip(clip).name == name
+    assert Namer(JOB).clip(copy).name[2:] == name[2:]
+    planar = replace(JOB, settings=PuppetSettings(drive=DriveSettings(mode="planar")))
+    assert Namer(planar).clip(clip).name != name
+    own, other = (replace(JOB, head=HeadFile(head, obj)) for obj in ("Face", "Other"))
+    before = Namer(own).clip(clip).name
+    assert Namer(other).clip(clip).name != before != name
     head.write_text("two")
-    assert Namer({**SETTINGS, "head": f"{head}:Face"}).job(clip).name != own
+    assert Namer(own).clip(clip).name != before
     clip.write_text("two")
-    assert Namer(SETTINGS).job(clip).name != name
+    assert Namer(JOB).clip(clip).name != name
     with pytest.raises(SourceError, match="no such file"):
-        Namer(SETTINGS).job(tmp_path / "none.mp4")
+        Namer(JOB).clip(tmp_path / "none.mp4")
     with pytest.raises(SourceError, match="no such file"):
-        Namer({**SETTINGS, "head": "none.blend:Face"})
+        Namer(replace(JOB, head=HeadFile(Path("none.blend"), "Face")))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        PuppetSettings(),
+        PuppetSettings(smoothing=0.0, rotation=False, drive=DriveSettings(kernel="gaussian", mirror=True)),
+        PuppetSettings(
+            translation=True,
+            drive=DriveSettings(strength_lower=0.125, posing=PosingSettings(eyes_limit=0.3, location_limit=2.0)),
+            bake=BakeSettings(keys="mapped", max_keys=7, clean=0.005, nla=True),
+        ),
+    ],
+    ids=["default", "few", "many"],
+)
+def test_a_job_written_as_options_is_read_as_the_same_job(tmp_path, settings):
+    files = {"points": tmp_path / "p.json", "map": tmp_path / "m.json" if settings.bake.keys == "mapped" else None}
+    job = replace(JOB, settings=settings, face=(320.0, 12.0), head=HeadFile(tmp_path / "a.blend", "Face"), **files)
+    parser = Parser()
+    add_puppet_options(parser)
+    read = puppet_job(parser.parse_args(as_options(job)), job.source, job.output)
+    assert replace(read, settings=settings) == job
+    for ours, theirs in zip(_numbers(read.settings), _numbers(settings), strict=True):
+        assert ours == (pytest.approx(theirs, rel=1e-9) if type(theirs) is float else theirs)
+
+
+def _numbers(settings: PuppetSettings) -> list[object]:
+    groups = (settings, settings.drive, settings.drive.posing, settings.bake)
+    return [getattr(group, name) for group in groups for name in settings_of(type(group))]
+
+
+def test_the_farm_templates_have_every_option_that_a_clip_has():
+    assert (ROOT / "farm" / "facemime.openjd.yaml").read_text() == farm.openjd(), "run tools/farm.py"
+    assert (ROOT / "farm" / "facemime.js").read_text() == farm.flamenco(), "run tools/farm.py"
 
 
 def test_a_clip_is_done_when_its_record_and_its_outputs_are_there(tmp_path):
-    job = Job(tmp_path / "a.mp4", "a-0")
+    job = Clip(tmp_path / "a.mp4", "a-0")
     assert read_record(job, tmp_path) is None
     outputs = [job.output(tmp_path, suffix) for suffix in (".blend", ".facetake", ".pc2", ".png")]
     for path in (*outputs, job.output(tmp_path, ".lock")):
@@ -98,9 +143,9 @@ def test_the_worst_frames_are_the_least_sure_ones_some_time_apart():
 
 
 @pytest.fixture
-def done(tmp_path) -> tuple[Job, Path, dict]:
+def done(tmp_path) -> tuple[Clip, Path, dict]:
     """A clip that is done, its record's path, and what stands in it."""
-    job = Job(tmp_path / "a.mp4", "a-1")
+    job = Clip(tmp_path / "a.mp4", "a-1")
     job.output(tmp_path, ".blend").write_bytes(b"x")
     write_record(job, tmp_path, performance(), 1.0, [b"jpeg"])
     path = job.output(tmp_path, ".json")
@@ -146,7 +191,7 @@ def test_nothing_that_a_clip_is_called_or_has_said_is_markup_in_the_report(tmp_p
 
 def test_the_report_stands_for_itself_and_names_what_failed_first(tmp_path):
     write_image(tmp_path / "good-1.png", np.full((60, 90, 3), 128, np.uint8))
-    write_record(job := Job(tmp_path / "good.mp4", "good-1"), tmp_path, performance(), 1.0, [b"jpeg"] * 2)
+    write_record(job := Clip(tmp_path / "good.mp4", "good-1"), tmp_path, performance(), 1.0, [b"jpeg"] * 2)
     record = json.loads(job.output(tmp_path, ".json").read_text())
     entries = [
         Entry("good.mp4", "done", "good-1", record=record),

@@ -15,12 +15,15 @@ import numpy as np
 import pytest
 
 import facemime
+from facemime.cli import landmarks
 from facemime.cli import main as cli
-from facemime.cli.cli.batch.clips import Namer, find_clips
+from facemime.cli.batch.clips import Namer, find_clips
+from facemime.cli.puppet import tracked
 from facemime.cli.terminal import console
 from facemime.cli.terminal.console import Progress, printable, say, tell
 from facemime.core.errors import SourceError
 from facemime.core.images import write_image
+from facemime.core.puppet.job import PuppetJob
 from facemime.core.takes.file import load_take, save_take
 from takes import performance
 
@@ -73,14 +76,14 @@ def test_pictures_that_are_broken_off_never_replace_whole_ones(tmp_path, monkeyp
         write_image(tmp_path / "in" / name, image)
     line = ["landmarks", str(tmp_path / "in"), "-o", str(tmp_path / "out.npz")]
     assert cli.main(line) == 0
-    whole, read = (tmp_path / "out.npz").read_bytes(), cli.read_image
+    whole, read = (tmp_path / "out.npz").read_bytes(), landmarks.read_image
 
     def interrupt(path):
         if path.name == "b.png":
             raise KeyboardInterrupt
         return read(path)
 
-    monkeypatch.setattr(cli, "read_image", interrupt)
+    monkeypatch.setattr(landmarks, "read_image", interrupt)
     assert cli.main(line) == 130
     assert f"the first 1 pictures are in {tmp_path / 'out.interrupted.npz'}" in capsys.readouterr().err
     assert (tmp_path / "out.npz").read_bytes() == whole
@@ -153,7 +156,7 @@ def test_a_take_that_cannot_take_its_place_is_kept_and_said(tmp_path, monkeypatc
         replace(source, target)
 
     monkeypatch.setattr(os, "replace", refuse)
-    monkeypatch.setattr(cli, "track_video", lambda *arguments: save_take(performance(), arguments[3]))
+    monkeypatch.setattr(tracked, "track_video", lambda *arguments: save_take(performance(), arguments[3]))
     assert cli.main(["track", str(clip), "-o", str(output)]) == 1
     said = capsys.readouterr().err
     assert (
@@ -291,7 +294,7 @@ def test_a_clip_whose_name_is_no_utf_8_is_refused(tmp_path):
     except OSError:
         pytest.skip("this file system refuses such names itself")
     with pytest.raises(SourceError, match=r"The name of .*a\\xff.mp4 is not valid UTF-8"):
-        Namer({}).job(clip)
+        Namer(PuppetJob(clip, tmp_path / "out")).clip(clip)
     done = run("track", clip, "-o", tmp_path / "take.facetake")
     assert done.returncode == 1 and "not valid UTF-8" in done.stderr
 
@@ -445,7 +448,7 @@ def test_an_interrupt_without_a_reason_is_told_in_a_whole_sentence(take, monkeyp
     def interrupt(_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("facemime.cli.takes.load_take", interrupt)
+    monkeypatch.setattr("facemime.cli.terminal.takes.load_take", interrupt)
     assert cli.main(["export", str(take), "-o", str(take.with_suffix(".csv"))]) == 130
     assert capsys.readouterr().err == "facemime: interrupted. Files that were complete before are kept.\n"
 

@@ -14,7 +14,7 @@ import facemime
 from facemime.core.apertures import LOWER_LIPS, UPPER_LIDS, lid_gaps
 from facemime.core.capture import VideoSource
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.settings import DriveOptions
+from facemime.core.drive.settings import DriveSettings
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.heads.rig import built_in_rig
 from facemime.core.live import worker as worker_module
@@ -85,7 +85,7 @@ def run(worker: LiveWorker) -> LiveWorker:
 def test_the_heads_are_those_that_the_same_frames_give_without_a_worker():
     take, rig = performance(), built_in_rig()
     neutral = calibrate(take)
-    options = DriveOptions(strength=(1.0, 0.5, 1.2))
+    options = DriveSettings(strength_middle=0.5, strength_lower=1.2)
     worker = run(
         LiveWorker(
             Listed(frames_of(take)),
@@ -96,7 +96,7 @@ def test_the_heads_are_those_that_the_same_frames_give_without_a_worker():
     )
     last = take.result(len(take) - 1)
     assert worker.latest.number == worker.counts.tracked == len(take) and worker.counts.lost == 1
-    for head, wanted in zip(worker.latest.heads, (DriveOptions(), options), strict=True):
+    for head, wanted in zip(worker.latest.heads, (DriveSettings(), options), strict=True):
         np.testing.assert_array_equal(head.vertices, HeadDriver(rig, neutral, wanted).frame(last).vertices)
 
 
@@ -174,11 +174,11 @@ def test_options_and_heads_may_change_while_it_runs_and_what_is_costly_is_kept()
     worker.start()
     wait_for(lambda: worker.latest is not None and worker.latest.heads)
     deformer = worker._drivers[0].deformer
-    worker.heads = (LiveHead(rig, DriveOptions(strength=(0.0, 0.0, 0.0))),)
+    worker.heads = (LiveHead(rig, DriveSettings(strength_upper=0.0, strength_middle=0.0, strength_lower=0.0)),)
     at_rest = rig.vertices
     wait_for(lambda: worker.latest.heads and np.abs(worker.latest.heads[0].vertices - at_rest).max() < 1e-6)
     assert worker._drivers[0].deformer is deformer
-    worker.heads = (LiveHead(rig, DriveOptions(kernel="gaussian")),)
+    worker.heads = (LiveHead(rig, DriveSettings(kernel="gaussian")),)
     wait_for(lambda: worker._drivers[0].deformer is not deformer)
     worker.close()
 

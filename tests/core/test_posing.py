@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.posing import Posing, limited_rotation, limited_vector
-from facemime.core.drive.settings import DriveOptions
+from facemime.core.drive.posing import limited_rotation, limited_vector
+from facemime.core.drive.settings import DriveSettings, PosingSettings
 from facemime.core.errors import SourceError
 from facemime.core.heads.rig import built_in_rig
 from facemime.core.rotation import euler_to_matrix
@@ -49,11 +49,15 @@ def test_strength_and_limit_reach_the_head_the_eyes_and_the_place():
     take, rig = performance(), built_in_rig()
     neutral, result = calibrate(take), take.result(len(take) - 1)
     plain = HeadDriver(rig, neutral).frame(result)
-    still = HeadDriver(rig, neutral, DriveOptions(posing=Posing(rotation=0.0, location=0.0, eyes=0.0))).frame(result)
+    still = HeadDriver(
+        rig,
+        neutral,
+        DriveSettings(posing=PosingSettings(rotation_strength=0.0, location_strength=0.0, eyes_strength=0.0)),
+    ).frame(result)
     assert angle(still.rotation) < 1e-9 and angle(still.gaze) < 1e-9 and not still.translation.any()
-    short = HeadDriver(rig, neutral, DriveOptions(posing=Posing(rotation_limit=0.01, location_limit=0.01))).frame(
-        result
-    )
+    short = HeadDriver(
+        rig, neutral, DriveSettings(posing=PosingSettings(rotation_limit=0.01, location_limit=0.01))
+    ).frame(result)
     assert angle(plain.rotation) > 0.02 and angle(short.rotation) == pytest.approx(0.01, abs=1e-6)
     unit = np.linalg.norm(np.subtract(*rig.vertices[rig.landmarks[[36, 45]]]))
     assert np.linalg.norm(short.translation) == pytest.approx(0.01 * unit, rel=1e-5)
@@ -63,7 +67,7 @@ def test_strength_and_limit_reach_the_head_the_eyes_and_the_place():
 def test_a_mirrored_head_does_what_the_head_of_the_mirrored_picture_does():
     take, rig = performance(), built_in_rig()
     neutral = calibrate(take)
-    mirrored = HeadDriver(rig, neutral, DriveOptions(mirror=True))
+    mirrored = HeadDriver(rig, neutral, DriveSettings(mirror=True))
     straight = HeadDriver(rig, neutral.mirrored())
     for index in (3, 40, 59):
         result = take.result(index)

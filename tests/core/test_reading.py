@@ -15,8 +15,9 @@ from facemime.core.control_points import select as control_points
 from facemime.core.control_points.greedy import GreedySelection, GreedyStep
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.heads.regions import membership
-from facemime.core.presets import Setting, file_name
+from facemime.core.presets import file_name
 from facemime.core.reading import MAX_TEXT, parse_json, read_bytes, read_text
+from facemime.core.settings import Choice, Setting
 from facemime.core.takes.neutral import Neutral, calibrate
 from takes import performance
 
@@ -25,11 +26,11 @@ POINTS = json.loads(control_points.to_json(GreedySelection(membership(), (STEP, 
 TABLE = {"format": "facemime-key-map", "name": "Mine", "rows": [{"source": "jawOpen", "key": "a", "gain": 1.0}]}
 KNOWN = {
     "settings": {
-        "smoothing": Setting(low=0.0, high=20.0),
-        "kernel": Setting(choices=("gaussian",)),
-        "mirror": Setting(),
+        "smoothing": Setting(1.0, "Smoothing", low=0.0, high=20.0),
+        "kernel": Setting("gaussian", "Skin", choices=(Choice("gaussian", "Gaussian", ""),)),
+        "mirror": Setting(False, "Mirror"),
     },
-    "posing": {"eyes_limit": Setting(low=0.0, high=1.5)},
+    "posing": {"eyes_limit": Setting(0.5, "Eyes Limit", low=0.0, high=1.5)},
 }
 PRESET = {"format": "facemime-preset", "settings": {"smoothing": 2.0, "mirror": True}, "posing": {"eyes_limit": 1}}
 

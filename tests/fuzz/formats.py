@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from facegen_files import OBJ, egm, tri
-from facemime.cli.cli.batch.record import checked_record
+from facemime.cli.batch.record import checked_record
 from facemime.core import presets
 from facemime.core.bake import key_map
 from facemime.core.capture import VideoSource

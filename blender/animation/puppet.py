@@ -3,92 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
 
-from .blender.actions import check_curves
-from .blender.animation.bake import Targets, bake_pose, check_bakeable, check_range, frames_of, remove_baked, set_range
-from .blender.animation.bake_cache import bake_cache, export_alembic
-from .blender.animation.bake_keys import MeshKeys, bake_new_keys, bake_values, key_names, read_keys, value_path
-from .blender.animation.targets import PoseTarget
-from .blender.meshes import mesh_of, read_rig
-from .core.arrays import FloatArray
-from .core.bake.arkit import arkit_coefficients
-from .core.bake.basis import fit_basis
-from .core.bake.fit import fit_keys, mix_errors
-from .core.bake.key_map import KeyMap, best_preset, expression_keys
-from .core.bake.point_cache import SUFFIX
-from .core.drive.driver import HeadDriver
-from .core.drive.motion import HeadMotion, drive_take
-from .core.drive.settings import DriveOptions
-from .core.errors import HeadError, OutputError
-from .core.heads.rig import HeadRig
-from .core.landmarks import OUTER_EYE_CORNERS
-from .core.takes.neutral import Neutral, calibrate
-from .core.takes.smooth import smooth_take
-from .core.takes.take import Take
+from ...core.arrays import FloatArray
+from ...core.bake.arkit import arkit_coefficients
+from ...core.bake.basis import fit_basis
+from ...core.bake.fit import fit_keys, mix_errors
+from ...core.bake.key_map import KeyMap, best_preset, expression_keys
+from ...core.bake.point_cache import SUFFIX
+from ...core.bake.settings import BakeSettings
+from ...core.drive.motion import HeadMotion, drive_take
+from ...core.errors import HeadError, OutputError
+from ...core.heads.rig import HeadRig
+from ...core.landmarks import OUTER_EYE_CORNERS
+from ...core.puppet.performance import Performance
+from ...core.puppet.settings import PuppetSettings
+from ...core.takes.neutral import Neutral
+from ...core.takes.take import Take
+from ..actions import check_curves
+from ..meshes import mesh_of, read_rig
+from .bake import Targets, bake_pose, check_bakeable, check_range, frames_of, remove_baked, set_range
+from .bake_cache import bake_cache, export_alembic
+from .bake_keys import MeshKeys, bake_new_keys, bake_values, key_names, read_keys, value_path
+from .targets import PoseTarget
 
 TOLERANCE = 0.009
-MAX_KEYS = 64
-Keys = Literal["new", "named", "mapped", "cache", "alembic"]
-KEYS: tuple[Keys, ...] = ("new", "named", "mapped", "cache", "alembic")
-
-
-@dataclass(frozen=True)
-class BakeSettings:
-    """What a driven take is baked to.
-
-    Attributes
-    ----------
-    keys : {"new", "named", "mapped", "cache", "alembic"}
-        New shape keys; those that the mesh has, fitted to the motion of its vertices; those, by a table from ARKit's
-        coefficients; a point cache that the Mesh Cache modifier plays; that, and an Alembic file beside it.
-    max_keys : int
-        Of new ones at most; the report tells the error.
-    clean : float
-        How far vertices may end from where all keyframes would put them, eye distances; 0 leaves none out.
-    table : KeyMap or None
-        For "mapped"; None takes the preset that fits the mesh's keys best.
-    nla : bool
-        Whether the curves go onto an NLA track instead of the active action.
-    path : Path or None
-        Of the cache, which needs one; the Alembic file's differs in its suffix.
-    """
-
-    keys: Keys = "new"
-    max_keys: int = MAX_KEYS
-    clean: float = 0.0
-    table: KeyMap | None = None
-    nla: bool = False
-    path: Path | None = None
-
-
-@dataclass(frozen=True)
-class PuppetSettings:
-    """How a take moves a head.
-
-    Attributes
-    ----------
-    drive : DriveOptions
-    neutral : float or None
-        Seconds at which the performer's neutral second starts; None finds it.
-    smoothing : float
-        As for `ResultSmoother`; 0 leaves the take as it is.
-    rotation, translation : bool
-        Whether the head's pose follows the performer's.
-    bake : BakeSettings
-    """
-
-    drive: DriveOptions = field(default_factory=DriveOptions)
-    neutral: float | None = None
-    smoothing: float = 1.0
-    rotation: bool = True
-    translation: bool = False
-    bake: BakeSettings = field(default_factory=BakeSettings)
+_BY_DEFAULT = PuppetSettings()
 
 
 @dataclass(frozen=True)
@@ -111,7 +54,7 @@ def puppet_head(
     scene: bpy.types.Scene,
     obj: bpy.types.Object,
     take: Take,
-    settings: PuppetSettings = PuppetSettings(),
+    settings: PuppetSettings = _BY_DEFAULT,
     targets: Targets | None = None,
 ) -> PuppetReport:
     """Drive `obj` by `take` and bake the result to keys or a cache and curves, in step with the media's clock.
@@ -131,9 +74,9 @@ def puppet_head(
     mesh_of(obj)
     bake, targets = settings.bake, targets or {"head": PoseTarget.of(obj)}
     rig = _checked_rig(obj, targets, bake)
-    take = smooth_take(take, settings.smoothing)
-    neutral = calibrate(take, settings.neutral)
-    motion = drive_take(HeadDriver(rig, neutral, settings.drive), take)
+    performance = Performance.of(take, settings)
+    take, neutral = performance.take, performance.neutral
+    motion = drive_take(performance.driver(rig), take)
     unit, frames = eye_distance(rig), frames_of(scene, motion.times)
     check_range(take, frames)
     if bake.keys == "mapped":
@@ -155,7 +98,7 @@ def puppet_heads(
     scene: bpy.types.Scene,
     objects: Sequence[bpy.types.Object],
     take: Take,
-    settings: PuppetSettings = PuppetSettings(),
+    settings: PuppetSettings = _BY_DEFAULT,
     targets: Targets | None = None,
 ) -> list[PuppetReport]:
     """Drive many heads by one take, each with its own landmarks, regions and pose.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import tempfile
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
@@ -13,27 +13,30 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blender.animation.bake import frames_of
-from ..blender.animation.bake_cache import caches_beside
-from ..blender.heads.built_in import add_head
-from ..blender.media.preview_scene import setup_preview
-from ..blender.media.rendering import quiet, render_frames, set_rate, write_video
-from ..blender.meshes import write_selection
-from ..blender.names import LANDMARKS_PROPERTY
-from ..core.bake.key_map import KeyMap, load_map
-from ..core.capture import Frame, VideoSource, at_constant_rate, check_readable, require_utf8_name
-from ..core.control_points.greedy import GreedySelection
-from ..core.drive.motion import most_different
-from ..core.drive.settings import DriveOptions
-from ..core.errors import FacemimeError, HeadError, OutputError, SourceError
-from ..core.files import replacing
-from ..core.images import write_image
-from ..core.takes.take import Take
-from ..core.tracking.overlay import contact_sheet, label, picture_of_face, picture_of_frame
-from ..puppet import BakeSettings, PuppetReport, PuppetSettings, check_heads, puppet_head
-from .terminal.console import Progress, tell
-from .terminal.options import head_file
-from .terminal.stopping import STOPPING
+from ...blender.animation.bake import frames_of
+from ...blender.animation.bake_cache import caches_beside
+from ...blender.animation.puppet import PuppetReport, check_heads, puppet_head
+from ...blender.heads.built_in import add_head
+from ...blender.media.preview_scene import setup_preview
+from ...blender.media.rendering import quiet, render_frames, set_rate, write_video
+from ...blender.meshes import write_selection
+from ...blender.names import LANDMARKS_PROPERTY
+from ...core.bake.key_map import load_map
+from ...core.bake.settings import BakeSettings
+from ...core.capture import Frame, VideoSource, at_constant_rate, check_readable, require_utf8_name
+from ...core.control_points.greedy import GreedySelection
+from ...core.control_points.select import from_json
+from ...core.drive.motion import most_different
+from ...core.errors import HeadError, OutputError, SourceError
+from ...core.files import replacing
+from ...core.images import write_image
+from ...core.puppet.job import HeadFile, PuppetJob
+from ...core.puppet.settings import PuppetSettings
+from ...core.reading import read_text
+from ...core.takes.take import Take
+from ...core.tracking.overlay import contact_sheet, label, picture_of_face, picture_of_frame
+from ..terminal.console import Progress, tell
+from ..terminal.stopping import STOPPING
 
 Image = NDArray[np.uint8]
 
@@ -44,95 +47,90 @@ _END_OF_BLEND = b"\xb1\xea\x92\x8f"
 """What a compressed .blend ends with, as any file of Zstandard's seekable format."""
 
 
-def puppet(
-    arguments: argparse.Namespace,
-    scene: bpy.types.Scene,
-    head: bpy.types.Object,
-    take: Take,
-    video: Path | None,
-    bake: BakeSettings,
-) -> PuppetReport:
-    """Do all that `facemime puppet` does once there is a take; `video` is None where only the take is there."""
-    if arguments.head is None:
+@dataclass(frozen=True)
+class Stage:
+    """The scene and the head of a job, and its settings with the files read that it names."""
+
+    scene: bpy.types.Scene
+    head: bpy.types.Object
+    settings: PuppetSettings
+
+
+def open_stage(job: PuppetJob) -> Stage:
+    """Open the head of `job`, the built-in one in a new file by default, with its control points.
+
+    The built-in one has its face units as shape keys where the bake goes to keys that are there.
+
+    Raises
+    ------
+    FacemimeError
+        Where a file cannot be read, it holds no such object, or none or several with landmarks, or the head cannot
+        be driven or take the bake.
+    """
+    settings = _settings(job)
+    points = None if job.points is None else _points(job.points)
+    scene, head = _built_in(settings.bake) if job.head is None else _opened(job.head)
+    if points is not None:
+        write_selection(head.data, points)
+    check_heads([head], settings.bake)
+    return Stage(scene, head, settings)
+
+
+def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> PuppetReport:
+    """Do all of `job` once there is a take; `video` is None where only the take is there."""
+    scene, head, own = stage.scene, stage.head, job.head is not None
+    if not own:
         set_rate(scene, float(take.info.get("fps", 25.0)))
-    settings = PuppetSettings(
-        drive=DriveOptions(mode=arguments.mode, kernel=arguments.kernel),
-        neutral=arguments.neutral,
-        smoothing=float(arguments.smooth),
-        rotation=arguments.pose != "none",
-        translation=arguments.pose == "full",
-        bake=bake,
-    )
     STOPPING.check()
-    report = puppet_head(scene, head, take, settings)
+    report = puppet_head(scene, head, take, stage.settings)
     STOPPING.check()
     neutral = report.neutral
     tell(
         f"Baked {len(report.motion.times)} frames: {report.told()}; neutral at {neutral.start:.2f}-{neutral.end:.2f} s"
     )
-    if arguments.head is not None:  # a user's own file keeps its camera and its render settings
-        save_blend(arguments.output)
+    if own:  # a user's own file keeps its camera and its render settings
+        save_blend(job.output)
     setup_preview(scene, head, (AVATAR_SIDE, AVATAR_SIDE))
-    if arguments.head is None:
+    if not own:
         look_through_camera()
-        save_blend(arguments.output)
-    chosen = most_different(report.motion, SHEET_TILES) if arguments.sheet is not None else np.empty(0, dtype=np.intp)
+        save_blend(job.output)
+    chosen = most_different(report.motion, SHEET_TILES) if job.sheet is not None else np.empty(0, dtype=np.intp)
     sheet_frames = np.flatnonzero(take.found)[chosen]
-    if arguments.preview is not None:
-        write_preview(scene, take, video, arguments.preview)
-    if arguments.sheet is not None:
-        write_sheet(scene, take, video, sheet_frames, arguments.sheet)
+    if job.preview is not None:
+        write_preview(scene, take, video, job.preview)
+    if job.sheet is not None:
+        write_sheet(scene, take, video, sheet_frames, job.sheet)
     return report
 
 
-def bake_settings(arguments: argparse.Namespace) -> BakeSettings:
-    """What the options say is animated; FacemimeError where they make no sense."""
-    if arguments.max_keys < 1:
-        raise FacemimeError(f"At least one key is needed; got {arguments.max_keys}. Give --max-keys 1 or more.")
-    if not 0.0 <= arguments.clean <= 100.0:
-        raise FacemimeError(f"--clean is a percentage of the eye distance; got {arguments.clean}. Give 0 to 100.")
-    if arguments.map is not None and arguments.keys != "mapped":
-        raise FacemimeError("A table is for keys that are mapped. Give --keys mapped, or no --map.")
-    cached = arguments.keys in ("cache", "alembic")
-    return BakeSettings(
-        keys=arguments.keys,
-        max_keys=arguments.max_keys,
-        clean=arguments.clean / 100.0,
-        table=_table(arguments.map),
-        nla=arguments.nla,
-        path=arguments.output if cached else None,
-    )
+def _settings(job: PuppetJob) -> PuppetSettings:
+    """The settings of `job` with its table read, and the cache beside its output."""
+    table = None
+    if job.map is not None:
+        check_readable(job.map)
+        table = load_map(job.map)
+    path = job.output if job.settings.bake.keys in ("cache", "alembic") else None
+    return replace(job.settings, bake=replace(job.settings.bake, table=table, path=path))
 
 
-def _table(path: Path | None) -> KeyMap | None:
-    if path is None:
-        return None
+def _points(path: Path) -> GreedySelection:
     check_readable(path)
-    return load_map(path)
+    try:
+        return from_json(read_text(path))
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{path} cannot be read ({error}). Give a file that facemime select -o wrote.") from error
 
 
-def open_head(
-    spec: str | None, points: GreedySelection | None, bake: BakeSettings
-) -> tuple[bpy.types.Scene, bpy.types.Object]:
-    """The scene and the head to drive, by `points` if given: the built-in one in a new file, or OBJECT of FILE.blend.
+def _built_in(bake: BakeSettings) -> tuple[bpy.types.Scene, bpy.types.Object]:
+    with STOPPING.holding():
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    head = add_head(bpy.context, units=bake.keys in ("named", "mapped"))
+    return bpy.context.scene, head
 
-    The built-in one has its face units as shape keys where `bake` goes to keys that are there.
 
-    Raises
-    ------
-    SourceError, HeadError
-        Where the file cannot be opened, or holds no such object, or none or several with landmarks, or the head cannot
-        be driven or take the bake.
-    """
-    if spec is None:
-        with STOPPING.holding():
-            bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-        head = add_head(bpy.context, units=bake.keys in ("named", "mapped"))
-        if points is not None:
-            write_selection(head.data, points)
-        return bpy.context.scene, head
-    path, name = head_file(spec)
-    if path is None or not check_readable(path):
+def _opened(file: HeadFile) -> tuple[bpy.types.Scene, bpy.types.Object]:
+    path, name = file.path, file.name
+    if not check_readable(path):
         raise SourceError(f"There is no file {path}. Give --head as FILE.blend:OBJECT.")
     require_utf8_name(path)
     try:
@@ -147,14 +145,10 @@ def open_head(
         if head is None:
             names = ", ".join(obj.name for obj in bpy.data.objects if obj.type == "MESH") or "no mesh at all"
             raise HeadError(f"{path} has no object {name}. It has: {names}.")
-    elif len(bound) == 1:
-        head = bound[0]
-    else:
+        return bpy.context.scene, head
+    if len(bound) != 1:
         raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Name one: --head {path}:OBJECT.")
-    if points is not None:
-        write_selection(head.data, points)
-    check_heads([head], bake)
-    return bpy.context.scene, head
+    return bpy.context.scene, bound[0]
 
 
 def look_through_camera() -> None:

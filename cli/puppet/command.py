@@ -1,0 +1,112 @@
+"""The commands `track` and `puppet`: a video to a take, and a video or a take to an animated head."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ...core.capture import require_utf8_name
+from ...core.errors import FacemimeError
+from ...core.files import free_name, settle
+from ...core.puppet.job import PuppetJob
+from ...core.takes.file import SUFFIX, save_take
+from ...core.takes.smooth import smooth_take
+from ..terminal.options import (
+    Commands,
+    add_command,
+    add_face_option,
+    add_output,
+    add_puppet_options,
+    face_of,
+    number,
+    puppet_job,
+)
+from ..terminal.outputs import outputs_of
+from ..terminal.stopping import STOPPING
+from ..terminal.takes import load_with_warnings
+from .tracked import INTERRUPTED_NAME, growing, keep_interrupted, place_beside, track, unfinished_beside
+
+
+def add_commands(commands: Commands) -> None:
+    """Make the commands known to the parser."""
+    track = add_command(commands, "track", "track a face through a video")
+    track.add_argument("video", type=Path, metavar="VIDEO", help="what FFmpeg reads; MP4 (H.264) is safe")
+    add_output(track, "TAKE.facetake", "all that was tracked, to move any head by; it is there while it grows")
+    track.add_argument("--smooth", action="store_true", help="reduce jitter")
+    add_face_option(track)
+    track.set_defaults(run=lambda a: run_track(a.video, a.output, face_of(a.face), smooth=a.smooth))
+
+    puppet = add_command(commands, "puppet", "move a head by a video or a take, as Blender animation")
+    puppet.add_argument("source", type=Path, metavar="VIDEO|TAKE", help="a video, or what track made of one")
+    add_output(puppet, "OUT.blend", "the head with its animation")
+    puppet.add_argument("--preview", type=Path, metavar="OUT.mp4", help="video of performer and avatar side by side")
+    puppet.add_argument("--sheet", type=Path, metavar="OUT.png", help="contact sheet of the most different expressions")
+    puppet.add_argument("--take", type=Path, metavar="TAKE.facetake", help="also keep the take")
+    puppet.add_argument("--neutral", type=number, metavar="SECONDS", help="where the neutral second starts; else found")
+    add_puppet_options(puppet)
+    puppet.set_defaults(run=lambda a: run_puppet(_job(a)))
+
+
+def _job(arguments: argparse.Namespace) -> PuppetJob:
+    wanted = {"preview": arguments.preview, "sheet": arguments.sheet, "take": arguments.take}
+    return puppet_job(arguments, arguments.source, arguments.output, neutral=arguments.neutral, **wanted)
+
+
+def run_track(video: Path, output: Path, face: tuple[float, float] | None, *, smooth: bool) -> int:
+    """`facemime track`: a video to a take; returns the exit status."""
+    unfinished = unfinished_beside(output)
+    outputs, inputs = ((output, {SUFFIX}),), {"the video that is tracked": video}
+    with outputs_of(outputs, inputs, unfinished), growing(unfinished) as unfinished:
+        take = track(video, unfinished, face)
+        if smooth:
+            take = smooth_take(take)
+            save_take(take, unfinished)
+        if take.info.get("interrupted"):
+            return keep_interrupted(take, unfinished, place_beside(output, SUFFIX))
+        settle(unfinished, output)
+    return 0
+
+
+def run_puppet(job: PuppetJob) -> int:
+    """`facemime puppet`: a video or a take to an animated head, and pictures of it; returns the exit status.
+
+    Raises
+    ------
+    FacemimeError
+        Where Blender is missing, or anything that the job names cannot be read, written or driven.
+    """
+    try:
+        with STOPPING.importing():
+            from . import headless
+    except ImportError as error:
+        raise FacemimeError(
+            f"puppet needs Blender ({error}). Run: blender --command facemime puppet ..., or install bpy."
+        ) from error
+    for path, _ in job.outputs:
+        if path is not None:
+            require_utf8_name(path)
+    unfinished = unfinished_beside(job.take or job.output)
+    with outputs_of(job.outputs, job.inputs, *([unfinished] if job.tracks else [])):
+        stage = headless.open_stage(job)
+        if not job.tracks:
+            take = load_with_warnings(job.source)
+            if job.take is not None:
+                save_take(take, job.take)
+            headless.puppet(job, stage, take, None)
+            return 0
+        with growing(unfinished) as unfinished:
+            take = track(job.source, unfinished, job.face)
+            if take.info.get("interrupted"):
+                return keep_interrupted(take, unfinished, _part_of(job))
+            if job.take is not None:
+                settle(unfinished, job.take)
+            headless.puppet(job, stage, take, job.source)
+        unfinished.unlink(missing_ok=True)
+    return 0
+
+
+def _part_of(job: PuppetJob) -> Path:
+    """Where the take of an interrupted job goes."""
+    if job.take is not None:
+        return place_beside(job.take, SUFFIX)
+    return free_name(job.output.with_suffix(f"{INTERRUPTED_NAME}{SUFFIX}"))

@@ -1,0 +1,72 @@
+"""The command `select`: the control points that a take needs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..core.control_points.greedy import GreedySelection
+from ..core.control_points.select import parse_landmarks, select_for_take, to_json
+from ..core.errors import FacemimeError
+from ..core.files import replacing
+from ..core.heads.regions import REGIONS
+from ..core.heads.rig import built_in_rig
+from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
+from ..core.takes.neutral import calibrate
+from .terminal.console import say, tell
+from .terminal.options import Commands, add_command, number, whole_number
+from .terminal.outputs import outputs_of
+from .terminal.takes import load_with_warnings
+
+
+def add_commands(commands: Commands) -> None:
+    """Make the command known to the parser."""
+    select = add_command(commands, "select", "choose the control points that a take needs on the built-in head")
+    select.add_argument("take", type=Path, metavar="TAKE.facetake", help="what track made")
+    select.add_argument("-o", "--output", type=Path, metavar="POINTS.json", help="for puppet --points")
+    select.add_argument("--tolerance", type=number, default=1.0, metavar="PERCENT", help="of the face's width (1)")
+    select.add_argument(
+        "--max-points", type=whole_number, default=N_LANDMARKS, metavar="N", help=f"at most so many ({N_LANDMARKS})"
+    )
+    select.add_argument("--add", default="", metavar="17,19-21", help="landmarks to have in any case, iBUG numbers")
+    select.add_argument("--remove", default="", metavar="0-3,30", help="landmarks never to have")
+    select.add_argument("--neutral", type=number, metavar="SECONDS", help="where the neutral second starts; else found")
+    select.set_defaults(run=run_select)
+
+
+def run_select(arguments: argparse.Namespace) -> int:
+    """`facemime select`: a take to control points; the curve of error goes to the output, a line a step."""
+    if not arguments.tolerance > 0:
+        raise FacemimeError(f"The tolerance must be above 0 %; got {arguments.tolerance}.")
+    always, never = parse_landmarks(arguments.add), parse_landmarks(arguments.remove)
+    with outputs_of(((arguments.output, {".json"}),), {"the take that is read": arguments.take}):
+        take = load_with_warnings(arguments.take)
+        selection = select_for_take(
+            built_in_rig(),
+            take,
+            neutral=calibrate(take, arguments.neutral),
+            tolerance=arguments.tolerance / 100.0,
+            max_points=arguments.max_points,
+            always=always,
+            never=never,
+        )
+        if arguments.output is not None:
+            with replacing(arguments.output) as temporary:
+                temporary.write_text(to_json(selection) + "\n", encoding="utf-8")
+    say(_table(selection))
+    if not selection.reached:
+        tell("facemime: the tolerance was not reached; allow more points, or a larger one.")
+    return 0
+
+
+def _table(selection: GreedySelection) -> str:
+    """A line a step, and one with the control points."""
+    lines = ["action  landmark  region  points  worst error %  in frame  at landmark  reason"]
+    for step in selection.steps:
+        landmark, worst = IBUG68_INDICES[[step.landmark, step.worst]]
+        lines.append(
+            f"{step.action:6}  {landmark:8}  {REGIONS[step.region].name:6}  {step.points:6}  {100 * step.error:13.2f}  "
+            f"{step.frame:8}  {worst:11}  {step.reason}"
+        )
+    chosen = ", ".join(str(number) for number in IBUG68_INDICES[selection.landmarks])
+    return "\n".join([*lines, f"{len(selection.landmarks)} control points: {chosen}"])
