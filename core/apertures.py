@@ -9,15 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from .arrays import FloatArray, IntArray
-from .landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
+from .landmarks import EYE_CORNERS, LOWER_LIDS, LOWER_LIPS, MOUTH_CORNERS, UPPER_LIDS, UPPER_LIPS
 
-UPPER_LIDS = from_ibug((37, 38, 43, 44))
-LOWER_LIDS = from_ibug((41, 40, 47, 46))
-UPPER_LIPS = MOUTH_INNER_UPPER
-LOWER_LIPS = MOUTH_INNER_LOWER[::-1]
-"""Upper and lower landmarks that face each other across the eye slits (right eye first) and the mouth slit."""
-_EYE_ENDS = from_ibug((36, 36, 42, 42)), from_ibug((39, 39, 45, 45))
-_MOUTH_ENDS = from_ibug((48,)), from_ibug((54,))
+_EYE_ENDS = EYE_CORNERS[[0, 0, 2, 2]], EYE_CORNERS[[1, 1, 3, 3]]
+_MOUTH_ENDS = MOUTH_CORNERS[:1], MOUTH_CORNERS[1:]
 """Corner at the viewer's left, and at the right, of the slit that each pair lies on."""
 
 

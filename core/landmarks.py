@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 N_LANDMARKS = 66
 
@@ -38,8 +38,27 @@ MOUTH_INNER_UPPER = from_ibug(range(61, 64))
 MOUTH_INNER_LOWER = from_ibug(range(65, 68))
 INNER = np.arange(17, N_LANDMARKS)
 """The 49 inner points (all but the jaw line), over which errors are reported."""
-OUTER_EYE_CORNERS = from_ibug((36, 45))
+EYE_CORNERS = from_ibug((36, 39, 42, 45))
+"""From the viewer's left to the right: outer and inner of the performer's right eye, inner and outer of the left."""
+OUTER_EYE_CORNERS = EYE_CORNERS[[0, 3]]
 """Their distance is the unit of the shape model and of reported errors."""
+UPPER_LIDS, LOWER_LIDS = from_ibug((37, 38, 43, 44)), from_ibug((41, 40, 47, 46))
+"""Landmarks that face each other across the eye slits, the performer's right eye first."""
+MOUTH_CORNERS = from_ibug((48, 54))
+"""The performer's right one, and the left one."""
+UPPER_LIP, LOWER_LIP = from_ibug(range(49, 54)), from_ibug(range(59, 54, -1))
+"""The lips' outer rims between the corners, from the viewer's left."""
+UPPER_LIPS, LOWER_LIPS = MOUTH_INNER_UPPER, MOUTH_INNER_LOWER[::-1]
+"""Landmarks of the inner rims that face each other across the mouth slit, from the viewer's left."""
+CHIN = from_ibug(range(6, 11))
+NOSE_ROOT = from_ibug((27, 28))
+
+
+def outer_eye_distance(points: ArrayLike) -> float:
+    """Between the outer corners of the eyes, in the unit of the landmarks `points` (66, D)."""
+    right, left = np.asarray(points, dtype=np.float64)[OUTER_EYE_CORNERS]
+    return float(np.linalg.norm(right - left))
+
 
 _MIRROR_IBUG = np.array(
     [*range(16, -1, -1), *range(26, 16, -1), 27, 28, 29, 30, 35, 34, 33, 32, 31]

@@ -18,7 +18,6 @@ from ...core.bake.settings import BakeSettings
 from ...core.drive.motion import HeadMotion, drive_take
 from ...core.errors import HeadError, OutputError
 from ...core.heads.rig import HeadRig
-from ...core.landmarks import OUTER_EYE_CORNERS
 from ...core.puppet.performance import Performance
 from ...core.puppet.settings import PuppetSettings
 from ...core.takes.neutral import Neutral
@@ -77,7 +76,7 @@ def puppet_head(
     performance = Performance.of(take, settings)
     take, neutral = performance.take, performance.neutral
     motion = drive_take(performance.driver(rig), take)
-    unit, frames = eye_distance(rig), frames_of(scene, motion.times)
+    unit, frames = rig.eye_distance, frames_of(scene, motion.times)
     check_range(take, frames)
     if bake.keys == "mapped":
         plan = _mapped(obj, motion, frames, unit, bake, arkit_coefficients(take, neutral, settings.drive))
@@ -133,12 +132,6 @@ def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) ->
     """The rig of a mesh that can be driven and take the bake; HeadError where it cannot."""
     check_bakeable(obj, targets, new_keys=bake.keys == "new", old_keys=bake.keys in ("named", "mapped"))
     return read_rig(obj)
-
-
-def eye_distance(rig: HeadRig) -> float:
-    """Between the outer corners of the eyes, the mesh's unit."""
-    eyes = rig.vertices[rig.landmarks[OUTER_EYE_CORNERS]].astype(np.float64)
-    return float(np.linalg.norm(eyes[0] - eyes[1]))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from mathutils import Vector
 from ...core.arrays import IntArray
 from ...core.errors import HeadError
 from ...core.heads.lips import lip_line, rim_landmarks
-from ...core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, OUTER_EYE_CORNERS, from_ibug
+from ...core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug, outer_eye_distance
 from ...core.mesh.surface import SurfaceGraph, lips_joined
 from ..meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks
 from .binding import propose_head_regions
@@ -45,7 +45,7 @@ def open_lips(obj: bpy.types.Object | None) -> int:
     if not lips_joined(graph, landmarks):
         raise HeadError("The lips are apart already. Nothing was cut.")
     line = lip_line(graph, landmarks)
-    unit = float(np.linalg.norm(np.subtract(*vertices[landmarks[OUTER_EYE_CORNERS]])))
+    unit = outer_eye_distance(vertices[landmarks])
     upper, lower, moved = _cut(mesh, line, landmarks, _DEPTH * unit)
     if not mesh.materials:
         mesh.materials.append(None)

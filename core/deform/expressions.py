@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,8 +20,9 @@ from ..arrays import FloatArray, IntArray
 from ..assets import ASSETS
 from ..errors import ModelError
 from ..heads.built_in import load_head
-from ..landmarks import N_LANDMARKS, OUTER_EYE_CORNERS
+from ..landmarks import N_LANDMARKS, outer_eye_distance
 from ..mesh.kernels import distances
+from ..mesh.nearest import NearestPoints
 from ..mesh.warp import Warp
 from ..reading import read_bytes
 from .skin import SkinCovariance, skin_covariance
@@ -76,10 +76,8 @@ class ExpressionModel:
         places = _normalised(vertices, landmarks)
         moving = np.flatnonzero(region_weights.any(axis=0))
         warped = Warp(places[landmarks], self.landmarks)(places[moving])
-        tree = {"algorithm": 4, "leaf_max_size": 10}  # one k-d tree, searched exactly
-        index = cv2.flann_Index(_with_sides(self.places, self.sides), tree)  # type: ignore[attr-defined] # stubs lack it
-        query = _with_sides(warped, _sides(region_weights)[moving])
-        nearest, squared = index.knnSearch(query, _NEIGHBOURS, params={"checks": -1})
+        known = NearestPoints(_with_sides(self.places, self.sides))
+        nearest, squared = known.query(_with_sides(warped, _sides(region_weights)[moving]), _NEIGHBOURS)
         closeness = 1.0 / (squared + 1e-6)
         closeness /= closeness.sum(axis=1, keepdims=True)
         features = np.zeros((len(places), self.features.shape[1]), dtype=np.float32)
@@ -114,8 +112,7 @@ def learn(
     The correlation of places x and y over expressions and axes is `u(x).u(y)` with `u(x) = m(x) / |m(x)|` and m(x)
     all coordinates of all motions of x; the features are u on its strongest singular vectors.
     """
-    corners = np.asarray(vertices, dtype=np.float64)[landmarks[OUTER_EYE_CORNERS]]
-    unit = float(np.linalg.norm(corners[0] - corners[1]))
+    unit = outer_eye_distance(np.asarray(vertices)[landmarks])
     places = _normalised(vertices, landmarks)
     moving = np.flatnonzero(region_weights.any(axis=0)) if kept is None else np.asarray(kept)
     flat = motions[:, moving].transpose(1, 0, 2).reshape(len(moving), -1) / unit
@@ -199,7 +196,7 @@ def _built_in() -> ExpressionModel:
 def _normalised(vertices: FloatArray, landmarks: IntArray) -> FloatArray:
     places = np.asarray(vertices, dtype=np.float64)
     points = places[landmarks]
-    unit = float(np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS])))
+    unit = outer_eye_distance(points)
     return np.asarray((places - points.mean(axis=0)) / unit)
 
 

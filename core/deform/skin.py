@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray, as_points
 from ..errors import HeadError
-from ..landmarks import EYE_LEFT, EYE_RIGHT, OUTER_EYE_CORNERS
+from ..landmarks import EYE_LEFT, EYE_RIGHT, outer_eye_distance
 from ..mesh.kernels import distances
 from ..mesh.sparse import NestedDissection
 
@@ -66,7 +66,7 @@ def skin_covariance(
     Lindgren, Rue & Lindstroem 2011, *An explicit link between Gaussian fields and Gaussian Markov random fields*.
     """
     places = as_points(vertices, "vertices", error=HeadError)
-    unit = float(np.linalg.norm(np.subtract(*places[landmarks[OUTER_EYE_CORNERS]])))
+    unit = outer_eye_distance(places[landmarks])
     moving = np.asarray(region_weights).any(axis=0)
     used = np.flatnonzero(moving)
     place = np.cumsum(moving) - 1

@@ -12,7 +12,7 @@ from ..deform.head_deformer import head_deformer
 from ..deform.rbf import IncrementalDeformer, RBFDeformer
 from ..heads.eyeballs import EyeballContact
 from ..heads.rig import HeadRig
-from ..landmarks import OUTER_EYE_CORNERS, from_ibug
+from ..landmarks import CHIN, outer_eye_distance
 from ..rotation import euler_to_matrix, fit_rotation
 from ..takes.neutral import MIRROR_WIDTH, Neutral
 from ..tracking.mirror import mirror_result
@@ -22,7 +22,6 @@ from .posing import limited_rotation, limited_vector
 from .retarget import retargeter_for
 from .settings import DriveSettings
 
-_CHIN = from_ibug(range(6, 11))
 _CAMERA_DISTANCE = 6.0
 _BY_DEFAULT = DriveSettings()
 
@@ -86,8 +85,8 @@ class HeadDriver:
             self.deformer = head_deformer(rig, options.kernel, incremental=options.incremental)
             self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
         self.eyes = EyeDriver(self.neutral.gaze)
-        self._chin = landmarks[_CHIN] - rig.jaw_pivot
-        self._unit = float(np.linalg.norm(np.subtract(*landmarks[OUTER_EYE_CORNERS])))
+        self._chin = landmarks[CHIN] - rig.jaw_pivot
+        self._unit = outer_eye_distance(landmarks)
 
     def frame(self, result: TrackResult) -> HeadFrame:
         """The head for one tracking result in which a face was found."""
@@ -103,7 +102,7 @@ class HeadDriver:
             rotation=rotation,
             translation=self._unit
             * limited_vector(self._moved(result.pose), posing.location_strength, posing.location_limit),
-            jaw=fit_rotation(self._chin, self._chin + displacements[_CHIN]),
+            jaw=fit_rotation(self._chin, self._chin + displacements[CHIN]),
             gaze=limited_rotation(self.eyes.rotation(result.gaze, rotation), posing.eyes_strength, posing.eyes_limit),
         )
 

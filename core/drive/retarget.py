@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..apertures import LOWER_LIDS, LOWER_LIPS, UPPER_LIDS, UPPER_LIPS, eye_apertures, lid_gaps
+from ..apertures import eye_apertures, lid_gaps
 from ..arrays import FloatArray, IntArray, as_points
 from ..errors import HeadError, SourceError
 from ..heads.regions import LOWER, REGIONS, membership, spread
-from ..landmarks import N_LANDMARKS, from_ibug
+from ..landmarks import EYE_CORNERS, LOWER_LIDS, LOWER_LIPS, N_LANDMARKS, UPPER_LIDS, UPPER_LIPS
 from ..takes.neutral import Neutral
 from .settings import Mode
 
@@ -127,5 +127,5 @@ def _scale(neutral: FloatArray, head: FloatArray) -> FloatArray:
 def _opening(points: FloatArray) -> FloatArray:
     """Mean height of the right and the left eye's opening, (2,); a squint counts as an eye that is open a little."""
     height = eye_apertures(points)
-    width = np.linalg.norm(points[from_ibug((39, 45))] - points[from_ibug((36, 42))], axis=1)
+    width = np.linalg.norm(points[EYE_CORNERS[1::2]] - points[EYE_CORNERS[::2]], axis=1)
     return np.asarray(np.maximum(height, _NARROWEST_EYE * width))

@@ -11,13 +11,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray, as_points
 from ..errors import HeadError
-from ..landmarks import EYE_LEFT, EYE_RIGHT, MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, N_LANDMARKS, from_ibug
+from ..landmarks import (
+    EYE_LEFT,
+    EYE_RIGHT,
+    LOWER_LIP,
+    MIRROR,
+    MOUTH_INNER_LOWER,
+    MOUTH_INNER_UPPER,
+    N_LANDMARKS,
+    UPPER_LIP,
+    from_ibug,
+)
+from ..mesh.nearest import NearestPoints
 from ..mesh.surface import SurfaceGraph, lips_joined
 from .template import Surface, Template, lay_over
 
@@ -32,7 +42,6 @@ MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left
 LEAST_MARKS = 4
 
 _RIMS = np.concatenate([EYE_RIGHT, EYE_LEFT, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
-_UPPER_RIM, _LOWER_RIM = from_ibug(range(49, 54)), from_ibug(range(55, 60))
 """The lips' outer rims between the corners."""
 _RIM_REACH = 0.08
 _HEAD_ALONE = 0.8
@@ -161,7 +170,7 @@ def _on_own_lip(
     moved = np.array(landmarks, dtype=np.intp)
     if lips_joined(graph, landmarks):
         return moved
-    to_upper, to_lower = (graph.ways(landmarks[rim].tolist()) for rim in (_UPPER_RIM, _LOWER_RIM))
+    to_upper, to_lower = (graph.ways(landmarks[rim].tolist()) for rim in (UPPER_LIP, LOWER_LIP))
     for inner, own, other in (
         (MOUTH_INNER_UPPER, to_upper, to_lower),
         (MOUTH_INNER_LOWER, to_lower, to_upper),
@@ -180,14 +189,12 @@ def _mirror(places: FloatArray, rotation: FloatArray, points: FloatArray, unit: 
     if abs(across[axis]) < 0.999:
         return None
     middle = float(np.median(((points + points[MIRROR]) / 2.0)[:, axis]))
-    other = places.copy()
+    other, index = places.copy(), NearestPoints(places)
     for centre in (middle, 0.0):
         other[:, axis] = 2.0 * centre - places[:, axis]
-        tree = {"algorithm": 4, "leaf_max_size": 10}
-        index = cv2.flann_Index(places.astype(np.float32), tree)  # type: ignore[attr-defined]
-        found, squared = index.knnSearch(other.astype(np.float32), 1, params={"checks": -1})
+        found, squared = index.query(other)
         if float((squared[:, 0] < (_SYMMETRY * unit) ** 2).mean()) > 0.95:
-            return np.asarray(found[:, 0], dtype=np.intp)
+            return found[:, 0]
     return None
 
 

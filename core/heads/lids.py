@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import from_ibug
+from ..landmarks import EYE_LEFT, EYE_RIGHT
 from ..mesh.surface import JOINED, SurfaceGraph
 from .eyeballs import LID
 from .lips import at_shares
 
-EYES = from_ibug((36, 37, 38, 39, 40, 41)), from_ibug((45, 44, 43, 42, 47, 46))
+EYES = EYE_RIGHT, EYE_LEFT[[3, 2, 1, 0, 5, 4]]
 """Right and left eye: outer corner, upper lid, inner corner, lower lid; each other's mirror image."""
 _LIDS = (1, 2, 4, 5)
 _USUAL = np.array([0.76, -0.48, 0.0])

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
+from ..landmarks import MOUTH_CORNERS, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER
 from ..mesh.surface import SurfaceGraph
 
-_CORNERS = from_ibug((48, 54))
 _BETWEEN = (0.25, 0.5, 0.75)
 """Where along the line the inner landmarks of each lip lie."""
 _LEAST = 7
@@ -34,7 +33,7 @@ def lip_line(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
     HeadError
         Where no line leads along the skin, or it has too few vertices.
     """
-    right, left = (int(v) for v in landmarks[_CORNERS])
+    right, left = (int(v) for v in landmarks[MOUTH_CORNERS])
     points = graph.vertices[landmarks]
     between = (points[MOUTH_INNER_UPPER] + points[MOUTH_INNER_LOWER[::-1]]) / 2.0
     shares = np.array(_BETWEEN)[:, None]

@@ -14,15 +14,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
-from ..landmarks import BROWS, OUTER_EYE_CORNERS, from_ibug
+from ..landmarks import (
+    BROWS,
+    EYE_CORNERS,
+    EYE_LEFT,
+    EYE_RIGHT,
+    LOWER_LIP,
+    LOWER_LIPS,
+    MOUTH_CORNERS,
+    NOSE_ROOT,
+    OUTER_EYE_CORNERS,
+    UPPER_LIP,
+    UPPER_LIPS,
+    from_ibug,
+    outer_eye_distance,
+)
 from ..mesh.surface import SurfaceGraph
 
-_UPPER_LIDS = (from_ibug(range(36, 40)), from_ibug(range(42, 46)))
-_LOWER_LIDS = (from_ibug((39, 40, 41, 36)), from_ibug((45, 46, 47, 42)))
-_UPPER_LIP = from_ibug(range(48, 55))
-_LOWER_LIP = from_ibug((54, 55, 56, 57, 58, 59, 48))
-_INNER_UPPER = from_ibug((48, 61, 62, 63, 54))
-_INNER_LOWER = from_ibug((54, 65, 66, 67, 48))
+_UPPER_LIDS = EYE_RIGHT[:4], EYE_LEFT[:4]
+_LOWER_LIDS = EYE_RIGHT[[3, 4, 5, 0]], EYE_LEFT[[3, 4, 5, 0]]
+_RIGHT_CORNER, _LEFT_CORNER = MOUTH_CORNERS[:1], MOUTH_CORNERS[1:]
+_UPPER_LIP = np.concatenate([_RIGHT_CORNER, UPPER_LIP, _LEFT_CORNER])
+_LOWER_LIP = np.concatenate([_LEFT_CORNER, LOWER_LIP[::-1], _RIGHT_CORNER])
+_INNER_UPPER = np.concatenate([_RIGHT_CORNER, UPPER_LIPS, _LEFT_CORNER])
+_INNER_LOWER = np.concatenate([_LEFT_CORNER, LOWER_LIPS[::-1], _RIGHT_CORNER])
 """The rims of lids and lips, from corner to corner."""
 _EYE_SOFTNESS, _MOUTH_SOFTNESS = 0.08, 0.22
 _SLIT_SOFTNESS = 0.002
@@ -51,7 +66,7 @@ def propose_regions(vertices: FloatArray, faces: IntArray, landmarks: IntArray) 
         Vertex of each landmark.
     """
     points = np.asarray(vertices, dtype=np.float64)[landmarks]
-    unit = float(np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS])))
+    unit = outer_eye_distance(points)
     centre = points[OUTER_EYE_CORNERS].mean(axis=0)
     place = (np.asarray(vertices, dtype=np.float64) - centre) / unit
     points = place[landmarks]
@@ -99,8 +114,8 @@ def _decide(above: FloatArray, slit: _Slit) -> None:
 
 def _above_eyes(place: FloatArray, points: FloatArray) -> FloatArray:
     """Share above the line from temple to temple through the eyes' corners and the bridge of the nose."""
-    corners = points[from_ibug((36, 39, 42, 45))]
-    bridge = points[from_ibug((27, 28))].mean(axis=0)
+    corners = points[EYE_CORNERS]
+    bridge = points[NOSE_ROOT].mean(axis=0)
     line = np.stack([corners[0] - (0.3, 0.0, 0.0), *corners[:2], bridge, *corners[2:], corners[3] + (0.3, 0.0, 0.0)])
     x = place[:, 0]
     inside = ((x > corners[0, 0]) & (x < corners[1, 0])) | ((x > corners[2, 0]) & (x < corners[3, 0]))
@@ -110,7 +125,7 @@ def _above_eyes(place: FloatArray, points: FloatArray) -> FloatArray:
 
 def _above_mouth(place: FloatArray, points: FloatArray) -> FloatArray:
     """Share above the line from the mouth's corners to the angles of the jaw."""
-    right, left = points[from_ibug((48, 54))]
+    right, left = points[MOUTH_CORNERS]
     angle_right, angle_left = points[from_ibug((3, 4))].mean(axis=0), points[from_ibug((12, 13))].mean(axis=0)
     x = place[:, 0]
     outside = np.maximum(np.maximum(right[0] - x, x - left[0]), 0.0)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Literal
 
-import cv2
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..landmarks import BROWS, EYE_RIGHT, JAW, MIRROR, OUTER_EYE_CORNERS
+from ..landmarks import BROWS, EYE_RIGHT, JAW, MIRROR, outer_eye_distance
+from ..mesh.nearest import NearestPoints
 from ..mesh.surface import SurfaceGraph
 
 Side = Literal["left", "right"]
@@ -40,7 +40,7 @@ def mirror_regions(
     """
     place = np.asarray(vertices, dtype=np.float64)
     points = place[landmarks]
-    unit = float(np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS])))
+    unit = outer_eye_distance(points)
     to_left = (points[MIRROR[_RIGHT_HALF]] - points[_RIGHT_HALF]).sum(axis=0)
     normal = to_left / np.linalg.norm(to_left)
     height = (place - points.mean(axis=0)) @ normal
@@ -48,8 +48,7 @@ def mirror_regions(
     images = np.hstack([_reflected(place, height, normal), _reflected(looks, looks @ normal, normal)])
     on_source = height >= 0.0 if source == "left" else height <= 0.0
     kept, others = np.flatnonzero(on_source), np.flatnonzero(~on_source)
-    tree = cv2.flann.Index(np.hstack([place, looks]).astype(np.float32)[kept], {"algorithm": _KD_TREE_SINGLE})
-    nearest, _ = tree.knnSearch(images[others].astype(np.float32), 1, params={"checks": -1})
+    nearest, _ = NearestPoints(np.hstack([place, looks])[kept]).query(images[others])
     mirrored = np.array(weights)
     mirrored[:, others] = np.asarray(weights)[:, kept[nearest[:, 0]]]
     return mirrored

@@ -12,7 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from ..landmarks import N_LANDMARKS, from_ibug
+from ..landmarks import (
+    BROWS,
+    EYE_CORNERS,
+    JAW,
+    LOWER_LIDS,
+    LOWER_LIP,
+    LOWER_LIPS,
+    MOUTH_CORNERS,
+    N_LANDMARKS,
+    NOSE,
+    NOSE_ROOT,
+    UPPER_LIDS,
+    UPPER_LIP,
+    UPPER_LIPS,
+)
 from ..mesh.kernels import Kernel, distances
 
 UPPER, MIDDLE, LOWER = 0, 1, 2
@@ -41,20 +55,19 @@ class Region:
     spacing_factor: float
 
 
-_EYE_CORNERS_AND_BRIDGE = (36, 39, 42, 45, 27, 28)
-_MOUTH_CORNERS = (48, 54)
+_SHARED_ABOVE = np.concatenate([EYE_CORNERS, NOSE_ROOT])
+"""By the upper and the middle region; the mouth's corners are by the middle and the lower one."""
 
 REGIONS: tuple[Region, Region, Region] = (
-    Region("upper", from_ibug([*range(17, 27), 37, 38, 43, 44, *_EYE_CORNERS_AND_BRIDGE]), 0.5),
+    Region("upper", np.concatenate([BROWS, UPPER_LIDS, _SHARED_ABOVE]), 0.5),
     Region(
         "middle",
-        from_ibug(
-            [40, 41, 46, 47, *range(29, 36), *range(49, 54), *range(61, 64), *range(0, 4), *range(13, 17)]
-            + [*_EYE_CORNERS_AND_BRIDGE, *_MOUTH_CORNERS]
+        np.concatenate(
+            [np.sort(LOWER_LIDS), NOSE[2:], UPPER_LIP, UPPER_LIPS, JAW[:4], JAW[13:], _SHARED_ABOVE, MOUTH_CORNERS]
         ),
         0.8,
     ),
-    Region("lower", from_ibug([*range(55, 60), *range(65, 68), *range(4, 13), *_MOUTH_CORNERS]), 0.85),
+    Region("lower", np.concatenate([LOWER_LIP[::-1], LOWER_LIPS[::-1], JAW[4:13], MOUTH_CORNERS]), 0.85),
 )
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import N_LANDMARKS
+from ..landmarks import N_LANDMARKS, outer_eye_distance
 from .built_in import load_head
 
 
@@ -45,6 +45,11 @@ class HeadRig:
     control_points: NDArray[np.bool_] | None = None
     covariance: FloatArray | None = None
     faces: IntArray | None = None
+
+    @property
+    def eye_distance(self) -> float:
+        """Between the outer corners of the eyes, the mesh's unit."""
+        return outer_eye_distance(self.vertices[self.landmarks])
 
     def __post_init__(self) -> None:
         landmarks = np.asarray(self.landmarks)

@@ -5,13 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import EYE_LEFT, EYE_RIGHT, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, MOUTH_OUTER, N_LANDMARKS, from_ibug
+from ..landmarks import (
+    EYE_LEFT,
+    EYE_RIGHT,
+    MOUTH_INNER_LOWER,
+    MOUTH_INNER_UPPER,
+    MOUTH_OUTER,
+    N_LANDMARKS,
+    outer_eye_distance,
+)
+from ..mesh.nearest import NearestPoints
 from ..mesh.warp import Warp
 from ..rotation import euler_to_matrix, fit_rotation
 from .built_in import load_head
@@ -67,7 +75,7 @@ class Template:
     def __init__(self) -> None:
         head = load_head()
         points = head.vertices[head.landmarks].astype(np.float64)
-        unit = float(np.linalg.norm(np.subtract(*points[from_ibug((36, 45))])))
+        unit = outer_eye_distance(points)
         self.places = (head.vertices - points.mean(axis=0)) / unit
         self.faces: IntArray = head.faces
         self.landmarks: IntArray = head.landmarks
@@ -96,16 +104,15 @@ class Surface:
     def __init__(self, places: FloatArray, faces: IntArray) -> None:
         self.places, self.faces, self.normals = places, faces, surface_normals(places, faces)
         self._weight = 0.15 * float(np.ptp(places, axis=0).min())
-        tree = {"algorithm": 4, "leaf_max_size": 10}
-        self._index = cv2.flann_Index(self._key(places, self.normals), tree)  # type: ignore[attr-defined]
+        self._points = NearestPoints(self._key(places, self.normals))
 
     def nearest(self, places: FloatArray, normals: FloatArray) -> NDArray[np.intp]:
         """(N,) vertices."""
-        found, _ = self._index.knnSearch(self._key(places, normals), 1, params={"checks": -1})
-        return np.asarray(found[:, 0], dtype=np.intp)
+        found, _ = self._points.query(self._key(places, normals))
+        return found[:, 0]
 
-    def _key(self, places: FloatArray, normals: FloatArray) -> NDArray[np.float32]:
-        return np.ascontiguousarray(np.concatenate([places, self._weight * normals], axis=1), dtype=np.float32)
+    def _key(self, places: FloatArray, normals: FloatArray) -> FloatArray:
+        return np.concatenate([places, self._weight * normals], axis=1)
 
 
 def surface_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:

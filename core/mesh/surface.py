@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
-from ..landmarks import from_ibug
+from ..landmarks import LOWER_LIP, MOUTH_CORNERS, UPPER_LIP
 
-_MOUTH_CORNERS = from_ibug((48, 54))
-_OUTER_UPPER, _OUTER_LOWER = from_ibug((50, 51, 52)), from_ibug((58, 57, 56))
 JOINED = 1.7
 """Ways across the lips of fewer straight distances lead over one skin; round a corner of the mouth they are longer."""
 
@@ -108,9 +106,9 @@ def lips_joined(graph: SurfaceGraph, landmarks: IntArray) -> bool:
 
     The way leads between the lips' outer rims, whose landmarks are nowhere near a slit that may be there.
     """
-    upper, lower = landmarks[_OUTER_UPPER], landmarks[_OUTER_LOWER]
+    upper, lower = landmarks[UPPER_LIP[1:4]], landmarks[LOWER_LIP[1:4]]
     across = np.linalg.norm(graph.vertices[upper] - graph.vertices[lower], axis=1)
-    width = float(np.linalg.norm(np.subtract(*graph.vertices[landmarks[_MOUTH_CORNERS]])))
+    width = float(np.linalg.norm(np.subtract(*graph.vertices[landmarks[MOUTH_CORNERS]])))
     ways = [graph.ways([int(u)], 2.0 * width)[v] for u, v in zip(upper, lower, strict=True)]
     return bool((np.array(ways) < JOINED * across).any())
 

@@ -12,7 +12,7 @@ from ..apertures import eye_apertures, mouth_aperture
 from ..arrays import FloatArray
 from ..errors import SourceError
 from ..heads.regions import REGIONS, spread
-from ..landmarks import BROWS, MIRROR, N_LANDMARKS, from_ibug
+from ..landmarks import BROWS, MIRROR, MOUTH_CORNERS, N_LANDMARKS
 from ..reading import as_object, parse_json
 from ..rotation import euler_to_matrix
 from .take import Take
@@ -26,7 +26,6 @@ _LARGEST, _LARGEST_NUMBER = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0},
 _FLAT, _TURN_ROUNDING = 1e-4, 1e-3
 MIRROR_WIDTH = 1.0
 """Pixels: the width of which a mirrored picture has its middle at x = 0, as has a mirrored `Neutral`."""
-_MOUTH_CORNERS = from_ibug((48, 54))
 
 
 @dataclass(frozen=True)
@@ -227,7 +226,7 @@ def _expression(shapes: FloatArray) -> FloatArray:
     distance from the median would call a grin neutral in a clip of somebody who grins most of the time.
     """
     gap = mouth_aperture(shapes)
-    width = np.linalg.norm(shapes[:, _MOUTH_CORNERS[1]] - shapes[:, _MOUTH_CORNERS[0]], axis=1)
+    width = np.linalg.norm(shapes[:, MOUTH_CORNERS[1]] - shapes[:, MOUTH_CORNERS[0]], axis=1)
     lids = eye_apertures(shapes).mean(axis=1)
     brows = shapes[:, BROWS]
     unusual = np.linalg.norm(brows - np.median(brows, axis=0), axis=2).mean(axis=1)

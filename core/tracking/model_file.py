@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..archives import MAX_BYTES, Archive, read_archive
 from ..arrays import FloatArray
 from ..errors import ModelError, OutputError
-from ..landmarks import N_LANDMARKS, OUTER_EYE_CORNERS
+from ..landmarks import N_LANDMARKS, outer_eye_distance
 from ..reading import read_bytes
 from .check import N_FEATURES, FaceCheck
 from .detect import DETECTORS
@@ -232,7 +232,7 @@ def _pdm(archive: Archive) -> PointDistributionModel:
     eigenvalues = archive.reals("eigenvalues", (basis.shape[2],))
     if not 1 <= len(eigenvalues) <= _MOST_MODES or not (eigenvalues > 0.0).all():
         raise ValueError(f"eigenvalues are not 1 to {_MOST_MODES} numbers above 0")
-    if not 0.5 < float(np.linalg.norm(np.subtract(*mean[OUTER_EYE_CORNERS]))) < 2.0:
+    if not 0.5 < outer_eye_distance(mean) < 2.0:
         raise ValueError("mean_shape is not in outer-eye distances")
     return PointDistributionModel(mean, basis, eigenvalues)
 

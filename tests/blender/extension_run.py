@@ -69,7 +69,7 @@ def bake_every_way(bpy, head) -> dict:
     scene, worst = bpy.context.scene, {}
     scene.render.fps, scene.render.fps_base = 25, 1.0
     rig = puppet.read_rig(head)
-    unit = puppet.eye_distance(rig)
+    unit = rig.eye_distance
     with tempfile.TemporaryDirectory() as folder:
         for keys in puppet.KEYS:
             options = puppet.BakeSettings(keys=keys, clean=0.002, nla=keys == "named", path=Path(folder) / "a.pc2")

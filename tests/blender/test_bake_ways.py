@@ -12,7 +12,7 @@ from facemime.blender.animation.bake import frames_of
 from facemime.blender.animation.bake_cache import MODIFIER
 from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX, read_keys
 from facemime.blender.animation.live import Follow, LiveHeadObject
-from facemime.blender.animation.puppet import PuppetReport, eye_distance, puppet_head, puppet_heads
+from facemime.blender.animation.puppet import PuppetReport, puppet_head, puppet_heads
 from facemime.blender.animation.targets import PoseTarget
 from facemime.blender.frames import from_blender, rotation_to_blender
 from facemime.blender.heads.built_in import add_head
@@ -56,7 +56,7 @@ def largest_error(head: bpy.types.Object, report: PuppetReport) -> float:
     for row, frame in enumerate(np.flatnonzero(take.found)):
         away = played(head, report, row) - driver.frame(take.result(int(frame))).vertices
         worst = max(worst, float(np.linalg.norm(away, axis=1).max()))
-    return worst / eye_distance(rig)
+    return worst / rig.eye_distance
 
 
 @pytest.mark.parametrize("nla", [False, True])

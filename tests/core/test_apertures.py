@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.apertures import LOWER_LIDS, LOWER_LIPS, UPPER_LIDS, UPPER_LIPS, eye_apertures, mouth_aperture
-from facemime.core.landmarks import MIRROR
+from facemime.core.apertures import eye_apertures, mouth_aperture
+from facemime.core.landmarks import LOWER_LIDS, LOWER_LIPS, MIRROR, UPPER_LIDS, UPPER_LIPS
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.tracker import FaceTracker
 

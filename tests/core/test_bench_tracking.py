@@ -10,8 +10,7 @@ import pytest
 from bench.accuracy import aperture_errors, count_blinks, delay, differences, eye_distances, jitter
 from bench.peers.saragih import read_peer
 from bench.tracking import paces
-from facemime.core.apertures import LOWER_LIDS, UPPER_LIDS
-from facemime.core.landmarks import INNER, OUTER_EYE_CORNERS
+from facemime.core.landmarks import INNER, LOWER_LIDS, OUTER_EYE_CORNERS, UPPER_LIDS
 from facemime.core.tracking.tracker import FaceTracker
 
 PEER = Path(__file__).parents[3] / "shared/data/models/saragih_facetracker/model/face2.tracker"

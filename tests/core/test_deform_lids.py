@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scans import HEAD, UNIT, cut_apart, padded, scanned
 
-from facemime.core.apertures import LOWER_LIDS, UPPER_LIDS
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.errors import HeadError
 from facemime.core.heads.binding import bind_landmarks
@@ -17,7 +16,7 @@ from facemime.core.heads.eyeballs import LID, EyeballContact, eyeball_of
 from facemime.core.heads.lids import EYES, coarse_edges, cut_eye, eye_outline, eyes_joined
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.rig import HeadRig
-from facemime.core.landmarks import MIRROR
+from facemime.core.landmarks import LOWER_LIDS, MIRROR, UPPER_LIDS
 from facemime.core.mesh.surface import SurfaceGraph
 
 FLIP = np.array([-1.0, 1.0, 1.0])

@@ -11,12 +11,13 @@ import pytest
 from clocks import PATIENCE, EagerClock
 
 import facemime
-from facemime.core.apertures import LOWER_LIPS, UPPER_LIDS, lid_gaps
+from facemime.core.apertures import lid_gaps
 from facemime.core.capture import VideoSource
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.heads.rig import built_in_rig
+from facemime.core.landmarks import LOWER_LIPS, UPPER_LIDS
 from facemime.core.live import worker as worker_module
 from facemime.core.live.calibration import RangeCalibration
 from facemime.core.live.sources import LiveFrame, LiveSource, TakePlayer, VideoPlayer

@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from facemime.core.apertures import LOWER_LIDS, UPPER_LIDS
-from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT
+from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT, LOWER_LIDS, UPPER_LIDS
 from facemime.core.rotation import euler_to_matrix
 from facemime.core.tracking.gaze import _BALL, _BALL_RADIUS, find_gaze
 from facemime.core.tracking.tracker import FaceTracker

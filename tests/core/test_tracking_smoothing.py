@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.apertures import LOWER_LIDS, LOWER_LIPS, UPPER_LIDS, UPPER_LIPS
-from facemime.core.landmarks import N_LANDMARKS
+from facemime.core.landmarks import LOWER_LIDS, LOWER_LIPS, N_LANDMARKS, UPPER_LIDS, UPPER_LIPS
 from facemime.core.rotation import euler_to_matrix
 from facemime.core.takes.smooth import smooth_take
 from facemime.core.tracking.result import TrackResult

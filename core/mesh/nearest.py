@@ -1,0 +1,47 @@
+"""Nearest points in any number of dimensions: one k-d tree, searched exactly."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+
+_SINGLE_TREE = 4
+"""FLANN's number of the k-d tree for few dimensions, whose search is exact."""
+
+
+class NearestPoints:
+    """Finds the nearest of the given points; prepared in O(N log N), a query costs O(log N).
+
+    Parameters
+    ----------
+    points : (N, D) array_like
+        Searched in single precision.
+    """
+
+    def __init__(self, points: FloatArray) -> None:
+        self._points = np.ascontiguousarray(points, dtype=np.float32)  # the tree keeps no copy
+        tree = {"algorithm": _SINGLE_TREE, "leaf_max_size": 10}
+        self._index = cv2.flann_Index(self._points, tree)  # type: ignore[attr-defined] # its stubs lack it
+
+    def query(self, places: FloatArray, count: int = 1) -> tuple[NDArray[np.intp], FloatArray]:
+        """The nearest points to each place.
+
+        Parameters
+        ----------
+        places : (M, D) array_like
+        count : int
+            How many of each.
+
+        Returns
+        -------
+        indices : (M, count) int
+            The nearest first.
+        squared : (M, count) float32
+            Squared distances.
+        """
+        queries = np.ascontiguousarray(places, dtype=np.float32)
+        found, squared = self._index.knnSearch(queries, count, params={"checks": -1})
+        return np.asarray(found, dtype=np.intp), squared
