@@ -1,0 +1,53 @@
+"""Takes, presets and .blend files that an earlier version wrote open and give the same motion.
+
+The files in tests/data/before_floors were written by Facemime at commit e792407, in Blender 4.2: a scene with the
+built-in head and settings that are not the default ones, the same settings as a preset, a take of 60 frames, and
+what that version made of it: every eighth vertex and the poses of three frames.
+"""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.blender.meshes import read_rig
+from facemime.core.puppet.performance import Performance
+from facemime.core.takes.file import load_take
+from facemime.settings import presets
+from facemime.settings.values import bake_settings, puppet_settings
+
+FILES = Path(__file__).resolve().parents[1] / "data" / "before_floors"
+
+
+@pytest.fixture(params=["as saved", "by preset"])
+def scene(request) -> bpy.types.Scene:
+    bpy.ops.wm.open_mainfile(filepath=str(FILES / "scene.blend"))
+    scene = bpy.context.scene
+    if request.param == "by preset":
+        for group in (scene.facemime, scene.facemime.posing):
+            for name in group.bl_rna.properties.keys():  # noqa: SIM118 - a collection of Blender's
+                if group.bl_rna.properties[name].type in ("FLOAT", "BOOLEAN", "ENUM"):
+                    group.property_unset(name)
+        assert scene.facemime.mode == "3d" and scene.facemime.posing.eyes_strength == 1.0
+        presets.load(scene.facemime, FILES / "preset.json")
+    return scene
+
+
+def test_settings_and_take_give_the_motion_that_they_gave_before(scene):
+    performance = Performance.of(load_take(FILES / "take.facetake"), puppet_settings(scene.facemime))
+    driver = performance.driver(read_rig(next(obj for obj in scene.objects if obj.type == "MESH")))
+    before = np.load(FILES / "motion.npz")
+    for row, vertices, *poses in zip(*(before[name] for name in _NAMES), strict=True):
+        frame = driver.frame(performance.take.result(int(row)))
+        np.testing.assert_allclose(frame.vertices[::8], vertices, atol=2e-6)
+        for now, then in zip((frame.rotation, frame.translation, frame.jaw, frame.gaze), poses, strict=True):
+            np.testing.assert_allclose(now, then, atol=1e-6)
+
+
+_NAMES = ("rows", "vertices", "rotation", "translation", "jaw", "gaze")
+
+
+def test_a_bakes_settings_are_those_that_were_saved(scene):
+    bake = bake_settings(scene.facemime_takes.bake, "take")
+    assert (bake.keys, bake.max_keys, bake.nla) == ("named", 12, True) and bake.clean == pytest.approx(0.005)
