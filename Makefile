@@ -25,8 +25,9 @@ check: setup
 
 # What most changes can break: all that needs no Blender, Blender 4.5, and one real window. A test that hangs ends by its
 # own limit (pyproject.toml); there is none round the whole, which may be as slow as the machine is.
-# Two processes on two cores, each with one thread for linear algebra: more would wait for one another.
-PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+# Two processes on two cores, each with one thread for linear algebra: more would wait for one another. One that crashes
+# is not replaced: the others would wait for its tests for ever.
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --max-worker-restart 0
 # What is long and of one piece comes first.
 SUITES := tests/gui tests/blender tests/fuzz tests/core
 test: setup build blenders windows build/head/.ready

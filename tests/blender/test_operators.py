@@ -12,7 +12,6 @@ import pytest
 import facemime
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.built_in import add_head
-from facemime.cli import commands
 from facemime.core.takes.file import load_take, save_take
 from facemime.operators.puppet_video import FACEMIME_OT_puppet_video
 from facemime.sessions.session import Session
@@ -43,11 +42,6 @@ def test_blender_ends_after_the_extension_was_taken_away():
     code = "import bpy, facemime; facemime.register(); facemime.unregister()"
     done = subprocess.run([sys.executable, "-c", code], timeout=120, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "Not freed" not in done.stdout + done.stderr
-
-
-def test_blenders_own_command_line_reaches_the_command(tmp_path, capfd):
-    assert commands._run(["track", str(tmp_path / "none.mp4"), "-o", str(tmp_path / "take.facetake")]) == 1
-    assert "There is no file" in capfd.readouterr().err
 
 
 def test_add_head_adds_the_head_at_the_cursor():
