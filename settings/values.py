@@ -22,7 +22,7 @@ from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlay
 from ..core.puppet.settings import PuppetSettings
 from ..core.takes.file import load_take
 from ..core.takes.neutral import Neutral
-from ..core.tracking.tracker import LEFTMOST, RIGHTMOST
+from ..core.tracking.choice import LEFTMOST, RIGHTMOST
 from .bake_table import read_table
 from .preferences import preferences
 from .properties import FacemimePosing, FacemimeSettings, FacemimeSource

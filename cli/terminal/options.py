@@ -16,7 +16,7 @@ from ...core.errors import FacemimeError
 from ...core.puppet.job import HeadFile, PuppetJob
 from ...core.puppet.settings import PuppetSettings
 from ...core.settings import Setting, changed, settings_of
-from ...core.tracking.tracker import LEFTMOST, RIGHTMOST
+from ...core.tracking.choice import LEFTMOST, RIGHTMOST
 from .console import printable, say, write_error
 
 _SIDES = {"left": LEFTMOST, "right": RIGHTMOST}

@@ -12,7 +12,7 @@ from facemime.blender.meshes import read_faces, read_rig, read_selection
 from facemime.blender.names import REGION_GROUPS
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.takes.neutral import calibrate
-from facemime.core.tracking.tracker import LEFTMOST
+from facemime.core.tracking.choice import LEFTMOST
 from facemime.operators.puppet import FACEMIME_OT_puppet, running
 from facemime.sessions.live import LiveSession
 from facemime.sessions.session import Session

@@ -14,7 +14,8 @@ from facemime.core.errors import FacemimeError
 from facemime.core.live.sources import LiveFrame, LiveSource
 from facemime.core.live.worker import LiveOptions, LiveWorker
 from facemime.core.takes.file import load_take
-from facemime.core.tracking.tracker import LEFTMOST, RIGHTMOST, FaceTracker
+from facemime.core.tracking.choice import LEFTMOST, RIGHTMOST
+from facemime.core.tracking.tracker import FaceTracker
 
 SAMPLE = Path(__file__).parents[2] / "assets" / "sample" / "sample.mp4"
 

@@ -1,4 +1,4 @@
-"""Who is in view: the face that is followed, told from others that pass before it.
+"""Whose face it is: the performer's, told from those of bystanders who pass in front of it.
 
 Where two people cross, the landmarks of the one behind slip onto the one in front, who is a perfectly good face. What
 gives the change away is the look of the face, little as a small picture says of who somebody is: it is compared with
@@ -76,8 +76,8 @@ def _blended(old: NDArray[np.float32], new: NDArray[np.float32], share: float) -
 
 
 @dataclass
-class _Other:
-    """Somebody else: look, and where (6,) and in which frame last seen."""
+class _Bystander:
+    """Somebody else: appearance, and where (6,) and in which frame last seen."""
 
     look: NDArray[np.float32]
     pose: FloatArray
@@ -91,8 +91,8 @@ class _Other:
 
 
 @dataclass
-class Company:
-    """What is remembered of the face that is followed, and of others near it.
+class Identity:
+    """What is remembered of the performer's face, and of bystanders'.
 
     Attributes
     ----------
@@ -103,25 +103,25 @@ class Company:
     frame: int = 0
     _own: NDArray[np.float32] | None = None
     _doubts: int = 0
-    _others: list[_Other] = field(default_factory=list)
+    _bystanders: list[_Bystander] = field(default_factory=list)
 
     @property
     def crowded(self) -> bool:
-        """Whether anybody else was seen lately."""
-        return any(self.frame - other.frame < _LATELY for other in self._others)
+        """Whether a bystander was seen lately."""
+        return any(self.frame - other.frame < _LATELY for other in self._bystanders)
 
     @property
-    def worth_a_search(self) -> bool:
-        """Whether to look who else is in view, as the followed face looks odd: at once, and more rarely as it lasts."""
+    def search_due(self) -> bool:
+        """Whether to search for bystanders, as the tracked face looks odd: at once, and less often while it lasts."""
         return self._doubts < _AT_ONCE or self._doubts % _AT_ONCE == 0
 
-    def forget(self) -> None:
-        """Another face is followed from here on."""
+    def reset(self) -> None:
+        """Start again with another performer."""
         self._own, self._doubts = None, 0
-        self._others = []
+        self._bystanders = []
 
-    def knows(self, look: NDArray[np.float32]) -> bool:
-        """Whether this portrait surely is of the face that is followed; it is then remembered."""
+    def recognises(self, look: NDArray[np.float32]) -> bool:
+        """Whether this portrait is certainly the performer's; if so, it is remembered."""
         if self._own is None:
             self._own = look
             return True
@@ -130,46 +130,47 @@ class Company:
         self._own, self._doubts = _blended(self._own, look, _LEARNT), 0
         return True
 
-    def is_other(self, look: NDArray[np.float32]) -> bool:
-        """Whether it is liker one of the others."""
-        return self._lead(look) < -_MORE
+    def is_bystander(self, look: NDArray[np.float32]) -> bool:
+        """Whether this portrait is closer to a bystander's."""
+        return self._margin(look) < -_MORE
 
-    def get_used_to(self, look: NDArray[np.float32]) -> None:
-        """Remember a little of a portrait that may be of the face that is followed."""
+    def adapt(self, look: NDArray[np.float32]) -> None:
+        """Remember a little of a portrait that may be the performer's."""
         assert self._own is not None
         self._own = _blended(self._own, look, _IN_DOUBT)
         self._doubts += 1
 
-    def meet(self, look: NDArray[np.float32], pose: FloatArray) -> None:
-        """Remember a face at `pose` (6,) as somebody else's: of one who was there, or looks like it, or new."""
-        there = [other for other in self._others if other.continues(pose, self.frame)]
-        alike = [other for other in self._others if float(other.look @ look) > _SIMILAR]
+    def update_bystander(self, look: NDArray[np.float32], pose: FloatArray) -> None:
+        """Remember a face at `pose` (6,) as a bystander's: one who was there, one who looks alike, or a new one."""
+        there = [other for other in self._bystanders if other.continues(pose, self.frame)]
+        alike = [other for other in self._bystanders if float(other.look @ look) > _SIMILAR]
         if there or alike:
             other = max(there or alike, key=lambda o: float(o.look @ look))
             other.look, other.pose, other.frame = _blended(other.look, look, _OF_OTHERS), pose, self.frame
         else:
-            self._others = [*self._others, _Other(look, pose, self.frame)][-_MOST:]
+            self._bystanders = [*self._bystanders, _Bystander(look, pose, self.frame)][-_MOST:]
 
-    def returned(self, looks: Sequence[NDArray[np.float32]], poses: Sequence[FloatArray]) -> list[int]:
-        """Which of the faces in view may be the one that was lost; others who are still there are met again.
+    def candidates(self, looks: Sequence[NDArray[np.float32]], poses: Sequence[FloatArray]) -> list[int]:
+        """Indices of the faces in view that may be the performer's; bystanders who are still there are updated.
 
-        It looks more like it than like anybody else, or is where nobody was and looks about as much like either.
+        Such a face looks more like the performer than like anybody else, or is where nobody was and looks about as
+        much like either.
         """
         own = []
         for i, (look, pose) in enumerate(zip(looks, poses, strict=True)):
-            lead = self._lead(look)
-            somebody = any(other.continues(pose, self.frame) for other in self._others)
-            if lead > _MORE or (lead > -_LESS and not somebody):
+            margin = self._margin(look)
+            somebody = any(other.continues(pose, self.frame) for other in self._bystanders)
+            if margin > _MORE or (margin > -_LESS and not somebody):
                 own.append(i)
             elif somebody:
-                self.meet(look, pose)
+                self.update_bystander(look, pose)
         return own
 
-    def _lead(self, look: NDArray[np.float32]) -> float:
-        """By how much a portrait is liker the face that is followed than any other."""
-        if self._own is None or not self._others:
+    def _margin(self, look: NDArray[np.float32]) -> float:
+        """By how much a portrait is closer to the performer's than to any bystander's."""
+        if self._own is None or not self._bystanders:
             return 1.0
-        return float(self._own @ look) - max(float(other.look @ look) for other in self._others)
+        return float(self._own @ look) - max(float(other.look @ look) for other in self._bystanders)
 
 
 _OVAL = _oval()

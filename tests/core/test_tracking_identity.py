@@ -10,7 +10,7 @@ import pytest
 
 from bench.crossing import cross, follow
 from bench.exact import Clip
-from facemime.core.tracking.company import Company, portrait
+from facemime.core.tracking.identity import Identity, portrait
 from facemime.core.tracking.tracker import FaceTracker
 
 ROOT = Path(__file__).parents[2]
@@ -58,85 +58,85 @@ def test_a_portrait_of_a_flat_picture_is_finite() -> None:
 
 
 def test_the_first_face_seen_is_known_and_an_unlike_one_is_not() -> None:
-    company = Company()
+    identity = Identity()
     one, two = looks(0, 2)
-    assert company.knows(one)
-    assert company.knows(one)
-    assert not company.knows(two)
+    assert identity.recognises(one)
+    assert identity.recognises(one)
+    assert not identity.recognises(two)
 
 
 def test_nobody_is_somebody_else_before_others_were_met() -> None:
-    company = Company()
+    identity = Identity()
     one, two = looks(1, 2)
-    company.knows(one)
-    assert not company.is_other(two)
-    company.meet(two, at(100.0))
-    assert company.is_other(two)
-    assert not company.is_other(one)
+    identity.recognises(one)
+    assert not identity.is_bystander(two)
+    identity.update_bystander(two, at(100.0))
+    assert identity.is_bystander(two)
+    assert not identity.is_bystander(one)
 
 
 def test_what_lasts_is_got_used_to() -> None:
-    company = Company()
+    identity = Identity()
     one, two = looks(2, 2)
-    company.knows(one)
+    identity.recognises(one)
     for _ in range(60):
-        company.get_used_to(two)
-    assert company.knows(two)
+        identity.adapt(two)
+    assert identity.recognises(two)
 
 
 def test_others_are_searched_for_at_once_and_more_rarely_as_an_odd_look_lasts() -> None:
-    company = Company()
+    identity = Identity()
     own, odd = looks(7, 2)
-    company.knows(own)
+    identity.recognises(own)
     searched = []
     for _ in range(24):
-        searched.append(company.worth_a_search)
-        company.get_used_to((own - odd) / np.linalg.norm(own - odd))
+        searched.append(identity.search_due)
+        identity.adapt((own - odd) / np.linalg.norm(own - odd))
     assert all(searched[:6])
     assert sum(searched[6:]) == 3
-    company.knows(own)
-    assert company.worth_a_search
+    identity.recognises(own)
+    assert identity.search_due
 
 
 def test_after_a_loss_the_one_who_was_lost_is_told_from_the_other() -> None:
-    company = Company()
+    identity = Identity()
     own, other = looks(3, 2)
-    company.knows(own)
-    company.meet(other, at(300.0))
-    company.frame += 1
-    assert company.returned([other, own], [at(297.0), at(330.0)]) == [1]
+    identity.recognises(own)
+    identity.update_bystander(other, at(300.0))
+    identity.frame += 1
+    assert identity.candidates([other, own], [at(297.0), at(330.0)]) == [1]
 
 
 def test_a_face_that_looks_like_either_is_theirs_where_somebody_else_was_a_frame_ago() -> None:
-    company = Company()
+    identity = Identity()
     own, other = looks(4, 2)
     new = (own + other) / np.linalg.norm(own + other)
-    company.knows(own)
-    company.meet(other, at(300.0))
-    company.frame += 1
-    assert company.returned([new], [at(500.0)]) == [0]
-    assert company.returned([new], [at(303.0)]) == []
+    identity.recognises(own)
+    identity.update_bystander(other, at(300.0))
+    identity.frame += 1
+    assert identity.candidates([new], [at(500.0)]) == [0]
+    assert identity.candidates([new], [at(303.0)]) == []
 
 
 def test_it_is_crowded_only_while_somebody_was_seen_lately() -> None:
-    company = Company()
+    identity = Identity()
     one, two = looks(6, 2)
-    company.knows(one)
-    assert not company.crowded
-    company.meet(two, at(300.0))
-    assert company.crowded
-    company.frame += 100
-    assert not company.crowded
+    identity.recognises(one)
+    assert not identity.crowded
+    identity.update_bystander(two, at(300.0))
+    assert identity.crowded
+    identity.frame += 100
+    assert not identity.crowded
 
 
 def test_all_are_forgotten_when_another_face_is_followed() -> None:
-    company = Company()
+    identity = Identity()
     own, other = looks(5, 2)
-    company.knows(own)
-    company.meet(other, at(300.0))
-    company.forget()
-    assert not company.crowded
-    assert company.knows(other)
+    identity.recognises(own)
+    identity.update_bystander(other, at(300.0))
+    identity.reset()
+    assert not identity.crowded
+    assert identity.recognises(other)
 
 
 def walking(photo_name: str, size: int = 300) -> Clip:
