@@ -11,8 +11,8 @@ from ..core.errors import FacemimeError
 from ..core.images import write_image
 from ..core.takes.figure import draw_before_after
 from ..core.takes.file import SUFFIX, save_take
-from ..core.takes.mending import bridge_gaps, mirror_tracked, remove_outliers, renew_neutral
-from ..core.takes.smooth import CUTOFFS, smooth_take, smooth_zero_phase
+from ..core.takes.mending import Mending, mend
+from ..core.takes.smooth import CUTOFFS
 from ..core.takes.spreadsheet import from_csv, to_csv
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
@@ -35,7 +35,12 @@ def add_commands(commands: Commands) -> None:
     gaps.add_argument("--bridge", action="store_true", help="move through gaps without a face")
     gaps.add_argument("--hold", action="store_true", help="stay still through gaps without a face")
     mend.add_argument("--longest", type=float, default=1.0, metavar="S", help="longest gap to be filled (1)")
-    mend.add_argument("--smooth", choices=("one-euro", "zero-phase"), help="as it is done live, or without delay")
+    mend.add_argument(
+        "--smooth",
+        choices=("none", "one-euro", "zero-phase"),
+        default="none",
+        help="as it is done live, or without delay",
+    )
     cutoffs = ",".join(f"{part}={cutoff:g}" for part, cutoff in CUTOFFS.items())
     mend.add_argument("--cutoff", default="", metavar="PART=HZ,...", help=f"for zero-phase ({cutoffs})")
     mend.add_argument("--mirror", action="store_true", help="swap left and right")
@@ -84,18 +89,10 @@ def _mended(take: Take, arguments: argparse.Namespace) -> Take:
         insert = load_with_warnings(arguments.punch_in)
         start, end = parse_span(arguments.at or ":", (float(insert.times[0]), float(insert.times[-1])))
         take = punch_in(take, insert, start, end, arguments.blend)
-    if arguments.outliers:
-        take = remove_outliers(take)
-    if arguments.bridge or arguments.hold:
-        take = bridge_gaps(take, "bridge" if arguments.bridge else "hold", arguments.longest)
-    if arguments.smooth == "one-euro":
-        take = smooth_take(take)
-    elif arguments.smooth == "zero-phase":
-        take = smooth_zero_phase(take, parse_cutoffs(arguments.cutoff))
-    if arguments.mirror:
-        take = mirror_tracked(take)
-    if arguments.neutral is not None:
-        take = renew_neutral(take, arguments.neutral)
+    gaps = "bridge" if arguments.bridge else "hold" if arguments.hold else "leave"
+    cutoffs = parse_cutoffs(arguments.cutoff)
+    smoothing, mirror, neutral = arguments.smooth, arguments.mirror, arguments.neutral
+    take = mend(take, Mending(arguments.outliers, gaps, arguments.longest, smoothing, cutoffs, mirror, neutral))
     if arguments.trim is not None:
         take = trim(take, *parse_span(arguments.trim))
     if arguments.shift:

@@ -7,6 +7,7 @@ from bpy.props import FloatProperty, IntProperty, StringProperty
 from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
 from ..blender.meshes import is_head, read_rig, read_selection, write_selection
 from ..blender.registering import register_all, unregister_all
+from ..blender.viewports import redraw, viewport_under
 from ..core.control_points.select import parse_landmarks, select_for_take
 from ..core.control_points.table import add_by_hand, drop_by_hand
 from ..core.errors import HeadError
@@ -188,7 +189,7 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
         """Give the cursor back."""
         context.window.cursor_modal_restore()
         context.workspace.status_text_set(None)
-        tag_viewports(context)
+        redraw(context)
         return outcome
 
 
@@ -202,25 +203,6 @@ class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> set[str]:
         write_selection(context.active_object.data, None)
         return {"FINISHED"}
-
-
-def viewport_under(
-    context: bpy.types.Context, x: int, y: int
-) -> tuple[bpy.types.Region, bpy.types.RegionView3D] | None:
-    """The 3D view under a place of the window, and how it looks; None where there is another thing."""
-    for area in context.window.screen.areas:
-        inside = 0 <= x - area.x < area.width and 0 <= y - area.y < area.height
-        if area.type == "VIEW_3D" and inside:
-            region = next(region for region in area.regions if region.type == "WINDOW")
-            return region, area.spaces.active.region_3d
-    return None
-
-
-def tag_viewports(context: bpy.types.Context) -> None:
-    """Draw all 3D viewports of the window anew."""
-    for area in context.window.screen.areas:
-        if area.type == "VIEW_3D":
-            area.tag_redraw()
 
 
 _CLASSES = (

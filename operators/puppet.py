@@ -3,6 +3,7 @@
 import bpy
 
 from ..blender.registering import register_all, unregister_all
+from ..blender.viewports import redraw, viewport_under
 from ..core.errors import FacemimeError
 from ..sessions.live import LiveSession
 from ..sessions.session import Session, clear_later
@@ -64,7 +65,11 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         """One tick, or the end; everything else passes."""
         if self._session is None or Session.current is not self._session:
             return self.finish(context)
-        if event.type == "ESC" and event.value == "PRESS" and _over_viewport(context, event):
+        if (
+            event.type == "ESC"
+            and event.value == "PRESS"
+            and viewport_under(context, event.mouse_x, event.mouse_y) is not None
+        ):
             return self.finish(context)
         if event.type == "Z" and event.value == "PRESS" and (event.ctrl or event.oskey):
             self._session.keep = False
@@ -97,12 +102,12 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             self._rigs.look()
         self._rigs.step()
         if session.step():
-            _redraw(context, "WINDOW")
+            redraw(context, "WINDOW")
         if session.ended:
             return self.finish(context)
         if abs(self._timer_seconds() - self._told) > _STATUS:
             self._told = self._timer_seconds()
-            _redraw(context, "UI")
+            redraw(context, "UI")
         return {"PASS_THROUGH"}
 
     def finish(self, context: bpy.types.Context) -> set[str]:
@@ -116,7 +121,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             self.report({"WARNING"}, session.warning)
         if kept:
             bpy.ops.ed.undo_push(message="Puppet")
-        _redraw(context, "UI")
+        redraw(context, "UI")
         return {"FINISHED"}
 
     def cancel(self, context: bpy.types.Context) -> None:
@@ -180,35 +185,12 @@ class FACEMIME_OT_next_face(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _over_viewport(context: bpy.types.Context, event: bpy.types.Event) -> bool:
-    if context.screen is None:
-        return False
-    return any(
-        region.type == "WINDOW"
-        and 0 <= event.mouse_x - region.x < region.width
-        and 0 <= event.mouse_y - region.y < region.height
-        for area in context.screen.areas
-        if area.type == "VIEW_3D"
-        for region in area.regions
-    )
-
-
 def _painting(context: bpy.types.Context) -> bool:
     """Whether a stroke of a brush is under way."""
     window = context.window
     return window is not None and any(
         op is not None and op.bl_idname.startswith("PAINT_OT") for op in window.modal_operators
     )  # one that has just ended leaves None
-
-
-def _redraw(context: bpy.types.Context, kind: str) -> None:
-    """Draw the 3D viewports of all windows anew, "WINDOW", or their sidebars, "UI"."""
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                for region in area.regions:
-                    if region.type == kind:
-                        region.tag_redraw()
 
 
 _CLASSES = (FACEMIME_OT_puppet, FACEMIME_OT_stop_puppet, FACEMIME_OT_next_face)

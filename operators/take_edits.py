@@ -8,14 +8,11 @@ from ..blender.media.images import keep_picture
 from ..blender.registering import register_all, unregister_all
 from ..core.errors import FacemimeError
 from ..core.takes.figure import draw_before_after
-from ..core.takes.mending import bridge_gaps, mirror_tracked, remove_outliers, renew_neutral
-from ..core.takes.smooth import smooth_zero_phase
+from ..core.takes.mending import Mending, mend, renew_neutral
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, restart, shift_time, trim
 from ..settings import takes_store
 from .takes import OnTake
-
-_LONGEST_GAP = 1.0
 
 
 class ChangesTake(OnTake):
@@ -76,13 +73,8 @@ class FACEMIME_OT_mend_take(ChangesTake, bpy.types.Operator):
 
     def changed(self, context: bpy.types.Context, take: Take) -> Take:
         """`take`, mended as asked."""
-        mended = remove_outliers(take) if self.outliers else take
-        if self.gaps != "leave":
-            mended = bridge_gaps(mended, self.gaps, _LONGEST_GAP)
-        if self.smooth:
-            mended = smooth_zero_phase(mended)
-        if self.mirror:
-            mended = mirror_tracked(mended)
+        smoothing = "zero-phase" if self.smooth else "none"
+        mended = mend(take, Mending(self.outliers, self.gaps, smoothing=smoothing, mirror=self.mirror))
         if self.picture:
             image = keep_picture(f"{takes_store.chosen(context.scene).name} Mended", draw_before_after(take, mended))
             self.report({"INFO"}, f"Curves in the image {image.name}")

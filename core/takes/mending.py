@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -14,8 +15,65 @@ from ..rotation import euler_to_matrix
 from ..tracking.mirror import mirror_result
 from ..tracking.tracker import FaceTracker
 from .neutral import Neutral, calibrate
+from .smooth import smooth_take, smooth_zero_phase
 from .take import Take, TakeRecorder
 from .timing import lose, mix
+
+Gaps = Literal["leave", "bridge", "hold"]
+Smoothing = Literal["none", "one-euro", "zero-phase"]
+
+
+@dataclass(frozen=True)
+class Mending:
+    """What is done to a take, in this order.
+
+    Attributes
+    ----------
+    outliers : bool
+        Drop frames that jump out of line.
+    gaps : {"leave", "bridge", "hold"}
+        What is done where no face was found, as for `bridge_gaps`.
+    longest : float
+        Seconds of the longest gap that is filled.
+    smoothing : {"none", "one-euro", "zero-phase"}
+        As it is done live, or without delay.
+    cutoffs : mapping of str to float
+        For "zero-phase": Hz by part, where they are not as by default.
+    mirror : bool
+        Swap left and right.
+    neutral : float, optional
+        Seconds at which the face is the neutral one.
+    """
+
+    outliers: bool = False
+    gaps: Gaps = "leave"
+    longest: float = 1.0
+    smoothing: Smoothing = "none"
+    cutoffs: Mapping[str, float] = field(default_factory=dict)
+    mirror: bool = False
+    neutral: float | None = None
+
+
+def mend(take: Take, mending: Mending) -> Take:
+    """`take` with everything done to it that `mending` names.
+
+    Raises
+    ------
+    SourceError
+        Where a number makes no sense, or no face was found where the neutral one is to be.
+    """
+    if mending.outliers:
+        take = remove_outliers(take)
+    if mending.gaps != "leave":
+        take = bridge_gaps(take, mending.gaps, mending.longest)
+    if mending.smoothing == "one-euro":
+        take = smooth_take(take)
+    elif mending.smoothing == "zero-phase":
+        take = smooth_zero_phase(take, mending.cutoffs)
+    if mending.mirror:
+        take = mirror_tracked(take)
+    return take if mending.neutral is None else renew_neutral(take, mending.neutral)
+
 
 _LEAST = (0.05, 0.12, 0.2)
 """What is never an outlier: landmarks' distance in eye distances, turn in radians, move in eye distances."""
