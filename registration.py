@@ -1,5 +1,6 @@
 """What Blender is told of: one ordered tuple of modules, registered forwards and unregistered backwards."""
 
+from .blender.registering import register_module, unregister_module
 from .cli import commands
 from .operators import (
     bake,
@@ -77,15 +78,15 @@ def register() -> None:
     done = []
     try:
         for module in _MODULES:
-            module.register()
+            register_module(module)
             done.append(module)
     except Exception:
         for module in reversed(done):
-            module.unregister()
+            unregister_module(module)
         raise
 
 
 def unregister() -> None:
     """Unregister every module, the last first."""
     for module in reversed(_MODULES):
-        module.unregister()
+        unregister_module(module)

@@ -1,8 +1,41 @@
-"""Classes and timers that Blender is told of, and that it forgets again."""
+"""What Blender is told of a module, and forgets again: classes, properties of its types, handlers, timers.
+
+A module says so by its names. `CLASSES` are registered in their order; `POINTERS` are (type of Blender's, name,
+property group); `HANDLERS` maps the names of `bpy.app.handlers` to functions; `TIMERS` are functions that `watch` may
+have started. Whatever is left, a module does in `register`, which comes last, and in `unregister`, which comes first.
+"""
 
 from collections.abc import Callable
+from types import ModuleType
 
 import bpy
+from bpy.props import PointerProperty
+
+
+def register_module(module: ModuleType) -> None:
+    """Tell Blender of a module."""
+    for cls in getattr(module, "CLASSES", ()):
+        bpy.utils.register_class(cls)
+    for owner, name, group in getattr(module, "POINTERS", ()):
+        setattr(owner, name, PointerProperty(type=group))
+    for name, handler in getattr(module, "HANDLERS", {}).items():
+        getattr(bpy.app.handlers, name).append(handler)
+    if hasattr(module, "register"):
+        module.register()
+
+
+def unregister_module(module: ModuleType) -> None:
+    """Let Blender forget a module."""
+    if hasattr(module, "unregister"):
+        module.unregister()
+    for step in getattr(module, "TIMERS", ()):
+        unwatch(step)
+    for name, handler in getattr(module, "HANDLERS", {}).items():
+        getattr(bpy.app.handlers, name).remove(handler)
+    for owner, name, _ in getattr(module, "POINTERS", ()):
+        delattr(owner, name)
+    for cls in reversed(getattr(module, "CLASSES", ())):
+        bpy.utils.unregister_class(cls)
 
 
 def watch(step: Callable[[], float | None], seconds: float) -> None:
@@ -15,15 +48,3 @@ def unwatch(step: Callable[[], float | None]) -> None:
     """Call it no longer: Blender 4.2 ends in a crash where a timer still waits, or was dropped with its file."""
     if bpy.app.timers.is_registered(step):
         bpy.app.timers.unregister(step)
-
-
-def register_all(classes: tuple[type, ...]) -> None:
-    """Register `classes` in their order."""
-    for cls in classes:
-        bpy.utils.register_class(cls)
-
-
-def unregister_all(classes: tuple[type, ...]) -> None:
-    """Unregister `classes`, the last first."""
-    for cls in reversed(classes):
-        bpy.utils.unregister_class(cls)

@@ -1,5 +1,5 @@
 /* Flamenco job type: the clips of a folder or a list, one task each, then a report of all.
- * Made by tools/farm.py. Goes into the `scripts` folder of the Flamenco manager. The workers need `facemime` on their
+ * Goes into the `scripts` folder of the Flamenco manager. The workers need `facemime` on their
  * path, and must see the clips, the head and the output folder under the same paths. Run again, it skips clips that are
  * done. */
 const JOB_TYPE = {
@@ -10,6 +10,7 @@ const JOB_TYPE = {
           description: "Folder of clips, or a text file with one path per line" },
         { key: "count", type: "int32", required: true, description: "Number of clips" },
         { key: "output", type: "string", subtype: "dir_path", required: true, description: "Folder for the results" },
+        // Options, written by tools/farm.py
         { key: "face", type: "string", default: "",
           description: "of several people the leftmost, the rightmost, or the one at these pixels of the first frame; the largest by default" },
         { key: "head", type: "string", default: "",
@@ -54,10 +55,12 @@ const JOB_TYPE = {
           description: "put the animation onto an NLA track instead of the active action" },
         { key: "map", type: "string", default: "",
           description: "for --keys mapped (the preset that fits the head best)" },
+        // End of options
     ],
 };
 
 const OPTIONS = [
+    // Options, written by tools/farm.py
     "face",
     "head",
     "points",
@@ -80,6 +83,7 @@ const OPTIONS = [
     "clean",
     "nla",
     "map",
+    // End of options
 ];
 
 function compileJob(job) {

@@ -8,7 +8,6 @@ from ..blender.animation.bake import frames_of
 from ..blender.animation.bake_keys import key_names
 from ..blender.animation.puppet import puppet_heads
 from ..blender.meshes import is_head
-from ..blender.registering import register_all, unregister_all
 from ..core.bake.arkit import arkit_coefficients
 from ..core.bake.key_map import KeyMap, KeyPose, best_preset, learn_map, load_map, presets
 from ..core.errors import FacemimeError, HeadError, SourceError
@@ -206,7 +205,7 @@ def _poses(bake: FacemimeBake) -> list[KeyPose]:
     return poses
 
 
-_CLASSES = (
+CLASSES = (
     FACEMIME_OT_bake_take,
     FACEMIME_OT_detect_key_map,
     FACEMIME_OT_add_key_row,
@@ -216,13 +215,3 @@ _CLASSES = (
     FACEMIME_OT_add_key_pose,
     FACEMIME_OT_learn_key_map,
 )
-
-
-def register() -> None:
-    """Register the operators."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister the operators."""
-    unregister_all(_CLASSES)

@@ -3,7 +3,6 @@
 import bpy
 from bpy.props import EnumProperty, FloatProperty, StringProperty
 
-from ..blender.registering import register_all, unregister_all
 from ..sessions.live import COUNTDOWN
 from ..settings.values import add_performer, remove_performer
 from .puppet import running
@@ -75,14 +74,4 @@ class FACEMIME_OT_remove_performer(ReportsErrors, bpy.types.Operator):
         return {"FINISHED"}
 
 
-_CLASSES = (FACEMIME_OT_calibrate, FACEMIME_OT_add_performer, FACEMIME_OT_remove_performer)
-
-
-def register() -> None:
-    """Register the operators."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister the operators."""
-    unregister_all(_CLASSES)
+CLASSES = (FACEMIME_OT_calibrate, FACEMIME_OT_add_performer, FACEMIME_OT_remove_performer)

@@ -22,11 +22,4 @@ class FACEMIME_OT_choose_camera(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def register() -> None:
-    """Register the operator."""
-    bpy.utils.register_class(FACEMIME_OT_choose_camera)
-
-
-def unregister() -> None:
-    """Unregister it."""
-    bpy.utils.unregister_class(FACEMIME_OT_choose_camera)
+CLASSES = (FACEMIME_OT_choose_camera,)

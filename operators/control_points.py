@@ -6,7 +6,6 @@ from bpy.props import FloatProperty, IntProperty, StringProperty
 
 from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
 from ..blender.meshes import is_head, read_rig, read_selection, write_selection
-from ..blender.registering import register_all, unregister_all
 from ..blender.viewports import redraw, viewport_under
 from ..core.control_points.select import parse_landmarks, select_for_take
 from ..core.control_points.table import add_by_hand, drop_by_hand
@@ -205,7 +204,7 @@ class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
         return {"FINISHED"}
 
 
-_CLASSES = (
+CLASSES = (
     FACEMIME_OT_select_control_points,
     FACEMIME_OT_select_live_points,
     FACEMIME_OT_use_all_landmarks,
@@ -213,13 +212,3 @@ _CLASSES = (
     FACEMIME_OT_drop_control_point,
     FACEMIME_OT_pick_landmark,
 )
-
-
-def register() -> None:
-    """Register the operators."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister the operators."""
-    unregister_all(_CLASSES)

@@ -30,11 +30,4 @@ class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
         return {"FINISHED"}
 
 
-def register() -> None:
-    """Register the operator."""
-    bpy.utils.register_class(FACEMIME_OT_import_facegen)
-
-
-def unregister() -> None:
-    """Unregister the operator."""
-    bpy.utils.unregister_class(FACEMIME_OT_import_facegen)
+CLASSES = (FACEMIME_OT_import_facegen,)

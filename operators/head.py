@@ -58,11 +58,4 @@ def _frame_selected(context: bpy.types.Context) -> None:
             bpy.ops.view3d.view_selected()
 
 
-def register() -> None:
-    """Register the operator."""
-    bpy.utils.register_class(FACEMIME_OT_add_head)
-
-
-def unregister() -> None:
-    """Unregister the operator."""
-    bpy.utils.unregister_class(FACEMIME_OT_add_head)
+CLASSES = (FACEMIME_OT_add_head,)

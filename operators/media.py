@@ -7,7 +7,6 @@ from bpy.props import StringProperty
 
 from ..blender.media.reference import add_reference
 from ..blender.media.sound import add_sound
-from ..blender.registering import register_all, unregister_all
 from ..core.errors import SourceError
 from ..settings import takes_store
 from .shared import AsksForFile, heads_in, with_heads
@@ -74,14 +73,4 @@ class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):
         return {"FINISHED"}
 
 
-_CLASSES = (FACEMIME_OT_add_sound, FACEMIME_OT_add_reference)
-
-
-def register() -> None:
-    """Register the operators."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister them."""
-    unregister_all(_CLASSES)
+CLASSES = (FACEMIME_OT_add_sound, FACEMIME_OT_add_reference)

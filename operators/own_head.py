@@ -14,7 +14,6 @@ from ..blender.heads.binding import (
 )
 from ..blender.heads.eyes import open_eyes
 from ..blender.heads.lips import open_lips
-from ..blender.registering import register_all, unregister_all
 from ..core.heads.binding import MARKS
 from ..core.landmarks import from_ibug
 from ..settings.panel_properties import keep_findings
@@ -168,7 +167,7 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
         return {"FINISHED"}
 
 
-_CLASSES = (
+CLASSES = (
     FACEMIME_OT_mark_point,
     FACEMIME_OT_clear_marks,
     FACEMIME_OT_bind_landmarks,
@@ -178,13 +177,3 @@ _CLASSES = (
     FACEMIME_OT_open_lips,
     FACEMIME_OT_open_eyes,
 )
-
-
-def register() -> None:
-    """Register the operators."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister the operators."""
-    unregister_all(_CLASSES)

@@ -3,7 +3,6 @@
 import bpy
 from bpy.props import StringProperty
 
-from ..blender.registering import register_all, unregister_all
 from ..settings import presets
 from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors
 
@@ -94,20 +93,10 @@ class FACEMIME_OT_export_preset(AsksForFileToWrite, bpy.types.Operator):
         return {"FINISHED"}
 
 
-_CLASSES = (
+CLASSES = (
     FACEMIME_OT_save_preset,
     FACEMIME_OT_load_preset,
     FACEMIME_OT_remove_preset,
     FACEMIME_OT_import_preset,
     FACEMIME_OT_export_preset,
 )
-
-
-def register() -> None:
-    """Register the operators."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister the operators."""
-    unregister_all(_CLASSES)

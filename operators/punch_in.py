@@ -4,7 +4,7 @@ import bpy
 from bpy.props import FloatProperty, IntProperty
 
 from ..blender.animation.bake import seconds_at
-from ..blender.registering import register_all, unregister_all, unwatch, watch
+from ..blender.registering import watch
 from ..blender.undo import push_undo
 from ..core.errors import FacemimeError
 from ..sessions.punch_in import PunchIn
@@ -113,16 +113,10 @@ def _tell(message: str) -> None:
         bpy.context.window_manager.popup_menu(draw, title="Facemime", icon="ERROR")
 
 
-_CLASSES = (FACEMIME_OT_rerecord_take,)
-
-
-def register() -> None:
-    """Register the operator."""
-    register_all(_CLASSES)
+CLASSES = (FACEMIME_OT_rerecord_take,)
+TIMERS = (_watch,)
 
 
 def unregister() -> None:
     """Unregister it; a part that is being recorded is left."""
     PunchIn.current = None
-    unwatch(_watch)
-    unregister_all(_CLASSES)

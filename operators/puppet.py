@@ -2,7 +2,6 @@
 
 import bpy
 
-from ..blender.registering import register_all, unregister_all
 from ..blender.viewports import redraw, viewport_under
 from ..core.errors import FacemimeError
 from ..sessions.live import LiveSession
@@ -193,16 +192,10 @@ def _painting(context: bpy.types.Context) -> bool:
     )  # one that has just ended leaves None
 
 
-_CLASSES = (FACEMIME_OT_puppet, FACEMIME_OT_stop_puppet, FACEMIME_OT_next_face)
-
-
-def register() -> None:
-    """Register the operators."""
-    register_all(_CLASSES)
+CLASSES = (FACEMIME_OT_puppet, FACEMIME_OT_stop_puppet, FACEMIME_OT_next_face)
 
 
 def unregister() -> None:
     """Unregister the operators; one that runs ends first."""
     if FACEMIME_OT_puppet.instance is not None:
         FACEMIME_OT_puppet.instance.finish(bpy.context)
-    unregister_all(_CLASSES)

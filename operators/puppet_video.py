@@ -119,11 +119,4 @@ def _heads(context: bpy.types.Context, first: bpy.types.Object | None) -> list[b
     return [first, *(obj for obj in context.selected_objects if obj != first and is_head(obj))]
 
 
-def register() -> None:
-    """Register the operator."""
-    bpy.utils.register_class(FACEMIME_OT_puppet_video)
-
-
-def unregister() -> None:
-    """Unregister the operator."""
-    bpy.utils.unregister_class(FACEMIME_OT_puppet_video)
+CLASSES = (FACEMIME_OT_puppet_video,)

@@ -4,7 +4,6 @@ import bpy
 from bpy.props import EnumProperty, IntProperty
 
 from ..blender.heads.painting import mirror_painted, paint_region, smooth_painted
-from ..blender.registering import register_all, unregister_all
 from .shared import OnHead, ReportsErrors
 
 
@@ -82,19 +81,9 @@ class FACEMIME_OT_smooth_regions(OnHead, bpy.types.Operator):
         return {"FINISHED"}
 
 
-_CLASSES = (
+CLASSES = (
     FACEMIME_OT_paint_region,
     FACEMIME_OT_leave_painting,
     FACEMIME_OT_mirror_regions,
     FACEMIME_OT_smooth_regions,
 )
-
-
-def register() -> None:
-    """Register the operators."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister the operators."""
-    unregister_all(_CLASSES)

@@ -5,7 +5,6 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ..blender.animation.bake import seconds_of
 from ..blender.media.images import keep_picture
-from ..blender.registering import register_all, unregister_all
 from ..core.errors import FacemimeError
 from ..core.takes.figure import draw_before_after
 from ..core.takes.mending import Mending, mend, renew_neutral
@@ -129,14 +128,4 @@ class FACEMIME_OT_punch_in_take(ChangesTake, bpy.types.Operator):
         return punch_in(take, insert, float(insert.times[0]), float(insert.times[-1]), self.blend)
 
 
-_CLASSES = (FACEMIME_OT_trim_take, FACEMIME_OT_mend_take, FACEMIME_OT_renew_neutral, FACEMIME_OT_punch_in_take)
-
-
-def register() -> None:
-    """Register the operators."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister the operators."""
-    unregister_all(_CLASSES)
+CLASSES = (FACEMIME_OT_trim_take, FACEMIME_OT_mend_take, FACEMIME_OT_renew_neutral, FACEMIME_OT_punch_in_take)

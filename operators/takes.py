@@ -5,7 +5,7 @@ import contextlib
 import bpy
 from bpy.props import StringProperty
 
-from ..blender.registering import register_all, unregister_all, unwatch, watch
+from ..blender.registering import watch
 from ..blender.undo import push_undo
 from ..core.errors import OutputError, SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take
@@ -198,7 +198,7 @@ def _watch() -> float | None:
     return None
 
 
-_CLASSES = (
+CLASSES = (
     FACEMIME_OT_record_take,
     FACEMIME_OT_show_take,
     FACEMIME_OT_remove_take,
@@ -207,11 +207,7 @@ _CLASSES = (
     FACEMIME_OT_export_take,
     FACEMIME_OT_pack_take,
 )
-
-
-def register() -> None:
-    """Register the operators."""
-    register_all(_CLASSES)
+TIMERS = (_watch,)
 
 
 def unregister() -> None:
@@ -219,5 +215,3 @@ def unregister() -> None:
     with contextlib.suppress(OutputError):  # nobody is there to read it, and what was written before is safe
         stop_recording()
     Recording.current = None
-    unwatch(_watch)
-    unregister_all(_CLASSES)

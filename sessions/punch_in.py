@@ -121,11 +121,4 @@ def _forget(*_: object) -> None:
     PunchIn.current = Recording.current = None
 
 
-def register() -> None:
-    """Forget a recording with the file that it was made for, once its session has ended."""
-    bpy.app.handlers.load_pre.append(_forget)
-
-
-def unregister() -> None:
-    """Do so no longer."""
-    bpy.app.handlers.load_pre.remove(_forget)
+HANDLERS = {"load_pre": _forget}

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import atexit
 
-import bpy
 from bpy.app.handlers import persistent
 
 from ..blender.animation.live import clear_all_live
+from ..blender.registering import watch
 from ..blender.undo import push_undo
 from ..core.errors import HeadError
 
@@ -63,8 +63,7 @@ def _clear_undone(*_: object) -> None:
 
 def clear_later() -> None:
     """Take out what a session left that could remove no data-block where it ended, when Blender has time for it."""
-    if not bpy.app.timers.is_registered(_clear_left):
-        bpy.app.timers.register(_clear_left, first_interval=0.05)
+    watch(_clear_left, 0.05)
 
 
 def _clear_left() -> None:
@@ -98,7 +97,7 @@ def _abandon_current() -> None:
         Session.current.abandon()
 
 
-_HANDLERS = {
+HANDLERS = {
     "load_pre": _close_as_it_is,
     "load_post": _clear_opened,
     "undo_pre": _close_as_it_is,
@@ -109,12 +108,11 @@ _HANDLERS = {
     "save_post": _resume,
     "save_post_fail": _resume,
 }
+TIMERS = (_clear_left,)
 
 
 def register() -> None:
     """End a running session before another file is loaded or a step undone, and at Blender's end."""
-    for name, handler in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(handler)
     atexit.register(_abandon_current)
 
 
@@ -122,8 +120,4 @@ def unregister() -> None:
     """End a running session with the extension."""
     if Session.current is not None:
         Session.current.close()
-    for name, handler in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).remove(handler)
-    if bpy.app.timers.is_registered(_clear_left):
-        bpy.app.timers.unregister(_clear_left)
     atexit.unregister(_abandon_current)

@@ -99,13 +99,10 @@ def _show(scene: bpy.types.Scene, *_: object) -> None:
         session.close()
 
 
-def register() -> None:
-    """Follow the scene's frame."""
-    bpy.app.handlers.frame_change_post.append(_show)
+HANDLERS = {"frame_change_post": _show}
 
 
 def unregister() -> None:
     """Follow it no longer."""
     if isinstance(Session.current, TakeShow):
         Session.current.close()
-    bpy.app.handlers.frame_change_post.remove(_show)

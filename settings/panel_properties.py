@@ -2,9 +2,9 @@
 
 import bpy
 from bpy.app.handlers import persistent
-from bpy.props import BoolProperty, CollectionProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import BoolProperty, CollectionProperty, FloatProperty, IntProperty, StringProperty
 
-from ..blender.registering import register_all, unregister_all, unwatch, watch
+from ..blender.registering import watch
 from ..core.control_points.greedy import DEFAULT_TOLERANCE
 from ..core.heads.checks import Finding
 from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
@@ -78,22 +78,15 @@ def list_landmarks(*_: object) -> None:
                 landmarks.add().name = str(number)
 
 
-_CLASSES = (FacemimeSteps, FacemimeFinding, FacemimeLandmark, FacemimeMemory)
+CLASSES = (FacemimeSteps, FacemimeFinding, FacemimeLandmark, FacemimeMemory)
+POINTERS = (
+    (bpy.types.Scene, "facemime_steps", FacemimeSteps),
+    (bpy.types.WindowManager, "facemime", FacemimeMemory),
+)
+HANDLERS = {"load_post": list_landmarks}
+TIMERS = (list_landmarks,)
 
 
 def register() -> None:
     """Add settings and memory; the lines come with the next event, as nothing may be written while add-ons start."""
-    register_all(_CLASSES)
-    bpy.types.Scene.facemime_steps = PointerProperty(type=FacemimeSteps)
-    bpy.types.WindowManager.facemime = PointerProperty(type=FacemimeMemory)
-    bpy.app.handlers.load_post.append(list_landmarks)
     watch(list_landmarks, 0.0)
-
-
-def unregister() -> None:
-    """Take settings and memory away."""
-    unwatch(list_landmarks)
-    bpy.app.handlers.load_post.remove(list_landmarks)
-    del bpy.types.WindowManager.facemime
-    del bpy.types.Scene.facemime_steps
-    unregister_all(_CLASSES)

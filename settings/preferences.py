@@ -66,11 +66,4 @@ def draw_preview(layout: bpy.types.UILayout, chosen: FacemimePreferences) -> Non
     size.prop(chosen, "preview_size", text="")
 
 
-def register() -> None:
-    """Register the settings."""
-    bpy.utils.register_class(FacemimePreferences)
-
-
-def unregister() -> None:
-    """Unregister them; their values stay with Blender."""
-    bpy.utils.unregister_class(FacemimePreferences)
+CLASSES = (FacemimePreferences,)

@@ -11,7 +11,6 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..blender.registering import register_all, unregister_all
 from ..core.drive.settings import DriveSettings, PosingSettings
 from ..core.puppet.settings import PuppetSettings
 from .rna import with_settings
@@ -92,16 +91,5 @@ class FacemimeSettings(bpy.types.PropertyGroup):
     posing: PointerProperty(type=FacemimePosing)
 
 
-_CLASSES = (FacemimeSource, FacemimePosing, FacemimePerformer, FacemimeSettings)
-
-
-def register() -> None:
-    """Add the settings to every scene."""
-    register_all(_CLASSES)
-    bpy.types.Scene.facemime = PointerProperty(type=FacemimeSettings)
-
-
-def unregister() -> None:
-    """Take the settings away."""
-    del bpy.types.Scene.facemime
-    unregister_all(_CLASSES)
+CLASSES = (FacemimeSource, FacemimePosing, FacemimePerformer, FacemimeSettings)
+POINTERS = ((bpy.types.Scene, "facemime", FacemimeSettings),)

@@ -11,7 +11,6 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..blender.registering import register_all, unregister_all
 from ..core.bake.arkit import COEFFICIENTS
 from ..core.bake.settings import BakeSettings
 from .rna import with_settings
@@ -68,16 +67,5 @@ class FacemimeTakes(bpy.types.PropertyGroup):
     bake: PointerProperty(type=FacemimeBake)
 
 
-_CLASSES = (FacemimeTake, FacemimeKeyRow, FacemimeKeyPose, FacemimeBake, FacemimeTakes)
-
-
-def register() -> None:
-    """Add the takes to every scene."""
-    register_all(_CLASSES)
-    bpy.types.Scene.facemime_takes = PointerProperty(type=FacemimeTakes)
-
-
-def unregister() -> None:
-    """Take them away; those stored in files stay there."""
-    del bpy.types.Scene.facemime_takes
-    unregister_all(_CLASSES)
+CLASSES = (FacemimeTake, FacemimeKeyRow, FacemimeKeyPose, FacemimeBake, FacemimeTakes)
+POINTERS = ((bpy.types.Scene, "facemime_takes", FacemimeTakes),)

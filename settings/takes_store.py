@@ -151,19 +151,7 @@ def _rebase(blend: str) -> None:
                 line.path = relative(path, blend) if blend else str(path)
 
 
-_HANDLERS = {"save_pre": _before_saving, "save_post": _after_saving, "save_post_fail": _after_saving}
-
-
-def register() -> None:
-    """Keep the paths of takes right where the .blend is saved elsewhere."""
-    for name, handler in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(handler)
-
-
-def unregister() -> None:
-    """Keep them no longer."""
-    for name, handler in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).remove(handler)
+HANDLERS = {"save_pre": _before_saving, "save_post": _after_saving, "save_post_fail": _after_saving}
 
 
 def _length(take: Take) -> float:

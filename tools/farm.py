@@ -1,19 +1,25 @@
-"""Write the templates for render farms from the options that every clip of a batch has.
+"""Write the options that every clip of a batch has into the templates for render farms, between their marks.
 
-Usage: python tools/farm.py; writes farm/facemime.openjd.yaml and farm/facemime.js.
+Usage: python tools/farm.py; changes farm/facemime.openjd.yaml and farm/facemime.js.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from facemime.cli.terminal.options import Parser, add_puppet_options
 
 FARM = Path(__file__).resolve().parents[1] / "farm"
+_BLOCK = re.compile(
+    r"^( *(?://|#) Options, written by tools/farm.py\n)(?:.*\n)*?( *(?://|#) End of options\n)", re.MULTILINE
+)
+"""What stands between the marks is replaced."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +87,7 @@ def openjd() -> str:
             arguments += [f'            - "--{option.name}"', f'            - "{value}"']
         lines.append(f"    description: {json.dumps(option.description)}")
         parameters += lines
-    return _OPENJD.format(parameters="\n".join(parameters), arguments="\n".join(arguments))
+    return _filled("facemime.openjd.yaml", parameters, arguments, arguments)
 
 
 def flamenco() -> str:
@@ -95,102 +101,16 @@ def flamenco() -> str:
             f"          description: {json.dumps(option.description)} }},"
         )
         switches.append(f'    "{option.name}",')
-    return _FLAMENCO.replace("@SETTINGS@", "\n".join(settings)).replace("@OPTIONS@", "\n".join(switches))
+    return _filled("facemime.js", settings, switches)
 
 
-_OPENJD = """# Open Job Description: the clips of a folder or a list, one task each, then a report of all.
-# Made by tools/farm.py. The hosts need `facemime` on their path. Run again, it skips clips that are done.
-specificationVersion: jobtemplate-2023-09
-name: Facemime
-parameterDefinitions:
-  - name: Clips
-    type: STRING
-    description: Folder of clips, or a text file with one path per line
-  - name: Count
-    type: INT
-    minValue: 1
-    description: Number of clips
-  - name: Output
-    type: STRING
-    description: Folder for the results
-{parameters}
-steps:
-  - name: Clip
-    parameterSpace:
-      taskParameterDefinitions:
-        - name: Number
-          type: INT
-          range: "1-{{{{Param.Count}}}}"
-    script:
-      actions:
-        onRun:
-          command: facemime
-          args:
-            - clip
-            - "{{{{Param.Clips}}}}"
-            - "--number"
-            - "{{{{Task.Param.Number}}}}"
-            - "-o"
-            - "{{{{Param.Output}}}}"
-{arguments}
-  - name: Report
-    dependencies:
-      - dependsOn: Clip
-    script:
-      actions:
-        onRun:
-          command: facemime
-          args:
-            - batch
-            - "{{{{Param.Clips}}}}"
-            - "-o"
-            - "{{{{Param.Output}}}}"
-{arguments}
-"""
-_FLAMENCO = """/* Flamenco job type: the clips of a folder or a list, one task each, then a report of all.
- * Made by tools/farm.py. Goes into the `scripts` folder of the Flamenco manager. The workers need `facemime` on their
- * path, and must see the clips, the head and the output folder under the same paths. Run again, it skips clips that are
- * done. */
-const JOB_TYPE = {
-    label: "Facemime",
-    description: "Move a head by the faces of many video clips",
-    settings: [
-        { key: "clips", type: "string", required: true,
-          description: "Folder of clips, or a text file with one path per line" },
-        { key: "count", type: "int32", required: true, description: "Number of clips" },
-        { key: "output", type: "string", subtype: "dir_path", required: true, description: "Folder for the results" },
-@SETTINGS@
-    ],
-};
-
-const OPTIONS = [
-@OPTIONS@
-];
-
-function compileJob(job) {
-    const settings = job.settings;
-    const options = ["-o", settings.output];
-    for (const name of OPTIONS) {
-        const value = settings[name.split("-").join("_")];
-        if (value === true) options.push("--" + name);
-        else if (value === false) options.push("--no-" + name);
-        else if (value !== undefined && value !== "") options.push("--" + name, String(value));
-    }
-    const report = facemime("report", ["batch", settings.clips].concat(options));
-    for (let number = 1; number <= settings.count; number++) {
-        const task = facemime("clip-" + number, ["clip", settings.clips, "--number", String(number)].concat(options));
-        report.addDependency(task);
-        job.addTask(task);
-    }
-    job.addTask(report);
-}
-
-function facemime(name, args) {
-    const task = author.Task(name, "misc");
-    task.addCommand(author.Command("exec", { exe: "facemime", args: args }));
-    return task;
-}
-"""
+def _filled(name: str, *blocks: Sequence[str]) -> str:
+    """The text of a template with `blocks` of lines between its marks."""
+    parts = _BLOCK.split((FARM / name).read_text(encoding="utf-8"))
+    kept = [parts[0]]
+    for lines, (first, last, rest) in zip(blocks, zip(*(parts[n::3] for n in (1, 2, 3)), strict=True), strict=True):
+        kept += [first, *(f"{line}\n" for line in lines), last, rest]
+    return "".join(kept)
 
 
 def main() -> int:

@@ -3,7 +3,6 @@
 import bpy
 from bpy.app.translations import pgettext_iface as _
 
-from ..blender.registering import register_all, unregister_all
 from ..operators.puppet import running
 from ..sessions.live import COUNTDOWN
 from .sidebar import Sidebar, labels, place
@@ -45,14 +44,4 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
             labels(layout, context, quality.message, "CHECKMARK" if quality.good else "ERROR")
 
 
-_CLASSES = (FACEMIME_UL_performers, FACEMIME_PT_calibration)
-
-
-def register() -> None:
-    """Register the panel and its list."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister them."""
-    unregister_all(_CLASSES)
+CLASSES = (FACEMIME_UL_performers, FACEMIME_PT_calibration)

@@ -9,7 +9,6 @@ import bpy.utils.previews
 
 from ..blender.meshes import is_head, read_selection
 from ..blender.names import SELECTION_PROPERTY
-from ..blender.registering import register_all, unregister_all
 from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import from_json
 from ..core.control_points.table import PointRow, draw_curve, point_rows
@@ -149,17 +148,15 @@ def _draw_list(layout: bpy.types.UILayout, context: bpy.types.Context, steps: bp
     column.prop(steps, "only_chosen", text="", icon="FILTER")
 
 
-_CLASSES = (FACEMIME_UL_landmarks, FACEMIME_PT_control_points)
+CLASSES = (FACEMIME_UL_landmarks, FACEMIME_PT_control_points)
 
 
 def register() -> None:
     """Register list and panel."""
     _Icons.previews = bpy.utils.previews.new()
-    register_all(_CLASSES)
 
 
 def unregister() -> None:
     """Unregister list and panel."""
-    unregister_all(_CLASSES)
     bpy.utils.previews.remove(_Icons.previews)
     _Icons.previews, _Icons.of = None, ""

@@ -2,7 +2,6 @@
 
 import bpy
 
-from ..blender.registering import register_all, unregister_all
 from ..settings import presets
 from .sidebar import Sidebar, place
 
@@ -63,14 +62,4 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
         layout.prop(settings, "kernel")
 
 
-_CLASSES = (FACEMIME_MT_remove_preset, FACEMIME_MT_presets, FACEMIME_PT_expression)
-
-
-def register() -> None:
-    """Register the panel and its menus."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister them."""
-    unregister_all(_CLASSES)
+CLASSES = (FACEMIME_MT_remove_preset, FACEMIME_MT_presets, FACEMIME_PT_expression)

@@ -4,7 +4,6 @@ import bpy
 from bpy.app.translations import pgettext_iface as _
 
 from ..blender.heads.binding import read_marks, what_is_missing
-from ..blender.registering import register_all, unregister_all
 from .sidebar import Sidebar, draw_findings, labels, place
 
 
@@ -62,14 +61,4 @@ class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
             column.operator("facemime.clear_marks")
 
 
-_CLASSES = (FACEMIME_PT_head, FACEMIME_PT_own_head)
-
-
-def register() -> None:
-    """Register the panels."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister the panels."""
-    unregister_all(_CLASSES)
+CLASSES = (FACEMIME_PT_head, FACEMIME_PT_own_head)

@@ -2,7 +2,6 @@
 
 import bpy
 
-from ..blender.registering import register_all, unregister_all
 from ..operators.puppet import running
 from .sidebar import Sidebar, labels, place, side_by_side
 from .status import status_lines
@@ -81,14 +80,4 @@ class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
         row.prop(settings, "neutral", text="At")
 
 
-_CLASSES = (FACEMIME_PT_puppet, FACEMIME_PT_pose, FACEMIME_PT_bake)
-
-
-def register() -> None:
-    """Register the panels."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister the panels."""
-    unregister_all(_CLASSES)
+CLASSES = (FACEMIME_PT_puppet, FACEMIME_PT_pose, FACEMIME_PT_bake)

@@ -131,14 +131,15 @@ def _on_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     _Kept.stale = any(update.is_updated_geometry for update in depsgraph.updates)
 
 
+HANDLERS = {"depsgraph_update_post": _on_update}
+
+
 def register() -> None:
     """Draw in every 3D viewport."""
     _Kept.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
-    bpy.app.handlers.depsgraph_update_post.append(_on_update)
 
 
 def unregister() -> None:
     """Stop drawing."""
-    bpy.app.handlers.depsgraph_update_post.remove(_on_update)
     bpy.types.SpaceView3D.draw_handler_remove(_Kept.handle, "WINDOW")
     _Kept.handle, _Kept.key, _Kept.batch_parts = None, (), ()

@@ -48,11 +48,4 @@ class FACEMIME_PT_regions(Sidebar, bpy.types.Panel):
         draw_findings(layout, context)
 
 
-def register() -> None:
-    """Register the panel."""
-    bpy.utils.register_class(FACEMIME_PT_regions)
-
-
-def unregister() -> None:
-    """Unregister the panel."""
-    bpy.utils.unregister_class(FACEMIME_PT_regions)
+CLASSES = (FACEMIME_PT_regions,)

@@ -4,7 +4,6 @@ import sys
 
 import bpy
 
-from ..blender.registering import register_all, unregister_all
 from ..core.live.camera import list_cameras
 from ..operators.puppet import running
 from ..settings.preferences import draw_camera, draw_preview, preferences
@@ -70,14 +69,4 @@ class FACEMIME_MT_cameras(bpy.types.Menu):
             self.layout.operator("facemime.choose_camera", text=camera, translate=False).camera = camera
 
 
-_CLASSES = (FACEMIME_MT_cameras, FACEMIME_PT_source)
-
-
-def register() -> None:
-    """Register the panel and its menu."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister them."""
-    unregister_all(_CLASSES)
+CLASSES = (FACEMIME_MT_cameras, FACEMIME_PT_source)

@@ -3,7 +3,6 @@
 import bpy
 from bpy.app.translations import pgettext_iface as _
 
-from ..blender.registering import register_all, unregister_all
 from ..operators.puppet import running
 from ..sessions.punch_in import PunchIn
 from ..sessions.recording import Recording
@@ -153,20 +152,10 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
         row.label(text=str(len(bake.poses)), translate=False)
 
 
-_CLASSES = (
+CLASSES = (
     FACEMIME_UL_takes,
     FACEMIME_UL_key_rows,
     FACEMIME_PT_takes,
     FACEMIME_PT_take_bake,
     FACEMIME_PT_key_map,
 )
-
-
-def register() -> None:
-    """Register the panels."""
-    register_all(_CLASSES)
-
-
-def unregister() -> None:
-    """Unregister the panels."""
-    unregister_all(_CLASSES)
