@@ -6,7 +6,7 @@ BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
 
-.PHONY: setup check test test-all test-core test-gui stress soak demo build bench bench-deformation bench-tracking model expressions head sample try lock clean blenders windows
+.PHONY: setup check test test-all test-core test-gui stress soak demo build bench bench-deformation bench-tracking model expressions head sample try lock clean blenders windows docs
 
 setup: $(STAMP)
 
@@ -92,6 +92,18 @@ build/peers/.ready: requirements/peers.txt | setup
 	$(PYTHON) -m venv build/peers
 	build/peers/bin/pip install --quiet --disable-pip-version-check --require-hashes -r $<
 	build/peers/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
+# The documentation as a site, in build/docs; a warning is an error. Sphinx lives in an environment of its own.
+docs: build/sphinx/.ready
+	rm -rf build/docs docs/api/generated
+	build/sphinx/bin/sphinx-build --fail-on-warning --keep-going --quiet --doctree-dir build/doctrees docs build/docs
+	@echo "Open build/docs/index.html in a browser."
+
+build/sphinx/.ready: requirements/docs.txt pyproject.toml setup.py
+	$(PYTHON) -m venv build/sphinx
+	build/sphinx/bin/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/docs.txt
+	build/sphinx/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
 # What stands in assets/ is made again by these; the first needs ../shared/data.

@@ -8,6 +8,7 @@ uv --universal --python-version 3.11 dev.in -o dev.txt
 uv --universal --python-version 3.11 farm.in -o farm.txt
 uv --python-version 3.11 training.in -o training.txt
 uv --python-version 3.11 --allow-unsafe peers.in -o peers.txt
+uv --universal --python-version 3.11 docs.in -o docs.txt
 uv --universal --python-version 3.11 --no-deps wheels.in -o wheels.txt
 uv --universal --python-version 3.11 --no-deps oracles.in -o oracles.txt  # what they ask for is not needed to read files
 for version in 4.2 4.5 5.0; do
