@@ -96,7 +96,7 @@ build/peers/.ready: requirements/peers.txt | setup
 
 # The documentation as a site, in build/docs; a warning is an error. Sphinx lives in an environment of its own.
 docs: build/sphinx/.ready
-	rm -rf build/docs docs/api/generated
+	rm -rf build/docs docs/api/generated docs/project
 	build/sphinx/bin/sphinx-build --fail-on-warning --keep-going --quiet --doctree-dir build/doctrees docs build/docs
 	@echo "Open build/docs/index.html in a browser."
 

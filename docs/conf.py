@@ -23,6 +23,7 @@ extensions = [
     "sphinx_copybutton",
     "docstrings",
     "mathml",
+    "repository",
 ]
 templates_path = ["_templates"]
 exclude_patterns = ["_*", "**/_*"]
