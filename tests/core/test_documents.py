@@ -1,0 +1,36 @@
+"""Links in the documents lead somewhere, on a forge as in the site; `make docs` checks those between pages."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCUMENTS = sorted(
+    [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/tutorials/*.md"), ROOT / "assets" / "MODEL_CARD.md"]
+)
+_LINK = re.compile(r"\]\((?![a-z]+:)([^)#\s]*)(?:#([^)\s]+))?\)")
+_FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
+
+
+def anchors(path: Path) -> set[str]:
+    """The anchors that a forge gives to the headings of a document."""
+    headings = re.findall(r"^#+ (.+)$", _FENCE.sub("", path.read_text(encoding="utf-8")), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.replace("`", "")).strip().lower().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_links_lead_to_files_and_headings(path):
+    for target, anchor in _LINK.findall(_FENCE.sub("", path.read_text(encoding="utf-8"))):
+        file = (path.parent / target).resolve() if target else path
+        assert file.exists(), f"{target} is missing"
+        assert not anchor or anchor in anchors(file), f"{file.name} has no heading #{anchor}"
+
+
+def test_the_pictures_of_the_tutorials_are_all_used_and_small():
+    pictures = sorted((ROOT / "docs" / "tutorials" / "images").iterdir())
+    text = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs" / "tutorials").glob("*.md"))
+    assert [picture.name for picture in pictures if f"images/{picture.name}" not in text] == []
+    assert sum(picture.stat().st_size for picture in pictures) < 3_000_000
