@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -34,3 +35,11 @@ def test_the_pictures_of_the_tutorials_are_all_used_and_small():
     text = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs" / "tutorials").glob("*.md"))
     assert [picture.name for picture in pictures if f"images/{picture.name}" not in text] == []
     assert sum(picture.stat().st_size for picture in pictures) < 3_000_000
+
+
+def test_the_example_of_the_reference_runs(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    text = (ROOT / "docs" / "api" / "index.rst").read_text(encoding="utf-8")
+    code = textwrap.dedent(text.split(".. code-block:: python\n")[1].split("\nThe interface")[0])
+    exec(code, {})
+    assert capsys.readouterr().out.strip() == code.rsplit("# ", 1)[1].strip()
