@@ -13,6 +13,7 @@ DOCUMENTS = sorted(
     [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/tutorials/*.md"), ROOT / "assets" / "MODEL_CARD.md"]
 )
 _LINK = re.compile(r"\]\((?![a-z]+:)([^)#\s]*)(?:#([^)\s]+))?\)")
+_SOURCE = re.compile(r"`((?:bench|blender|cli|core|farm|operators|sessions|settings|tests|tools|training|ui)/[\w/.]*)`")
 _FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 
 
@@ -28,6 +29,12 @@ def test_links_lead_to_files_and_headings(path):
         file = (path.parent / target).resolve() if target else path
         assert file.exists(), f"{target} is missing"
         assert not anchor or anchor in anchors(file), f"{file.name} has no heading #{anchor}"
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_files_of_the_source_that_a_document_names_exist(path):
+    named = _SOURCE.findall(path.read_text(encoding="utf-8"))
+    assert [name for name in named if not (ROOT / name).exists()] == []
 
 
 def test_the_pictures_of_the_tutorials_are_all_used_and_small():
