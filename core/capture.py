@@ -159,11 +159,15 @@ def check_readable(path: Path) -> bool:
 
 
 def require_utf8_name(path: Path) -> None:
-    """Raise SourceError where the name of `path` is not UTF-8: OpenCV and Blender would end the process."""
+    """Raise SourceError where the whole name of `path`, its folders' included, is not UTF-8.
+
+    OpenCV and Blender would end the process.
+    """
+    whole = os.path.abspath(path)
     try:
-        str(path).encode()
+        whole.encode()
     except UnicodeEncodeError as error:
-        name = os.fsencode(path).decode(errors="backslashreplace")
+        name = os.fsencode(whole).decode(errors="backslashreplace")
         raise SourceError(f"The name of {name} is not valid UTF-8. Rename it and try again.") from error
 
 

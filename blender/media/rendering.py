@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.capture import VideoSource
+from ...core.capture import VideoSource, require_utf8_name
 from ...core.errors import OutputError, SourceError
 from ...core.files import replacing
 from ...core.locks import temporary_folder
@@ -33,6 +33,8 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
     ------
     OutputError
         Where Blender cannot draw, or the temporary folder is full.
+    SourceError
+        Where the temporary folder's name is not UTF-8.
     """
     require_display_library()
     render = scene.render
@@ -44,6 +46,7 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
     render.image_settings.file_format = "BMP"
     render.image_settings.color_mode = "RGB"
     with temporary_folder() as folder:
+        require_utf8_name(folder)
         path = folder / "frame.bmp"
         render.filepath = str(path)
         for frame in frames:
@@ -73,8 +76,11 @@ def write_video(images: Iterable[Image], fps: float, path: Path) -> None:
     ------
     OutputError
         Where the file cannot be written.
+    SourceError
+        Where the temporary folder's name is not UTF-8.
     """
     with replacing(Path(path)) as temporary, temporary_folder() as folder:
+        require_utf8_name(folder)
         names = []
         for i, image in enumerate(images):
             names.append(f"{i:06d}.jpg")

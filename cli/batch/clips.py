@@ -78,6 +78,7 @@ def find_clips(sources: Sequence[Path]) -> list[Path]:
 def _videos_in(folder: Path) -> list[Path]:
     files = (path for path in folder.rglob("*") if not path.name.startswith(".") and os.path.isfile(path))
     try:
+        os.listdir(folder)  # `rglob` says nothing of a folder that may not be read
         return sorted(path for path in files if path.suffix.lower() in VIDEO_SUFFIXES)
     except OSError as error:
         raise SourceError(f"The folder {folder} cannot be read: {reason_of(error)}. Change its permissions.") from error

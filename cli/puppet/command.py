@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from ...core.capture import require_utf8_name
@@ -82,11 +83,11 @@ def run_puppet(job: PuppetJob) -> int:
         raise FacemimeError(
             f"puppet needs Blender ({error}). Run: blender --command facemime puppet ..., or install bpy."
         ) from error
-    for path, _ in job.outputs:
-        if path is not None:
-            require_utf8_name(path)
     unfinished = unfinished_beside(job.take or job.output)
     with outputs_of(job.outputs, job.inputs, *([unfinished] if job.tracks else [])):
+        for path, _ in job.outputs:
+            if path is not None:
+                require_utf8_name(Path(os.path.realpath(path)))
         stage = headless.open_stage(job)
         if not job.tracks:
             take = load_with_warnings(job.source)

@@ -132,16 +132,18 @@ def _opened(file: HeadFile) -> tuple[bpy.types.Scene, bpy.types.Object]:
     path, name = file.path, file.name
     if not check_readable(path):
         raise SourceError(f"There is no file {path}. Give --head as FILE.blend:OBJECT.")
-    require_utf8_name(path)
+    place = os.path.realpath(path)
+    require_utf8_name(Path(place))
     try:
         # A head from elsewhere may bring programs of its own: none is run, whatever the preferences say.
         with STOPPING.holding(), quiet():
-            bpy.ops.wm.open_mainfile(filepath=os.path.realpath(path), use_scripts=False)
+            bpy.ops.wm.open_mainfile(filepath=place, use_scripts=False)
     except RuntimeError as error:
         raise SourceError(f"{path} cannot be opened by this Blender. Check that it is a .blend file.") from error
     bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and LANDMARKS_PROPERTY in obj.data]
     if name:
-        head = bpy.data.objects.get(name)
+        # `get` refuses a name that is not UTF-8.
+        head = next((obj for obj in bpy.data.objects if obj.name == name), None)
         if head is None:
             names = ", ".join(obj.name for obj in bpy.data.objects if obj.type == "MESH") or "no mesh at all"
             raise HeadError(f"{path} has no object {name}. It has: {names}.")

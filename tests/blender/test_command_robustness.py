@@ -208,4 +208,16 @@ def test_a_name_that_is_no_utf_8_ends_neither_puppet_nor_batch(take, tmp_path):
         done = run(*line)
         assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr
         assert (r"a\xff" in done.stderr and "is not valid UTF-8. Rename it" in done.stderr) or line[0] == "batch"
+    (tmp_path / "link.blend").symlink_to(clip.with_suffix(".blend"))
+    folder = clip.with_suffix("")
+    folder.mkdir()
+    for line, options in (
+        (["puppet", take, "-o", "out.blend"], {"cwd": folder}),
+        (["puppet", take, "-o", tmp_path / "link.blend"], {}),
+        (["puppet", take, "-o", tmp_path / "out.blend", "--sheet", tmp_path / "out.png"], {"TMPDIR": str(folder)}),
+    ):
+        done = run(*line, cwd=options.pop("cwd", None), env=os.environ | options)
+        assert done.returncode == 1 and "is not valid UTF-8. Rename it" in done.stderr, done.stderr
+    done = run("puppet", take, "-o", tmp_path / "2.blend", "--head", f"{tmp_path / 'out.blend'}:a\udcff")
+    assert done.returncode == 1 and r"out.blend has no object a\xff. It has: " in done.stderr, done.stderr
     assert r"a\\xff.mp4 is not valid UTF-8" in (tmp_path / "out" / "report.json").read_text()

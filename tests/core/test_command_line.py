@@ -241,6 +241,7 @@ def test_names_that_no_file_can_have_and_folders_that_nobody_may_enter_are_one_c
             ["clip", SAMPLE, "-o", bad],
             ["batch", bad, "-o", out],
             ["batch", f"{bad}.txt", "-o", out],
+            ["batch", bad.parent if bad.parent.name == "shut" else bad, "-o", out],
             ["batch", SAMPLE, "-o", bad],
         ]
     script = (
@@ -269,6 +270,7 @@ def test_names_that_no_file_can_have_and_folders_that_nobody_may_enter_are_one_c
     said = done.stderr.splitlines()
     assert len(said) == 2 * len(lines) and all(line.startswith("facemime: ") for line in said[::2]), done.stderr
     assert all(line.startswith("1 ") for line in said[1::2])
+    assert not [line for line in said if "There is no clip in" in line]
 
 
 def test_a_list_of_clips_is_a_short_text_in_utf_8(tmp_path, monkeypatch):
@@ -297,6 +299,18 @@ def test_a_clip_whose_name_is_no_utf_8_is_refused(tmp_path):
         Namer(PuppetJob(clip, tmp_path / "out")).clip(clip)
     done = run("track", clip, "-o", tmp_path / "take.facetake")
     assert done.returncode == 1 and "not valid UTF-8" in done.stderr
+
+
+@needs_posix
+def test_a_folder_whose_name_is_no_utf_8_is_refused_also_from_within(tmp_path):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/a\xff"))
+    try:
+        folder.mkdir()
+    except OSError:
+        pytest.skip("this file system refuses such names itself")
+    shutil.copy(SAMPLE, folder / "clip.mp4")
+    done = run("track", "clip.mp4", "-o", "take.facetake", cwd=folder)
+    assert done.returncode == 1 and r"a\xff/clip.mp4 is not valid UTF-8" in done.stderr
 
 
 @needs_posix
