@@ -89,8 +89,9 @@ def write_video(images: Iterable[Image], fps: float, path: Path) -> None:
         if not names:
             raise OutputError("There is no picture to make a video of.")
         temporary.unlink()
-        _encode(folder, names, (image.shape[1], image.shape[0]), fps, temporary)
-        if _frames_in(temporary) < len(names):  # Blender does not tell
+        with contextlib.suppress(RuntimeError):  # Blender's reason is the codec even where a disk is full
+            _encode(folder, names, (image.shape[1], image.shape[0]), fps, temporary)
+        if _frames_in(temporary) < len(names):  # of a disk that fills up later it says nothing
             raise OutputError(f"Blender could not write {path}. Free some disk space, or choose another place.")
 
 

@@ -118,11 +118,11 @@ def run_batch(job: PuppetJob, sources: Sequence[Path], jobs: int, dask: str | No
     ended, interrupted = _run(runner, lines, len(named))
     said = {todo[outcome.index].name: outcome.said or f"ended with status {outcome.status}" for outcome in ended}
     entries = failures + [_entry(clip, folder, clip.name in before, said.get(clip.name)) for clip in named.values()]
-    write_report(entries, folder)
     failed = [entry for entry in entries if entry.status == "failed"]
     for entry in failed:
         last = (entry.said.splitlines() or ["no reason was told"])[-1]
         tell(f"facemime: {entry.clip}: {last.removeprefix('facemime: ')}")
+    write_report(entries, folder)
     tell(f"facemime: {len(failed)} of {len(entries)} clips failed; see {folder / 'report.html'}.")
     if interrupted:
         tell("facemime: interrupted. The same line again goes on where this one ended.")

@@ -13,10 +13,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
+import numpy as np
 import pytest
 
 import facemime
 from facemime.blender.heads.built_in import add_head
+from facemime.blender.media.rendering import write_video
+from facemime.core.errors import OutputError
 from facemime.core.takes.file import load_take, save_take
 from takes import performance
 
@@ -170,6 +173,16 @@ def test_a_disk_that_is_full_is_one_clear_error_wherever_it_is(take, small_disk,
         done = run("puppet", take, option, output, *other)
         assert done.returncode == 1 and str(output) in done.stderr and "Traceback" not in done.stderr, done.stderr
         assert os.listdir(small_disk) == ["fill"]
+
+
+def test_a_disk_that_is_full_from_the_start_takes_no_video_and_no_report_and_says_so(small_disk):
+    (small_disk / "fill").write_bytes(bytes(2 << 20))
+    with pytest.raises(OutputError, match=r"could not write .*out\.mp4\. Free some disk space"):
+        write_video([np.zeros((64, 64, 3), np.uint8)] * 2, 25.0, small_disk / "out.mp4")
+    assert os.listdir(small_disk) == ["fill"]
+    done = run("batch", SAMPLE, "-o", small_disk / "out")
+    told = done.stderr.splitlines()
+    assert done.returncode == 1 and "facemime: sample.mp4: Cannot write" in told[-2] and "report" in told[-1], told
 
 
 def test_the_children_of_a_killed_batch_end_and_the_next_run_sweeps_up(tmp_path):
