@@ -7,7 +7,7 @@ from ..core.errors import FacemimeError
 from ..sessions.live import LiveSession
 from ..sessions.session import Session, clear_later
 from ..sessions.start import RigWatch, follow_settings, start_session
-from .shared import ReportsErrors, heads_in, with_heads
+from .shared import ReportsErrors, heads_in, message_of, with_heads
 
 _TICK = 1.0 / 120.0
 _STATUS = 0.25
@@ -85,7 +85,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             return work(context)
         except FacemimeError as error:
             self.finish(context)
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, message_of(error))
             return {"CANCELLED"}
         except Exception:
             self.finish(context)

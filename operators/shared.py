@@ -1,5 +1,6 @@
 """What operators share: how errors reach the user, what must be there, how a file is asked for."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,7 +8,13 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..blender.meshes import is_head
+from ..core.capture import check_readable, require_utf8_name
 from ..core.errors import FacemimeError, SourceError
+
+
+def message_of(error: Exception) -> str:
+    """What `error` says, for a report: Blender takes none with the name of a file that is not UTF-8."""
+    return str(error).encode(errors="backslashreplace").decode()
 
 
 class ReportsErrors:
@@ -25,7 +32,7 @@ class ReportsErrors:
         try:
             return work(context)
         except FacemimeError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, message_of(error))
             return {"CANCELLED"}
 
 
@@ -58,10 +65,12 @@ class AsksForFile(ReportsErrors):
 
     @property
     def path(self) -> Path:
-        """The file that was chosen; SourceError where none was: the browser gives its folder then."""
+        """The file that was chosen; SourceError where none was, or one that may not be read or has no valid name."""
         path = Path(bpy.path.abspath(self.filepath))
-        if not path.name or path.is_dir():
+        if not path.name or os.path.isdir(path):  # the browser gives its folder where nothing was chosen
             raise SourceError("No file was chosen. Choose one, or type its name.")
+        require_utf8_name(path)
+        check_readable(path)
         return path
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

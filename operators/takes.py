@@ -116,13 +116,16 @@ class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """List them."""
-        paths, unreadable = takes_store.unlisted(context.scene), []
-        for path in paths:
+        found, unreadable = 0, []
+        for path in takes_store.unlisted(context.scene):
             try:
                 takes_store.add(context.scene, path)
+                found += 1
+            except takes_store.MisnamedError as error:
+                self.report({"WARNING"}, str(error))
             except SourceError:
                 unreadable.append(path.name)
-        self.report({"INFO"}, f"{len(paths) - len(unreadable)} takes found in {takes_store.folder()}")
+        self.report({"INFO"}, f"{found} takes found in {takes_store.folder()}")
         if unreadable:
             self.report(
                 {"WARNING"}, f"Nothing can be read in {', '.join(unreadable)}. Delete these files, or ignore them."

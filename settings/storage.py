@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import bpy
@@ -38,7 +39,7 @@ def free_path(folder: Path, name: str, suffix: str) -> Path:
     """A path in `folder` that does not exist yet, after `name`."""
     clean = bpy.path.clean_name(name.strip() or "take").strip("_") or "take"
     path, number = folder / f"{clean}{suffix}", 1
-    while path.exists():
+    while os.path.lexists(path):
         number += 1
         path = folder / f"{clean} {number}{suffix}"
     return path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import os
 from functools import lru_cache
 from pathlib import Path
 
@@ -20,6 +21,10 @@ from .takes_properties import FacemimeTake
 
 _FOLDER = "takes"
 _SOUNDS = (".wav", ".flac", ".mp3", ".ogg")
+
+
+class MisnamedError(SourceError):
+    """A take whose name Blender cannot hold."""
 
 
 def folder() -> Path:
@@ -42,7 +47,8 @@ def new_path(name: str) -> Path:
 
 
 def add(scene: bpy.types.Scene, path: Path, take: Take | None = None) -> FacemimeTake:
-    """List the take at `path`, pick it, and return its line; SourceError where it cannot be read."""
+    """List the take at `path`, pick it, and return its line; SourceError where it cannot be read or listed."""
+    _require_listable(path)
     take = load_take(path) if take is None else take
     takes = scene.facemime_takes
     line = takes.items.add()
@@ -50,6 +56,15 @@ def add(scene: bpy.types.Scene, path: Path, take: Take | None = None) -> Facemim
     line.length = _length(take)
     takes.index = len(takes.items) - 1
     return line
+
+
+def _require_listable(path: Path) -> None:
+    """Raise SourceError where the list, which is Blender's, cannot hold the name of `path`."""
+    try:
+        (path.stem + relative(path)).encode()
+    except UnicodeEncodeError as error:
+        name = path.name.encode(errors="backslashreplace").decode()
+        raise MisnamedError(f"The name of {name} is not valid UTF-8. Rename it and try again.") from error
 
 
 def keep(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
@@ -77,7 +92,7 @@ def read(line: FacemimeTake) -> Take:
     if line.packed is not None:
         return _unpacked(line)
     path = Path(bpy.path.abspath(line.path))
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise SourceError(f"The file of the take {line.name} is not at {path}. Put it back, or import it again.")
     return _loaded(path, path.stat().st_mtime_ns)
 
@@ -119,8 +134,8 @@ def unpack(line: FacemimeTake) -> Path:
 
 def unlisted(scene: bpy.types.Scene) -> list[Path]:
     """Takes in the folder that are not in the list: recorded before a crash, or removed from it."""
-    known = {Path(bpy.path.abspath(line.path)).resolve() for line in scene.facemime_takes.items if line.path}
-    return sorted(path for path in folder().glob(f"[!.]*{SUFFIX}") if path.resolve() not in known)
+    known = {os.path.realpath(bpy.path.abspath(line.path)) for line in scene.facemime_takes.items if line.path}
+    return sorted(path for path in folder().glob(f"[!.]*{SUFFIX}") if os.path.realpath(path) not in known)
 
 
 @persistent

@@ -227,7 +227,7 @@ def explained(failure: str, device: str) -> str:
     """What happened to the camera and what to do, for the user."""
     path = Path(f"/dev/video{device}") if device.isdecimal() and sys.platform == "linux" else None
     if failure in ("closed", "silent") and path is not None:
-        if not path.exists():
+        if not os.path.exists(path):
             return f"There is no camera {device}. Plug one in, choose another, or use a video."
         if not os.access(path, os.R_OK | os.W_OK):
             return f"You may not use {path}. Add yourself to the group 'video' and log in again, or use a video."

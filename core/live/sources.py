@@ -6,6 +6,7 @@ late: a puppet that follows an old frame is worse than one that skipped it.
 
 from __future__ import annotations
 
+import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -213,7 +214,7 @@ class PicturePlayer(PacedSource):
 
     def frames(self) -> Iterator[LiveFrame]:
         """All pictures of the folder; one that cannot be read is left out, as a camera's lost frame is."""
-        if not self._folder.is_dir():
+        if not os.path.isdir(self._folder):
             raise SourceError(f"There is no folder {self._folder}. Choose the folder that holds the pictures.")
         paths = sorted(path for path in self._folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
         if not paths:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..capture import check_readable
 from ..errors import OutputError, SourceError
 from ..files import replacing
 from ..reading import read_bytes
@@ -174,7 +175,7 @@ def load_take(path: Path) -> Take:
         Where the file is missing, foreign, of a later format, or without any intact frame.
     """
     path = Path(path)
-    if not path.is_file():
+    if not check_readable(path):
         raise SourceError(f"There is no take {path}. Make one with: facemime track VIDEO -o {path.name}")
     try:
         return take_of(read_bytes(path, _MOST_FILE))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..apertures import eye_apertures, mouth_aperture
+from ..capture import check_readable
 from ..errors import SourceError
 from ..files import replacing
 from ..landmarks import IBUG68_INDICES
@@ -79,7 +80,7 @@ def from_csv(path: Path) -> Take:
         Where the file cannot be read, lacks a column, or holds what is no number; the message names it.
     """
     path = Path(path)
-    if not path.is_file():
+    if not check_readable(path):
         raise SourceError(f"There is no table {path}. Make one with: facemime export TAKE -o {path.name}")
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:

@@ -47,6 +47,9 @@ def preferred():
         ("VIDEO", "", "No video is chosen"),
         ("VIDEO", "none.mp4", "There is no file"),
         ("PICTURES", "none", "There is no folder"),
+        ("PICTURES", "a\udcff", "There is no folder"),
+        ("PICTURES", "x" * 300, "There is no folder"),
+        ("TAKE", "x" * 300, "file name too long"),
         ("TAKE", "none.facetake", "There is no take"),
         ("CAMERA", "http://phone:8080/video", "Online Access"),
         ("CAMERA", "http:phone/video", "Online Access"),
@@ -60,7 +63,7 @@ def test_a_source_that_is_not_there_is_reported_and_leaves_the_head_alone(tmp_pa
     source.kind = kind
     path = name if ":" in name or not name else str(tmp_path / name)
     source.video = source.folder = source.take = path
-    preferred.camera = path
+    preferred.camera = path.encode(errors="replace").decode()
     reports = []
     try:
         outcome = bpy.ops.facemime.puppet()

@@ -1,11 +1,13 @@
 """Where a take's file is: removed, found again, packed, exported, and when the .blend goes elsewhere."""
 
+import os
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 
+from facemime.blender.head import add_head
 from facemime.core.takes.file import save_take
 from facemime.settings import takes_store
 from takes import performance
@@ -79,3 +81,34 @@ def test_a_take_of_an_unsaved_file_becomes_relative_when_that_is_saved(tmp_path)
     assert line.path == str(tmp_path / "First.facetake")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "late.blend"))
     assert line.path == "//First.facetake"
+
+
+def test_names_that_no_file_or_list_can_have_and_what_has_no_end_are_one_error_each(in_a_project, takes, tmp_path):
+    (tmp_path / "takes").mkdir()
+    save_take(performance(), tmp_path / "takes" / "good.facetake")
+    odd = Path(os.fsdecode(os.fsencode(tmp_path / "takes") + b"/a\xff.facetake"))
+    try:
+        save_take(performance(), odd)
+        (tmp_path / "takes" / "loop.facetake").symlink_to("loop.facetake")
+        os.mkfifo(tmp_path / "endless.json")
+    except (OSError, AttributeError, NotImplementedError):
+        pytest.skip("this system has no such names, links and pipes")
+    for path in (tmp_path / ("x" * 300), odd.with_suffix("")):
+        for name, suffix in (
+            ("import_take", ".facetake"),
+            ("import_take", ".csv"),
+            ("import_facegen", ".tri"),
+            ("import_key_map", ".json"),
+            ("import_preset", ".json"),
+            ("puppet_video", ".mp4"),
+        ):
+            add_head(bpy.context)
+            with pytest.raises(RuntimeError, match=r"^Error: .*(file name too long|is not valid UTF-8)"):
+                getattr(bpy.ops.facemime, name)(filepath=f"{path}{suffix}")
+    with pytest.raises(RuntimeError, match="is not a file but a pipe"):
+        bpy.ops.facemime.import_key_map(filepath=str(tmp_path / "endless.json"))
+    assert bpy.ops.facemime.find_takes() == {"FINISHED"}
+    assert [line.name for line in takes.items] == ["good"]
+    takes.items[0].path = str(tmp_path / ("x" * 300))
+    with pytest.raises(RuntimeError, match="Put it back, or import it again"):
+        bpy.ops.facemime.export_take(filepath=str(tmp_path / "out.facetake"))
