@@ -66,13 +66,14 @@ def bake_every_way(bpy, head) -> dict:
     pipeline = importlib.import_module(f"{MODULE}.core.takes.from_video")
     tracker = importlib.import_module(f"{MODULE}.core.tracking.tracker")
     take = pipeline.track_video(Path(CLIP), tracker.FaceTracker.load()).finish().part(slice(0, 50))
+    settings = importlib.import_module(f"{MODULE}.core.bake.settings")
     scene, worst = bpy.context.scene, {}
     scene.render.fps, scene.render.fps_base = 25, 1.0
     rig = puppet.read_rig(head)
     unit = rig.eye_distance
     with tempfile.TemporaryDirectory() as folder:
-        for keys in puppet.KEYS:
-            options = puppet.BakeSettings(keys=keys, clean=0.002, nla=keys == "named", path=Path(folder) / "a.pc2")
+        for keys in settings.KEYS:
+            options = settings.BakeSettings(keys=keys, clean=0.002, nla=keys == "named", path=Path(folder) / "a.pc2")
             report = puppet.puppet_head(scene, head, take, puppet.PuppetSettings(bake=options))
             worst[keys] = 0.0
             for row in range(len(report.motion.times)):

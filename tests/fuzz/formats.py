@@ -39,8 +39,8 @@ from facemime.core.heads.regions import membership, region_sigmas
 from facemime.core.heads.rig import built_in_rig
 from facemime.core.images import read_image
 from facemime.core.mesh.kernels import kernel_named
-from facemime.core.presets import Setting
 from facemime.core.reading import parse_json
+from facemime.core.settings import Choice, Setting
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.format import HEADER, MARKER, chunk_bytes, chunks_in
 from facemime.core.takes.mending import bridge_gaps, mirror_take, remove_outliers
@@ -208,12 +208,15 @@ def _read_key_map(text: str) -> None:
 
 _PRESET = {
     "settings": {
-        "mode": Setting(choices=("3d", "planar")),
-        "strength_upper": Setting(low=0.0, high=5.0),
-        "smoothing": Setting(low=0.0, high=20.0),
-        "mirror": Setting(),
+        "mode": Setting("3d", "Depth", choices=(Choice("3d", "", ""), Choice("planar", "", ""))),
+        "strength_upper": Setting(1.0, "Upper", low=0.0, high=5.0),
+        "smoothing": Setting(1.0, "Smoothing", low=0.0, high=20.0),
+        "mirror": Setting(False, "Mirror"),
     },
-    "posing": {"rotation_limit": Setting(low=0.0, high=3.14), "eyes_strength": Setting(low=0.0, high=10.0)},
+    "posing": {
+        "rotation_limit": Setting(3.0, "Limit", low=0.0, high=3.14),
+        "eyes_strength": Setting(1.0, "Eyes", low=0.0, high=10.0),
+    },
 }
 
 

@@ -206,9 +206,11 @@ def test_the_performer_is_calibrated_by_a_click_and_kept_by_name(blender, sideba
     start(sidebar)
     sidebar.open_panel("FACEMIME_PT_calibration")
     sidebar.press("bpy.ops.facemime.calibrate(")
-    blender.wait_for("Session.current.countdown is not None")
+    kept = "len(bpy.context.scene.facemime.performers) == 1"
+    # The countdown runs on the clock of the wall, for people; a busy machine may draw no frame before it is over.
+    blender.wait_for(f"Session.current.countdown is not None or {kept}")
     blender.shot("countdown")
-    blender.wait_for("len(bpy.context.scene.facemime.performers) == 1")
+    blender.wait_for(kept)
     assert blender.get("bpy.context.scene.facemime.performers[0].calibration").startswith("{")
     assert blender.get("Session.current.worker.quality.message")
     blender.shot("calibrated")
