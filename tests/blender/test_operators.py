@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -111,35 +110,6 @@ def test_loading_a_file_ends_the_session():
     session = TrackingSession(SAMPLE)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     assert not session.running and Session.current is None
-
-
-def test_ticks_of_the_timer_lead_from_tracking_to_the_bake(monkeypatch):
-    """The modal way, as a window would walk it: start, ticks, finish."""
-    bpy.ops.facemime.add_head()
-    reports = []
-    operator = SimpleNamespace(
-        _session=TrackingSession(SAMPLE),
-        _head=bpy.context.active_object.name,
-        _timer=None,
-        report=lambda *a: reports.append(a),
-    )
-    for name in ("modal", "finish", "bake", "cancel", "reporting"):
-        method = getattr(FACEMIME_OT_puppet_video, name)
-        setattr(operator, name, method.__get__(operator))
-    tick = SimpleNamespace(type="TIMER")
-    statuses = []
-    workspace = SimpleNamespace(status_text_set=statuses.append)
-    context = SimpleNamespace(
-        scene=bpy.context.scene,
-        selected_objects=[],
-        workspace=workspace,
-        window_manager=SimpleNamespace(progress_update=statuses.append),
-    )
-    while (outcome := operator.modal(context, tick)) == {"PASS_THROUGH"}:
-        if operator._session.done > 40:
-            operator.modal(context, SimpleNamespace(type="ESC"))
-    assert outcome == {"FINISHED"} and reports[0][0] == {"INFO"} and statuses
-    assert bpy.context.active_object.data.shape_keys is not None
 
 
 def test_one_take_moves_all_selected_heads(tmp_path):

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -16,42 +17,60 @@ pytestmark = [pytest.mark.thorough, pytest.mark.timeout(1800)]
 RUNNER = ("_pytest", "iniconfig", "packaging", "pluggy", "py", "pygments", "pytest", "pytest_timeout")
 """The test runner and what it needs, all of it plain Python; those environments hold bpy alone."""
 SUITES = (
-    *("bake_ways", "control_points", "key_table", "lips", "live", "live_deleted", "live_scene", "live_sources"),
-    *(
-        "operators",
-        "own_head",
-        "panels",
-        "pose_targets",
-        "presets",
-        "recording",
-        "regions",
-        "takes_files",
-        "takes_list",
-    ),
+    *("bake_ways", "control_points", "files_of_before", "key_table", "lips", "live", "live_deleted", "live_scene"),
+    *("live_sources", "operators", "own_head", "panels", "pose_targets", "presets", "recording", "regions"),
+    *("takes_files", "takes_list"),
 )
 
 
-@pytest.mark.parametrize("version", ["4.2", "5.0", "5.2"])
-@pytest.mark.skipif(sys.platform != "linux", reason="the environments are Linux ones")
-def test_operators_panels_and_live_sessions_hold_in_this_blender_too(version, tmp_path):
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory):
+    """The report of all suites in a Blender, which starts once: by version, lines of JUnit's XML."""
+    made: dict[str, ElementTree.Element] = {}
+
+    def report_of(version: str) -> ElementTree.Element:
+        if version not in made:
+            made[version] = run_suites(version, tmp_path_factory.mktemp(version))
+        return made[version]
+
+    return report_of
+
+
+def run_suites(version: str, folder: Path) -> ElementTree.Element:
+    """Run all suites in a Blender; returns the report."""
     python = blender_python(version)
     for name in RUNNER:
         origin = Path(importlib.util.find_spec(name).origin)
         origin = origin.parent if origin.name == "__init__.py" else origin
-        (tmp_path / origin.name).symlink_to(origin)
-    (tmp_path / "facemime").symlink_to(ROOT)
+        (folder / origin.name).symlink_to(origin)
+    (folder / "facemime").symlink_to(ROOT)
     with zipfile.ZipFile(next((ROOT / "wheels").glob("*manylinux*.whl"))) as wheel:
-        wheel.extractall(tmp_path)
+        wheel.extractall(folder)
     suites = [str(ROOT / "tests" / "blender" / f"test_{suite}.py") for suite in SUITES]
     options = ["-p", "no:cacheprovider", "-p", "pytest_timeout", "-W", "ignore::DeprecationWarning"]
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "PYTEST", "VIRTUAL_ENV"))}
     done = subprocess.run(
-        [str(python), "-m", "pytest", *options, *suites],
-        env=environment | {"PYTHONPATH": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"},
+        [str(python), "-m", "pytest", *options, f"--junitxml={folder / 'report.xml'}", *suites],
+        env=environment | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"},
         cwd=ROOT,
         capture_output=True,
         text=True,
         timeout=1790,
         check=False,
     )
-    assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-2000:]
+    assert (folder / "report.xml").exists(), (
+        f"Blender ended: {done.returncode}\n{done.stdout[-6000:]}{done.stderr[-2000:]}"
+    )
+    return ElementTree.parse(folder / "report.xml").getroot()
+
+
+@pytest.mark.parametrize("suite", SUITES)
+@pytest.mark.parametrize("version", ["4.2", "5.0", "5.2"])
+@pytest.mark.skipif(sys.platform != "linux", reason="the environments are Linux ones")
+def test_what_holds_in_the_tested_blender_holds_in_this_one_too(version, suite, reports):
+    cases = [case for case in reports(version).iter("testcase") if f".test_{suite}" in case.get("classname", "")]
+    failed = {
+        case.get("name"): wrong.text for case in cases for wrong in (*case.iterfind("failure"), *case.iterfind("error"))
+    }
+    assert cases, "no test of this suite was run"
+    assert not failed, "\n".join(f"{name}:\n{text}" for name, text in failed.items())

@@ -90,12 +90,4 @@ def test_the_head_turns_both_ways_as_the_pose_says(truth):
     right, left, nose = (points[:, i, 0] for i in from_ibug([36, 45, 30]))
     offset = (nose - (right + left) / 2) / (left - right)
     assert np.degrees(yaw.max()) > 15 and np.degrees(yaw.min()) < -15
-    assert abs(np.corrcoef(offset, yaw)[0, 1]) > 0.98
-
-
-def test_viola_and_jones_find_the_face_in_frontal_frames(truth, frames):
-    images = frames[0]
-    cascade = cv2.CascadeClassifier(cv2.data.haarcascades + "haarcascade_frontalface_alt2.xml")
-    frontal = np.flatnonzero(np.abs(truth["pose"][:, 1]) < np.radians(6))[::10]
-    found = [len(cascade.detectMultiScale(cv2.cvtColor(images[i], cv2.COLOR_BGR2GRAY), 1.1, 5)) for i in frontal]
-    assert np.mean(np.array(found) == 1) > 0.95
+    assert np.corrcoef(offset, yaw)[0, 1] < -0.98  # a positive yaw turns the nose to the left of the picture

@@ -217,6 +217,23 @@ def test_the_performer_is_calibrated_by_a_click_and_kept_by_name(blender, sideba
     stop(sidebar)
 
 
+def test_a_video_is_tracked_beside_the_window_and_escape_bakes_what_was_tracked(blender, sidebar):
+    add_head(sidebar)
+    shutil.copy(CLIP, blender.folder / "mine.mp4")
+    blender.do(f"bpy.ops.facemime.puppet_video(filepath={str(blender.inside / 'mine.mp4')!r})")
+    blender.wait_for("Session.current is not None and Session.current.done > 20")
+    blender.move(*sidebar.view())
+    blender.redraw()
+    blender.key("Escape")
+    blender.wait_for(f"Session.current is None and {HEAD}.data.shape_keys is not None and workers() == []")
+    assert blender.get(f"len({HEAD}.data.shape_keys.key_blocks)") > 1
+    assert 20 <= blender.get("bpy.context.scene.frame_end") < 255
+    blender.do("bpy.context.scene.frame_set(bpy.context.scene.frame_end)")
+    blender.shot("baked")
+    blender.key("ctrl+z")
+    blender.wait_for(f"{HEAD}.data.shape_keys is None")
+
+
 @pytest.mark.thorough
 def test_a_take_is_recorded_shown_changed_and_baked_by_clicks(blender, sidebar):
     add_head(sidebar)
