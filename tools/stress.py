@@ -1,20 +1,21 @@
-"""Run every live and window test again and again, with two busy processes for each core beside them.
+"""Run every live and window test again and again on a busy machine: each run has enough others beside it for that.
 
-Usage: python tools/stress.py [RUNS] [--live | --windows]; 50 runs of both by default. Prints a line for each run, then
-how many failed, which is also the exit status. A test that fails once here races the clock: mend that, not the load.
+Usage: python tools/stress.py [RUNS] [--live | --windows]; 50 runs of both by default. So many run at once that each
+shares the machine with two busy processes for each core. Prints a line for each run, then how many failed, which is
+also the exit status. A test that fails once here races the clock: mend that, not the load.
 """
 
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).resolve().parents[1]
 LIVE = sorted(
@@ -23,6 +24,15 @@ LIVE = sorted(
     for path in ROOT.glob(f"tests/*/test_{name}.py")
 )
 WINDOWS = ["tests/gui"]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of the tests: seconds, the last line that pytest printed, and what went wrong."""
+
+    seconds: float
+    summary: str
+    failures: list[str]
 
 
 def main() -> int:
@@ -34,40 +44,30 @@ def main() -> int:
     chosen.add_argument("--windows", action="store_true", help="tests in windows alone")
     arguments = parser.parse_args()
     tests = (LIVE if not arguments.windows else []) + (WINDOWS if not arguments.live else [])
+    at_once = 2 * (os.cpu_count() or 2) + 1
     failed = 0
-    with busy(2 * (os.cpu_count() or 2)):
-        for run in range(arguments.runs):
-            began = time.monotonic()
-            done = subprocess.run(
-                [sys.executable, "-m", "pytest", *tests], cwd=ROOT, capture_output=True, text=True, check=False
-            )
-            failed += done.returncode != 0
-            last = done.stdout.strip().splitlines()[-1:]
-            print(f"{run + 1:3d}  {time.monotonic() - began:6.1f} s  {''.join(last)}", flush=True)
-            if done.returncode:
-                print(
-                    "\n".join(line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR", "E  ")))
-                )
-    print(f"{failed} of {arguments.runs} runs failed")
+    with ThreadPoolExecutor(at_once) as pool:
+        runs = [pool.submit(run, tests) for _ in range(arguments.runs)]
+        for number, done in enumerate(as_completed(runs), 1):
+            result = done.result()
+            failed += bool(result.failures)
+            print(f"{number:3d}  {result.seconds:6.1f} s  {result.summary}", *result.failures, sep="\n", flush=True)
+    print(f"{failed} of {arguments.runs} runs failed, {at_once} at once on {os.cpu_count()} cores")
     return failed
 
 
-@contextmanager
-def busy(count: int) -> Iterator[None]:
-    """Keep `count` processes counting."""
-    processes = [multiprocessing.Process(target=_count, daemon=True) for _ in range(count)]
-    for process in processes:
-        process.start()
-    try:
-        yield
-    finally:
-        for process in processes:
-            process.kill()
-
-
-def _count() -> None:
-    while True:
-        sum(range(1_000_000))
+def run(tests: list[str]) -> Run:
+    """Run `tests` once, with screenshots in a place of their own."""
+    began = time.monotonic()
+    with TemporaryDirectory() as shots:
+        line = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *tests]
+        environment = os.environ | {"FACEMIME_SHOTS": shots, "OPENBLAS_NUM_THREADS": "1"}
+        done = subprocess.run(line, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    printed = done.stdout.strip().splitlines()
+    failures = [text for text in printed if text.startswith(("FAILED", "ERROR", "E  "))]
+    if done.returncode and not failures:
+        failures = [f"ended with status {done.returncode}"]
+    return Run(time.monotonic() - began, "".join(printed[-1:]), failures)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from sidebar import Sidebar
-from window import ROOT, SHOTS, Blender, places
+from window import ROOT, Blender, places
 
 MODULE = "bl_ext.user_default.facemime"
 SUITES = ("trixie", "sid")
@@ -43,7 +43,7 @@ def place_of(suite: str) -> Path:
     """The chroot of a suite; skips, and says why, where it is not there."""
     place = places()[suite]
     if not place.exists():
-        reason = SHOTS / "no-windows.txt"
+        reason = ROOT / "build" / "gui" / "no-windows.txt"
         said = reason.read_text(encoding="utf-8").strip() if reason.exists() else "They are set up by: make test-gui"
         pytest.skip(f"Blender's window of Debian {suite} is missing. {said}")
     return place

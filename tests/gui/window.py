@@ -15,7 +15,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-SHOTS = ROOT / "build" / "gui"
+SHOTS = Path(os.environ.get("FACEMIME_SHOTS", ROOT / "build" / "gui"))
 _DEADLINE = 120.0
 """Seconds that a test waits for something: Blender draws in software, and the machine may be busy with other things."""
 
