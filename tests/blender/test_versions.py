@@ -50,7 +50,15 @@ def run_suites(version: str, folder: Path) -> ElementTree.Element:
     options = ["-p", "no:cacheprovider", "-p", "pytest_timeout", "-W", "ignore::DeprecationWarning"]
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "PYTEST", "VIRTUAL_ENV"))}
     done = subprocess.run(
-        [str(python), "-m", "pytest", *options, f"--junitxml={folder / 'report.xml'}", *suites],
+        [
+            str(python),
+            "-m",
+            "pytest",
+            *options,
+            "--continue-on-collection-errors",
+            f"--junitxml={folder / 'report.xml'}",
+            *suites,
+        ],
         env=environment | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"},
         cwd=ROOT,
         capture_output=True,
