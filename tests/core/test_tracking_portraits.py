@@ -1,0 +1,48 @@
+"""The tracker on photographs of people, labelled by hand; both are in the public domain and in the repository."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from facemime.core.images import read_image
+from facemime.core.landmarks import MIRROR, from_ibug, outer_eye_distance
+from facemime.core.tracking.tracker import FaceTracker
+
+PORTRAITS = Path(__file__).resolve().parents[1] / "data" / "portraits"
+LABELS = json.loads((PORTRAITS / "labels.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def tracker() -> FaceTracker:
+    return FaceTracker.load()
+
+
+@pytest.mark.parametrize(("name", "mean"), [("collins.jpg", 0.045), ("hopper.jpg", 0.065)])
+def test_landmarks_lie_where_a_hand_marked_them(tracker, name, mean):
+    found = tracker.locate(read_image(PORTRAITS / name))
+    numbers, places = [int(number) for number in LABELS[name]], np.array(list(LABELS[name].values()))
+    away = np.linalg.norm(found.landmarks[from_ibug(numbers)] - places, axis=1) / outer_eye_distance(found.landmarks)
+    assert found.confidence > 0.9
+    assert away.mean() < mean and away.max() < 0.12, dict(zip(numbers, away.round(3).tolist(), strict=True))
+
+
+@pytest.mark.parametrize("name", LABELS)
+def test_a_mirrored_photograph_gives_mirrored_landmarks(tracker, name):
+    image = read_image(PORTRAITS / name)
+    one, other = tracker.locate(image).landmarks, tracker.locate(np.ascontiguousarray(image[:, ::-1])).landmarks
+    mirrored = (other * (-1.0, 1.0) + (image.shape[1] - 1.0, 0.0))[MIRROR]
+    assert np.linalg.norm(one - mirrored, axis=1).mean() < 0.03 * outer_eye_distance(one)
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_the_size_of_a_photograph_makes_little_difference(tracker, scale):
+    image = read_image(PORTRAITS / "hopper.jpg")
+    one = tracker.locate(image).landmarks
+    scaled = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    other = (tracker.locate(scaled).landmarks + 0.5) / scale - 0.5
+    assert np.linalg.norm(one - other, axis=1).mean() < 0.03 * outer_eye_distance(one)
