@@ -1,0 +1,40 @@
+"""Blender's properties are the settings of core: defaults, ranges, choices, words."""
+
+import bpy
+import pytest
+
+from facemime.core.bake.settings import BakeSettings
+from facemime.core.drive.settings import DriveSettings, PosingSettings
+from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.settings import settings_of
+from facemime.settings.values import bake_settings, puppet_settings
+
+
+def owners() -> list[tuple[type, bpy.types.PropertyGroup]]:
+    """Groups of settings, and what has their properties."""
+    scene = bpy.context.scene
+    pairs = ((DriveSettings, scene.facemime), (PuppetSettings, scene.facemime), (PosingSettings, scene.facemime.posing))
+    return [*pairs, (BakeSettings, scene.facemime_takes.bake)]
+
+
+def test_a_new_scene_has_the_settings_that_the_command_has_by_default(in_a_project):
+    scene = bpy.context.scene
+    bake = bake_settings(scene.facemime_takes.bake, "take")
+    shown = puppet_settings(scene.facemime)
+    assert (bake.keys, bake.max_keys, bake.clean, bake.nla) == ("new", 64, 0.0, False)
+    wanted = PuppetSettings()
+    for ours, theirs in ((shown, wanted), (shown.drive, wanted.drive), (shown.drive.posing, wanted.drive.posing)):
+        for name in settings_of(type(theirs)):
+            assert getattr(ours, name) == pytest.approx(getattr(theirs, name)), name
+
+
+def test_a_property_has_the_range_the_choices_and_the_words_of_its_setting():
+    for group, owner in owners():
+        for name, setting in settings_of(group).items():
+            rna = owner.bl_rna.properties[name]
+            assert (rna.name, rna.description) == (setting.label, setting.description)
+            if setting.choices:
+                assert tuple(rna.enum_items.keys()) == setting.values and rna.default == setting.default
+            elif setting.kind in (int, float):
+                ends = [setting.scale * end for end in (setting.low, setting.high, setting.default)]
+                assert [rna.hard_min, rna.hard_max, rna.default] == pytest.approx(ends)
