@@ -29,7 +29,7 @@ check: setup
 # is not replaced: the others would wait for its tests for ever.
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --max-worker-restart 0
 # What is long and of one piece comes first.
-SUITES := tests/gui tests/blender tests/fuzz tests/core
+SUITES := tests/gui tests/blender tests/fuzz tests/core tests/bench
 test: setup build blenders windows build/head/.ready
 	$(PYTEST) $(SUITES) -m "not thorough"
 

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(
 @pytest.fixture
 def build(monkeypatch):
     monkeypatch.syspath_prepend(ROOT)
-    return pytest.importorskip("training.head.build")
+    return pytest.importorskip("facemime.training.head.build")
 
 
 def test_building_the_head_gives_the_shipped_arrays(build):
