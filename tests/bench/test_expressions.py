@@ -1,0 +1,66 @@
+"""The measure of expressions: its features have the signs of the labels, and its scores count what they say."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.expressions import THRESHOLDS, Clip, Score, features, read_clips, score
+from facemime.core.heads.rig import built_in_rig
+from facemime.core.landmarks import BROWS, LOWER_LIDS, MOUTH_CORNERS, UPPER_LIDS, from_ibug, outer_eye_distance
+
+RIG = built_in_rig()
+REST = np.asarray(RIG.vertices, dtype=np.float64)[RIG.landmarks]
+UNIT = outer_eye_distance(REST)
+
+
+def moved(landmarks: np.ndarray, right: float = 0.0, down: float = 0.0) -> np.ndarray:
+    """(1, 66, 3) the head at rest with some landmarks moved, eye distances."""
+    points = REST.copy()
+    points[landmarks, :2] += np.array([right, down]) * UNIT
+    return points[None]
+
+
+@pytest.mark.parametrize(
+    ("points", "name", "sign"),
+    [
+        (moved(BROWS[:5], down=-0.1), "brow_l", 1),
+        (moved(BROWS[5:], down=0.05), "brow_r", -1),
+        (moved(from_ibug((20, 21, 22, 23)), down=-0.1), "brow_in", 1),
+        (moved(from_ibug(range(65, 68)), down=0.2), "jaw", 1),
+        (moved(MOUTH_CORNERS, down=-0.1), "smile", 1),
+        (moved(MOUTH_CORNERS[:1], right=0.1), "width", -1),
+        (moved(MOUTH_CORNERS, right=0.1), "side", 1),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_feature_has_the_sign_of_its_label_and_nothing_else_moves_at_rest(points, name, sign):
+    assert np.sign(features(points, REST)[name][0]) == sign
+    assert abs(features(points, REST)[name][0]) > THRESHOLDS[name]
+    assert all(abs(value[0]) < 1e-12 for value in features(REST[None], REST).values())
+
+
+def test_a_shut_eye_is_one_whatever_its_opening():
+    shut = REST.copy()
+    shut[UPPER_LIDS[:2]] = shut[LOWER_LIDS[:2]]
+    found = features(shut[None], REST)
+    assert found["lid_l"][0] == pytest.approx(1.0) and found["lid_r"][0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_scores_count_pairs_in_order_and_frames_on_their_side_of_rest():
+    labels = {frame: dict.fromkeys(THRESHOLDS, ".") | {"brow_l": label} for frame, label in enumerate("0121")}
+    shown = {name: np.zeros(4) for name in THRESHOLDS} | {"brow_l": np.array([0.0, 0.1, 0.05, np.nan])}
+    scores: dict[str, Score] = {}
+    wrong = score(Clip(Path("a.mp4"), labels, None, None), shown, scores)
+    assert scores["brow_l"].sign == [True, True, True, False] and len(wrong) == 1 and "frame 3" in wrong[0]
+    assert sorted(scores["brow_l"].order) == [False, False, False, True, True]
+    assert scores["jaw"].sign == []
+
+
+def test_clips_that_are_not_there_are_left_out(tmp_path, capsys):
+    (tmp_path / "labels.csv").write_text(f"clip,frame,{','.join(THRESHOLDS)}\na,3,1,0,0,0,0,0,0,0,0\nb,1{',.' * 9}\n")
+    (tmp_path / "neutral.csv").write_text("clip,first,last,best_frontal,remark\na,2,4,.,fine\n")
+    (tmp_path / "a.mp4").touch()
+    (clip,) = read_clips(tmp_path / "labels.csv", tmp_path / "neutral.csv", tmp_path)
+    assert clip.neutral == (2, 4) and clip.frontal is None and clip.labels[3]["brow_l"] == "1"
+    assert "b is left out" in capsys.readouterr().err
