@@ -1,8 +1,9 @@
-"""The texts that Blender's interface shows of Facemime, out of its sources; prints those that a language still lacks.
+"""The texts that Facemime shows in Blender, collected from its sources; prints those that a language lacks.
 
-Usage: python tools/strings.py [LANGUAGE]; zh_HANS by default. Blender looks texts up as they stand in the sources:
-labels, tooltips (of operators their docstrings), enumeration items, `text=` of buttons, and what goes through `_()` or
-`labels()`.
+Usage: python tools/strings.py [LANGUAGE]; zh_HANS by default. There are two kinds. Blender looks up constant texts:
+labels, tooltips (the docstrings of operators), items of enumerations, `text=` of buttons, and the arguments of `_()`
+and `labels()`. Messages such as errors contain values: of an f-string the template is collected, with the name of each
+value in braces, and `blender/messages.py` matches messages with it.
 """
 
 from __future__ import annotations
@@ -20,17 +21,31 @@ _KEYWORDS = {"name", "description", "text", "heading", "title", "message"}
 _CALLS = {"_", "pgettext_iface", "pgettext_rpt", "labels", "label", "poll_message_set"}
 _SETTINGS = {"setting", "Choice"}
 """Their first argument is a value."""
+_ERRORS = {"FacemimeError", "SourceError", "ModelError", "HeadError", "OutputError", "MisnamedError"}
+_MESSAGES = {"report", "Finding", "Quality"}
+_FUNCTIONS = {"explained", "missing_parts", "summary"}
+"""Functions that return messages."""
+_TABLES = {"_EXPLANATIONS"}
+"""Dictionaries whose values are messages."""
 _NOT_SHOWN = {"WINDOW", "Facemime"}
 
 
 def sources() -> list[Path]:
-    """The modules whose texts users see in Blender."""
-    patterns = ("operators/*.py", "ui/*.py", "settings/*.py", "core/*/settings.py")
+    """Return the modules with texts that Blender looks up."""
+    return _modules("operators/*.py", "ui/*.py", "settings/*.py", "core/*/settings.py")
+
+
+def message_sources() -> list[Path]:
+    """Return the modules with messages."""
+    return _modules(*(f"{room}/**/*.py" for room in ("core", "blender", "settings", "sessions", "operators")))
+
+
+def _modules(*patterns: str) -> list[Path]:
     return sorted(path for pattern in patterns for path in ROOT.glob(pattern))
 
 
 def strings(path: Path) -> Iterator[str]:
-    """The texts of one module."""
+    """Yield the texts of a module that Blender looks up."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.ClassDef):
@@ -48,7 +63,7 @@ def _of_class(node: ast.ClassDef) -> Iterator[str]:
 
 
 def _of_call(node: ast.Call) -> Iterator[str]:
-    called = getattr(node.func, "id", getattr(node.func, "attr", ""))
+    called = _name(node.func)
     if any(word.arg == "translate" for word in node.keywords):
         return
     for word in node.keywords:
@@ -76,13 +91,92 @@ def _texts(node: ast.expr) -> Iterator[str]:
         yield from _texts(node.orelse)
 
 
+def messages(path: Path) -> Iterator[str]:
+    """Yield the messages of a module, and the templates of those that contain values."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    constants = dict(_constants(tree))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and _makes_message(node.func):
+            found = [*node.args, *(word.value for word in node.keywords if word.arg in ("message", "reason"))]
+        elif isinstance(node, ast.FunctionDef) and node.name in _FUNCTIONS:
+            found = [part.value for part in ast.walk(node) if isinstance(part, ast.Return) and part.value is not None]
+        elif isinstance(node, ast.Assign) and _name(node.targets[0]) in _TABLES:
+            found = getattr(node.value, "values", [])
+        else:
+            continue
+        for part in found:
+            yield from _templates(part, constants)
+
+
+def _makes_message(func: ast.expr) -> bool:
+    """Return whether a call creates an error or shows a message; `type(error)(...)` does so, too."""
+    if isinstance(func, ast.Call):
+        return _name(func.func) == "type"
+    return _name(func) in _ERRORS | _MESSAGES
+
+
+def _constants(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    """Yield the names and values of the constants of a module, which templates contain as text."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield _name(node.targets[0]), node.value.value
+
+
+def _templates(node: ast.expr, constants: dict[str, str]) -> Iterator[str]:
+    if isinstance(node, ast.JoinedStr):
+        if " " in (text := _template(node, constants)):
+            yield text
+    elif isinstance(node, ast.IfExp | ast.List | ast.Tuple):
+        for part in (node.body, node.orelse) if isinstance(node, ast.IfExp) else node.elts:
+            yield from _templates(part, constants)
+    elif isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
+        yield node.value
+
+
+def _template(node: ast.JoinedStr, constants: dict[str, str]) -> str:
+    text = ""
+    used: dict[str, int] = {}
+    for part in node.values:
+        if isinstance(part, ast.Constant):
+            text += str(part.value)
+            continue
+        assert isinstance(part, ast.FormattedValue)
+        if (raw := _name(part.value)) in constants:
+            text += constants[raw]
+            continue
+        name = _value_name(part.value)
+        used[name] = used.get(name, 0) + 1
+        text += "{" + name + (str(used[name]) if used[name] > 1 else "") + "}"
+    return text
+
+
+def _value_name(node: ast.expr) -> str:
+    """Return a name for a value, from the expression that computes it."""
+    if isinstance(node, ast.Name | ast.Attribute):
+        return _name(node).strip("_")
+    if isinstance(node, ast.Call):
+        owner = node.func.value if isinstance(node.func, ast.Attribute) else node.func
+        return _value_name(node.args[0] if node.args else owner)
+    if isinstance(node, ast.BinOp):
+        return _value_name(node.left if not isinstance(node.left, ast.Constant) else node.right)
+    if isinstance(node, ast.Subscript):
+        return _value_name(node.slice if isinstance(node.slice, ast.Name) else node.value)
+    return next((_value_name(part) for part in ast.walk(node) if isinstance(part, ast.Name | ast.Attribute)), "value")
+
+
+def _name(node: ast.expr) -> str:
+    return str(getattr(node, "id", getattr(node, "attr", "")))
+
+
 def wanted() -> list[str]:
-    """All texts, each once, in the order of the sources."""
-    return list(dict.fromkeys(text for path in sources() for text in strings(path)))
+    """Return all texts and templates, each once, in the order of the sources."""
+    texts = [text for path in sources() for text in strings(path)]
+    texts += [text for path in message_sources() for text in messages(path)]
+    return list(dict.fromkeys(texts))
 
 
 def lacking(language: str) -> list[str]:
-    """What `language` has no translation of."""
+    """Return the texts that `language` does not translate."""
     known = json.loads((TRANSLATIONS / f"{language}.json").read_text(encoding="utf-8"))
     return [text for text in wanted() if not known.get(text)]
 

@@ -1,0 +1,104 @@
+"""Translation of messages that contain values, such as errors of `core`, which must not know Blender.
+
+Blender looks up constant texts. A message such as "head.tri cannot be read. Choose another file." is compared with the
+templates in `assets/translations` instead ("{path} cannot be read. Choose another file."), and its values are inserted
+into the translated template. `tools/strings.py` collects the templates from the sources.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+
+from bpy.app.translations import pgettext_rpt
+
+from ..core.assets import ASSETS
+
+FOLDER = ASSETS / "translations"
+NESTED = frozenset({"advice", "error", "kind", "kept", "label", "problem", "reason", "summary", "what", "where"})
+"""Names of values that are texts, and are translated as well; other values are names, paths and numbers."""
+_PLACEHOLDER = re.compile(r"\{([A-Za-z_]\w*)[^}]*\}")
+
+
+class Templates:
+    """Templates of messages, with the name of each value in braces.
+
+    Parameters
+    ----------
+    texts : iterable of str
+        Those without placeholders are ignored.
+    """
+
+    def __init__(self, texts: Iterable[str]) -> None:
+        templates = [text for text in texts if _PLACEHOLDER.search(text)]
+        # The more text a template contains, the more specific it is.
+        templates.sort(key=lambda text: -len(_PLACEHOLDER.sub("", text)))
+        self._patterns = [(text, re.compile(_pattern_of(text), re.DOTALL)) for text in templates]
+        self.find = lru_cache(maxsize=256)(self._find)
+        """As `_find`, cached: panels show the same messages in every redraw."""
+
+    def translate(self, message: str, lookup: Callable[[str], str]) -> str:
+        """Translate a message.
+
+        Parameters
+        ----------
+        message : str
+            In English.
+        lookup : callable
+            Returns the translation of a text or template, or the text itself if there is none.
+
+        Returns
+        -------
+        str
+            The message itself if there is no translation.
+        """
+        if (constant := lookup(message)) != message or (found := self.find(message)) is None:
+            return constant
+        template, values = found
+        if (other := lookup(template)) == template:
+            return message
+        texts = {
+            name: self.translate(value, lookup) if name.rstrip("0123456789") in NESTED else value
+            for name, value in values.items()
+        }
+        return _PLACEHOLDER.sub(lambda match: texts[match[1]], other)
+
+    def _find(self, message: str) -> tuple[str, dict[str, str]] | None:
+        """Return the most specific template that matches a message, and the values in it; None if there is none."""
+        for text, pattern in self._patterns:
+            if (match := pattern.fullmatch(message)) is not None:
+                return text, match.groupdict()
+        return None
+
+
+def load_languages() -> dict[str, dict[str, str]]:
+    """Return the translations of each language, which is named as in Blender, by English text."""
+    return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(FOLDER.glob("*.json"))}
+
+
+def translated(message: str, lookup: Callable[[str], str] | None = None) -> str:
+    """Translate a message to the language of Blender's interface.
+
+    Parameters
+    ----------
+    message : str
+        In English.
+    lookup : callable, optional
+        Blender's function for labels; that for reports by default. They respect the user's preferences.
+    """
+    return _templates().translate(message, lookup or pgettext_rpt)
+
+
+@lru_cache(maxsize=1)
+def _templates() -> Templates:
+    return Templates({text: None for known in load_languages().values() for text in known})
+
+
+def _pattern_of(text: str) -> str:
+    parts = _PLACEHOLDER.split(text)
+    literals, names = parts[::2], parts[1::2]
+    return re.escape(literals[0]) + "".join(
+        f"(?P<{name}>.*?){re.escape(literal)}" for name, literal in zip(names, literals[1:], strict=True)
+    )
