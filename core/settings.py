@@ -1,7 +1,7 @@
-"""Settings said once: what a user can choose, its default, its range and its words.
+"""Settings, each defined once: its default, range, unit, label and description.
 
-A group of settings is a frozen dataclass, some of whose fields are made by `setting`. From these come Blender's
-properties, the options of the command line, presets and the templates for render farms.
+A group of settings is a frozen dataclass, some of whose fields are made by `setting`. Blender's properties, the options
+of the command line, presets and the templates for render farms are derived from them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Unit = Literal["", "percent", "angle", "seconds"]
 
 
 class Choice(NamedTuple):
-    """One of the values of a setting, and what a menu says of it."""
+    """One of the values of a setting, with its label and tooltip in a menu."""
 
     value: str
     label: str
@@ -27,22 +27,22 @@ class Choice(NamedTuple):
 
 @dataclass(frozen=True)
 class Setting:
-    """What a field of a group may be, and what users read of it.
+    """The values that a field of a group can have, and the text that describes it to users.
 
     Attributes
     ----------
     default : bool, int, float or str
-        As the field has it.
+        Default value, in the unit of the field.
     label, description : str
-        As a button and its tooltip show them.
+        Text of the button and of its tooltip.
     low, high : float or None
-        The range of a number, as the field has it.
+        Range of a number, in the unit of the field.
     soft_high : float or None
-        Where a slider ends; what is typed goes further.
+        Upper end of the slider; larger values can be typed.
     unit : {"", "percent", "angle", "seconds"}
-        A percentage is a fraction in the field, an angle is in radians.
+        A percentage is stored as a fraction, an angle in radians.
     choices : sequence of Choice
-        The values of a setting that is one of several.
+        Allowed values of an enumeration.
     """
 
     default: Any
@@ -56,16 +56,29 @@ class Setting:
 
     @property
     def scale(self) -> float:
-        """What the field is multiplied by where a user reads it."""
+        """Factor from the value of the field to the number that users see."""
         return 100.0 if self.unit == "percent" else 1.0
 
     @property
     def kind(self) -> type:
-        """Of the value: bool, int, float or str."""
+        """Type of the value: bool, int, float or str."""
         return type(self.default)
 
     def checked(self, value: Any, name: str) -> Any:
-        """`value`, as the field has it; ValueError where the setting cannot have it."""
+        """Return `value` as the field stores it.
+
+        Parameters
+        ----------
+        value : object
+            Value to check, in the unit of the field.
+        name : str
+            Name of the setting, for the message.
+
+        Raises
+        ------
+        ValueError
+            If the setting cannot have that value.
+        """
         if self.kind is float:
             low, high = self._range()
             value = as_number(value, name, low - _ROUNDING * abs(low), high + _ROUNDING * abs(high))
@@ -78,7 +91,7 @@ class Setting:
 
     @property
     def values(self) -> tuple[str, ...]:
-        """What it can be chosen from."""
+        """Allowed values of an enumeration."""
         return tuple(choice.value for choice in self.choices)
 
     def _range(self) -> tuple[float, float]:
@@ -88,22 +101,28 @@ class Setting:
 
 _UNBOUNDED = 1e9
 _ROUNDING = 1e-6
-"""Of a number that Blender kept with seven digits."""
+"""Relative tolerance at the ends of a range: Blender stores numbers with seven digits."""
 
 
 def setting(default: Any, label: str, description: str = "", **more: Any) -> Any:
-    """A field of a group that users set; parameters as the attributes of `Setting`."""
-    made = Setting(default, label, description, **more)
-    return dataclasses.field(default=default, metadata={"setting": made})
+    """Declare a field of a group as a setting.
+
+    Parameters
+    ----------
+    default, label, description, **more
+        Attributes of `Setting`.
+    """
+    metadata = {"setting": Setting(default, label, description, **more)}
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 def settings_of(group: type) -> Mapping[str, Setting]:
-    """The settings of a group by the names of its fields; groups within it are left out."""
+    """Return the settings of a group by field name, without those of nested groups."""
     return {field.name: field.metadata["setting"] for field in _fields(group) if "setting" in field.metadata}
 
 
 def changed(group: Any) -> Iterator[tuple[str, Setting, Any]]:
-    """Name, setting and value of those that are not as by default, in a group and in the groups within it."""
+    """Yield name, setting and value of all settings that differ from their defaults, including nested groups."""
     for field in _fields(type(group)):
         value = getattr(group, field.name)
         if "setting" in field.metadata:

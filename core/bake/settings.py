@@ -1,4 +1,4 @@
-"""What a driven take is baked to."""
+"""Settings of a bake."""
 
 from __future__ import annotations
 
@@ -14,35 +14,42 @@ Keys = Literal["new", "named", "mapped", "cache", "alembic"]
 
 @dataclass(frozen=True)
 class BakeSettings:
-    """What a driven take is baked to.
+    """What a take is baked to.
 
     Attributes
     ----------
     keys : {"new", "named", "mapped", "cache", "alembic"}
-        New shape keys; those that the mesh has, fitted to the motion of its vertices; those, by a table from ARKit's
-        coefficients; a point cache that the Mesh Cache modifier plays; that, and an Alembic file beside it.
+        "new" adds shape keys. "named" fits the mesh's existing shape keys to the motion of its vertices. "mapped" sets
+        them from ARKit's coefficients by a key table. "cache" writes a point cache for the Mesh Cache modifier, and
+        "alembic" also an Alembic file.
     max_keys : int
-        Of new ones at most; the report tells the error.
+        Maximum number of new shape keys; the report states the error.
     clean : float
-        How far vertices may end from where all keyframes would put them, eye distances; 0 leaves none out.
+        Error of the vertices allowed when removing keyframes, in eye distances; 0 keeps all keyframes.
     nla : bool
         Whether the curves go onto an NLA track instead of the active action.
     table : KeyMap or None
-        For "mapped"; None takes the preset that fits the mesh's keys best.
+        Key table for "mapped"; None selects the preset that fits the mesh's shape keys best.
     path : Path or None
-        Of the cache, which needs one; the Alembic file's differs in its suffix.
+        File of the cache, required for "cache" and "alembic"; the Alembic file differs only in its suffix.
     """
 
     keys: Keys = setting(
         "new",
         "Bake To",
-        "What a take becomes",
+        "What the take is baked to",
         choices=(
-            Choice("new", "New Shape Keys", "As few as the motion needs"),
-            Choice("named", "Own Shape Keys", "The head's own, fitted to the motion of its skin"),
-            Choice("mapped", "Own Shape Keys by Table", "The head's own, by the table of keys"),
-            Choice("cache", "Mesh Cache", "Every vertex exactly, in a .pc2 file"),
-            Choice("alembic", "Mesh Cache and Alembic", "Every vertex exactly, and an .abc file for other programs"),
+            Choice("new", "New Shape Keys", "Add as few shape keys as the motion needs"),
+            Choice("named", "Existing Shape Keys", "Fit the head's shape keys to the motion of its skin"),
+            Choice(
+                "mapped", "Existing Shape Keys by Table", "Animate the head's shape keys according to the key table"
+            ),
+            Choice("cache", "Mesh Cache", "Store every vertex exactly, in a .pc2 file"),
+            Choice(
+                "alembic",
+                "Mesh Cache and Alembic",
+                "Store every vertex exactly, and export an .abc file for other programs",
+            ),
         ),
     )
     max_keys: int = setting(64, "Max Keys", "Maximum number of new shape keys", low=1, high=512)

@@ -1,4 +1,4 @@
-"""How a performance moves a head."""
+"""Settings that control how a performance moves a head."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ Mode = Literal["3d", "planar"]
 
 @dataclass(frozen=True)
 class PosingSettings:
-    """What the pose of the head and of the eyes is multiplied by, and where it ends.
+    """Strength and limits of the pose of the head and the eyes.
 
     Attributes
     ----------
     rotation_strength, location_strength, eyes_strength : float
-        0 rests, 1 follows the performer.
+        Gain: 0 stays at rest, 1 follows the performer.
     rotation_limit, eyes_limit : float
-        Radians from rest, about whatever axis.
+        Largest angle from rest about any axis, radians.
     location_limit : float
-        From rest, in the avatar's outer-eye distances.
+        Largest distance from rest, in the avatar's outer-eye distances.
     """
 
     rotation_strength: float = setting(
         1.0, "Rotation", "Head rotation relative to the performer's", low=0.0, high=10.0, soft_high=2.0
     )
     rotation_limit: float = setting(
-        pi, "Rotation Limit", "Largest turn of the head from rest", low=0.0, high=pi, unit="angle"
+        pi, "Rotation Limit", "Largest rotation of the head from rest", low=0.0, high=pi, unit="angle"
     )
     location_strength: float = setting(
-        1.0, "Location", "Head motion relative to the performer's", low=0.0, high=10.0, soft_high=2.0
+        1.0, "Location", "Head movement relative to the performer's", low=0.0, high=10.0, soft_high=2.0
     )
     location_limit: float = setting(
-        10.0, "Location Limit", "Largest move of the head from rest, in eye distances", low=0.0, high=10.0
+        10.0, "Location Limit", "Largest movement of the head from rest, in eye distances", low=0.0, high=10.0
     )
     eyes_strength: float = setting(
         1.0, "Eyes", "Eye rotation relative to the performer's", low=0.0, high=10.0, soft_high=2.0
     )
     eyes_limit: float = setting(
-        pi / 6, "Eyes Limit", "Largest turn of the eyes from rest", low=0.0, high=pi / 2, unit="angle"
+        pi / 6, "Eyes Limit", "Largest rotation of the eyes from rest", low=0.0, high=pi / 2, unit="angle"
     )
 
 
@@ -53,48 +53,61 @@ class DriveSettings:
     Attributes
     ----------
     mode : {"3d", "planar"}
+        Where the depth of a motion comes from.
     kernel : str
-        "informed" for `DEFAULT_KERNEL` with what is learnt of faces beside it, or a name of `kernels.KERNELS`; the
-        paper's is "gaussian".
+        "informed" for `DEFAULT_KERNEL` combined with a covariance learnt from known expressions, or a key of
+        `kernels.KERNELS`; the paper uses "gaussian".
     strength_upper, strength_middle, strength_lower : float
         Gains of the regions.
     mirror : bool
-        Whether the head is the performer's mirror image.
+        Whether the head moves like the performer's mirror image.
     incremental : bool
-        Fit every frame again from the one before, as the paper does.
+        Fit each frame starting from the previous one, as the paper does.
     posing : PosingSettings
-        Strength and limits of head and eyes.
+        Strength and limits of the pose of the head and the eyes.
     """
 
     mode: Mode = setting(
         "3d",
         "Depth",
-        "Where the depth of a motion comes from",
+        "Where the depth of the motion comes from",
         choices=(
-            Choice("3d", "3D", "Depth from the tracker's 3-D face"),
-            Choice("planar", "Planar", "Every vertex keeps its depth"),
+            Choice("3d", "3D", "Use the depth of the tracked 3D face"),
+            Choice("planar", "Planar", "Keep the depth of every vertex"),
         ),
     )
     kernel: str = setting(
         INFORMED,
         "Skin",
-        "How the skin between the landmarks follows them",
+        "How the skin between the landmarks follows their motion",
         choices=(
-            Choice(INFORMED, "Informed", "By distance and by what moves together in known expressions"),
-            Choice("multiscale", "Multiscale", "By distance, near and far"),
-            Choice("gaussian", "Gaussian", "By one Gaussian of distance per region, as in the paper"),
-            Choice("wendland", "Wendland", "By a smooth function of distance with compact support"),
+            Choice(
+                INFORMED, "Informed", "By distance, and by which parts of a face move together in known expressions"
+            ),
+            Choice("multiscale", "Multiscale", "By distance, at a small and a large scale"),
+            Choice("gaussian", "Gaussian", "By distance, with one Gaussian function per region as in the paper"),
+            Choice("wendland", "Wendland", "By distance, with a smooth function of compact support"),
             Choice("biharmonic", "Biharmonic", "By distance, like a thin plate"),
         ),
     )
     strength_upper: float = setting(
-        1.0, "Brows and Upper Lids", "Strength of the motion of brows and upper lids", low=0.0, high=5.0, soft_high=2.0
+        1.0,
+        "Brows and Upper Lids",
+        "Strength of the motion of the brows and upper eyelids",
+        low=0.0,
+        high=5.0,
+        soft_high=2.0,
     )
     strength_middle: float = setting(
-        1.0, "Cheeks and Upper Lip", "Strength of the motion of cheeks and upper lip", low=0.0, high=5.0, soft_high=2.0
+        1.0,
+        "Cheeks and Upper Lip",
+        "Strength of the motion of the lower eyelids, cheeks and upper lip",
+        low=0.0,
+        high=5.0,
+        soft_high=2.0,
     )
     strength_lower: float = setting(
-        1.0, "Lower Lip and Chin", "Strength of the motion of lower lip and chin", low=0.0, high=5.0, soft_high=2.0
+        1.0, "Lower Lip and Chin", "Strength of the motion of the lower lip and chin", low=0.0, high=5.0, soft_high=2.0
     )
     mirror: bool = setting(False, "Mirror", "Move the head like the performer's mirror image")
     incremental: bool = False
@@ -102,5 +115,5 @@ class DriveSettings:
 
     @property
     def strength(self) -> tuple[float, float, float]:
-        """Gains of the regions upper, middle and lower."""
+        """Gains of the upper, middle and lower regions."""
         return self.strength_upper, self.strength_middle, self.strength_lower

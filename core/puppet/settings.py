@@ -1,4 +1,4 @@
-"""How a take moves a head, and what of it is kept."""
+"""Settings that control how a take moves a head and is baked."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ class PuppetSettings:
     Attributes
     ----------
     drive : DriveSettings
+        How the vertices move.
     smoothing : float
-        As for `ResultSmoother`; 0 leaves the take as it is.
+        Strength of `ResultSmoother`; 0 leaves the take unchanged.
     rotation, translation : bool
-        Whether the head's pose follows the performer's.
+        Whether the head's rotation and location follow the performer's.
     neutral : float or None
-        Seconds at which the performer's neutral second starts; None finds it.
+        Start of the second in which the performer's face is neutral, seconds; None detects it.
     bake : BakeSettings
+        What the motion is baked to.
     """
 
     drive: DriveSettings = field(default_factory=DriveSettings)
@@ -34,7 +36,7 @@ class PuppetSettings:
         high=20.0,
         soft_high=3.0,
     )
-    rotation: bool = setting(True, "Head Rotation", "Turn the head as the performer does")
-    translation: bool = setting(False, "Head Location", "Move the head as the performer does")
+    rotation: bool = setting(True, "Head Rotation", "Rotate the head with the performer's")
+    translation: bool = setting(False, "Head Location", "Move the head with the performer's")
     neutral: float | None = None
     bake: BakeSettings = field(default_factory=BakeSettings)
