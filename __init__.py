@@ -2,12 +2,14 @@
 
 
 def register() -> None:
+    """Register the extension."""
     from . import registration
 
     registration.register()
 
 
 def unregister() -> None:
+    """Unregister the extension."""
     from . import registration
 
     registration.unregister()

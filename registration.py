@@ -1,4 +1,4 @@
-"""What Blender is told of: one ordered tuple of modules, registered forwards and unregistered backwards."""
+"""Registration of all modules with Blender, in one order; unregistration runs in reverse."""
 
 from .blender.registering import register_module, unregister_module
 from .cli import commands
@@ -74,7 +74,7 @@ _MODULES = (
 
 
 def register() -> None:
-    """Register every module; what was registered is taken back where one fails."""
+    """Register every module; if one fails, unregister those before it."""
     done = []
     try:
         for module in _MODULES:
@@ -87,6 +87,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Unregister every module, the last first."""
+    """Unregister every module in reverse order."""
     for module in reversed(_MODULES):
         unregister_module(module)

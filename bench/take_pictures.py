@@ -83,7 +83,7 @@ def _baked(take: Take, keys: str, times: NDArray[np.float64]) -> tuple[list[Imag
         bake = BakeSettings(keys=keys, path=Path(folder) / "take.pc2")
         report = puppet_head(scene, head, take, PuppetSettings(bake=bake))
         setup_preview(scene, head, (SIDE, SIDE))
-        return list(render_frames(scene, frames_of(scene, times), (SIDE, SIDE))), report.told()
+        return list(render_frames(scene, frames_of(scene, times), (SIDE, SIDE))), report.summary()
 
 
 def _write(path: Path, picture: Image) -> None:

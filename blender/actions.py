@@ -1,6 +1,6 @@
-"""Animation curves written in bulk, on every Blender from 4.2 (plain actions) to 5.x (slots and channel bags).
+"""F-Curves written in bulk, in every Blender from 4.2 (legacy actions) to 5.x (slots and channel bags).
 
-An action remembers which curves are ours, so that a second bake replaces them and an animator's own are never touched.
+An action remembers the curves that Facemime made, so that a second bake replaces them and never an animator's own.
 """
 
 from __future__ import annotations
@@ -19,26 +19,27 @@ from ..core.bake.clean import needed_keys
 from ..core.errors import HeadError
 
 TRACK = "Facemime"
-"""Name of the NLA track of a bake, numbered where it needs several; one that was renamed is the user's and stays."""
+"""Name of a bake's NLA tracks, numbered if there are several; a track that was renamed belongs to the user."""
 _TRACK_NAME = re.compile(rf"{TRACK}(\.\d{{3}})?")
 _OWNED = "facemime_curves"
-"""Custom property of an action: the data paths of our curves, a line each."""
+"""Custom property of an action: the data paths of the curves that Facemime made, one per line."""
 _KEYS = 'key_blocks["Facemime '
-"""What the paths of our shape keys begin with."""
+"""Prefix of the data paths of Facemime's shape keys."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve to write.
+    """An F-Curve to write.
 
     Attributes
     ----------
     data_path : str
     index : int
-        Of the component.
+        Array index of the channel.
     values : (N,) array
+        One value per frame.
     tolerance : float or None
-        How far the curve may be from `values` where keys are left out; None keeps them all.
+        Error allowed when removing keyframes, in the unit of the values; None keeps all keyframes.
     """
 
     data_path: str
@@ -50,10 +51,18 @@ class Curve:
 def write_curves(
     owner: bpy.types.ID, name: str, frames: NDArray[np.floating], curves: Iterable[Curve], *, nla: bool = False
 ) -> None:
-    """Animate `owner` by `curves` with linear keys at `frames`, (N,), replacing curves of the same paths only.
+    """Animate a data-block with linear keyframes, replacing only curves of the same paths.
 
-    The owner's action is used where it has one, else one called `name` is made; other curves in it stay as they are.
-    With `nla` the curves come into an action of their own, on a track of its own.
+    Parameters
+    ----------
+    owner : bpy.types.ID
+    name : str
+        Name of the action, if the owner has none.
+    frames : (N,) array
+        Frames of the keyframes.
+    curves : iterable of Curve
+    nla : bool
+        Whether to put the curves into a new action on a new NLA track.
     """
     curves = list(curves)
     if not curves:
@@ -68,30 +77,48 @@ def write_curves(
 
 
 def check_curves(owner: bpy.types.ID, paths: Sequence[str]) -> None:
-    """Raise HeadError where one of `paths` of `owner` is animated or driven by somebody else, or cannot be animated."""
+    """Check that channels can be animated.
+
+    Parameters
+    ----------
+    owner : bpy.types.ID
+    paths : sequence of str
+        Data paths to be animated.
+
+    Raises
+    ------
+    HeadError
+        If one of them has animation or a driver that Facemime did not make, or the action is linked.
+    """
     data = owner.animation_data
     if data is None:
         return
     if data.action is not None and data.action.library is not None:
-        raise HeadError(f"The animation {data.action.name} of {owner.name} is linked from another file. Make it local.")
+        raise HeadError(f"The action {data.action.name} of {owner.name} is linked from another file. Make it local.")
     driven = {driver.data_path for driver in data.drivers}
     animated = {curve.data_path for curve in _existing(owner)} - _owned(data.action)
     if taken := [path for path in paths if path in driven | animated and not path.startswith(_KEYS)]:
         raise HeadError(
-            f"{owner.name} has animation of its own in {taken[0]}, which the bake would replace. "
-            "Remove that, or bake to something else."
+            f"{owner.name} already has animation in {taken[0]}, which the bake would replace. "
+            "Remove it, or bake to something else."
         )
 
 
 def remove_curves(owner: bpy.types.ID, prefix: str) -> None:
-    """Remove the curves of `owner` whose data path starts with `prefix`."""
+    """Remove the curves of `owner` whose data path starts with `prefix`.
+
+    Parameters
+    ----------
+    owner : bpy.types.ID
+    prefix : str
+    """
     fcurves = _existing(owner)
     for fcurve in [fcurve for fcurve in fcurves if fcurve.data_path.startswith(prefix)]:
         fcurves.remove(fcurve)
 
 
 def baked_paths(owner: bpy.types.ID) -> set[str]:
-    """The data paths of all curves of `owner` that a bake wrote."""
+    """Return the data paths of all curves of `owner` that a bake wrote."""
     data = owner.animation_data
     if data is None:
         return set()
@@ -100,7 +127,7 @@ def baked_paths(owner: bpy.types.ID) -> set[str]:
 
 
 def remove_bake(owner: bpy.types.ID) -> set[str]:
-    """Remove all curves of `owner` that an earlier bake wrote, and its track; returns their data paths."""
+    """Remove all curves and tracks of `owner` that a bake wrote, and return their data paths."""
     removed, data = baked_paths(owner), owner.animation_data
     for track in _tracks(owner):
         data.nla_tracks.remove(track)
@@ -116,42 +143,48 @@ def remove_bake(owner: bpy.types.ID) -> set[str]:
 class Muted:
     """A curve, track or shape key that was muted.
 
-    It is looked up again when it is unmuted: Blender's pointer to it dies when the user removes it, and writing to that
-    ends Blender.
+    It is looked up again to unmute it: Python's pointer to it becomes invalid when the user removes it, and writing to
+    it would crash Blender.
 
     Attributes
     ----------
     find : callable
-        Gives the thing, None where it was removed; may raise ReferenceError where the data-block it was in was deleted.
+        Returns the item, or None if it was removed; may raise ReferenceError if its data-block was deleted.
     """
 
     find: Callable[[], Any]
 
     @classmethod
     def all_of(cls, finds: Iterable[Callable[[], Any]]) -> list[Muted]:
-        """Mute what `finds` find and is not muted yet."""
-        audible = [find for find in finds if not find().mute]
-        for find in audible:
+        """Mute the items that `finds` return, and return those that were not muted before."""
+        unmuted = [find for find in finds if not find().mute]
+        for find in unmuted:
             find().mute = True
-        return [cls(find) for find in audible]
+        return [cls(find) for find in unmuted]
 
     def unmute(self) -> None:
-        """Let it be heard again, if it is still there."""
+        """Unmute the item if it still exists."""
         try:
-            thing = self.find()
+            item = self.find()
         except ReferenceError:
             return
-        if thing is not None:
-            thing.mute = False
+        if item is not None:
+            item.mute = False
 
 
 def mute_curves(owner: bpy.types.ID, prefix: str) -> list[Muted]:
-    """Mute the curves of `owner` whose data path starts with `prefix`; returns those that were not muted before."""
+    """Mute the curves of `owner` whose data path starts with `prefix`, and return those that were not muted before.
+
+    Parameters
+    ----------
+    owner : bpy.types.ID
+    prefix : str
+    """
     return Muted.all_of(_curve_finders(owner, lambda path: path.startswith(prefix)))
 
 
 def mute_bake(owner: bpy.types.ID) -> list[Muted]:
-    """Mute what a bake wrote for `owner`; returns what was not muted before."""
+    """Mute what a bake wrote for `owner`, and return what was not muted before."""
     owned = _owned(owner.animation_data.action) if owner.animation_data is not None else set()
     tracks = [partial(_find_track, owner, track.name) for track in _tracks(owner)]
     return Muted.all_of([*_curve_finders(owner, owned.__contains__), *tracks])
@@ -169,7 +202,7 @@ def _curve_finders(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[C
 
 
 def _find_curve(action: bpy.types.Action, handle: int, path: str, index: int) -> bpy.types.FCurve | None:
-    """The curve of the slot with that handle; actions without slots have one bag of curves."""
+    """Return the curve in the channel bag of a slot; an action without slots has a single set of curves."""
     if not hasattr(action, "slots"):
         return action.fcurves.find(path, index=index)
     bags = (bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags)
@@ -204,13 +237,13 @@ def _fill(action: bpy.types.Action, fcurves, frames: NDArray[np.floating], curve
 
 
 def _push(owner: bpy.types.ID, name: str, frames: NDArray[np.floating], curves: Sequence[Curve]) -> None:
-    """Write the curves into an action of their own and put that on the track; the owner's action stays in place."""
+    """Write the curves to a new action on a new track; the owner's active action is kept."""
     data = owner.animation_data or owner.animation_data_create()
     action = bpy.data.actions.new(name)
     slot = action.slots.new(id_type=owner.id_type, name=owner.name) if hasattr(action, "slots") else None
     _fill(action, _fcurves_of(action, slot), frames, curves)
     track = data.nla_tracks.new()
-    track.name = TRACK  # Blender numbers it where there is one: a track has room for one strip at a time
+    track.name = TRACK  # Blender numbers it if the name is taken: strips on one track must not overlap
     strip = track.strips.new(name, int(np.floor(frames[0])), action)
     if slot is not None:
         strip.action_slot = slot
@@ -223,7 +256,7 @@ def _owned(action: bpy.types.Action | None) -> set[str]:
 
 
 def _fcurves(owner: bpy.types.ID):
-    """The curves of the owner's action, which it must have; with a slot for it where actions have slots."""
+    """Return the curves of the owner's action, which must exist; a slot is added if actions have slots."""
     data = owner.animation_data
     if hasattr(data.action, "slots") and data.action_slot is None:
         data.action_slot = data.action.slots.new(id_type=owner.id_type, name=owner.name)
@@ -231,7 +264,7 @@ def _fcurves(owner: bpy.types.ID):
 
 
 def _existing(owner: bpy.types.ID):
-    """The curves of the owner's action, none where it has no action; nothing is made."""
+    """Return the curves of the owner's action, or an empty collection; nothing is created."""
     data = owner.animation_data
     if data is None or data.action is None:
         return ()

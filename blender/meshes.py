@@ -1,4 +1,4 @@
-"""Vertices of a mesh to and from numpy, and the rig (landmarks, regions) that is stored with a mesh."""
+"""Conversion of meshes to and from numpy, and of the rig (landmarks, regions) that is stored with a mesh."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from .frames import flat_in_blender, from_blender
 from .names import COUNT_PROPERTY, EYES_GROUP, LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 
 _JAW_SIDES = (2, 14)
-_VERTICES_A_CHECK = 2048
+_VERTICES_PER_CHECK = 2048
 
 
 def exists(block: bpy.types.ID) -> bool:
-    """Whether a data-block that Python refers to is still there: it dies when the user deletes it."""
+    """Return whether a data-block that Python refers to has not been deleted."""
     try:
         return bool(block.name)
     except ReferenceError:
@@ -30,50 +30,56 @@ def exists(block: bpy.types.ID) -> bool:
 
 
 def mesh_of(obj: bpy.types.Object | None) -> bpy.types.Mesh:
-    """The mesh of `obj`; HeadError where there is no object or it is no mesh."""
+    """Return the mesh of `obj`; raises HeadError if there is no object or it is not a mesh."""
     if obj is None:
-        raise HeadError("No object is active. Add a head with Add > Mesh > Facemime Head, or select your own.")
+        raise HeadError("There is no active object. Add a head with Add > Mesh > Facemime Head, or select one.")
     if not isinstance(obj.data, bpy.types.Mesh):
         raise HeadError(f"{obj.name} is not a mesh. Select a head mesh, or add one with Add > Mesh > Facemime Head.")
     return obj.data
 
 
 def require_own(mesh: bpy.types.Mesh) -> None:
-    """Raise HeadError where `mesh` is linked from another file: what is written to it is gone with this one."""
+    """Raise HeadError if `mesh` is linked from another file, as changes to it would not be saved."""
     if mesh.library is not None:
         raise HeadError(
-            f"The mesh {mesh.name} is linked from another file, and what is changed here would be lost. "
-            "Change it there, or make it local."
+            f"The mesh {mesh.name} is linked from another file, so that changes to it would be lost. "
+            "Change it in that file, or make it local."
         )
 
 
 def is_head(obj: bpy.types.Object) -> bool:
-    """Whether `obj` is a mesh with landmarks."""
+    """Return whether `obj` is a mesh with landmarks."""
     return isinstance(obj.data, bpy.types.Mesh) and LANDMARKS_PROPERTY in obj.data
 
 
 def read_vertices(mesh: bpy.types.Mesh) -> NDArray[np.float32]:
-    """Rest vertices of `mesh`, (V, 3) float32 in the head frame: of its basis shape key where it has keys.
+    """Return the vertices of `mesh` at rest, (V, 3) float32 in the head frame: of the Basis if it has shape keys.
 
     Raises
     ------
     HeadError
-        In Edit mode, where Blender keeps those of a mesh without shape keys elsewhere.
+        If a mesh without shape keys is in Edit Mode, where Blender stores its vertices elsewhere.
     """
     flat = np.empty(3 * len(mesh.vertices), dtype=np.float32)
     if mesh.shape_keys is not None:
         mesh.shape_keys.reference_key.points.foreach_get("co", flat)
     elif mesh.is_editmode:
-        raise HeadError(f"{mesh.name} is being edited. Leave Edit mode first.")
+        raise HeadError(f"{mesh.name} is in Edit Mode. Leave Edit Mode first.")
     elif len(mesh.vertices):  # an empty mesh lacks the attribute
         mesh.attributes["position"].data.foreach_get("vector", flat)
     return from_blender(flat.reshape(-1, 3))
 
 
 def write_vertices(mesh: bpy.types.Mesh, vertices: NDArray[np.float32]) -> None:
-    """Move all vertices of `mesh`, which has no shape keys, to (V, 3) `vertices` in the head frame.
+    """Set the vertices of a mesh without shape keys.
 
-    The assignment of one vertex to itself renews normals and bounds, which the fast write leaves stale before 5.2.
+    Before Blender 5.2 a bulk write leaves normals and bounds stale; assigning one vertex to itself updates them.
+
+    Parameters
+    ----------
+    mesh : bpy.types.Mesh
+    vertices : (V, 3) float32
+        Head frame.
     """
     flat = flat_in_blender(np.ascontiguousarray(vertices, dtype=np.float32))
     mesh.attributes["position"].data.foreach_set("vector", flat)
@@ -82,7 +88,7 @@ def write_vertices(mesh: bpy.types.Mesh, vertices: NDArray[np.float32]) -> None:
 
 
 def read_faces(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
-    """(F, K) vertices of each face, padded with -1."""
+    """Return (F, K) vertex indices of each face, padded with -1."""
     corners = read_corners(mesh)
     counts = np.empty(len(mesh.polygons), dtype=np.int32)
     mesh.polygons.foreach_get("loop_total", counts)
@@ -92,9 +98,9 @@ def read_faces(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
 
 
 def read_corners(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
-    """The vertices of all faces' corners, one face behind the other."""
+    """Return the vertex indices of all face corners, face after face."""
     corners = np.empty(len(mesh.loops), dtype=np.int32)
-    if mesh.is_editmode:  # its attributes are those of what is being edited
+    if mesh.is_editmode:  # its attributes are not up to date
         mesh.loops.foreach_get("vertex_index", corners)
     elif len(corners):  # an empty mesh lacks the attribute
         mesh.attributes[".corner_vert"].data.foreach_get("value", corners)
@@ -102,34 +108,41 @@ def read_corners(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
 
 
 def read_landmarks(obj: bpy.types.Object) -> NDArray[np.intp]:
-    """(66,) vertices of the landmarks of `obj`.
+    """Return (66,) vertex indices of the landmarks of `obj`.
 
     Raises
     ------
     HeadError
-        Where none are bound, or the mesh is no longer the one that they were bound on.
+        If no landmarks are bound, or the vertex count has changed since.
     """
     mesh = mesh_of(obj)
     landmarks, bound_at = stored_integers(mesh, LANDMARKS_PROPERTY), stored_integers(mesh, COUNT_PROPERTY)
     if landmarks is None or landmarks.shape != (N_LANDMARKS,):
-        raise HeadError(
-            f"{obj.name} has no landmarks. Bind them (sidebar, Facemime, Your Own Head), or use the built-in head."
-        )
+        raise HeadError(f"{obj.name} has no landmarks. Bind them in Head > Your Own Head, or use the built-in head.")
     count = len(mesh.vertices)
     if bound_at is not None and not np.array_equal(bound_at, count):
         raise HeadError(
-            f"{obj.name} had {bound_at} vertices when its landmarks were bound and has {count} now. "
+            f"The vertex count of {obj.name} has changed from {bound_at} to {count} since its landmarks were bound. "
             "Undo that change, or bind the landmarks again."
         )
     if landmarks.min() < 0 or landmarks.max() >= count:
-        raise HeadError(f"The landmarks of {obj.name} name vertices that the mesh no longer has. Bind them again.")
+        raise HeadError(f"The landmarks of {obj.name} refer to vertices that no longer exist. Bind them again.")
     return landmarks
 
 
 def stored_integers(mesh: bpy.types.Mesh, name: str) -> NDArray[np.intp] | None:
-    """The whole number or numbers in a custom property of `mesh`; None where it is missing or holds something else.
+    """Read an integer or an array of integers from a custom property, which users and add-ons may have edited.
 
-    Custom properties are the user's to edit, and other add-ons'.
+    Parameters
+    ----------
+    mesh : bpy.types.Mesh
+    name : str
+        Name of the property.
+
+    Returns
+    -------
+    array or None
+        () or (N,) integers; None if the property is missing or has another type.
     """
     value = mesh.get(name)
     try:
@@ -140,12 +153,18 @@ def stored_integers(mesh: bpy.types.Mesh, name: str) -> NDArray[np.intp] | None:
 
 
 def write_landmarks(mesh: bpy.types.Mesh, landmarks: NDArray[np.integer]) -> None:
-    """Keep (66,) `landmarks` with `mesh`: they go with it through undo, saving, copying and renaming.
+    """Store landmarks in custom properties of a mesh, which undo, saving, copying and renaming preserve.
+
+    Parameters
+    ----------
+    mesh : bpy.types.Mesh
+    landmarks : (66,) array of int
+        Vertex indices.
 
     Raises
     ------
     HeadError
-        Where `mesh` is linked from another file.
+        If the mesh is linked from another file.
     """
     require_own(mesh)
     mesh[LANDMARKS_PROPERTY] = [int(vertex) for vertex in landmarks]
@@ -153,13 +172,19 @@ def write_landmarks(mesh: bpy.types.Mesh, landmarks: NDArray[np.integer]) -> Non
 
 
 def read_selection(mesh: bpy.types.Mesh) -> GreedySelection | None:
-    """The control points chosen for `mesh`; None where all landmarks are."""
+    """Return the control points selected for `mesh`; None if all landmarks are."""
     text = mesh.get(SELECTION_PROPERTY)
     return None if text is None else from_json(str(text))
 
 
 def write_selection(mesh: bpy.types.Mesh, selection: GreedySelection | None) -> None:
-    """Keep the chosen control points with `mesh`; None goes back to all landmarks."""
+    """Store the selected control points with `mesh`; None stands for all landmarks.
+
+    Parameters
+    ----------
+    mesh : bpy.types.Mesh
+    selection : GreedySelection or None
+    """
     if selection is not None:
         mesh[SELECTION_PROPERTY] = to_json(selection)
     elif SELECTION_PROPERTY in mesh:
@@ -167,23 +192,33 @@ def write_selection(mesh: bpy.types.Mesh, selection: GreedySelection | None) -> 
 
 
 def read_rig(obj: bpy.types.Object | None) -> HeadRig:
-    """What driving `obj` needs, read from its mesh, landmark property and vertex groups.
+    """Read the rig of `obj` from its mesh, custom properties and vertex groups.
 
     Raises
     ------
     HeadError
-        Where the object is no mesh, or its landmarks or regions are missing or no longer fit the mesh.
+        If the object is not a mesh, or its landmarks or regions are missing or do not fit the mesh any more.
     """
     mesh_of(obj)
-    quick = _read_quickly(obj)
-    return HeadRig(**quick, region_weights=read_regions(obj), faces=read_faces(obj.data))
+    parts = _read_quick_parts(obj)
+    return HeadRig(**parts, region_weights=read_regions(obj), faces=read_faces(obj.data))
 
 
 def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
-    """Whether `obj` is still as `rig` says, as far as one slice after the other shows; for use between two frames.
+    """Compare an object with its rig in slices that are fast enough to run between two frames.
 
-    The weights of a dense mesh take a tenth of a second to read, as Blender hands them out one by one; a slice of them
-    takes some 2 ms. Faces count as the same where their corners are.
+    Reading all weights of a dense mesh takes about 0.1 s, as Blender returns them one by one; a slice takes about 2 ms.
+    Faces count as unchanged if their corners are.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    rig : HeadRig
+
+    Yields
+    ------
+    bool
+        Whether a slice of the object is unchanged.
 
     Raises
     ------
@@ -191,25 +226,25 @@ def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
         As `read_rig`.
     """
     mesh_of(obj)
-    quick = _read_quickly(obj)
-    # Eyes that have turned have their old size but for rounding.
+    parts = _read_quick_parts(obj)
+    # The size of eyes that have turned differs by rounding.
     yield all(
         np.allclose(value, getattr(rig, name), rtol=1e-5, atol=1e-9)
         if name == "eyeballs" and len(value) == len(rig.eyeballs)
         else np.array_equal(value, getattr(rig, name))
-        for name, value in quick.items()
+        for name, value in parts.items()
     )
     if rig.faces is not None:
         faces = mesh_of(obj).polygons
         yield len(rig.faces) == len(faces) and np.array_equal(read_corners(obj.data), rig.faces[rig.faces >= 0])
-    for first in range(0, len(rig.vertices), _VERTICES_A_CHECK):
+    for first in range(0, len(rig.vertices), _VERTICES_PER_CHECK):
         mesh_of(obj)
-        part = slice(first, first + _VERTICES_A_CHECK)
+        part = slice(first, first + _VERTICES_PER_CHECK)
         yield np.array_equal(read_weights(obj, part), rig.region_weights[:, part])
 
 
-def _read_quickly(obj: bpy.types.Object) -> dict[str, NDArray | None]:
-    """All of a rig but what takes long: its regions and faces."""
+def _read_quick_parts(obj: bpy.types.Object) -> dict[str, NDArray | None]:
+    """Read everything of a rig except regions and faces, which take long."""
     landmarks = read_landmarks(obj)
     selection = read_selection(obj.data)
     vertices = read_vertices(obj.data)
@@ -224,7 +259,7 @@ def _read_quickly(obj: bpy.types.Object) -> dict[str, NDArray | None]:
 
 
 def eye_vertices(obj: bpy.types.Object) -> NDArray[np.intp]:
-    """(N,) the vertices of eyes that were cut out of the skin of `obj`; none on most heads."""
+    """Return (N,) indices of the vertices of eyes that were cut out of the skin of `obj`; empty on most heads."""
     group = obj.vertex_groups.get(EYES_GROUP)
     if group is None:
         return np.empty(0, dtype=np.intp)
@@ -234,9 +269,18 @@ def eye_vertices(obj: bpy.types.Object) -> NDArray[np.intp]:
 
 
 def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(E, 4) centre and radius, in the frame of `obj`, of the eyeballs that are its children or parts of its mesh.
+    """Return the eyeballs of a head, which are its children or parts of its mesh.
 
-    Eyes of its mesh are told apart by the side on which they lie of the landmarks (66, 3).
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    landmarks : (66, 3) array
+        Positions in the head frame; they tell the left eye of a mesh from the right one.
+
+    Returns
+    -------
+    (E, 4) array
+        Centre and radius of each, in the head frame of `obj`.
     """
     points = read_vertices(obj.data)[eye_vertices(obj)].astype(np.float64)
     right, left = landmarks[OUTER_EYE_CORNERS].astype(np.float64)
@@ -251,7 +295,7 @@ def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating]) -> NDA
 
 
 def _jaw_pivot(obj: bpy.types.Object, landmarks: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Where the jaw turns, (3,): the origin of the lower teeth, or between the jaw line's third points."""
+    """Return the pivot of the jaw, (3,): the origin of the lower teeth, or the middle between the sides of the jaw."""
     for child in obj.children:
         if child.get(PART_PROPERTY) == "teeth_lower":
             return from_blender(np.array((child.matrix_parent_inverse @ child.matrix_basis).translation))
@@ -259,26 +303,39 @@ def _jaw_pivot(obj: bpy.types.Object, landmarks: NDArray[np.float32]) -> NDArray
 
 
 def read_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
-    """(3, V) weights of the vertex groups Upper, Middle and Lower; HeadError where one is missing or empty."""
+    """Return (3, V) weights of the upper, middle and lower region; raises HeadError if one is missing or empty."""
     weights = read_weights(obj, slice(None))
     if empty := [name for name, row in zip(REGION_GROUPS, weights, strict=True) if not row.any()]:
         raise HeadError(
-            f"The vertex groups {', '.join(empty)} of {obj.name} are empty. Paint these regions on the mesh."
+            f"Empty vertex groups of {obj.name}: {', '.join(empty)}. Paint these regions, or propose them again."
         )
     return weights
 
 
 def read_weights(obj: bpy.types.Object, part: slice) -> NDArray[np.float32]:
-    """(3, n) weights of the vertex groups Upper, Middle and Lower for `part` of the vertices: some 0.7 us for each.
+    """Read the weights of the three regions, which takes about 0.7 us per vertex.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    part : slice
+        Vertices to read.
+
+    Returns
+    -------
+    (3, n) float32
+        Weights of the upper, middle and lower region.
 
     Raises
     ------
     HeadError
-        If one of the groups is missing.
+        If one of the vertex groups is missing.
     """
     groups = [obj.vertex_groups.get(name) for name in REGION_GROUPS]
     if missing := [name for name, group in zip(REGION_GROUPS, groups, strict=True) if group is None]:
-        raise HeadError(f"{obj.name} lacks the vertex groups {', '.join(missing)}. Paint these regions on the mesh.")
+        raise HeadError(
+            f"Missing vertex groups of {obj.name}: {', '.join(missing)}. Paint these regions, or propose them again."
+        )
     vertices = obj.data.vertices[part]
     weights = np.zeros((len(groups), len(vertices)), dtype=np.float32)
     row_of = {group.index: row for row, group in enumerate(groups)}
@@ -290,14 +347,20 @@ def read_weights(obj: bpy.types.Object, part: slice) -> NDArray[np.float32]:
 
 
 def write_regions(obj: bpy.types.Object, weights: NDArray[np.floating]) -> None:
-    """Make the vertex groups Upper, Middle and Lower of `obj` hold (3, V) `weights`; other groups stay.
+    """Write the weights of the three regions; other vertex groups are left unchanged.
 
-    Eyes that were cut out of the skin are in none of them: lids slide over eyes that stay where they are.
+    Eyes that were cut out of the skin are removed from all regions, so that they stay in place under the lids.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    weights : (3, V) array
+        Weights of the upper, middle and lower region.
 
     Raises
     ------
     HeadError
-        Where the mesh is linked from another file.
+        If the mesh is linked from another file.
     """
     require_own(obj.data)
     shares = np.array(weights)

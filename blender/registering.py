@@ -1,8 +1,8 @@
-"""What Blender is told of a module, and forgets again: classes, properties of its types, handlers, timers.
+"""Registration of a module's classes, properties, handlers and timers with Blender.
 
-A module says so by its names. `CLASSES` are registered in their order; `POINTERS` are (type of Blender's, name,
-property group); `HANDLERS` maps the names of `bpy.app.handlers` to functions; `TIMERS` are functions that `watch` may
-have started. Whatever is left, a module does in `register`, which comes last, and in `unregister`, which comes first.
+A module declares them by name. `CLASSES` are registered in order; `POINTERS` are (Blender type, name, property group);
+`HANDLERS` maps names in `bpy.app.handlers` to functions; `TIMERS` are functions that `watch` may have started. For
+anything else a module defines `register`, which is called last, and `unregister`, which is called first.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from bpy.props import PointerProperty
 
 
 def register_module(module: ModuleType) -> None:
-    """Tell Blender of a module."""
+    """Register a module with Blender."""
     for cls in getattr(module, "CLASSES", ()):
         bpy.utils.register_class(cls)
     for owner, name, group in getattr(module, "POINTERS", ()):
@@ -25,7 +25,7 @@ def register_module(module: ModuleType) -> None:
 
 
 def unregister_module(module: ModuleType) -> None:
-    """Let Blender forget a module."""
+    """Unregister a module from Blender."""
     if hasattr(module, "unregister"):
         module.unregister()
     for step in getattr(module, "TIMERS", ()):
@@ -39,12 +39,20 @@ def unregister_module(module: ModuleType) -> None:
 
 
 def watch(step: Callable[[], float | None], seconds: float) -> None:
-    """Let Blender call `step` after `seconds` and as it then asks, whatever file is open; asked twice, it is one."""
+    """Start a timer that also survives loading a file; does nothing if it is already running.
+
+    Parameters
+    ----------
+    step : callable
+        Returns the seconds until it is called again, or None to stop.
+    seconds : float
+        Delay of the first call.
+    """
     if not bpy.app.timers.is_registered(step):
         bpy.app.timers.register(step, first_interval=seconds, persistent=True)
 
 
 def unwatch(step: Callable[[], float | None]) -> None:
-    """Call it no longer: Blender 4.2 ends in a crash where a timer still waits, or was dropped with its file."""
+    """Stop a timer; Blender 4.2 crashes if one is left when the extension is removed."""
     if bpy.app.timers.is_registered(step):
         bpy.app.timers.unregister(step)

@@ -1,4 +1,4 @@
-"""3D viewports of a window: which one is under the mouse, and drawing them again."""
+"""3D Viewports: find the one under the mouse, and redraw them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import bpy
 
 
 class Viewport(NamedTuple):
-    """The main region of a 3D viewport, and how it looks at the scene."""
+    """The main region of a 3D Viewport and its view of the scene."""
 
     region: bpy.types.Region
     view: bpy.types.RegionView3D
 
 
 def viewports(screen: bpy.types.Screen | None) -> Iterator[Viewport]:
-    """The 3D viewports of a screen; none where there is no screen."""
+    """Yield the 3D Viewports of a screen; none if there is no screen."""
     for area in () if screen is None else screen.areas:
         if area.type == "VIEW_3D":
             region = next(region for region in area.regions if region.type == "WINDOW")
@@ -24,7 +24,19 @@ def viewports(screen: bpy.types.Screen | None) -> Iterator[Viewport]:
 
 
 def viewport_under(context: bpy.types.Context, x: int, y: int) -> Viewport | None:
-    """The viewport at a place (x, y) of the window, pixels from its lower left; None where there is something else."""
+    """Find the 3D Viewport at a position in the window.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+    x, y : int
+        Pixels from the lower left corner of the window.
+
+    Returns
+    -------
+    Viewport or None
+        None if another editor or region is there.
+    """
     for viewport in viewports(context.screen):
         region = viewport.region
         if 0 <= x - region.x < region.width and 0 <= y - region.y < region.height:
@@ -33,7 +45,7 @@ def viewport_under(context: bpy.types.Context, x: int, y: int) -> Viewport | Non
 
 
 def redraw(context: bpy.types.Context, kind: str = "WINDOW") -> None:
-    """Draw the 3D viewports of all windows again, "WINDOW", or their sidebars, "UI"."""
+    """Redraw the 3D Viewports of all windows (`kind` "WINDOW") or their sidebars ("UI")."""
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":

@@ -1,1 +1,1 @@
-"""What has a lifetime: threads, what they move, and what is recorded of it."""
+"""Sessions: everything that runs for a while, such as live puppets and recordings."""

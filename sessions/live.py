@@ -1,4 +1,4 @@
-"""Heads moved by a live source: a worker thread captures and tracks, the main thread only shows."""
+"""Live sessions: a worker thread captures and tracks, and the main thread copies the results to the heads."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from time import perf_counter
 
-from ..blender.animation.live import LiveHeadObject, as_keys_take_it, require_one_left
+from ..blender.animation.live import LiveHeadObject, flatten_for_keys, require_one_left
 from ..blender.undo import push_undo
 from ..core.errors import HeadError, OutputError
 from ..core.live.sources import LiveSource
@@ -16,34 +16,35 @@ from ..core.takes.neutral import Neutral
 from .session import Session
 
 COUNTDOWN = 3.0
-"""Seconds between asking for a calibration and taking it."""
+"""Seconds between the request for a calibration and its start."""
 _DEFAULTS = LiveOptions()
 
 
 class LiveSession(Session):
-    """Moves heads by a live source, until `close`.
+    """Moves heads by a live source until `close`.
 
-    `step` is all that happens in Blender's main thread: it takes the worker's newest result and writes it.
+    Only `step` runs in Blender's main thread: it writes the worker's newest result to the heads.
 
     Parameters
     ----------
     source : LiveSource
     heads : sequence of (LiveHeadObject, LiveHead)
-        In the scene, and for the worker.
+        Each head in the scene, and its rig for the worker.
     neutral : Neutral, optional
-        The performer's; without one the first second with a face is taken.
+        The performer's calibration; by default the first second with a face is used.
+    options : LiveOptions, optional
     on_calibrated : callable, optional
-        Hears of a calibration that the user asked for.
+        Called with the `Neutral` of each calibration that was requested.
 
     Attributes
     ----------
     stopwatch : Stopwatch
     keep : bool
-        Whether the heads stay as they are at the end.
+        Whether the heads keep their pose at the end.
     shown : LiveResult or None
-        What the heads show: the worker's newest result may be newer.
+        The result on display; the worker may have a newer one.
     warning : str
-        What went wrong at the end; "" if all went well.
+        What went wrong at the end; "" if nothing.
     """
 
     def __init__(
@@ -65,7 +66,7 @@ class LiveSession(Session):
         self._waiting = False
         self._number = 0
         self.worker = LiveWorker(
-            source, neutral=neutral, heads=tuple(head for _, head in heads), options=options, prepare=as_keys_take_it
+            source, neutral=neutral, heads=tuple(head for _, head in heads), options=options, prepare=flatten_for_keys
         )
         try:
             for shown in self._objects:
@@ -78,16 +79,16 @@ class LiveSession(Session):
 
     @property
     def objects(self) -> Sequence[LiveHeadObject]:
-        """The heads in the scene."""
+        """Heads in the scene."""
         return self._objects
 
     def step(self) -> bool:
-        """Show the newest result, if there is a new one; whether there was.
+        """Display the newest result and return whether there was a new one.
 
         Raises
         ------
         Exception
-            What ended the worker; HeadError where a head was changed, or all are gone.
+            If the worker failed, its exception; HeadError if a head was changed, or all were deleted.
         """
         self._count_down()
         latest = self.worker.latest
@@ -95,46 +96,53 @@ class LiveSession(Session):
             if self.worker.error is not None:
                 raise self.worker.error
             return False
-        asked = perf_counter()
+        fetched = perf_counter()
         self._number, self.shown = latest.number, latest
         require_one_left(self._objects)
         for shown, frame, flat in zip(self._objects, latest.heads, latest.prepared, strict=False):
             if not shown.gone:
                 shown.write(frame, flat)
-        self._note(latest, asked)
+        self._measure(latest, fetched)
         return True
 
     @property
     def ended(self) -> bool:
-        """Whether the source has no more frames and all is shown."""
+        """Whether the source has ended and its last frame is displayed."""
         return not self.worker.running and self.worker.error is None
 
     def update(self, heads: Sequence[LiveHead]) -> None:
-        """Drive the same objects by other rigs or options."""
+        """Replace the rigs and options of the same heads."""
         self.worker.heads = tuple(heads)
 
     def calibrate(self, *, range_of: bool = False, countdown: float = COUNTDOWN) -> None:
-        """After `countdown` seconds take the performer's neutral, or with `range_of` how far eyes and mouth go.
+        """Calibrate after a countdown.
+
+        Parameters
+        ----------
+        range_of : bool
+            Calibrate the range of eyes and mouth rather than the neutral face.
+        countdown : float
+            Seconds.
 
         Raises
         ------
         HeadError
-            Where the range is asked for before there is a neutral.
+            If the range is requested before there is a neutral face.
         """
         if range_of and self.worker.neutral is None:
-            raise HeadError("The range needs the neutral face first. Calibrate that.")
+            raise HeadError("There is no neutral face yet. Calibrate it first.")
         self._at, self._range, self._waiting = perf_counter() + countdown, range_of, True
         self.worker.quality = None
 
     @property
     def countdown(self) -> float | None:
-        """Seconds until the calibration begins, 0 while it is taken, None where none is asked for."""
+        """Seconds until the calibration starts; 0 while it is running, None if none was requested."""
         if not self._waiting:
             return None
         return 0.0 if self._at is None else max(0.0, self._at - perf_counter())
 
     def close(self, *, blocks: bool = True) -> None:
-        """End the worker, release the source, and leave the heads as `keep` says; `warning` tells what went wrong."""
+        """Stop the worker, release the source and restore the heads, unless `keep` is set; sets `warning`."""
         self._close_worker()
         removed = [shown.detach(keep=self.keep, blocks=blocks) for shown in self._objects]
         super().close()
@@ -142,7 +150,7 @@ class LiveSession(Session):
             push_undo("Stop Puppet")
 
     def abandon(self) -> None:
-        """End the worker and release the source alone."""
+        """Stop the worker and release the source without touching Blender's data."""
         self._close_worker()
         super().close()
 
@@ -154,23 +162,23 @@ class LiveSession(Session):
             self.warning = str(error)
         if self.worker.running:
             self.warning = (
-                f"{self.worker.source.name} does not answer. It is left to end by itself; if it does not, unplug it or "
+                f"{self.worker.source.name} does not respond and was abandoned. If it stays blocked, unplug it or "
                 "restart Blender."
             )
 
     def suspend(self) -> None:
-        """Put the heads back for a moment: to save the file without what is only shown."""
+        """Restore the heads while the file is saved."""
         for shown in self._objects:
             shown.detach(keep=False, blocks=False)
 
     def resume(self) -> None:
-        """Show the heads again after `suspend`."""
+        """Display the heads again after `suspend`."""
         for shown in self._objects:
             shown.attach()
         self._number = 0
 
     def record(self, recorder: Recorder) -> None:
-        """Write what is tracked from now on."""
+        """Record everything that is tracked from now on."""
         self.worker.record(recorder)
 
     def _count_down(self) -> None:
@@ -185,6 +193,6 @@ class LiveSession(Session):
             if self.worker.neutral is not None and self.worker.quality is not None:
                 self._on_calibrated(self.worker.neutral)
 
-    def _note(self, latest: LiveResult, asked: float) -> None:
-        marks = (latest.taken, latest.began, latest.tracked, latest.driven, asked, perf_counter())
+    def _measure(self, latest: LiveResult, fetched: float) -> None:
+        marks = (latest.taken, latest.began, latest.tracked, latest.driven, fetched, perf_counter())
         self.stopwatch.add(Delays(tuple(after - before for before, after in pairwise(marks))))

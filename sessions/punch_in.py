@@ -1,4 +1,4 @@
-"""A part of a take, recorded anew between two moments while what comes before it is played, and blended in."""
+"""Re-recording of a range of a take with pre-roll, blended at both ends."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from .session import Session
 
 
 class PunchIn:
-    """Records after a lead, for as long as the part lasts, and puts what came into the take.
+    """Records a range after the pre-roll and inserts it into a take.
 
-    Where it is broken off, what was recorded so far is listed as a take of its own.
+    If it is interrupted, the part that was recorded is added to the list as a separate take.
 
     Parameters
     ----------
     session : LiveSession
-        What is recorded.
+        Session to record.
     scene : bpy.types.Scene
     take : str
-        Its file, as the list has it.
+        Path of the take, as in the list.
     start, end : float
-        Of the part, seconds of the take's own clock.
+        Range in the take's own time, seconds.
     lead : float
-        Seconds before it begins.
+        Pre-roll, seconds.
     blend : float
-        Seconds, at either side, in which one passes into the other.
+        Duration of the transition at each end, seconds.
     clock : callable
-        Gives seconds.
+        Returns the time in seconds.
     """
 
     current = None
-    """The one that runs."""
+    """The running instance."""
 
     def __init__(
         self,
@@ -55,11 +55,11 @@ class PunchIn:
         clock: Callable[[], float] = perf_counter,
     ) -> None:
         if session is None:
-            raise HeadError("Nothing is running that could be recorded. Start the puppet first.")
+            raise HeadError("No puppet is running. Start it before recording.")
         if not end > start:
-            raise FacemimeError(f"The part from {start:.2f} s to {end:.2f} s has no length. Choose a later end.")
+            raise FacemimeError(f"The range from {start:.2f} s to {end:.2f} s is empty. Choose a later end.")
         if Recording.current is not None:
-            raise FacemimeError("A take is being recorded. Stop that first.")
+            raise FacemimeError("A take is already being recorded. Stop it first.")
         self._session, self._scene, self._take = session, scene.name, take
         self._start, self._end, self._blend = start, end, blend
         self._clock, self._begin = clock, clock() + lead
@@ -67,17 +67,17 @@ class PunchIn:
         PunchIn.current = self
 
     @property
-    def ahead(self) -> float:
-        """Seconds until the recording begins; 0 while it runs."""
+    def time_left(self) -> float:
+        """Seconds until the recording starts; 0 while it is running."""
         return max(0.0, self._begin - self._clock())
 
     def step(self) -> bool:
-        """Do what is due; whether there is more to come.
+        """Continue, and return whether there is more to do.
 
         Raises
         ------
         FacemimeError
-            Where the part cannot be recorded or put in.
+            If the range cannot be recorded or inserted.
         """
         try:
             more = self._step()
@@ -91,33 +91,35 @@ class PunchIn:
     def _step(self) -> bool:
         if Session.current is not self._session or (self._recording is not None and not self._recording.running):
             settle()
-            raise FacemimeError("The puppet stopped before the part was recorded whole. What there is, is in the list.")
+            raise FacemimeError(
+                "The puppet was stopped before the end of the range. The part that was recorded is in the list."
+            )
         scene = bpy.data.scenes.get(self._scene)
         if scene is None:
-            raise FacemimeError("The scene of the take is gone.")
+            raise FacemimeError("The scene of the take was deleted. Record the range in another scene.")
         if self._recording is None:
-            if self.ahead == 0.0:
+            if self.time_left == 0.0:
                 self._recording = start_recording(self._session, scene, "Punch In")
             return True
         if self._recording.length < self._end - self._start:
             return True
         stop_recording()
         Recording.current = None
-        self._put_in(scene, self._recording)
+        self._insert(scene, self._recording)
         return False
 
-    def _put_in(self, scene: bpy.types.Scene, recording: Recording) -> None:
+    def _insert(self, scene: bpy.types.Scene, recording: Recording) -> None:
         line = next((line for line in scene.facemime_takes.items if line.path == self._take), None)
         if line is None:
             takes_store.add(scene, recording.path)
-            raise FacemimeError("The take is no longer in the list. What was recorded is in it instead.")
+            raise FacemimeError("The take is no longer in the list. The recording was added as a separate take.")
         insert = shift_time(load_take(recording.path), self._start)
         takes_store.change(line, punch_in(takes_store.read(line), insert, self._start, self._end, self._blend))
 
 
 @persistent
 def _forget(*_: object) -> None:
-    """What was recorded for a file belongs to no other; it lies in that one's folder, where Find Takes sees it."""
+    """Drop the recordings of a file that is closed; they are in its folder, where Find Takes finds them."""
     PunchIn.current = Recording.current = None
 
 

@@ -1,4 +1,4 @@
-"""A take that is recorded while a puppet runs; on the disk frame by frame, in the list when it ends."""
+"""Recording of takes while a puppet is running: written to disk continuously, added to the list at the end."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from .live import LiveSession
 
 
 class Recording:
-    """What `LiveSession.record` takes: a file whose first frame is at 0 s; `offset` says when that was in the source.
+    """Recorder for `LiveSession.record`. The first frame is at 0 s, and `offset` is its time in the source.
 
-    With a video beside it, that is the source from then on.
+    If a video is kept beside the take, that becomes the source of the take.
 
     Parameters
     ----------
     session : LiveSession
     path : Path
-        Must not exist yet.
+        File of the take; must not exist yet.
     scene : str
-        Name of the one in whose list it comes.
+        Name of the scene to whose list the take is added.
     video_fps : float, optional
-        Rate of a video of what is seen, which is written beside the take; without it none is.
+        Frame rate of a video to keep beside the take; by default none is kept.
 
     Raises
     ------
     OutputError
-        Where the file cannot be made.
+        If the file cannot be created.
     """
 
     current = None
-    """The one that runs, or has ended and is not in the list yet."""
+    """The running instance, or one that has ended and is not in the list yet."""
 
     def __init__(self, session: LiveSession, path: Path, scene: str, video_fps: float | None = None) -> None:
         self.path, self.frames, self.closed, self.scene = path, 0, False, scene
@@ -56,7 +56,16 @@ class Recording:
         Recording.current = self
 
     def append(self, time: float, result: TrackResult, image: NDArray[np.uint8] | None) -> None:
-        """Take in a frame; in the worker's thread, as all but `stop`."""
+        """Add a frame. Called in the worker's thread, like everything but `stop`.
+
+        Parameters
+        ----------
+        time : float
+            Time in the source, seconds.
+        result : TrackResult
+        image : (H, W, 3) uint8 BGR, or None
+            For the video.
+        """
         if not self.frames:
             self._offset = time
         self._last = time - self._offset
@@ -66,11 +75,11 @@ class Recording:
             self._video.add(self._last, image)
 
     def flush(self) -> None:
-        """Bring what came so far onto the disk."""
+        """Write all frames so far to disk."""
         self._writer.flush()
 
     def close(self) -> None:
-        """End the file."""
+        """Finish the file."""
         self.closed = True
         if self._video is not None:
             self._video.close()
@@ -79,22 +88,22 @@ class Recording:
 
     @property
     def video_failed(self) -> bool:
-        """Whether a video was asked for and is not there."""
+        """Whether a video was requested but could not be written."""
         return self.closed and self._video is not None and not self._video.written
 
     def stop(self) -> None:
-        """End it; from Blender's thread."""
+        """Stop recording; called in Blender's main thread."""
         if not self.closed:
             self._session.worker.stop_recording()
 
     @property
     def length(self) -> float:
-        """Seconds so far."""
+        """Duration so far, seconds."""
         return self._last
 
     @property
     def running(self) -> bool:
-        """Whether frames may still come."""
+        """Whether frames can still be added."""
         return not self.closed and self._session.worker.recording_error is None
 
     def _info(self) -> dict:
@@ -112,27 +121,43 @@ class Recording:
 
 
 def start_recording(session: LiveSession | None, scene: bpy.types.Scene, name: str) -> Recording:
-    """Record what `session` tracks from now on, with a video where the scene asks for it; HeadError where none runs."""
+    """Start recording a session.
+
+    Parameters
+    ----------
+    session : LiveSession or None
+    scene : bpy.types.Scene
+        The take is added to its list; it also says whether to keep a video.
+    name : str
+        Base of the file name.
+
+    Raises
+    ------
+    HeadError
+        If there is no session.
+    OutputError
+        If the file cannot be created.
+    """
     if session is None:
-        raise HeadError("Nothing is running that could be recorded. Start the puppet first.")
+        raise HeadError("No puppet is running. Start it before recording.")
     video = preferences().rate if scene.facemime_takes.video else None
     return Recording(session, new_path(name), scene.name, video)
 
 
 def stop_recording() -> None:
-    """End the recording that runs; the session goes on. OutputError where its end cannot be written."""
+    """Stop the running recording, but not its session; raises OutputError if its end cannot be written."""
     if Recording.current is not None:
         Recording.current.stop()
 
 
 def settle() -> bool:
-    """List what was recorded, once its recording has ended; whether there was something."""
+    """Add a recording that has ended to the list, and return whether there was one."""
     recording = Recording.current
     if recording is None or recording.running:
         return False
     Recording.current = None
     if not recording.closed:
-        with contextlib.suppress(OutputError):  # the session has told it already
+        with contextlib.suppress(OutputError):  # already reported by the session
             recording.close()
     scene = bpy.data.scenes.get(recording.scene)
     if scene is None or not recording.path.is_file():

@@ -1,7 +1,7 @@
-"""What has a lifetime: threads that never touch bpy, and what they move.
+"""Base of sessions, whose threads never touch bpy.
 
-One session runs at a time. Whatever ends it (a button, ESC, another file, an undo, the extension disabled, Blender
-quitting) ends in `Session.close`.
+One session runs at a time. Whatever ends it (a button, Esc, another file, undo, disabling the extension, quitting
+Blender) goes through `Session.close`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ..core.errors import HeadError
 
 
 class Session:
-    """Base: the one session that runs."""
+    """Base class of sessions; `current` is the running one."""
 
     current: Session | None = None
 
@@ -27,42 +27,42 @@ class Session:
         Session.current = self
 
     def close(self, *, blocks: bool = True) -> None:
-        """End it; may be called twice.
+        """End the session; may be called twice.
 
         Parameters
         ----------
         blocks : bool
-            Whether data-blocks may be removed, and an undo step made for that.
+            Whether data-blocks may be removed, for which an undo step is pushed.
         """
         if Session.current is self:
             Session.current = None
 
     def abandon(self) -> None:
-        """End its threads alone, where Blender's data is gone already."""
+        """End only the threads, when Blender's data has already been freed."""
         self.close()
 
     def suspend(self) -> None:
-        """Put what it moves back for a moment: to save the file without what is only shown."""
+        """Restore what the session moves while the file is saved."""
 
     def resume(self) -> None:
-        """Show it again after `suspend`."""
+        """Display the motion again after `suspend`."""
 
 
 @persistent
-def _close_as_it_is(*_: object) -> None:
-    """Before a step is undone, or another file opened."""
+def _close_without_removal(*_: object) -> None:
+    """Close the session before an undo or before another file is loaded, when no data-block may be removed."""
     if Session.current is not None:
         Session.current.close(blocks=False)
 
 
 @persistent
 def _clear_undone(*_: object) -> None:
-    """A step that was made while a session ran has in it what was shown then."""
+    """Remove what a session displayed from an undo step that was pushed during it."""
     clear_all_live(blocks=False)
 
 
 def clear_later() -> None:
-    """Take out what a session left that could remove no data-block where it ended, when Blender has time for it."""
+    """Remove the data-blocks that a session left when it ended, at the next opportunity."""
     watch(_clear_left, 0.05)
 
 
@@ -73,7 +73,7 @@ def _clear_left() -> None:
 
 @persistent
 def _clear_opened(*_: object) -> None:
-    """A file that was saved while a session ran, or by Blender itself before a crash, too."""
+    """Remove what a session displayed from a file that was saved during it, or by Blender before a crash."""
     clear_all_live(blocks=True)
 
 
@@ -88,7 +88,7 @@ def _resume(*_: object) -> None:
     if Session.current is not None:
         try:
             Session.current.resume()
-        except HeadError:  # changed so that nothing can be shown on it any longer
+        except HeadError:  # the head was changed and can no longer be driven
             Session.current.close()
 
 
@@ -98,10 +98,10 @@ def _abandon_current() -> None:
 
 
 HANDLERS = {
-    "load_pre": _close_as_it_is,
+    "load_pre": _close_without_removal,
     "load_post": _clear_opened,
-    "undo_pre": _close_as_it_is,
-    "redo_pre": _close_as_it_is,
+    "undo_pre": _close_without_removal,
+    "redo_pre": _close_without_removal,
     "undo_post": _clear_undone,
     "redo_post": _clear_undone,
     "save_pre": _suspend,
@@ -112,12 +112,12 @@ TIMERS = (_clear_left,)
 
 
 def register() -> None:
-    """End a running session before another file is loaded or a step undone, and at Blender's end."""
+    """Abandon a running session when Blender quits."""
     atexit.register(_abandon_current)
 
 
 def unregister() -> None:
-    """End a running session with the extension."""
+    """Close a running session."""
     if Session.current is not None:
         Session.current.close()
     atexit.unregister(_abandon_current)

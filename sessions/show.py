@@ -1,4 +1,4 @@
-"""A take shown on heads at the scene's current frame, as it would be live, without a key being made."""
+"""Display of a take on heads at the current frame, without baking."""
 
 from __future__ import annotations
 
@@ -20,19 +20,20 @@ from .session import Session
 
 
 class TakeShow(Session):
-    """Moves heads by a take as the scene's frame goes, until `close`.
+    """Displays a take on heads at the current frame until `close`.
 
     Parameters
     ----------
     scene : bpy.types.Scene
-        Whose settings say how.
+        Its settings and frame are followed.
     objects : sequence of bpy.types.Object
+        The heads.
     take : Take
 
     Raises
     ------
     FacemimeError
-        Where a head cannot be driven or the take holds no face.
+        If a head cannot be driven, or the take contains no face.
     """
 
     def __init__(self, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], take: Take) -> None:
@@ -55,7 +56,7 @@ class TakeShow(Session):
         push_undo("Show Take")
 
     def show(self, scene: bpy.types.Scene) -> None:
-        """Show the frame of the take nearest to the current one of `scene`; HeadError as for `LiveHeadObject`."""
+        """Display the frame of the take nearest to the current frame; raises HeadError as `LiveHeadObject.write`."""
         if scene.name != self._scene:
             return
         result = self._take.result(int(np.abs(self._take.times - seconds_of(scene)).argmin()))
@@ -65,23 +66,23 @@ class TakeShow(Session):
                 shown.write(driver.frame(result))
 
     def close(self, *, blocks: bool = True) -> None:
-        """Put the heads back."""
+        """Restore the heads."""
         removed = [shown.detach(keep=False, blocks=blocks) for shown, _ in self._heads]
         super().close()
         if any(removed):
             push_undo("Stop Showing Take")
 
     def abandon(self) -> None:
-        """Nothing runs beside Blender."""
+        """End the session, which has no threads."""
         super().close()
 
     def suspend(self) -> None:
-        """Put the heads back for a moment."""
+        """Restore the heads while the file is saved."""
         for shown, _ in self._heads:
             shown.detach(keep=False, blocks=False)
 
     def resume(self) -> None:
-        """Show the take on the heads."""
+        """Display the take on the heads."""
         for shown, _ in self._heads:
             shown.attach()
         if (scene := bpy.data.scenes.get(self._scene)) is not None:
@@ -95,7 +96,7 @@ def _show(scene: bpy.types.Scene, *_: object) -> None:
         return
     try:
         session.show(scene)
-    except HeadError:  # changed or deleted: there is nothing left to show the take on
+    except HeadError:  # the heads were changed or deleted
         session.close()
 
 
@@ -103,6 +104,6 @@ HANDLERS = {"frame_change_post": _show}
 
 
 def unregister() -> None:
-    """Follow it no longer."""
+    """Stop displaying the take."""
     if isinstance(Session.current, TakeShow):
         Session.current.close()

@@ -1,4 +1,4 @@
-"""A live session from the scene's settings: the one function behind the operator, and what keeps it up to date."""
+"""Start of a live session from the scene's settings, and its updates while it is running."""
 
 from __future__ import annotations
 
@@ -17,18 +17,26 @@ from .live import LiveSession
 
 
 def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> LiveSession:
-    """Begin to move `objects` as the settings of `scene` say.
+    """Start a live session with the settings of a scene.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    objects : sequence of bpy.types.Object
+        The heads to move.
 
     Raises
     ------
     FacemimeError
-        Where one of them cannot be driven, a target or the source is not there, or a calibration is damaged.
+        If a head cannot be driven, a pose object or the source is missing, or the calibration is damaged.
     """
     if not objects:
         raise HeadError("No head is selected. Add one with Add > Mesh > Facemime Head, or bind your own.")
     settings = scene.facemime
     if settings.posing.object is not None and len(objects) > 1:
-        raise HeadError("One pose object cannot take the pose of several heads. Clear it, or select one head.")
+        raise HeadError(
+            "One pose object cannot take the pose of several heads. Clear Pose Object, or select a single head."
+        )
     options = drive_settings(settings)
     heads = [
         (LiveHeadObject(obj, pose_targets(settings.posing, obj), _follow(settings)), LiveHead(read_rig(obj), options))
@@ -37,8 +45,8 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
     name = scene.name
 
     def keep_calibration(neutral) -> None:
-        if (now := bpy.data.scenes.get(name)) is not None:
-            write_calibration(now.facemime, neutral)
+        if (current := bpy.data.scenes.get(name)) is not None:
+            write_calibration(current.facemime, neutral)
 
     session = LiveSession(
         open_source(settings.source),
@@ -52,17 +60,23 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
 
 
 def live_options(settings: FacemimeSettings) -> LiveOptions:
-    """What the worker does beside driving."""
-    chosen = preferences()
+    """Return the options of the worker: smoothing, preview, and the face to track."""
+    user = preferences()
     return LiveOptions(
         smoothing=settings.smoothing,
-        preview=chosen.preview_size if chosen.preview else 0,
+        preview=user.preview_size if user.preview else 0,
         face=face_of(settings.source),
     )
 
 
 def follow_settings(session: LiveSession, settings: FacemimeSettings) -> None:
-    """Let a running session follow the settings as they are; costs some microseconds where nothing has changed."""
+    """Apply the current settings to a running session; takes a few microseconds if nothing has changed.
+
+    Parameters
+    ----------
+    session : LiveSession
+    settings : FacemimeSettings
+    """
     worker, options = session.worker, drive_settings(settings)
     session.keep = settings.keep_pose
     if worker.options != (wanted := live_options(settings)):
@@ -74,20 +88,20 @@ def follow_settings(session: LiveSession, settings: FacemimeSettings) -> None:
 
 
 class RigWatch:
-    """Lets a running session follow what is painted, bound or chosen: a slice of a look at its heads at each `step`."""
+    """Updates a running session when its heads are painted or bound; each `step` checks a slice of a head."""
 
     def __init__(self, session: LiveSession) -> None:
         self._session = session
         self._checks: dict[int, Iterator[bool]] = {}
 
     def look(self) -> None:
-        """Begin to look at all heads: something may have changed."""
+        """Start checking all heads."""
         living = (number for number, shown in enumerate(self._session.objects) if not shown.gone)
         heads = self._session.worker.heads
         self._checks = {number: rig_checks(self._session.objects[number].obj, heads[number].rig) for number in living}
 
     def step(self) -> None:
-        """Look at a slice of a head, and read the whole head again if that has changed; costs nothing between looks.
+        """Check a slice of a head, and read the whole head again if it has changed; free if there is nothing to check.
 
         Raises
         ------
@@ -98,10 +112,10 @@ class RigWatch:
             return
         number, checks = next(iter(self._checks.items()))
         shown = self._session.objects[number]
-        same = None if shown.gone or shown.obj.mode == "EDIT" else next(checks, None)
-        if not same:
+        unchanged = None if shown.gone or shown.obj.mode == "EDIT" else next(checks, None)
+        if not unchanged:
             del self._checks[number]
-        if same is False:
+        if unchanged is False:
             heads = list(self._session.worker.heads)
             heads[number] = LiveHead(read_rig(shown.obj), heads[number].options)
             self._session.update(heads)

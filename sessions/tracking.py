@@ -1,4 +1,4 @@
-"""A whole video tracked in a thread, beside Blender."""
+"""Tracking of a whole video in a thread."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from ..core.tracking.result import TrackResult
 from ..core.tracking.tracker import FaceTracker
 from .session import Session
 
-_ENDING = 10.0
+_JOIN_TIMEOUT = 10.0
 """Seconds to wait for the thread, which may be in the middle of a frame."""
 
 
 class TrackingSession(Session):
-    """Tracks a video in a thread of its own; `close` ends it at any time and keeps what was tracked.
+    """Tracks a video in a thread; `close` stops it at any time and keeps the frames so far.
 
     Parameters
     ----------
     video : Path
     face : (float, float), optional
-        As for `track_video`.
+        Face to track, as for `track_video`.
 
     Attributes
     ----------
     done, total : int
-        Frames tracked, and frames stated by the file.
+        Frames tracked, and frames in the video according to its header.
     """
 
     def __init__(self, video: Path, face: tuple[float, float] | None = None) -> None:
@@ -43,20 +43,20 @@ class TrackingSession(Session):
 
     @property
     def running(self) -> bool:
-        """Whether the worker is still at it."""
+        """Whether the thread is still tracking."""
         return self._thread.is_alive()
 
     def stop(self) -> None:
-        """Ask the worker to end after the frame in hand."""
+        """Ask the thread to stop after the current frame."""
         self._stop.set()
 
     def take(self) -> Take:
-        """Wait for the worker and return what it tracked.
+        """Wait for the thread and return the take.
 
         Raises
         ------
         FacemimeError
-            What the worker met.
+            If tracking failed, or was stopped before the first frame.
         """
         self._thread.join()
         if self._error is not None:
@@ -66,15 +66,15 @@ class TrackingSession(Session):
         return self._recorder.finish()
 
     def close(self, *, blocks: bool = True) -> None:
-        """End the worker, and wait for it as long as a frame may take; one that hangs ends by itself when it can."""
+        """Stop the thread and wait a limited time for it; a thread that hangs is abandoned."""
         self.stop()
-        self._thread.join(_ENDING)
+        self._thread.join(_JOIN_TIMEOUT)
         super().close()
 
     def _work(self) -> None:
         try:
             self._recorder = track_video(self.video, FaceTracker.load(), self._on_frame, face=self._face)
-        except Exception as error:  # handed over to the thread that asks for the take
+        except Exception as error:  # raised again by `take`
             self._error = error
 
     def _on_frame(self, done: int, total: int, result: TrackResult) -> bool:

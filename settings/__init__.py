@@ -1,1 +1,1 @@
-"""What a scene and the user keep: properties, their plain values, files."""
+"""Settings of scenes and users: properties, their plain values, files."""

@@ -1,4 +1,4 @@
-"""Settings of the steps Regions and Control Points, and what their panels remember while Blender runs."""
+"""Properties of the panels Regions and Control Points, and what panels remember while Blender runs."""
 
 import bpy
 from bpy.app.handlers import persistent
@@ -11,34 +11,38 @@ from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
 
 
 class FacemimeSteps(bpy.types.PropertyGroup):
-    """What regions and control points show, and how control points are chosen."""
+    """Display of regions and landmarks, and selection of control points."""
 
     show_regions: BoolProperty(
-        name="Show Regions", description="Draw the regions' colours over the head, outside Weight Paint mode"
+        name="Show Regions", description="Show the colours of the regions on the head, except in Weight Paint Mode"
     )
-    regions_opacity: FloatProperty(name="Opacity", subtype="FACTOR", default=0.5, min=0.0, max=1.0)
-    smooth_repeat: IntProperty(
-        name="Repeat", description="How often the borders are smoothed", default=3, min=1, max=50
+    regions_opacity: FloatProperty(
+        name="Opacity", description="Opacity of the regions' colours", subtype="FACTOR", default=0.5, min=0.0, max=1.0
     )
+    smooth_repeat: IntProperty(name="Repeat", description="Number of smoothing iterations", default=3, min=1, max=50)
     show_points: BoolProperty(
-        name="Show Points", description="Draw the landmarks over the head, control points coloured"
+        name="Show Points", description="Show the landmarks on the head, with coloured control points"
     )
     tolerance: FloatProperty(
         name="Tolerance",
-        description="How far a landmark that is no control point may end from where it was, of the face's width",
+        description="Error allowed at the other landmarks, relative to the width of the face",
         subtype="PERCENTAGE",
         default=100.0 * DEFAULT_TOLERANCE,
         min=0.01,
         max=100.0,
         soft_max=10.0,
     )
-    max_points: IntProperty(name="At Most", description="Control points", default=N_LANDMARKS, min=3, max=N_LANDMARKS)
-    landmark: IntProperty(name="Landmark", description="The one picked in the list or on the head", min=-1, default=-1)
-    only_chosen: BoolProperty(name="Only Control Points", description="List no other landmarks", default=True)
+    max_points: IntProperty(
+        name="Max Points", description="Maximum number of control points", default=N_LANDMARKS, min=3, max=N_LANDMARKS
+    )
+    landmark: IntProperty(
+        name="Landmark", description="Landmark selected in the list or on the head", min=-1, default=-1
+    )
+    only_chosen: BoolProperty(name="Only Control Points", description="List only control points", default=True)
 
 
 class FacemimeFinding(bpy.types.PropertyGroup):
-    """What the last check found wrong, what to do, and the operator that does it, without its prefix."""
+    """A problem found by the last check, its remedy, and the operator that fixes it, without its prefix."""
 
     problem: StringProperty()
     remedy: StringProperty()
@@ -46,19 +50,27 @@ class FacemimeFinding(bpy.types.PropertyGroup):
 
 
 class FacemimeLandmark(bpy.types.PropertyGroup):
-    """A line of the list of landmarks; its place is the landmark's, its name the iBUG number."""
+    """An item of the list of landmarks, in their order; its name is the iBUG number."""
 
 
 class FacemimeMemory(bpy.types.PropertyGroup):
-    """What panels remember until Blender ends."""
+    """What panels remember until Blender quits."""
 
-    checked: StringProperty(description="Name of the head that was checked last")
+    checked: StringProperty(description="Name of the last head that was checked")
     findings: CollectionProperty(type=FacemimeFinding)
     landmarks: CollectionProperty(type=FacemimeLandmark)
 
 
 def keep_findings(manager: bpy.types.WindowManager, name: str, findings: list[Finding]) -> None:
-    """Let the panel show what the check of the head `name` found."""
+    """Store the findings of a check for the panels.
+
+    Parameters
+    ----------
+    manager : bpy.types.WindowManager
+    name : str
+        Name of the object that was checked.
+    findings : list of Finding
+    """
     memory = manager.facemime
     memory.checked = name
     memory.findings.clear()
@@ -69,7 +81,7 @@ def keep_findings(manager: bpy.types.WindowManager, name: str, findings: list[Fi
 
 @persistent
 def list_landmarks(*_: object) -> None:
-    """Give each window manager its 66 lines; a panel may not write them when it draws."""
+    """Fill the list of landmarks of each window manager, which a panel must not write while drawing."""
     for manager in bpy.data.window_managers:
         landmarks = manager.facemime.landmarks
         if len(landmarks) != N_LANDMARKS:
@@ -88,5 +100,5 @@ TIMERS = (list_landmarks,)
 
 
 def register() -> None:
-    """Add settings and memory; the lines come with the next event, as nothing may be written while add-ons start."""
+    """Fill the list of landmarks at the next event, as no data may be written while add-ons are registered."""
     watch(list_landmarks, 0.0)

@@ -1,4 +1,4 @@
-"""Settings that belong to the user and the machine, whatever file is open."""
+"""Preferences: settings of the user and the computer, independent of the open file."""
 
 import bpy
 from bpy.props import BoolProperty, FloatProperty, IntProperty, StringProperty
@@ -7,30 +7,36 @@ from .storage import EXTENSION
 
 
 class FacemimePreferences(bpy.types.AddonPreferences):
-    """The camera, the preview, and where takes go."""
+    """Camera, preview, and the folder for takes."""
 
     bl_idname = EXTENSION
 
     camera: StringProperty(
         name="Camera",
-        description="The camera's number or name, or the address of a stream, such as a telephone's",
+        description="Number or name of the camera, or the address of a video stream, such as a phone's",
         default="0",
     )
-    width: IntProperty(name="Width", subtype="PIXEL", default=640, min=160, max=7680)
-    height: IntProperty(name="Height", subtype="PIXEL", default=480, min=120, max=4320)
-    rate: FloatProperty(name="Rate", description="Frames a second", default=30.0, min=1.0, max=240.0)
-    preview: BoolProperty(
-        name="Preview", description="Show the picture and the landmarks in the viewport's corner", default=True
+    width: IntProperty(
+        name="Width", description="Requested width of the image", subtype="PIXEL", default=640, min=160, max=7680
     )
-    preview_size: IntProperty(name="Size", description="Of the preview", subtype="PIXEL", default=240, min=80, max=640)
+    height: IntProperty(
+        name="Height", description="Requested height of the image", subtype="PIXEL", default=480, min=120, max=4320
+    )
+    rate: FloatProperty(name="Rate", description="Requested frames per second", default=30.0, min=1.0, max=240.0)
+    preview: BoolProperty(
+        name="Preview", description="Show the image and the landmarks in the corner of the viewport", default=True
+    )
+    preview_size: IntProperty(
+        name="Size", description="Width of the preview", subtype="PIXEL", default=240, min=80, max=640
+    )
     takes_folder: StringProperty(
         name="Takes",
-        description="Where takes go that are recorded before the .blend has a name; else they go beside it",
+        description="Folder for takes recorded before the .blend file is saved; later ones are stored beside it",
         subtype="DIR_PATH",
     )
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw them in Blender's preferences."""
+        """Draw the preferences."""
         layout = self.layout
         layout.use_property_split = True
         draw_camera(layout.column(), self)
@@ -39,7 +45,7 @@ class FacemimePreferences(bpy.types.AddonPreferences):
 
 
 def preferences() -> FacemimePreferences:
-    """The settings of the user; also where the package runs without being an enabled extension."""
+    """Return the preferences, also if the package is not running as an enabled extension."""
     addons = bpy.context.preferences.addons
     if EXTENSION not in addons:
         addons.new().module = EXTENSION
@@ -47,7 +53,13 @@ def preferences() -> FacemimePreferences:
 
 
 def draw_camera(layout: bpy.types.UILayout, chosen: FacemimePreferences) -> None:
-    """The camera, with a menu of those that there are, and what it is asked for."""
+    """Draw the camera with a menu of those available, its resolution and frame rate.
+
+    Parameters
+    ----------
+    layout : bpy.types.UILayout
+    chosen : FacemimePreferences
+    """
     row = layout.row(align=True)
     row.prop(chosen, "camera")
     row.menu("FACEMIME_MT_cameras", text="", icon="DOWNARROW_HLT")
@@ -58,7 +70,13 @@ def draw_camera(layout: bpy.types.UILayout, chosen: FacemimePreferences) -> None
 
 
 def draw_preview(layout: bpy.types.UILayout, chosen: FacemimePreferences) -> None:
-    """Whether there is a preview, and how large."""
+    """Draw the preview switch and size.
+
+    Parameters
+    ----------
+    layout : bpy.types.UILayout
+    chosen : FacemimePreferences
+    """
     row = layout.row(heading="Preview", align=True)
     row.prop(chosen, "preview", text="")
     size = row.row(align=True)

@@ -1,4 +1,4 @@
-"""Presets: how a performance moves a head, kept as JSON files that users save, choose and share."""
+"""Presets: settings of a performance in JSON files that users save, load and share."""
 
 from __future__ import annotations
 
@@ -16,55 +16,71 @@ from ..core.settings import settings_of
 from .properties import FacemimeSettings
 from .storage import user_folder
 
-_KNOWN = {
+_CONTENTS = {
     "settings": {**settings_of(DriveSettings), **settings_of(PuppetSettings)},
     "posing": settings_of(PosingSettings),
 }
-"""What a preset holds."""
+"""Settings in a preset, by property group."""
 
 
 def folder() -> Path:
-    """Where the user's presets lie."""
+    """Return the folder of the user's presets."""
     return user_folder("presets")
 
 
 def names() -> list[str]:
-    """The presets that there are, in the order of their names."""
+    """Return the names of all presets, sorted."""
     return sorted((path.stem for path in folder().glob(f"[!.]*{SUFFIX}")), key=str.casefold)
 
 
 def path_of(name: str) -> Path:
-    """Where the preset `name` lies or would lie.
+    """Return the path of the preset `name`, whether it exists or not.
 
     Raises
     ------
     OutputError
-        For a name that cannot be a file's.
+        If the name cannot be a file name.
     """
     return folder() / file_name(name)
 
 
 def save(settings: FacemimeSettings, path: Path) -> None:
-    """Write the settings to `path`; OutputError where that fails."""
+    """Write the settings to `path`.
+
+    Parameters
+    ----------
+    settings : FacemimeSettings
+    path : Path
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
     owners = _owners(settings)
-    values = {group: {name: getattr(owners[group], name) for name in names} for group, names in _KNOWN.items()}
+    values = {group: {name: getattr(owners[group], name) for name in names} for group, names in _CONTENTS.items()}
     with replacing(path) as temporary:
         temporary.write_text(to_json(values), encoding="utf-8")
 
 
 def load(settings: FacemimeSettings, path: Path) -> None:
-    """Set the settings to those in `path`; what the file does not name stays.
+    """Apply the preset at `path`; settings that it does not contain are left unchanged.
+
+    Parameters
+    ----------
+    settings : FacemimeSettings
+    path : Path
 
     Raises
     ------
     SourceError
-        Where the file is missing or no preset. No setting has changed then.
+        If the file is missing or not a preset. No setting is changed in that case.
     """
     owners = _owners(settings)
     try:
-        values = from_json(read_text(path), _KNOWN)
+        values = from_json(read_text(path), _CONTENTS)
     except (OSError, ValueError) as error:
-        raise SourceError(f"{path} is not a preset that can be read ({error}). Choose another file.") from error
+        raise SourceError(f"{path} is not a valid preset ({error}). Choose another file.") from error
     except SourceError as error:
         raise SourceError(f"{path}: {error}") from error
     for group, chosen in values.items():
@@ -78,14 +94,14 @@ def remove(name: str) -> None:
     Raises
     ------
     OutputError
-        Where it cannot be a preset's name, or the file cannot be removed.
+        If the name cannot be a file name, or the file cannot be removed.
     """
     path = path_of(name)
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise OutputError(f"{path} cannot be removed: {reason}. Remove it by hand.") from error
+        raise OutputError(f"Cannot remove {path}: {reason}. Remove it manually.") from error
 
 
 def _owners(settings: FacemimeSettings) -> dict[str, bpy.types.PropertyGroup]:

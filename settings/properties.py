@@ -1,4 +1,4 @@
-"""Settings that belong to the scene. Plain values for the functions that use them come from `values.py`."""
+"""Properties of the scene; `values.py` converts them to plain values."""
 
 import bpy
 from bpy.props import (
@@ -17,73 +17,86 @@ from .rna import with_settings
 
 
 class FacemimeSource(bpy.types.PropertyGroup):
-    """Where the face is seen; which camera is the user's, see `preferences.py`."""
+    """Source of the performance; the camera is in `preferences.py`."""
 
     kind: EnumProperty(
         name="Source",
-        description="Where the face is seen",
+        description="Where the performer's face comes from",
         items=(
-            ("CAMERA", "Camera", "A webcam, or the stream of a telephone", "CAMERA_DATA", 0),
-            ("VIDEO", "Video", "A video file", "FILE_MOVIE", 1),
-            ("PICTURES", "Image Sequence", "The pictures of a folder, in the order of their names", "IMAGE_DATA", 2),
-            ("TAKE", "Take", "A recorded take", "ACTION", 3),
-            ("SAMPLE", "Sample Clip", "The clip that comes with Facemime: to try it without a camera", "PLAY", 4),
+            ("CAMERA", "Camera", "Use a webcam, or a phone's video stream", "CAMERA_DATA", 0),
+            ("VIDEO", "Video", "Use a video file", "FILE_MOVIE", 1),
+            ("PICTURES", "Image Sequence", "Use the images in a folder, sorted by name", "IMAGE_DATA", 2),
+            ("TAKE", "Take", "Play a recorded take", "ACTION", 3),
+            ("SAMPLE", "Sample Clip", "Use the clip that comes with Facemime, to try it without a camera", "PLAY", 4),
         ),
         default="SAMPLE",
     )
-    rate: FloatProperty(name="Rate", description="Frames a second", default=30.0, min=1.0, max=240.0)
-    video: StringProperty(name="Video", subtype="FILE_PATH")
-    folder: StringProperty(name="Folder", subtype="DIR_PATH")
-    take: StringProperty(name="Take", subtype="FILE_PATH")
-    loop: BoolProperty(name="Loop", description="Start over at the end", default=True)
-    speed: FloatProperty(name="Speed", description="1 is as recorded", default=1.0, min=0.05, max=20.0, soft_max=4.0)
+    rate: FloatProperty(
+        name="Rate", description="Frames per second of the image sequence", default=30.0, min=1.0, max=240.0
+    )
+    video: StringProperty(name="Video", description="Video file", subtype="FILE_PATH")
+    folder: StringProperty(name="Folder", description="Folder of the image sequence", subtype="DIR_PATH")
+    take: StringProperty(name="Take", description="Take file", subtype="FILE_PATH")
+    loop: BoolProperty(name="Loop", description="Start again at the end", default=True)
+    speed: FloatProperty(
+        name="Speed", description="Playback speed; 1 plays as recorded", default=1.0, min=0.05, max=20.0, soft_max=4.0
+    )
     face: EnumProperty(
         name="Face",
-        description="Whom to follow where several people are in view",
+        description="Face to track when several are in view",
         items=(
-            ("LARGEST", "Largest", "The face nearest to the camera"),
-            ("LEFT", "Leftmost", "The face furthest to the left of the picture"),
-            ("RIGHT", "Rightmost", "The face furthest to the right of the picture"),
+            ("LARGEST", "Largest", "Track the largest face, usually the one nearest to the camera"),
+            ("LEFT", "Leftmost", "Track the face furthest to the left in the image"),
+            ("RIGHT", "Rightmost", "Track the face furthest to the right in the image"),
         ),
     )
 
 
 @with_settings(PosingSettings)
 class FacemimePosing(bpy.types.PropertyGroup):
-    """How head and eyes follow, and what takes their pose."""
+    """Strength and limits of the pose of head and eyes, and the objects or bones that take it."""
 
     object: PointerProperty(
         name="Pose Object",
-        description="Takes the head's pose instead of the head itself: an empty, or an armature and its bone",
+        description="Object that takes the pose instead of the head, such as an empty or an armature",
         type=bpy.types.Object,
     )
-    bone: StringProperty(name="Bone", description="Of the armature that takes the pose")
-    eye_left: PointerProperty(name="Left Eye", description="Takes the gaze", type=bpy.types.Object)
-    eye_left_bone: StringProperty(name="Left Bone")
-    eye_right: PointerProperty(name="Right Eye", description="Takes the gaze", type=bpy.types.Object)
-    eye_right_bone: StringProperty(name="Right Bone")
+    bone: StringProperty(name="Bone", description="Bone of the armature that takes the pose of the head")
+    eye_left: PointerProperty(
+        name="Left Eye", description="Object that takes the gaze of the left eye", type=bpy.types.Object
+    )
+    eye_left_bone: StringProperty(name="Left Bone", description="Bone that takes the gaze of the left eye")
+    eye_right: PointerProperty(
+        name="Right Eye", description="Object that takes the gaze of the right eye", type=bpy.types.Object
+    )
+    eye_right_bone: StringProperty(name="Right Bone", description="Bone that takes the gaze of the right eye")
 
 
 class FacemimePerformer(bpy.types.PropertyGroup):
-    """A performer's calibration, by `name`."""
+    """A performer, with name and calibration."""
 
     calibration: StringProperty(options={"HIDDEN"})
 
 
 @with_settings(DriveSettings, PuppetSettings)
 class FacemimeSettings(bpy.types.PropertyGroup):
-    """How a performance moves the head."""
+    """Settings that control how a performance moves the heads."""
 
     find_neutral: BoolProperty(
         name="Find Neutral",
-        description="Find the second in which the performer's face is at rest; else say where it starts",
+        description="Detect the second in which the performer's face is neutral; otherwise set its start",
         default=True,
     )
     neutral: FloatProperty(
-        name="Neutral At", description="Where the performer's neutral second starts", subtype="TIME_ABSOLUTE", min=0.0
+        name="Neutral At",
+        description="Start of the second in which the performer's face is neutral",
+        subtype="TIME_ABSOLUTE",
+        min=0.0,
     )
     keep_pose: BoolProperty(
-        name="Keep Pose", description="Leave the head as it is when the puppet is stopped; else it rests", default=False
+        name="Keep Pose",
+        description="Keep the pose when the puppet is stopped; otherwise the head returns to rest",
+        default=False,
     )
     performer: IntProperty(name="Performer", default=-1, min=-1)
     performers: CollectionProperty(type=FacemimePerformer)

@@ -1,4 +1,4 @@
-"""Blender's properties made from settings, and settings read from them: `core/settings.py` says each once."""
+"""Blender properties for the settings that `core/settings.py` defines, and conversion back."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ Owner = TypeVar("Owner", bound=type[bpy.types.PropertyGroup])
 
 
 def with_settings(*groups: type) -> Callable[[Owner], Owner]:
-    """Give a property group, or an operator, a property for each setting of `groups`, under its field's name."""
+    """Decorate a property group or operator with a property for each setting of `groups`, named after its field."""
 
-    def decorated(owner: Owner) -> Owner:
-        made = {name: property_of(setting) for group in groups for name, setting in settings_of(group).items()}
-        owner.__annotations__ = made | owner.__annotations__
+    def decorate(owner: Owner) -> Owner:
+        properties = {name: property_of(setting) for group in groups for name, setting in settings_of(group).items()}
+        owner.__annotations__ = properties | owner.__annotations__
         return owner
 
-    return decorated
+    return decorate
 
 
 def property_of(setting: Setting) -> Any:
-    """The property of a setting, for an annotation."""
-    words: dict[str, Any] = {"name": setting.label, "description": setting.description}
+    """Return the Blender property of a setting, for an annotation."""
+    texts: dict[str, Any] = {"name": setting.label, "description": setting.description}
     if setting.choices:
-        return EnumProperty(**words, items=tuple(map(tuple, setting.choices)), default=setting.default)
+        return EnumProperty(**texts, items=tuple(map(tuple, setting.choices)), default=setting.default)
     if setting.kind is bool:
-        return BoolProperty(**words, default=setting.default)
-    ends = {"default": setting.default, "min": setting.low, "max": setting.high, "soft_max": setting.soft_high}
-    shown = {name: setting.kind(end * setting.scale) for name, end in ends.items() if end is not None}
+        return BoolProperty(**texts, default=setting.default)
+    stored = {"default": setting.default, "min": setting.low, "max": setting.high, "soft_max": setting.soft_high}
+    numbers = {name: setting.kind(value * setting.scale) for name, value in stored.items() if value is not None}
     if setting.kind is int:
-        return IntProperty(**words, **shown)
-    return FloatProperty(**words, **shown, **_LOOKS[setting.unit])
+        return IntProperty(**texts, **numbers)
+    return FloatProperty(**texts, **numbers, **_DISPLAY[setting.unit])
 
 
-_LOOKS: dict[str, dict[str, Any]] = {
+_DISPLAY: dict[str, dict[str, Any]] = {
     "": {},
     "percent": {"subtype": "PERCENTAGE", "precision": 2},
     "angle": {"subtype": "ANGLE", "precision": 0, "step": 100},
@@ -48,7 +48,17 @@ _LOOKS: dict[str, dict[str, Any]] = {
 
 
 def read(group: type[Group], owner: Any, **more: Any) -> Group:
-    """A group of settings with the values that `owner` has, and `more` in its other fields."""
+    """Read a group of settings from Blender properties.
+
+    Parameters
+    ----------
+    group : type
+        The dataclass to create.
+    owner : bpy.types.PropertyGroup or bpy.types.Operator
+        Has a property for each setting of `group`.
+    **more
+        Values of the fields that are not settings.
+    """
     values = {
         name: getattr(owner, name) / setting.scale if setting.scale != 1.0 else getattr(owner, name)
         for name, setting in settings_of(group).items()

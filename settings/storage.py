@@ -1,4 +1,4 @@
-"""Where files of the user's go that nobody named: beside the .blend, or into the user's own folder."""
+"""Default locations of files: beside the .blend file, or in the user's folder."""
 
 from __future__ import annotations
 
@@ -8,24 +8,31 @@ from pathlib import Path
 import bpy
 
 EXTENSION = __package__.rpartition(".")[0]
-"""What Blender knows the extension by."""
+"""Name by which Blender knows the extension."""
 
 
 def user_folder(name: str) -> Path:
-    """The folder `name` of the extension, which outlives files and versions."""
+    """Return the user's folder `name` for the extension, which is kept when it is updated."""
     try:
         return Path(bpy.utils.extension_path_user(EXTENSION, path=name))
-    except ValueError:  # run from the source tree, not as an installed extension
+    except ValueError:  # running from the source tree, not as an installed extension
         return Path(bpy.utils.user_resource("CONFIG", path=f"facemime/{name}"))
 
 
 def project_folder(name: str) -> Path:
-    """The folder `name` beside the open .blend; that of the user while the file has no name."""
+    """Return the folder `name` beside the open .blend file, or the user's folder if it has not been saved."""
     return Path(bpy.path.abspath(f"//{name}")) if bpy.data.filepath else user_folder(name)
 
 
 def relative(path: Path, blend: str = "") -> str:
-    """`path` as it is kept in the file `blend`, by default the open one: relative to it where that is possible."""
+    """Return `path` relative to a .blend file if possible.
+
+    Parameters
+    ----------
+    path : Path
+    blend : str
+        Path of the .blend file; "" is the open one.
+    """
     blend = blend or bpy.data.filepath
     if not blend:
         return str(path)
@@ -36,7 +43,16 @@ def relative(path: Path, blend: str = "") -> str:
 
 
 def free_path(folder: Path, name: str, suffix: str) -> Path:
-    """A path in `folder` that does not exist yet, after `name`."""
+    """Return a path that does not exist yet.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+        Base of the file name, which is cleaned and numbered as needed.
+    suffix : str
+        Such as ".facetake".
+    """
     clean = bpy.path.clean_name(name.strip() or "take").strip("_") or "take"
     path, number = folder / f"{clean}{suffix}", 1
     while os.path.lexists(path):

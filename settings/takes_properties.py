@@ -1,4 +1,4 @@
-"""The takes of a scene, what a bake is made to, and the table of keys. Plain values come from `takes_store.py`."""
+"""Properties of a scene's takes, of their bake and of the key table; `takes_store.py` reads and writes the takes."""
 
 import bpy
 from bpy.props import (
@@ -17,52 +17,56 @@ from .rna import with_settings
 
 
 class FacemimeTake(bpy.types.PropertyGroup):
-    """A take, by `name`: where it is, and what the user says of it."""
+    """A take in the list: its file, and what the user noted about it."""
 
-    path: StringProperty(name="File", description="Relative to the .blend where that has a name")
-    packed: PointerProperty(name="Packed", description="The take within the .blend, as text", type=bpy.types.Text)
+    path: StringProperty(name="File", description="Path of the take, relative to a saved .blend file")
+    packed: PointerProperty(
+        name="Packed", description="Text data-block that holds the packed take", type=bpy.types.Text
+    )
     length: FloatProperty(name="Length", subtype="TIME_ABSOLUTE", min=0.0)
-    star: BoolProperty(name="Star", description="One of the good ones")
-    note: StringProperty(name="Note", description="What you think of it")
+    star: BoolProperty(name="Favourite", description="Mark this take as a favourite")
+    note: StringProperty(name="Note", description="Your note on this take")
 
 
 class FacemimeKeyRow(bpy.types.PropertyGroup):
-    """A row of the table: a key gets a coefficient, times a gain, plus an offset."""
+    """A row of the key table: shape key = gain * coefficient + offset."""
 
     source: EnumProperty(
         name="Source",
-        description="One of ARKit's 52 coefficients",
+        description="ARKit coefficient that drives the shape key",
         items=tuple((name, name, "") for name in COEFFICIENTS),
         default="jawOpen",
     )
-    key: StringProperty(name="Key", description="The shape key that it moves")
-    gain: FloatProperty(name="Gain", default=1.0, soft_min=-2.0, soft_max=2.0)
-    offset: FloatProperty(name="Offset", default=0.0, soft_min=-1.0, soft_max=1.0)
+    key: StringProperty(name="Shape Key", description="Shape key that is driven")
+    gain: FloatProperty(name="Gain", description="Factor of the coefficient", default=1.0, soft_min=-2.0, soft_max=2.0)
+    offset: FloatProperty(
+        name="Offset", description="Value of the shape key at rest", default=0.0, soft_min=-1.0, soft_max=1.0
+    )
 
 
 class FacemimeKeyPose(bpy.types.PropertyGroup):
-    """A frame of a take for which the user posed the keys: its coefficients and their values, as JSON."""
+    """A pose that the key table is learnt from: coefficients and values of the shape keys, as JSON."""
 
     data: StringProperty(options={"HIDDEN"})
 
 
 @with_settings(BakeSettings)
 class FacemimeBake(bpy.types.PropertyGroup):
-    """What a take is baked to."""
+    """Settings of the bake, and the key table."""
 
-    table: StringProperty(name="Table", description="Name of the table of keys")
+    table: StringProperty(name="Table", description="Name of the key table")
     rows: CollectionProperty(type=FacemimeKeyRow)
     row: IntProperty(name="Row", min=0)
     poses: CollectionProperty(type=FacemimeKeyPose)
 
 
 class FacemimeTakes(bpy.types.PropertyGroup):
-    """The takes of a scene."""
+    """Takes of a scene."""
 
     items: CollectionProperty(type=FacemimeTake)
     index: IntProperty(name="Take", default=0, min=0)
     video: BoolProperty(
-        name="Keep Video", description="Write what is seen beside the take: to look at, and to track again"
+        name="Keep Video", description="Save the video beside the take, as a reference and to track it again"
     )
     bake: PointerProperty(type=FacemimeBake)
 

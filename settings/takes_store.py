@@ -1,4 +1,4 @@
-"""The takes of a scene as values: found, loaded, kept, packed. A take's file is never overwritten and never deleted."""
+"""Storage of a scene's takes. The file of a take is never overwritten or deleted."""
 
 from __future__ import annotations
 
@@ -24,30 +24,44 @@ _SOUNDS = (".wav", ".flac", ".mp3", ".ogg")
 
 
 class MisnamedError(SourceError):
-    """A take whose name Blender cannot hold."""
+    """The name of a take cannot be stored by Blender."""
 
 
 def folder() -> Path:
-    """Where new takes go: `takes` beside the .blend; while that has no name, the folder that the preferences say."""
-    named = preferences().takes_folder
-    return Path(bpy.path.abspath(named)) if named and not bpy.data.filepath else project_folder(_FOLDER)
+    """Return the folder for new takes: `takes` beside a saved .blend file, otherwise that of the preferences."""
+    preferred = preferences().takes_folder
+    return Path(bpy.path.abspath(preferred)) if preferred and not bpy.data.filepath else project_folder(_FOLDER)
 
 
 def chosen(scene: bpy.types.Scene) -> FacemimeTake:
-    """The take that is picked in the list; FacemimeError where there is none."""
+    """Return the take selected in the list; raises FacemimeError if there is none."""
     takes = scene.facemime_takes
     if not 0 <= takes.index < len(takes.items):
-        raise FacemimeError("No take is chosen. Record one, or import one.")
+        raise FacemimeError("No take is selected. Record or import one.")
     return takes.items[takes.index]
 
 
 def new_path(name: str) -> Path:
-    """A path for a new take, which does not exist yet."""
+    """Return a path for a new take, which does not exist yet."""
     return free_path(folder(), name, SUFFIX)
 
 
 def add(scene: bpy.types.Scene, path: Path, take: Take | None = None) -> FacemimeTake:
-    """List the take at `path`, pick it, and return its line; SourceError where it cannot be read or listed."""
+    """Add a take to the list and select it.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    path : Path
+        File of the take.
+    take : Take, optional
+        Its contents; by default they are read from the file.
+
+    Raises
+    ------
+    SourceError
+        If the file cannot be read, or its name cannot be stored by Blender.
+    """
     _require_listable(path)
     take = load_take(path) if take is None else take
     takes = scene.facemime_takes
@@ -59,7 +73,7 @@ def add(scene: bpy.types.Scene, path: Path, take: Take | None = None) -> Facemim
 
 
 def _require_listable(path: Path) -> None:
-    """Raise SourceError where the list, which is Blender's, cannot hold the name of `path`."""
+    """Raise MisnamedError if the name of `path` cannot be stored by Blender, whose texts are UTF-8."""
     try:
         (path.stem + relative(path)).encode()
     except UnicodeEncodeError as error:
@@ -68,37 +82,62 @@ def _require_listable(path: Path) -> None:
 
 
 def keep(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
-    """Write `take` to a new file named after `name`, and list it."""
+    """Write `take` to a new file, named after `name`, and add it to the list.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    take : Take
+    name : str
+    """
     path = new_path(name)
     save_take(take, path)
     return add(scene, path, take)
 
 
 def change(line: FacemimeTake, take: Take) -> None:
-    """Let `line` stand for `take`, in a file of its own, so that an undo finds the one before."""
+    """Replace the take of `line` by `take` in a new file, so that undo finds the previous one.
+
+    Parameters
+    ----------
+    line : FacemimeTake
+    take : Take
+    """
     path = new_path(line.name)
     save_take(take, path)
     line.path, line.packed, line.length = relative(path), None, _length(take)
 
 
 def read(line: FacemimeTake) -> Take:
-    """The take that `line` stands for.
+    """Read the take of `line`.
 
     Raises
     ------
     SourceError
-        Where its file is gone or damaged.
+        If its file is missing or damaged.
     """
     if line.packed is not None:
         return _unpacked(line)
     path = Path(bpy.path.abspath(line.path))
     if not os.path.isfile(path):
-        raise SourceError(f"The file of the take {line.name} is not at {path}. Put it back, or import it again.")
+        raise SourceError(f"The file of the take {line.name} is missing: {path}. Restore it, or import it again.")
     return _loaded(path, path.stat().st_mtime_ns)
 
 
 def video_of(scene: bpy.types.Scene, line: FacemimeTake) -> Path | None:
-    """The video that the take of `line` names as its source, beside it or chosen under Source; None where it is not."""
+    """Return the video that a take was tracked from.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Its source is searched besides the folder of the take.
+    line : FacemimeTake
+
+    Returns
+    -------
+    Path or None
+        None if the video is not found.
+    """
     try:
         source = read(line).info.get("source")
     except SourceError:
@@ -109,12 +148,12 @@ def video_of(scene: bpy.types.Scene, line: FacemimeTake) -> Path | None:
 
 
 def sound_beside(video: Path) -> Path:
-    """The sound file beside `video` with the same name, which may be better than its own; else `video`."""
+    """Return the sound file beside `video` with the same name, or `video` itself if there is none."""
     return next((path for suffix in _SOUNDS if (path := video.with_suffix(suffix)).is_file()), video)
 
 
 def pack(line: FacemimeTake) -> None:
-    """Keep the take of `line` within the .blend; its file stays."""
+    """Pack the take of `line` into the .blend file; its own file is kept."""
     read(line)
     data = Path(bpy.path.abspath(line.path)).read_bytes()
     text = bpy.data.texts.new(f"{line.name}{SUFFIX}")
@@ -123,7 +162,7 @@ def pack(line: FacemimeTake) -> None:
 
 
 def unpack(line: FacemimeTake) -> Path:
-    """Write the take of `line` to a file again; returns its path."""
+    """Write the packed take of `line` to a new file and return its path."""
     take, text = read(line), line.packed
     path = new_path(line.name)
     save_take(take, path)
@@ -133,27 +172,27 @@ def unpack(line: FacemimeTake) -> Path:
 
 
 def unlisted(scene: bpy.types.Scene) -> list[Path]:
-    """Takes in the folder that are not in the list: recorded before a crash, or removed from it."""
+    """Return the takes in the folder that are not in the list, such as removed ones."""
     known = {os.path.realpath(bpy.path.abspath(line.path)) for line in scene.facemime_takes.items if line.path}
     return sorted(path for path in folder().glob(f"[!.]*{SUFFIX}") if os.path.realpath(path) not in known)
 
 
 @persistent
 def _before_saving(filepath: str, *_: object) -> None:
-    """Let the takes be found from where the file is about to be, which may be elsewhere."""
+    """Make the paths of takes relative to where the file is about to be saved."""
     _rebase(filepath)
 
 
 @persistent
 def _after_saving(*_: object) -> None:
-    """And, where that was a copy, from where the open file is."""
+    """Make the paths relative to the open file again, if a copy was saved."""
     if _Rebased.lines:
         _rebase(bpy.data.filepath)
         _Rebased.lines.clear()
 
 
 class _Rebased:
-    """While a file is saved: where each take's file is, by scene and place in the list."""
+    """Absolute paths of takes while a file is saved, by scene and index."""
 
     lines: dict[tuple[str, int], Path] = {}
 

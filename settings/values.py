@@ -1,7 +1,7 @@
-"""The scene's settings as the plain values that functions take.
+"""Conversion of the scene's properties to plain values.
 
-Functions, not methods of the property groups: Blender 4.2 ends in a crash after an extension was removed whose property
-group had one.
+These are functions rather than methods of the property groups, as Blender 4.2 crashes after an extension is removed if
+one of its property groups has a method.
 """
 
 from __future__ import annotations
@@ -30,40 +30,59 @@ from .rna import read
 from .storage import project_folder
 from .takes_properties import FacemimeBake
 
-_TO_NEW_KEYS = BakeSettings()
+_DEFAULT_BAKE = BakeSettings()
 _FACES = {"LARGEST": None, "LEFT": LEFTMOST, "RIGHT": RIGHTMOST}
 SAMPLE = ASSETS / "sample" / "sample.mp4"
 
 
 def drive_settings(settings: FacemimeSettings) -> DriveSettings:
-    """How a frame moves a head."""
+    """Return how a frame moves a head."""
     return read(DriveSettings, settings, posing=read(PosingSettings, settings.posing))
 
 
-def puppet_settings(settings: FacemimeSettings, bake: BakeSettings = _TO_NEW_KEYS) -> PuppetSettings:
-    """How a take is baked."""
+def puppet_settings(settings: FacemimeSettings, bake: BakeSettings = _DEFAULT_BAKE) -> PuppetSettings:
+    """Return how a take moves a head and is baked.
+
+    Parameters
+    ----------
+    settings : FacemimeSettings
+    bake : BakeSettings, optional
+        New shape keys by default.
+    """
     neutral = None if settings.find_neutral else settings.neutral
     return read(PuppetSettings, settings, drive=drive_settings(settings), neutral=neutral, bake=bake)
 
 
 def bake_settings(bake: FacemimeBake, name: str) -> BakeSettings:
-    """What the take `name` is baked to; FacemimeError where the table has a row that makes no sense."""
+    """Return what a take is baked to.
+
+    Parameters
+    ----------
+    bake : FacemimeBake
+    name : str
+        Name of the take, after which a cache is named.
+
+    Raises
+    ------
+    FacemimeError
+        If a row of the key table has no shape key.
+    """
     table = read_table(bake) if bake.keys == "mapped" and len(bake.rows) else None
     return read(BakeSettings, bake, table=table, path=project_folder("caches") / bpy.path.clean_name(name))
 
 
 def face_of(source: FacemimeSource) -> tuple[float, float] | None:
-    """Whom to follow of several people, as for `FaceTracker.choose`; None for the largest."""
+    """Return the face to track when several are in view, as for `FaceTracker.choose`; None for the largest."""
     return _FACES[source.face]
 
 
 def open_source(source: FacemimeSource) -> LiveSource:
-    """What a live session is to look at.
+    """Open the source of a live session.
 
     Raises
     ------
     SourceError
-        Where nothing is chosen, or what is chosen is not there. A camera is opened only by its first `read`.
+        If nothing is selected, or the file is missing. A camera is opened only by its first `read`.
     """
     playing = {"loop": source.loop, "speed": source.speed}
     if source.kind == "CAMERA":
@@ -73,7 +92,7 @@ def open_source(source: FacemimeSource) -> LiveSource:
     if source.kind == "VIDEO":
         return VideoPlayer(_chosen(source.video, "video"), **playing)
     if source.kind == "PICTURES":
-        return PicturePlayer(_chosen(source.folder, "folder of pictures"), rate=source.rate, **playing)
+        return PicturePlayer(_chosen(source.folder, "folder of images"), rate=source.rate, **playing)
     path = _chosen(source.take, "take")
     return TakePlayer(load_take(path), path.name, **playing)
 
@@ -82,27 +101,38 @@ def _camera() -> Camera:
     chosen = preferences()
     device = device_of(chosen.camera, list_cameras())
     if not device:
-        raise SourceError("No camera is named. Give its number: 0 is the first.")
+        raise SourceError("No camera is selected. Enter its number under Source; 0 is the first.")
     if is_address(device) and not bpy.app.online_access:
         raise SourceError(
-            f"{device} is on the network, and Blender may not go there. Allow Online Access in Preferences > System."
+            f"Cannot open {device}: online access is turned off. Enable Allow Online Access in Preferences > System."
         )
     return Camera(CameraSettings(device, chosen.width, chosen.height, chosen.rate))
 
 
-def _chosen(path: str, what: str) -> Path:
+def _chosen(path: str, kind: str) -> Path:
     if not path:
-        raise SourceError(f"No {what} is chosen. Choose one under Source.")
+        raise SourceError(f"No {kind} is selected. Select one under Source.")
     return Path(bpy.path.abspath(path))
 
 
 def pose_targets(posing: FacemimePosing, head: bpy.types.Object) -> dict[str, PoseTarget]:
-    """What takes the pose of the head, "head", and where they are named of the eyes, "eye_left" and "eye_right".
+    """Return the objects or bones that take the pose.
+
+    Parameters
+    ----------
+    posing : FacemimePosing
+    head : bpy.types.Object
+        Takes the pose itself if no pose object is set.
+
+    Returns
+    -------
+    dict
+        "head", and "eye_left" and "eye_right" if they are set.
 
     Raises
     ------
     HeadError
-        Where a bone is named that the object does not have.
+        If the armature does not have the bone.
     """
     targets = {"head": PoseTarget.of(posing.object or head, posing.bone if posing.object else "")}
     for eye in ("eye_left", "eye_right"):
@@ -112,12 +142,12 @@ def pose_targets(posing: FacemimePosing, head: bpy.types.Object) -> dict[str, Po
 
 
 def read_calibration(settings: FacemimeSettings) -> Neutral | None:
-    """The neutral of the performer who is chosen; None where nobody is, or calibrated nothing yet.
+    """Return the calibration of the selected performer; None if there is none.
 
     Raises
     ------
     SourceError
-        Where what is stored is damaged.
+        If the stored calibration is damaged.
     """
     if not 0 <= settings.performer < len(settings.performers):
         return None
@@ -126,7 +156,13 @@ def read_calibration(settings: FacemimeSettings) -> Neutral | None:
 
 
 def write_calibration(settings: FacemimeSettings, neutral: Neutral) -> str:
-    """Keep `neutral` for the performer who is chosen, or for a new one; returns the performer's name."""
+    """Store `neutral` with the selected performer, or with a new one, and return the performer's name.
+
+    Parameters
+    ----------
+    settings : FacemimeSettings
+    neutral : Neutral
+    """
     if not 0 <= settings.performer < len(settings.performers):
         add_performer(settings)
     performer = settings.performers[settings.performer]
@@ -135,7 +171,13 @@ def write_calibration(settings: FacemimeSettings, neutral: Neutral) -> str:
 
 
 def add_performer(settings: FacemimeSettings, name: str = "") -> None:
-    """Add a performer, who is chosen then."""
+    """Add a performer and select it; without a `name` it is numbered.
+
+    Parameters
+    ----------
+    settings : FacemimeSettings
+    name : str, optional
+    """
     taken = {performer.name for performer in settings.performers}
     performer = settings.performers.add()
     number = len(settings.performers)
@@ -144,8 +186,8 @@ def add_performer(settings: FacemimeSettings, name: str = "") -> None:
 
 
 def remove_performer(settings: FacemimeSettings) -> None:
-    """Remove the performer who is chosen; FacemimeError where none is."""
+    """Remove the selected performer; raises FacemimeError if there is none."""
     if not 0 <= settings.performer < len(settings.performers):
-        raise FacemimeError("No performer is chosen. Choose one in the list.")
+        raise FacemimeError("No performer is selected. Select one in the list.")
     settings.performers.remove(settings.performer)
     settings.performer = min(settings.performer, len(settings.performers) - 1)

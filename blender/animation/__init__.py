@@ -1,1 +1,1 @@
-"""Motion on heads: shown live by one shape key, or baked to keys, caches and curves."""
+"""Motion of heads: displayed live by one shape key, or baked to shape keys, caches and F-Curves."""

@@ -1,4 +1,4 @@
-"""A driven take as Blender animation: curves for head, eyes, teeth and tongue, and what a bake leaves is taken back."""
+"""Bakes of the pose of head, eyes, teeth and tongue, checks before a bake, and removal of earlier bakes."""
 
 from __future__ import annotations
 
@@ -21,31 +21,69 @@ JAW_PARTS = frozenset({"teeth_lower", "tongue"})
 EYE_PARTS = frozenset({"eye_left", "eye_right"})
 Targets = Mapping[str, PoseTarget]
 _LAST_FRAME = 1_048_574
-"""Of Blender's timeline."""
+"""Last frame of Blender's timeline."""
 
 
 def frames_of(scene: bpy.types.Scene, times: NDArray[np.floating], start: float = 1.0) -> NDArray[np.floating]:
-    """The scene's frames, fractional where need be, at media `times` in seconds: in step at any scene rate."""
+    """Convert times to frames of the scene.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    times : (N,) array
+        Seconds.
+    start : float
+        Frame at 0 s.
+
+    Returns
+    -------
+    (N,) array
+        Frames, which may be fractional.
+    """
     return start + times * (scene.render.fps / scene.render.fps_base)
 
 
 def seconds_of(scene: bpy.types.Scene, start: float = 1.0) -> float:
-    """The media's time at the scene's current frame, as `frames_of` puts it there."""
+    """Return the time at the current frame, seconds; the inverse of `frames_of`.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    start : float
+        Frame at 0 s.
+    """
     return seconds_at(scene, scene.frame_current_final, start)
 
 
 def seconds_at(scene: bpy.types.Scene, frame: float, start: float = 1.0) -> float:
-    """The media's time at `frame` of the scene."""
+    """Return the time at `frame` of the scene, seconds; frame `start` is at 0 s.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    frame : float
+    start : float
+        Frame at 0 s.
+    """
     return float((frame - start) * scene.render.fps_base / scene.render.fps)
 
 
 def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, old_keys: bool) -> None:
-    """Raise HeadError where `obj` or one of `targets` cannot take a bake; nothing has changed then.
+    """Check that a head can be baked to; nothing is changed.
 
     Parameters
     ----------
+    obj : bpy.types.Object
+        The head.
+    targets : mapping
+        Objects or bones that take the pose.
     new_keys, old_keys : bool
-        Whether the mesh gets new shape keys, or those that it has are animated.
+        Whether new shape keys are added, or existing ones animated.
+
+    Raises
+    ------
+    HeadError
+        If the head or one of the targets cannot be animated.
     """
     for owner in {target.obj for target in _all_targets(obj, targets)}:
         if owner.library is not None:
@@ -56,8 +94,8 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
     mesh = obj.data
     if new_keys and (mesh.library is not None or mesh.override_library is not None):
         raise HeadError(
-            f"The mesh of {obj.name} is linked from another file and takes no new shape keys. "
-            "Bake to a cache, to the keys that it has, or make it local."
+            f"The mesh of {obj.name} is linked from another file, so that no shape keys can be added. "
+            "Bake to a cache or to existing shape keys, or make it local."
         )
     if new_keys:
         require_relative(obj)
@@ -71,11 +109,23 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
 
 
 def check_range(take: Take, frames: NDArray[np.floating]) -> None:
-    """Raise SourceError where `frames`, increasing, of `take` reach beyond what Blender can play."""
+    """Check that a take fits into Blender's timeline.
+
+    Parameters
+    ----------
+    take : Take
+    frames : (N,) array
+        Its frames in the scene, increasing.
+
+    Raises
+    ------
+    SourceError
+        If they exceed Blender's last frame.
+    """
     if max(-frames[0], frames[-1]) > _LAST_FRAME:
         raise SourceError(
             f"The take reaches from {take.times[0]:.2f} s to {take.times[-1]:.2f} s, beyond Blender's last frame. "
-            "Check that these are seconds; a take is moved by: facemime mend TAKE --shift SECONDS -o OUT"
+            "Check that the times are in seconds. To shift a take: facemime mend TAKE --shift SECONDS -o OUT"
         )
 
 
@@ -90,12 +140,23 @@ def bake_pose(
     clean: tuple[float, float] | None = None,
     nla: bool = False,
 ) -> None:
-    """Animate what takes the pose: "head" of `targets`, the eyes named there or those of `obj`, teeth and tongue.
+    """Animate the pose of head and eyes, and of the lower teeth and the tongue.
 
     Parameters
     ----------
+    obj : bpy.types.Object
+        The head, whose children are its eyes, teeth and tongue.
+    targets : mapping
+        "head", and optionally "eye_left" and "eye_right", which replace the eyes of `obj`.
+    motion : HeadMotion
+    frames : (N,) array
+        Frames of the keyframes.
+    rotation, translation : bool
+        Whether the rotation and the location of the head are animated.
     clean : (float, float), optional
-        How far a curve may be from its values where keys are left out: radians, and the mesh's unit.
+        Error allowed when removing keyframes: radians, and the mesh's unit.
+    nla : bool
+        Whether to use an NLA track.
     """
     angle, length = clean or (None, None)
     head = targets["head"]
@@ -111,7 +172,15 @@ def bake_pose(
 
 
 def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
-    """Take back what an earlier bake gave `obj` and `targets`: keys, cache, curves, pose."""
+    """Remove what an earlier bake added to `obj` and `targets`: shape keys, cache, curves and pose.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        The head.
+    targets : mapping
+        Objects or bones that take the pose.
+    """
     remove_baked_keys(obj)
     remove_cache(obj)
     places = _all_targets(obj, targets)
@@ -123,12 +192,12 @@ def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
 
 
 def _all_targets(obj: bpy.types.Object, targets: Targets) -> list[PoseTarget]:
-    """Whatever a bake of `obj` may pose; `obj` too where another one takes its pose now."""
+    """Return everything that a bake of `obj` may pose, including `obj` itself, which an earlier bake may have posed."""
     return [PoseTarget(obj), targets["head"], *(target for _, target in _part_targets(obj, targets))]
 
 
 def _part_targets(obj: bpy.types.Object, targets: Targets) -> Iterator[tuple[str, PoseTarget]]:
-    """What turns with jaw and gaze: those of `targets`, else children of `obj`."""
+    """Yield what rotates with jaw and gaze: eyes in `targets`, and otherwise children of `obj`."""
     for child in obj.children:
         part = str(child.get(PART_PROPERTY, ""))
         if part in JAW_PARTS or (part in EYE_PARTS and part not in targets):
@@ -137,6 +206,13 @@ def _part_targets(obj: bpy.types.Object, targets: Targets) -> Iterator[tuple[str
 
 
 def set_range(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> None:
-    """Let the scene play the whole of `frames`."""
+    """Set the frame range of `scene` to contain all of `frames`, (N,) increasing.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    frames : (N,) array
+        Increasing.
+    """
     scene.frame_start = int(np.floor(frames[0] + 1e-3))
     scene.frame_end = max(scene.frame_start, int(np.ceil(frames[-1] - 1e-3)))

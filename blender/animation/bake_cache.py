@@ -1,4 +1,4 @@
-"""Exact bakes: the positions of all vertices in a file that the Mesh Cache modifier plays, or as Alembic for others."""
+"""Bakes of all vertices to a point cache, which the Mesh Cache modifier plays, and to Alembic for other programs."""
 
 from __future__ import annotations
 
@@ -21,18 +21,27 @@ from ..meshes import read_vertices
 
 MODIFIER = "Facemime Cache"
 _ALEMBIC_BYTES = 24
-"""Of a vertex in a frame at most: its place, and its normal."""
+"""Maximum size of a vertex in a frame: its position and normal."""
 
 
 def bake_cache(obj: bpy.types.Object, motion: HeadMotion, frames: NDArray[np.floating], path: Path) -> None:
-    """Write every whole frame of `motion`, whose own frames are at `frames` (N,), to `path`, and let `obj` play it.
+    """Write every whole frame of a motion to a point cache, and add a Mesh Cache modifier that plays it.
 
-    The modifier is the first, so that those of the user go on from it; shape keys do nothing under it.
+    The modifier is the first in the stack, so that the user's modifiers act on its result; it overrides shape keys.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    motion : HeadMotion
+    frames : (N,) array
+        Frames of the motion in the scene, which may be fractional.
+    path : Path
+        File to write.
 
     Raises
     ------
     OutputError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     rest = read_vertices(obj.data)
     first, last = int(np.floor(frames[0] + 1e-3)), int(np.ceil(frames[-1] - 1e-3))
@@ -51,14 +60,14 @@ def bake_cache(obj: bpy.types.Object, motion: HeadMotion, frames: NDArray[np.flo
 
 
 def remove_cache(obj: bpy.types.Object) -> None:
-    """Let `obj` play no cache of ours any longer; the file stays."""
+    """Remove the cache modifier of `obj`; the file is kept."""
     if (modifier := obj.modifiers.get(MODIFIER)) is not None:
         obj.modifiers.remove(modifier)
 
 
 @contextlib.contextmanager
 def caches_beside(path: Path) -> Iterator[None]:
-    """While a copy of the file is saved at `path`, name the caches in its folder by where they lie from there."""
+    """Make the paths of caches in the folder of `path` relative while a copy of the file is saved there."""
     modifiers = [
         modifier
         for obj in bpy.data.objects
@@ -76,19 +85,27 @@ def caches_beside(path: Path) -> Iterator[None]:
 
 
 def export_alembic(scene: bpy.types.Scene, obj: bpy.types.Object, path: Path) -> None:
-    """Write `obj` and its children over the frames of `scene` as Alembic.
+    """Export a head with its children as Alembic.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Its frame range is exported.
+    obj : bpy.types.Object
+    path : Path
+        File to write.
 
     Raises
     ------
     OutputError
-        Where this Blender has no Alembic, or the file cannot be written.
+        If this Blender does not support Alembic, or the file cannot be written.
     """
     if not getattr(bpy.app.build_options, "alembic", False):
-        raise OutputError("This Blender was built without Alembic. Bake to a cache.")
+        raise OutputError("This Blender was built without Alembic. Bake to a mesh cache instead.")
     vertices = sum(len(part.data.vertices) for part in (obj, *obj.children) if part.type == "MESH")
     needed = _ALEMBIC_BYTES * vertices * (scene.frame_end - scene.frame_start + 1)
-    if shutil.disk_usage(path.parent).free < needed:  # Blender would not fail in the middle but end
-        raise OutputError(f"Cannot write {path}: it takes up to {needed / 1e6:.0f} MB. Free some space.")
+    if shutil.disk_usage(path.parent).free < needed:  # Blender crashes when the disk is full
+        raise OutputError(f"Cannot write {path}: up to {needed / 1e6:.0f} MB are needed. Free some disk space.")
     with replacing(path) as temporary, _only_selected([obj, *obj.children]):
         try:
             with quiet():
@@ -101,9 +118,9 @@ def export_alembic(scene: bpy.types.Scene, obj: bpy.types.Object, path: Path) ->
                     as_background_job=False,
                 )
         except RuntimeError as error:
-            raise OutputError(f"Blender could not write {path} ({error}). Choose another place.") from error
+            raise OutputError(f"Blender could not write {path} ({error}). Choose another location.") from error
         if temporary.stat().st_size == 0:
-            raise OutputError(f"Blender could not write {path}. Free some space, or choose another place.")
+            raise OutputError(f"Blender could not write {path}. Free some disk space, or choose another location.")
 
 
 @contextlib.contextmanager

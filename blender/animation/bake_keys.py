@@ -1,4 +1,4 @@
-"""Shape keys of a bake: new ones from a basis, or values for those that the mesh has already."""
+"""Bakes to shape keys: new ones from a motion basis, or values of existing ones."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ BAKED_KEY_PREFIX = "Facemime "
 
 @dataclass(frozen=True)
 class MeshKeys:
-    """Shape keys that a mesh has.
+    """Existing shape keys of a mesh.
 
     Attributes
     ----------
     names : (K,) tuple of str
     offsets : (K, V, 3) float32
-        Displacements at value 1, weighed by the keys' vertex groups: head frame, the mesh's unit.
+        Displacements at value 1, multiplied by the weights of the keys' vertex groups; head frame, the mesh's unit.
     lower, upper : (K,) float64
-        Ranges of their sliders.
+        Range Min and Range Max of the keys.
     """
 
     names: tuple[str, ...]
@@ -37,17 +37,17 @@ class MeshKeys:
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """Of each key by its name."""
+        """Range of each key, by name."""
         return {name: (low, high) for name, low, high in zip(self.names, self.lower, self.upper, strict=True)}
 
     def chosen(self, names: Sequence[str]) -> MeshKeys:
-        """Those of `names` alone, in that order."""
+        """Return only the keys in `names`, in that order."""
         rows = [self.names.index(name) for name in names]
         return MeshKeys(tuple(names), self.offsets[rows], self.lower[rows], self.upper[rows])
 
 
 def key_names(obj: bpy.types.Object) -> list[str]:
-    """The shape keys of `obj` that are the user's: neither the basis nor ours."""
+    """Return the names of the user's shape keys of `obj`: neither the Basis nor those that Facemime made."""
     keys = obj.data.shape_keys
     if keys is None:
         return []
@@ -59,18 +59,18 @@ def key_names(obj: bpy.types.Object) -> list[str]:
 
 
 def read_keys(obj: bpy.types.Object) -> MeshKeys:
-    """The user's shape keys of `obj` that are not muted.
+    """Read the user's shape keys of `obj` that are not muted.
 
     Raises
     ------
     HeadError
-        Where there are none, or they are absolute.
+        If there are none, or they are absolute.
     """
     keys = obj.data.shape_keys
     names = [name for name in key_names(obj) if not keys.key_blocks[name].mute]
     if not names:
         raise HeadError(
-            f"{obj.name} has no shape keys of its own. Bake to new keys, or add the built-in head with Face Units."
+            f"{obj.name} has no shape keys. Bake to new shape keys, or add the built-in head with Face Units."
         )
     require_relative(obj)
     blocks = [keys.key_blocks[name] for name in names]
@@ -84,21 +84,34 @@ def read_keys(obj: bpy.types.Object) -> MeshKeys:
 
 
 def require_relative(obj: bpy.types.Object) -> None:
-    """Raise HeadError where the shape keys of `obj` are absolute: none has a value then."""
+    """Raise HeadError if the shape keys of `obj` are absolute and therefore have no values."""
     keys = obj.data.shape_keys
     if keys is not None and not keys.use_relative:
-        raise HeadError(f"The shape keys of {obj.name} are absolute. Switch Relative on, or bake to a cache.")
+        raise HeadError(f"The shape keys of {obj.name} are absolute. Enable Relative, or bake to a cache.")
 
 
 def value_path(name: str) -> str:
-    """The data path of the value of the shape key `name`."""
+    """Return the data path of the value of the shape key `name`."""
     return f'key_blocks["{bpy.utils.escape_identifier(name)}"].value'
 
 
 def bake_new_keys(
     obj: bpy.types.Object, basis: MotionBasis, frames: NDArray[np.floating], *, clean: float = 0.0, nla: bool = False
 ) -> None:
-    """Animate `obj` by new shape keys, those of `basis`; `clean` as for `bake_values`."""
+    """Add shape keys to a head and animate them.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    basis : MotionBasis
+        Displacements of the keys, and their values.
+    frames : (N,) array
+        Frames of the keyframes.
+    clean : float
+        As for `bake_values`.
+    nla : bool
+        Whether to use an NLA track.
+    """
     if obj.data.shape_keys is None:
         obj.shape_key_add(name="Basis", from_mix=False)
     rest = _points(obj.data.shape_keys.reference_key)
@@ -121,12 +134,21 @@ def bake_values(
     clean: float = 0.0,
     nla: bool = False,
 ) -> None:
-    """Animate shape keys of `obj` by `values`, (N,) each, whose displacements at value 1 are `offsets`, (K, V, 3).
+    """Animate existing shape keys of a head.
 
     Parameters
     ----------
+    obj : bpy.types.Object
+    values : mapping
+        Values of each key by its name, (N,).
+    frames : (N,) array
+        Frames of the keyframes.
+    offsets : (K, V, 3) array
+        Displacements of the keys at value 1.
     clean : float
-        How far a vertex may end from where all keys would put it, the mesh's unit; 0 leaves no key out.
+        Error of a vertex allowed when removing keyframes, the mesh's unit; 0 keeps all keyframes.
+    nla : bool
+        Whether to use an NLA track.
     """
     peaks = np.sqrt(np.square(offsets).sum(axis=2).max(axis=1, initial=0.0))
     curves = []
@@ -138,7 +160,7 @@ def bake_values(
 
 
 def remove_baked_keys(obj: bpy.types.Object) -> None:
-    """Remove the shape keys that an earlier bake made, and its curves; keys that it moved are at 0 again."""
+    """Remove the shape keys and curves of an earlier bake; existing keys that it animated return to 0."""
     keys = obj.data.shape_keys
     if keys is None:
         return
@@ -152,7 +174,7 @@ def remove_baked_keys(obj: bpy.types.Object) -> None:
 
 
 def _weights(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> NDArray[np.float32]:
-    """(V, 1) how much of `key` each vertex takes: its weight in the key's vertex group, where there is one."""
+    """Return (V, 1) weights of the vertices in the vertex group of `key`; 1 if it has none."""
     group = obj.vertex_groups.get(key.vertex_group)
     if group is None:
         return np.ones((len(key.points), 1), dtype=np.float32)
@@ -165,7 +187,7 @@ def _weights(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> NDArray[np.float
 
 
 def _points(key: bpy.types.ShapeKey) -> NDArray[np.float32]:
-    """(V, 3) positions of a key, Blender's axes."""
+    """Return (V, 3) positions of a key in Blender's axes."""
     flat = np.empty(3 * len(key.points), dtype=np.float32)
     key.points.foreach_get("co", flat)
     return flat.reshape(-1, 3)

@@ -1,7 +1,7 @@
-"""A head in the scene while it is puppeted: shown by one shape key, and put back as it was.
+"""Heads during a session: displayed by one shape key, and restored at the end.
 
-The rest shape lies in the basis key and is never written, so that whatever happens to a session (a crash, an undo, a
-file saved in the middle) the mesh itself is safe.
+The rest shape is in the Basis and is never written, so that the mesh itself is safe whatever happens to the session (a
+crash, an undo, a file saved in the middle).
 """
 
 from __future__ import annotations
@@ -28,14 +28,13 @@ from .targets import PoseTarget
 
 LIVE_KEY = "Facemime Live"
 _HAD_KEYS, _MADE_KEYS = 1, 2
-_TARGET_NAMES = {"head": "object or bone that takes the head's pose"} | {
-    eye: f"object or bone that takes the gaze of the {eye.removeprefix('eye_')} eye" for eye in sorted(EYE_PARTS)
-}
+_TARGET_LABELS = {"head": "Pose Object", "eye_left": "Left Eye", "eye_right": "Right Eye"}
+"""Labels of the fields in which targets are chosen."""
 
 
 @dataclass
 class Follow:
-    """What of a performance the scene's objects follow: the head's `rotation` and `translation`."""
+    """Whether a head follows the performer's rotation and translation."""
 
     rotation: bool = True
     translation: bool = False
@@ -43,14 +42,20 @@ class Follow:
 
 @dataclass(eq=False)
 class LiveHeadObject:
-    """One head that follows a performance.
+    """A head that displays a performance.
 
     Parameters
     ----------
     obj : bpy.types.Object
         A mesh that can be driven.
     targets : mapping
-        "head" and, where others than its own eyeballs take the gaze, "eye_left" and "eye_right".
+        "head", and optionally "eye_left" and "eye_right", which replace the eyes of `obj`.
+    follow : Follow, optional
+
+    Raises
+    ------
+    HeadError
+        If the object is not a mesh, is linked, or has absolute shape keys.
     """
 
     obj: bpy.types.Object
@@ -77,7 +82,7 @@ class LiveHeadObject:
 
     @property
     def vertices(self) -> int:
-        """How many vertices the mesh had when this began."""
+        """Vertex count at the start of the session."""
         return self._count
 
     @property
@@ -86,7 +91,7 @@ class LiveHeadObject:
         return not exists(self.obj)
 
     def attach(self) -> None:
-        """Make the live key, and mute what an earlier bake left to move the same things; nothing if the head is gone.
+        """Add the live shape key, and mute an earlier bake of the head; does nothing if the head was deleted.
 
         Raises
         ------
@@ -103,19 +108,19 @@ class LiveHeadObject:
             self._mesh[LIVE_PROPERTY] = _MADE_KEYS
         elif LIVE_PROPERTY not in self._mesh:
             self._mesh[LIVE_PROPERTY] = _HAD_KEYS
-        self._key().value = 1.0  # what Edit mode brings back of one that was removed is at 0
+        self._key().value = 1.0  # Edit Mode restores a key that was removed, with value 0
         self._muted = []
         targets = [target.obj for target in self.targets.values() if target.exists]
         for owner in dict.fromkeys([self.obj, *(child for child, _ in self._living_parts()), *targets]):
             self._muted += mute_curves(owner, "delta_") + mute_bake(owner)
         keys = self._mesh.shape_keys
         baked = baked_paths(keys)
-        ours = [
+        names = [
             key.name
             for key in keys.key_blocks
             if key.name != LIVE_KEY and (key.name.startswith(BAKED_KEY_PREFIX) or value_path(key.name) in baked)
         ]
-        self._muted += Muted.all_of([partial(_find_key, keys, name) for name in ours])
+        self._muted += Muted.all_of([partial(_find_key, keys, name) for name in names])
         self._pinned, self.obj.show_only_shape_key = self.obj.show_only_shape_key, False
         if (cache := self.obj.modifiers.get(MODIFIER)) is not None:
             self._cache_played = (cache.show_viewport, cache.show_render)
@@ -123,17 +128,19 @@ class LiveHeadObject:
         self._shown = True
 
     def write(self, frame: HeadFrame, flat: NDArray[np.float32] | None = None) -> None:
-        """Show `frame`; what is being edited in Edit mode is left alone, and so are parts that were deleted.
+        """Display a frame; does nothing in Edit Mode, and skips parts that were deleted.
 
         Parameters
         ----------
+        frame : HeadFrame
         flat : (3 V,) float32, optional
-            `as_keys_take_it(frame)`, where it was made beforehand.
+            `flatten_for_keys(frame)`, if it is already computed.
 
         Raises
         ------
         HeadError
-            If the mesh was changed so that it can no longer be driven, or an object or bone chosen under Pose is gone.
+            If the mesh was changed so that it can no longer be driven, or an object or bone that takes the pose was
+            deleted.
         """
         if self.obj.mode == "EDIT":
             return
@@ -142,11 +149,12 @@ class LiveHeadObject:
             raise _changed(self._name)
         for name, target in self.targets.items():
             if not target.exists:
+                label = _TARGET_LABELS[name]
                 raise HeadError(
-                    f"The {_TARGET_NAMES[name]} was deleted. Choose another one under Pose, or clear that field; then "
-                    "start again."
+                    f"The object or bone chosen as {label} was deleted. Choose another one in Puppet > "
+                    "Head and Eyes, or clear that field, and start again."
                 )
-        self._key().points.foreach_set("co", as_keys_take_it(frame) if flat is None else flat)
+        self._key().points.foreach_set("co", flatten_for_keys(frame) if flat is None else flat)
         self._mesh.update_tag()
         self.targets["head"].apply(
             frame.rotation if self.follow.rotation else None, frame.translation if self.follow.translation else None
@@ -159,19 +167,19 @@ class LiveHeadObject:
                 self.targets[eye].apply(frame.gaze, None)
 
     def detach(self, *, keep: bool, blocks: bool = True) -> bool:
-        """End the showing.
+        """Stop displaying frames.
 
         Parameters
         ----------
         keep : bool
-            Leave the head as it is, with the live key; otherwise all that is still there is put back.
+            Whether to keep the pose and the live shape key; otherwise everything that still exists is restored.
         blocks : bool
-            Whether data-blocks may be removed; not between two undo steps (`blender.undo`).
+            Whether data-blocks may be removed; not allowed between two undo steps (`blender.undo`).
 
         Returns
         -------
         bool
-            Whether one was, so that an undo step is due.
+            Whether a data-block was removed, so that an undo step must be pushed.
         """
         if not self._shown:
             return False
@@ -187,7 +195,7 @@ class LiveHeadObject:
             return False
         removed = False
         if exists(self._mesh):
-            # What nobody uses is not saved, and one undo step brings a deleted head back.
+            # A mesh without users is not saved, and a single undo step restores a deleted head.
             deleted = self.gone and not self._mesh.users
             removed = clear_live(self._mesh, self.obj, self._rest, blocks=blocks and not deleted)
         if not self.gone and self.obj.data == self._mesh:
@@ -206,7 +214,7 @@ class LiveHeadObject:
         return [(child, kind) for child, kind in self._parts if exists(child)]
 
     def _key(self) -> bpy.types.ShapeKey:
-        """The live key, made again if it alone was deleted."""
+        """Return the live shape key, which is added again if the user deleted it."""
         key = self._mesh.shape_keys.key_blocks.get(LIVE_KEY)
         if key is None:
             key = self.obj.shape_key_add(name=LIVE_KEY, from_mix=False)
@@ -221,21 +229,22 @@ def clear_live(
     *,
     blocks: bool = True,
 ) -> bool:
-    """Take out of `mesh` what a live session shows in it, even one that ended long ago with a crash.
+    """Remove what a live session displays in a mesh, even one that ended earlier in a crash.
 
     Parameters
     ----------
-    obj : optional
-        One with that mesh, where one is known.
-    rest : (V, 3), optional
-        Where the vertices belong if the basis was deleted and the live key has become it.
+    mesh : bpy.types.Mesh
+    obj : bpy.types.Object, optional
+        An object with that mesh, if known.
+    rest : (V, 3) float32, optional
+        Vertices at rest in the head frame, used if the Basis was deleted so that the live key has become it.
     blocks : bool
         As for `LiveHeadObject.detach`.
 
     Returns
     -------
     bool
-        Whether shape keys that were made for the session are gone, which is a data-block.
+        Whether the data-block of shape keys that was created for the session was removed.
     """
     keys, made = mesh.shape_keys, mesh.get(LIVE_PROPERTY) == _MADE_KEYS
     lost = _basis_lost(mesh) and rest is not None
@@ -254,42 +263,50 @@ def clear_live(
 
 
 def clear_all_live(*, blocks: bool) -> bool:
-    """Take out of all meshes what a session showed that no longer runs: in a file that was opened, or a step undone.
+    """Remove from all meshes what a session that has ended displayed, after a file was loaded or a step undone.
 
-    Returns whether a data-block is gone, as `clear_live`.
+    Parameters
+    ----------
+    blocks : bool
+        As for `LiveHeadObject.detach`.
+
+    Returns
+    -------
+    bool
+        Whether a data-block was removed, as for `clear_live`.
     """
-    left = [mesh for mesh in bpy.data.meshes if LIVE_PROPERTY in mesh and mesh.library is None]
-    gone = [clear_live(mesh, blocks=blocks) for mesh in left]
-    return any(gone)
+    meshes = [mesh for mesh in bpy.data.meshes if LIVE_PROPERTY in mesh and mesh.library is None]
+    removed = [clear_live(mesh, blocks=blocks) for mesh in meshes]
+    return any(removed)
 
 
 def require_one_left(heads: Sequence[LiveHeadObject]) -> None:
     """Raise HeadError if all of `heads` were deleted."""
     if all(shown.gone for shown in heads):
-        raise HeadError("The head was deleted. Add or select another one, and start again.")
+        raise HeadError("The head was deleted. Add or select another one, and restart the puppet.")
 
 
-def as_keys_take_it(frame: HeadFrame) -> NDArray[np.float32]:
-    """(3 V,) float32 of a frame's vertices, as the points of a shape key are set; touches nothing of Blender.
+def flatten_for_keys(frame: HeadFrame) -> NDArray[np.float32]:
+    """Return the vertices of a frame as the (3 V,) float32 array that sets the points of a shape key.
 
-    Made by the thread that drives: OpenCV lets other threads run meanwhile, for which the main thread would wait.
+    It does not touch Blender's data, and runs in the worker's thread to keep the main thread free.
     """
     return flat_in_blender(frame.vertices)
 
 
 def _basis_lost(mesh: bpy.types.Mesh) -> bool:
-    """Whether the basis was deleted: Blender makes the next key the basis then, and that may be the live one."""
+    """Return whether the Basis was deleted, so that the live key has become the reference key."""
     keys = mesh.shape_keys
     return keys is not None and keys.reference_key.name == LIVE_KEY
 
 
 def _find_key(keys: bpy.types.Key, name: str) -> bpy.types.ShapeKey | None:
-    """The key of that name. Not a bound `keys.key_blocks.get`: Blender invalidates data-blocks, but no collections."""
+    """Return the key of that name. A bound `keys.key_blocks.get` would not notice that the data-block was deleted."""
     return keys.key_blocks.get(name)
 
 
 def _remove(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> None:
-    """Remove `key`, whatever mode `obj` is in, and leave the active key where it was."""
+    """Remove `key` in any mode of `obj`, keeping the active key."""
     active = obj.active_shape_key
     name = None if active is None or active == key else active.name
     obj.shape_key_remove(key)
@@ -299,7 +316,7 @@ def _remove(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> None:
 
 @contextlib.contextmanager
 def _object_of(mesh: bpy.types.Mesh, obj: bpy.types.Object | None) -> Iterator[bpy.types.Object]:
-    """An object with `mesh`, through which alone its shape keys can be removed: `obj`, or one made for the moment."""
+    """Yield an object with `mesh`, without which its shape keys cannot be removed: `obj`, or a temporary one."""
     if obj is not None and exists(obj) and obj.data == mesh:
         yield obj
         return
@@ -311,7 +328,9 @@ def _object_of(mesh: bpy.types.Mesh, obj: bpy.types.Object | None) -> Iterator[b
 
 
 def _changed(name: str) -> HeadError:
-    return HeadError(f"The mesh of {name} has changed. Undo that change, or bind the landmarks again, and start again.")
+    return HeadError(
+        f"The mesh of {name} has changed. Undo that change, or bind the landmarks again; then restart the puppet."
+    )
 
 
 def _kind(child: bpy.types.Object) -> str:

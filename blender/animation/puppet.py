@@ -1,4 +1,4 @@
-"""A take onto a head: the one function behind the operator and the command."""
+"""Bake of a take to heads, for operators and the command line."""
 
 from __future__ import annotations
 
@@ -30,45 +30,64 @@ from .bake_keys import MeshKeys, bake_new_keys, bake_values, key_names, read_key
 from .targets import PoseTarget
 
 TOLERANCE = 0.009
-_BY_DEFAULT = PuppetSettings()
+"""Error allowed of a basis of new shape keys, in eye distances."""
+_DEFAULTS = PuppetSettings()
 
 
 @dataclass(frozen=True)
 class PuppetReport:
-    """What a bake did: `keys` shape keys, `worst_error` as a fraction of the outer-eye distance, and the motion."""
+    """Result of a bake.
+
+    Attributes
+    ----------
+    keys : int
+        Number of shape keys; 0 for a cache.
+    worst_error : float
+        Largest error of a vertex in a frame, in outer-eye distances.
+    neutral : Neutral
+    motion : HeadMotion
+    """
 
     keys: int
     worst_error: float
     neutral: Neutral
     motion: HeadMotion
 
-    def told(self) -> str:
-        """In words."""
+    def summary(self) -> str:
+        """Return the number of shape keys and the error as text."""
         if not self.keys:
             return "every vertex exactly"
-        return f"{self.keys} shape keys, worst vertex error {100 * self.worst_error:.2f} % of the eye distance"
+        return f"{self.keys} shape keys, largest vertex error {100 * self.worst_error:.2f} % of the eye distance"
 
 
 def puppet_head(
     scene: bpy.types.Scene,
     obj: bpy.types.Object,
     take: Take,
-    settings: PuppetSettings = _BY_DEFAULT,
+    settings: PuppetSettings = _DEFAULTS,
     targets: Targets | None = None,
 ) -> PuppetReport:
-    """Drive `obj` by `take` and bake the result to keys or a cache and curves, in step with the media's clock.
+    """Drive a head by a take and bake the motion, in sync with the take's time.
 
     Parameters
     ----------
+    scene : bpy.types.Scene
+    obj : bpy.types.Object
+        The head.
+    take : Take
+    settings : PuppetSettings, optional
     targets : mapping, optional
-        What takes the head's pose instead of `obj`, "head", and the eyes' instead of its own, "eye_left" and
-        "eye_right".
+        Objects or bones that take the pose: "head" instead of `obj`, "eye_left" and "eye_right" instead of its eyes.
+
+    Returns
+    -------
+    PuppetReport
 
     Raises
     ------
     FacemimeError
-        Where the mesh cannot be driven, the take holds no face, or what is asked for cannot take the bake. Nothing of
-        the scene has changed then.
+        If the mesh cannot be driven, the take contains no face, or the bake is not possible. The scene is not changed
+        in that case.
     """
     mesh_of(obj)
     bake, targets = settings.bake, targets or {"head": PoseTarget.of(obj)}
@@ -97,22 +116,29 @@ def puppet_heads(
     scene: bpy.types.Scene,
     objects: Sequence[bpy.types.Object],
     take: Take,
-    settings: PuppetSettings = _BY_DEFAULT,
+    settings: PuppetSettings = _DEFAULTS,
     targets: Targets | None = None,
 ) -> list[PuppetReport]:
-    """Drive many heads by one take, each with its own landmarks, regions and pose.
-
-    Each has a cache named after it, where one is asked for.
+    """Drive several heads by one take, each with its own landmarks, regions and pose.
 
     Parameters
     ----------
+    scene : bpy.types.Scene
+    objects : sequence of bpy.types.Object
+        The heads; the file of a cache is named after each.
+    take : Take
+    settings : PuppetSettings, optional
     targets : mapping, optional
-        Of the first one, as for `puppet_head`.
+        Of the first head, as for `puppet_head`.
+
+    Returns
+    -------
+    list of PuppetReport
 
     Raises
     ------
     FacemimeError
-        As `puppet_head`; where one of them cannot be driven or take a bake, none has changed.
+        As `puppet_head`; if one head cannot be baked to, none is changed.
     """
     check_heads(objects, settings.bake, targets)
     return [
@@ -122,21 +148,34 @@ def puppet_heads(
 
 
 def check_heads(objects: Sequence[bpy.types.Object], bake: BakeSettings, targets: Targets | None = None) -> None:
-    """Raise HeadError where one of `objects` cannot be driven or take the bake; `targets` as for `puppet_heads`."""
+    """Check that heads can be driven and baked to; nothing is changed.
+
+    Parameters
+    ----------
+    objects : sequence of bpy.types.Object
+    bake : BakeSettings
+    targets : mapping, optional
+        As for `puppet_heads`.
+
+    Raises
+    ------
+    HeadError
+        If one of them cannot.
+    """
     for number, obj in enumerate(objects):
         mesh_of(obj)
         _checked_rig(obj, {"head": PoseTarget.of(obj)} if number or targets is None else targets, bake)
 
 
 def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) -> HeadRig:
-    """The rig of a mesh that can be driven and take the bake; HeadError where it cannot."""
+    """Return the rig of a head; raises HeadError if it cannot be driven or baked to."""
     check_bakeable(obj, targets, new_keys=bake.keys == "new", old_keys=bake.keys in ("named", "mapped"))
     return read_rig(obj)
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """What is to be written: so many `keys`, an `error` in the mesh's unit, and what writes them."""
+    """A bake that was computed but not written yet: number of keys, error in the mesh's unit, and its writer."""
 
     keys: int
     error: float
@@ -170,28 +209,45 @@ def _mapped(
     keys = read_keys(obj)
     values = table_for(obj, bake.table).apply(coefficients, keys.ranges)
     if not values:
-        raise HeadError(f"The shape keys of {obj.name} that the table moves are muted. Unmute them, or bake to others.")
+        raise HeadError(
+            f"All shape keys of {obj.name} in the key table are muted. Unmute them, or bake to something else."
+        )
     keys = keys.chosen(list(values))
     error, _ = mix_errors(motion.vertices, keys.offsets, np.column_stack(list(values.values())))
     return _values_plan(obj, keys, values, error, frames, unit, bake)
 
 
 def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
-    """`table`, or the best preset, with the names of the keys that `obj` has.
+    """Match a key table with the shape keys of a head.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    table : KeyMap, optional
+        By default the preset that fits best.
+
+    Returns
+    -------
+    KeyMap
+        The table with the names of the keys as `obj` has them.
 
     Raises
     ------
     HeadError
-        Where it moves none of them.
+        If it matches none of them.
     """
     names = key_names(obj)
     if table is None and (preset := best_preset(names)) is not None:
         return preset
-    if table is None or not (matched := table.matched(names)).rows:
-        told = "No table that ships" if table is None else f"The table {table.name} does not"
+    if table is None:
         raise HeadError(
-            f"{told} {'knows' if table is None else 'know'} the shape keys of {obj.name}. "
-            "Give a table of your own, or bake to named or new keys."
+            f"No preset of a key table matches the shape keys of {obj.name}. "
+            "Use a table of your own, or bake to new or existing shape keys without a table."
+        )
+    if not (matched := table.matched(names)).rows:
+        raise HeadError(
+            f"The key table {table.name} matches none of the shape keys of {obj.name}. "
+            "Use another table, or bake to new or existing shape keys without a table."
         )
     return matched
 
@@ -212,7 +268,7 @@ def _values_plan(
 
 def _cache(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:
     if bake.path is None:
-        raise OutputError("A cache needs a file. Give it a path.")
+        raise OutputError("The cache has no file name. Give it a path.")
     path = bake.path.with_suffix(SUFFIX)
     return _Plan(0, 0.0, lambda: bake_cache(obj, motion, frames, path))
 

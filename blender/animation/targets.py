@@ -1,6 +1,6 @@
-"""What takes a pose: an object by its delta transform, or a bone of an armature. Live and baked alike.
+"""Targets of a pose, live and baked: an object, by its delta transform, or a bone of an armature.
 
-An object's delta transform is free for us: where an artist places and turns it remains theirs.
+The delta transform leaves the location and rotation of the object to the artist.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ FloatArray = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class PoseTarget:
-    """An object, or one bone of an armature.
+    """An object, or a bone of an armature.
 
     Attributes
     ----------
     obj : bpy.types.Object
     bone : str
-        "" for the object itself.
+        Name of the bone; "" for the object itself.
     """
 
     obj: bpy.types.Object
@@ -36,44 +36,65 @@ class PoseTarget:
 
     @classmethod
     def of(cls, obj: bpy.types.Object, bone: str = "") -> PoseTarget:
-        """`obj` or its `bone`; HeadError where there is no such bone, or no bone is named of an armature."""
+        """Return the target for an object.
+
+        Parameters
+        ----------
+        obj : bpy.types.Object
+        bone : str
+            Required for an armature, ignored for other objects.
+
+        Raises
+        ------
+        HeadError
+            If an armature does not have that bone.
+        """
+        if obj.type == "ARMATURE" and not bone:
+            raise HeadError(f"No bone of the armature {obj.name} is selected. Choose the bone that takes the pose.")
         if obj.type == "ARMATURE" and bone not in obj.pose.bones:
-            named = f"no bone {bone}" if bone else "bones; name the one that takes the pose"
-            raise HeadError(f"The armature {obj.name} has {named}. Choose a bone of it.")
+            raise HeadError(f"The armature {obj.name} has no bone {bone}. Choose one of its bones.")
         return cls(obj, bone if obj.type == "ARMATURE" else "")
 
     @property
     def exists(self) -> bool:
-        """Whether the object, and its bone, are still there."""
+        """Whether the object and its bone still exist."""
         return exists(self.obj) and (not self.bone or (self.obj.pose is not None and self.bone in self.obj.pose.bones))
 
     @property
     def owner(self) -> bpy.types.Object | bpy.types.PoseBone:
-        """What carries the rotation."""
+        """The object or pose bone that is rotated."""
         return self.obj.pose.bones[self.bone] if self.bone else self.obj
 
     @property
     def prefix(self) -> str:
-        """What comes before "rotation" and "location" in the attributes that are ours."""
+        """Prefix of the attributes for rotation and location."""
         return "" if self.bone else "delta_"
 
     @property
     def path(self) -> str:
-        """What comes before these attributes in an RNA path of the object."""
+        """Prefix of these attributes in an RNA path of the object."""
         return f'pose.bones["{bpy.utils.escape_identifier(self.bone)}"].' if self.bone else ""
 
     def turned(self, rotation: FloatArray) -> FloatArray:
-        """(..., 3, 3) in the target's own channels, of rotations of the head frame."""
+        """Convert (..., 3, 3) rotations from the head frame to the target's channels."""
         axes = self._axes()
         return np.asarray(axes @ rotation_to_blender(rotation) @ axes.T)
 
     def moved(self, translation: FloatArray) -> FloatArray:
-        """(..., 3) in the target's own channels, of translations of the head frame in the unit of the head."""
+        """Convert (..., 3) translations from the head frame, in the unit of the head, to the target's channels."""
         scale = 1.0 if self.bone else np.abs(self.obj.scale)
         return np.asarray((to_blender(translation) * scale) @ self._axes().T)
 
     def apply(self, rotation: FloatArray | None, translation: FloatArray | None) -> None:
-        """Set one pose of the head frame; what is None stays."""
+        """Set the pose.
+
+        Parameters
+        ----------
+        rotation : (3, 3) array or None
+            Head frame; None leaves the rotation unchanged.
+        translation : (3,) array or None
+            Head frame, the unit of the head; None leaves the location unchanged.
+        """
         if rotation is not None:
             self._rotate(Matrix(self.turned(rotation).tolist()))
         if translation is not None:
@@ -81,12 +102,20 @@ class PoseTarget:
 
     @property
     def data_paths(self) -> list[str]:
-        """Whatever curves of the target may animate."""
+        """Data paths of all channels that a bake may animate."""
         channels = ("rotation_quaternion", "rotation_euler", "location")
         return [f"{self.path}{self.prefix}{channel}" for channel in channels]
 
     def rotation_curves(self, rotations: FloatArray, tolerance: float | None = None) -> list[Curve]:
-        """Curves for (N, 3, 3) rotations of the head frame, without jumps between equal attitudes."""
+        """Return curves of rotations, without jumps between equivalent angles.
+
+        Parameters
+        ----------
+        rotations : (N, 3, 3) array
+            Head frame.
+        tolerance : float, optional
+            As for `Curve`, radians.
+        """
         owner = self.owner
         if owner.rotation_mode == "AXIS_ANGLE":
             owner.rotation_mode = "XYZ"
@@ -103,16 +132,24 @@ class PoseTarget:
         return self._curves(channel, values, tolerance)
 
     def translation_curves(self, translations: FloatArray, tolerance: float | None = None) -> list[Curve]:
-        """Curves for (N, 3) translations of the head frame in the unit of the head."""
+        """Return curves of translations.
+
+        Parameters
+        ----------
+        translations : (N, 3) array
+            Head frame, the unit of the head.
+        tolerance : float, optional
+            As for `Curve`.
+        """
         return self._curves("location", self.moved(translations), tolerance)
 
     def rest(self) -> None:
-        """Take back what `apply` set."""
+        """Reset the pose that `apply` set."""
         self._rotate(Matrix.Identity(3))
         setattr(self.owner, f"{self.prefix}location", (0.0, 0.0, 0.0))
 
     def _axes(self) -> FloatArray:
-        """(3, 3) from Blender's axes of the head to those of the target's channels; mirrors where its scale does."""
+        """Return (3, 3) from the head's axes in Blender to those of the target's channels, with negative scales."""
         if self.bone:
             return np.array(self.obj.data.bones[self.bone].matrix_local.to_3x3()).T
         mirrored = np.where(np.array(self.obj.scale) < 0.0, -1.0, 1.0)
@@ -134,7 +171,7 @@ class PoseTarget:
 
 
 def own_rotation(obj: bpy.types.Object) -> Matrix:
-    """(3, 3) rotation of `obj` within its parent, without its delta rotation."""
+    """Return the (3, 3) rotation of `obj` relative to its parent, without its delta rotation."""
     if obj.rotation_mode == "QUATERNION":
         return obj.rotation_quaternion.normalized().to_matrix()
     if obj.rotation_mode == "AXIS_ANGLE":

@@ -1,1 +1,1 @@
-"""Heads as Blender has them: built, bound, cut and painted."""
+"""Heads in Blender: the built-in one, binding, cutting and painting."""

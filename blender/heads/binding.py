@@ -1,4 +1,4 @@
-"""A mesh of the user's own becomes a head: landmarks bound, regions proposed, both kept with the mesh."""
+"""Preparation of a mesh as a head: landmarks are bound and regions proposed, and both are stored with the mesh."""
 
 from __future__ import annotations
 
@@ -25,32 +25,33 @@ from ..meshes import (
 )
 from ..names import COUNT_PROPERTY, LANDMARKS_PROPERTY, MARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 
-_STRAIN = 0.04
-"""Eye distances by which a template is bent at most to fit a human head."""
+_HUMAN_STRAIN = 0.04
+"""Largest bending of the template that fits a human head, in eye distances."""
 _UPRIGHT = np.cos(np.radians(20.0))
-"""A mesh that looks away from -Y by more than that is turned; less is how the head is held."""
+"""Cosine of the angle to -Y above which a mesh is rotated; a smaller one is the pose of the head."""
 
 
 def bind_head(obj: bpy.types.Object | None) -> Binding:
-    """Find the landmarks of `obj` from the user's marks, or from none, and propose its regions.
+    """Find the landmarks of `obj`, with or without marked points, and propose its regions.
 
-    Without marks the face is looked for along the axes of the scene, first towards -Y and upright: importers turn the
-    object and leave the vertices lying. Then it is looked for along the object's own axes: it may stand turned by any
-    angle. Where the vertices are not upright, they are turned, and the object's transform back, so that nothing moves
+    Without marks the face is searched along the axes of the scene, first upright towards -Y, as importers rotate the
+    object rather than its vertices. Then it is searched along the object's own axes, as the object may be rotated by
+    any angle. If the vertices are not upright, they are rotated, and the object is rotated back, so that nothing moves
     in the scene.
 
     Raises
     ------
     HeadError
-        Where no face is found, or a mesh that several objects share would have to be turned.
+        If no face is found, or a mesh that several objects share would have to be rotated.
     """
     mesh = mesh_of(obj)
     marks = read_marks(mesh)
-    seen = HEAD_TO_BLENDER.T @ np.array(obj.matrix_world.to_quaternion().to_matrix()) @ HEAD_TO_BLENDER
+    scene_axes = HEAD_TO_BLENDER.T @ np.array(obj.matrix_world.to_quaternion().to_matrix()) @ HEAD_TO_BLENDER
     skin, faces = _skin(obj)
     number = {vertex: place for place, vertex in enumerate(skin.tolist())}
     marks = {landmark: number[vertex] for landmark, vertex in marks.items() if vertex in number}
-    axes = [seen] if marks or np.allclose(seen, np.eye(3), atol=1e-3) else [seen, np.eye(3)]
+    aligned = np.allclose(scene_axes, np.eye(3), atol=1e-3)
+    axes = [scene_axes] if marks or aligned else [scene_axes, np.eye(3)]
     binding, along = _bound(read_vertices(mesh)[skin], faces, marks, axes)
     upright = along if _is_small(binding.rotation) else binding.rotation @ along
     if not _is_small(upright):
@@ -63,21 +64,21 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
 
 
 def propose_head_regions(obj: bpy.types.Object) -> None:
-    """Fill the region groups of `obj`, whose landmarks are bound, with the proposed weights."""
+    """Replace the weights of the regions of `obj` by a proposal from its landmarks."""
     landmarks = read_landmarks(obj)
     write_regions(obj, propose_regions(read_vertices(obj.data), read_faces(obj.data), landmarks))
 
 
 def check_object(obj: bpy.types.Object | None) -> list[Finding]:
-    """What would keep `obj` from being driven well; HeadError where landmarks or regions are not there at all."""
+    """Check `obj` for problems; raises HeadError if it has no landmarks or regions."""
     mesh = mesh_of(obj)
     return check_head(read_vertices(mesh), read_faces(mesh), read_landmarks(obj), read_regions(obj))
 
 
-def what_is_missing(obj: bpy.types.Object) -> list[tuple[str, str]]:
-    """What the mesh `obj` lacks to be driven, in the order of mending: a sentence and the operator that mends it.
+def missing_parts(obj: bpy.types.Object) -> list[tuple[str, str]]:
+    """Return what the mesh `obj` lacks to be driven: a sentence, and the operator that adds it.
 
-    A look at names alone, cheap enough for a panel's every drawing; `check_object` looks at the mesh itself.
+    Only names are examined, which is fast enough for drawing a panel; `check_object` examines the mesh itself.
     """
     mesh = obj.data
     if LANDMARKS_PROPERTY not in mesh:
@@ -85,14 +86,14 @@ def what_is_missing(obj: bpy.types.Object) -> list[tuple[str, str]]:
     if (bound_at := stored_integers(mesh, COUNT_PROPERTY)) is not None and not np.array_equal(
         bound_at, len(mesh.vertices)
     ):
-        return [("The mesh was edited since its landmarks were bound", "facemime.bind_landmarks")]
+        return [("The vertex count has changed since the landmarks were bound", "facemime.bind_landmarks")]
     if any(name not in obj.vertex_groups for name in REGION_GROUPS):
-        return [("The face's regions are missing", "facemime.propose_regions")]
+        return [("This mesh has no regions yet", "facemime.propose_regions")]
     return []
 
 
 def read_marks(mesh: bpy.types.Mesh) -> dict[int, int]:
-    """The user's marks: iBUG number to vertex."""
+    """Return the marked points: iBUG number to vertex index."""
     flat = stored_integers(mesh, MARKS_PROPERTY)
     if flat is None or flat.ndim != 1 or len(flat) % 2:
         return {}
@@ -100,33 +101,54 @@ def read_marks(mesh: bpy.types.Mesh) -> dict[int, int]:
 
 
 def write_mark(mesh: bpy.types.Mesh, number: int, vertex: int) -> None:
-    """Keep that landmark `number` (iBUG) lies at `vertex`."""
+    """Mark `vertex` as the landmark with the iBUG number `number`.
+
+    Parameters
+    ----------
+    mesh : bpy.types.Mesh
+    number : int
+        iBUG number of the landmark.
+    vertex : int
+    """
     marks = read_marks(mesh) | {number: vertex}
     mesh[MARKS_PROPERTY] = [value for pair in marks.items() for value in pair]
 
 
 def clear_marks(mesh: bpy.types.Mesh) -> None:
-    """Forget all marks."""
+    """Remove all marked points."""
     if MARKS_PROPERTY in mesh:
         del mesh[MARKS_PROPERTY]
 
 
-def picked_vertex(obj: bpy.types.Object) -> int:
-    """The one vertex that is selected in Edit mode; HeadError where it is not one."""
+def selected_vertex(obj: bpy.types.Object) -> int:
+    """Return the single vertex selected in Edit Mode; raises HeadError unless exactly one is selected."""
     obj.update_from_editmode()
     selected = np.empty(len(obj.data.vertices), dtype=bool)
     obj.data.vertices.foreach_get("select", selected)
     if selected.sum() != 1:
-        raise HeadError(f"Select one vertex in Edit mode; {int(selected.sum())} are selected.")
+        raise HeadError(f"{int(selected.sum())} vertices are selected. Select a single one in Edit Mode.")
     return int(np.flatnonzero(selected)[0])
 
 
 def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
-    """Bind `landmark` (position in the 66) of `obj` to `vertex`; HeadError where another one lies there."""
+    """Bind a landmark to another vertex.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    landmark : int
+        Index in the 66 landmarks.
+    vertex : int
+
+    Raises
+    ------
+    HeadError
+        If another landmark is bound to that vertex.
+    """
     landmarks = read_landmarks(obj)
     taken = np.flatnonzero(landmarks == vertex)
     if len(taken) and taken[0] != landmark:
-        raise HeadError("Another landmark lies on that vertex. Pick a vertex of its own.")
+        raise HeadError("Another landmark is bound to this vertex. Select a different vertex.")
     landmarks[landmark] = vertex
     write_landmarks(obj.data, landmarks)
 
@@ -134,13 +156,13 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
 def _bound(
     vertices: NDArray[np.floating], faces: NDArray[np.intp], marks: dict[int, int], axes: list[NDArray[np.floating]]
 ) -> tuple[Binding, NDArray[np.floating]]:
-    """The landmarks, and along which of `axes`, rotations (3, 3), they were looked for: the first along which there is
-    a face, else those along which the template was bent least.
+    """Return the binding, and the one of `axes`, (3, 3) rotations, along which it was found: the first along which
+    there is a human face, or otherwise that along which the template was bent least.
 
     Raises
     ------
     HeadError
-        Where no face is found along any of them.
+        If no face is found along any of them.
     """
     found: list[tuple[Binding, NDArray[np.floating]]] = []
     failure: HeadError | None = None
@@ -151,7 +173,7 @@ def _bound(
             failure = error
             continue
         found.append((binding, rotation))
-        if binding.strain <= _STRAIN:
+        if binding.strain <= _HUMAN_STRAIN:
             break
     if not found:
         assert failure is not None
@@ -160,8 +182,8 @@ def _bound(
 
 
 def _skin(obj: bpy.types.Object) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The vertices (N,) of `obj` but for eyes that were cut out, whose border would pass for the lids', and the faces
-    (F, K) among them, in numbers of these.
+    """Return (N,) vertex indices of `obj` without eyes that were cut out, whose border could be mistaken for that of
+    the lids, and the (F, K) faces between them, as indices into these.
     """
     count = len(obj.data.vertices)
     skin = np.setdiff1d(np.arange(count), eye_vertices(obj))
@@ -178,7 +200,9 @@ def _is_small(rotation: NDArray[np.floating]) -> bool:
 
 def _turn(obj: bpy.types.Object, rotation: NDArray[np.floating]) -> None:
     if obj.data.users > 1:
-        raise HeadError(f"The mesh of {obj.name} must be turned to face -Y, but others use it. Make it single-user.")
+        raise HeadError(
+            f"The mesh of {obj.name} has to be rotated to face -Y, but other objects share it. Make it single-user."
+        )
     turn = Matrix(rotation.tolist()).to_4x4()
     obj.data.transform(turn, shape_keys=True)
     obj.matrix_world = obj.matrix_world @ turn.inverted()

@@ -1,4 +1,4 @@
-"""The built-in head as objects: one skin mesh with landmarks and regions, its parts as children."""
+"""The built-in head as objects: a skin mesh with landmarks and regions, and its parts as children."""
 
 from __future__ import annotations
 
@@ -14,10 +14,22 @@ from .materials import head_materials
 
 
 def add_head(context: bpy.types.Context, *, units: bool = False, name: str = "Facemime Head") -> bpy.types.Object:
-    """Add the built-in head at the origin, select it and make it active; with `units` its face units as shape keys.
+    """Add the built-in head at the origin, select it and make it active.
 
-    The skin is the returned object; eyeballs, teeth and tongue are its children. It faces -Y and stands along +Z,
-    metres, and its origin lies between the ears.
+    It faces -Y and stands upright along +Z, in metres; its origin is between the ears.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+    units : bool
+        Whether to add the 52 face units as shape keys.
+    name : str
+        Name of the object.
+
+    Returns
+    -------
+    bpy.types.Object
+        The skin; eyeballs, teeth and tongue are its children.
     """
     head = load_head()
     materials = head_materials()
@@ -45,7 +57,7 @@ def _mesh(
     uv: NDArray[np.float32],
     material: bpy.types.Material,
 ) -> bpy.types.Mesh:
-    """A smooth-shaded mesh of (V, 3) `vertices` in the head frame and (F, 4) `faces` padded with -1."""
+    """Create a smooth-shaded mesh from (V, 3) vertices in the head frame and (F, 4) faces padded with -1."""
     mesh = bpy.data.meshes.new(name)
     corner = faces >= 0
     counts = corner.sum(axis=1)
@@ -67,7 +79,7 @@ def _mesh(
 def _add_part(
     context: bpy.types.Context, parent: bpy.types.Object, part: HeadPart, material: bpy.types.Material
 ) -> bpy.types.Object:
-    """A child of `parent` whose origin is the part's pivot."""
+    """Add a child of `parent` whose origin is the part's pivot."""
     mesh = _mesh(PART_OBJECTS[part.name], part.vertices - part.pivot, part.faces, part.uv, material)
     obj = bpy.data.objects.new(PART_OBJECTS[part.name], mesh)
     obj[PART_PROPERTY] = part.name
@@ -80,9 +92,8 @@ def _add_part(
 def _add_units(
     obj: bpy.types.Object, rest: NDArray[np.float32], names: tuple[str, ...], units: NDArray[np.float32]
 ) -> None:
-    """Shape keys of all units for a part that any of them moves, at 0; from Blender 5 on a new key would start at 1.
-
-    Those that leave this part alone are there too: what drives ARKit's 52 keys looks each of them up by name.
+    """Add shape keys of all units to a part that any of them moves, including those that leave this part unchanged, as
+    programs that drive ARKit's 52 keys look each of them up by name.
     """
     if not units.any():
         return
@@ -91,4 +102,4 @@ def _add_units(
         key = obj.shape_key_add(name=name, from_mix=False)
         points = np.ascontiguousarray(to_blender(rest + offsets), dtype=np.float32)
         key.points.foreach_set("co", points.reshape(-1))
-        key.value = 0.0
+        key.value = 0.0  # since Blender 5.0 the default is 1

@@ -1,4 +1,4 @@
-"""A skin cut apart: what opening the lips and opening the eyes of a scan have in common."""
+"""Mesh operations shared by opening the lips and opening the eyes of a scan."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _TAG = "facemime_line"
 
 @contextmanager
 def edited(mesh: bpy.types.Mesh) -> Iterator[bmesh.types.BMesh]:
-    """A copy of `mesh` to work on, which is written back where no error is raised."""
+    """Yield a copy of `mesh` to edit, which is written back unless an error is raised."""
     work = bmesh.new()
     try:
         work.from_mesh(mesh)
-        # Layers come and go here: with one, references to vertices die.
+        # Adding or removing a layer invalidates references to vertices, so this is done only here.
         tag = work.verts.layers.int.new(_TAG)
         yield work
         work.verts.layers.int.remove(tag)
@@ -35,7 +35,8 @@ def edited(mesh: bpy.types.Mesh) -> Iterator[bmesh.types.BMesh]:
 
 
 def surface_of(work: bmesh.types.BMesh) -> tuple[FloatArray, IntArray]:
-    """Vertices (V, 3) in the head frame, and faces (F, K) padded with -1; by way of a mesh, which is quick to read."""
+    """Return (V, 3) vertices in the head frame and (F, K) faces padded with -1."""
+    # A mesh can be read much faster than a bmesh.
     mesh = bpy.data.meshes.new("Facemime Surface")
     try:
         work.to_mesh(mesh)
@@ -47,7 +48,21 @@ def surface_of(work: bmesh.types.BMesh) -> tuple[FloatArray, IntArray]:
 def split_along(
     work: bmesh.types.BMesh, line: list[bmesh.types.BMVert], *, closed: bool = False
 ) -> list[list[bmesh.types.BMVert]]:
-    """Cut along the edges between the vertices of `line`; the copies that there are of each of them then."""
+    """Split the edges along a line of vertices.
+
+    Parameters
+    ----------
+    work : bmesh.types.BMesh
+    line : list of bmesh.types.BMVert
+        Consecutive vertices are joined by edges.
+    closed : bool
+        Whether the last vertex is joined to the first.
+
+    Returns
+    -------
+    list of list of bmesh.types.BMVert
+        All copies of each vertex of the line.
+    """
     tag = work.verts.layers.int[_TAG]
     for place, vertex in enumerate(line, start=1):
         vertex[tag] = place
@@ -62,14 +77,30 @@ def split_along(
 
 
 def move(work: bmesh.types.BMesh, vertex: bmesh.types.BMVert, by: Vector) -> None:
-    """Move a vertex, in every shape key."""
+    """Move a vertex by an offset in every shape key.
+
+    Parameters
+    ----------
+    work : bmesh.types.BMesh
+    vertex : bmesh.types.BMVert
+    by : Vector
+        Blender's axes.
+    """
     vertex.co += by
     for key in work.verts.layers.shape.values():
         vertex[key] = vertex[key] + by
 
 
 def copy_moved(work: bmesh.types.BMesh, vertex: bmesh.types.BMVert, by: Vector) -> bmesh.types.BMVert:
-    """A new vertex beside one, in every shape key, of the same weights."""
+    """Copy a vertex with its weights, moved by an offset in every shape key.
+
+    Parameters
+    ----------
+    work : bmesh.types.BMesh
+    vertex : bmesh.types.BMVert
+    by : Vector
+        Blender's axes.
+    """
     copy = work.verts.new(vertex.co, vertex)
     for key in work.verts.layers.shape.values():
         copy[key] = vertex[key]
@@ -78,14 +109,28 @@ def copy_moved(work: bmesh.types.BMesh, vertex: bmesh.types.BMVert, by: Vector) 
 
 
 def indices(vertices: Iterable[bmesh.types.BMVert]) -> IntArray:
-    """The numbers of vertices, once `work.verts.index_update` has been called."""
+    """Return the indices of vertices; call `work.verts.index_update` before."""
     return np.array([vertex.index for vertex in vertices], dtype=np.intp)
 
 
-def apart(landmarks: IntArray, vertices: FloatArray, firm: IntArray) -> IntArray:
-    """The landmarks (66,), those that share a vertex moved to the nearest free one; those named by `firm` stay."""
+def separate(landmarks: IntArray, vertices: FloatArray, fixed: IntArray) -> IntArray:
+    """Move landmarks that share a vertex to the nearest free one.
+
+    Parameters
+    ----------
+    landmarks : (66,) array
+        Vertex indices.
+    vertices : (V, 3) array
+    fixed : (N,) array
+        Landmarks that keep their vertices.
+
+    Returns
+    -------
+    (66,) array
+        Vertex indices without repetition.
+    """
     moved = landmarks.copy()
-    first = firm.tolist()
+    first = fixed.tolist()
     taken: set[int] = set()
     for landmark in (*first, *(i for i in range(N_LANDMARKS) if i not in first)):
         if int(moved[landmark]) in taken:

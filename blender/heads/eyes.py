@@ -1,4 +1,4 @@
-"""Eyes that are one skin with their lids, as a scan's are, cut out so that the lids can shut over them."""
+"""Opening of eyes that are joined to their lids, such as those of a scan, so that the lids can close."""
 
 from __future__ import annotations
 
@@ -17,26 +17,29 @@ from ..frames import from_blender, to_blender
 from ..meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks
 from ..names import EYES_GROUP
 from .binding import propose_head_regions
-from .cutting import apart, copy_moved, edited, indices, move, split_along, surface_of
+from .cutting import copy_moved, edited, indices, move, separate, split_along, surface_of
 
-_ROUNDS = 5
+_MAX_SUBDIVISIONS = 5
 _SKIRT = 0.15
-"""How far an eye goes on behind the lids, in its widths: that shows when they open wide."""
+"""How far the surface of an eye extends behind the lids, in eye widths; it is seen when they open wide."""
 
 
 def open_eyes(obj: bpy.types.Object | None) -> int:
-    """Cut the mesh of `obj` along the lids of each eye that is one skin with them, and propose regions anew.
+    """Cut the mesh of `obj` along the lids of each joined eye, and propose its regions again.
 
-    What lies within becomes an eye on a sphere just behind the lids, in the vertex group `EYES_GROUP` and in no region.
-    It goes on behind the lids, and walls lead there from their rim, so that nothing is to be seen through. The lids'
-    landmarks are bound to the rim. Coarse meshes are subdivided there.
+    The inside becomes an eye on a sphere just behind the lids, in the vertex group `EYES_GROUP` and in no region. It
+    extends behind the lids, and walls join it to their rim, so that there is no gap. The landmarks of the lids are
+    bound to the rim. Coarse meshes are subdivided around the eyes.
 
-    Returns the number of eyes that were cut out.
+    Returns
+    -------
+    int
+        Number of eyes that were cut.
 
     Raises
     ------
     HeadError
-        Where the mesh has no landmarks, its eyes are open already, or it has holes there.
+        If the mesh has no landmarks, its eyes are already open, or it has holes there.
     """
     mesh = mesh_of(obj)
     landmarks = read_landmarks(obj)
@@ -44,7 +47,7 @@ def open_eyes(obj: bpy.types.Object | None) -> int:
     joined = eyes_joined(vertices, read_faces(mesh), landmarks)
     eyes = [eye for eye, one_skin in zip(EYES, joined, strict=True) if one_skin]
     if not eyes:
-        raise HeadError("The eyes are open already. Nothing was cut.")
+        raise HeadError("The eyes are already open. Nothing has to be cut.")
     outlines = [eye_outline(vertices, landmarks, eye) for eye in eyes]
     patches = []
     with edited(mesh) as work:
@@ -65,14 +68,14 @@ def open_eyes(obj: bpy.types.Object | None) -> int:
     group.add(members.tolist(), 1.0, "REPLACE")
     vertices = read_vertices(mesh)
     vertices[members] = np.inf
-    write_landmarks(mesh, apart(landmarks, vertices, np.concatenate(eyes)))
+    write_landmarks(mesh, separate(landmarks, vertices, np.concatenate(eyes)))
     propose_head_regions(obj)
     return len(eyes)
 
 
 def _subdivide(work: bmesh.types.BMesh, outline: EyeOutline) -> None:
-    """Halve long edges about an eye. New vertices follow the old ones; references to these die, numbers do not."""
-    for _ in range(_ROUNDS):
+    """Halve long edges around an eye. New vertices are appended: indices stay valid, references to vertices do not."""
+    for _ in range(_MAX_SUBDIVISIONS):
         long = coarse_edges(SurfaceGraph(*surface_of(work)), outline)
         if not len(long):
             break
@@ -84,7 +87,7 @@ def _subdivide(work: bmesh.types.BMesh, outline: EyeOutline) -> None:
 def _cut_out(
     work: bmesh.types.BMesh, cut: EyeCut, before: list[bmesh.types.BMVert], bound: list[bmesh.types.BMVert]
 ) -> tuple[list[bmesh.types.BMVert], list[bmesh.types.BMVert]]:
-    """Do what `cut` says; the lids' rim, and the vertices of the eye. What is `bound` there stays with the lids."""
+    """Apply a cut; return the rim of the lids and the vertices of the eye. Landmarks in `bound` stay on the lids."""
     vertices = before.copy()
     for (within, without), share in zip(cut.edges.tolist(), cut.shares.tolist(), strict=True):
         edge = work.edges.get((vertices[within], vertices[without]))
@@ -111,7 +114,7 @@ def _cut_out(
 
 
 def _put_strip(work: bmesh.types.BMesh, near: list[bmesh.types.BMVert], far: list[bmesh.types.BMVert]) -> None:
-    """Faces from one closed line, a border of the mesh, to another, which look as the border does."""
+    """Add faces from one closed line, a border of the mesh, to another, with the attributes of the border's faces."""
     for (a, b), (c, d) in zip(_round(near), _round(far), strict=True):
         first = work.edges.get((a, b)).link_loops[0]
         last = first.link_loop_next
@@ -122,12 +125,12 @@ def _put_strip(work: bmesh.types.BMesh, near: list[bmesh.types.BMVert], far: lis
 
 
 def _round(line: list[bmesh.types.BMVert]) -> list[tuple[bmesh.types.BMVert, bmesh.types.BMVert]]:
-    """The ends of the edges of a closed line."""
+    """Return the ends of the edges of a closed line."""
     return list(pairwise([*line, line[0]]))
 
 
 def _joined_to(vertex: bmesh.types.BMVert) -> dict[bmesh.types.BMVert, None]:
-    """All vertices that edges join to one, in the order in which they were found."""
+    """Return all vertices connected to one by edges, in the order in which they were found."""
     found: dict[bmesh.types.BMVert, None] = {}
     waiting = [vertex]
     while waiting:
@@ -142,6 +145,6 @@ def _places(vertices: list[bmesh.types.BMVert]) -> FloatArray:
 
 
 def _move_to(work: bmesh.types.BMesh, vertices: list[bmesh.types.BMVert], places: FloatArray) -> None:
-    """Move vertices to `places` (N, 3) in the head frame; other shape keys than the first by as much."""
+    """Move vertices to (N, 3) positions in the head frame, with the same offset in every shape key."""
     for vertex, place in zip(vertices, to_blender(places).tolist(), strict=True):
         move(work, vertex, Vector(place) - vertex.co)

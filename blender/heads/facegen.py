@@ -1,4 +1,4 @@
-"""A FaceGen head as a Blender object: its mesh in the file's vertex order, its morphs as shape keys."""
+"""Import of FaceGen heads: a mesh in the vertex order of the file, with morphs as shape keys."""
 
 from __future__ import annotations
 
@@ -18,15 +18,23 @@ _READERS = {".tri": read_tri, ".obj": read_obj}
 
 
 def import_facegen(context: bpy.types.Context, path: Path, scale: float = MILLIMETRE) -> bpy.types.Object:
-    """Add the head of a `.tri` or `.obj`, and the modes of the `.egm` beside it, as the active object.
+    """Import a head as the active object.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+    path : Path
+        A `.tri` or `.obj` file; the modes of a `.egm` file beside it are imported as well.
+    scale : float
+        Metres per unit of the file.
 
     Raises
     ------
     SourceError
-        Where a file is damaged or of another kind.
+        If a file is damaged or not a FaceGen head.
     """
     if path.suffix.lower() not in _READERS:
-        raise SourceError(f"{path} is no head of FaceGen's. Choose a .tri or an .obj file.")
+        raise SourceError(f"{path} is not a FaceGen head. Choose a .tri or .obj file.")
     head = _READERS[path.suffix.lower()](path)
     modes = next((read_egm(file, head) for file in _beside(path)), ())
     mesh = _mesh(path.stem, head, scale)

@@ -1,4 +1,4 @@
-"""Where the landmarks of a head are in the world and in a viewport."""
+"""Positions of a head's landmarks in a viewport."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ...core.errors import HeadError
 from ..meshes import read_landmarks
 
 NEAR = 24.0
-"""Pixels at a resolution scale of 1: a click farther from all landmarks picks none."""
+"""Maximum distance of a click from a landmark, pixels at a resolution scale of 1."""
 
 
 class Places(NamedTuple):
-    """Places in a viewport.
+    """Positions of points in a viewport.
 
     Attributes
     ----------
-    pixels : (66, 2) float
-        From the lower left corner of the region.
-    facing : (66,) bool
-        Whether the skin there is before the viewer and looks towards it.
+    pixels : (N, 2) float
+        Pixels from the lower left corner of the region.
+    facing : (N,) bool
+        Whether the skin there is in front of the viewer and faces it.
     """
 
     pixels: NDArray[np.float64]
@@ -33,10 +33,12 @@ class Places(NamedTuple):
 def landmark_places(
     obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, view: NDArray[np.float64], size: tuple[int, int]
 ) -> Places:
-    """Where the landmarks of the head `obj` are seen as it is shown, moved and with its modifiers.
+    """Project the landmarks of a head, as it is displayed with its modifiers and transform.
 
     Parameters
     ----------
+    obj : bpy.types.Object
+    depsgraph : bpy.types.Depsgraph
     view : (4, 4) array
         World to clip space: `perspective_matrix` of the region.
     size : tuple of int
@@ -45,13 +47,13 @@ def landmark_places(
     Raises
     ------
     HeadError
-        Where the head has no landmarks, or a modifier leaves too few vertices.
+        If the head has no landmarks, or a modifier removes vertices.
     """
     landmarks = read_landmarks(obj)
     evaluated = obj.evaluated_get(depsgraph)
     vertices = evaluated.data.vertices
     if len(vertices) < len(obj.data.vertices):
-        raise HeadError(f"A modifier of {obj.name} takes vertices away. Switch it off to see the landmarks.")
+        raise HeadError(f"A modifier of {obj.name} removes vertices. Disable it to show the landmarks.")
     seen = [vertices[i] for i in landmarks.tolist()]
     world = np.array(evaluated.matrix_world)
     places = np.array([vertex.co for vertex in seen]) @ world[:3, :3].T + world[:3, 3]
@@ -62,7 +64,15 @@ def landmark_places(
 def project(
     places: NDArray[np.float64], normals: NDArray[np.float64], view: NDArray[np.float64], size: tuple[int, int]
 ) -> Places:
-    """(N, 3) world `places` with their normals as pixels."""
+    """Project points into a viewport.
+
+    Parameters
+    ----------
+    places, normals : (N, 3) array
+        Positions and normals in world space.
+    view, size
+        As for `landmark_places`.
+    """
     clip = np.hstack([places, np.ones((len(places), 1))]) @ view.T
     before = clip[:, 3] > 1e-9
     flat = clip[:, :2] / np.where(before, clip[:, 3], 1.0)[:, None]
@@ -72,7 +82,21 @@ def project(
 
 
 def nearest_landmark(places: Places, pixel: tuple[float, float], reach: float = NEAR) -> int:
-    """The landmark nearest to `pixel` among those that look at the viewer; -1 where none is within `reach`."""
+    """Return the landmark nearest to a pixel among those that face the viewer.
+
+    Parameters
+    ----------
+    places : Places
+    pixel : (float, float)
+        From the lower left corner of the region.
+    reach : float
+        Maximum distance, pixels.
+
+    Returns
+    -------
+    int
+        Index of the landmark; -1 if none is within `reach`.
+    """
     away = np.linalg.norm(places.pixels - np.array(pixel), axis=1)
     away[~places.facing] = np.inf
     nearest = int(away.argmin())

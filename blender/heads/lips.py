@@ -1,4 +1,4 @@
-"""Lips that are one skin, as a scan's are, cut apart so that the mouth can open on something dark."""
+"""Opening of joined lips, such as those of a scan, with a dark pocket behind them."""
 
 from __future__ import annotations
 
@@ -16,34 +16,37 @@ from ...core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug, o
 from ...core.mesh.surface import SurfaceGraph, lips_joined
 from ..meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks
 from .binding import propose_head_regions
-from .cutting import apart, copy_moved, edited, indices, split_along
+from .cutting import copy_moved, edited, indices, separate, split_along
 from .materials import plain_material
 
 _LOWER_LIP = set(from_ibug((*range(55, 60), *range(65, 68))).tolist())
 _INNER = np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
 _DEPTH = 0.3
-"""Of the pocket behind the lips, in outer-eye distances."""
+"""Depth of the pocket behind the lips, in outer-eye distances."""
 _MOUTH = "Facemime Mouth"
 _COLOUR = (0.035, 0.012, 0.01)
 
 
 def open_lips(obj: bpy.types.Object | None) -> int:
-    """Cut the mesh of `obj` between the lips, bind the inner lips to the two rims, and propose regions anew.
+    """Cut the mesh of `obj` between the lips, bind the inner lips to the two rims, and propose its regions again.
 
-    A dark pocket is put behind the cut, so that one does not look through an open mouth.
+    A dark pocket is added behind the cut, so that one cannot look through the open mouth.
 
-    Returns the number of edges that were cut.
+    Returns
+    -------
+    int
+        Number of edges that were cut.
 
     Raises
     ------
     HeadError
-        Where the mesh has no landmarks, its lips are apart already, or no line leads between them.
+        If the mesh has no landmarks, its lips are already open, or no line of edges leads between them.
     """
     mesh = mesh_of(obj)
     vertices, landmarks = read_vertices(mesh), read_landmarks(obj)
     graph = SurfaceGraph(vertices, read_faces(mesh))
     if not lips_joined(graph, landmarks):
-        raise HeadError("The lips are apart already. Nothing was cut.")
+        raise HeadError("The lips are already open. Nothing has to be cut.")
     line = lip_line(graph, landmarks)
     unit = outer_eye_distance(vertices[landmarks])
     upper, lower, moved = _cut(mesh, line, landmarks, _DEPTH * unit)
@@ -53,7 +56,7 @@ def open_lips(obj: bpy.types.Object | None) -> int:
     chosen = rim_landmarks(vertices[line])
     moved[MOUTH_INNER_UPPER] = upper[chosen]
     moved[MOUTH_INNER_LOWER] = lower[chosen[::-1]]
-    write_landmarks(mesh, apart(moved, read_vertices(mesh), _INNER))
+    write_landmarks(mesh, separate(moved, read_vertices(mesh), _INNER))
     propose_head_regions(obj)
     return len(line) - 1
 
@@ -61,7 +64,7 @@ def open_lips(obj: bpy.types.Object | None) -> int:
 def _cut(
     mesh: bpy.types.Mesh, line: IntArray, landmarks: IntArray, depth: float
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Vertices of the upper and of the lower rim, (N,) each with the corners in common, and the landmarks (66,)."""
+    """Return (N,) vertices of the upper and of the lower rim, which share the corners, and the (66,) landmarks."""
     with edited(mesh) as work:
         before = list(work.verts)
         rims = _rims(split_along(work, [before[vertex] for vertex in line.tolist()]))
@@ -77,7 +80,7 @@ def _cut(
 
 
 def _rims(copies: list[list[bmesh.types.BMVert]]) -> list[list[bmesh.types.BMVert]]:
-    """The two rims of a cut, from the copies of each vertex of its line: what an edge joins is of one rim."""
+    """Return the two rims of a cut from the copies of each vertex of its line; edges join vertices of the same rim."""
     if [len(place) for place in copies] != [1, *[2] * (len(copies) - 2), 1]:
         raise HeadError("The mesh has holes at the lips. Cut it along the line between them: Edge > Edge Split.")
     first, last = copies[0][0], copies[-1][0]
@@ -92,7 +95,7 @@ def _rims(copies: list[list[bmesh.types.BMVert]]) -> list[list[bmesh.types.BMVer
 def _put_pocket_behind(
     work: bmesh.types.BMesh, rims: list[list[bmesh.types.BMVert]], depth: float, material: int
 ) -> None:
-    """Walls that lead `depth` back from both rims, and one that joins them there."""
+    """Add walls that lead back from both rims by `depth`, and a wall that joins them there."""
     back_by = Vector((0.0, depth, 0.0))  # the head faces -y
     backs = []
     for rim in rims:
@@ -102,11 +105,11 @@ def _put_pocket_behind(
     strips = [*zip(rims, backs, strict=True), tuple(backs)]
     for near, far in strips:
         for (a, b), (c, d) in zip(pairwise(near), pairwise(far), strict=True):
-            corners = list(dict.fromkeys((a, b, d, c)))  # at a corner of the mouth two are one
+            corners = list(dict.fromkeys((a, b, d, c)))  # a triangle at the corners of the mouth
             face = work.faces.new(corners)
             face.material_index, face.smooth = material, True
 
 
 def _height_beside(rim: list[bmesh.types.BMVert]) -> float:
-    """How far the faces along a rim lie above it; the head stands upright along z."""
+    """Return how far the faces along a rim are above it; the head is upright along z."""
     return sum(face.calc_center_median().z - vertex.co.z for vertex in rim[1:-1] for face in vertex.link_faces)

@@ -1,7 +1,7 @@
-"""The head's materials: painted textures for Workbench, and with them skin, eyes and teeth for Eevee and Cycles.
+"""Materials of the built-in head for Workbench, Eevee and Cycles.
 
-Workbench shows nothing but the active image texture, so that the look is in the pictures of `assets/head`; the shader
-adds what pictures cannot: light under the skin, pores, the gloss of eyes.
+Workbench shows only the active image texture, so that colour comes from the images in `assets/head`; the shaders add
+subsurface scattering, pores and the gloss of the eyes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Build = Callable[[bpy.types.NodeTree, bpy.types.Node], None]
 
 
 def head_materials() -> dict[str, bpy.types.Material]:
-    """New materials by use: "skin" and the names of the parts."""
+    """Create the materials of "skin" and of the parts, by name."""
     eye = _material("Facemime Eye", "eye.jpg", (0.85, 0.83, 0.80), 0.06, _wet)
     teeth = _material("Facemime Teeth", "teeth.jpg", (0.80, 0.76, 0.66), 0.18, _enamel)
     return {
@@ -34,7 +34,15 @@ def head_materials() -> dict[str, bpy.types.Material]:
 
 
 def plain_material(name: str, colour: tuple[float, float, float], roughness: float) -> bpy.types.Material:
-    """A new Principled material of one colour, in a viewport without nodes too."""
+    """Create a Principled material of one colour, also for viewports that do not use nodes.
+
+    Parameters
+    ----------
+    name : str
+    colour : (float, float, float)
+        RGB, linear.
+    roughness : float
+    """
     material = bpy.data.materials.new(name)
     if material.node_tree is None:
         material.use_nodes = True
@@ -54,7 +62,7 @@ def _shader(material: bpy.types.Material) -> bpy.types.Node:
 def _material(
     name: str, picture: str, colour: tuple[float, float, float], roughness: float, finish: Build
 ) -> bpy.types.Material:
-    """A Principled material with `picture`; `colour` and `roughness` are those of a viewport without textures."""
+    """Create a Principled material with an image; `colour` and `roughness` are for viewports without textures."""
     material = plain_material(name, colour, roughness)
     tree, shader = material.node_tree, _shader(material)
     texture = tree.nodes.new("ShaderNodeTexImage")
@@ -74,10 +82,10 @@ def _material(
 
 
 def _image(picture: str) -> bpy.types.Image:
-    """The picture, packed so that a saved file needs no extension to be seen."""
+    """Load an image, packed so that a saved file does not need the extension."""
     path = TEXTURES / picture
     if not path.is_file():
-        raise ModelError(f"The picture {path} of the head is missing. Install Facemime again.")
+        raise ModelError(f"The texture {path} is missing. Reinstall Facemime.")
     name = f"Facemime {path.stem.title()}"
     image = bpy.data.images.get(name)
     if image is None or tuple(image.size) == (0, 0):
@@ -88,7 +96,7 @@ def _image(picture: str) -> bpy.types.Image:
 
 
 def _skin(tree: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
-    """Light under the skin, gloss that varies, pores."""
+    """Add subsurface scattering, varying gloss, and pores."""
     shader.inputs["Subsurface Weight"].default_value = 0.12
     shader.inputs["Subsurface Radius"].default_value = (1.0, 0.35, 0.18)
     shader.inputs["Subsurface Scale"].default_value = 0.004
@@ -113,7 +121,7 @@ def _enamel(_: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
 
 
 def _noise(tree: bpy.types.NodeTree, scale: float, place: tuple[float, float]) -> bpy.types.Node:
-    """Noise that stays with the skin as it moves, since it follows the texture coordinates."""
+    """Add noise that moves with the skin, as it uses the texture coordinates."""
     node = tree.nodes.new("ShaderNodeTexNoise")
     node.location = place
     node.inputs["Scale"].default_value = scale

@@ -1,4 +1,4 @@
-"""Weight painting of a region, and what is done to painted regions."""
+"""Weight painting, mirroring and smoothing of regions."""
 
 from __future__ import annotations
 
@@ -13,12 +13,20 @@ _BRUSH = "Facemime Paint"
 
 
 def paint_region(context: bpy.types.Context, obj: bpy.types.Object, region: int) -> None:
-    """Put Blender into Weight Paint mode on the group of `region`, a row of `REGION_GROUPS`, with a brush ready.
+    """Switch to Weight Paint Mode on the vertex group of a region, with a brush.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+    obj : bpy.types.Object
+        The active head.
+    region : int
+        Index in `REGION_GROUPS`.
 
     Raises
     ------
     HeadError
-        Where `obj` is hidden, or its mesh is linked from another file.
+        If the head is hidden, or its mesh is linked from another file.
     """
     require_own(obj.data)
     if not obj.visible_get():
@@ -32,7 +40,7 @@ def paint_region(context: bpy.types.Context, obj: bpy.types.Object, region: int)
 
 
 def ensure_brush(context: bpy.types.Context) -> None:
-    """Choose a brush for weights where none is chosen; make one where Blender came without its own."""
+    """Activate a weight paint brush if there is none; one is created if Blender comes without brushes."""
     paint = context.tool_settings.weight_paint
     if paint.brush is not None:
         return
@@ -45,13 +53,27 @@ def ensure_brush(context: bpy.types.Context) -> None:
 
 
 def mirror_painted(obj: bpy.types.Object, source: Side) -> None:
-    """Make the regions of one half of the head those of the half `source`; HeadError where they are not there."""
+    """Mirror the regions of the half `source` to the other half; raises HeadError if regions are missing.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    source : {"left", "right"}
+        The half that is kept; left and right are the head's own.
+    """
     mesh = mesh_of(obj)
     vertices, faces, landmarks = read_vertices(mesh), read_faces(mesh), read_landmarks(obj)
     write_regions(obj, mirror_regions(vertices, faces, landmarks, read_regions(obj), source))
 
 
 def smooth_painted(obj: bpy.types.Object, repeat: int) -> None:
-    """Soften the borders of the regions; HeadError where they are not there."""
+    """Smooth the borders of the regions `repeat` times; raises HeadError if regions are missing.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    repeat : int
+        Number of iterations.
+    """
     mesh = mesh_of(obj)
     write_regions(obj, smooth_regions(read_vertices(mesh), read_faces(mesh), read_regions(obj), repeat))

@@ -1,1 +1,1 @@
-"""Pictures, videos and sound, into Blender and out of it."""
+"""Images, videos and sound: import and export."""

@@ -1,4 +1,4 @@
-"""Pictures as Blender's images."""
+"""Image data-blocks from arrays."""
 
 from __future__ import annotations
 
@@ -8,7 +8,15 @@ from numpy.typing import NDArray
 
 
 def keep_picture(name: str, picture: NDArray[np.uint8]) -> bpy.types.Image:
-    """An image of (H, W, 3) BGR `picture`, packed into the .blend; one of the same name is replaced."""
+    """Create an image data-block, packed into the .blend file.
+
+    Parameters
+    ----------
+    name : str
+        An image of the same name is replaced.
+    picture : (H, W, 3) uint8
+        BGR, first row at the top.
+    """
     if (old := bpy.data.images.get(name)) is not None:
         bpy.data.images.remove(old)
     height, width = picture.shape[:2]

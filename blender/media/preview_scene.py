@@ -1,4 +1,4 @@
-"""A scene that shows a head at its best in a fraction of a second: Workbench, even light, shaded folds."""
+"""Scene for fast renders of a head: Workbench with even light and shaded folds."""
 
 from __future__ import annotations
 
@@ -10,13 +10,22 @@ _LENS, _SENSOR = 85.0, 36.0
 _MARGIN = 1.08
 _STUDIO_LIGHT = "paint.sl"
 _FOLD_SHARE = 0.05
-"""Folds of this share of the head's extent are shaded; without it an even light hides what a face does."""
+"""Size of the folds that are shaded, relative to the head; even light alone would hide the motion of a face."""
 
 _BACKGROUND = (0.16, 0.17, 0.19)
 
 
 def setup_preview(scene: bpy.types.Scene, head_object: bpy.types.Object, size: tuple[int, int] = (512, 512)) -> None:
-    """Point a camera of `scene` at the front of `head_object`, any mesh, and set Workbench up for `size` pixels."""
+    """Set up a camera in front of a head, and Workbench.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    head_object : bpy.types.Object
+        Any mesh.
+    size : (int, int)
+        Width and height of the render, pixels.
+    """
     points = _vertices(head_object)
     _aim_camera(scene, points, size)
     render = scene.render
@@ -47,7 +56,7 @@ def _set_shading(scene: bpy.types.Scene, extent: float) -> None:
 
 
 def _vertices(obj: bpy.types.Object) -> NDArray[np.float64]:
-    """(V, 3) rest vertices of the mesh `obj` in world space."""
+    """Return (V, 3) vertices at rest of the mesh `obj` in world space."""
     bpy.context.view_layer.update()
     flat = np.empty(3 * len(obj.data.vertices), dtype=np.float32)
     obj.data.vertices.foreach_get("co", flat)
@@ -56,7 +65,7 @@ def _vertices(obj: bpy.types.Object) -> NDArray[np.float64]:
 
 
 def _aim_camera(scene: bpy.types.Scene, points: NDArray[np.float64], size: tuple[int, int]) -> None:
-    """A camera straight before the points, as near as lets it see all of them with a margin."""
+    """Add a camera straight in front of the points, as near as possible with all of them and a margin in view."""
     data = bpy.data.cameras.new("Facemime Preview")
     camera = bpy.data.objects.new("Facemime Preview", data)
     scene.collection.objects.link(camera)

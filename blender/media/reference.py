@@ -1,4 +1,4 @@
-"""The video of a performance beside the head, in step with what is baked from it."""
+"""Reference video of a performance beside the head, in sync with the bake."""
 
 from __future__ import annotations
 
@@ -12,24 +12,28 @@ from mathutils import Vector
 from ...core.capture import VideoSource
 from ..actions import Curve, write_curves
 
-_TURNS_VIDEOS = (4, 4, 0)
-"""The first Blender that shows the videos of telephones upright."""
+_ROTATES_VIDEOS = (4, 4, 0)
+"""First Blender that displays phone videos upright."""
 _HEIGHTS = 0.1
-"""Between head and picture, of the head's height."""
+"""Gap between the head and the video, relative to the height of the head."""
 
 
 def add_reference(scene: bpy.types.Scene, path: Path, offset: float, head: bpy.types.Object) -> bpy.types.Object:
-    """An empty with the video at `path`, as high as `head` and beside it, that shows what was seen at each frame.
+    """Add an image empty beside a head, as tall as the head, that plays a video in sync.
 
     Parameters
     ----------
+    scene : bpy.types.Scene
+    path : Path
+        The video.
     offset : float
-        Seconds in the video at the scene's frame 1.
+        Time in the video at frame 1 of the scene, seconds.
+    head : bpy.types.Object
 
     Raises
     ------
     SourceError
-        Where the video cannot be read.
+        If the video cannot be read.
     """
     with VideoSource(path) as video:
         fps, turn = video.fps, video.turn
@@ -41,7 +45,7 @@ def add_reference(scene: bpy.types.Scene, path: Path, offset: float, head: bpy.t
     user.use_auto_refresh, user.frame_start, user.frame_duration = True, 1, image.frame_duration
     _keep_in_step(empty, image.frame_duration, fps, scene.render.fps / scene.render.fps_base, offset)
     width, height = image.size
-    turned = bpy.app.version < _TURNS_VIDEOS
+    turned = bpy.app.version < _ROTATES_VIDEOS
     if turned and turn % 180:
         width, height = height, width
     _place(empty, head, width / max(height, 1), radians(turn) if turned else 0.0)
@@ -50,7 +54,7 @@ def add_reference(scene: bpy.types.Scene, path: Path, offset: float, head: bpy.t
 
 
 def _keep_in_step(empty: bpy.types.Object, count: int, fps: float, rate: float, offset: float) -> None:
-    """Show frame (t + offset) fps of the video's `count` at t seconds, in a scene of `rate` frames a second."""
+    """Show frame (t + offset) fps of the `count` frames at t seconds, in a scene of `rate` frames per second."""
     frames = np.arange(1, max(2, int(np.ceil((count / fps - offset) * rate)) + 1))
     shown = np.round((frames - 1) / rate * fps + offset * fps) - (frames - 1)
     empty.image_user.frame_offset = int(shown[0])
@@ -59,8 +63,8 @@ def _keep_in_step(empty: bpy.types.Object, count: int, fps: float, rate: float, 
 
 
 def _place(empty: bpy.types.Object, head: bpy.types.Object, aspect: float, turn: float) -> None:
-    """Upright, once turned by `turn` radians clockwise, to the left of `head` as it is seen from the front, where the
-    sidebar does not hide it.
+    """Place the empty upright, rotated clockwise by `turn` radians, to the left of `head` as seen from the front, where
+    the sidebar does not cover it.
     """
     corners = np.array([head.matrix_world @ Vector(corner) for corner in head.bound_box])
     low, high = corners.min(axis=0), corners.max(axis=0)

@@ -1,4 +1,4 @@
-"""Pictures out of Blender: frames of a scene as arrays, and H.264 video, which OpenCV cannot write, from arrays."""
+"""Renders of a scene as arrays, and H.264 video from arrays, which OpenCV cannot write."""
 
 from __future__ import annotations
 
@@ -24,17 +24,30 @@ Image = NDArray[np.uint8]
 
 
 def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[int, int]) -> Iterator[Image]:
-    """Yield a BGR picture of `size` (width, height) for each of `frames`, which may be fractional.
+    """Render frames of a scene.
 
-    Rendered at twice the size without anti-aliasing and averaged: without a graphics card that takes a quarter of the
-    time of Workbench's own eight samples and looks the same.
+    They are rendered at twice the size without anti-aliasing and averaged: without a graphics card this takes a quarter
+    of the time of Workbench's eight samples and looks the same.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    frames : iterable of float
+        Frames, which may be fractional.
+    size : (int, int)
+        Width and height, pixels.
+
+    Yields
+    ------
+    (height, width, 3) uint8
+        BGR image of each frame.
 
     Raises
     ------
     OutputError
-        Where Blender cannot draw, or the temporary folder is full.
+        If Blender cannot draw, or the temporary folder is full.
     SourceError
-        Where the temporary folder's name is not UTF-8.
+        If the name of the temporary folder is not valid UTF-8.
     """
     require_display_library()
     render = scene.render
@@ -56,28 +69,37 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
                 bpy.ops.render.render(write_still=True, scene=scene.name)
             image = cv2.imread(str(path))
             if image is None:
-                raise OutputError("Blender rendered no picture. Free some disk space in the temporary folder.")
+                raise OutputError("Blender did not render an image. Free some disk space in the temporary folder.")
             yield np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def require_display_library() -> None:
-    """Raise OutputError where Blender could not draw: it would not fail then but end the whole process."""
+    """Raise OutputError if Blender cannot draw, as it would terminate the whole process instead of failing."""
     if sys.platform == "linux" and bpy.app.background:
         try:
             ctypes.CDLL("libEGL.so.1")
         except OSError as error:
-            raise OutputError("Blender cannot draw pictures: libEGL.so.1 is missing. Install libegl1.") from error
+            raise OutputError("Blender cannot render: libEGL.so.1 is missing. Install libegl1.") from error
 
 
 def write_video(images: Iterable[Image], fps: float, path: Path) -> None:
-    """Write BGR `images`, all of one even size, as H.264 in MP4, with Blender's own encoder.
+    """Write an MP4 file in H.264 with Blender's encoder.
+
+    Parameters
+    ----------
+    images : iterable of (H, W, 3) uint8
+        BGR images of the same, even size.
+    fps : float
+        Frames per second.
+    path : Path
+        File to write.
 
     Raises
     ------
     OutputError
-        Where the file cannot be written.
+        If the file cannot be written.
     SourceError
-        Where the temporary folder's name is not UTF-8.
+        If the name of the temporary folder is not valid UTF-8.
     """
     with replacing(Path(path)) as temporary, temporary_folder() as folder:
         require_utf8_name(folder)
@@ -85,18 +107,18 @@ def write_video(images: Iterable[Image], fps: float, path: Path) -> None:
         for i, image in enumerate(images):
             names.append(f"{i:06d}.jpg")
             if not cv2.imwrite(str(folder / names[-1]), image, (cv2.IMWRITE_JPEG_QUALITY, 97)):
-                raise OutputError(f"Cannot write pictures to {folder}. Free some disk space.")
+                raise OutputError(f"Cannot write images to {folder}. Free some disk space.")
         if not names:
-            raise OutputError("There is no picture to make a video of.")
+            raise OutputError("There are no images for the video. Use a take with at least one frame.")
         temporary.unlink()
-        with contextlib.suppress(RuntimeError):  # Blender's reason is the codec even where a disk is full
+        with contextlib.suppress(RuntimeError):  # Blender blames the codec even if the disk is full
             _encode(folder, names, (image.shape[1], image.shape[0]), fps, temporary)
-        if _frames_in(temporary) < len(names):  # of a disk that fills up later it says nothing
-            raise OutputError(f"Blender could not write {path}. Free some disk space, or choose another place.")
+        if _frames_in(temporary) < len(names):  # no error is raised if the disk fills up later
+            raise OutputError(f"Blender could not write {path}. Free some disk space, or choose another location.")
 
 
 def _frames_in(path: Path) -> int:
-    """How many frames the video at `path` states to hold; 0 where it cannot be read."""
+    """Return the number of frames in the header of the video at `path`; 0 if it cannot be read."""
     try:
         with VideoSource(path) as video:
             return video.frame_count
@@ -135,7 +157,14 @@ def _encode(folder: Path, names: list[str], size: tuple[int, int], fps: float, o
 
 
 def set_rate(scene: bpy.types.Scene, fps: float) -> None:
-    """Set the rate of `scene` to `fps` frames a second, fractions such as 30000/1001 kept exactly enough."""
+    """Set the frame rate of `scene` to `fps`; fractions such as 30000/1001 are kept exactly.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    fps : float
+        Frames per second.
+    """
     fraction = Fraction(fps).limit_denominator(1001)
     whole = round(fps) if abs(fps - round(fps)) < 1e-3 else int(np.ceil(fps))
     scene.render.fps = whole
@@ -144,7 +173,7 @@ def set_rate(scene: bpy.types.Scene, fps: float) -> None:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keep Blender's own chatter (a line a frame, and its driver's) off the process' output; errors are exceptions."""
+    """Suppress the output of Blender and its drivers, such as a line per frame; errors are exceptions anyway."""
     streams = (sys.stdout, sys.stderr)
     for stream in streams:
         stream.flush()
@@ -155,7 +184,7 @@ def quiet() -> Iterator[None]:
             os.dup2(null, number)
         yield
     finally:
-        for stream in streams:  # what Blender printed may still lie in a buffer, Python's or C's, and come out later
+        for stream in streams:  # output may still be in a buffer, Python's or C's, and appear later
             stream.flush()
         if os.name == "posix":
             ctypes.CDLL(None).fflush(None)

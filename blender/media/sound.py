@@ -1,4 +1,4 @@
-"""The sound of a performance on the sequencer, in step with what is baked from it."""
+"""Sound of a performance in the sequencer, in sync with the bake."""
 
 from __future__ import annotations
 
@@ -12,19 +12,27 @@ _CHANNEL = 1
 
 
 def add_sound(scene: bpy.types.Scene, path: Path, frame: float) -> bpy.types.Strip:
-    """Put the sound of the file at `path`, a video's too, onto a free channel, with its beginning at `frame`.
+    """Add a sound strip on a free channel.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    path : Path
+        A sound file or a video.
+    frame : float
+        Frame at which the sound starts.
 
     Raises
     ------
     SourceError
-        Where the file is missing or has no sound.
+        If the file is missing or has no sound.
     """
     if not path.is_file():
-        raise SourceError(f"There is no file {path}. Choose the video or the sound that belongs to the take.")
+        raise SourceError(f"The file {path} does not exist. Choose the video or the sound file of the take.")
     sound = bpy.data.sounds.load(str(path), check_existing=True)
     if sound.channels == "INVALID":
         bpy.data.sounds.remove(sound)
-        raise SourceError(f"{path.name} has no sound that can be read. Choose another file.")
+        raise SourceError(f"{path.name} contains no readable sound. Choose another file.")
     editor = scene.sequence_editor or scene.sequence_editor_create()
     strips = editor.strips if hasattr(editor, "strips") else editor.sequences
     channel = max((strip.channel for strip in strips), default=_CHANNEL - 1) + 1

@@ -86,7 +86,8 @@ def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> Pupp
     STOPPING.check()
     neutral = report.neutral
     tell(
-        f"Baked {len(report.motion.times)} frames: {report.told()}; neutral at {neutral.start:.2f}-{neutral.end:.2f} s"
+        f"Baked {len(report.motion.times)} frames: {report.summary()}; "
+        f"neutral at {neutral.start:.2f}-{neutral.end:.2f} s"
     )
     if own:  # a user's own file keeps its camera and its render settings
         save_blend(job.output)
