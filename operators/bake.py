@@ -1,4 +1,4 @@
-"""Bake the chosen take, and the table of keys by which it moves those that a head has."""
+"""Operators that bake the selected take, and edit the key table for existing shape keys."""
 
 import bpy
 import numpy as np
@@ -18,12 +18,21 @@ from ..settings import takes_store
 from ..settings.bake_table import read_table, write_table
 from ..settings.takes_properties import FacemimeBake
 from ..settings.values import bake_settings, drive_settings, pose_targets, puppet_settings
-from .shared import AsksForFile, AsksForFileToWrite, OnHead, ReportsErrors, heads_in, in_object_mode, with_heads
+from .shared import (
+    AsksForFile,
+    AsksForFileToWrite,
+    OnHead,
+    ReportsErrors,
+    heads_in,
+    report,
+    require_heads,
+    require_object_mode,
+)
 from .takes import OnTake
 
 
 class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
-    """Bake the chosen take to the active and the selected heads"""
+    """Bake the selected take to the active head and all other selected heads"""
 
     bl_idname = "facemime.bake_take"
     bl_label = "Bake Take"
@@ -31,8 +40,8 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only in Object mode with a head."""
-        return in_object_mode(cls, context) and with_heads(cls, context) and super().poll(context)
+        """Require Object Mode, a head and a take."""
+        return require_object_mode(cls, context) and require_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
         scene = context.scene
@@ -43,13 +52,14 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
         heads = heads_in(context)
         settings = puppet_settings(scene.facemime, bake_settings(scene.facemime_takes.bake, line.name))
         targets = pose_targets(scene.facemime.posing, heads[0])
-        report, *_ = puppet_heads(scene, heads, take, settings, targets)
-        self.report({"INFO"}, f"{len(report.motion.times)} frames, {report.told()}")
+        bake, *_ = puppet_heads(scene, heads, take, settings, targets)
+        frames, summary = len(bake.motion.times), bake.summary()
+        report(self, f"{frames} frames, {summary}")
         return {"FINISHED"}
 
 
 class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
-    """Fill the table by the preset that fits the names of the head's shape keys best"""
+    """Fill the key table from the preset that best fits the names of the head's shape keys"""
 
     bl_idname = "facemime.detect_key_map"
     bl_label = "Detect Table"
@@ -60,23 +70,23 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
         if table is None:
             names = ", ".join(preset.name for preset in presets())
             raise HeadError(
-                f"The shape keys of {context.active_object.name} have names that no preset knows ({names}). "
-                "Add rows by hand, import a table, or learn one from poses."
+                f"No preset matches the shape keys of {context.active_object.name} ({names}). "
+                "Add rows manually, import a table, or learn one from poses."
             )
         write_table(context.scene.facemime_takes.bake, table)
-        self.report({"INFO"}, f"{table.name}: {len(table.keys)} keys")
+        report(self, f"{table.name}: {len(table.keys)} shape keys")
         return {"FINISHED"}
 
 
 class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
-    """Add a row to the table"""
+    """Add a row to the key table"""
 
     bl_idname = "facemime.add_key_row"
     bl_label = "Add Row"
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Add it, and pick it."""
+        """Add a row and select it."""
         bake = context.scene.facemime_takes.bake
         bake.rows.add()
         bake.row = len(bake.rows) - 1
@@ -84,7 +94,7 @@ class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
 
 
 class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
-    """Remove the picked row from the table"""
+    """Remove the selected row from the key table"""
 
     bl_idname = "facemime.remove_key_row"
     bl_label = "Remove Row"
@@ -92,12 +102,12 @@ class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with a row picked."""
+        """Require a selected row."""
         bake = context.scene.facemime_takes.bake
         return 0 <= bake.row < len(bake.rows)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Remove it."""
+        """Remove the row and select its neighbour."""
         bake = context.scene.facemime_takes.bake
         bake.rows.remove(bake.row)
         bake.row = max(0, min(bake.row, len(bake.rows) - 1))
@@ -105,7 +115,7 @@ class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
 
 
 class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
-    """Read a table of keys from a file"""
+    """Import a key table from a file"""
 
     bl_idname = "facemime.import_key_map"
     bl_label = "Import Table"
@@ -114,13 +124,13 @@ class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Read it."""
+        """Read the file into the table."""
         write_table(context.scene.facemime_takes.bake, load_map(self.path))
         return {"FINISHED"}
 
 
 class FACEMIME_OT_export_key_map(AsksForFileToWrite, bpy.types.Operator):
-    """Write the table of keys to a file that you can share"""
+    """Export the key table to a file"""
 
     bl_idname = "facemime.export_key_map"
     bl_label = "Export Table"
@@ -129,14 +139,14 @@ class FACEMIME_OT_export_key_map(AsksForFileToWrite, bpy.types.Operator):
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Write it."""
+        """Write the file."""
         with replacing(self.path_ending(".json")) as temporary:
             temporary.write_text(read_table(context.scene.facemime_takes.bake).to_json() + "\n", encoding="utf-8")
         return {"FINISHED"}
 
 
 class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
-    """Remember how the head's shape keys are set now, as what the take's face at the scene's frame should give"""
+    """Add the current values of the head's shape keys as the pose that the take should give at the current frame"""
 
     bl_idname = "facemime.add_key_pose"
     bl_label = "Add Pose"
@@ -144,7 +154,7 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with a head that has keys, and a take."""
+        """Require a head with shape keys, and a take."""
         obj = context.active_object
         if obj is None or not is_head(obj) or not key_names(obj):
             cls.poll_message_set("Select a head that has shape keys")
@@ -156,14 +166,14 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
         take = takes_store.read(takes_store.chosen(scene))
         frames = frames_of(scene, take.times[take.found])
         coefficients = arkit_coefficients(take, calibrate(take), drive_settings(scene.facemime))
-        told = coefficients[int(np.abs(frames - scene.frame_current_final).argmin())]
+        current = coefficients[int(np.abs(frames - scene.frame_current_final).argmin())]
         values = {name: blocks[name].value for name in key_names(context.active_object)}
-        scene.facemime_takes.bake.poses.add().data = KeyPose(told, values).to_json()
+        scene.facemime_takes.bake.poses.add().data = KeyPose(current, values).to_json()
         return {"FINISHED"}
 
 
 class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
-    """Change the gains of the table so that they give the poses that were added; what these do not tell stays"""
+    """Adjust the gains of the key table to reproduce the added poses; the rest is left unchanged"""
 
     bl_idname = "facemime.learn_key_map"
     bl_label = "Learn from Poses"
@@ -171,20 +181,22 @@ class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with poses."""
+        """Require at least one pose."""
         if not len(context.scene.facemime_takes.bake.poses):
-            cls.poll_message_set("Pose the head's shape keys for a frame of the take and add that first")
+            cls.poll_message_set("Set the head's shape keys at a frame of the take and add that pose first")
             return False
         return True
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Learn, and forget the poses."""
+        """Learn the table and clear the poses."""
         bake = context.scene.facemime_takes.bake
         poses = _poses(bake)
         posed = {name for pose in poses for name, value in pose.values.items() if value != 0.0}
         keys = sorted(posed | {row.key for row in bake.rows if all(row.key in pose.values for pose in poses)})
         if not posed:
-            raise FacemimeError("No shape key is moved in any of the poses. Pose the head, then add that.")
+            raise FacemimeError(
+                "All shape keys are 0 in every pose. Set the head's shape keys, then add the pose again."
+            )
         coefficients = np.array([pose.coefficients for pose in poses])
         values = np.array([[pose.values.get(key, 0.0) for key in keys] for pose in poses])
         start = read_table(bake) if len(bake.rows) else KeyMap("Table", ())
@@ -194,7 +206,7 @@ class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
 
 
 def _poses(bake: FacemimeBake) -> list[KeyPose]:
-    """The poses that were added; one that is damaged is removed, and told by a SourceError."""
+    """Return the added poses; a damaged one is removed and raises SourceError."""
     poses = []
     for number, pose in enumerate(bake.poses):
         try:

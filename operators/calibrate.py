@@ -1,4 +1,4 @@
-"""Calibrate a performer, and say who performs."""
+"""Operators that calibrate, add and remove performers."""
 
 import bpy
 from bpy.props import EnumProperty, FloatProperty, StringProperty
@@ -10,7 +10,7 @@ from .shared import ReportsErrors
 
 
 class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
-    """After a countdown, learn how this performer's face looks"""
+    """Calibrate to the performer's face after a countdown"""
 
     bl_idname = "facemime.calibrate"
     bl_label = "Calibrate"
@@ -19,35 +19,39 @@ class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
     pose: EnumProperty(
         name="Pose",
         items=(
-            ("NEUTRAL", "Neutral", "Look straight at the camera with a relaxed face, mouth closed, for a second"),
-            ("RANGE", "Eyes and Mouth", "In four seconds, shut the eyes tight and open the mouth wide"),
+            (
+                "NEUTRAL",
+                "Neutral",
+                "Look straight at the camera for a second, with a relaxed face and the mouth closed",
+            ),
+            ("RANGE", "Eyes and Mouth", "Within four seconds, close the eyes tightly and open the mouth wide"),
         ),
     )
     countdown: FloatProperty(name="Countdown", default=COUNTDOWN, min=0.0, max=60.0, subtype="TIME_ABSOLUTE")
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only while a puppet runs."""
+        """Require a running puppet."""
         if running() is None:
-            cls.poll_message_set("Start the puppet first: step Puppet, below")
+            cls.poll_message_set("Start the puppet first, in the Puppet panel")
             return False
         return True
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
-        """What the performer does meanwhile."""
+        """Return what the performer has to do."""
         pose = cls.bl_rna.properties["pose"].enum_items if "pose" in cls.bl_rna.properties else {}
         item = pose.get(properties.pose)
         return cls.__doc__ if item is None else item.description
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Begin the countdown."""
+        """Start the countdown."""
         running().calibrate(range_of=self.pose == "RANGE", countdown=self.countdown)
         return {"FINISHED"}
 
 
 class FACEMIME_OT_add_performer(bpy.types.Operator):
-    """Add a performer, who has a calibration of their own"""
+    """Add a performer with a separate calibration"""
 
     bl_idname = "facemime.add_performer"
     bl_label = "Add Performer"
@@ -56,13 +60,13 @@ class FACEMIME_OT_add_performer(bpy.types.Operator):
     name: StringProperty(name="Name")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Add and choose the performer."""
+        """Add the performer and make it active."""
         add_performer(context.scene.facemime, self.name)
         return {"FINISHED"}
 
 
 class FACEMIME_OT_remove_performer(ReportsErrors, bpy.types.Operator):
-    """Remove the performer who is chosen, with the calibration"""
+    """Remove the selected performer and their calibration"""
 
     bl_idname = "facemime.remove_performer"
     bl_label = "Remove Performer"

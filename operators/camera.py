@@ -1,4 +1,4 @@
-"""Which camera is used."""
+"""Operator behind the menu of cameras."""
 
 import bpy
 from bpy.props import StringProperty
@@ -7,7 +7,7 @@ from ..settings.preferences import preferences
 
 
 class FACEMIME_OT_choose_camera(bpy.types.Operator):
-    """Use this camera; it is kept in the preferences"""
+    """Use this camera and save it in the preferences"""
 
     bl_idname = "facemime.choose_camera"
     bl_label = "Choose Camera"
@@ -16,7 +16,7 @@ class FACEMIME_OT_choose_camera(bpy.types.Operator):
     camera: StringProperty(name="Camera")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Keep it."""
+        """Store the camera in the preferences."""
         preferences().camera = self.camera
         context.preferences.is_dirty = True
         return {"FINISHED"}

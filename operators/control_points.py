@@ -1,4 +1,4 @@
-"""Choose the control points that a head needs for a take."""
+"""Operators that select the control points of a head."""
 
 import bpy
 import numpy as np
@@ -16,24 +16,26 @@ from ..core.takes.neutral import Neutral, calibrate
 from ..core.takes.take import Take
 from ..settings.values import puppet_settings
 from .puppet import running
-from .shared import AsksForFile, OnHead, OnMesh
+from .shared import AsksForFile, OnHead, OnMesh, report
 
 
 class SelectsPoints(OnMesh):
-    """Mixin: chooses control points for a `performance`."""
+    """Mixin: selects control points for the operator's `performance`."""
 
     tolerance: FloatProperty(
         name="Tolerance",
-        description="How far a landmark that is no control point may end from where it was, of the face's width",
+        description="Error allowed at the other landmarks, relative to the width of the face",
         subtype="PERCENTAGE",
         default=1.0,
         min=0.01,
         max=100.0,
         soft_max=10.0,
     )
-    max_points: IntProperty(name="At Most", description="Control points", default=N_LANDMARKS, min=3, max=N_LANDMARKS)
-    add: StringProperty(name="Add", description="Landmarks to have in any case, by iBUG number: 17,19-21")
-    remove: StringProperty(name="Remove", description="Landmarks never to have, by iBUG number: 0-3,30")
+    max_points: IntProperty(
+        name="Max Points", description="Maximum number of control points", default=N_LANDMARKS, min=3, max=N_LANDMARKS
+    )
+    add: StringProperty(name="Add", description="Landmarks to select in any case, by iBUG number: 17,19-21")
+    remove: StringProperty(name="Remove", description="Landmarks never to select, by iBUG number: 0-3,30")
 
     def work(self, context: bpy.types.Context) -> set[str]:
         obj = context.active_object
@@ -49,17 +51,19 @@ class SelectsPoints(OnMesh):
         )
         write_selection(obj.data, selection)
         worst = selection.steps[-1]
-        short = "" if selection.reached else ", short of the tolerance"
-        self.report(
-            {"INFO"},
-            f"{len(selection.landmarks)} control points, worst error {100 * worst.error:.2f} % of the face's width "
-            f"in frame {worst.frame}{short}",
+        count, percent = len(selection.landmarks), f"{100 * worst.error:.2f}"
+        report(
+            self,
+            f"{count} control points, largest error {percent} % of the face's width at frame {worst.frame}"
+            if selection.reached
+            else f"{count} control points, largest error {percent} % of the face's width at frame {worst.frame}, "
+            "above the tolerance",
         )
         return {"FINISHED"}
 
 
 class FACEMIME_OT_select_control_points(AsksForFile, SelectsPoints, bpy.types.Operator):
-    """Choose, from a take, the landmarks that control the active head; the others follow"""
+    """Select the landmarks that control the active head in a take; the others follow them"""
 
     bl_idname = "facemime.select_control_points"
     bl_label = "Select Control Points"
@@ -69,13 +73,13 @@ class FACEMIME_OT_select_control_points(AsksForFile, SelectsPoints, bpy.types.Op
     filter_glob: StringProperty(default="*.facetake", options={"HIDDEN"})
 
     def performance(self, context: bpy.types.Context) -> tuple[Take, Neutral]:
-        """What the points are chosen for: the take of `filepath`, and the performer at rest in it."""
+        """Return the take at `filepath` and its neutral face."""
         take = load_take(self.path)
         return take, calibrate(take, puppet_settings(context.scene.facemime).neutral)
 
 
 class FACEMIME_OT_select_live_points(SelectsPoints, bpy.types.Operator):
-    """Choose the control points from what the puppet has shown lately; grimace for some seconds first"""
+    """Select the control points from the last seconds of the puppet; make varied expressions for a few seconds first"""
 
     bl_idname = "facemime.select_live_points"
     bl_label = "Select from Live"
@@ -83,36 +87,36 @@ class FACEMIME_OT_select_live_points(SelectsPoints, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only while the puppet runs, on a mesh."""
+        """Require a running puppet and a mesh."""
         if running() is None:
-            cls.poll_message_set("Start the puppet first: step Puppet, below")
+            cls.poll_message_set("Start the puppet first, in the Puppet panel")
             return False
         return super().poll(context)
 
     def performance(self, context: bpy.types.Context) -> tuple[Take, Neutral]:
-        """The last seconds of the session, and its neutral."""
+        """Return the last seconds of the session and its neutral face."""
         worker = running().worker
         if worker.neutral is None:
-            raise HeadError("The neutral face is not known yet. Wait until the head moves.")
+            raise HeadError("There is no neutral face yet. Wait until the head moves.")
         return worker.recent_take(), worker.neutral
 
 
 class OnLandmark(OnHead):
-    """Mixin: needs the landmark that is picked in the panel."""
+    """Mixin: requires a landmark selected in the panel."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with a landmark picked."""
+        """Require a head and a selected landmark."""
         if not super().poll(context):
             return False
         if not 0 <= context.scene.facemime_steps.landmark < N_LANDMARKS:
-            cls.poll_message_set("Pick a landmark in the list or on the head first")
+            cls.poll_message_set("Select a landmark in the list or on the head first")
             return False
         return True
 
 
 class FACEMIME_OT_add_control_point(OnLandmark, bpy.types.Operator):
-    """Make the picked landmark a control point"""
+    """Make the selected landmark a control point"""
 
     bl_idname = "facemime.add_control_point"
     bl_label = "Add Control Point"
@@ -122,16 +126,16 @@ class FACEMIME_OT_add_control_point(OnLandmark, bpy.types.Operator):
         mesh = context.active_object.data
         selection = read_selection(mesh)
         if selection is None:
-            raise HeadError("All landmarks are control points already. Drop some first, or select from a take.")
+            raise HeadError("All landmarks are control points already. Remove some first, or select from a take.")
         write_selection(mesh, add_by_hand(selection, context.scene.facemime_steps.landmark))
         return {"FINISHED"}
 
 
 class FACEMIME_OT_drop_control_point(OnLandmark, bpy.types.Operator):
-    """Let the picked landmark follow the others: it is no control point any longer"""
+    """Remove the selected landmark from the control points, so that it follows the others"""
 
     bl_idname = "facemime.drop_control_point"
-    bl_label = "Drop Control Point"
+    bl_label = "Remove Control Point"
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
@@ -141,37 +145,37 @@ class FACEMIME_OT_drop_control_point(OnLandmark, bpy.types.Operator):
 
 
 class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
-    """Pick a landmark by a click on the head"""
+    """Select a landmark by clicking on the head"""
 
     bl_idname = "facemime.pick_landmark"
     bl_label = "Pick on Head"
     bl_options = {"REGISTER"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Wait for the click."""
+        """Wait for a click."""
         if bpy.app.background:
-            raise HeadError("There is no window to click in. Set the landmark's number instead.")
+            raise HeadError("There is no window to click in. Set the number of the landmark instead.")
         context.scene.facemime_steps.show_points = True
         context.window.cursor_modal_set("CROSSHAIR")
-        context.workspace.status_text_set("Click a landmark; ESC or the right button to leave")
+        context.workspace.status_text_set("Click a landmark; Esc or right-click to cancel")
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Pick with the click; let everything else pass, such as turning the view."""
+        """Handle the click; pass other events through, so that the view can be rotated."""
         if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
-            return self.leave(context, {"CANCELLED"})
+            return self.restore(context, {"CANCELLED"})
         if event.type != "LEFTMOUSE" or event.value != "PRESS":
             return {"PASS_THROUGH"}
         if context.active_object is None or not is_head(context.active_object):
-            return self.leave(context, {"CANCELLED"})
-        return self.leave(context, self.reporting(lambda now: self.pick(now, event), context))
+            return self.restore(context, {"CANCELLED"})
+        return self.restore(context, self.reporting(lambda now: self.pick(now, event), context))
 
     def pick(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Pick what is nearest to the click."""
+        """Select the landmark nearest to the click."""
         seen = viewport_under(context, event.mouse_x, event.mouse_y)
         if seen is None:
-            raise HeadError("That was not in a 3D viewport. Press the button again and click on the head.")
+            raise HeadError("The click was not in a 3D Viewport. Press the button again and click on the head.")
         region, view = seen
         size = (region.width, region.height)
         places = landmark_places(
@@ -180,12 +184,12 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
         pixel = (event.mouse_x - region.x, event.mouse_y - region.y)
         landmark = nearest_landmark(places, pixel, NEAR * context.preferences.system.ui_scale)
         if landmark < 0:
-            raise HeadError("No landmark is near that place. Click one of the dots.")
+            raise HeadError("There is no landmark near the click. Click one of the dots.")
         context.scene.facemime_steps.landmark = landmark
         return {"FINISHED"}
 
-    def leave(self, context: bpy.types.Context, outcome: set[str]) -> set[str]:
-        """Give the cursor back."""
+    def restore(self, context: bpy.types.Context, outcome: set[str]) -> set[str]:
+        """Restore the cursor and the status bar, and return `outcome`."""
         context.window.cursor_modal_restore()
         context.workspace.status_text_set(None)
         redraw(context)
@@ -193,7 +197,7 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
 
 
 class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
-    """Let all 66 landmarks control the active head again"""
+    """Make all 66 landmarks control points of the active head"""
 
     bl_idname = "facemime.use_all_landmarks"
     bl_label = "Use All Landmarks"

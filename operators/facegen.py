@@ -1,32 +1,32 @@
-"""Import a FaceGen head."""
+"""Operator that imports FaceGen heads."""
 
 import bpy
 from bpy.props import FloatProperty, StringProperty
 
 from ..blender.heads.facegen import MILLIMETRE, import_facegen
-from .shared import AsksForFile, in_object_mode
+from .shared import AsksForFile, report, require_object_mode
 
 
 class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
-    """Import a FaceGen head: a .tri with its morphs, and the .egm beside it, or an OBJ in FaceGen's vertex order"""
+    """Import a FaceGen head: a .tri file with its morphs and the .egm file beside it, or an OBJ file"""
 
     bl_idname = "facemime.import_facegen"
     bl_label = "FaceGen Head (.tri, .obj)"
     bl_options = {"REGISTER", "UNDO"}
 
     filter_glob: StringProperty(default="*.tri;*.obj", options={"HIDDEN"})
-    scale: FloatProperty(name="Scale", description="Metres a unit of the file", default=MILLIMETRE, min=1e-6)
+    scale: FloatProperty(name="Scale", description="Metres per unit of the file", default=MILLIMETRE, min=1e-6)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only in Object mode."""
-        return in_object_mode(cls, context)
+        """Require Object Mode."""
+        return require_object_mode(cls, context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Import the head."""
         obj = import_facegen(context, self.path, self.scale)
         keys = 0 if obj.data.shape_keys is None else len(obj.data.shape_keys.key_blocks) - 1
-        self.report({"INFO"}, f"{len(obj.data.vertices)} vertices, {keys} morphs")
+        report(self, f"{len(obj.data.vertices)} vertices, {keys} morphs")
         return {"FINISHED"}
 
 

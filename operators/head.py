@@ -1,14 +1,14 @@
-"""Add the built-in head."""
+"""Operator that adds the built-in head."""
 
 import bpy
 from bpy.props import BoolProperty
 
 from ..blender.heads.built_in import add_head
-from .shared import ReportsErrors, in_object_mode
+from .shared import ReportsErrors, require_object_mode
 
 
 class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
-    """Add a head that is ready to be puppeted: landmarks, regions, eyes, teeth and tongue"""
+    """Add a head that is ready to be puppeted, with landmarks, regions, eyes, teeth and a tongue"""
 
     bl_idname = "facemime.add_head"
     bl_label = "Facemime Head"
@@ -16,25 +16,25 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
 
     units: BoolProperty(
         name="Face Units",
-        description="Also add the 52 ARKit face units as shape keys",
+        description="Add the 52 ARKit face units as shape keys",
         default=False,
     )
     show_textures: BoolProperty(
         name="Show Textures",
-        description="Let solid shading show the head's painted skin and eyes",
+        description="Show the textures of skin and eyes in Solid shading",
         default=True,
     )
 
     frame_view: BoolProperty(
         name="Frame in View",
-        description="Look at the head, which is as large as a real one, closely and from the front",
+        description="View the head, which is life-size, close-up from the front",
         default=True,
     )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only in Object mode."""
-        return in_object_mode(cls, context)
+        """Require Object Mode."""
+        return require_object_mode(cls, context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Add the head at the 3D cursor."""
@@ -50,7 +50,7 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
 
 
 def _frame_selected(context: bpy.types.Context) -> None:
-    """Let the viewport show the face of what is selected, also where a button of its sidebar was pressed."""
+    """Frame the selection from the front, also when the operator was called from the sidebar."""
     view = next((region for region in context.area.regions if region.type == "WINDOW"), None)
     if view is not None:
         with context.temp_override(region=view):

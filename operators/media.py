@@ -1,4 +1,4 @@
-"""Video and sound of a performance, in step with its take."""
+"""Operators that add the video and the sound of a performance, in sync with its take."""
 
 from pathlib import Path
 
@@ -9,36 +9,36 @@ from ..blender.media.reference import add_reference
 from ..blender.media.sound import add_sound
 from ..core.errors import SourceError
 from ..settings import takes_store
-from .shared import AsksForFile, heads_in, with_heads
+from .shared import AsksForFile, heads_in, require_heads
 from .takes import OnTake
 
 
 class OnTakesVideo(AsksForFile, OnTake):
-    """Mixin: works on the video that the chosen take was made from, and asks for it where it is not at hand."""
+    """Mixin: uses the video that the selected take was tracked from, and asks for it if it cannot be found."""
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the file where that is needed."""
+        """Ask for the file if the video cannot be found."""
         if takes_store.video_of(context.scene, takes_store.chosen(context.scene)) is not None:
             return self.execute(context)
         return super().invoke(context, event)
 
     def video(self, scene: bpy.types.Scene) -> tuple[Path, float]:
-        """The file, and the second in it at which the take's time is 0.
+        """Return the file, and the time in it at which the take's time is 0, seconds.
 
         Raises
         ------
         SourceError
-            Where the file is neither known nor named.
+            If the video cannot be found and no file was chosen.
         """
         line = takes_store.chosen(scene)
         path = self.path if self.filepath else takes_store.video_of(scene, line)
         if path is None:
-            raise SourceError("The video of the take is not at hand. Choose the file.")
+            raise SourceError("The video of the take cannot be found. Choose the file.")
         return path, float(takes_store.read(line).info.get("offset", 0.0))
 
 
 class FACEMIME_OT_add_sound(OnTakesVideo, bpy.types.Operator):
-    """Put the sound of the take's video, or of a file beside it, onto the sequencer, in step with the take"""
+    """Add the sound of the take's video, or of a sound file beside it, to the sequencer in sync with the take"""
 
     bl_idname = "facemime.add_sound"
     bl_label = "Add Sound"
@@ -55,7 +55,7 @@ class FACEMIME_OT_add_sound(OnTakesVideo, bpy.types.Operator):
 
 
 class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):
-    """Show the take's video beside the active head, in step with the take"""
+    """Show the take's video beside the active head, in sync with the take"""
 
     bl_idname = "facemime.add_reference"
     bl_label = "Add Reference"
@@ -65,8 +65,8 @@ class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with a head to put it beside."""
-        return with_heads(cls, context) and super().poll(context)
+        """Require a head and a take."""
+        return require_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
         add_reference(context.scene, *self.video(context.scene), heads_in(context)[0])

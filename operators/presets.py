@@ -1,4 +1,4 @@
-"""Save, choose and share presets."""
+"""Operators that save, load, remove and share presets."""
 
 import bpy
 from bpy.props import StringProperty
@@ -8,7 +8,7 @@ from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors
 
 
 class FACEMIME_OT_save_preset(ReportsErrors, bpy.types.Operator):
-    """Save strength, smoothing and limits as a preset of yours"""
+    """Save strength, smoothing and limits as a preset"""
 
     bl_idname = "facemime.save_preset"
     bl_label = "Save Preset"
@@ -21,13 +21,13 @@ class FACEMIME_OT_save_preset(ReportsErrors, bpy.types.Operator):
         return context.window_manager.invoke_props_dialog(self)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Save under the name, over what was there."""
+        """Save the preset, replacing one of the same name."""
         presets.save(context.scene.facemime, presets.path_of(self.name))
         return {"FINISHED"}
 
 
 class FACEMIME_OT_load_preset(ReportsErrors, bpy.types.Operator):
-    """Set strength, smoothing and limits as this preset has them"""
+    """Set strength, smoothing and limits from this preset"""
 
     bl_idname = "facemime.load_preset"
     bl_label = "Load Preset"
@@ -36,13 +36,13 @@ class FACEMIME_OT_load_preset(ReportsErrors, bpy.types.Operator):
     name: StringProperty(name="Name")
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Load the preset of that name."""
+        """Load the preset."""
         presets.load(context.scene.facemime, presets.path_of(self.name))
         return {"FINISHED"}
 
 
 class FACEMIME_OT_remove_preset(ReportsErrors, bpy.types.Operator):
-    """Remove this preset of yours"""
+    """Remove this preset"""
 
     bl_idname = "facemime.remove_preset"
     bl_label = "Remove Preset"
@@ -51,7 +51,7 @@ class FACEMIME_OT_remove_preset(ReportsErrors, bpy.types.Operator):
     name: StringProperty(name="Name")
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask first: a file cannot be undone."""
+        """Ask first, as removing a file cannot be undone."""
         return context.window_manager.invoke_confirm(self, event)
 
     def work(self, context: bpy.types.Context) -> set[str]:
@@ -61,7 +61,7 @@ class FACEMIME_OT_remove_preset(ReportsErrors, bpy.types.Operator):
 
 
 class FACEMIME_OT_import_preset(AsksForFile, bpy.types.Operator):
-    """Set strength, smoothing and limits as a file has them that somebody shared"""
+    """Set strength, smoothing and limits from a file, and add it to your presets"""
 
     bl_idname = "facemime.import_preset"
     bl_label = "Import Preset"
@@ -70,7 +70,7 @@ class FACEMIME_OT_import_preset(AsksForFile, bpy.types.Operator):
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Load it, and keep it among the presets."""
+        """Load the file, and save it as a preset."""
         path = self.path
         kept = presets.path_of(path.stem)
         presets.load(context.scene.facemime, path)
@@ -79,7 +79,7 @@ class FACEMIME_OT_import_preset(AsksForFile, bpy.types.Operator):
 
 
 class FACEMIME_OT_export_preset(AsksForFileToWrite, bpy.types.Operator):
-    """Write strength, smoothing and limits to a file that you can share"""
+    """Export strength, smoothing and limits to a file"""
 
     bl_idname = "facemime.export_preset"
     bl_label = "Export Preset"

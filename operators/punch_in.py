@@ -1,4 +1,4 @@
-"""Record a part of the chosen take anew."""
+"""Operator that re-records a range of the selected take."""
 
 import bpy
 from bpy.props import FloatProperty, IntProperty
@@ -10,40 +10,50 @@ from ..core.errors import FacemimeError
 from ..sessions.punch_in import PunchIn
 from ..settings import takes_store
 from .puppet import running
+from .shared import message_of
 from .takes import OnTake
 
 _WATCH = 0.02
 
 
 class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
-    """Record the chosen take anew between two frames, after a lead that is played, blended in at both ends"""
+    """Re-record the selected take between two frames with pre-roll, blended at both ends"""
 
     bl_idname = "facemime.rerecord_take"
-    bl_label = "Record Between"
+    bl_label = "Re-Record Range"
     bl_options = {"REGISTER"}
 
-    start: IntProperty(name="From", description="Frame at which the new part begins", default=1)
-    end: IntProperty(name="To", description="Frame at which it ends", default=50)
+    start: IntProperty(name="Start", description="First frame of the range", default=1)
+    end: IntProperty(name="End", description="Last frame of the range", default=50)
     lead: FloatProperty(
-        name="Lead", description="How long is played before", subtype="TIME_ABSOLUTE", default=2.0, min=0.0, max=30.0
+        name="Pre-Roll",
+        description="Time that is played before the range",
+        subtype="TIME_ABSOLUTE",
+        default=2.0,
+        min=0.0,
+        max=30.0,
     )
     blend: FloatProperty(
-        name="Blend", description="How long one passes into the other", subtype="TIME_ABSOLUTE", default=0.2, min=0.0
+        name="Blend",
+        description="Duration of the transition at each end",
+        subtype="TIME_ABSOLUTE",
+        default=0.2,
+        min=0.0,
     )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only while the puppet runs and nothing is recorded."""
+        """Require a running puppet and a take, and that no range is being re-recorded."""
         if running() is None:
-            cls.poll_message_set("Start the puppet first: step Puppet, above")
+            cls.poll_message_set("Start the puppet first, in the Puppet panel")
             return False
         if PunchIn.current is not None:
-            cls.poll_message_set("It is running already. Stop it first")
+            cls.poll_message_set("A range is already being re-recorded")
             return False
         return super().poll(context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask, with the preview range, or the two seconds from the current frame."""
+        """Ask for the range; by default the preview range, or two seconds from the current frame."""
         scene = context.scene
         self.start, self.end = scene.frame_current, scene.frame_current + round(2 * scene.render.fps)
         if scene.use_preview_range:
@@ -55,19 +65,19 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
         take = takes_store.chosen(scene)
         start, end = (seconds_at(scene, frame) for frame in (self.start, self.end))
         PunchIn(running(), scene, take.path, start, end, lead=self.lead, blend=self.blend)
-        _Played.begin(context, self.start - round(self.lead * scene.render.fps / scene.render.fps_base))
+        _Playback.start(context, self.start - round(self.lead * scene.render.fps / scene.render.fps_base))
         watch(_watch, _WATCH)
         return {"FINISHED"}
 
 
-class _Played:
-    """The scene that is played along, by the clock, and how it was played before."""
+class _Playback:
+    """The scene that is played during the recording, and its sync mode before."""
 
     scene = ""
     sync_mode = ""
 
     @classmethod
-    def begin(cls, context: bpy.types.Context, frame: int) -> None:
+    def start(cls, context: bpy.types.Context, frame: int) -> None:
         scene = context.scene
         cls.scene, cls.sync_mode = scene.name, scene.sync_mode
         scene.sync_mode = "AUDIO_SYNC"
@@ -76,7 +86,7 @@ class _Played:
             bpy.ops.screen.animation_play()
 
     @classmethod
-    def end(cls) -> None:
+    def stop(cls) -> None:
         if (scene := bpy.data.scenes.get(cls.scene)) is not None:
             scene.sync_mode = cls.sync_mode
         for window in bpy.context.window_manager.windows:
@@ -86,23 +96,23 @@ class _Played:
 
 
 def _watch() -> float | None:
-    """Go on with the part; at its end, one undo step."""
+    """Continue the recording; push an undo step at its end."""
     if PunchIn.current is None:
         return None
     try:
         if PunchIn.current.step():
             return _WATCH
     except FacemimeError as error:
-        _Played.end()
-        _tell(str(error))
+        _Playback.stop()
+        _show_error(message_of(error))
         return None
-    _Played.end()
-    push_undo("Record Between")
+    _Playback.stop()
+    push_undo("Re-Record Range")
     return None
 
 
-def _tell(message: str) -> None:
-    """Show an error that no operator is there to report."""
+def _show_error(message: str) -> None:
+    """Show an error from a timer, where no operator can report it."""
 
     def draw(self: bpy.types.Menu, context: bpy.types.Context) -> None:
         self.layout.label(text=message, translate=False)
@@ -118,5 +128,5 @@ TIMERS = (_watch,)
 
 
 def unregister() -> None:
-    """Unregister it; a part that is being recorded is left."""
+    """Abandon a range that is being recorded."""
     PunchIn.current = None

@@ -1,4 +1,4 @@
-"""Puppet the heads live: by a camera, a video, pictures or a take."""
+"""Operators that puppet heads live from a camera, a video, images or a take."""
 
 import bpy
 
@@ -7,28 +7,28 @@ from ..core.errors import FacemimeError
 from ..sessions.live import LiveSession
 from ..sessions.session import Session, clear_later
 from ..sessions.start import RigWatch, follow_settings, start_session
-from .shared import ReportsErrors, heads_in, message_of, with_heads
+from .shared import ReportsErrors, heads_in, report, require_heads
 
 _TICK = 1.0 / 120.0
-_STATUS = 0.25
+_STATUS_INTERVAL = 0.25
 
 
 def running() -> LiveSession | None:
-    """The live session that runs."""
+    """Return the running live session, or None."""
     return Session.current if isinstance(Session.current, LiveSession) else None
 
 
 class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
-    """Move the active and the selected heads by the face in the source, until stopped; ESC over the viewport stops"""
+    """Drive the active head and all other selected heads by the face in the source; Esc in the viewport stops"""
 
     bl_idname = "facemime.puppet"
     bl_label = "Start Puppet"
     bl_options = {"REGISTER"}
 
     instance = None
-    """The operator that runs; Blender itself keeps it only where there is a window.
+    """The running operator; Blender itself holds a reference only if there is a window.
 
-    Without an annotation: one that names its own class keeps the class alive, and Blender 4 does not end any more.
+    Without an annotation: one that names its own class keeps the class alive, and Blender 4 then hangs on exit.
     """
 
     _session: LiveSession | None = None
@@ -36,21 +36,21 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     _timer: bpy.types.Timer | None = None
     _scene = ""
     _clicked = False
-    _told = 0.0
+    _redrawn_at = 0.0
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with a head chosen, not in Edit mode, and while nothing else runs."""
+        """Require a selected head outside Edit Mode, and that no session is running."""
         if Session.current is not None:
-            cls.poll_message_set("It is running already. Stop it first")
+            cls.poll_message_set("A puppet is already running. Stop it first")
             return False
         if context.mode == "EDIT_MESH":
-            cls.poll_message_set("Leave Edit mode first")
+            cls.poll_message_set("Leave Edit Mode first")
             return False
-        return with_heads(cls, context)
+        return require_heads(cls, context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Begin, and go on with every tick of a timer."""
+        """Start the session, and continue at every tick of a timer."""
         self._session = start_session(context.scene, heads_in(context))
         self._rigs = RigWatch(self._session)
         self._scene = context.scene.name
@@ -61,7 +61,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """One tick, or the end; everything else passes."""
+        """Handle a tick or the end; pass other events through."""
         if self._session is None or Session.current is not self._session:
             return self.finish(context)
         if (
@@ -80,12 +80,19 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         return {"PASS_THROUGH"}
 
     def reporting(self, work, context: bpy.types.Context) -> set[str]:
-        """As everywhere, but the session ends with the error."""
+        """Return what `work` returns; an error also ends the session.
+
+        Parameters
+        ----------
+        work : callable
+            Takes the context and returns an operator's result.
+        context : bpy.types.Context
+        """
         try:
             return work(context)
         except FacemimeError as error:
             self.finish(context)
-            self.report({"ERROR"}, message_of(error))
+            report(self, str(error), "ERROR")
             return {"CANCELLED"}
         except Exception:
             self.finish(context)
@@ -104,29 +111,29 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             redraw(context, "WINDOW")
         if session.ended:
             return self.finish(context)
-        if abs(self._timer_seconds() - self._told) > _STATUS:
-            self._told = self._timer_seconds()
+        if abs(self._timer_seconds() - self._redrawn_at) > _STATUS_INTERVAL:
+            self._redrawn_at = self._timer_seconds()
             redraw(context, "UI")
         return {"PASS_THROUGH"}
 
     def finish(self, context: bpy.types.Context) -> set[str]:
-        """End the session and the timer, one undo step where the heads keep their pose."""
+        """End the session and the timer; push an undo step if the heads keep their pose."""
         session = self._session
         kept = session is not None and session.keep and Session.current is session
         if session is not None:
             session.close()
         self.cancel(context)
         if session is not None and session.warning:
-            self.report({"WARNING"}, session.warning)
+            report(self, session.warning, "WARNING")
         if kept:
             bpy.ops.ed.undo_push(message="Puppet")
         redraw(context, "UI")
         return {"FINISHED"}
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """End the session and the timer; may be called twice, and by Blender while it closes a window or a file."""
+        """End the session and the timer; may be called twice, also by Blender while it closes a window or a file."""
         if self._session is not None and Session.current is self._session:
-            # An undo step from here ends Blender 4.3.
+            # Pushing an undo step here crashes Blender 4.3.
             self._session.close(blocks=False)
             clear_later()
         self._session = None
@@ -140,7 +147,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
 
 
 class FACEMIME_OT_stop_puppet(bpy.types.Operator):
-    """Stop the puppet; the heads rest again, or stay as they are where Keep Pose is on"""
+    """Stop the puppet; the heads return to rest, unless Keep Pose is enabled"""
 
     bl_idname = "facemime.stop_puppet"
     bl_label = "Stop Puppet"
@@ -148,14 +155,14 @@ class FACEMIME_OT_stop_puppet(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only while it runs."""
+        """Require a running puppet."""
         if running() is None:
-            cls.poll_message_set("Nothing is running")
+            cls.poll_message_set("No puppet is running")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """End the session; the modal operator ends with its next tick."""
+        """End the session; the modal operator ends at its next tick."""
         if FACEMIME_OT_puppet.instance is not None:
             return FACEMIME_OT_puppet.instance.finish(context)
         Session.current.close()
@@ -163,7 +170,7 @@ class FACEMIME_OT_stop_puppet(bpy.types.Operator):
 
 
 class FACEMIME_OT_next_face(bpy.types.Operator):
-    """Follow another person in view: the next one to the right, or the leftmost"""
+    """Track the next face to the right, or the leftmost one after the last"""
 
     bl_idname = "facemime.next_face"
     bl_label = "Next Face"
@@ -171,31 +178,31 @@ class FACEMIME_OT_next_face(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only while pictures are looked at."""
+        """Require a running puppet that tracks images."""
         session = running()
         if session is None or session.worker.image_size == (0, 0):
-            cls.poll_message_set("Start the puppet with a camera, a video or pictures first")
+            cls.poll_message_set("Start the puppet with a camera, a video or an image sequence first")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Ask for it; the next frame that is tracked shows it."""
+        """Request the next face, which is tracked from the next frame."""
         running().worker.follow_next()
         return {"FINISHED"}
 
 
 def _painting(context: bpy.types.Context) -> bool:
-    """Whether a stroke of a brush is under way."""
+    """Return whether a brush stroke is in progress."""
     window = context.window
     return window is not None and any(
         op is not None and op.bl_idname.startswith("PAINT_OT") for op in window.modal_operators
-    )  # one that has just ended leaves None
+    )  # an operator that has just ended leaves None
 
 
 CLASSES = (FACEMIME_OT_puppet, FACEMIME_OT_stop_puppet, FACEMIME_OT_next_face)
 
 
 def unregister() -> None:
-    """Unregister the operators; one that runs ends first."""
+    """End a running puppet."""
     if FACEMIME_OT_puppet.instance is not None:
         FACEMIME_OT_puppet.instance.finish(bpy.context)

@@ -1,6 +1,7 @@
-"""Puppet the active head by a video."""
+"""Operator that tracks a whole video and bakes it."""
 
 import bpy
+from bpy.app.translations import pgettext_rpt as _
 from bpy.props import StringProperty
 
 from ..blender.animation.puppet import check_heads, puppet_heads
@@ -11,13 +12,13 @@ from ..core.takes.take import Take
 from ..sessions.tracking import TrackingSession
 from ..settings import takes_store
 from ..settings.values import face_of, pose_targets, puppet_settings
-from .shared import AsksForFile, in_object_mode
+from .shared import AsksForFile, report, require_object_mode
 
 _TICK = 0.1
 
 
 class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
-    """Track the face in a video, or read a take, and bake its motion to the active and the selected heads"""
+    """Track the face in a video, or read a take, and bake the motion to the active head and all other selected heads"""
 
     bl_idname = "facemime.puppet_video"
     bl_label = "Puppet from Video"
@@ -32,8 +33,8 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with a mesh active, in Object mode."""
-        if not in_object_mode(cls, context):
+        """Require an active mesh in Object Mode."""
+        if not require_object_mode(cls, context):
             return False
         if context.active_object is None or context.active_object.type != "MESH":
             cls.poll_message_set("Select a head mesh, or add one with Add > Mesh > Facemime Head")
@@ -41,7 +42,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
         return True
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Track in the background and bake when it ends; in one go where there is no window."""
+        """Track in the background, then bake; without a window, wait for the tracking."""
         path, heads = self.path, _heads(context, context.active_object)
         settings = context.scene.facemime
         check_heads(heads, puppet_settings(settings).bake, pose_targets(settings.posing, heads[0]))
@@ -58,7 +59,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Show how far tracking is; ESC bakes what was tracked so far."""
+        """Show the progress; Esc stops tracking and bakes the frames so far."""
         if event.type == "ESC":
             self._session.stop()
         if event.type != "TIMER":
@@ -66,17 +67,18 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
         if self._session.running:
             done, total = self._session.done, self._session.total
             context.window_manager.progress_update(100 * done / max(total, 1))
-            context.workspace.status_text_set(f"Facemime: {done} of {total} frames tracked, ESC keeps these")
+            progress = _("Facemime: {done} of {total} frames tracked; Esc to stop and bake them")
+            context.workspace.status_text_set(progress.format(done=done, total=total))
             return {"PASS_THROUGH"}
         return self.reporting(self.finish, context)
 
     def finish(self, context: bpy.types.Context) -> set[str]:
-        """Bake what the session tracked; where that fails, it is kept in the list of takes.
+        """Bake the tracked take; if that fails, keep it in the list of takes.
 
         Raises
         ------
         FacemimeError
-            Where nothing was tracked, or it cannot be baked.
+            If nothing was tracked, or the take cannot be baked.
         """
         try:
             take = self._session.take()
@@ -86,20 +88,18 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
                 if not take.found.any():
                     raise
                 line = takes_store.keep(context.scene, take, self._session.video.stem)
-                raise type(error)(f"{error} What was tracked is in the list of takes: {line.name}.") from error
+                raise type(error)(f"{error} The tracked take is in the list as {line.name}.") from error
         finally:
             self.cancel(context)
 
     def bake(self, context: bpy.types.Context, head: bpy.types.Object | None, take: Take) -> set[str]:
-        """Bake `take` to `head`, and to the other selected heads, and say what came out."""
+        """Bake `take` to `head` and to all other selected heads, and report the result."""
         settings = context.scene.facemime
         targets = None if head is None else pose_targets(settings.posing, head)
-        report, *_ = puppet_heads(context.scene, _heads(context, head), take, puppet_settings(settings), targets)
+        bake, *_ = puppet_heads(context.scene, _heads(context, head), take, puppet_settings(settings), targets)
         lost = len(take) - int(take.found.sum())
-        self.report(
-            {"INFO"},
-            f"{len(take)} frames ({lost} without a face), {report.told()}",
-        )
+        frames, summary = len(take), bake.summary()
+        report(self, f"{frames} frames ({lost} without a face), {summary}")
         return {"FINISHED"}
 
     def cancel(self, context: bpy.types.Context) -> None:
@@ -115,7 +115,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
 
 
 def _heads(context: bpy.types.Context, first: bpy.types.Object | None) -> list[bpy.types.Object | None]:
-    """`first`, and the other heads that are selected."""
+    """Return `first` and all other selected heads."""
     return [first, *(obj for obj in context.selected_objects if obj != first and is_head(obj))]
 
 

@@ -1,4 +1,4 @@
-"""Paint the three regions, mirror them, smooth their borders."""
+"""Operators that paint, mirror and smooth the three regions."""
 
 import bpy
 from bpy.props import EnumProperty, IntProperty
@@ -8,7 +8,7 @@ from .shared import OnHead, ReportsErrors
 
 
 class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
-    """Paint the weights of a region on the active head"""
+    """Paint the weights of this region on the active head"""
 
     bl_idname = "facemime.paint_region"
     bl_label = "Paint Region"
@@ -17,8 +17,8 @@ class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
     region: EnumProperty(
         name="Region",
         items=(
-            ("UPPER", "Upper", "Brows and upper lids"),
-            ("MIDDLE", "Middle", "Lower lids, cheeks, nose and upper lip"),
+            ("UPPER", "Upper", "Brows and upper eyelids"),
+            ("MIDDLE", "Middle", "Lower eyelids, cheeks, nose and upper lip"),
             ("LOWER", "Lower", "Lower lip, chin and jaw"),
         ),
     )
@@ -29,36 +29,36 @@ class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
 
 
 class FACEMIME_OT_leave_painting(ReportsErrors, bpy.types.Operator):
-    """Go back to Object mode"""
+    """Return to Object Mode"""
 
     bl_idname = "facemime.leave_painting"
-    bl_label = "Done Painting"
+    bl_label = "Finish Painting"
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only while weights are painted."""
+        """Require Weight Paint Mode."""
         if context.mode != "PAINT_WEIGHT":
-            cls.poll_message_set("No weights are being painted")
+            cls.poll_message_set("Only available in Weight Paint Mode")
             return False
         return True
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Switch the mode."""
+        """Switch to Object Mode."""
         bpy.ops.object.mode_set(mode="OBJECT")
         return {"FINISHED"}
 
 
 class FACEMIME_OT_mirror_regions(OnHead, bpy.types.Operator):
-    """Give one half of the face the regions of the other half, mirrored"""
+    """Mirror the regions of one half of the face to the other"""
 
     bl_idname = "facemime.mirror_regions"
     bl_label = "Mirror Regions"
     bl_options = {"REGISTER", "UNDO"}
 
     source: EnumProperty(
-        name="From",
-        description="The half that stays as it is; left and right are the head's own",
+        name="Direction",
+        description="Direction in which the regions are copied; left and right are the head's own",
         items=(("left", "Left to Right", ""), ("right", "Right to Left", "")),
     )
 
@@ -68,7 +68,7 @@ class FACEMIME_OT_mirror_regions(OnHead, bpy.types.Operator):
 
 
 class FACEMIME_OT_smooth_regions(OnHead, bpy.types.Operator):
-    """Soften the borders of the regions; lips and lids stay apart"""
+    """Smooth the borders of the regions, except between the lips and between the eyelids"""
 
     bl_idname = "facemime.smooth_regions"
     bl_label = "Smooth Borders"

@@ -1,4 +1,4 @@
-"""What operators share: how errors reach the user, what must be there, how a file is asked for."""
+"""Mixins and helpers for operators: error reports, polling, file selection."""
 
 import os
 from collections.abc import Callable
@@ -8,67 +8,101 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..blender.meshes import is_head
+from ..blender.messages import translated
 from ..core.capture import check_readable, require_utf8_name
 from ..core.errors import FacemimeError, SourceError
 
 
 def message_of(error: Exception) -> str:
-    """What `error` says, for a report: Blender takes none with the name of a file that is not UTF-8."""
-    return str(error).encode(errors="backslashreplace").decode()
+    """Return the translated message of `error`, with bytes that are not UTF-8 escaped, as Blender requires."""
+    return _escaped(translated(str(error)))
+
+
+def report(operator: bpy.types.Operator, message: str, level: str = "INFO") -> None:
+    """Report a message, translated.
+
+    Parameters
+    ----------
+    operator : bpy.types.Operator
+    message : str
+        In English.
+    level : {"INFO", "WARNING", "ERROR"}
+    """
+    operator.report({level}, _escaped(translated(message)))
+
+
+def _escaped(text: str) -> str:
+    return text.encode(errors="backslashreplace").decode()
 
 
 class ReportsErrors:
-    """Mixin: does its `work`, which the operator brings; errors that users can cause become a report and CANCELLED.
-
-    The rest go up with a traceback.
-    """
+    """Mixin: runs the operator's `work`, and reports a `FacemimeError` as an error; other exceptions are not caught."""
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Do the work."""
+        """Run `work`."""
         return self.reporting(self.work, context)
 
     def reporting(self, work: Callable[[bpy.types.Context], set[str]], context: bpy.types.Context) -> set[str]:
-        """Return what `work` returns, or CANCELLED after a report."""
+        """Return the result of `work(context)`, or CANCELLED if it raised an error, which is reported.
+
+        Parameters
+        ----------
+        work : callable
+            Takes the context and returns an operator's result.
+        context : bpy.types.Context
+        """
         try:
             return work(context)
         except FacemimeError as error:
-            self.report({"ERROR"}, message_of(error))
+            report(self, str(error), "ERROR")
             return {"CANCELLED"}
 
 
-def in_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """For `poll`: whether Blender is in Object mode; `operator` tells the user to switch where it is not."""
+def require_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Return for `poll` whether Blender is in Object Mode; otherwise set the poll message of `operator`.
+
+    Parameters
+    ----------
+    operator : type of bpy.types.Operator
+    context : bpy.types.Context
+    """
     if context.mode == "OBJECT":
         return True
-    operator.poll_message_set("Switch to Object mode first")
+    operator.poll_message_set("Switch to Object Mode first")
     return False
 
 
 def heads_in(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The heads that a performance moves: the active one first, then the other selected ones."""
+    """Return the heads to be driven: the active one first, then the other selected ones."""
     chosen = [obj for obj in (context.active_object, *context.selected_objects) if obj is not None and is_head(obj)]
     return list(dict.fromkeys(chosen))
 
 
-def with_heads(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """For `poll`: whether heads are chosen; `operator` tells the user to choose one where none is."""
+def require_heads(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Return for `poll` whether a head is selected; otherwise set the poll message of `operator`.
+
+    Parameters
+    ----------
+    operator : type of bpy.types.Operator
+    context : bpy.types.Context
+    """
     if heads_in(context):
         return True
-    operator.poll_message_set("Select a head, or add one: step Head, above")
+    operator.poll_message_set("Select a head, or add one in the Head panel")
     return False
 
 
 class AsksForFile(ReportsErrors):
-    """Mixin: asks for a file before it runs; the operator's `filter_glob` says which ones are shown."""
+    """Mixin: asks for a file before it runs; the operator's `filter_glob` selects which files are shown."""
 
     filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
 
     @property
     def path(self) -> Path:
-        """The file that was chosen; SourceError where none was, or one that may not be read or has no valid name."""
+        """The selected file; SourceError if there is none, it must not be read, or its name is not valid."""
         path = Path(bpy.path.abspath(self.filepath))
-        if not path.name or os.path.isdir(path):  # the browser gives its folder where nothing was chosen
-            raise SourceError("No file was chosen. Choose one, or type its name.")
+        if not path.name or os.path.isdir(path):  # the file browser returns its folder if nothing is selected
+            raise SourceError("No file was selected. Select one, or enter its name.")
         require_utf8_name(path)
         check_readable(path)
         return path
@@ -80,22 +114,22 @@ class AsksForFile(ReportsErrors):
 
 
 class AsksForFileToWrite(AsksForFile):
-    """Mixin: asks for a file that it writes; the browser warns of one that is there already."""
+    """Mixin: asks for a file to write; the file browser warns before it replaces one."""
 
     check_existing: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
 
     def path_ending(self, suffix: str) -> Path:
-        """The file that was named, with `suffix` behind its name where that ends otherwise."""
+        """Return the selected file, with `suffix` appended unless its name ends with it."""
         path = self.path
         return path if path.suffix.lower() == suffix else path.with_name(path.name + suffix)
 
 
 class OnMesh(ReportsErrors):
-    """Mixin: needs a mesh active."""
+    """Mixin: requires an active mesh."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with a mesh active."""
+        """Require an active mesh."""
         if context.active_object is None or context.active_object.type != "MESH":
             cls.poll_message_set("Select a head mesh")
             return False
@@ -103,17 +137,17 @@ class OnMesh(ReportsErrors):
 
 
 class OnHead(OnMesh):
-    """Mixin: needs a head active, not in Edit mode, where vertex groups cannot be written."""
+    """Mixin: requires an active head outside Edit Mode, where vertex groups cannot be written."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with a head active, outside Edit mode."""
+        """Require an active head outside Edit Mode."""
         if not super().poll(context):
             return False
         if not is_head(context.active_object):
-            cls.poll_message_set("Bind the landmarks first: step Head, above")
+            cls.poll_message_set("Bind the landmarks first, in the Head panel")
             return False
         if context.mode == "EDIT_MESH":
-            cls.poll_message_set("Leave Edit mode first")
+            cls.poll_message_set("Leave Edit Mode first")
             return False
         return True

@@ -1,4 +1,4 @@
-"""The list of takes: record, show, import, export, pack, remove, and what recordings a crash left."""
+"""Operators on the list of takes: record, show, remove, find, import, export, pack."""
 
 import contextlib
 
@@ -15,17 +15,17 @@ from ..sessions.session import Session
 from ..sessions.show import TakeShow
 from ..settings import takes_store
 from .puppet import running
-from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors, heads_in, with_heads
+from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors, heads_in, report, require_heads
 
 _WATCH = 0.25
 
 
 class OnTake(ReportsErrors):
-    """Mixin: needs a take chosen in the list."""
+    """Mixin: requires a take selected in the list."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with a take chosen."""
+        """Require a selected take."""
         takes = context.scene.facemime_takes
         if not 0 <= takes.index < len(takes.items):
             cls.poll_message_set("Record or import a take first")
@@ -34,7 +34,7 @@ class OnTake(ReportsErrors):
 
 
 class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
-    """Record all that is tracked while the puppet runs; the file is on the disk from the first second on"""
+    """Record everything that is tracked; the take is written to disk from the first second"""
 
     bl_idname = "facemime.record_take"
     bl_label = "Record Take"
@@ -44,14 +44,14 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only while the puppet runs, or something is being recorded."""
+        """Require a running puppet or recording."""
         if running() is None and Recording.current is None:
-            cls.poll_message_set("Start the puppet first: step Puppet, above")
+            cls.poll_message_set("Start the puppet first, in the Puppet panel")
             return False
         return True
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Begin, or end and list what was recorded."""
+        """Start recording, or stop and add the take to the list."""
         if Recording.current is None:
             start_recording(running(), context.scene, self.name)
             watch(_watch, _WATCH)
@@ -62,14 +62,18 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
         finally:
             listed = settle()
         if recording.video_failed:
-            self.report({"WARNING"}, f"No video could be written beside {recording.path.name}. Is the disk full?")
+            report(
+                self,
+                f"The video of {recording.path.name} could not be written. Check that the disk is not full.",
+                "WARNING",
+            )
         if listed:
             bpy.ops.ed.undo_push(message="Record Take")
         return {"FINISHED"}
 
 
 class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
-    """Show the chosen take on the active and the selected heads at the scene's frame, without baking; again to stop"""
+    """Show the selected take on the active head and all other selected heads without baking; click again to stop"""
 
     bl_idname = "facemime.show_take"
     bl_label = "Show Take"
@@ -77,13 +81,13 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Not while something else moves the heads."""
+        """Require a head and a take, and that no other session is running."""
         if isinstance(Session.current, TakeShow):
             return True
         if Session.current is not None:
-            cls.poll_message_set("It is running already. Stop it first")
+            cls.poll_message_set("A puppet is already running. Stop it first")
             return False
-        return with_heads(cls, context) and super().poll(context)
+        return require_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
         if isinstance(Session.current, TakeShow):
@@ -94,7 +98,7 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
 
 
 class FACEMIME_OT_remove_take(OnTake, bpy.types.Operator):
-    """Take the chosen take off the list; its file stays where it is"""
+    """Remove the selected take from the list; its file is kept"""
 
     bl_idname = "facemime.remove_take"
     bl_label = "Remove Take"
@@ -108,33 +112,32 @@ class FACEMIME_OT_remove_take(OnTake, bpy.types.Operator):
 
 
 class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
-    """List takes that lie in the folder and are not listed: removed ones, or recorded before a crash"""
+    """Add takes in the folder that are not in the list, such as removed ones and those recorded before a crash"""
 
     bl_idname = "facemime.find_takes"
     bl_label = "Find Takes"
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """List them."""
+        """Add the takes to the list."""
         found, unreadable = 0, []
         for path in takes_store.unlisted(context.scene):
             try:
                 takes_store.add(context.scene, path)
                 found += 1
             except takes_store.MisnamedError as error:
-                self.report({"WARNING"}, str(error))
+                report(self, str(error), "WARNING")
             except SourceError:
                 unreadable.append(path.name)
-        self.report({"INFO"}, f"{found} takes found in {takes_store.folder()}")
+        folder = takes_store.folder()
+        report(self, f"{found} takes found in {folder}")
         if unreadable:
-            self.report(
-                {"WARNING"}, f"Nothing can be read in {', '.join(unreadable)}. Delete these files, or ignore them."
-            )
+            report(self, f"Files that cannot be read: {', '.join(unreadable)}. Delete or ignore them.", "WARNING")
         return {"FINISHED"}
 
 
 class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
-    """List a take from a file, or a table of numbers as a take"""
+    """Add a take from a file to the list, or a table of numbers as a take"""
 
     bl_idname = "facemime.import_take"
     bl_label = "Import Take"
@@ -143,20 +146,20 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
     filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        """Read it and list it."""
+        """Read the file and add it to the list."""
         path = self.path
         if path.suffix.lower() == ".csv":
             takes_store.keep(context.scene, from_csv(path), path.stem)
             return {"FINISHED"}
         take = load_take(path)
         takes_store.add(context.scene, path, take)
-        if told := take.info.get("recovered"):
-            self.report({"WARNING"}, told)
+        if warning := take.info.get("recovered"):
+            report(self, str(warning), "WARNING")
         return {"FINISHED"}
 
 
 class FACEMIME_OT_export_take(AsksForFileToWrite, OnTake, bpy.types.Operator):
-    """Write the chosen take to a file of its own, or as a table of numbers"""
+    """Export the selected take to a file, or as a table of numbers"""
 
     bl_idname = "facemime.export_take"
     bl_label = "Export Take"
@@ -174,7 +177,7 @@ class FACEMIME_OT_export_take(AsksForFileToWrite, OnTake, bpy.types.Operator):
 
 
 class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
-    """Keep the chosen take within the .blend, or write it to a file again"""
+    """Pack the selected take into the .blend file, or unpack it"""
 
     bl_idname = "facemime.pack_take"
     bl_label = "Pack Take"
@@ -185,12 +188,12 @@ class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
         if line.packed is None:
             takes_store.pack(line)
         else:
-            self.report({"INFO"}, f"Written to {takes_store.unpack(line)}")
+            report(self, f"Written to {takes_store.unpack(line)}")
         return {"FINISHED"}
 
 
 def _watch() -> float | None:
-    """List a recording that ended with its session; every now and then until it has."""
+    """Add a recording to the list once it has ended with its session."""
     recording = Recording.current
     if recording is None:
         return None
@@ -214,7 +217,7 @@ TIMERS = (_watch,)
 
 
 def unregister() -> None:
-    """Unregister the operators; a recording ends."""
-    with contextlib.suppress(OutputError):  # nobody is there to read it, and what was written before is safe
+    """Stop a recording."""
+    with contextlib.suppress(OutputError):  # cannot be reported any more, and the frames before it are safe
         stop_recording()
     Recording.current = None

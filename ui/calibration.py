@@ -1,4 +1,4 @@
-"""Who performs, and how that face looks at rest and at its widest."""
+"""Panel Calibration: the performers and their calibrations."""
 
 import bpy
 from bpy.app.translations import pgettext_iface as _
@@ -9,7 +9,7 @@ from .sidebar import Sidebar, labels, place
 
 
 class FACEMIME_UL_performers(bpy.types.UIList):
-    """Performers by name; a tick for who is calibrated."""
+    """List of performers, with a tick for those that are calibrated."""
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property) -> None:
         """Draw one performer."""
@@ -17,7 +17,7 @@ class FACEMIME_UL_performers(bpy.types.UIList):
 
 
 class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
-    """The performers, and the buttons that calibrate."""
+    """List of performers and the calibration buttons."""
 
     bl_label = "Calibration"
     bl_order = place(__name__)
@@ -38,8 +38,8 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
         if session is None:
             return
         if session.countdown is not None:
-            ahead = session.countdown
-            layout.progress(factor=1.0 - min(ahead / COUNTDOWN, 1.0), text=f"{ahead:.0f} s" if ahead else _("Hold"))
+            left = session.countdown
+            layout.progress(factor=1.0 - min(left / COUNTDOWN, 1.0), text=f"{left:.0f} s" if left else _("Hold Still"))
         elif (quality := session.worker.quality) is not None:
             labels(layout, context, quality.message, "CHECKMARK" if quality.good else "ERROR")
 

@@ -1,4 +1,4 @@
-"""The control points of the active head: chosen from a take, listed, shown, changed by hand."""
+"""Panel Control Points: the control points of the active head, and the curve of their selection."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _CURVE = "curve"
 
 
 class _Icons:
-    """The picture of the curve, and of which selection it is."""
+    """The image of the curve, and the selection that it shows."""
 
     previews: object = None
-    of: str = ""
+    selection: str = ""
 
 
 @lru_cache(maxsize=8)
@@ -33,12 +33,12 @@ def _selection_rows(text: str) -> list[PointRow]:
 
 
 def shown_rows(obj: bpy.types.Object) -> list[PointRow]:
-    """A row for each landmark of the head `obj`; read anew only when the selection has changed."""
+    """Return a row for each landmark of the head `obj`; they are cached until the selection changes."""
     return _selection_rows(str(obj.data.get(SELECTION_PROPERTY, "")))
 
 
 class FACEMIME_UL_landmarks(bpy.types.UIList):
-    """Landmarks: number, regions, order and error left, and why each was chosen."""
+    """List of landmarks: number, regions, order, remaining error, and the reason for each."""
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
         """Draw one landmark."""
@@ -60,7 +60,7 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
         line.label(text=row.reason)
 
     def filter_items(self, context, data, property_name) -> tuple[list[int], list[int]]:
-        """Control points first, as they were chosen; the others on demand."""
+        """Sort the control points by their order of selection, before the other landmarks if these are listed."""
         rows = shown_rows(context.active_object)
         all_listed = not context.scene.facemime_steps.only_chosen
         flags = [self.bitflag_filter_item if row.regions or all_listed else 0 for row in rows]
@@ -70,7 +70,7 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
 
 
 class FACEMIME_PT_control_points(Sidebar, bpy.types.Panel):
-    """How control points are chosen, the curve of the error, the list."""
+    """Selection of control points, the curve of the error, and the list of landmarks."""
 
     bl_label = "Control Points"
     bl_order = place(__name__)
@@ -78,13 +78,13 @@ class FACEMIME_PT_control_points(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only for a head."""
+        """Require an active head."""
         return context.active_object is not None and is_head(context.active_object)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, obj, steps = self.layout, context.active_object, context.scene.facemime_steps
-        _draw_choice(layout, steps)
+        _draw_selection(layout, steps)
         row = side_by_side(layout, context)
         row.prop(steps, "show_points", icon="HIDE_OFF" if steps.show_points else "HIDE_ON")
         row.operator("facemime.pick_landmark", icon="EYEDROPPER")
@@ -102,7 +102,7 @@ class FACEMIME_PT_control_points(Sidebar, bpy.types.Panel):
         _draw_list(layout, context, steps)
 
 
-def _draw_choice(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) -> None:
+def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) -> None:
     column = layout.column()
     column.use_property_split = True
     column.use_property_decorate = False
@@ -124,15 +124,15 @@ def _draw_curve(layout: bpy.types.UILayout, text: str, selection: GreedySelectio
 
 
 def _curve_icon(text: str, selection: GreedySelection) -> int:
-    """The picture of the curve as the value of an icon, drawn anew only where the selection has changed."""
+    """Return the icon of the curve, which is drawn again only if the selection has changed."""
     if _Icons.previews is None:
         return 0
     icon = _Icons.previews.get(_CURVE) or _Icons.previews.new(_CURVE)
-    if _Icons.of != text:
+    if _Icons.selection != text:
         picture = draw_curve(selection)
         icon.image_size = picture.shape[1::-1]
         icon.image_pixels_float.foreach_set(picture.reshape(-1))
-        _Icons.of = text
+        _Icons.selection = text
     return icon.icon_id
 
 
@@ -152,11 +152,11 @@ CLASSES = (FACEMIME_UL_landmarks, FACEMIME_PT_control_points)
 
 
 def register() -> None:
-    """Register list and panel."""
+    """Create the collection of icons."""
     _Icons.previews = bpy.utils.previews.new()
 
 
 def unregister() -> None:
-    """Unregister list and panel."""
+    """Remove the collection of icons."""
     bpy.utils.previews.remove(_Icons.previews)
-    _Icons.previews, _Icons.of = None, ""
+    _Icons.previews, _Icons.selection = None, ""

@@ -1,4 +1,4 @@
-"""How strongly a performance moves each part of the face, and how the skin follows."""
+"""Panel Expression: strength of the regions, smoothing, skin, and presets."""
 
 import bpy
 
@@ -7,19 +7,19 @@ from .sidebar import Sidebar, place
 
 
 class FACEMIME_MT_presets(bpy.types.Menu):
-    """The user's presets"""
+    """Your presets"""
 
     bl_label = "Presets"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw one line a preset, then what can be done."""
-        layout, known = self.layout, presets.names()
-        for name in known:
+        """Draw the presets and the operators on them."""
+        layout, names = self.layout, presets.names()
+        for name in names:
             layout.operator("facemime.load_preset", text=name, translate=False).name = name
-        if known:
+        if names:
             layout.separator()
         layout.operator("facemime.save_preset", icon="ADD")
-        if known:
+        if names:
             layout.menu("FACEMIME_MT_remove_preset", icon="REMOVE")
         layout.separator()
         layout.operator("facemime.import_preset", icon="IMPORT")
@@ -27,18 +27,18 @@ class FACEMIME_MT_presets(bpy.types.Menu):
 
 
 class FACEMIME_MT_remove_preset(bpy.types.Menu):
-    """Presets to remove"""
+    """Your presets, to remove one"""
 
     bl_label = "Remove Preset"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw one line a preset."""
+        """Draw the presets."""
         for name in presets.names():
             self.layout.operator("facemime.remove_preset", text=name, translate=False).name = name
 
 
 class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
-    """Strength of the regions, depth and skin."""
+    """Strength of the regions, smoothing, depth and skin."""
 
     bl_label = "Expression"
     bl_order = place(__name__)

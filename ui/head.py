@@ -1,14 +1,14 @@
-"""The first step: a head, the built-in one or a mesh of the user's own."""
+"""Panel Head: the built-in head, or the preparation of another mesh."""
 
 import bpy
 from bpy.app.translations import pgettext_iface as _
 
-from ..blender.heads.binding import read_marks, what_is_missing
+from ..blender.heads.binding import missing_parts, read_marks
 from .sidebar import Sidebar, draw_findings, labels, place
 
 
 class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
-    """The button that adds a head, and what the active mesh lacks to be one."""
+    """Button that adds a head, and what the active mesh still needs."""
 
     bl_label = "Head"
     bl_order = place(__name__)
@@ -19,7 +19,7 @@ class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
         layout.operator("facemime.add_head", text="Add Head", icon="MONKEY")
         if obj is None or obj.type != "MESH":
             return
-        missing = what_is_missing(obj)
+        missing = missing_parts(obj)
         if not missing:
             layout.label(text=obj.name, icon="CHECKMARK", translate=False)
             draw_findings(layout, context)
@@ -29,7 +29,7 @@ class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
 
 
 class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
-    """Buttons that make the active mesh a head."""
+    """Buttons that prepare the active mesh as a head."""
 
     bl_label = "Your Own Head"
     bl_parent_id = "FACEMIME_PT_head"
@@ -50,8 +50,10 @@ class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
             )
             column.operator("facemime.set_landmark")
         else:
-            marked = _("{count} points marked").format(count=len(marks))
-            column.label(text=marked if marks else _("No points marked: facing along an axis"), translate=False)
+            marked = _("Marked points: {count}").format(count=len(marks))
+            column.label(
+                text=marked if marks else _("No points marked; the mesh may face along any axis"), translate=False
+            )
             column.operator("facemime.bind_landmarks", icon="OUTLINER_DATA_ARMATURE")
             column.operator("facemime.propose_regions", icon="GROUP_VERTEX")
             column.operator("facemime.check_head", icon="CHECKMARK")

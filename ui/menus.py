@@ -1,4 +1,4 @@
-"""Entries in Blender's own menus."""
+"""Entries in Blender's menus."""
 
 import bpy
 
@@ -12,12 +12,12 @@ def _import_facegen(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
 
 
 def register() -> None:
-    """Add > Mesh > Facemime Head, and File > Import > FaceGen Head."""
+    """Add the entries Add > Mesh > Facemime Head and File > Import > FaceGen Head."""
     bpy.types.VIEW3D_MT_mesh_add.append(_add_head)
     bpy.types.TOPBAR_MT_file_import.append(_import_facegen)
 
 
 def unregister() -> None:
-    """Take the entries back."""
+    """Remove the entries."""
     bpy.types.TOPBAR_MT_file_import.remove(_import_facegen)
     bpy.types.VIEW3D_MT_mesh_add.remove(_add_head)

@@ -1,4 +1,4 @@
-"""Landmarks as dots over the head in the viewport, control points in their region's colour; nothing when not shown."""
+"""Viewport overlay of the landmarks as dots, with control points in the colours of their regions."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .control_points import shown_rows
 _CORNERS = 12
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
 _CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
-_RADIUS, _SMALL, _RIM = 4.5, 2.5, 1.5
-_GREY, _PICKED, _DARK = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0), (0.05, 0.05, 0.05)
+_RADIUS, _SMALL_RADIUS, _RIM = 4.5, 2.5, 1.5
+_GREY, _SELECTED_COLOUR, _RIM_COLOUR = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0), (0.05, 0.05, 0.05)
 
 
-class _Kept:
-    """The handler that draws."""
+class _Overlay:
+    """The draw handler."""
 
     handle: object = None
 
@@ -36,25 +36,46 @@ def _draw() -> None:
     try:
         rows = shown_rows(obj)
         places = landmark_places(obj, context.evaluated_depsgraph_get(), view, (region.width, region.height))
-    except FacemimeError:  # the panels say what is wrong with the head or its control points
+    except FacemimeError:  # the panels show what is wrong with the head or its control points
         return
     triangles, colours = dots(rows, places.pixels, places.facing, steps.landmark, context.preferences.system.ui_scale)
     _draw_triangles(triangles, colours)
 
 
 def dots(
-    rows: list[PointRow], pixels: NDArray[np.float64], facing: NDArray[np.bool_], picked: int, scale: float
+    rows: list[PointRow], pixels: NDArray[np.float64], facing: NDArray[np.bool_], selected: int, scale: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(T, 2) corners of triangles, three for each, and their (T, 4) colours: a dark rim and a dot for each landmark."""
+    """Triangulate a dot with a dark rim for each landmark that faces the viewer.
+
+    Parameters
+    ----------
+    rows : list of PointRow
+        One per landmark.
+    pixels : (66, 2) array
+        Positions in the region, pixels.
+    facing : (66,) array of bool
+        Whether the skin at a landmark faces the viewer.
+    selected : int
+        The landmark to highlight; -1 for none.
+    scale : float
+        Resolution scale of the interface.
+
+    Returns
+    -------
+    corners : (3 T, 2) float32
+        Corners of the triangles, pixels.
+    colours : (3 T, 4) float32
+        RGBA colour of each corner.
+    """
     corners, colours = [], []
     for row in rows:
         if not facing[row.landmark]:
             continue
-        radius = _RADIUS if row.regions else _SMALL
+        radius = _RADIUS if row.regions else _SMALL_RADIUS
         colour = REGION_COLOURS[row.regions[0]] if row.regions else _GREY
-        if row.landmark == picked:
-            radius, colour = 1.6 * _RADIUS, _PICKED
-        for size, paint in ((radius + _RIM, _DARK), (radius, colour)):
+        if row.landmark == selected:
+            radius, colour = 1.6 * _RADIUS, _SELECTED_COLOUR
+        for size, paint in ((radius + _RIM, _RIM_COLOUR), (radius, colour)):
             circle = pixels[row.landmark] + size * scale * _CIRCLE
             fan = np.stack([np.broadcast_to(circle[:1], circle.shape), circle, np.roll(circle, -1, axis=0)], axis=1)
             corners.append(fan.reshape(-1, 2))
@@ -78,11 +99,11 @@ def _draw_triangles(corners: NDArray[np.float32], colours: NDArray[np.float32]) 
 
 
 def register() -> None:
-    """Draw in every 3D viewport."""
-    _Kept.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
+    """Add the draw handler to all 3D Viewports."""
+    _Overlay.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
 
 
 def unregister() -> None:
-    """Stop drawing."""
-    bpy.types.SpaceView3D.draw_handler_remove(_Kept.handle, "WINDOW")
-    _Kept.handle = None
+    """Remove the draw handler."""
+    bpy.types.SpaceView3D.draw_handler_remove(_Overlay.handle, "WINDOW")
+    _Overlay.handle = None

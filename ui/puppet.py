@@ -1,4 +1,4 @@
-"""The last step: a performance moves the head."""
+"""Panel Puppet: live puppetry, the pose of head and eyes, and whole videos."""
 
 import bpy
 
@@ -8,7 +8,7 @@ from .status import status_lines
 
 
 class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
-    """The buttons that puppet the head, and how it goes."""
+    """Start and Stop, and the status of the session."""
 
     bl_label = "Puppet"
     bl_order = place(__name__)
@@ -31,7 +31,7 @@ class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
 
 
 class FACEMIME_PT_pose(Sidebar, bpy.types.Panel):
-    """What of the head's pose is followed, how far, and by which object or bone."""
+    """Strength, limits and targets of the pose of the head and the eyes."""
 
     bl_label = "Head and Eyes"
     bl_parent_id = "FACEMIME_PT_puppet"
@@ -43,12 +43,12 @@ class FACEMIME_PT_pose(Sidebar, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         posing = settings.posing
-        for switch, what in (("rotation", "rotation"), ("translation", "location")):
+        for switch, prefix in (("rotation", "rotation"), ("translation", "location")):
             layout.prop(settings, switch)
             column = layout.column(align=True)
             column.active = getattr(settings, switch)
-            column.prop(posing, f"{what}_strength", text="Strength")
-            column.prop(posing, f"{what}_limit", text="Limit")
+            column.prop(posing, f"{prefix}_strength", text="Strength")
+            column.prop(posing, f"{prefix}_limit", text="Limit")
         column = layout.column(align=True)
         column.prop(posing, "eyes_strength", text="Eyes Strength")
         column.prop(posing, "eyes_limit", text="Limit")
@@ -61,7 +61,7 @@ class FACEMIME_PT_pose(Sidebar, bpy.types.Panel):
 
 
 class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
-    """A whole video, or a take, as animation."""
+    """Tracking and baking of a whole video or take."""
 
     bl_label = "Whole Video"
     bl_parent_id = "FACEMIME_PT_puppet"

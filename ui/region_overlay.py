@@ -1,7 +1,7 @@
-"""The regions' colours over the head in the viewport; nothing is done, and nothing costs, where they are not shown.
+"""Viewport overlay of the regions' colours.
 
-What is drawn is the mesh as Blender shows it, moved and with its modifiers. Its triangles and weights are kept until
-the mesh is changed; only places are read for every drawing.
+The evaluated mesh is drawn, with its modifiers and transform. Triangles and weights are cached until the mesh changes;
+only positions are read for every redraw.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from ..core.errors import HeadError
 from ..operators.puppet import running
 
 _TOWARDS_VIEWER = 0.002
-"""How far the colours lie before the skin, of the head's size."""
-_DEAR, _PATIENCE = 0.02, 1.0
-"""Seconds: reading weights that took longer than the first is not done again before the second has passed."""
+"""Distance of the overlay from the skin, relative to the size of the head."""
+_SLOW, _PAUSE = 0.02, 1.0
+"""Seconds: if reading the weights took longer than the first, they are read again only after the second."""
 
 
-class _Kept:
-    """What was read from the mesh, and the handler that draws."""
+class _Cache:
+    """What was read from the mesh, and the draw handler."""
 
     handle: object = None
     key: tuple = ()
@@ -38,23 +38,35 @@ class _Kept:
 
 
 def shown_regions(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The head whose regions are to be drawn; None where none is."""
+    """Return the head whose regions are to be drawn, or None."""
     obj = context.active_object
     if not context.scene.facemime_steps.show_regions or obj is None or not is_head(obj) or not obj.visible_get():
         return None
     if context.mode in ("PAINT_WEIGHT", "EDIT_MESH"):
-        _Kept.stale = True
+        _Cache.stale = True
         return None
     return obj
 
 
 def coloured_triangles(obj: bpy.types.Object, opacity: float) -> tuple[np.ndarray, np.ndarray]:
-    """(T, 3) int32 triangles that lie in any region and (V, 4) colours of an evaluated head.
+    """Return the triangles of an evaluated head that lie in any region, and the colours of its vertices.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Evaluated head with V vertices.
+    opacity : float
+        Alpha of the colours at full weight.
+
+    Returns
+    -------
+    triangles : (T, 3) int32
+    colours : (V, 4) float32
 
     Raises
     ------
     HeadError
-        Where it has no regions.
+        If it has no regions.
     """
     mesh = obj.data
     mesh.calc_loop_triangles()
@@ -72,33 +84,33 @@ def _draw() -> None:
         return
     evaluated = obj.evaluated_get(context.evaluated_depsgraph_get())
     try:
-        _renew(evaluated, context.scene.facemime_steps.regions_opacity)
-    except HeadError:  # the panels Head and Regions say what is missing
+        _refresh(evaluated, context.scene.facemime_steps.regions_opacity)
+    except HeadError:  # the panels Head and Regions show what is missing
         return
     _draw_triangles(evaluated, context.region_data.view_matrix.inverted().col[2].to_3d())
 
 
-def _renew(obj: bpy.types.Object, opacity: float) -> None:
-    """Read the mesh again where it was changed, but not all the time where that is dear."""
+def _refresh(obj: bpy.types.Object, opacity: float) -> None:
+    """Read the mesh again if it has changed, but less often if that is slow."""
     key = (obj.session_uid, len(obj.data.vertices), len(obj.data.polygons), opacity)
     now = perf_counter()
-    fresh = not _Kept.stale or (_Kept.took > _DEAR and now - _Kept.read_at < _PATIENCE)
-    if key == _Kept.key and fresh:
+    fresh = not _Cache.stale or (_Cache.took > _SLOW and now - _Cache.read_at < _PAUSE)
+    if key == _Cache.key and fresh:
         return
-    _Kept.key = ()
-    _Kept.triangles, _Kept.colours = coloured_triangles(obj, opacity)
-    _Kept.batch_parts = ()
-    _Kept.key, _Kept.stale, _Kept.read_at = key, False, perf_counter()
-    _Kept.took = _Kept.read_at - now
+    _Cache.key = ()
+    _Cache.triangles, _Cache.colours = coloured_triangles(obj, opacity)
+    _Cache.batch_parts = ()
+    _Cache.key, _Cache.stale, _Cache.read_at = key, False, perf_counter()
+    _Cache.took = _Cache.read_at - now
 
 
 def _draw_triangles(obj: bpy.types.Object, to_viewer) -> None:
     import gpu
 
-    if not _Kept.batch_parts:
-        colours = _buffer(gpu, "color", 4, _Kept.colours)
-        _Kept.batch_parts = (colours, gpu.types.GPUIndexBuf(type="TRIS", seq=_Kept.triangles))
-    colours, triangles = _Kept.batch_parts
+    if not _Cache.batch_parts:
+        colours = _buffer(gpu, "color", 4, _Cache.colours)
+        _Cache.batch_parts = (colours, gpu.types.GPUIndexBuf(type="TRIS", seq=_Cache.triangles))
+    colours, triangles = _Cache.batch_parts
     places = np.empty(3 * len(obj.data.vertices), dtype=np.float32)
     obj.data.attributes["position"].data.foreach_get("vector", places)
     batch = gpu.types.GPUBatch(type="TRIS", buf=_buffer(gpu, "pos", 3, places.reshape(-1, 3)), elem=triangles)
@@ -123,23 +135,23 @@ def _buffer(gpu, name: str, length: int, values: np.ndarray):
 
 @persistent
 def _on_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    """Weights may have changed where a mesh has; a puppet and playing animation move vertices only."""
-    if _Kept.stale or not scene.facemime_steps.show_regions or running() is not None:
+    """Mark the cache as stale if a mesh has changed; a puppet and playback only move vertices."""
+    if _Cache.stale or not scene.facemime_steps.show_regions or running() is not None:
         return
     if any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows):
         return
-    _Kept.stale = any(update.is_updated_geometry for update in depsgraph.updates)
+    _Cache.stale = any(update.is_updated_geometry for update in depsgraph.updates)
 
 
 HANDLERS = {"depsgraph_update_post": _on_update}
 
 
 def register() -> None:
-    """Draw in every 3D viewport."""
-    _Kept.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
+    """Add the draw handler to all 3D Viewports."""
+    _Cache.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
 
 
 def unregister() -> None:
-    """Stop drawing."""
-    bpy.types.SpaceView3D.draw_handler_remove(_Kept.handle, "WINDOW")
-    _Kept.handle, _Kept.key, _Kept.batch_parts = None, (), ()
+    """Remove the draw handler."""
+    bpy.types.SpaceView3D.draw_handler_remove(_Cache.handle, "WINDOW")
+    _Cache.handle, _Cache.key, _Cache.batch_parts = None, (), ()

@@ -1,4 +1,4 @@
-"""The regions of the face: painted, mirrored, smoothed, proposed, checked."""
+"""Panel Regions: painting, mirroring, smoothing and checking the regions of the face."""
 
 import bpy
 
@@ -10,7 +10,7 @@ _BUTTONS = (("UPPER", "Upper"), ("MIDDLE", "Middle"), ("LOWER", "Lower"))
 
 
 class FACEMIME_PT_regions(Sidebar, bpy.types.Panel):
-    """Buttons that paint and mend the regions, and what the last check found."""
+    """Buttons that edit the regions, and the findings of the last check."""
 
     bl_label = "Regions"
     bl_order = place(__name__)
@@ -18,7 +18,7 @@ class FACEMIME_PT_regions(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only for a head."""
+        """Require an active head."""
         return context.active_object is not None and is_head(context.active_object)
 
     def draw(self, context: bpy.types.Context) -> None:

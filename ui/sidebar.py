@@ -1,14 +1,17 @@
-"""What the panels of the sidebar's tab share: where they stand, and their order, which is the order of the work."""
+"""Base class, order and layout helpers of the panels in the sidebar tab."""
 
 import blf
 import bpy
+from bpy.app.translations import pgettext_iface
+
+from ..blender.messages import translated
 
 ORDER = ("head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
-"""Modules of `ui` whose panels stand in the tab, from above."""
+"""Modules of `ui` whose panels are in the tab, from top to bottom: the order of the workflow."""
 
 
 def place(module: str) -> int:
-    """For `bl_order`: the place of the panel of `ui.<module>`; its `__name__` will do."""
+    """Return the `bl_order` of the panel in a module of `ui`, given its `__name__`."""
     return ORDER.index(module.rpartition(".")[2])
 
 
@@ -16,7 +19,7 @@ _NARROW = 220.0
 
 
 class Sidebar:
-    """Mixin: a panel of the tab Facemime."""
+    """Mixin: a panel in the sidebar tab Facemime."""
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
@@ -24,21 +27,37 @@ class Sidebar:
 
 
 def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
-    """`text` as lines that fit the sidebar, its `icon` before the first."""
+    """Draw `text`, translated and wrapped to the width of the sidebar.
+
+    Parameters
+    ----------
+    layout : bpy.types.UILayout
+    context : bpy.types.Context
+    text : str
+        In English; messages of `core` are translated by their templates.
+    icon : str
+        Icon before the first line.
+    """
     column = layout.column(align=True)
     column.scale_y = 0.9
-    for line in wrapped(bpy.app.translations.pgettext_iface(text), _room(context)):
+    for line in wrap(translated(text, pgettext_iface), _text_width(context)):
         column.label(text=line, icon=icon, translate=False)
         icon = "BLANK1" if icon != "NONE" else icon
 
 
 def draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """What the check of the active head found; nothing where it was not the last one that was checked."""
+    """Draw the findings of the last check if it was of the active head, with buttons that fix them.
+
+    Parameters
+    ----------
+    layout : bpy.types.UILayout
+    context : bpy.types.Context
+    """
     memory = context.window_manager.facemime
     if memory.checked != context.active_object.name:
         return
     if not memory.findings:
-        labels(layout, context, "No fault was found", "CHECKMARK")
+        labels(layout, context, "No problems found", "CHECKMARK")
     for finding in memory.findings:
         labels(layout, context, finding.problem, "ERROR")
         labels(layout, context, finding.remedy, "BLANK1")
@@ -47,29 +66,47 @@ def draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
 
 
 def side_by_side(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
-    """A row for what belongs together; a column where the sidebar is too narrow for a row's texts."""
+    """Return a row for related buttons, or a column if the sidebar is too narrow for a row.
+
+    Parameters
+    ----------
+    layout : bpy.types.UILayout
+    context : bpy.types.Context
+    """
     return layout.column(align=True) if is_narrow(context) else layout.row(align=True)
 
 
 def is_narrow(context: bpy.types.Context) -> bool:
-    """Whether the sidebar has little more than a button's width."""
+    """Return whether the sidebar is hardly wider than a button."""
     return context.region is not None and context.region.width < _NARROW * context.preferences.system.ui_scale
 
 
-def wrapped(text: str, room: float) -> list[str]:
-    """The lines of `text` that are no wider than `room` pixels at the size of interface text; words stay whole."""
+def wrap(text: str, width: float) -> list[str]:
+    """Wrap `text` at spaces.
+
+    Parameters
+    ----------
+    text : str
+    width : float
+        Width of a line, pixels, at the font size that was set with `blf`.
+
+    Returns
+    -------
+    list of str
+        The lines; a word that is wider has a line of its own.
+    """
     lines: list[str] = []
     for word in text.split():
         longer = f"{lines[-1]} {word}" if lines else word
-        if lines and blf.dimensions(0, longer)[0] <= room:
+        if lines and blf.dimensions(0, longer)[0] <= width:
             lines[-1] = longer
         else:
             lines.append(word)
     return lines
 
 
-def _room(context: bpy.types.Context) -> float:
-    """Pixels for text beside an icon, and the size of text set to the interface's."""
+def _text_width(context: bpy.types.Context) -> float:
+    """Set the font size of the interface, and return the width available beside an icon, pixels."""
     scale = context.preferences.system.ui_scale
     blf.size(0, 11.5 * scale)
     width = context.region.width if context.region is not None else 300.0

@@ -1,4 +1,4 @@
-"""Where the face is seen."""
+"""Panel Source: the camera, video, image sequence or take, and the preview."""
 
 import sys
 
@@ -10,11 +10,11 @@ from ..settings.preferences import draw_camera, draw_preview, preferences
 from .preview import panel_icon
 from .sidebar import Sidebar, labels, place
 
-_NUMBERS = 4
+_NUMBERED_CAMERAS = 4
 
 
 class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
-    """The camera, video, pictures or take, and the preview."""
+    """Source of the face, and its preview."""
 
     bl_label = "Source"
     bl_order = place(__name__)
@@ -51,21 +51,22 @@ def _draw_camera(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         labels(
             layout,
             context,
-            "macOS asks for leave at the first start: start Blender from Terminal, and allow it",
+            "macOS asks for permission the first time: start Blender from Terminal and allow access to the camera",
             "INFO",
         )
     elif sys.platform == "linux" and chosen.camera.strip().isdecimal() and not list_cameras():
-        labels(layout, context, "This computer has no camera: use a video, or a telephone's stream", "INFO")
+        labels(layout, context, "No camera found: use a video, or a phone's video stream", "INFO")
 
 
 class FACEMIME_MT_cameras(bpy.types.Menu):
-    """The cameras that the system tells of; where it tells nothing, the first numbers"""
+    """Cameras of this computer; if they cannot be listed, the first numbers"""
 
     bl_label = "Cameras"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw one line a camera."""
-        for camera in [str(camera) for camera in list_cameras()] or [str(number) for number in range(_NUMBERS)]:
+        """Draw the cameras."""
+        numbers = [str(number) for number in range(_NUMBERED_CAMERAS)]
+        for camera in [str(camera) for camera in list_cameras()] or numbers:
             self.layout.operator("facemime.choose_camera", text=camera, translate=False).camera = camera
 
 

@@ -1,4 +1,4 @@
-"""What a running session says of itself, as text."""
+"""Status of a running session as text."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from bpy.app.translations import pgettext_iface as _
 
 from ..sessions.live import LiveSession
 
-_NAMES = {
+_STAGES = {
     "wait": "the source",
     "track": "tracking",
-    "drive": "the heads' skin",
-    "hand over": "Blender's drawing",
+    "drive": "deformation",
+    "hand over": "Blender's redraw",
     "write": "writing to the mesh",
 }
 
 
 def latency_text(session: LiveSession) -> str:
-    """Delay from the camera to the vertices, and frames a second; "" before the first frame."""
+    """Return the delay from the camera to the vertices and the frame rate; "" before the first frame."""
     watch = session.stopwatch
     if len(watch) == 0:
         return ""
@@ -24,7 +24,7 @@ def latency_text(session: LiveSession) -> str:
 
 
 def status_lines(session: LiveSession) -> list[tuple[str, str]]:
-    """(text, icon) of each line: what is wrong first, then the delays, then the counts."""
+    """Return (text, icon) of each line: errors, then the delay, then the counts."""
     worker, lines = session.worker, []
     if worker.message:
         lines.append((worker.message, "ERROR"))
@@ -36,11 +36,11 @@ def status_lines(session: LiveSession) -> list[tuple[str, str]]:
     if not latest.result.found:
         lines.append((_("No face in view"), "QUESTION"))
     elif worker.neutral is None:
-        lines.append((_("Taking the first second as the neutral face"), "TIME"))
+        lines.append((_("Using the first second as the neutral face"), "TIME"))
     counts = worker.counts
     lines.append((latency_text(session), "PREVIEW_RANGE"))
     if slowest := session.stopwatch.slowest():
-        lines.append((_("Most of it: {name}").format(name=_(_NAMES[slowest])), "BLANK1"))
+        lines.append((_("Slowest step: {name}").format(name=_(_STAGES[slowest])), "BLANK1"))
     numbers = {"tracked": counts.tracked, "dropped": counts.dropped, "lost": counts.lost}
     lines.append((_("{tracked} tracked, {dropped} dropped, {lost} lost").format(**numbers), "BLANK1"))
     return lines

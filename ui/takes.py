@@ -1,4 +1,4 @@
-"""The takes of the scene: recorded, listed, shown, changed, and baked."""
+"""Panel Takes: recording, the list of takes, editing and baking."""
 
 import bpy
 from bpy.app.translations import pgettext_iface as _
@@ -14,7 +14,7 @@ _MAPPED = "mapped"
 
 
 class FACEMIME_UL_takes(bpy.types.UIList):
-    """Takes: star, name, length, whether packed."""
+    """List of takes: favourite, name, note, packed, duration."""
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
         """Draw one take."""
@@ -29,7 +29,7 @@ class FACEMIME_UL_takes(bpy.types.UIList):
 
 
 class FACEMIME_UL_key_rows(bpy.types.UIList):
-    """Rows of the table of keys."""
+    """List of the rows of the key table."""
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
         """Draw one row."""
@@ -41,7 +41,7 @@ class FACEMIME_UL_key_rows(bpy.types.UIList):
 
 
 class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
-    """Recording, and the list of takes."""
+    """Recording, the list of takes, and their editing."""
 
     bl_label = "Takes"
     bl_order = place(__name__)
@@ -63,11 +63,11 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
         if recording is not None:
             labels(layout, context, _("{count} frames recorded").format(count=recording.frames), "DISK_DRIVE")
         elif PunchIn.current is not None:
-            labels(layout, context, _("Recording in {seconds:.0f} s").format(seconds=PunchIn.current.ahead), "TIME")
+            labels(layout, context, _("Recording in {seconds:.0f} s").format(seconds=PunchIn.current.time_left), "TIME")
         elif running() is None and not len(takes.items):
-            labels(layout, context, "Start the puppet to record, or import a take", "INFO")
+            labels(layout, context, "Start the puppet to record a take, or import one", "INFO")
         if not bpy.data.filepath and len(takes.items):
-            labels(layout, context, "Until you save the .blend, takes go to your user folder", "INFO")
+            labels(layout, context, "Takes are stored in your user folder until you save the .blend file", "INFO")
         row = layout.row()
         row.template_list("FACEMIME_UL_takes", "", takes, "items", takes, "index", rows=4)
         column = row.column(align=True)
@@ -95,7 +95,7 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
 
 
 class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
-    """What the chosen take is baked to."""
+    """What the selected take is baked to."""
 
     bl_label = "Bake"
     bl_parent_id = "FACEMIME_PT_takes"
@@ -117,9 +117,9 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
 
 
 class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
-    """The table by which the keys of a head are moved."""
+    """Key table for existing shape keys."""
 
-    bl_label = "Table of Keys"
+    bl_label = "Key Table"
     bl_parent_id = "FACEMIME_PT_takes"
     bl_options = {"DEFAULT_CLOSED"}
 

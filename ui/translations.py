@@ -1,34 +1,27 @@
-"""Facemime's texts in other languages, for Blender to look up as it does its own."""
+"""Registration of Facemime's translations with Blender."""
 
 from __future__ import annotations
 
-import json
-
 import bpy
 
-from ..core.assets import ASSETS
+from ..blender.messages import load_languages
 
-FOLDER = ASSETS / "translations"
 _CONTEXTS = ("*", "Operator")
 
 
 def texts() -> dict[str, dict[tuple[str, str], str]]:
-    """What is to be said in each language, by context and English text; the files are named as Blender's languages."""
+    """Return the translations of each language, keyed by context and English text."""
     return {
-        path.stem: {
-            (context, english): other
-            for english, other in json.loads(path.read_text(encoding="utf-8")).items()
-            for context in _CONTEXTS
-        }
-        for path in sorted(FOLDER.glob("*.json"))
+        language: {(context, english): other for english, other in known.items() for context in _CONTEXTS}
+        for language, known in load_languages().items()
     }
 
 
 def register() -> None:
-    """Make the languages known."""
+    """Register the translations."""
     bpy.app.translations.register(__package__, texts())
 
 
 def unregister() -> None:
-    """Forget them."""
+    """Unregister the translations."""
     bpy.app.translations.unregister(__package__)
