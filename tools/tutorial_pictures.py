@@ -253,7 +253,7 @@ def take() -> None:
         blender.do(_IN_VIEW + "    bpy.ops.facemime.detect_key_map()")
         blender.do("bpy.context.scene.facemime_takes.bake.row = 24")
         x, y = sidebar.find("bpy.ops.facemime.bake_take")
-        blender.click(x, y + 1.6 * sidebar.unit)  # the header of Table of Keys, right below the button
+        blender.click(x, y + 1.6 * sidebar.unit)  # the header of Key Table, right below the button
         blender.redraw()
         box = sidebar.box()
         blender.input("mousemove", box.x + 60, box.y + 300, "click", "--repeat", 40, "--delay", 5, 5)
