@@ -1,4 +1,4 @@
-"""Every test starts from an empty file with factory settings."""
+"""Fixtures: every test starts from an empty file with factory settings."""
 
 import gc
 import signal
@@ -24,11 +24,11 @@ from facemime.settings.values import write_calibration
 from takes import performance
 
 _ENDING = 120
-"""Seconds until a Blender that hangs at its exit, as 4.5 does where something is still registered, is ended."""
+"""Seconds until a Blender that hangs on exit, as 4.5 does if something is still registered, is killed."""
 
 
 def pytest_unconfigure(config):
-    """Let the system end a process whose tests are over: where Blender hangs, Python runs no longer."""
+    """Let the system kill the process after the tests, as no Python code runs if Blender hangs on exit."""
     if hasattr(signal, "alarm"):
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(_ENDING)
@@ -36,7 +36,7 @@ def pytest_unconfigure(config):
 
 @pytest.fixture(scope="session", autouse=True)
 def _registered():
-    """The extension's classes, taken back at the end: Blender does not survive an exit with them registered."""
+    """Register the extension, and unregister it at the end: Blender crashes if it exits with classes registered."""
     facemime.register()
     yield
     facemime.unregister()
@@ -54,7 +54,7 @@ def _frames_come_when_asked(monkeypatch):
 
 @pytest.fixture
 def nothing_left_over():
-    """Neither a session, nor its threads, nor what it records, nor the operator, of which Blender would complain."""
+    """Check that no session, thread, recording or modal operator is left."""
     yield
     if Session.current is not None:
         Session.current.close()
@@ -66,13 +66,13 @@ def nothing_left_over():
 
 @pytest.fixture
 def scan():
-    """A scan with landmarks, active."""
+    """An active scan with landmarks."""
     return _bound("Scan", *scanned())
 
 
 @pytest.fixture
 def coarse_scan():
-    """The same with a ninth of the vertices."""
+    """The same scan with a ninth of the vertices."""
     return _bound("Coarse Scan", *scanned(0.06))
 
 
@@ -89,7 +89,7 @@ def _bound(name, places, faces):
 
 @pytest.fixture
 def take(tmp_path):
-    """The settings' source: a take, once, at once."""
+    """A take as the source, played once without waiting."""
     path = tmp_path / "take.facetake"
     save_take(performance(), path)
     settings = bpy.context.scene.facemime
@@ -101,20 +101,20 @@ def take(tmp_path):
 
 @pytest.fixture
 def in_a_project(_empty_file, nothing_left_over, tmp_path):
-    """A saved .blend."""
+    """Save the .blend file."""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "project.blend"))
     bpy.context.scene.render.fps = 25
 
 
 @pytest.fixture
 def takes(in_a_project):
-    """The list."""
+    """The list of takes."""
     return bpy.context.scene.facemime_takes
 
 
 @pytest.fixture
 def imported(tmp_path, takes):
-    """A take in the list."""
+    """A take that was imported into the list."""
     save_take(performance(), tmp_path / "First.facetake")
     assert bpy.ops.facemime.import_take(filepath=str(tmp_path / "First.facetake")) == {"FINISHED"}
     return takes.items[0]
@@ -122,7 +122,7 @@ def imported(tmp_path, takes):
 
 @pytest.fixture
 def session(in_a_project, tmp_path):
-    """A live session that plays a take over and over, as a camera would."""
+    """A live session that loops a take, as endless as a camera."""
     save_take(performance(), tmp_path / "source.facetake")
     settings = bpy.context.scene.facemime
     settings.source.kind, settings.source.take = "TAKE", str(tmp_path / "source.facetake")

@@ -1,4 +1,4 @@
-"""Run in a bare Blender, with a throw-away profile: install the zip, use it, disable it, enable it, remove it.
+"""Runs in a bare Blender with a temporary profile: install the zip, use it, disable, enable and remove it.
 
 Usage: python extension_run.py ARCHIVE CLIP. Prints one line of JSON; the exit status is 0 only where all went well.
 """
@@ -15,7 +15,7 @@ MODULE = "bl_ext.user_default.facemime"
 
 
 def main() -> dict:
-    """Walk through the life of the extension; returns what was measured on the way."""
+    """Install, use and remove the extension; return what was measured."""
     import bpy  # isort: skip - it makes addon_utils known
     import addon_utils
 
@@ -60,7 +60,7 @@ def main() -> dict:
 
 
 def bake_every_way(bpy, head) -> dict:
-    """Bake the clip to keys and to a cache by the installed modules; played, the vertices must be the live ones."""
+    """Bake the clip to shape keys and to a cache with the installed modules; return the errors of the playback."""
     puppet = importlib.import_module(f"{MODULE}.blender.animation.puppet")
     bake = importlib.import_module(f"{MODULE}.blender.animation.bake")
     pipeline = importlib.import_module(f"{MODULE}.core.takes.from_video")
@@ -91,7 +91,7 @@ def bake_every_way(bpy, head) -> dict:
 
 
 def list_and_show(bpy, head, folder: Path) -> None:
-    """List a take, pack it, save and open the file, show it, bake it by the table that fits."""
+    """Import a take, pack it, save and open the file, show it, and bake it with the detected key table."""
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "file.blend"), copy=True)
     assert bpy.ops.facemime.import_take(filepath=str(folder / "take.facetake")) == {"FINISHED"}
     assert bpy.ops.facemime.pack_take() == {"FINISHED"} and bpy.ops.facemime.show_take() == {"FINISHED"}
@@ -106,7 +106,7 @@ def list_and_show(bpy, head, folder: Path) -> None:
 
 
 def repository(bpy) -> Path:
-    """The folder of the repository for files installed by hand."""
+    """Return the folder of the repository for extensions installed from disk."""
     repos = bpy.context.preferences.extensions.repos
     return Path(next(repo for repo in repos if repo.module == "user_default").directory)
 

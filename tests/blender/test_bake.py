@@ -1,4 +1,4 @@
-"""A take baked to the head equals the take driven live."""
+"""A take baked to a head equals the take driven live."""
 
 import bpy
 import numpy as np
@@ -19,7 +19,7 @@ from takes import performance
 
 
 def evaluated_vertices(obj: bpy.types.Object) -> np.ndarray:
-    """(V, 3) vertices after shape keys, head frame, the object's transform not applied."""
+    """Return (V, 3) vertices with shape keys in the head frame, without the object's transform."""
     mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     flat = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", flat)
@@ -27,12 +27,12 @@ def evaluated_vertices(obj: bpy.types.Object) -> np.ndarray:
 
 
 def go_to(frame: float) -> None:
-    """Move the scene to a frame, fractional or not."""
+    """Set the frame of the scene, which may be fractional."""
     bpy.context.scene.frame_set(int(np.floor(frame)), subframe=float(frame % 1.0))
 
 
 @pytest.mark.parametrize("scene_fps", [25, 24, 60])
-def test_played_back_every_frame_has_the_vertices_and_the_pose_of_the_drive(scene_fps):
+def test_a_baked_head_plays_back_the_driven_vertices_and_pose(scene_fps):
     scene = bpy.context.scene
     scene.render.fps = scene_fps
     head = add_head(bpy.context)
@@ -48,7 +48,7 @@ def test_played_back_every_frame_has_the_vertices_and_the_pose_of_the_drive(scen
         np.testing.assert_allclose(turned, rotation_to_blender(report.motion.rotation[n]), atol=1e-3)
 
 
-def test_a_head_that_was_placed_and_turned_keeps_its_place_and_turns_about_its_own_axes():
+def test_a_placed_and_rotated_head_stays_in_place_and_rotates_about_its_own_axes():
     head = add_head(bpy.context)
     head.location, head.rotation_euler = (1.0, 2.0, 3.0), (0.0, 0.0, np.pi / 2)
     bpy.context.view_layer.update()
@@ -64,7 +64,7 @@ def test_a_head_that_was_placed_and_turned_keeps_its_place_and_turns_about_its_o
     np.testing.assert_allclose(np.array(head.matrix_world), placed, atol=1e-3)
 
 
-def test_pose_goes_to_an_empty_where_one_is_given_and_nowhere_when_off():
+def test_the_pose_goes_to_the_pose_object_and_nowhere_if_disabled():
     head, empty = add_head(bpy.context), bpy.data.objects.new("Pose", None)
     bpy.context.collection.objects.link(empty)
     puppet_head(bpy.context.scene, head, performance(), targets={"head": PoseTarget.of(empty)})
@@ -77,7 +77,7 @@ def test_pose_goes_to_an_empty_where_one_is_given_and_nowhere_when_off():
     assert tuple(head.delta_rotation_euler) == (0.0, 0.0, 0.0)
 
 
-def test_the_lower_teeth_and_the_tongue_follow_the_jaw_and_the_eyes_follow_the_viewer():
+def test_lower_teeth_and_tongue_follow_the_jaw_and_eyes_follow_the_gaze():
     head = add_head(bpy.context)
     report = puppet_head(bpy.context.scene, head, performance())
     opening = np.array([np.trace(jaw) for jaw in report.motion.jaw])
@@ -89,7 +89,7 @@ def test_the_lower_teeth_and_the_tongue_follow_the_jaw_and_the_eyes_follow_the_v
     assert len(eyes) == 2 and all(np.abs(eye.delta_rotation_euler).max() > 0.02 for eye in eyes)
 
 
-def test_baking_again_replaces_its_own_keys_and_leaves_the_users():
+def test_baking_again_replaces_facemimes_keys_and_keeps_the_users():
     head = add_head(bpy.context)
     head.shape_key_add(name="Basis")
     mine = head.shape_key_add(name="Mine")
@@ -108,14 +108,14 @@ def test_baking_again_replaces_its_own_keys_and_leaves_the_users():
 
 
 def fcurves(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
-    """The curves of `owner`, whatever the version's way of storing them."""
+    """Return the F-Curves of `owner` in any version of Blender."""
     data = owner.animation_data
     if not hasattr(data.action, "slots"):
         return list(data.action.fcurves)
     return list(data.action.layers[0].strips[0].channelbag(data.action_slot).fcurves)
 
 
-def test_the_fast_write_moves_the_mesh_and_renews_its_bounds():
+def test_a_bulk_write_moves_the_mesh_and_updates_its_bounds():
     head = add_head(bpy.context)
     rig = read_rig(head)
     write_vertices(head.data, rig.vertices + np.float32(0.5))
@@ -125,7 +125,7 @@ def test_the_fast_write_moves_the_mesh_and_renews_its_bounds():
     np.testing.assert_allclose(low, (rig.vertices + 0.5).min(axis=0), atol=1e-5)
 
 
-def test_what_a_mesh_lacks_is_named():
+def test_the_error_names_what_a_mesh_lacks():
     head = add_head(bpy.context)
     head.vertex_groups.remove(head.vertex_groups[REGION_GROUPS[1]])
     with pytest.raises(HeadError, match=REGION_GROUPS[1]):
@@ -134,12 +134,12 @@ def test_what_a_mesh_lacks_is_named():
     with pytest.raises(HeadError, match="empty"):
         read_rig(head)
     head.data[LANDMARKS_PROPERTY] = [10**6] * 66
-    with pytest.raises(HeadError, match="no longer has"):
+    with pytest.raises(HeadError, match="no longer exist"):
         read_rig(head)
     del head.data[LANDMARKS_PROPERTY]
     with pytest.raises(HeadError, match="no landmarks"):
         read_rig(head)
     with pytest.raises(HeadError, match="not a mesh"):
         read_rig(bpy.data.objects.new("Empty", None))
-    with pytest.raises(HeadError, match="No object"):
+    with pytest.raises(HeadError, match="no active object"):
         read_rig(None)

@@ -1,4 +1,4 @@
-"""Every way to bake: named and mapped keys, caches, clean curves, NLA, bones, and what cannot be baked to."""
+"""All bakes: existing shape keys, caches, clean curves, NLA, bones, and impossible ones."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -28,18 +28,18 @@ from takes import performance
 
 @pytest.fixture(autouse=True)
 def _at_the_takes_rate(_empty_file):
-    """So that caches, which hold whole frames, hold the take's."""
+    """Set the frame rate to the take's, as caches hold whole frames."""
     bpy.context.scene.render.fps = 25
 
 
 def bake(head: bpy.types.Object, targets=None, **options) -> PuppetReport:
-    """A bake of the performance."""
+    """Bake the performance."""
     settings = PuppetSettings(bake=BakeSettings(**options), translation=True)
     return puppet_head(bpy.context.scene, head, performance(), settings, targets)
 
 
 def played(head: bpy.types.Object, report: PuppetReport, row: int) -> np.ndarray:
-    """(V, 3) vertices, head frame, with the scene at the time of a row of the motion."""
+    """Return (V, 3) vertices in the head frame, with the scene at the time of a row of the motion."""
     frame = frames_of(bpy.context.scene, report.motion.times[row])
     bpy.context.scene.frame_set(int(np.floor(frame)), subframe=float(frame % 1.0))
     mesh = head.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
@@ -49,7 +49,7 @@ def played(head: bpy.types.Object, report: PuppetReport, row: int) -> np.ndarray
 
 
 def largest_error(head: bpy.types.Object, report: PuppetReport) -> float:
-    """Of the whole take, played, to the live frames; eye distances."""
+    """Return the largest difference between playback and live frames in the whole take, eye distances."""
     rig = read_rig(head)
     take = smooth_take(performance())
     driver, worst = HeadDriver(rig, report.neutral), 0.0
@@ -74,21 +74,19 @@ def largest_error(head: bpy.types.Object, report: PuppetReport) -> float:
     ],
     ids=str,
 )
-def test_played_over_the_whole_take_the_vertices_are_the_live_ones_within_the_stated_error(
-    options, most, nla, tmp_path
-):
+def test_every_bake_plays_back_the_live_vertices_within_the_reported_error(options, most, nla, tmp_path):
     head = add_head(bpy.context, units=options.get("keys") in ("named", "mapped"))
     report = bake(head, nla=nla, path=tmp_path / "cache.pc2", **options)
     assert report.worst_error < most
     assert largest_error(head, report) <= report.worst_error + 1e-4
-    assert f"{report.keys} shape keys" in report.told() or report.keys == 0
+    assert f"{report.keys} shape keys" in report.summary() or report.keys == 0
     assert (tmp_path / "cache.abc").exists() == (options.get("keys") == "alembic")
     has_action = head.animation_data.action is not None
     tracks = [track.name for track in head.animation_data.nla_tracks]
     assert (has_action, tracks) == ((False, [TRACK]) if nla else (True, []))
 
 
-def test_fewer_keys_have_a_larger_error_and_never_more_than_asked_for():
+def test_a_limit_on_keys_is_kept_and_increases_the_error():
     head = add_head(bpy.context)
     one, two = bake(head, max_keys=1), bake(head, max_keys=2)
     assert (one.keys, two.keys) == (1, 2) and one.worst_error > 2.0 * two.worst_error
@@ -104,14 +102,14 @@ def test_clean_curves_have_fewer_keyframes():
 
 
 def curves_of(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
-    """The curves of `owner`, whatever the version's way of storing them."""
+    """Return the F-Curves of `owner` in any version of Blender."""
     data = owner.animation_data
     if not hasattr(data.action, "slots"):
         return list(data.action.fcurves)
     return list(data.action.layers[0].strips[0].channelbag(data.action_slot).fcurves)
 
 
-def test_a_second_bake_of_another_kind_leaves_nothing_of_the_first(tmp_path):
+def test_baking_to_something_else_removes_the_earlier_bake(tmp_path):
     head = add_head(bpy.context, units=True)
     bake(head, keys="named")
     bake(head, keys="cache", path=tmp_path / "a.pc2", nla=True)
@@ -124,7 +122,7 @@ def test_a_second_bake_of_another_kind_leaves_nothing_of_the_first(tmp_path):
     assert largest_error(head, report) < 0.01
 
 
-def test_keys_keep_within_their_sliders_and_a_table_of_ones_own_moves_its_keys_alone():
+def test_keys_stay_within_their_ranges_and_a_custom_table_moves_only_its_own_keys():
     head = add_head(bpy.context, units=True)
     head.data.shape_keys.key_blocks["jawOpen"].slider_max = 0.15
     table = KeyMap("mine", (KeyRow("jawOpen", "Jaw_Open", 2.0), KeyRow("browInnerUp", "browInnerUp", 0.5)))
@@ -136,13 +134,13 @@ def test_keys_keep_within_their_sliders_and_a_table_of_ones_own_moves_its_keys_a
     assert max(point.co[1] for point in curves["browInnerUp"].keyframe_points) > 0.1
 
 
-def test_an_animators_own_curves_and_drivers_are_never_replaced_and_nothing_else_changes():
+def test_a_bake_never_replaces_an_animators_curves_or_drivers_and_changes_nothing():
     head = add_head(bpy.context, units=True)
     keys = head.data.shape_keys
     mine = keys.key_blocks["jawOpen"]
     mine.value = 0.4
     mine.keyframe_insert("value", frame=7)
-    with pytest.raises(HeadError, match="animation of its own"):
+    with pytest.raises(HeadError, match="already has animation"):
         bake(head, keys="named")
     assert [len(curve.keyframe_points) for curve in curves_of(keys)] == [1] and head.animation_data is None
     report = bake(head)
@@ -155,7 +153,7 @@ def test_an_animators_own_curves_and_drivers_are_never_replaced_and_nothing_else
 
 
 def armature(*bones: str) -> bpy.types.Object:
-    """An armature at the origin with bones that lean this way and that."""
+    """Add an armature at the origin whose bones have various orientations."""
     rig = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
     bpy.context.collection.objects.link(rig)
     bpy.context.view_layer.objects.active = rig
@@ -168,7 +166,7 @@ def armature(*bones: str) -> bpy.types.Object:
 
 
 @pytest.mark.parametrize("mode", ["QUATERNION", "XYZ", "AXIS_ANGLE"])
-def test_bones_take_the_pose_of_head_and_eyes_as_they_do_live(mode):
+def test_bones_take_the_baked_pose_of_head_and_eyes_as_they_do_live(mode):
     head = add_head(bpy.context)
     rig = armature("Head", "Eye")
     for bone in rig.pose.bones:
@@ -220,7 +218,7 @@ def test_head_and_eyes_that_follow_bones_of_one_armature_are_baked_side_by_side(
     assert "Head" in turned
 
 
-def test_a_track_of_ours_that_holds_another_strip_is_left_and_the_bake_gets_one_of_its_own():
+def test_a_track_that_holds_another_strip_is_kept_and_the_bake_gets_a_new_one():
     head = add_head(bpy.context)
     action = bpy.data.actions.new("Mine")
     head.animation_data_create().nla_tracks.new().name = "Mine"
@@ -231,7 +229,7 @@ def test_a_track_of_ours_that_holds_another_strip_is_left_and_the_bake_gets_one_
     bpy.data.actions.remove(action)
 
 
-def test_a_pose_that_an_animator_gave_the_delta_transform_is_left_alone():
+def test_an_animated_delta_transform_is_never_replaced():
     head = add_head(bpy.context)
     head.keyframe_insert("delta_location", frame=3)
     with pytest.raises(HeadError, match="delta_location"):
@@ -241,7 +239,7 @@ def test_a_pose_that_an_animator_gave_the_delta_transform_is_left_alone():
 
 @pytest.mark.parametrize("nla", [False, True])
 @pytest.mark.parametrize("keys", ["new", "named", "mapped", "cache"])
-def test_on_a_baked_head_a_live_frame_is_shown_alone_and_the_bake_plays_afterwards(keys, nla, tmp_path):
+def test_a_baked_head_shows_only_the_live_frame_and_plays_its_bake_afterwards(keys, nla, tmp_path):
     head = add_head(bpy.context, units=True)
     report = bake(head, keys=keys, nla=nla, path=tmp_path / "a.pc2")
     before = played(head, report, 40)
@@ -256,16 +254,16 @@ def test_on_a_baked_head_a_live_frame_is_shown_alone_and_the_bake_plays_afterwar
     np.testing.assert_allclose(played(head, report, 40), before, atol=1e-6)
 
 
-def test_a_bone_that_an_animator_moves_is_left_alone():
+def test_an_animated_bone_is_never_replaced():
     head, rig = add_head(bpy.context), armature("Head")
     rig.pose.bones["Head"].keyframe_insert("rotation_quaternion", frame=1)
-    with pytest.raises(HeadError, match="animation of its own"):
+    with pytest.raises(HeadError, match="already has animation"):
         bake(head, {"head": PoseTarget.of(rig, "Head")})
     assert head.data.shape_keys is None
 
 
 def library(tmp_path: Path, **options) -> Path:
-    """A file with a head in it; the open file is empty again."""
+    """Save a head to a file, and return to an empty one."""
     head = add_head(bpy.context, **options)
     path = tmp_path / "library.blend"
     bpy.data.libraries.write(str(path), {head, *head.children})
@@ -275,7 +273,7 @@ def library(tmp_path: Path, **options) -> Path:
 
 
 def linked(path: Path) -> bpy.types.Object:
-    """The head of another file, in the scene."""
+    """Link the head of another file into the scene."""
     with bpy.data.libraries.load(str(path), link=True) as (_, data):
         data.objects = ["Facemime Head"]
     bpy.context.collection.objects.link(data.objects[0])
@@ -288,13 +286,13 @@ def test_a_linked_head_is_refused_and_an_overridden_one_plays_a_cache(tmp_path):
         with pytest.raises(HeadError, match="linked from another file"):
             bake(head, keys=keys, path=tmp_path / "a.pc2")
     own = head.override_create(remap_local_usages=True)
-    with pytest.raises(HeadError, match="no new shape keys"):
+    with pytest.raises(HeadError, match="no shape keys can be added"):
         bake(own)
     report = bake(own, keys="cache", path=tmp_path / "a.pc2")
     assert largest_error(own, report) < 1e-4
 
 
-def test_an_overridden_head_whose_keys_are_linked_says_so(tmp_path):
+def test_an_overridden_head_with_linked_keys_is_reported(tmp_path):
     own = linked(library(tmp_path, units=True)).override_create(remap_local_usages=True)
     with pytest.raises(HeadError, match="linked from another file"):
         bake(own, keys="named")
@@ -303,25 +301,25 @@ def test_an_overridden_head_whose_keys_are_linked_says_so(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"keys": "named"}, "no shape keys of its own"),
-        ({"keys": "mapped"}, "no shape keys of its own"),
-        ({"keys": "cache"}, "needs a file"),
+        ({"keys": "named"}, "has no shape keys"),
+        ({"keys": "mapped"}, "has no shape keys"),
+        ({"keys": "cache"}, "has no file name"),
     ],
 )
-def test_what_is_missing_is_said_before_anything_changes(options, message):
+def test_missing_requirements_are_reported_before_anything_changes(options, message):
     head = add_head(bpy.context)
     with pytest.raises(FacemimeError, match=message):
         bake(head, **options)
     assert head.data.shape_keys is None and head.animation_data is None and not head.modifiers
 
 
-def test_keys_that_no_table_knows_and_absolute_ones_are_refused():
+def test_unmatched_and_absolute_shape_keys_are_rejected():
     head = add_head(bpy.context)
     for name in ("Basis", "Fat", "Thin"):
         head.shape_key_add(name=name, from_mix=False)
-    with pytest.raises(HeadError, match="No table that ships knows"):
+    with pytest.raises(HeadError, match="No preset of a key table matches"):
         bake(head, keys="mapped")
-    with pytest.raises(HeadError, match="mine does not know"):
+    with pytest.raises(HeadError, match="key table mine matches none"):
         bake(head, keys="mapped", table=KeyMap("mine", (KeyRow("jawOpen", "Open"),)))
     head.data.shape_keys.use_relative = False
     with pytest.raises(HeadError, match="absolute"):
@@ -330,7 +328,7 @@ def test_keys_that_no_table_knows_and_absolute_ones_are_refused():
         bake(head)
 
 
-def test_several_heads_have_a_cache_each(tmp_path):
+def test_each_of_several_heads_gets_a_cache(tmp_path):
     heads = [add_head(bpy.context, name=name) for name in ("One", "Two")]
     settings = PuppetSettings(bake=BakeSettings(keys="cache", path=tmp_path / "take.pc2"))
     reports = puppet_heads(bpy.context.scene, heads, performance(), settings)
@@ -339,14 +337,14 @@ def test_several_heads_have_a_cache_each(tmp_path):
         assert largest_error(head, report) < 1e-4
 
 
-def test_a_cache_that_cannot_be_written_is_said(tmp_path):
+def test_a_cache_that_cannot_be_written_is_reported(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="Cannot write"):
         bake(add_head(bpy.context), keys="cache", path=tmp_path / "file" / "a.pc2")
 
 
 @pytest.mark.parametrize("start", [1.7e9, -1.7e9])
-def test_times_beyond_blenders_last_frame_are_told_and_nothing_changes(start):
+def test_times_beyond_blenders_last_frame_are_reported_and_nothing_changes(start):
     head, take = add_head(bpy.context), performance()
     with pytest.raises(SourceError, match="beyond Blender's last frame"):
         puppet_head(bpy.context.scene, head, replace(take, times=take.times + start))
@@ -354,7 +352,7 @@ def test_times_beyond_blenders_last_frame_are_told_and_nothing_changes(start):
 
 
 @pytest.mark.parametrize("keys", ["named", "mapped"])
-def test_keys_that_a_vertex_group_limits_count_as_they_are_seen_and_muted_ones_not_at_all(keys):
+def test_vertex_groups_of_keys_are_respected_and_muted_keys_ignored(keys):
     head = add_head(bpy.context, units=True)
     blocks = head.data.shape_keys.key_blocks
     blocks["browInnerUp"].mute = True
@@ -366,12 +364,12 @@ def test_keys_that_a_vertex_group_limits_count_as_they_are_seen_and_muted_ones_n
     assert report.keys == 51 and blocks["browInnerUp"].value == 0.0
     for block in blocks:
         block.mute = True
-    with pytest.raises(HeadError, match="no shape keys of its own"):
+    with pytest.raises(HeadError, match="has no shape keys"):
         bake(head, keys=keys)
 
 
 @pytest.mark.parametrize("keys", ["new", "named"])
-def test_a_key_that_is_shown_alone_does_not_hide_the_bake(keys):
+def test_solo_active_shape_key_does_not_hide_the_bake(keys):
     head = add_head(bpy.context, units=True)
     head.show_only_shape_key = True
     report = bake(head, keys=keys)
@@ -381,6 +379,6 @@ def test_a_key_that_is_shown_alone_does_not_hide_the_bake(keys):
 def test_several_heads_are_baked_all_or_none(tmp_path):
     heads = [add_head(bpy.context, name=name) for name in ("One", "Two")]
     heads[1].vertex_groups.clear()
-    with pytest.raises(HeadError, match="Two lacks the vertex groups"):
+    with pytest.raises(HeadError, match="Missing vertex groups of Two"):
         puppet_heads(bpy.context.scene, heads, performance())
     assert all(head.data.shape_keys is None and head.animation_data is None for head in heads)

@@ -1,4 +1,4 @@
-"""Many real clips: here, on Dask's workers, and by the command lines of the farms' templates."""
+"""Batches of real clips: locally, on Dask workers, and by the commands of the templates for render farms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ENVIRONMENT = {**os.environ, "PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"}
 
 
 def batch(*arguments: object) -> subprocess.CompletedProcess:
-    """Run `facemime batch` with arguments."""
+    """Run `facemime batch`."""
     command = [BIN / "facemime", "batch", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
@@ -35,7 +35,7 @@ def records(folder: Path) -> list[Path]:
 
 
 def write_clips(folder: Path, count: int) -> Path:
-    """So many clips of 12 frames, each another part of the sample clip."""
+    """Write `count` clips of 12 frames, each from a different part of the sample clip."""
     folder.mkdir()
     source = cv2.VideoCapture(str(ROOT / "assets" / "sample" / "sample.mp4"))
     for number in range(count):
@@ -46,7 +46,7 @@ def write_clips(folder: Path, count: int) -> Path:
     return folder
 
 
-def test_good_clips_are_done_bad_ones_told_and_nothing_is_done_again(tmp_path):
+def test_good_clips_succeed_bad_ones_are_reported_and_finished_ones_are_skipped(tmp_path):
     clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
     shutil.copy(clips / "0.mp4", clips / "copy.mp4")
     (clips / "broken.mp4").write_text("nothing")
@@ -68,7 +68,7 @@ def test_good_clips_are_done_bad_ones_told_and_nothing_is_done_again(tmp_path):
     assert json.loads((out / "report.json").read_text())["counts"]["skipped"] == 2
 
 
-def test_ctrl_c_ends_it_and_the_next_run_does_the_rest(tmp_path):
+def test_ctrl_c_stops_the_batch_and_the_next_run_finishes_it(tmp_path):
     clips, out = write_clips(tmp_path / "clips", 3), tmp_path / "out"
     command = [BIN / "facemime", "batch", clips, "-o", out, "--jobs", "1"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
@@ -86,7 +86,7 @@ def test_ctrl_c_ends_it_and_the_next_run_does_the_rest(tmp_path):
 
 @pytest.fixture
 def scheduler(tmp_path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
-    """A Dask scheduler and two workers: its address, and the workers' processes."""
+    """Start a Dask scheduler and two workers; yield its address and the processes of the workers."""
     file = tmp_path / "scheduler.json"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
     dask = [sys.executable, "-m", "dask"]
@@ -106,7 +106,7 @@ def scheduler(tmp_path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
             process.wait()
 
 
-def test_a_worker_killed_in_the_middle_loses_nothing_and_nothing_is_done_twice(tmp_path, scheduler):
+def test_killing_a_worker_loses_no_clip_and_repeats_none(tmp_path, scheduler):
     address, workers = scheduler
     clips, out = write_clips(tmp_path / "clips", 4), tmp_path / "out"
     command = [BIN / "facemime", "batch", clips, "-o", out, "--dask", address]
@@ -128,7 +128,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_nothing_is_done_twice(t
 
 
 def flamenco_tasks(settings: dict) -> list[dict]:
-    """The tasks that the Flamenco job type makes of `settings`: name, command, and the names that it waits for."""
+    """Return the tasks that the Flamenco job type creates: name, command, and the tasks that each waits for."""
     engine = quickjs.Context()
     engine.eval(
         "const author = { Task: (name, type) => ({ name, type, commands: [], after: [],"
@@ -142,7 +142,7 @@ def flamenco_tasks(settings: dict) -> list[dict]:
     return json.loads(engine.eval("JSON.stringify(tasks)"))
 
 
-def test_the_command_lines_of_the_flamenco_job_do_every_clip_and_the_report(tmp_path):
+def test_the_commands_of_the_flamenco_job_process_every_clip_and_write_the_report(tmp_path):
     clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
     settings = {
         "clips": str(clips),
@@ -169,14 +169,14 @@ def test_the_command_lines_of_the_flamenco_job_do_every_clip_and_the_report(tmp_
         assert suffixes == {".blend", ".facetake", ".png", ".pc2"}
 
 
-def test_the_flamenco_job_states_its_settings():
+def test_the_flamenco_job_declares_its_settings():
     engine = quickjs.Context()
     engine.eval((ROOT / "farm" / "facemime.js").read_text())
     settings = json.loads(engine.eval("JSON.stringify(JOB_TYPE)"))["settings"]
     assert [item["key"] for item in settings if item.get("required")] == ["clips", "count", "output"]
 
 
-def test_the_open_job_description_runs_every_clip_and_the_report(tmp_path):
+def test_the_open_job_description_processes_every_clip_and_writes_the_report(tmp_path):
     clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
     template = ROOT / "farm" / "facemime.openjd.yaml"
     line = [BIN / "openjd", "run", template, "--step", "Report", "--run-dependencies"]

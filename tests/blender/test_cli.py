@@ -1,4 +1,4 @@
-"""The command, as a user runs it: in a process of its own, on real files."""
+"""The command in a separate process, on real files."""
 
 import contextlib
 import os
@@ -27,13 +27,13 @@ COMMAND = Path(sys.prefix) / "bin" / "facemime"
 
 
 def run(*arguments: object, **options: object) -> subprocess.CompletedProcess:
-    """Run `facemime` with arguments; options as for `subprocess.run`."""
+    """Run `facemime`; options as for `subprocess.run`."""
     line = [COMMAND, *map(str, arguments)]
     return subprocess.run(line, capture_output=True, text=True, timeout=500, check=False, **options)
 
 
 def with_little_space() -> None:
-    """Let no file of this process grow beyond what a take needs: to a program that is as if the disk were full."""
+    """Limit the size of files to that of a take, which has the effect of a full disk."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 
 
@@ -61,14 +61,14 @@ def faceless(tmp_path_factory) -> Path:
     return path
 
 
-def test_puppet_leaves_a_blend_a_video_a_sheet_and_a_take(clip, tmp_path):
+def test_puppet_writes_a_blend_a_video_a_contact_sheet_and_a_take(clip, tmp_path):
     out = {name: tmp_path / name for name in ("out.blend", "out.mp4", "out.png", "take.facetake")}
     done = run(
         "puppet", clip, "-o", out["out.blend"], "--preview", out["out.mp4"], "--sheet", out["out.png"],
         "--take", out["take.facetake"],
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert "worst vertex error" in done.stderr and "Traceback" not in done.stderr and done.stdout == ""
+    assert "largest vertex error" in done.stderr and "Traceback" not in done.stderr and done.stdout == ""
     take = load_take(out["take.facetake"])
     assert len(take) == 50 and take.found.all()
     video = cv2.VideoCapture(str(out["out.mp4"]))
@@ -90,7 +90,7 @@ def test_puppet_leaves_a_blend_a_video_a_sheet_and_a_take(clip, tmp_path):
     ],
     ids=str,
 )
-def test_puppet_bakes_to_what_is_asked_for(options, left, told, tmp_path):
+def test_puppet_bakes_to_the_requested_format(options, left, told, tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     done = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", *options)
     assert done.returncode == 0 and told in done.stderr and done.stdout == ""
@@ -112,13 +112,13 @@ def test_puppet_bakes_to_what_is_asked_for(options, left, told, tmp_path):
     ],
     ids=str,
 )
-def test_what_cannot_be_baked_is_said_at_once(options, status, message, tmp_path):
+def test_an_impossible_bake_is_reported_at_once(options, status, message, tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     refused = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", *options)
     assert refused.returncode == status and message in refused.stderr and not (tmp_path / "out.blend").exists()
 
 
-def test_a_take_drives_a_head_of_ones_own(tmp_path):
+def test_a_take_drives_a_custom_head(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     assert run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "own.blend").returncode == 0
     again = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "b.blend", "--head", tmp_path / "own.blend")
@@ -151,7 +151,7 @@ def test_landmarks_of_a_folder_are_nan_where_there_is_no_face(clip, tmp_path):
     assert again.returncode == 1 and "c.png" in again.stderr and len(np.load(tmp_path / "out.npz")["names"]) == 3
 
 
-def test_no_picture_is_drawn_over_another_one(clip, tmp_path):
+def test_landmark_images_never_overwrite_each_other(clip, tmp_path):
     image = cv2.VideoCapture(str(clip)).read()[1]
     for name in ("a.png", "a.jpg", "b.png", "more/a.png"):
         (tmp_path / "in" / name).parent.mkdir(parents=True, exist_ok=True)
@@ -166,13 +166,13 @@ def test_no_picture_is_drawn_over_another_one(clip, tmp_path):
     assert sorted(path.name for path in (tmp_path / "drawn").iterdir()) == ["a-2.png", "a-3.png", "a.png", "b.png"]
 
 
-def test_where_nothing_can_be_drawn_is_said_before_the_work(clip, tmp_path):
+def test_a_missing_display_library_is_reported_before_tracking(clip, tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), cv2.VideoCapture(str(clip)).read()[1])
     done = run("landmarks", tmp_path / "a.png", "-o", tmp_path / "out.npz", "--overlay", tmp_path / "a.png")
     assert done.returncode == 1 and "is no folder" in done.stderr and "Finding" not in done.stderr
 
 
-def test_the_video_itself_is_never_written_over(clip, tmp_path):
+def test_the_source_video_is_never_overwritten(clip, tmp_path):
     copy = tmp_path / "clip.mp4"
     copy.write_bytes(clip.read_bytes())
     done = run("puppet", copy, "-o", tmp_path / "out.blend", "--preview", tmp_path / "in" / ".." / "clip.mp4")
@@ -180,7 +180,7 @@ def test_the_video_itself_is_never_written_over(clip, tmp_path):
     assert copy.read_bytes() == clip.read_bytes()
 
 
-def test_a_disk_that_is_full_costs_no_tracking(clip, tmp_path):
+def test_a_full_disk_does_not_lose_the_tracking(clip, tmp_path):
     done = run("puppet", clip, "-o", tmp_path / "out.blend", preexec_fn=with_little_space)
     told = [line for line in done.stderr.splitlines() if line.startswith("facemime:")]
     assert done.returncode == 1 and len(told) == 1 and "Traceback" not in done.stderr, done.stderr
@@ -191,14 +191,14 @@ def test_a_disk_that_is_full_costs_no_tracking(clip, tmp_path):
     assert done.returncode == 1 and (tmp_path / "out.unfinished.facetake").exists()
 
 
-def test_a_head_that_takes_no_bake_is_told_before_the_video_is_tracked(clip, tmp_path):
+def test_a_head_that_cannot_be_baked_to_is_reported_before_tracking(clip, tmp_path):
     add_head(bpy.context).driver_add("delta_rotation_euler", 0)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "own.blend"))
     done = run("puppet", clip, "-o", tmp_path / "out.blend", "--head", tmp_path / "own.blend")
-    assert done.returncode == 1 and "has animation of its own" in done.stderr and "Tracking" not in done.stderr
+    assert done.returncode == 1 and "already has animation" in done.stderr and "Tracking" not in done.stderr
 
 
-def test_outputs_that_nobody_reads_are_no_error(tmp_path):
+def test_closed_output_streams_are_no_error(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     select = f"{COMMAND} select {tmp_path / 'take.facetake'} -o {tmp_path / 'points.json'}"
     for line in (f"{select} | true; exit ${{PIPESTATUS[0]}}", f"{select} >&-", f"{select} 2>&- >&- <&-"):
@@ -209,7 +209,7 @@ def test_outputs_that_nobody_reads_are_no_error(tmp_path):
     assert done.returncode == 1 and "Traceback" not in done.stderr and "standard output" in done.stderr
 
 
-def test_a_video_that_was_not_written_to_its_end_is_told(tmp_path, monkeypatch):
+def test_an_incomplete_video_is_reported(tmp_path, monkeypatch):
     encode = rendering._encode
 
     def cut(folder: Path, names: list[str], size: tuple[int, int], fps: float, output: Path) -> None:
@@ -225,7 +225,7 @@ def test_a_video_that_was_not_written_to_its_end_is_told(tmp_path, monkeypatch):
     assert rendering._frames_in(tmp_path / "out.mp4") == 10
 
 
-def test_what_cannot_work_is_one_line_and_leaves_the_old_output(clip, faceless, tmp_path):
+def test_errors_are_one_line_and_keep_the_earlier_output(clip, faceless, tmp_path):
     (tmp_path / "text.mp4").write_text("no video")
     (tmp_path / "empty.mp4").write_bytes(b"")
     (tmp_path / "broken.facetake").write_bytes(b"PK broken")
@@ -253,7 +253,7 @@ def test_what_cannot_work_is_one_line_and_leaves_the_old_output(clip, faceless, 
     assert sorted(p.name for p in tmp_path.iterdir()) == ["broken.facetake", "empty.mp4", "good.facetake", "text.mp4"]
 
 
-def test_ctrl_c_keeps_what_was_tracked(tmp_path):
+def test_ctrl_c_keeps_the_tracked_frames(tmp_path):
     output = tmp_path / "take.facetake"
     try:
         terminal, side = pty.openpty()
@@ -265,7 +265,7 @@ def test_ctrl_c_keeps_what_was_tracked(tmp_path):
         while not re.search(rb"\] [1-9]\d*/", heard):
             heard += os.read(terminal, 1024)
         process.send_signal(signal.SIGINT)
-        with contextlib.suppress(OSError):  # the end of a terminal's output is an error on Linux
+        with contextlib.suppress(OSError):  # Linux reports the end of a terminal as an error
             while piece := os.read(terminal, 1024):
                 heard += piece
     assert process.returncode == 130 and b"Traceback" not in heard
@@ -273,7 +273,7 @@ def test_ctrl_c_keeps_what_was_tracked(tmp_path):
     assert 1 <= len(take) < 240 and take.info["interrupted"] and str(len(take)).encode() in heard
 
 
-def test_select_prints_the_curve_and_puppet_takes_the_points(tmp_path):
+def test_select_prints_the_curve_and_puppet_uses_the_points(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     points = tmp_path / "points.json"
     done = run("select", tmp_path / "take.facetake", "-o", points, "--max-points", 12, "--add", "33", "--remove", "0-1")
@@ -298,13 +298,13 @@ def test_select_prints_the_curve_and_puppet_takes_the_points(tmp_path):
         (["-o", "points.txt"], "json"),
     ],
 )
-def test_select_tells_what_it_cannot_do(tmp_path, arguments, message):
+def test_select_reports_invalid_arguments(tmp_path, arguments, message):
     save_take(performance(), tmp_path / "take.facetake")
     done = run("select", tmp_path / "take.facetake", *arguments)
     assert done.returncode == 1 and message in done.stderr and "Traceback" not in done.stderr
 
 
-def test_points_that_are_none_are_refused_before_anything_is_written(tmp_path):
+def test_invalid_points_are_rejected_before_anything_is_written(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     (tmp_path / "points.json").write_text("{}")
     done = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", "--points", tmp_path / "points.json")

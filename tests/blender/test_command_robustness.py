@@ -1,4 +1,4 @@
-"""`facemime puppet` and `batch` where heads, disks, streams and signals are not as they should be."""
+"""`facemime puppet` and `batch` with untrusted heads, full disks, closed streams and signals."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ COMMAND = Path(sys.prefix) / "bin" / "facemime"
 
 
 def run(*arguments: object, **options: object) -> subprocess.CompletedProcess:
-    """Run `facemime` with arguments; options as for `subprocess.run`."""
+    """Run `facemime`; options as for `subprocess.run`."""
     line = [COMMAND, *map(str, arguments)]
     return subprocess.run(line, capture_output=True, text=True, timeout=300, check=False, **options)
 
 
 @pytest.fixture
 def take(tmp_path) -> Path:
-    """A take of 60 frames."""
+    """A take of 60 frames in a file."""
     save_take(performance(), tmp_path / "take.facetake")
     return tmp_path / "take.facetake"
 
 
 @contextlib.contextmanager
 def started(*arguments: object, until: Path) -> Iterator[subprocess.Popen]:
-    """`facemime`, as soon as the file `until` has frames."""
+    """Start `facemime`, and yield its process once the file `until` has frames."""
     with subprocess.Popen([COMMAND, *map(str, arguments)], stderr=subprocess.PIPE, text=True) as process:
         while not (until.exists() and until.stat().st_size > 5_000):
             assert process.poll() is None
@@ -50,7 +50,7 @@ def started(*arguments: object, until: Path) -> Iterator[subprocess.Popen]:
         yield process
 
 
-def test_a_driver_that_blender_does_not_run_keeps_no_process_from_its_end(take, tmp_path):
+def test_a_blocked_driver_does_not_keep_the_process_running(take, tmp_path):
     add_head(bpy.context)
     other = bpy.data.objects.new("Other", None)
     bpy.context.scene.collection.objects.link(other)
@@ -66,7 +66,7 @@ def test_a_driver_that_blender_does_not_run_keeps_no_process_from_its_end(take, 
     assert not os.listdir(tmp_path / "temporary")
 
 
-def test_a_head_from_elsewhere_runs_no_programs(take, tmp_path):
+def test_a_head_from_another_file_runs_no_scripts(take, tmp_path):
     add_head(bpy.context)
     text = bpy.data.texts.new("boot.py")
     text.write(f"open({str(tmp_path / 'ran')!r}, 'w').close()")
@@ -82,7 +82,7 @@ def test_a_head_from_elsewhere_runs_no_programs(take, tmp_path):
     assert (tmp_path / "out.blend").exists() and not (tmp_path / "ran").exists()
 
 
-def test_no_output_is_the_head_the_take_or_the_points(take, tmp_path):
+def test_no_output_may_be_one_of_the_inputs(take, tmp_path):
     assert run("puppet", take, "-o", tmp_path / "own.blend").returncode == 0
     before = (tmp_path / "own.blend").read_bytes()
     (tmp_path / "link.blend").symlink_to(tmp_path / "own.blend")
@@ -95,7 +95,7 @@ def test_no_output_is_the_head_the_take_or_the_points(take, tmp_path):
 
 
 @pytest.mark.parametrize(("by", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_puppet_that_is_broken_off_keeps_what_is_there_and_the_part(take, tmp_path, by, status):
+def test_an_interrupted_puppet_keeps_earlier_output_and_the_tracked_part(take, tmp_path, by, status):
     for option, whole, part in (
         (("--take", take), take, "take.interrupted.facetake"),
         ((), None, "out.interrupted.facetake"),
@@ -111,8 +111,8 @@ def test_a_puppet_that_is_broken_off_keeps_what_is_there_and_the_part(take, tmp_
 
 
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
-def test_blenders_import_neither_takes_a_signal_nor_prints_a_traceback(take, tmp_path, by):
-    package = tmp_path / "bpy.py"  # stands for the real one, which takes a signal for its own while it is imported
+def test_a_signal_while_blender_is_imported_is_not_lost_and_prints_no_traceback(take, tmp_path, by):
+    package = tmp_path / "bpy.py"  # substitute for the real one, which handles signals itself during its import
     package.write_text(
         "import os, signal\n"
         "signal.signal(signal.SIGINT, lambda *_: None)\n"
@@ -124,7 +124,7 @@ def test_blenders_import_neither_takes_a_signal_nor_prints_a_traceback(take, tmp
     assert done.returncode == 128 + by and done.stderr == "facemime: interrupted; nothing was written.\n"
 
 
-def test_a_signal_while_blender_draws_ends_it_with_nothing_half_done(take, tmp_path):
+def test_a_signal_while_rendering_leaves_no_partial_output(take, tmp_path):
     preview = tmp_path / "out.mp4"
     line = [COMMAND, "puppet", take, "-o", tmp_path / "out.blend", "--preview", preview]
     with subprocess.Popen(line, stderr=subprocess.PIPE, text=True) as process:
@@ -137,7 +137,7 @@ def test_a_signal_while_blender_draws_ends_it_with_nothing_half_done(take, tmp_p
     assert set(os.listdir(tmp_path)) == {"take.facetake", "out.blend"}
 
 
-def test_streams_that_are_closed_or_full_stop_no_puppet(take, tmp_path):
+def test_closed_or_full_streams_do_not_stop_the_puppet(take, tmp_path):
     line = f"{COMMAND} puppet {take} -o {tmp_path / 'out.blend'}"
     for streams in (">&-", ">&- 2>&- <&-", "2>/dev/full", ">/dev/full"):
         done = subprocess.run(["bash", "-c", f"{line} {streams}"], capture_output=True, text=True, check=False)
@@ -160,7 +160,7 @@ def small_disk(tmp_path) -> Iterator[Path]:
     subprocess.run(["umount", folder], check=True)
 
 
-def test_a_disk_that_is_full_is_one_clear_error_wherever_it_is(take, small_disk, tmp_path):
+def test_a_full_disk_is_one_clear_error_wherever_it_is(take, small_disk, tmp_path):
     done = run(
         "puppet", take, "-o", tmp_path / "out.blend", "--sheet", tmp_path / "out.png",
         env=os.environ | {"TMPDIR": str(small_disk)},
@@ -175,7 +175,7 @@ def test_a_disk_that_is_full_is_one_clear_error_wherever_it_is(take, small_disk,
         assert os.listdir(small_disk) == ["fill"]
 
 
-def test_a_disk_that_is_full_from_the_start_takes_no_video_and_no_report_and_says_so(small_disk):
+def test_a_disk_that_is_full_from_the_start_is_reported_for_videos_and_reports(small_disk):
     (small_disk / "fill").write_bytes(bytes(2 << 20))
     with pytest.raises(OutputError, match=r"could not write .*out\.mp4\. Free some disk space"):
         write_video([np.zeros((64, 64, 3), np.uint8)] * 2, 25.0, small_disk / "out.mp4")
@@ -185,7 +185,7 @@ def test_a_disk_that_is_full_from_the_start_takes_no_video_and_no_report_and_say
     assert done.returncode == 1 and "facemime: sample.mp4: Cannot write" in told[-2] and "report" in told[-1], told
 
 
-def test_the_children_of_a_killed_batch_end_and_the_next_run_sweeps_up(tmp_path):
+def test_the_processes_of_a_killed_batch_end_and_the_next_run_cleans_up(tmp_path):
     out = tmp_path / "out"
     with subprocess.Popen([COMMAND, "batch", SAMPLE, "-o", out, "--jobs", "1"], stderr=subprocess.DEVNULL) as process:
         while not list(out.glob("*.unfinished.facetake")):
@@ -199,7 +199,7 @@ def test_the_children_of_a_killed_batch_end_and_the_next_run_sweeps_up(tmp_path)
         pytest.skip("this system does not tell whose child a process is")
     while any(Path(f"/proc/{number}/exe").exists() for number in child):
         time.sleep(0.02)
-    (out / ".facemime-0123456789abcdef.lock").touch()  # what a child leaves that is killed itself
+    (out / ".facemime-0123456789abcdef.lock").touch()  # left by a process that was killed
     (out / ".facemime-0123456789abcdef.mp4").touch()
     done = run("batch", SAMPLE, "-o", out)
     assert done.returncode == 0, done.stderr
@@ -209,7 +209,7 @@ def test_the_children_of_a_killed_batch_end_and_the_next_run_sweeps_up(tmp_path)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse such names themselves")
-def test_a_name_that_is_no_utf_8_ends_neither_puppet_nor_batch(take, tmp_path):
+def test_a_file_name_that_is_not_utf_8_stops_neither_puppet_nor_batch(take, tmp_path):
     clip = Path(os.fsdecode(os.fsencode(tmp_path) + b"/a\xff.mp4"))
     clip.write_bytes(b"x")
     for line in (

@@ -1,4 +1,4 @@
-"""Control points listed, picked, added and dropped."""
+"""Control points: the list, selecting landmarks, adding and removing."""
 
 from types import SimpleNamespace
 
@@ -29,7 +29,7 @@ def head():
     return obj
 
 
-def test_the_picked_landmark_is_added_dropped_and_drives_the_head(head):
+def test_the_selected_landmark_is_added_and_removed_and_drives_the_head(head):
     steps = bpy.context.scene.facemime_steps
     before = read_selection(head.data)
     steps.landmark = next(row.landmark for row in shown_rows(head) if not row.regions)
@@ -41,7 +41,7 @@ def test_the_picked_landmark_is_added_dropped_and_drives_the_head(head):
     np.testing.assert_array_equal(read_selection(head.data).membership, before.membership)
 
 
-def test_adding_is_undone(head):
+def test_adding_a_control_point_can_be_undone(head):
     steps, name = bpy.context.scene.facemime_steps, head.name
     steps.landmark = landmark = next(row.landmark for row in shown_rows(head) if not row.regions)
     bpy.ops.ed.undo_push(message="before")
@@ -53,7 +53,7 @@ def test_adding_is_undone(head):
     assert shown_rows(bpy.data.objects[name])[landmark].regions
 
 
-def test_nothing_can_be_added_to_all_landmarks_but_one_can_be_dropped():
+def test_nothing_can_be_added_to_all_landmarks_but_one_can_be_removed():
     obj = add_head(bpy.context)
     assert not bpy.ops.facemime.drop_control_point.poll()
     bpy.context.scene.facemime_steps.landmark = int(NOSE)
@@ -63,13 +63,13 @@ def test_nothing_can_be_added_to_all_landmarks_but_one_can_be_dropped():
     assert len(read_selection(obj.data).landmarks) == 65
 
 
-def test_picking_needs_a_window():
+def test_picking_requires_a_window():
     add_head(bpy.context)
     with pytest.raises(RuntimeError, match="no window to click in"):
         bpy.ops.facemime.pick_landmark()
 
 
-def test_the_list_has_the_control_points_in_their_order_and_the_others_on_demand(head):
+def test_the_list_sorts_control_points_by_selection_and_shows_others_on_request(head):
     list_landmarks()
     lines = bpy.context.window_manager.facemime.landmarks
     assert len(lines) == 66 and lines[65].name == "67"
@@ -84,7 +84,7 @@ def test_the_list_has_the_control_points_in_their_order_and_the_others_on_demand
     assert all(flags) and sorted(order) == list(range(66))
 
 
-def test_a_click_on_a_landmark_picks_it_also_where_the_head_was_moved_or_deformed(head):
+def test_a_click_selects_a_landmark_even_if_the_head_is_moved_or_deformed(head):
     head.location.x = 0.02
     head.shape_key_add(name="Basis")
     key = head.shape_key_add(name="Nose")
@@ -100,7 +100,7 @@ def test_a_click_on_a_landmark_picks_it_also_where_the_head_was_moved_or_deforme
     assert nearest_landmark(places, (3.0, 3.0)) == -1
 
 
-def test_landmarks_behind_the_head_are_neither_drawn_nor_picked(head):
+def test_landmarks_behind_the_head_are_neither_drawn_nor_selected(head):
     behind = FRONT * np.array([[-1.0], [1.0], [-1.0], [1.0]])
     places = landmark_places(head, bpy.context.evaluated_depsgraph_get(), behind, SIZE)
     assert not places.facing[NOSE]
@@ -109,7 +109,7 @@ def test_landmarks_behind_the_head_are_neither_drawn_nor_picked(head):
     assert len(corners) == len(colours) == int(places.facing.sum()) * 2 * 12 * 3
 
 
-def test_the_picked_landmark_is_drawn_largest(head):
+def test_the_selected_landmark_is_drawn_largest(head):
     places = landmark_places(head, bpy.context.evaluated_depsgraph_get(), FRONT, SIZE)
 
     def reach(picked: int) -> float:
@@ -119,9 +119,9 @@ def test_the_picked_landmark_is_drawn_largest(head):
     assert reach(int(NOSE)) > reach(-1)
 
 
-def test_a_modifier_that_takes_vertices_away_is_named(head):
+def test_a_modifier_that_removes_vertices_is_reported(head):
     from facemime.core.errors import HeadError
 
     head.modifiers.new("Decimate", "DECIMATE").ratio = 0.2
-    with pytest.raises(HeadError, match="takes vertices away"):
+    with pytest.raises(HeadError, match="removes vertices"):
         landmark_places(head, bpy.context.evaluated_depsgraph_get(), FRONT, SIZE)

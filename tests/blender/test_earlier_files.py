@@ -26,7 +26,7 @@ def scene(request) -> bpy.types.Scene:
     scene = bpy.context.scene
     if request.param == "by preset":
         for group in (scene.facemime, scene.facemime.posing):
-            for name in group.bl_rna.properties.keys():  # noqa: SIM118 - a collection of Blender's
+            for name in group.bl_rna.properties.keys():  # noqa: SIM118 - a Blender collection
                 if group.bl_rna.properties[name].type in ("FLOAT", "BOOLEAN", "ENUM"):
                     group.property_unset(name)
         assert scene.facemime.mode == "3d" and scene.facemime.posing.eyes_strength == 1.0
@@ -34,7 +34,7 @@ def scene(request) -> bpy.types.Scene:
     return scene
 
 
-def test_settings_and_take_give_the_motion_that_they_gave_before(scene):
+def test_old_settings_and_takes_give_the_same_motion(scene):
     performance = Performance.of(load_take(FILES / "take.facetake"), puppet_settings(scene.facemime))
     driver = performance.driver(read_rig(next(obj for obj in scene.objects if obj.type == "MESH")))
     before = np.load(FILES / "motion.npz")
@@ -48,6 +48,6 @@ def test_settings_and_take_give_the_motion_that_they_gave_before(scene):
 _NAMES = ("rows", "vertices", "rotation", "translation", "jaw", "gaze")
 
 
-def test_a_bakes_settings_are_those_that_were_saved(scene):
+def test_old_bake_settings_are_read(scene):
     bake = bake_settings(scene.facemime_takes.bake, "take")
     assert (bake.keys, bake.max_keys, bake.nla) == ("named", 12, True) and bake.clean == pytest.approx(0.005)

@@ -1,4 +1,4 @@
-"""The built zip, in every Blender that we promise."""
+"""The built zip in every supported Blender."""
 
 import json
 import os
@@ -15,7 +15,7 @@ CLIP = ROOT / "assets" / "sample" / "sample.mp4"
 
 
 def archive(platform: str) -> Path:
-    """The newest zip of a platform."""
+    """Return the newest zip of a platform."""
     found = sorted((ROOT / "dist").glob(f"facemime-*-{platform}.zip"))
     if not found:
         pytest.skip("the extension is not built: make build")
@@ -26,7 +26,7 @@ def archive(platform: str) -> Path:
     "version", ["4.5", *(pytest.param(v, marks=pytest.mark.thorough) for v in ("4.2", "5.0", "5.2"))]
 )
 @pytest.mark.skipif(sys.platform != "linux", reason="the environments are Linux ones")
-def test_the_zip_installs_puppets_the_head_and_leaves_no_trace(version):
+def test_the_zip_installs_puppets_a_head_and_uninstalls_cleanly(version):
     python = blender_python(version)
     command = [str(python), str(ROOT / "tests" / "blender" / "extension_run.py"), str(archive("linux_x64")), str(CLIP)]
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "VIRTUAL_ENV"))}
@@ -39,7 +39,7 @@ def test_the_zip_installs_puppets_the_head_and_leaves_no_trace(version):
 
 
 @pytest.mark.parametrize("platform", ["linux_x64", "windows_x64", "macos_arm64", "macos_x64"])
-def test_each_zip_carries_its_own_wheel_the_assets_and_nothing_of_the_workshop(platform):
+def test_each_zip_contains_its_wheel_and_the_assets_but_no_development_files(platform):
     names = zipfile.ZipFile(archive(platform)).namelist()
     wheels = [name for name in names if name.endswith(".whl")]
     marks = {"linux_x64": "linux", "windows_x64": "win_amd64", "macos_arm64": "arm64", "macos_x64": "macosx_13_0_x86"}

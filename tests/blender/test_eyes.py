@@ -1,4 +1,4 @@
-"""A scan, whose eyes are one skin with their lids, gets lids that shut over eyes that stay."""
+"""Opening the joined eyes of a scan, so that the lids close over eyes that stay in place."""
 
 import bpy
 import numpy as np
@@ -20,7 +20,7 @@ WORDS = "The eyes are one skin with their lids, so that they cannot shut."
 
 
 def blinks(rig, wide=0.0):
-    """Vertices at rest, with lids half shut, shut, and opened by the share `wide` more than at rest."""
+    """Return the vertices at rest, and with lids half closed, closed, and opened by `wide` more than at rest."""
     rest = rig.vertices[rig.landmarks].astype(float)
     rest /= UNIT
     shapes = np.tile(rest, (40, 1, 1))
@@ -33,7 +33,7 @@ def blinks(rig, wide=0.0):
 
 
 def seen_of_eyes(obj, vertices):
-    """How many places of a picture of each eye show the eye itself; and how many show nothing at all."""
+    """Return how many pixels of an image of each eye show the eye, and how many show nothing."""
     faces, landmarks = read_faces(obj.data), read_landmarks(obj)
     of_eye = np.isin(faces, eye_vertices(obj)) | (faces < 0)
     shown = []
@@ -43,18 +43,18 @@ def seen_of_eyes(obj, vertices):
     return np.array(shown)
 
 
-def test_a_scan_is_told_that_its_eyes_cannot_shut_and_after_opening_them_it_is_ready(scan):
+def test_joined_eyes_of_a_scan_are_reported_until_they_are_opened(scan):
     assert WORDS in [finding.problem for finding in check_object(scan)]
     assert [line.step for line in bpy.context.window_manager.facemime.findings] == ["open_lips", "open_eyes"]
     assert bpy.ops.facemime.open_eyes() == {"FINISHED"}
     assert [line.step for line in bpy.context.window_manager.facemime.findings] == ["open_lips"]
     assert bpy.ops.facemime.open_lips() == {"FINISHED"}
     assert check_object(scan) == [] and len(bpy.context.window_manager.facemime.findings) == 0
-    with pytest.raises(RuntimeError, match="open already"):
+    with pytest.raises(RuntimeError, match="already open"):
         bpy.ops.facemime.open_eyes()
 
 
-def test_lids_shut_over_eyes_that_stay_and_open_wide_on_nothing_but_eye(scan):
+def test_lids_close_over_static_eyes_and_open_without_gaps(scan):
     bpy.ops.facemime.open_eyes()
     rig = read_rig(scan)
     rest, half, shut, wide = blinks(rig, wide=0.3)
@@ -69,7 +69,7 @@ def test_lids_shut_over_eyes_that_stay_and_open_wide_on_nothing_but_eye(scan):
     assert not np.concatenate([at_rest, at_half, at_shut, at_wide])[:, 1].any()
 
 
-def test_a_coarse_mesh_is_subdivided_about_its_eyes_so_that_they_shut_too(coarse_scan):
+def test_a_coarse_mesh_is_subdivided_around_its_eyes_so_that_they_close(coarse_scan):
     landmarks = read_landmarks(coarse_scan)
     others = np.setdiff1d(np.arange(66), [*EYE_RIGHT, *EYE_LEFT])
     places = read_vertices(coarse_scan.data)[landmarks[others]]
@@ -80,7 +80,7 @@ def test_a_coarse_mesh_is_subdivided_about_its_eyes_so_that_they_shut_too(coarse
     assert (after < 0.05 * before).all()
 
 
-def test_the_eyes_lie_in_no_region_and_regions_proposed_or_smoothed_later_leave_them_out(scan):
+def test_eyes_stay_out_of_regions_that_are_proposed_or_smoothed_later(scan):
     bpy.ops.facemime.open_eyes()
     eyes = eye_vertices(scan)
     assert len(eyes) > 100
@@ -89,7 +89,7 @@ def test_the_eyes_lie_in_no_region_and_regions_proposed_or_smoothed_later_leave_
         assert not read_regions(scan)[:, eyes].any()
 
 
-def test_the_lids_landmarks_are_bound_to_the_rim_upper_and_lower_in_different_regions(scan):
+def test_lid_landmarks_are_bound_to_the_rim_with_upper_and_lower_in_different_regions(scan):
     before = read_landmarks(scan)
     places = read_vertices(scan.data)
     bpy.ops.facemime.open_eyes()
@@ -105,12 +105,12 @@ def test_the_lids_landmarks_are_bound_to_the_rim_upper_and_lower_in_different_re
 
 
 def skin_faces(obj):
-    """(F, K) the faces that have no vertex of an eye."""
+    """Return (F, K) faces without a vertex of an eye."""
     faces = read_faces(obj.data)
     return faces[~np.isin(faces, eye_vertices(obj)).any(axis=1)]
 
 
-def test_bound_anew_the_lids_find_their_rims_again(scan):
+def test_binding_again_finds_the_rims_of_the_lids(scan):
     bpy.ops.facemime.open_eyes()
     lids = np.concatenate([EYE_RIGHT, EYE_LEFT])
     bpy.ops.facemime.bind_landmarks()
@@ -119,7 +119,7 @@ def test_bound_anew_the_lids_find_their_rims_again(scan):
     assert WORDS not in [finding.problem for finding in check_object(scan)]
 
 
-def test_nothing_is_torn_open(scan):
+def test_opening_the_eyes_leaves_no_holes(scan):
     border = np.count_nonzero(SurfaceGraph(read_vertices(scan.data), read_faces(scan.data)).faces_at == 1)
     bpy.ops.facemime.open_eyes()
     faces_at = SurfaceGraph(read_vertices(scan.data), read_faces(scan.data)).faces_at
@@ -127,7 +127,7 @@ def test_nothing_is_torn_open(scan):
     assert not scan.data.validate()
 
 
-def test_a_picture_on_the_skin_stays_where_it_is(scan):
+def test_textures_of_the_skin_stay_in_place(scan):
     layer = scan.data.uv_layers.new(name="Picture")
     for loop in scan.data.loops:
         place = scan.data.vertices[loop.vertex_index].co
@@ -144,7 +144,7 @@ def test_a_picture_on_the_skin_stays_where_it_is(scan):
     assert np.isfinite(pictured).all() and pictured.any(axis=1).all()
 
 
-def test_shape_keys_groups_and_materials_of_the_artist_survive(scan):
+def test_shape_keys_vertex_groups_and_materials_survive_the_cut(scan):
     scan.shape_key_add(name="Basis")
     key = scan.shape_key_add(name="Mine")
     for point in key.data:
@@ -165,7 +165,7 @@ def test_shape_keys_groups_and_materials_of_the_artist_survive(scan):
     assert {face.material_index for face in scan.data.polygons} == {1}
 
 
-def test_one_undo_takes_all_of_it_back(scan):
+def test_opening_the_eyes_is_a_single_undo_step(scan):
     before = read_vertices(scan.data)
     landmarks = read_landmarks(scan)
     bpy.ops.ed.undo_push(message="bound")
@@ -178,7 +178,7 @@ def test_one_undo_takes_all_of_it_back(scan):
     assert len(eye_vertices(obj)) == 0 and WORDS in [finding.problem for finding in check_object(obj)]
 
 
-def test_the_mirrored_scan_gets_mirrored_eyes(scan):
+def test_a_mirrored_scan_gets_mirrored_eyes(scan):
     places, faces = scanned()
     landmarks = read_landmarks(scan)
     mesh = bpy.data.meshes.new("Other")
@@ -194,7 +194,7 @@ def test_the_mirrored_scan_gets_mirrored_eyes(scan):
     assert len(other.data.vertices) == len(scan.data.vertices)
 
 
-def test_without_landmarks_with_open_eyes_or_with_holes_nothing_is_cut_and_the_error_says_why(scan):
+def test_missing_landmarks_open_eyes_and_holes_are_errors_and_nothing_is_cut(scan):
     count = len(scan.data.vertices)
     landmarks = read_landmarks(scan)
     middle = read_vertices(scan.data)[landmarks[EYE_RIGHT]].mean(axis=0)
@@ -208,7 +208,7 @@ def test_without_landmarks_with_open_eyes_or_with_holes_nothing_is_cut_and_the_e
         bpy.ops.facemime.open_eyes()
     assert len(scan.data.vertices) == count and not eye_vertices(scan).size
     add_head(bpy.context)
-    with pytest.raises(RuntimeError, match="open already"):
+    with pytest.raises(RuntimeError, match="already open"):
         bpy.ops.facemime.open_eyes()
     bpy.ops.mesh.primitive_uv_sphere_add()
     assert not bpy.ops.facemime.open_eyes.poll()

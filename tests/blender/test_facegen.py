@@ -1,4 +1,4 @@
-"""A FaceGen head arrives as an object."""
+"""Import of FaceGen heads."""
 
 import bpy
 import numpy as np
@@ -30,7 +30,7 @@ def test_an_obj_keeps_its_vertex_order(tmp_path):
     np.testing.assert_allclose(found, VERTICES[:, [0, 2, 1]] * [1, -1, 1] * 0.001, atol=1e-6)
 
 
-def test_a_broken_file_is_reported_and_adds_nothing(tmp_path):
+def test_a_damaged_file_is_reported_and_adds_nothing(tmp_path):
     (tmp_path / "head.tri").write_bytes(tri()[:100])
     with pytest.raises(RuntimeError, match="damaged at byte"):
         bpy.ops.facemime.import_facegen(filepath=str(tmp_path / "head.tri"))
@@ -38,7 +38,7 @@ def test_a_broken_file_is_reported_and_adds_nothing(tmp_path):
 
 
 def test_degenerate_faces_do_not_reach_blender(tmp_path):
-    """Subdivide crashes on a face of a single vertex, and never ends on one with a repeated vertex."""
+    """Blender's Subdivide crashes on a face of one vertex, and hangs on one with a repeated vertex."""
     (tmp_path / "head.obj").write_text(OBJ + "f 1 1 1\nf 2 2 3\nf 1 2 1 3\n")
     assert bpy.ops.facemime.import_facegen(filepath=str(tmp_path / "head.obj")) == {"FINISHED"}
     assert len(bpy.context.active_object.data.polygons) == 5
@@ -49,7 +49,7 @@ def test_degenerate_faces_do_not_reach_blender(tmp_path):
     assert len(bpy.context.active_object.data.polygons) > 5
 
 
-def test_an_obj_without_any_area_is_reported_and_adds_nothing(tmp_path):
+def test_an_obj_without_area_is_reported_and_adds_nothing(tmp_path):
     (tmp_path / "head.obj").write_text(OBJ[: OBJ.index("f ")] + "f 1 1 1\n")
     with pytest.raises(RuntimeError, match="none of its faces has an area"):
         bpy.ops.facemime.import_facegen(filepath=str(tmp_path / "head.obj"))

@@ -1,4 +1,4 @@
-"""The built-in head in Blender: exactly the mesh of the file, with what driving it needs."""
+"""The built-in head in Blender: the mesh of the file, with everything that driving it needs."""
 
 import bpy
 import numpy as np
@@ -39,7 +39,7 @@ def test_the_added_head_is_selected_and_active_and_faces_the_front_view():
     assert nose[1] < tragus[1] and chin[2] < nose[2]
 
 
-def test_the_added_head_carries_landmarks_and_regions():
+def test_the_added_head_has_landmarks_and_regions():
     head, obj = load_head(), add_head(bpy.context)
     assert list(obj.data[LANDMARKS_PROPERTY]) == head.landmarks.tolist()
     assert tuple(group.name for group in obj.vertex_groups) == REGION_GROUPS
@@ -48,7 +48,7 @@ def test_the_added_head_carries_landmarks_and_regions():
     assert np.array_equal(rig.landmarks, head.landmarks)
 
 
-def test_the_parts_are_children_that_turn_about_their_pivots():
+def test_the_parts_are_children_that_rotate_about_their_pivots():
     head, obj = load_head(), add_head(bpy.context)
     children = {child[PART_PROPERTY]: child for child in obj.children}
     assert set(children) == set(PART_OBJECTS)
@@ -60,13 +60,13 @@ def test_the_parts_are_children_that_turn_about_their_pivots():
         assert np.allclose(read_vertices(child.data) + part.pivot, part.vertices, atol=1e-6)
 
 
-def test_two_heads_can_stand_in_one_file():
+def test_a_file_can_contain_two_heads():
     first, second = add_head(bpy.context), add_head(bpy.context, name="Other")
     assert first.data != second.data and second.name == "Other"
     assert len(second.children) == len(PART_OBJECTS)
 
 
-def test_face_units_come_as_shape_keys_at_zero_only_when_asked_for():
+def test_face_units_are_added_as_shape_keys_at_zero_only_on_request():
     assert add_head(bpy.context).data.shape_keys is None
     head, obj = load_head(), add_head(bpy.context, units=True)
     keys = obj.data.shape_keys.key_blocks
@@ -78,7 +78,7 @@ def test_face_units_come_as_shape_keys_at_zero_only_when_asked_for():
     assert np.allclose(from_blender(flat.reshape(-1, 3)), expected, atol=1e-6)
 
 
-def test_every_material_shows_a_picture_in_workbench():
+def test_every_material_shows_a_texture_in_workbench():
     obj = add_head(bpy.context)
     for mesh in [obj.data, *(child.data for child in obj.children)]:
         node = mesh.materials[0].node_tree.nodes.active
@@ -98,7 +98,7 @@ def test_the_preview_camera_sees_the_whole_head_from_the_front(size):
     assert scene.camera.matrix_world.translation.y < 0
 
 
-def test_the_preview_takes_any_mesh_wherever_it_stands():
+def test_the_preview_frames_any_mesh_at_any_location():
     bpy.ops.mesh.primitive_cube_add(size=4, location=(10, -3, 7), rotation=(0.2, 0.1, 0.4))
     scene, obj = bpy.context.scene, bpy.context.object
     setup_preview(scene, obj)
@@ -109,18 +109,18 @@ def test_the_preview_takes_any_mesh_wherever_it_stands():
 
 
 @given(POINTS)
-def test_changing_axes_forth_and_back_changes_nothing(points):
+def test_converting_axes_back_and_forth_changes_nothing(points):
     assert np.array_equal(from_blender(to_blender(points)), np.array(points))
 
 
 @given(POINTS)
-def test_the_fast_change_of_axes_is_the_same(points):
+def test_the_fast_conversion_of_axes_gives_the_same_result(points):
     points = np.array(points, np.float32)
     np.testing.assert_array_equal(flat_in_blender(points), to_blender(points).reshape(-1))
 
 
 @given(ANGLES, POINTS)
-def test_a_rotation_changes_axes_as_the_points_it_turns_do(angles, points):
+def test_converted_rotations_act_on_converted_points(angles, points):
     rotation, points = euler_to_matrix(*angles), np.array(points)
     turned = to_blender(points @ rotation.T)
     assert np.allclose(turned, to_blender(points) @ rotation_to_blender(rotation).T, atol=1e-9)
@@ -128,7 +128,7 @@ def test_a_rotation_changes_axes_as_the_points_it_turns_do(angles, points):
     assert np.isclose(np.linalg.det(rotation_to_blender(rotation)), 1)
 
 
-def test_eyeballs_grow_with_the_head_when_its_scale_is_applied():
+def test_applying_the_scale_of_a_head_also_scales_its_eyeballs():
     head = add_head(bpy.context)
     before = read_rig(head).eyeballs
     head.scale = (3.0, 3.0, 3.0)

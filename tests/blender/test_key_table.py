@@ -1,4 +1,4 @@
-"""The table of the keys that a bake moves: detected, edited, shared, learnt."""
+"""The key table: detecting, editing, sharing and learning it."""
 
 import bpy
 import pytest
@@ -9,14 +9,14 @@ from facemime.core.bake.key_map import load_map
 pytestmark = pytest.mark.usefixtures("in_a_project")
 
 
-def test_a_table_is_detected_edited_shared_and_learnt(imported, takes, tmp_path):
+def test_a_key_table_is_detected_edited_shared_and_learnt(imported, takes, tmp_path):
     head, bake = add_head(bpy.context, units=True), takes.bake
     assert bpy.ops.facemime.detect_key_map() == {"FINISHED"} and len(bake.rows) == 52
     bake.row = [row.key for row in bake.rows].index("tongueOut")
     assert bpy.ops.facemime.remove_key_row() == {"FINISHED"} and len(bake.rows) == 51
     assert bpy.ops.facemime.add_key_row() == {"FINISHED"}
     bake.keys = "mapped"
-    with pytest.raises(RuntimeError, match="Row 52 of the table has no key"):
+    with pytest.raises(RuntimeError, match="Row 52 of the key table has no shape key"):
         bpy.ops.facemime.bake_take()
     bake.rows[51].key, bake.rows[51].gain = "tongueOut", 0.25
     assert bpy.ops.facemime.export_key_map(filepath=str(tmp_path / "mine.json")) == {"FINISHED"}
@@ -34,16 +34,16 @@ def test_a_table_is_detected_edited_shared_and_learnt(imported, takes, tmp_path)
     assert head.data.shape_keys.key_blocks["cheekPuff"].value == pytest.approx(0.8, abs=0.1)
 
 
-def test_a_head_of_unknown_keys_has_no_table_to_be_detected():
+def test_no_table_is_detected_for_unknown_shape_keys():
     head = add_head(bpy.context)
     for name in ("Basis", "Fat"):
         head.shape_key_add(name=name, from_mix=False)
-    with pytest.raises(RuntimeError, match="no preset knows"):
+    with pytest.raises(RuntimeError, match="No preset matches"):
         bpy.ops.facemime.detect_key_map()
 
 
 @pytest.mark.parametrize("data", ["", "[]", '{"values": {}}', '{"coefficients": [NaN], "values": {}}', "[" * 100_000])
-def test_a_damaged_pose_is_removed_and_told(imported, takes, data):
+def test_a_damaged_pose_is_removed_and_reported(imported, takes, data):
     add_head(bpy.context, units=True)
     assert bpy.ops.facemime.add_key_pose() == {"FINISHED"}
     takes.bake.poses.add().data = data

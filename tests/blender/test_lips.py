@@ -1,4 +1,4 @@
-"""A scan, whose lips are one skin, gets a mouth that opens."""
+"""Opening the joined lips of a scan."""
 
 import bpy
 import numpy as np
@@ -16,7 +16,7 @@ from facemime.core.tracking.result import TrackResult
 from takes import performance
 
 
-def test_a_scan_is_told_to_have_joined_lips_and_after_opening_them_it_is_ready(scan):
+def test_joined_lips_of_a_scan_are_reported_until_they_are_opened(scan):
     words = "The lips are joined into one skin, so that the mouth cannot open."
     assert words in [finding.problem for finding in check_object(scan)]
     assert "open_lips" in [line.step for line in bpy.context.window_manager.facemime.findings]
@@ -25,11 +25,11 @@ def test_a_scan_is_told_to_have_joined_lips_and_after_opening_them_it_is_ready(s
     assert len(scan.data.vertices) > before
     assert words not in [finding.problem for finding in check_object(scan)]
     assert "open_lips" not in [line.step for line in bpy.context.window_manager.facemime.findings]
-    with pytest.raises(RuntimeError, match="apart already"):
+    with pytest.raises(RuntimeError, match="already open"):
         bpy.ops.facemime.open_lips()
 
 
-def test_the_inner_lips_are_bound_to_two_rims_in_one_place_that_belong_to_different_regions(scan):
+def test_inner_lips_are_bound_to_two_coincident_rims_in_different_regions(scan):
     bpy.ops.facemime.open_lips()
     landmarks, places, regions = read_landmarks(scan), read_vertices(scan.data), read_regions(scan)
     assert len(set(landmarks.tolist())) == 66
@@ -40,7 +40,7 @@ def test_the_inner_lips_are_bound_to_two_rims_in_one_place_that_belong_to_differ
     assert (np.diff(x) > 0).all()
 
 
-def test_an_open_mouth_parts_the_rims(scan):
+def test_opening_the_mouth_separates_the_rims(scan):
     bpy.ops.facemime.open_lips()
     rig, take = read_rig(scan), performance()
     driver = HeadDriver(rig, calibrate(take))
@@ -52,7 +52,7 @@ def test_an_open_mouth_parts_the_rims(scan):
     assert max(gaps) > 0.05 * np.linalg.norm(np.subtract(*rig.vertices[rig.landmarks[from_ibug((36, 45))]]))
 
 
-def test_behind_the_cut_is_a_dark_pocket_that_closes_the_mesh_there(scan):
+def test_a_dark_pocket_closes_the_mesh_behind_the_cut(scan):
     border = np.count_nonzero(SurfaceGraph(read_vertices(scan.data), read_faces(scan.data)).faces_at == 1)
     bpy.ops.facemime.open_lips()
     faces = [face for face in scan.data.polygons if face.material_index == 1]
@@ -64,7 +64,7 @@ def test_behind_the_cut_is_a_dark_pocket_that_closes_the_mesh_there(scan):
     assert depth.max() > lips.max() + 0.2 * UNIT
 
 
-def test_shape_keys_and_groups_of_the_artist_survive_the_cut(scan):
+def test_shape_keys_and_vertex_groups_survive_the_cut(scan):
     scan.shape_key_add(name="Basis")
     key = scan.shape_key_add(name="Mine")
     key.data[5].co.x += 1.0
@@ -79,9 +79,9 @@ def test_shape_keys_and_groups_of_the_artist_survive_the_cut(scan):
     assert scan.vertex_groups["Hair"].weight(7) == pytest.approx(0.5)
 
 
-def test_without_landmarks_there_is_nothing_to_cut():
+def test_opening_lips_requires_landmarks():
     bpy.ops.mesh.primitive_uv_sphere_add()
     assert not bpy.ops.facemime.open_lips.poll()
     add_head(bpy.context)
-    with pytest.raises(RuntimeError, match="apart already"):
+    with pytest.raises(RuntimeError, match="already open"):
         bpy.ops.facemime.open_lips()

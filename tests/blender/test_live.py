@@ -1,4 +1,4 @@
-"""Live puppeteering: ticks of the modal operator move the head as the settings say, until something ends it."""
+"""Live puppetry: the modal operator moves the head until something stops it."""
 
 import bpy
 import numpy as np
@@ -23,7 +23,7 @@ from live_ticks import CLICK, moving, shown, tick, ticks_until
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
 
-def test_ticks_show_what_the_same_frame_gives_headless_and_the_end_puts_all_back(take):
+def test_live_frames_equal_headless_ones_and_the_end_restores_the_head(take):
     head = add_head(bpy.context)
     before = shown(head)
     rig = read_rig(head)
@@ -42,14 +42,14 @@ def test_ticks_show_what_the_same_frame_gives_headless_and_the_end_puts_all_back
     assert tuple(head.delta_rotation_euler) == (0.0, 0.0, 0.0)
 
 
-def test_it_ends_with_the_source(take):
+def test_the_puppet_stops_at_the_end_of_the_source(take):
     add_head(bpy.context)
     bpy.ops.facemime.puppet()
     ticks_until(lambda: running() is None)
     assert FACEMIME_OT_puppet.instance is None
 
 
-def test_keep_pose_leaves_the_head_and_the_rest_shape_apart(take):
+def test_keep_pose_keeps_the_pose_without_changing_the_rest_shape(take):
     head = add_head(bpy.context)
     bpy.context.scene.facemime.source.loop = True
     rest = shown(head)
@@ -67,7 +67,7 @@ def test_keep_pose_leaves_the_head_and_the_rest_shape_apart(take):
     np.testing.assert_allclose(shown(head), rest, atol=1e-7)
 
 
-def test_keys_and_animation_that_were_there_stay(take):
+def test_existing_shape_keys_and_animation_are_kept(take):
     head = add_head(bpy.context, units=True)
     bpy.context.scene.facemime.source.loop = True
     head.data.shape_keys.key_blocks["jawOpen"].value = 0.4
@@ -94,7 +94,7 @@ def test_keys_and_animation_that_were_there_stay(take):
         lambda: (facemime.unregister(), facemime.register()),
     ],
 )
-def test_whatever_ends_it_joins_the_thread_and_the_operator_notices(take, end):
+def test_every_way_to_stop_joins_the_thread_and_ends_the_operator(take, end):
     add_head(bpy.context)
     bpy.context.scene.facemime.source.loop = True
     bpy.ops.facemime.puppet()
@@ -106,7 +106,7 @@ def test_whatever_ends_it_joins_the_thread_and_the_operator_notices(take, end):
         assert tick() == {"FINISHED"}
 
 
-def test_settings_act_while_it_runs(take):
+def test_settings_take_effect_while_the_puppet_is_running(take):
     head = add_head(bpy.context)
     rest = shown(head)
     settings = bpy.context.scene.facemime
@@ -120,7 +120,7 @@ def test_settings_act_while_it_runs(take):
     assert np.abs(np.array(head.delta_rotation_euler)).max() < 1e-6
 
 
-def test_painted_regions_act_after_the_next_click(take):
+def test_painted_regions_take_effect_after_the_next_click(take):
     head = add_head(bpy.context)
     rest = shown(head)
     bpy.context.scene.facemime.source.loop = True
@@ -135,7 +135,7 @@ def test_painted_regions_act_after_the_next_click(take):
     ticks_until(lambda: np.abs(shown(head) - rest)[untouched].max() < 1e-7)
 
 
-def test_faces_that_were_turned_act_after_the_next_click_and_a_click_alone_changes_nothing(take):
+def test_flipped_faces_take_effect_after_the_next_click_and_a_click_alone_does_nothing(take):
     head = add_head(bpy.context)
     bpy.context.scene.facemime.source.loop = True
     bpy.ops.facemime.puppet()
@@ -151,7 +151,7 @@ def test_faces_that_were_turned_act_after_the_next_click_and_a_click_alone_chang
     np.testing.assert_array_equal(running().worker.heads[0].rig.faces, read_faces(head.data))
 
 
-def test_a_new_session_ends_the_one_before(take):
+def test_a_new_session_closes_the_previous_one(take):
     head = add_head(bpy.context)
     bpy.context.scene.facemime.source.loop = True
     first = start_session(bpy.context.scene, [head])
@@ -163,7 +163,7 @@ def test_a_new_session_ends_the_one_before(take):
     assert head.data.shape_keys is None
 
 
-def test_control_points_are_chosen_from_what_the_puppet_showed_and_act_at_once(take):
+def test_control_points_selected_from_live_take_effect_at_once(take):
     head = add_head(bpy.context)
     assert not bpy.ops.facemime.select_live_points.poll()
     bpy.context.scene.facemime.source.loop = True
@@ -177,7 +177,7 @@ def test_control_points_are_chosen_from_what_the_puppet_showed_and_act_at_once(t
     np.testing.assert_array_equal(running().worker.heads[0].rig.control_points, chosen.membership)
 
 
-def test_the_face_that_the_settings_name_is_the_one_the_session_follows(take):
+def test_the_session_tracks_the_face_chosen_in_the_settings(take):
     add_head(bpy.context)
     source = bpy.context.scene.facemime.source
     source.kind, source.loop = "SAMPLE", True
@@ -189,7 +189,7 @@ def test_the_face_that_the_settings_name_is_the_one_the_session_follows(take):
     bpy.ops.facemime.stop_puppet()
 
 
-def test_another_face_can_be_asked_for_only_where_pictures_are_looked_at(take):
+def test_next_face_requires_a_source_of_images(take):
     add_head(bpy.context)
     assert not bpy.ops.facemime.next_face.poll()
     source = bpy.context.scene.facemime.source

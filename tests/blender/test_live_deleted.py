@@ -1,4 +1,4 @@
-"""Whatever the user deletes while a puppet runs: Blender lives, the rest goes on, and what is left is put back."""
+"""Deletions while a puppet is running: Blender does not crash, the rest continues, and everything is restored."""
 
 import subprocess
 import sys
@@ -20,30 +20,30 @@ pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
 @pytest.fixture
 def looping(take):
-    """The source: a take, over and over."""
+    """A take as the source, looped."""
     bpy.context.scene.facemime.source.loop = True
 
 
 def start() -> None:
-    """Puppet what is selected, until it moves."""
+    """Start the puppet, and wait until the selected heads move."""
     assert bpy.ops.facemime.puppet() == {"RUNNING_MODAL"}
     ticks_until(moving)
 
 
 def some_frames() -> None:
-    """Go on for three frames."""
+    """Continue for three frames."""
     number = running()._number
     ticks_until(lambda: running() is None or running()._number >= number + 3)
 
 
 def two_heads() -> tuple[bpy.types.Object, bpy.types.Object]:
-    """Two heads, both selected."""
+    """Add two heads and select both."""
     heads = add_head(bpy.context), add_head(bpy.context)
     heads[0].select_set(True)
     return heads
 
 
-def test_the_other_head_goes_on_after_one_is_deleted_and_the_mouse_clicked(looping):
+def test_deleting_one_head_keeps_the_other_moving(looping):
     first, second = two_heads()
     start()
     bpy.data.objects.remove(second)
@@ -54,7 +54,7 @@ def test_the_other_head_goes_on_after_one_is_deleted_and_the_mouse_clicked(loopi
     assert outcome_of_ticks() == {"CANCELLED"} and running() is None
 
 
-def test_one_undo_brings_a_head_back_that_was_deleted_while_it_moved(looping):
+def test_a_single_undo_restores_a_head_deleted_while_it_moved(looping):
     head = add_head(bpy.context)
     rest = shown(head)
     bpy.ops.ed.undo_push(message="head")
@@ -67,7 +67,7 @@ def test_one_undo_brings_a_head_back_that_was_deleted_while_it_moved(looping):
 
 
 @pytest.mark.parametrize("keep", [False, True])
-def test_a_head_deleted_with_its_mesh_ends_in_a_sentence_whether_its_pose_is_kept_or_not(looping, keep):
+def test_deleting_a_head_with_its_mesh_is_reported_with_and_without_keep_pose(looping, keep):
     head = add_head(bpy.context)
     bpy.context.scene.facemime.keep_pose = keep
     start()
@@ -77,7 +77,7 @@ def test_a_head_deleted_with_its_mesh_ends_in_a_sentence_whether_its_pose_is_kep
     assert outcome_of_ticks() == {"CANCELLED"} and running() is None
 
 
-def test_after_one_of_two_heads_is_deleted_the_file_is_saved_with_the_other_at_rest(looping, tmp_path):
+def test_after_deleting_one_head_the_file_is_saved_with_the_other_at_rest(looping, tmp_path):
     first, second = two_heads()
     rest = shown(first)
     start()
@@ -91,7 +91,7 @@ def test_after_one_of_two_heads_is_deleted_the_file_is_saved_with_the_other_at_r
     np.testing.assert_array_equal(shown(bpy.data.objects["Facemime Head"]), rest)
 
 
-def test_after_an_eye_is_deleted_and_the_file_saved_the_head_moves_on_and_rests_at_the_end(looping, tmp_path):
+def test_deleting_an_eye_and_saving_does_not_stop_the_head_which_returns_to_rest(looping, tmp_path):
     head = add_head(bpy.context)
     rest = shown(head)
     start()
@@ -106,7 +106,7 @@ def test_after_an_eye_is_deleted_and_the_file_saved_the_head_moves_on_and_rests_
     assert all(tuple(child.delta_rotation_euler) == (0.0, 0.0, 0.0) for child in head.children)
 
 
-def test_a_mesh_that_another_object_shares_rests_after_the_head_was_deleted(looping):
+def test_a_shared_mesh_returns_to_rest_after_its_head_is_deleted(looping):
     head = add_head(bpy.context)
     rest = shown(head)
     sibling = bpy.data.objects.new("Sibling", head.data)
@@ -119,7 +119,7 @@ def test_a_mesh_that_another_object_shares_rests_after_the_head_was_deleted(loop
 
 
 @pytest.mark.parametrize("units", [False, True])
-def test_all_shape_keys_deleted_meanwhile_end_the_puppet_and_leave_the_head_at_rest(looping, units):
+def test_deleting_all_shape_keys_stops_the_puppet_with_the_head_at_rest(looping, units):
     head = add_head(bpy.context, units=units)
     rest = shown(head)
     start()
@@ -130,13 +130,13 @@ def test_all_shape_keys_deleted_meanwhile_end_the_puppet_and_leave_the_head_at_r
 
 
 def steps_from_here(*operators: str) -> None:
-    """Undo steps that a user makes while the puppet runs."""
+    """Push undo steps, as a user does while the puppet is running."""
     for name in operators:
         bpy.ops.object.select_all(action=name)
         bpy.ops.ed.undo_push(message=name)
 
 
-def test_an_undo_into_the_middle_of_a_session_that_is_over_shows_the_head_at_rest(looping):
+def test_undoing_into_a_past_session_shows_the_head_at_rest(looping):
     head = add_head(bpy.context)
     rest = shown(head)
     bpy.ops.ed.undo_push(message="head")
@@ -154,7 +154,7 @@ def test_an_undo_into_the_middle_of_a_session_that_is_over_shows_the_head_at_res
     assert again.data.shape_keys is None
 
 
-def test_an_undo_while_it_runs_ends_it_and_goes_back_by_one_step_alone(looping):
+def test_undo_during_a_session_ends_it_and_goes_back_a_single_step(looping):
     head = add_head(bpy.context)
     rest = shown(head)
     bpy.ops.ed.undo_push(message="head")
@@ -169,11 +169,11 @@ def test_an_undo_while_it_runs_ends_it_and_goes_back_by_one_step_alone(looping):
     np.testing.assert_array_equal(shown(bpy.data.objects["Facemime Head"]), rest)
 
 
-def test_what_a_crash_left_in_a_file_that_blender_saved_is_taken_out_as_it_is_opened(looping, tmp_path):
+def test_opening_a_file_saved_in_a_crash_removes_the_live_key(looping, tmp_path):
     head = add_head(bpy.context)
     rest = shown(head)
     start()
-    bpy.data.libraries.write(str(tmp_path / "autosave.blend"), {bpy.context.scene})  # as no handler hears of
+    bpy.data.libraries.write(str(tmp_path / "autosave.blend"), {bpy.context.scene})  # as in a crash, without handlers
     running().close()
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "autosave.blend"))
     scene = bpy.data.scenes[0]
@@ -184,7 +184,7 @@ def test_what_a_crash_left_in_a_file_that_blender_saved_is_taken_out_as_it_is_op
 
 
 @pytest.mark.parametrize("units", [False, True])
-def test_a_basis_deleted_meanwhile_ends_the_puppet_and_the_head_is_as_it_was(looping, units):
+def test_deleting_the_basis_stops_the_puppet_and_restores_the_head(looping, units):
     head = add_head(bpy.context, units=units)
     rest = shown(head)
     start()
@@ -196,7 +196,7 @@ def test_a_basis_deleted_meanwhile_ends_the_puppet_and_the_head_is_as_it_was(loo
     np.testing.assert_allclose(shown(head), rest, atol=1e-7)
 
 
-def test_saving_in_edit_mode_goes_on_and_leaves_the_head_at_rest(looping, tmp_path):
+def test_saving_in_edit_mode_continues_the_session_and_saves_the_head_at_rest(looping, tmp_path):
     head = add_head(bpy.context)
     rest = shown(head)
     start()
@@ -213,7 +213,7 @@ def test_saving_in_edit_mode_goes_on_and_leaves_the_head_at_rest(looping, tmp_pa
     np.testing.assert_allclose(shown(bpy.data.objects["Facemime Head"]), rest, atol=1e-7)
 
 
-def test_a_head_that_was_converted_is_said_in_one_sentence(looping):
+def test_converting_a_head_is_reported(looping):
     add_head(bpy.context)
     start()
     bpy.ops.object.convert(target="CURVE")
@@ -221,29 +221,29 @@ def test_a_head_that_was_converted_is_said_in_one_sentence(looping):
 
 
 def clear(head: bpy.types.Object) -> None:
-    """The mesh's geometry."""
+    """Clear the geometry of the mesh."""
     head.data.clear_geometry()
 
 
 def edit(head: bpy.types.Object) -> None:
-    """In Edit mode."""
+    """Enter Edit Mode."""
     bpy.ops.object.mode_set(mode="EDIT")
 
 
 def swap(head: bpy.types.Object) -> None:
-    """The mesh for another one, which is then the only one."""
+    """Replace the mesh by another one, and remove it."""
     old, head.data = head.data, bpy.data.meshes.new("Other")
     bpy.data.meshes.remove(old)
 
 
 def convert(head: bpy.types.Object) -> None:
-    """To a curve."""
+    """Convert the head to a curve."""
     bpy.ops.object.convert(target="CURVE")
 
 
 @pytest.mark.parametrize("change", [clear, edit, swap, convert])
 @pytest.mark.parametrize("slices", [0, 1, 2, 3])
-def test_a_head_that_changes_while_it_is_looked_at_ends_in_a_sentence_or_goes_on(looping, change, slices):
+def test_a_head_that_changes_during_a_check_is_reported_or_continues(looping, change, slices):
     head = add_head(bpy.context)
     start()
     tick(CLICK)
@@ -256,7 +256,7 @@ def test_a_head_that_changes_while_it_is_looked_at_ends_in_a_sentence_or_goes_on
         bpy.ops.facemime.stop_puppet()
 
 
-def test_a_bone_that_is_deleted_while_it_takes_the_pose_ends_the_puppet(looping):
+def test_deleting_the_bone_that_takes_the_pose_stops_the_puppet(looping):
     head = add_head(bpy.context)
     bpy.ops.object.armature_add()
     armature = bpy.context.active_object
@@ -305,7 +305,7 @@ try:
     bpy.ops.facemime.puppet()
     ticks_until(moving)
     {deletion}
-    for number in range(300):  # what was freed is used again
+    for number in range(300):  # reuse memory that was freed
         bpy.data.meshes.new("mesh").from_pydata(np.zeros((50, 3)).tolist(), [], [])
         bpy.data.actions.new("action")
     bpy.ops.facemime.stop_puppet()
@@ -317,7 +317,7 @@ print("alive")
 
 @pytest.mark.parametrize("nla", [False, True])
 @pytest.mark.parametrize("deletion", _DELETIONS, ids=str)
-def test_blender_lives_when_what_an_earlier_bake_left_is_deleted_while_it_is_muted(deletion, nla, tmp_path):
+def test_deleting_a_muted_bake_does_not_crash_blender(deletion, nla, tmp_path):
     take, tests = str(tmp_path / "take.facetake"), str(Path(__file__).parents[1])
     code = textwrap.dedent(_BAKED_THEN_PUPPETED).format(tests=tests, take=take, deletion=_DELETIONS[deletion], nla=nla)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=500, check=False)
@@ -328,7 +328,7 @@ def test_blender_lives_when_what_an_earlier_bake_left_is_deleted_while_it_is_mut
 @pytest.mark.parametrize(
     "value", ["text", 3.5, [0.5] * 66, [1, 2, 3], {"a": 1}, True, [[1, 2], [3, 4]], 10**9], ids=str
 )
-def test_a_custom_property_that_holds_something_else_is_an_error_that_says_what_to_do(take, name, value):
+def test_an_invalid_custom_property_is_reported_with_a_remedy(take, name, value):
     head = add_head(bpy.context)
     try:
         head.data[name] = value

@@ -1,4 +1,4 @@
-"""What happens to the scene while the puppet runs: saving, deleting, renaming, Edit mode, copies; linked heads."""
+"""Changes to the scene while a puppet is running: saving, deleting, renaming, Edit Mode, copies; linked heads."""
 
 import bpy
 import numpy as np
@@ -14,7 +14,7 @@ from live_ticks import moving, outcome_of_ticks, shown, ticks_until
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
 
-def test_saving_in_the_middle_writes_the_head_at_rest(take, tmp_path):
+def test_saving_during_a_session_writes_the_head_at_rest(take, tmp_path):
     head = add_head(bpy.context)
     rest = shown(head)
     bpy.context.scene.facemime.source.loop = True
@@ -31,7 +31,7 @@ def test_saving_in_the_middle_writes_the_head_at_rest(take, tmp_path):
     np.testing.assert_array_equal(shown(again), rest)
 
 
-def test_deleting_one_of_two_heads_goes_on_with_the_other_and_both_end_it(take):
+def test_deleting_one_of_two_heads_continues_and_deleting_both_stops(take):
     first, second = add_head(bpy.context), add_head(bpy.context)
     first.select_set(True)
     bpy.context.scene.facemime.source.loop = True
@@ -44,7 +44,7 @@ def test_deleting_one_of_two_heads_goes_on_with_the_other_and_both_end_it(take):
     assert outcome_of_ticks() == {"CANCELLED"} and running() is None
 
 
-def test_renaming_the_head_and_other_active_objects_do_not_matter(take):
+def test_renaming_the_head_or_changing_the_active_object_has_no_effect(take):
     head = add_head(bpy.context)
     bpy.context.scene.facemime.source.loop = True
     bpy.ops.facemime.puppet()
@@ -57,7 +57,7 @@ def test_renaming_the_head_and_other_active_objects_do_not_matter(take):
     assert cube.data.shape_keys is None and LIVE_KEY in head.data.shape_keys.key_blocks
 
 
-def test_edit_mode_is_left_alone_and_a_mesh_that_was_changed_in_it_is_reported(take):
+def test_a_head_pauses_in_edit_mode_and_a_changed_mesh_is_reported(take):
     head = add_head(bpy.context)
     bpy.context.scene.facemime.source.loop = True
     bpy.ops.facemime.puppet()
@@ -74,7 +74,7 @@ def test_edit_mode_is_left_alone_and_a_mesh_that_was_changed_in_it_is_reported(t
     assert outcome_of_ticks() == {"CANCELLED"} and running() is None
 
 
-def test_hiding_copying_and_another_scene_do_not_matter(take):
+def test_hiding_copying_and_changing_the_scene_have_no_effect(take):
     head = add_head(bpy.context)
     bpy.context.scene.facemime.source.loop = True
     bpy.ops.facemime.puppet()
@@ -94,7 +94,7 @@ def test_hiding_copying_and_another_scene_do_not_matter(take):
     assert head.data.shape_keys is None and copy.data.shape_keys is not None
 
 
-def test_linked_heads_are_refused_with_what_to_do(take, tmp_path):
+def test_linked_heads_are_rejected_with_a_remedy(take, tmp_path):
     add_head(bpy.context)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
@@ -104,7 +104,7 @@ def test_linked_heads_are_refused_with_what_to_do(take, tmp_path):
         LiveHeadObject(loaded.objects[0], {})
 
 
-def test_a_key_that_is_shown_alone_and_a_cache_that_is_switched_off_come_back(take):
+def test_solo_active_shape_key_and_a_disabled_cache_are_restored(take):
     head = add_head(bpy.context, units=True)
     cache = head.modifiers.new(MODIFIER, "MESH_CACHE")
     head.show_only_shape_key, head.active_shape_key_index, cache.show_render = True, 3, False
@@ -118,9 +118,9 @@ def test_a_key_that_is_shown_alone_and_a_cache_that_is_switched_off_come_back(ta
     assert cache.show_viewport and not cache.show_render
 
 
-def test_absolute_keys_on_which_nothing_would_show_are_refused(take):
+def test_absolute_shape_keys_are_rejected(take):
     head = add_head(bpy.context, units=True)
     head.data.shape_keys.use_relative = False
-    with pytest.raises(RuntimeError, match="Switch Relative on"):
+    with pytest.raises(RuntimeError, match="Enable Relative"):
         bpy.ops.facemime.puppet()
     assert LIVE_KEY not in head.data.shape_keys.key_blocks and running() is None

@@ -1,4 +1,4 @@
-"""What a live session needs, a source and a calibration: where they are kept, and what is said where they fail."""
+"""Sources and calibrations of a live session: where they are stored, and their errors."""
 
 import bpy
 import numpy as np
@@ -13,7 +13,7 @@ from live_ticks import moving, tick, ticks_until, wait_for
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
 
-def test_calibration_is_kept_with_the_scene_by_the_performers_name(take):
+def test_calibrations_are_stored_in_the_scene_by_performer(take):
     add_head(bpy.context)
     settings = bpy.context.scene.facemime
     settings.source.loop = True
@@ -36,15 +36,15 @@ def test_calibration_is_kept_with_the_scene_by_the_performers_name(take):
 
 @pytest.fixture
 def preferred():
-    """The user's settings, whose camera is put back."""
+    """The preferences, whose camera is reset afterwards."""
     yield preferences()
     preferences().property_unset("camera")
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "said"),
+    ("kind", "name", "message"),
     [
-        ("VIDEO", "", "No video is chosen"),
+        ("VIDEO", "", "No video is selected"),
         ("VIDEO", "none.mp4", "There is no file"),
         ("PICTURES", "none", "There is no folder"),
         ("PICTURES", "a\udcff", "There is no folder"),
@@ -57,7 +57,7 @@ def preferred():
         ("CAMERA", "/dev/none", "cannot be opened"),
     ],
 )
-def test_a_source_that_is_not_there_is_reported_and_leaves_the_head_alone(tmp_path, preferred, kind, name, said):
+def test_a_missing_source_is_reported_and_leaves_the_head_unchanged(tmp_path, preferred, kind, name, message):
     head = add_head(bpy.context)
     source = bpy.context.scene.facemime.source
     source.kind = kind
@@ -74,11 +74,11 @@ def test_a_source_that_is_not_there_is_reported_and_leaves_the_head_alone(tmp_pa
         wait_for(lambda: session.worker.error is not None)
         reports = [str(session.worker.error)]
         assert tick() == {"CANCELLED"}
-    assert said in reports[0]
+    assert message in reports[0]
     assert running() is None and head.data.shape_keys is None
 
 
-def test_the_buttons_say_why_they_are_grey(take):
+def test_buttons_are_enabled_only_when_they_can_run(take):
     assert not FACEMIME_OT_puppet.poll(bpy.context)
     add_head(bpy.context)
     assert FACEMIME_OT_puppet.poll(bpy.context)

@@ -1,4 +1,4 @@
-"""The operators do what the functions do, and say so when they cannot."""
+"""Operators do the same as the functions behind them, and report errors."""
 
 import subprocess
 import sys
@@ -21,7 +21,7 @@ SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
 
 
 def key_coordinates(obj: bpy.types.Object) -> np.ndarray:
-    """(K, 3 V) coordinates of all shape keys."""
+    """Return (K, 3 V) coordinates of all shape keys."""
     rows = []
     for key in obj.data.shape_keys.key_blocks:
         row = np.empty(3 * len(obj.data.vertices), np.float32)
@@ -37,13 +37,13 @@ def test_registering_unregistering_and_registering_again_works():
     assert bpy.context.scene.facemime.rotation
 
 
-def test_blender_ends_after_the_extension_was_taken_away():
+def test_blender_quits_after_the_extension_is_removed():
     code = "import bpy, facemime; facemime.register(); facemime.unregister()"
     done = subprocess.run([sys.executable, "-c", code], timeout=120, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "Not freed" not in done.stdout + done.stderr
 
 
-def test_add_head_adds_the_head_at_the_cursor():
+def test_add_head_adds_the_head_at_the_3d_cursor():
     bpy.context.scene.cursor.location = (1.0, 2.0, 3.0)
     assert bpy.ops.facemime.add_head() == {"FINISHED"}
     head = bpy.context.active_object
@@ -60,7 +60,7 @@ def test_the_operator_and_the_function_agree(tmp_path):
     np.testing.assert_allclose(key_coordinates(by_operator), key_coordinates(by_function), atol=1e-6)
 
 
-def test_settings_of_the_scene_reach_the_function(tmp_path):
+def test_the_settings_of_the_scene_are_used(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     bpy.ops.facemime.add_head()
     head = bpy.context.active_object
@@ -90,11 +90,11 @@ def test_a_mesh_without_landmarks_is_reported(tmp_path):
         bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.facetake"))
 
 
-def test_without_a_mesh_the_button_is_grey():
+def test_without_a_mesh_the_button_is_disabled():
     assert not FACEMIME_OT_puppet_video.poll(bpy.context)
 
 
-def test_a_session_that_is_stopped_keeps_what_it_tracked():
+def test_a_stopped_session_keeps_the_tracked_frames():
     session = TrackingSession(SAMPLE)
     while session.running and session.done < 5:
         pass
@@ -112,7 +112,7 @@ def test_loading_a_file_ends_the_session():
     assert not session.running and Session.current is None
 
 
-def test_one_take_moves_all_selected_heads(tmp_path):
+def test_a_take_moves_all_selected_heads(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     first = add_head(bpy.context, name="First")
     second = add_head(bpy.context, name="Second")
@@ -123,28 +123,26 @@ def test_one_take_moves_all_selected_heads(tmp_path):
 
 @pytest.mark.parametrize("operator", ["export_preset", "import_preset", "export_key_map", "import_take"])
 @pytest.mark.parametrize("name", ["", "folder/", "folder"])
-def test_a_file_browser_that_is_left_without_a_name_is_told(operator, name, tmp_path):
+def test_confirming_the_file_browser_without_a_name_is_reported(operator, name, tmp_path):
     (tmp_path / "folder").mkdir()
-    with pytest.raises(RuntimeError, match="No file was chosen"):
+    with pytest.raises(RuntimeError, match="No file was selected"):
         getattr(bpy.ops.facemime, operator)(filepath=name and str(tmp_path / name))
     assert [path.name for path in tmp_path.rglob("*")] == ["folder"]
 
 
-def test_what_cannot_be_baked_is_said_before_the_video_is_tracked(monkeypatch):
+def test_an_impossible_bake_is_reported_before_tracking(monkeypatch):
     monkeypatch.setattr(TrackingSession, "__init__", lambda *_: pytest.fail("it was tracked"))
     add_head(bpy.context).driver_add("delta_rotation_euler", 0)
-    with pytest.raises(RuntimeError, match="has animation of its own"):
+    with pytest.raises(RuntimeError, match="already has animation"):
         bpy.ops.facemime.puppet_video(filepath=str(SAMPLE))
 
 
-def test_what_was_tracked_is_kept_where_it_cannot_be_baked(tmp_path, monkeypatch):
+def test_the_tracked_take_is_kept_if_it_cannot_be_baked(tmp_path, monkeypatch):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "project.blend"))
     head, settings = add_head(bpy.context), bpy.context.scene.facemime
     settings.find_neutral, settings.neutral = False, 99.0
     monkeypatch.setattr(TrackingSession, "take", lambda session: performance())
-    with pytest.raises(
-        RuntimeError, match=r"Choose another neutral\. What was tracked is in the list of takes: sample"
-    ):
+    with pytest.raises(RuntimeError, match=r"Choose another neutral\. The tracked take is in the list as sample"):
         bpy.ops.facemime.puppet_video(filepath=str(SAMPLE))
     (line,) = bpy.context.scene.facemime_takes.items
     assert line.name == "sample" and line.length == pytest.approx(performance().times[-1])

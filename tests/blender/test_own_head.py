@@ -1,4 +1,4 @@
-"""A mesh of the user's own becomes a head, and stays one."""
+"""Preparing any mesh as a head."""
 
 import bpy
 import numpy as np
@@ -17,7 +17,7 @@ from takes import performance
 
 
 def bare_head() -> bpy.types.Object:
-    """The built-in head's mesh without anything that makes it a head."""
+    """Add the mesh of the built-in head without landmarks and regions."""
     obj = add_head(bpy.context)
     for name in (LANDMARKS_PROPERTY, COUNT_PROPERTY):
         del obj.data[name]
@@ -26,7 +26,7 @@ def bare_head() -> bpy.types.Object:
 
 
 def off(obj: bpy.types.Object, landmarks: np.ndarray) -> np.ndarray:
-    """(66,) distance of the landmarks of `obj` from the vertices `landmarks`, in outer-eye distances."""
+    """Return (66,) distances of the landmarks of `obj` from the vertices `landmarks`, in outer-eye distances."""
     vertices = read_vertices(obj.data)
     unit = np.linalg.norm(np.subtract(*vertices[landmarks[OUTER_EYE_CORNERS]]))
     return np.linalg.norm(vertices[read_landmarks(obj)] - vertices[landmarks], axis=1) / unit
@@ -34,12 +34,12 @@ def off(obj: bpy.types.Object, landmarks: np.ndarray) -> np.ndarray:
 
 @pytest.fixture
 def true() -> np.ndarray:
-    """Landmarks of the built-in head."""
+    """The landmarks of the built-in head."""
     return read_landmarks(add_head(bpy.context))
 
 
 def pick(obj: bpy.types.Object, vertex: int) -> None:
-    """Select one vertex in Edit mode, as a click does."""
+    """Select a single vertex in Edit Mode, as a click does."""
     if obj.mode != "EDIT":
         bpy.ops.object.mode_set(mode="EDIT")
     bpy.ops.mesh.select_all(action="DESELECT")
@@ -48,7 +48,7 @@ def pick(obj: bpy.types.Object, vertex: int) -> None:
     bpy.ops.object.mode_set(mode="EDIT")
 
 
-def test_an_upright_mesh_is_bound_without_a_click_and_can_be_driven(true, tmp_path):
+def test_an_upright_mesh_is_bound_without_marks_and_can_be_driven(true, tmp_path):
     obj = bare_head()
     assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
     assert off(obj, true).mean() < 0.02
@@ -58,7 +58,7 @@ def test_an_upright_mesh_is_bound_without_a_click_and_can_be_driven(true, tmp_pa
     assert bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.facetake")) == {"FINISHED"}
 
 
-def test_clicked_points_bind_a_mesh_that_lies_on_its_side_without_moving_it_in_the_scene(true):
+def test_marked_points_bind_a_mesh_on_its_side_without_moving_it_in_the_scene(true):
     obj = bare_head()
     obj.data.transform(Matrix.Rotation(1.2, 4, "X") @ Matrix.Rotation(0.7, 4, "Z"))
     before = [obj.matrix_world @ v.co for v in obj.data.vertices]
@@ -76,7 +76,7 @@ def test_clicked_points_bind_a_mesh_that_lies_on_its_side_without_moving_it_in_t
     assert nose[2] == vertices[true].min(axis=0)[2] and chin[1] > nose[1]
 
 
-def test_a_mesh_as_an_importer_leaves_it_is_bound_without_a_click_and_turned_upright_within(true):
+def test_an_imported_mesh_is_bound_without_marks_and_its_vertices_are_rotated_upright(true):
     obj = bare_head()
     lying = Matrix.Rotation(np.pi / 2.0, 4, "X")
     obj.data.transform(lying.inverted())
@@ -92,7 +92,7 @@ def test_a_mesh_as_an_importer_leaves_it_is_bound_without_a_click_and_turned_upr
     assert np.abs(np.array(obj.matrix_world.to_euler())).max() < 1e-5
 
 
-def test_a_mesh_that_faces_backwards_is_bound_without_a_click_and_stays_where_it_is(true):
+def test_a_mesh_that_faces_backwards_is_bound_without_marks_and_stays_in_place(true):
     obj = bare_head()
     obj.data.transform(Matrix.Rotation(np.pi, 4, "Z"))
     before = [obj.matrix_world @ v.co for v in obj.data.vertices]
@@ -106,7 +106,7 @@ def test_a_mesh_that_faces_backwards_is_bound_without_a_click_and_stays_where_it
 @pytest.mark.parametrize(
     ("rotation", "scale"), [((0.0, 0.0, 2.2), (1, 1, 1)), ((0.4, -0.3, 0.9), (3, 3, 3)), ((0.0, 0.0, 0.0), (-1, 1, 1))]
 )
-def test_a_head_is_bound_without_a_click_however_its_object_stands_or_is_mirrored(true, rotation, scale):
+def test_a_rotated_or_mirrored_object_is_bound_without_marks(true, rotation, scale):
     obj = bare_head()
     obj.rotation_euler, obj.scale = rotation, scale
     bpy.context.view_layer.update()
@@ -118,22 +118,22 @@ def test_a_head_is_bound_without_a_click_however_its_object_stands_or_is_mirrore
     np.testing.assert_allclose(np.array(obj.matrix_world), np.array(before), atol=1e-6)
 
 
-def test_a_landmark_is_moved_to_the_picked_vertex(true):
+def test_a_landmark_is_moved_to_the_selected_vertex(true):
     obj = add_head(bpy.context)
     free = next(v for v in range(len(obj.data.vertices)) if v not in true)
     pick(obj, free)
     assert bpy.ops.facemime.set_landmark(number=30) == {"FINISHED"}
     assert read_landmarks(obj)[30] == free
     pick(obj, int(true[0]))
-    with pytest.raises(RuntimeError, match="Another landmark lies on that vertex"):
+    with pytest.raises(RuntimeError, match="Another landmark is bound to this vertex"):
         bpy.ops.facemime.set_landmark(number=30)
 
 
-def test_marking_needs_one_selected_vertex():
+def test_marking_requires_a_single_selected_vertex():
     obj = add_head(bpy.context)
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.ops.mesh.select_all(action="SELECT")
-    with pytest.raises(RuntimeError, match="Select one vertex in Edit mode; 1781 are selected"):
+    with pytest.raises(RuntimeError, match="1781 vertices are selected"):
         bpy.ops.facemime.mark_point(point="30")
     assert not read_marks(obj.data)
 
@@ -154,7 +154,7 @@ def test_the_binding_survives_renaming_copying_saving_and_loading(true, tmp_path
         np.testing.assert_allclose(read_regions(loaded), regions, atol=1e-6)
 
 
-def test_undo_takes_a_binding_back_and_redo_brings_it_again(true):
+def test_a_binding_can_be_undone_and_redone(true):
     obj = bare_head()
     name = obj.name
     bpy.ops.ed.undo_push(message="bare")
@@ -166,14 +166,14 @@ def test_undo_takes_a_binding_back_and_redo_brings_it_again(true):
     assert len(read_landmarks(bpy.data.objects[name])) == 66
 
 
-def test_a_changed_vertex_count_is_told_in_numbers():
+def test_a_changed_vertex_count_is_reported_with_both_numbers():
     obj = add_head(bpy.context)
     obj.data.vertices.add(5)
-    with pytest.raises(RuntimeError, match="had 1781 vertices when its landmarks were bound and has 1786 now"):
+    with pytest.raises(RuntimeError, match="has changed from 1781 to 1786 since"):
         bpy.ops.facemime.check_head()
 
 
-def test_regions_are_proposed_again_after_they_were_lost():
+def test_lost_regions_can_be_proposed_again():
     obj = add_head(bpy.context)
     for name in REGION_GROUPS:
         obj.vertex_groups.remove(obj.vertex_groups[name])
@@ -181,7 +181,7 @@ def test_regions_are_proposed_again_after_they_were_lost():
     assert read_regions(obj).any(axis=1).all()
 
 
-def test_a_landmark_that_was_painted_out_of_all_regions_is_named():
+def test_a_landmark_outside_all_regions_is_reported():
     obj = add_head(bpy.context)
     nose = int(read_landmarks(obj)[30])
     for name in REGION_GROUPS:
@@ -207,7 +207,7 @@ def test_the_operator_selects_the_points_that_the_function_selects(tmp_path):
     assert len(chosen.landmarks) <= 20 and 33 in chosen.landmarks and not set(never) & set(chosen.landmarks)
 
 
-def test_selected_points_move_the_head_and_all_landmarks_come_back(tmp_path):
+def test_selected_points_drive_the_head_until_all_landmarks_are_restored(tmp_path):
     obj = add_head(bpy.context)
     obj.data[SELECTION_PROPERTY] = to_json(select_for_take(read_rig(obj), performance(), max_points=15))
     assert read_rig(obj).control_points.any(axis=0).sum() <= 15
@@ -215,14 +215,14 @@ def test_selected_points_move_the_head_and_all_landmarks_come_back(tmp_path):
     assert read_rig(obj).control_points is None
 
 
-def test_a_cube_is_no_face():
+def test_a_cube_is_not_a_face():
     bpy.ops.mesh.primitive_cube_add()
     with pytest.raises(RuntimeError, match="a head with 66 landmarks needs more"):
         bpy.ops.facemime.bind_landmarks()
 
 
-def test_what_cannot_be_read_in_edit_mode_says_so():
+def test_a_mesh_that_cannot_be_read_in_edit_mode_is_reported():
     add_head(bpy.context)
     bpy.ops.object.mode_set(mode="EDIT")
-    with pytest.raises(RuntimeError, match="Leave Edit mode first"):
+    with pytest.raises(RuntimeError, match="Leave Edit Mode first"):
         bpy.ops.facemime.check_head()

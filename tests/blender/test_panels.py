@@ -1,4 +1,4 @@
-"""The panels draw in every state that they can meet; a window is not needed to see that."""
+"""Panels draw in every state, tested without a window."""
 
 from types import SimpleNamespace
 
@@ -31,7 +31,7 @@ from takes import performance
 
 
 class Layout:
-    """Stands in for a layout: every call is noted and gives the layout again."""
+    """Substitute for a layout: records every call and returns itself."""
 
     def __init__(self):
         self.calls = []
@@ -44,19 +44,19 @@ class Layout:
         return call
 
     def texts(self) -> str:
-        """All that was drawn."""
+        """Return everything that was drawn as text."""
         return " ".join(str(part) for call in self.calls for part in call)
 
 
 def draw(panel: type) -> str:
-    """What `panel` draws for the context as it is."""
+    """Return what `panel` draws in the current context."""
     layout = Layout()
     panel.draw(SimpleNamespace(layout=layout), bpy.context)
     return layout.texts()
 
 
 def nothing() -> None:
-    """An empty scene."""
+    """Leave the scene empty."""
 
 
 def cube() -> None:
@@ -77,11 +77,11 @@ def editing() -> None:
     [
         (nothing, "Select a mesh"),
         (cube, "facemime.bind_landmarks"),
-        (marked_head, "1 points marked"),
+        (marked_head, "Marked points: 1"),
         (editing, "facemime.set_landmark"),
     ],
 )
-def test_the_panel_of_ones_own_head_draws(state, expected):
+def test_the_panel_your_own_head_draws_in_every_state(state, expected):
     state()
     assert expected in draw(FACEMIME_PT_own_head)
 
@@ -97,7 +97,7 @@ def test_control_points_show_curve_and_list():
     assert f"{len(selection.landmarks)} control points" in drawn and "FACEMIME_UL_landmarks" in drawn
 
 
-def test_each_line_of_the_list_has_number_region_order_error_and_reason():
+def test_each_row_of_the_list_shows_number_region_order_error_and_reason():
     head = add_head(bpy.context)
     write_selection(head.data, select_for_take(read_rig(head), performance(), max_points=12))
     layout, first = Layout(), next(row for row in shown_rows(head) if row.order == 1)
@@ -108,14 +108,14 @@ def test_each_line_of_the_list_has_number_region_order_error_and_reason():
         assert part in layout.texts()
 
 
-def test_control_points_that_are_damaged_are_said_and_can_be_thrown_away():
+def test_damaged_control_points_are_reported_and_can_be_reset():
     head = add_head(bpy.context)
     head.data[SELECTION_PROPERTY] = "{"
     drawn = draw(FACEMIME_PT_control_points)
     assert "no control points of Facemime" in drawn and "facemime.use_all_landmarks" in drawn
 
 
-def test_regions_show_the_paint_buttons_and_what_the_check_found():
+def test_regions_show_the_paint_buttons_and_the_findings_of_the_check():
     head = add_head(bpy.context)
     assert FACEMIME_PT_regions.poll(bpy.context)
     assert "facemime.paint_region" in draw(FACEMIME_PT_regions)
@@ -125,7 +125,7 @@ def test_regions_show_the_paint_buttons_and_what_the_check_found():
     assert "none of its control points" in draw(FACEMIME_PT_regions)
     bpy.ops.facemime.propose_regions()
     bpy.ops.facemime.check_head()
-    assert "No fault was found" in draw(FACEMIME_PT_regions)
+    assert "No problems found" in draw(FACEMIME_PT_regions)
     bpy.ops.facemime.paint_region(region="LOWER")
     assert "facemime.leave_painting" in draw(FACEMIME_PT_regions)
 
@@ -142,11 +142,11 @@ def test_regions_show_the_paint_buttons_and_what_the_check_found():
         (FACEMIME_PT_bake, "facemime.puppet_video"),
     ],
 )
-def test_every_step_has_its_panel(panel, expected):
+def test_every_panel_draws(panel, expected):
     assert expected in draw(panel)
 
 
-def test_what_the_panels_draw_exists():
+def test_everything_that_the_panels_draw_exists():
     head = add_head(bpy.context)
     write_selection(head.data, select_for_take(read_rig(head), performance(), max_points=12))
     layout = Layout()
@@ -160,7 +160,7 @@ def test_what_the_panels_draw_exists():
     assert {call[0] for call in layout.calls} <= set(bpy.types.UILayout.bl_rna.functions.keys())
 
 
-def test_takes_and_the_table_are_listed_with_what_can_be_done(tmp_path):
+def test_takes_and_the_key_table_are_listed_with_their_operators(tmp_path):
     head = add_head(bpy.context, units=True)
     assert "Start the puppet to record" in draw(FACEMIME_PT_takes)
     save_take(performance(), tmp_path / "Anna.facetake")

@@ -1,4 +1,4 @@
-"""Where the pose of the head and of the eyes goes: a head, a bone, other objects."""
+"""Targets of the pose of head and eyes: the head itself, bones, other objects."""
 
 import bpy
 import numpy as np
@@ -13,7 +13,7 @@ from live_ticks import outcome_of_ticks, ticks_until
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
 
-def test_head_pose_goes_to_a_bone_and_the_eyes_to_objects(take):
+def test_the_pose_of_the_head_goes_to_a_bone_and_that_of_the_eyes_to_objects(take):
     head = add_head(bpy.context)
     bpy.ops.object.armature_add()
     armature = bpy.context.active_object
@@ -36,7 +36,7 @@ def test_head_pose_goes_to_a_bone_and_the_eyes_to_objects(take):
     assert running() is None
 
 
-def test_an_object_that_is_deleted_while_it_takes_the_pose_ends_the_puppet_and_leaves_the_head_at_rest(take):
+def test_deleting_the_pose_object_stops_the_puppet_with_the_head_at_rest(take):
     head = add_head(bpy.context)
     empty = bpy.data.objects.new("Pose", None)
     bpy.context.collection.objects.link(empty)
@@ -51,7 +51,7 @@ def test_an_object_that_is_deleted_while_it_takes_the_pose_ends_the_puppet_and_l
 
 
 @pytest.mark.parametrize("mode", ["XYZ", "QUATERNION", "AXIS_ANGLE"])
-def test_a_pose_turns_the_head_about_its_own_axes_wherever_it_stands(mode):
+def test_a_pose_rotates_the_head_about_its_own_axes_in_any_orientation(mode):
     bpy.ops.object.empty_add(rotation=(0.3, 0.2, 1.1))
     parent = bpy.context.active_object
     head = add_head(bpy.context)
@@ -74,7 +74,7 @@ def test_a_pose_turns_the_head_about_its_own_axes_wherever_it_stands(mode):
 
 
 @pytest.mark.parametrize("scale", [(-1, 1, 1), (1, -2, 1), (-1, -1, -1)])
-def test_a_mirrored_head_turns_and_moves_as_its_mirror_image(scale):
+def test_a_mirrored_head_moves_like_its_mirror_image(scale):
     head = add_head(bpy.context)
     head.rotation_euler, head.scale = (0.4, -0.2, 0.7), scale
     bpy.context.view_layer.update()
@@ -84,7 +84,7 @@ def test_a_mirrored_head_turns_and_moves_as_its_mirror_image(scale):
     bpy.context.view_layer.update()
     chin = np.array([0.0, -0.1, -0.1])
     in_blender = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
-    if len(set(np.abs(scale))) == 1:  # otherwise a turned head is skewed, whatever turns it
+    if len(set(np.abs(scale))) == 1:  # otherwise a rotated head is skewed in any case
         turned = np.array(head.matrix_world)[:3, :3] @ chin
         np.testing.assert_allclose(turned, before[:3, :3] @ in_blender @ chin, atol=1e-5)
     PoseTarget(head).apply(np.eye(3), move)

@@ -1,4 +1,4 @@
-"""Presets keep how a performance moves a head, and can be shared."""
+"""Presets: saving, loading, sharing and removing."""
 
 import json
 
@@ -13,7 +13,7 @@ def _own_folder(tmp_path, monkeypatch):
     monkeypatch.setattr(presets, "folder", lambda: tmp_path / "presets")
 
 
-def test_a_saved_preset_brings_everything_back():
+def test_loading_a_preset_restores_all_settings():
     settings = bpy.context.scene.facemime
     settings.strength_lower, settings.kernel, settings.mirror = 1.7, "gaussian", True
     settings.posing.rotation_limit, settings.smoothing = 0.5, 2.5
@@ -27,7 +27,7 @@ def test_a_saved_preset_brings_everything_back():
     assert bpy.ops.facemime.remove_preset(name="Lively") == {"FINISHED"} and presets.names() == []
 
 
-def test_a_preset_is_shared_as_a_file(tmp_path):
+def test_a_preset_is_exported_and_imported(tmp_path):
     settings = bpy.context.scene.facemime
     settings.smoothing = 0.25
     assert bpy.ops.facemime.export_preset(filepath=str(tmp_path / "Calm")) == {"FINISHED"}
@@ -55,27 +55,27 @@ def test_a_preset_is_shared_as_a_file(tmp_path):
         )
     ],
 )
-def test_a_file_that_is_no_preset_changes_nothing(tmp_path, text):
+def test_an_invalid_preset_changes_nothing(tmp_path, text):
     (tmp_path / "bad.json").write_text(text)
-    with pytest.raises(RuntimeError, match="not a preset"):
+    with pytest.raises(RuntimeError, match="preset"):
         bpy.ops.facemime.import_preset(filepath=str(tmp_path / "bad.json"))
     assert bpy.context.scene.facemime.smoothing == 1.0
 
 
 @pytest.mark.parametrize("name", ["", "  ", "../outside", "a/b", ".hidden", "what?", "\U0001f600" * 60, "nul"])
 @pytest.mark.parametrize("operator", ["save_preset", "load_preset", "remove_preset"])
-def test_a_name_that_cannot_be_a_files_is_refused(operator, name):
+def test_a_name_that_cannot_be_a_file_name_is_rejected(operator, name):
     with pytest.raises(RuntimeError, match="cannot be the name"):
         getattr(bpy.ops.facemime, operator)(name=name)
 
 
-def test_a_preset_that_cannot_be_removed_is_told(tmp_path):
+def test_a_preset_that_cannot_be_removed_is_reported(tmp_path):
     (tmp_path / "presets" / "Folder.json").mkdir(parents=True)
-    with pytest.raises(RuntimeError, match="cannot be removed"):
+    with pytest.raises(RuntimeError, match="Cannot remove"):
         bpy.ops.facemime.remove_preset(name="Folder")
 
 
-def test_an_import_under_a_name_that_cannot_be_kept_changes_nothing(tmp_path):
+def test_importing_a_preset_with_an_invalid_name_changes_nothing(tmp_path):
     assert bpy.ops.facemime.export_preset(filepath=str(tmp_path / "Calm.json")) == {"FINISHED"}
     (tmp_path / "Calm.json").rename(tmp_path / "what?.json")
     bpy.context.scene.facemime.smoothing = 3.0

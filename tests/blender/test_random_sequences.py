@@ -1,4 +1,4 @@
-"""A hundred sequences of operators as no user would press them: nothing dies, nothing runs on, undo leads back."""
+"""Random sequences of operators: Blender does not crash, nothing is left running, and everything can be undone."""
 
 import threading
 
@@ -20,14 +20,14 @@ STEPS = 20
 
 @pytest.fixture(scope="module")
 def take(tmp_path_factory) -> str:
-    """A recorded take: a source without a camera or a tracker."""
+    """A recorded take, which needs neither a camera nor the tracker."""
     path = tmp_path_factory.mktemp("take") / "take.facetake"
     save_take(performance(), path)
     return str(path)
 
 
 def press(rng: np.random.Generator) -> None:
-    """Press any button of the panel that is not grey; what it refuses is told, which is as it should be."""
+    """Press a random enabled button; an error that it reports is fine."""
     name = str(rng.choice(BUTTONS))
     operator = getattr(bpy.ops.facemime, name)
     if not operator.poll():
@@ -57,14 +57,14 @@ CHOICES = {
 
 
 def change_mode(rng: np.random.Generator) -> None:
-    """Into another mode."""
+    """Change the mode."""
     if bpy.context.active_object is not None and bpy.ops.object.mode_set.poll():
         kinds = ("OBJECT", "EDIT", "SCULPT") if bpy.context.active_object.type == "MESH" else ("OBJECT",)
         bpy.ops.object.mode_set(mode=str(rng.choice(kinds)))
 
 
 def change_scene(rng: np.random.Generator) -> None:
-    """Delete, copy, rename or edit what is active."""
+    """Delete, copy, rename or edit the active object."""
     obj = bpy.context.active_object
     if obj is None or bpy.context.mode != "OBJECT":
         return
@@ -88,7 +88,7 @@ def go_back(rng: np.random.Generator) -> None:
 
 
 def tick(rng: np.random.Generator) -> None:
-    """What a window's timer and a user's slider do."""
+    """Tick the timer, and change a setting."""
     settings, steps = bpy.context.scene.facemime, bpy.context.scene.facemime_steps
     settings.strength_lower = rng.uniform(0.0, 3.0)
     settings.mirror, settings.keep_pose = rng.random() < 0.5, rng.random() < 0.3
@@ -115,7 +115,7 @@ ACTIONS = (press, press, press, tick, tick, change_mode, change_scene, go_back)
 
 
 @pytest.mark.parametrize("first", range(0, 100, 10))
-def test_random_sequences_leave_blender_well(take, first, tmp_path):
+def test_random_sequences_do_not_break_blender(take, first, tmp_path):
     preferences().takes_folder = str(tmp_path)
     for seed in range(first, first + 10):
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
@@ -138,7 +138,7 @@ def test_random_sequences_leave_blender_well(take, first, tmp_path):
 
 
 def go_all_the_way_back(seed: int, rest: np.ndarray) -> None:
-    """Undo everything: in every state on the way each head's rest shape is what it was."""
+    """Undo all steps, and check the rest shape of each head after every one."""
     for _ in range(3 * STEPS):
         for obj in bpy.data.objects:
             if is_head(obj) and obj.mode != "EDIT":

@@ -1,4 +1,4 @@
-"""Takes are recorded, whole or in part, with the video or without."""
+"""Recording and re-recording takes, with and without video."""
 
 import threading
 from math import cos, radians, sin
@@ -26,7 +26,7 @@ from takes import performance
 pytestmark = pytest.mark.usefixtures("in_a_project")
 
 
-def test_a_recording_is_on_the_disk_while_it_runs_and_in_the_list_when_it_ends(session, takes, tmp_path):
+def test_a_recording_is_on_disk_from_the_start_and_in_the_list_at_the_end(session, takes, tmp_path):
     wait_for(lambda: session.worker.counts.tracked > 5)
     assert bpy.ops.facemime.record_take(name="Anna") == {"FINISHED"}
     path = tmp_path / "takes" / "Anna.facetake"
@@ -43,7 +43,7 @@ def test_a_recording_is_on_the_disk_while_it_runs_and_in_the_list_when_it_ends(s
     assert Session.current is session and not bpy.context.scene.facemime_takes.items[0].packed
 
 
-def test_a_recording_whose_session_is_stopped_is_listed_too_and_the_next_has_its_own_file(session, takes):
+def test_stopping_the_session_lists_the_recording_and_the_next_one_gets_a_new_file(session, takes):
     for _ in range(2):
         assert bpy.ops.facemime.record_take(name="Same") == {"FINISHED"}
         wait_for(lambda: Recording.current.frames > 3)
@@ -56,7 +56,7 @@ def test_a_recording_whose_session_is_stopped_is_listed_too_and_the_next_has_its
     assert not settle() and not bpy.ops.facemime.record_take.poll()
 
 
-def test_a_recording_is_not_listed_in_another_file_but_found_in_its_own(session, takes, tmp_path):
+def test_a_recording_is_found_in_its_own_file_and_not_listed_in_another(session, takes, tmp_path):
     assert bpy.ops.facemime.record_take(name="Left") == {"FINISHED"}
     wait_for(lambda: Recording.current.frames > 10)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
@@ -67,7 +67,7 @@ def test_a_recording_is_not_listed_in_another_file_but_found_in_its_own(session,
     assert [line.name for line in bpy.context.scene.facemime_takes.items] == ["Left"]
 
 
-def test_takes_are_found_beside_files_that_cannot_be_read(takes, tmp_path):
+def test_takes_are_found_beside_unreadable_files(takes, tmp_path):
     folder = tmp_path / "takes"
     folder.mkdir()
     save_take(performance(), folder / "Good.facetake")
@@ -78,7 +78,7 @@ def test_takes_are_found_beside_files_that_cannot_be_read(takes, tmp_path):
     assert [line.name for line in takes.items] == ["Good", "Zoe"]
 
 
-def test_a_recording_that_is_refused_leaves_no_thread(session, takes, tmp_path):
+def test_a_recording_that_cannot_start_leaves_no_thread(session, takes, tmp_path):
     takes.video = True
     (tmp_path / "takes").write_text("not a folder")
     before = threading.active_count()
@@ -87,19 +87,19 @@ def test_a_recording_that_is_refused_leaves_no_thread(session, takes, tmp_path):
     assert threading.active_count() == before and Recording.current is None
 
 
-def test_without_a_puppet_nothing_can_be_recorded():
+def test_recording_requires_a_running_puppet():
     assert not bpy.ops.facemime.record_take.poll()
     with pytest.raises(RuntimeError, match="Start the puppet first"):
         bpy.ops.facemime.record_take()
 
 
 def rerecord(**options) -> None:
-    """Record a part anew, with the timer's ticks."""
+    """Re-record a range, with the ticks of the timer."""
     assert bpy.ops.facemime.rerecord_take(lead=0.05, **options) == {"FINISHED"}
     wait_for(lambda: punch_in._watch() is None)
 
 
-def test_a_part_of_a_take_is_recorded_anew_and_the_rest_stays(session, imported, takes):
+def test_a_range_is_re_recorded_and_the_rest_of_the_take_is_kept(session, imported, takes):
     before = takes_store.read(imported)
     wait_for(lambda: session.worker.counts.tracked > 5)
     rerecord(start=11, end=31, blend=0.1)
@@ -114,7 +114,7 @@ def test_a_part_of_a_take_is_recorded_anew_and_the_rest_stays(session, imported,
     assert Recording.current is None and bpy.context.scene.sync_mode == "NONE"
 
 
-def test_a_part_that_is_broken_off_leaves_the_take_as_it_was_and_what_came_in_the_list(session, imported, takes):
+def test_an_interrupted_re_recording_keeps_the_take_and_lists_the_recorded_part(session, imported, takes):
     assert bpy.ops.facemime.rerecord_take(start=1, end=1000, lead=0.0) == {"FINISHED"}
     assert not bpy.ops.facemime.rerecord_take.poll()
     wait_for(lambda: punch_in._watch() is not None and Recording.current is not None and Recording.current.frames > 5)
@@ -124,13 +124,13 @@ def test_a_part_that_is_broken_off_leaves_the_take_as_it_was_and_what_came_in_th
     assert PunchIn.current is None and Recording.current is None
 
 
-def test_a_part_without_length_is_refused(session, imported):
-    with pytest.raises(RuntimeError, match="has no length"):
+def test_an_empty_range_is_rejected(session, imported):
+    with pytest.raises(RuntimeError, match="is empty"):
         bpy.ops.facemime.rerecord_take(start=5, end=5)
 
 
 @pytest.mark.parametrize("fps", [24, 30, 60])
-def test_a_video_is_kept_beside_the_take_and_shown_beside_the_head_in_step(fps, takes, tmp_path):
+def test_the_video_is_kept_beside_the_take_and_plays_beside_the_head_in_sync(fps, takes, tmp_path):
     scene = bpy.context.scene
     scene.facemime.source.kind, scene.facemime.source.loop, takes.video = "SAMPLE", False, True
     scene.render.fps = fps
@@ -159,12 +159,12 @@ def test_a_video_is_kept_beside_the_take_and_shown_beside_the_head_in_step(fps, 
 
 
 @pytest.mark.parametrize("turn", [0, 90, 180, 270])
-def test_a_video_of_a_telephone_stands_upright_beside_the_head(tmp_path, turn):
+def test_a_phone_video_is_upright_beside_the_head(tmp_path, turn):
     head = add_head(bpy.context)
     empty = add_reference(bpy.context.scene, turned_clip(tmp_path / "clip.mp4", turn), 0.0, head)
     bpy.context.view_layer.update()
-    top = empty.matrix_world.to_3x3() @ Vector((0, 1, 0))  # of the picture as Blender shows it
-    left = 0.0 if bpy.app.version >= (4, 4, 0) else radians(turn)  # which Blender 4.2 does not turn itself
+    top = empty.matrix_world.to_3x3() @ Vector((0, 1, 0))  # of the image as Blender displays it
+    left = 0.0 if bpy.app.version >= (4, 4, 0) else radians(turn)  # Blender 4.2 does not rotate it
     expected = Vector((sin(left), 0, cos(left)))
     assert (top - expected).length < 1e-5
     right, height = head.bound_box[0][0], empty.empty_display_size

@@ -1,4 +1,4 @@
-"""Regions painted, mirrored, smoothed, checked and coloured."""
+"""Painting, mirroring, smoothing, checking and displaying regions."""
 
 from types import SimpleNamespace
 
@@ -19,7 +19,7 @@ BROW_RIGHT, BROW_LEFT = from_ibug((19, 24))
 
 
 @pytest.mark.parametrize(("region", "name"), [*zip(("UPPER", "MIDDLE", "LOWER"), REGION_GROUPS, strict=True)])
-def test_a_paint_button_leads_to_weight_paint_on_its_group_with_a_brush(region, name):
+def test_a_paint_button_starts_weight_painting_its_group_with_a_brush(region, name):
     head = add_head(bpy.context)
     assert bpy.ops.facemime.paint_region(region=region) == {"FINISHED"}
     assert bpy.context.mode == "PAINT_WEIGHT" and head.vertex_groups.active.name == name
@@ -29,14 +29,14 @@ def test_a_paint_button_leads_to_weight_paint_on_its_group_with_a_brush(region, 
     assert bpy.ops.facemime.leave_painting() == {"FINISHED"} and bpy.context.mode == "OBJECT"
 
 
-def test_painting_makes_a_group_that_was_lost():
+def test_painting_creates_a_missing_group():
     head = add_head(bpy.context)
     head.vertex_groups.remove(head.vertex_groups[REGION_GROUPS[1]])
     assert bpy.ops.facemime.paint_region(region="MIDDLE") == {"FINISHED"}
     assert head.vertex_groups.active.name == REGION_GROUPS[1]
 
 
-def test_a_half_is_mirrored_and_undone():
+def test_mirroring_regions_can_be_undone():
     head = add_head(bpy.context)
     landmarks = read_landmarks(head)
     right, left = int(landmarks[BROW_RIGHT]), int(landmarks[BROW_LEFT])
@@ -60,7 +60,7 @@ def test_smoothing_softens_the_borders():
     assert jump[1] < jump[0]
 
 
-def test_buttons_are_grey_and_say_why():
+def test_region_buttons_are_enabled_only_on_a_head_outside_edit_mode():
     bpy.ops.mesh.primitive_cube_add()
     assert not bpy.ops.facemime.paint_region.poll() and not bpy.ops.facemime.leave_painting.poll()
     add_head(bpy.context)
@@ -69,7 +69,7 @@ def test_buttons_are_grey_and_say_why():
     assert not bpy.ops.facemime.mirror_regions.poll()
 
 
-def test_the_last_check_is_remembered_until_the_next():
+def test_findings_are_shown_until_the_next_check():
     head = add_head(bpy.context)
     memory = bpy.context.window_manager.facemime
     for name in REGION_GROUPS:
@@ -94,7 +94,7 @@ def test_the_coloured_triangles_are_those_of_the_regions_with_or_without_modifie
     assert len(many) > 3 * len(triangles) and many.max() < len(colours) == len(finer.data.vertices)
 
 
-def test_nothing_is_shown_when_off_while_painting_or_without_a_head():
+def test_the_overlay_is_hidden_when_disabled_while_painting_and_without_a_head():
     add_head(bpy.context)
     steps = bpy.context.scene.facemime_steps
     assert shown_regions(bpy.context) is None
@@ -107,29 +107,29 @@ def test_nothing_is_shown_when_off_while_painting_or_without_a_head():
     assert shown_regions(bpy.context) is None
 
 
-def test_weights_are_read_again_after_the_mesh_was_changed_and_only_then():
+def test_weights_are_read_again_only_after_the_mesh_has_changed():
     head = add_head(bpy.context)
     bpy.context.scene.facemime_steps.show_regions = True
     bpy.context.view_layer.update()
-    region_overlay._Kept.stale = False
+    region_overlay._Cache.stale = False
     head.location.x += 1.0
     bpy.context.view_layer.update()
-    assert not region_overlay._Kept.stale
+    assert not region_overlay._Cache.stale
     bpy.ops.facemime.smooth_regions()
     bpy.context.view_layer.update()
-    assert region_overlay._Kept.stale
+    assert region_overlay._Cache.stale
     region_overlay._on_update(bpy.context.scene, SimpleNamespace(updates=[]))
-    assert region_overlay._Kept.stale
+    assert region_overlay._Cache.stale
 
 
-def test_a_hidden_head_is_not_painted_but_told():
+def test_painting_a_hidden_head_is_reported():
     head = add_head(bpy.context)
     head.hide_viewport = True
     with pytest.raises(RuntimeError, match="is hidden"):
         bpy.ops.facemime.paint_region(region="UPPER")
 
 
-def test_what_would_be_lost_is_not_written_to_a_mesh_of_another_file(tmp_path):
+def test_a_linked_mesh_is_never_written_to(tmp_path):
     add_head(bpy.context)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
@@ -145,7 +145,7 @@ def test_what_would_be_lost_is_not_written_to_a_mesh_of_another_file(tmp_path):
             write()
 
 
-def test_a_mesh_without_vertices_is_told_to_be_none():
+def test_a_mesh_without_vertices_is_reported():
     obj = bpy.data.objects.new("Empty", bpy.data.meshes.new("Empty"))
     bpy.context.collection.objects.link(obj)
     bpy.context.view_layer.objects.active = obj

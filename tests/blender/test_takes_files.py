@@ -1,4 +1,4 @@
-"""Where a take's file is: removed, found again, packed, exported, and when the .blend goes elsewhere."""
+"""Files of takes: removing, finding, packing, exporting, and moving the .blend file."""
 
 import os
 from pathlib import Path
@@ -15,7 +15,7 @@ from takes import performance
 pytestmark = pytest.mark.usefixtures("in_a_project")
 
 
-def test_a_removed_take_is_still_on_the_disk_and_can_be_found_again(imported, takes, tmp_path):
+def test_a_removed_take_stays_on_disk_and_can_be_found_again(imported, takes, tmp_path):
     assert bpy.ops.facemime.trim_take(start=0.4, end=1.6) == {"FINISHED"}
     path = Path(bpy.path.abspath(takes.items[0].path))
     assert bpy.ops.facemime.remove_take() == {"FINISHED"} and not len(takes.items)
@@ -36,9 +36,9 @@ def test_a_packed_take_needs_no_file_and_can_be_unpacked(imported, tmp_path):
     assert line.packed is None and not bpy.data.texts and (tmp_path / "takes" / "First.facetake").is_file()
 
 
-def test_what_is_wrong_with_a_take_is_said(imported, tmp_path):
+def test_problems_with_a_take_are_reported(imported, tmp_path):
     (tmp_path / "First.facetake").unlink()
-    with pytest.raises(RuntimeError, match="is not at"):
+    with pytest.raises(RuntimeError, match="is missing"):
         bpy.ops.facemime.export_take(filepath=str(tmp_path / "out.facetake"))
     imported.packed = bpy.data.texts.new("rubbish")
     with pytest.raises(RuntimeError, match="is damaged"):
@@ -47,7 +47,7 @@ def test_what_is_wrong_with_a_take_is_said(imported, tmp_path):
         bpy.ops.facemime.import_take(filepath=str(tmp_path / "none.facetake"))
 
 
-def test_takes_go_out_and_come_in_as_files_and_tables(imported, takes, tmp_path):
+def test_takes_are_exported_and_imported_as_files_and_tables(imported, takes, tmp_path):
     for suffix in ("csv", "facetake"):
         assert bpy.ops.facemime.export_take(filepath=str(tmp_path / f"out.{suffix}")) == {"FINISHED"}
         assert bpy.ops.facemime.import_take(filepath=str(tmp_path / f"out.{suffix}")) == {"FINISHED"}
@@ -57,13 +57,13 @@ def test_takes_go_out_and_come_in_as_files_and_tables(imported, takes, tmp_path)
     assert [line.path for line in takes.items[1:]] == ["//takes/out.facetake", "//out.facetake"]
 
 
-def test_an_unsaved_file_has_its_takes_in_the_users_folder():
+def test_takes_of_an_unsaved_file_are_in_the_users_folder():
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     assert takes_store.folder().is_absolute() and takes_store.folder().name == "takes"
     assert "facemime" in str(takes_store.folder())
 
 
-def test_saved_elsewhere_or_as_a_copy_the_file_finds_its_takes(imported, tmp_path):
+def test_a_file_saved_elsewhere_or_as_a_copy_finds_its_takes(imported, tmp_path):
     (tmp_path / "other").mkdir()
     for name, copy in (("copy.blend", True), ("moved.blend", False)):
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other" / name), copy=copy, relative_remap=False)
@@ -73,7 +73,7 @@ def test_saved_elsewhere_or_as_a_copy_the_file_finds_its_takes(imported, tmp_pat
     assert len(takes_store.read(bpy.context.scene.facemime_takes.items[0])) == 60
 
 
-def test_a_take_of_an_unsaved_file_becomes_relative_when_that_is_saved(tmp_path):
+def test_the_path_of_a_take_becomes_relative_when_the_file_is_saved(tmp_path):
     save_take(performance(), tmp_path / "First.facetake")
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.ops.facemime.import_take(filepath=str(tmp_path / "First.facetake"))
@@ -83,7 +83,7 @@ def test_a_take_of_an_unsaved_file_becomes_relative_when_that_is_saved(tmp_path)
     assert line.path == "//First.facetake"
 
 
-def test_names_that_no_file_or_list_can_have_and_what_has_no_end_are_one_error_each(in_a_project, takes, tmp_path):
+def test_invalid_names_and_endless_files_are_one_error_each(in_a_project, takes, tmp_path):
     (tmp_path / "takes").mkdir()
     save_take(performance(), tmp_path / "takes" / "good.facetake")
     odd = Path(os.fsdecode(os.fsencode(tmp_path / "takes") + b"/a\xff.facetake"))
@@ -110,5 +110,5 @@ def test_names_that_no_file_or_list_can_have_and_what_has_no_end_are_one_error_e
     assert bpy.ops.facemime.find_takes() == {"FINISHED"}
     assert [line.name for line in takes.items] == ["good"]
     takes.items[0].path = str(tmp_path / ("x" * 300))
-    with pytest.raises(RuntimeError, match="Put it back, or import it again"):
+    with pytest.raises(RuntimeError, match="Restore it, or import it again"):
         bpy.ops.facemime.export_take(filepath=str(tmp_path / "out.facetake"))

@@ -1,4 +1,4 @@
-"""The list of takes: what is chosen in it is shown, changed and baked."""
+"""The list of takes: showing, editing and baking the selected take."""
 
 import wave
 from pathlib import Path
@@ -24,7 +24,7 @@ from takes import performance
 pytestmark = pytest.mark.usefixtures("in_a_project")
 
 
-def test_a_take_is_shown_at_the_scenes_frame_as_it_would_be_live_and_leaves_nothing(imported):
+def test_a_shown_take_equals_the_live_motion_and_leaves_no_trace(imported):
     head, scene = add_head(bpy.context), bpy.context.scene
     assert bpy.ops.facemime.show_take() == {"FINISHED"}
     take, rig = smooth_take(takes_store.read(imported)), read_rig(head)
@@ -40,7 +40,7 @@ def test_a_take_is_shown_at_the_scenes_frame_as_it_would_be_live_and_leaves_noth
     assert tuple(head.delta_rotation_euler) == (0.0, 0.0, 0.0)
 
 
-def test_a_shown_take_is_not_saved_with_the_file_and_goes_on_afterwards(imported, tmp_path):
+def test_a_shown_take_is_not_saved_with_the_file_and_continues_afterwards(imported, tmp_path):
     head = add_head(bpy.context)
     bpy.ops.facemime.show_take()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"), copy=True)
@@ -50,7 +50,7 @@ def test_a_shown_take_is_not_saved_with_the_file_and_goes_on_afterwards(imported
     assert takes_store.read(bpy.context.scene.facemime_takes.items[0]).times.shape == performance().times.shape
 
 
-def test_a_head_that_is_deleted_while_a_take_is_shown_ends_the_show(imported):
+def test_deleting_the_head_stops_showing_the_take(imported):
     head = add_head(bpy.context)
     bpy.ops.facemime.show_take()
     bpy.data.objects.remove(head)
@@ -58,7 +58,7 @@ def test_a_head_that_is_deleted_while_a_take_is_shown_ends_the_show(imported):
     assert Session.current is None
 
 
-def test_trimmed_and_mended_a_take_has_another_file_and_the_one_before_stays(imported, tmp_path):
+def test_trimming_and_mending_write_new_files_and_keep_the_old_one(imported, tmp_path):
     before = imported.path
     assert bpy.ops.facemime.trim_take(start=0.4, end=1.6) == {"FINISHED"}
     trimmed = takes_store.read(imported)
@@ -73,7 +73,7 @@ def test_trimmed_and_mended_a_take_has_another_file_and_the_one_before_stays(imp
         bpy.ops.facemime.trim_take(start=8.0, end=9.0)
 
 
-def test_a_take_is_mirrored_by_mending_and_twice_is_the_take_again(imported):
+def test_mirroring_a_take_twice_restores_it(imported):
     before = takes_store.read(imported)
     only_mirror = {"outliers": False, "gaps": "leave", "smooth": False, "mirror": True}
     assert bpy.ops.facemime.mend_take(**only_mirror) == {"FINISHED"}
@@ -87,7 +87,7 @@ def test_a_take_is_mirrored_by_mending_and_twice_is_the_take_again(imported):
     np.testing.assert_allclose(twice.landmarks, before.landmarks, atol=1e-3)
 
 
-def test_what_mending_changed_is_drawn_as_an_image(imported):
+def test_mending_can_draw_the_curves_as_an_image(imported):
     assert bpy.ops.facemime.mend_take(picture=True) == {"FINISHED"}
     image = bpy.data.images["First Mended"]
     assert image.packed_file is not None and min(image.size) > 500
@@ -95,7 +95,7 @@ def test_what_mending_changed_is_drawn_as_an_image(imported):
     assert (pixels == 1.0).all(axis=1).mean() > 0.8 and (np.ptp(pixels[:, :3], axis=1) > 0.2).any()
 
 
-def test_the_neutral_is_chosen_anew_from_the_face_at_the_scenes_frame(imported):
+def test_neutral_here_uses_the_face_at_the_current_frame(imported):
     before = calibrate(takes_store.read(imported)).shape
     bpy.context.scene.frame_set(36)
     assert bpy.ops.facemime.renew_neutral() == {"FINISHED"}
@@ -106,7 +106,7 @@ def test_the_neutral_is_chosen_anew_from_the_face_at_the_scenes_frame(imported):
         bpy.ops.facemime.renew_neutral()
 
 
-def test_another_take_is_punched_in_from_a_moment_on(imported, takes, tmp_path):
+def test_another_take_is_inserted_by_punch_in(imported, takes, tmp_path):
     other = performance(20)
     save_take(other, tmp_path / "Retake.facetake")
     bpy.ops.facemime.import_take(filepath=str(tmp_path / "Retake.facetake"))
@@ -115,12 +115,12 @@ def test_another_take_is_punched_in_from_a_moment_on(imported, takes, tmp_path):
     take = takes_store.read(takes.items[0])
     np.testing.assert_allclose(take.shape[40], other.shape[5], atol=2e-4)
     assert take.info["punched_in"] == [[pytest.approx(1.4), pytest.approx(1.4 + 19 / 25)]]
-    with pytest.raises(RuntimeError, match="no such take"):
+    with pytest.raises(RuntimeError, match="This take is not in the list"):
         bpy.ops.facemime.punch_in_take(other="Nobody")
 
 
 @pytest.mark.skipif(not bpy.app.build_options.audaspace, reason="this bpy was built without sound")
-def test_sound_lies_in_step_with_the_take(imported, tmp_path):
+def test_the_sound_is_in_sync_with_the_take(imported, tmp_path):
     with wave.open(str(tmp_path / "sound.wav"), "wb") as file:
         file.setnchannels(1)
         file.setsampwidth(2)
@@ -134,7 +134,7 @@ def test_sound_lies_in_step_with_the_take(imported, tmp_path):
     editor = bpy.context.scene.sequence_editor
     strip = (editor.strips if hasattr(editor, "strips") else editor.sequences)[0]
     assert strip.frame_start == pytest.approx(1.0 - 0.4 * 25) and strip.frame_final_duration == 50
-    with pytest.raises(RuntimeError, match="not at hand"):
+    with pytest.raises(RuntimeError, match="cannot be found"):
         bpy.ops.facemime.add_sound()
     (tmp_path / "performance.mp4").write_bytes(b"a video without sound")
     (tmp_path / "sound.wav").rename(tmp_path / "performance.wav")
@@ -147,7 +147,7 @@ def test_sound_lies_in_step_with_the_take(imported, tmp_path):
 
 
 @pytest.mark.parametrize("keys", ["new", "named", "mapped", "cache"])
-def test_the_chosen_take_is_baked_as_the_panel_says(keys, imported, takes, tmp_path):
+def test_the_selected_take_is_baked_with_the_settings_of_the_panel(keys, imported, takes, tmp_path):
     head = add_head(bpy.context, units=True)
     takes.bake.keys, takes.bake.max_keys, takes.bake.clean, takes.bake.nla = keys, 2, 0.5, True
     assert bpy.ops.facemime.bake_take() == {"FINISHED"}
@@ -157,7 +157,7 @@ def test_the_chosen_take_is_baked_as_the_panel_says(keys, imported, takes, tmp_p
     assert head.animation_data.nla_tracks and head.animation_data.action is None
 
 
-def test_heads_that_are_baked_one_after_the_other_keep_their_own_caches(imported, takes):
+def test_heads_baked_one_after_another_keep_separate_caches(imported, takes):
     takes.bake.keys = "cache"
     for name in ("One", "Two"):
         add_head(bpy.context, name=name)
@@ -169,14 +169,14 @@ def test_heads_that_are_baked_one_after_the_other_keep_their_own_caches(imported
 @pytest.mark.parametrize(
     ("operator", "suffix"), [("export_take", ".facetake"), ("export_key_map", ".json"), ("export_preset", ".json")]
 )
-def test_an_export_keeps_the_whole_name_and_writes_over_no_other_file(operator, suffix, imported, tmp_path):
+def test_an_export_appends_its_suffix_and_overwrites_no_other_file(operator, suffix, imported, tmp_path):
     other = tmp_path / f"Take 1{suffix}"
     other.write_text("mine")
     assert getattr(bpy.ops.facemime, operator)(filepath=str(tmp_path / "Take 1.5")) == {"FINISHED"}
     assert other.read_text() == "mine" and (tmp_path / f"Take 1.5{suffix}").is_file()
 
 
-def test_a_bake_and_the_removal_of_a_take_are_one_undo_step_each(imported):
+def test_baking_and_removing_a_take_are_one_undo_step_each(imported):
     add_head(bpy.context)
     bpy.ops.ed.undo_push(message="before")
     bpy.ops.facemime.bake_take("EXEC_DEFAULT", True)

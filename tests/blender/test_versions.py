@@ -1,4 +1,4 @@
-"""What is tested in one Blender is tested in all: every operator, panel and live session."""
+"""The tests of operators, panels and live sessions in all supported versions of Blender."""
 
 import importlib.util
 import os
@@ -15,9 +15,9 @@ from blenders import ROOT, blender_python
 pytestmark = [pytest.mark.thorough, pytest.mark.timeout(1800)]
 
 RUNNER = ("_pytest", "iniconfig", "packaging", "pluggy", "py", "pygments", "pytest", "pytest_timeout")
-"""The test runner and what it needs, all of it plain Python; those environments hold bpy alone."""
+"""The test runner and its dependencies, all in pure Python, as those environments contain only bpy."""
 SUITES = (
-    *("bake_ways", "control_points", "files_of_before", "key_table", "lips", "live", "live_deleted", "live_scene"),
+    *("bake_modes", "control_points", "earlier_files", "key_table", "lips", "live", "live_deleted", "live_scene"),
     *("live_sources", "operators", "own_head", "panels", "pose_targets", "presets", "recording", "regions"),
     *("takes_files", "takes_list"),
 )
@@ -25,19 +25,19 @@ SUITES = (
 
 @pytest.fixture(scope="module")
 def reports(tmp_path_factory):
-    """The report of all suites in a Blender, which starts once: by version, lines of JUnit's XML."""
-    made: dict[str, ElementTree.Element] = {}
+    """A function that returns the JUnit report of all suites in a version of Blender, which runs once."""
+    done: dict[str, ElementTree.Element] = {}
 
     def report_of(version: str) -> ElementTree.Element:
-        if version not in made:
-            made[version] = run_suites(version, tmp_path_factory.mktemp(version))
-        return made[version]
+        if version not in done:
+            done[version] = run_suites(version, tmp_path_factory.mktemp(version))
+        return done[version]
 
     return report_of
 
 
 def run_suites(version: str, folder: Path) -> ElementTree.Element:
-    """Run all suites in a Blender; returns the report."""
+    """Run all suites in a version of Blender, and return the JUnit report."""
     python = blender_python(version)
     for name in RUNNER:
         origin = Path(importlib.util.find_spec(name).origin)
@@ -67,7 +67,7 @@ def run_suites(version: str, folder: Path) -> ElementTree.Element:
         check=False,
     )
     assert (folder / "report.xml").exists(), (
-        f"Blender ended: {done.returncode}\n{done.stdout[-6000:]}{done.stderr[-2000:]}"
+        f"Blender exited with {done.returncode}\n{done.stdout[-6000:]}{done.stderr[-2000:]}"
     )
     return ElementTree.parse(folder / "report.xml").getroot()
 
@@ -75,7 +75,7 @@ def run_suites(version: str, folder: Path) -> ElementTree.Element:
 @pytest.mark.parametrize("suite", SUITES)
 @pytest.mark.parametrize("version", ["4.2", "5.0", "5.2"])
 @pytest.mark.skipif(sys.platform != "linux", reason="the environments are Linux ones")
-def test_what_holds_in_the_tested_blender_holds_in_this_one_too(version, suite, reports):
+def test_every_suite_passes_in_this_blender(version, suite, reports):
     cases = [case for case in reports(version).iter("testcase") if f".test_{suite}" in case.get("classname", "")]
     failed = {
         case.get("name"): wrong.text for case in cases for wrong in (*case.iterfind("failure"), *case.iterfind("error"))

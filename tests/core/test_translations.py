@@ -14,18 +14,18 @@ _SPEC.loader.exec_module(strings)
 LANGUAGES = sorted(strings.TRANSLATIONS.glob("*.json"))
 
 
-def test_chinese_lacks_nothing():
+def test_no_chinese_translation_is_missing():
     assert strings.lacking("zh_HANS") == []
 
 
 def test_the_texts_are_found_in_the_sources():
     wanted = strings.wanted()
-    for text in ("Start Puppet", "No face in view", "Sample Clip", "Leave Edit mode first", "Calibration"):
+    for text in ("Start Puppet", "No face in view", "Sample Clip", "Leave Edit Mode first", "Calibration"):
         assert text in wanted
 
 
 @pytest.mark.parametrize("path", LANGUAGES, ids=lambda path: path.stem)
-def test_what_is_filled_in_stands_in_the_translation_too(path):
+def test_translations_keep_the_placeholders(path):
     for english, other in json.loads(path.read_text(encoding="utf-8")).items():
         assert sorted(re.findall(r"\{[^}]*\}", english)) == sorted(re.findall(r"\{[^}]*\}", other)), english
         assert english.count("%") == other.count("%"), english

@@ -1,4 +1,4 @@
-"""One Blender a version for all tests of a module, with the zip installed as a user installs it."""
+"""Fixtures: one Blender per version and test module, with the zip installed as by a user."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from window import ROOT, Blender, places
 MODULE = "bl_ext.user_default.facemime"
 SUITES = ("trixie", "sid")
 _QUICK = "sid"
-"""Of the newest Blender; the other one is left to `make test-all`."""
+"""Suite with the newest Blender; the other one is tested by `make test-all`."""
 _INSTALL = """
 class FACEMIME_PT_install(bpy.types.Panel):
     bl_label = "Install"
@@ -26,13 +26,13 @@ class FACEMIME_PT_install(bpy.types.Panel):
         button.repo = "user_default"
 bpy.utils.register_class(FACEMIME_PT_install)
 """
-"""The button of Blender's preferences, in a panel of its own, where it is nearer."""
+"""Panel with the button of Blender's preferences, where it is easier to reach."""
 _BROWSER = "any(area.type == 'FILE_BROWSER' for area in bpy.context.window.screen.areas)"
 _ENABLED = f"__import__('addon_utils').check({MODULE!r}) == (True, True)"
 
 
 def archive() -> Path:
-    """The built zip."""
+    """Return the built zip."""
     found = sorted((ROOT / "dist").glob("facemime-*-linux_x64.zip"))
     if not found:
         pytest.skip("the extension is not built: make build")
@@ -40,7 +40,7 @@ def archive() -> Path:
 
 
 def place_of(suite: str) -> Path:
-    """The chroot of a suite; skips, and says why, where it is not there."""
+    """Return the chroot of a suite; skip with a reason if there is none."""
     place = places()[suite]
     if not place.exists():
         reason = ROOT / "build" / "gui" / "no-windows.txt"
@@ -50,7 +50,7 @@ def place_of(suite: str) -> Path:
 
 
 def install(blender: Blender) -> None:
-    """Install the zip by the interface's button and the file browser that it opens."""
+    """Install the zip with the button and the file browser that it opens."""
     shutil.copy(archive(), blender.folder / "facemime.zip")
     blender.do(_INSTALL.format(path=str(blender.inside / "facemime.zip")))
     Sidebar(blender).press("bpy.ops.extensions.package_install_files")
@@ -65,7 +65,7 @@ def install(blender: Blender) -> None:
 
 
 def started(suite: str, name: str, **options: Any) -> Blender:
-    """A Blender that is not running yet; its screenshots go to build/gui/<suite>/<name>."""
+    """Return a Blender that is not running yet, with screenshots in build/gui/<suite>/<name>."""
     return Blender(place_of(suite), f"{suite}/{name}", **options)
 
 
@@ -73,7 +73,7 @@ def started(suite: str, name: str, **options: Any) -> Blender:
     scope="module", params=[pytest.param(suite, marks=[pytest.mark.thorough] * (suite != _QUICK)) for suite in SUITES]
 )
 def blender(request: pytest.FixtureRequest) -> Iterator[Blender]:
-    """A window with the extension installed. Tests begin with a new file each."""
+    """A window with the extension installed. Each test starts with a new file."""
     name = Path(request.module.__file__).stem.removeprefix("test_")
     with started(request.param, name, size=(1100, 1080)) as window:
         install(window)
@@ -82,7 +82,7 @@ def blender(request: pytest.FixtureRequest) -> Iterator[Blender]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo) -> Iterator[None]:
-    """Photograph what a test that fails leaves."""
+    """Take a screenshot when a test fails."""
     report = yield
     window = getattr(item, "funcargs", {}).get("blender")
     if report.failed and call.when == "call" and window is not None and window.process.poll() is None:

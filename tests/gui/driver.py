@@ -19,7 +19,7 @@ _names = {"bpy": bpy}
 
 
 def answer(code: str) -> dict:
-    """Run the statements of `code` in the window; the value is that of the name `value` where they set it."""
+    """Run statements in the window; the answer is what they assign to the name `value`."""
     _names.pop("value", None)
     try:
         with bpy.context.temp_override(window=bpy.context.window_manager.windows[0]):
@@ -30,7 +30,7 @@ def answer(code: str) -> dict:
 
 
 def tick() -> float:
-    """Answer the requests that came since the last tick."""
+    """Answer the requests since the last tick."""
     try:
         _received.extend(_link.recv(1 << 20))
     except BlockingIOError:

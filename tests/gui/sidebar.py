@@ -1,4 +1,4 @@
-"""The sidebar's tab Facemime, by mouse.
+"""The sidebar tab Facemime, operated by mouse.
 
 Blender tells nobody where its buttons are. But Ctrl-C over a button puts its Python command on the clipboard, over a
 property its value, and Shift-Ctrl-C the property's path: so the mouse feels its way down the sidebar.
@@ -36,19 +36,19 @@ def watched(name, draw):
         draw(self, context)
     return drawing
 """
-"""Which panels are open nobody tells either, but only open ones are drawn."""
+"""Blender does not say which panels are open either, but draws only those."""
 _TAG = "for area in bpy.context.window.screen.areas: area.tag_redraw()"
 _HEADER = 1.35
-"""Height of a folded panel, in units of the interface."""
+"""Height of a collapsed panel, in interface units."""
 _STEP = 0.75
-"""Of a button's height, from one look to the next."""
+"""Distance between probes, relative to the height of a button."""
 _NOTHING = "(nothing)"
 _PASTE = f"value, bpy.context.window_manager.clipboard = bpy.context.window_manager.clipboard, {_NOTHING!r}"
 
 
 @dataclass(frozen=True)
 class Box:
-    """A rectangle of the window: pixels from the top left."""
+    """A rectangle in the window, pixels from the top left."""
 
     x: int
     y: int
@@ -57,7 +57,7 @@ class Box:
 
 
 class Sidebar:
-    """Opens the tab, its panels, and presses what is in them."""
+    """Opens the tab and its panels, and clicks their buttons."""
 
     def __init__(self, blender: Blender) -> None:
         self.blender = blender
@@ -68,16 +68,16 @@ class Sidebar:
         self.show()
 
     def box(self, kind: str = "UI") -> Box:
-        """Where a region of the largest viewport is: "UI" is the sidebar, "WINDOW" the view."""
+        """Return the rectangle of a region of the largest viewport: "UI" is the sidebar, "WINDOW" the view."""
         return Box(*self.blender.do(_REGION.format(kind=kind)))
 
     def view(self, right: float = 0.4, down: float = 0.6) -> tuple[float, float]:
-        """A place in the viewport, of its width and height."""
+        """Return a position in the viewport, relative to its width and height."""
         view = self.box("WINDOW")
         return view.x + right * view.width, view.y + down * view.height
 
     def show(self) -> None:
-        """Open the sidebar by its key, and the tab by a click."""
+        """Open the sidebar by its key and the tab by a click."""
         wait(self._shown, "the sidebar")
         tabs = self.box()
         x = tabs.x + tabs.width - self.unit / 2
@@ -105,7 +105,7 @@ class Sidebar:
         self.blender.redraw()
 
     def under_mouse(self, x: float, y: float, keys: str = "ctrl+c") -> str:
-        """What the button there leaves on the clipboard.
+        """Return what the button at a position copies to the clipboard.
 
         Coming straight from another button Blender has to see the mouse twice, and sees only the last of its moves in a
         row: a key without meaning stands between two.
@@ -116,7 +116,7 @@ class Sidebar:
         return str(self.blender.do(_PASTE))
 
     def places(self) -> Iterator[tuple[float, float]]:
-        """Where buttons may be: the first rows whole, then column by column, the one that meets most first."""
+        """Yield positions of possible buttons: the first rows, then column by column, the most crowded first."""
         box, columns = self.box(), (0.45, 0.2, 0.8, 0.9)
         rows = range(int((box.height / self.unit - self._top) / _STEP))
         first = [(column, row) for row in rows[:4] for column in columns]
@@ -124,11 +124,11 @@ class Sidebar:
             yield box.x + column * (box.width - self.unit), box.y + self.unit * (self._top + _STEP * row)
 
     def panels(self) -> list[str]:
-        """The panels that the tab shows, in their order."""
+        """Return the panels of the tab in order."""
         return list(self.blender.do(_PANELS))
 
     def open_panel(self, name: str, children: bool = False) -> None:
-        """Fold all panels but one, by clicks on their headers; `children` unfolds what is in it too."""
+        """Collapse all panels but one by clicks on their headers; `children` also expands its subpanels."""
         box = self.box()
         self.blender.input("mousemove", box.x + 60, box.y + 60, "click", "--repeat", 8, "--delay", 2, 4)
         panels, opened = self.panels(), self._open()
@@ -142,28 +142,28 @@ class Sidebar:
         self._toggle(name, panels.index(name), True, "ctrl" if children else None)
 
     def open_presets(self) -> None:
-        """Open the menu in the header of Expression, all panels above being folded."""
+        """Open the menu in the header of Expression, with all panels above collapsed."""
         box, place = self.box(), self.panels().index("FACEMIME_PT_expression")
         x = box.x + box.width - 2.95 * self.unit
         self.blender.click(x, box.y + (0.85 + _HEADER * place) * self.unit)
         self.blender.redraw()
 
     def _fold_most(self, panels: list[str]) -> set[str]:
-        """Fold all panels but the second: Ctrl-click on its header, as it has no panels within; what is open then."""
+        """Collapse all panels but the second, which has no subpanels, by Ctrl-click; return the open panels."""
         if panels[0] in self._open():
             self._toggle(panels[0], 0, False)
         self._click_header(1, "ctrl")
         return self._open()
 
     def _open(self) -> set[str]:
-        """The panels that are open."""
+        """Return the open panels."""
         self.blender.do("drawn.clear()")
         self.blender.do(_TAG)
         self.blender.redraw()
         return set(self.blender.get("sorted(drawn)"))
 
     def _toggle(self, panel: str, place: int, opens: bool, key: str | None = None) -> None:
-        """Click a header below `place` folded ones, which opens the panel or folds it."""
+        """Click the header below `place` collapsed ones to expand or collapse its panel."""
         self._click_header(place, key)
         wait(lambda: (panel in self._open()) == opens, f"panel {panel} folds or unfolds", 10.0)
 
@@ -175,7 +175,7 @@ class Sidebar:
         self.blender.input(*held[0], "click", 1, *held[1])
 
     def find(self, name: str) -> tuple[float, float]:
-        """Where the button of an operator, or the field of a property, lies; GuiError where nothing shows it.
+        """Return the position of an operator's button or a property's field; raises GuiError if it is not drawn.
 
         `name` is an operator with its arguments as Blender writes them, the arguments' beginning, or a property's path.
         """
@@ -193,6 +193,6 @@ class Sidebar:
         raise GuiError(f"No button of the sidebar is {name}; there are {sorted({*seen} - {_NOTHING})}")
 
     def press(self, name: str) -> None:
-        """Click the button or field that `find` finds."""
+        """Click a button or field; see `find`."""
         self.blender.click(*self.find(name))
         self.blender.redraw()

@@ -1,4 +1,4 @@
-"""Puppeteering for long, in Blender's own window, with the source cut and back: memory, threads, tracebacks.
+"""Long puppetry in Blender's window with an interrupted source: memory, threads, tracebacks.
 
 Usage: python tests/gui/soak.py [--minutes 10] [--suite sid]. Prints a line every cut and one of JSON at the end; the
 exit status is 0 only where memory does not grow beyond noise, no thread is left, and nothing is thrown.
@@ -21,7 +21,7 @@ from window import ROOT, Blender, places
 
 PERIOD = 20.0
 GROWTH = 0.5
-"""MiB a minute, by a line through the second half: what is more is a leak, what is less is noise."""
+"""MiB per minute, the slope in the second half: more is a leak, less is noise."""
 _START = f"""
 import sys, threading
 from {MODULE}.sessions.session import Session
@@ -59,7 +59,7 @@ def main() -> int:
 
 
 def soak(blender: Blender, minutes: float) -> dict:
-    """Puppet for `minutes`; every other period the clip is away, which its next round meets, and then back."""
+    """Run the puppet for some minutes; in every other period the clip is missing when it starts again."""
     clip = blender.folder / "clip.mp4"
     shutil.copy(ROOT / "assets" / "sample" / "sample.mp4", clip)
     blender.do("[bpy.data.objects.remove(obj) for obj in list(bpy.data.objects)]")
@@ -101,7 +101,7 @@ def soak(blender: Blender, minutes: float) -> dict:
 
 
 def watch(blender: Blender, began: float, memory: list, seconds: float) -> None:
-    """Note the memory every second for `seconds`."""
+    """Record the memory every second."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         time.sleep(1.0)
@@ -109,7 +109,7 @@ def watch(blender: Blender, began: float, memory: list, seconds: float) -> None:
 
 
 def resident(pid: int) -> float:
-    """Memory of a process that is in use, MiB."""
+    """Return the resident memory of a process, MiB."""
     for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():
         if line.startswith("VmRSS:"):
             return int(line.split()[1]) / 1024.0

@@ -1,4 +1,4 @@
-"""The panel at other sizes, in other colours: it stays usable, and its pictures are kept to be looked at."""
+"""The panel at other resolution scales, narrow, and in the light theme; screenshots are kept for review."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ bpy.ops.script.execute_preset(
 
 @pytest.fixture(scope="module")
 def blender() -> Iterator[Blender]:
-    """The newest Blender alone, as these tests are about our panels; high enough for all headers at twice the size."""
+    """Only the newest Blender, in a window that has room for all headers at twice the resolution scale."""
     with started("sid", "looks", size=(1100, 1000)) as window:
         install(window)
         yield window
@@ -32,7 +32,7 @@ def blender() -> Iterator[Blender]:
 
 @pytest.fixture
 def empty(blender: Blender) -> Blender:
-    """A new file without objects, at the usual size."""
+    """A new file without objects, at the default resolution scale."""
     blender.do("bpy.context.preferences.view.ui_scale = 1.0")
     blender.do("bpy.ops.wm.read_homefile(use_factory_startup=False)")
     blender.do("[bpy.data.objects.remove(obj) for obj in list(bpy.data.objects)]")
@@ -41,7 +41,7 @@ def empty(blender: Blender) -> Blender:
 
 
 def tour(sidebar: Sidebar, name: str) -> None:
-    """Add a head and keep a picture of every panel with all that is in it."""
+    """Add a head and take a screenshot of every panel with its subpanels."""
     sidebar.open_panel("FACEMIME_PT_head")
     sidebar.press("bpy.ops.facemime.add_head")
     for panel in sidebar.panels():

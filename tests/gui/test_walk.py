@@ -1,4 +1,4 @@
-"""The way of a new user through the panel, step by step and by mouse."""
+"""The workflow of a new user in the panel, by mouse."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ if session is not None and session.shown is not None and session.worker.neutral 
         neutral = session.worker.neutral.to_dict()
         value = {{"time": session.shown.time, "neutral": neutral, "shown": shown(obj).tolist()}}
 """
-"""What is shown and from which frame; nothing where the next frame came meanwhile."""
+"""The vertices on display and their frame; nothing if the next frame has arrived meanwhile."""
 
 
 _EVERY_FRAME = f"""
@@ -71,12 +71,12 @@ class Patient(sources.Clock):
         return ahead <= timeout
 sources.PacedSource.pace = Patient()
 """
-"""The clip plays no faster than it is, and slower where the machine is busy: no frame is left out."""
+"""The clip plays at its own rate, or slower if the machine is busy, and no frame is dropped."""
 
 
 @pytest.fixture
 def every_frame(blender: Blender) -> Iterator[None]:
-    """A clock that waits for whoever is late."""
+    """Use a clock that waits for slow frames."""
     blender.do(_EVERY_FRAME)
     yield
     blender.do("sources.PacedSource.pace = sources.Clock()")
@@ -84,7 +84,7 @@ def every_frame(blender: Blender) -> Iterator[None]:
 
 @pytest.fixture
 def sidebar(blender: Blender) -> Iterator[Sidebar]:
-    """The sidebar over an empty scene; afterwards nothing may run any longer, and nothing may have gone wrong."""
+    """The sidebar with an empty scene; afterwards nothing may be running, and there must be no traceback."""
     before = len(blender.printed())
     blender.do("bpy.ops.wm.read_homefile(use_factory_startup=False)")
     blender.do("[bpy.data.objects.remove(obj) for obj in list(bpy.data.objects)]")
@@ -99,14 +99,14 @@ def sidebar(blender: Blender) -> Iterator[Sidebar]:
 
 
 def add_head(sidebar: Sidebar) -> None:
-    """Press the button that adds the head, and look at it from the front."""
+    """Click Add Head, and view the head from the front."""
     sidebar.open_panel("FACEMIME_PT_head")
     sidebar.press("bpy.ops.facemime.add_head")
     look_from_the_front(sidebar)
 
 
 def look_from_the_front(sidebar: Sidebar) -> None:
-    """Turn the view to the front, and to what is selected."""
+    """View the selection from the front."""
     sidebar.blender.move(*sidebar.view())
     sidebar.blender.redraw()
     sidebar.blender.key("KP_1")
@@ -115,21 +115,21 @@ def look_from_the_front(sidebar: Sidebar) -> None:
 
 
 def start(sidebar: Sidebar) -> None:
-    """Press Start and wait until the face moves the head."""
+    """Click Start Puppet and wait until the head moves."""
     sidebar.open_panel("FACEMIME_PT_puppet")
     sidebar.press("bpy.ops.facemime.puppet")
     sidebar.blender.wait_for(f"Session.current is not None and moved({HEAD}) > 1e-3")
 
 
 def stop(sidebar: Sidebar) -> None:
-    """Press ESC over the viewport and wait for the end."""
+    """Press Esc in the viewport and wait for the end."""
     sidebar.blender.move(*sidebar.view())
     sidebar.blender.redraw()
     sidebar.blender.key("Escape")
     sidebar.blender.wait_for("Session.current is None and workers() == []")
 
 
-def test_the_head_is_added_by_a_click_and_undone_by_a_key(blender, sidebar):
+def test_a_head_is_added_by_a_click_and_undone_by_a_key(blender, sidebar):
     add_head(sidebar)
     assert blender.get(f"len({HEAD}.data.vertices)") == 1781
     blender.shot("head")
@@ -138,7 +138,7 @@ def test_the_head_is_added_by_a_click_and_undone_by_a_key(blender, sidebar):
 
 
 @pytest.mark.usefixtures("every_frame")
-def test_the_sample_clip_moves_the_head_as_it_does_without_a_window_and_escape_ends_it(blender, sidebar):
+def test_the_sample_clip_moves_the_head_as_it_does_headless_until_escape(blender, sidebar):
     add_head(sidebar)
     blender.do("bpy.context.scene.facemime.smoothing = 0.0")
     start(sidebar)
@@ -159,14 +159,14 @@ def test_the_sample_clip_moves_the_head_as_it_does_without_a_window_and_escape_e
 
 
 def headless_vertices(time: float, neutral: Neutral) -> np.ndarray:
-    """(V, 3) vertices of the built-in head in the frame of the sample clip at `time`, every frame tracked."""
+    """Return (V, 3) vertices of the built-in head at `time` of the sample clip, with every frame tracked."""
     video, tracker = cv2.VideoCapture(str(CLIP)), FaceTracker.load()
     for _ in range(round(time * video.get(cv2.CAP_PROP_FPS)) + 1):
         result = tracker.track(video.read()[1])
     return HeadDriver(built_in_rig(), neutral).frame(result).vertices
 
 
-def test_the_head_deleted_by_a_key_while_it_moves_ends_the_puppet_and_comes_back_by_undo(blender, sidebar):
+def test_deleting_the_moving_head_stops_the_puppet_and_can_be_undone(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
     blender.move(*sidebar.view())
@@ -174,13 +174,13 @@ def test_the_head_deleted_by_a_key_while_it_moves_ends_the_puppet_and_comes_back
     blender.key("Delete")
     blender.wait_for("Session.current is None and workers() == []")
     blender.shot("deleted")
-    blender.key("Escape")  # the error takes all keys while it is shown
+    blender.key("Escape")  # the error popup receives all keys
     blender.redraw()
     blender.key("ctrl+z")
     blender.wait_for(f"len(bpy.data.objects) > 0 and {HEAD} is not None and moved({HEAD}) == 0.0")
 
 
-def test_a_pose_that_is_kept_is_one_undo_step_and_lives_in_the_file(blender, sidebar):
+def test_a_kept_pose_is_one_undo_step_and_is_saved(blender, sidebar):
     add_head(sidebar)
     sidebar.open_panel("FACEMIME_PT_puppet")
     sidebar.press("keep_pose")
@@ -201,7 +201,7 @@ def test_a_pose_that_is_kept_is_one_undo_step_and_lives_in_the_file(blender, sid
     stop(again)
 
 
-def test_the_performer_is_calibrated_by_a_click_and_kept_by_name(blender, sidebar):
+def test_a_performer_is_calibrated_by_a_click_and_stored_by_name(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
     sidebar.open_panel("FACEMIME_PT_calibration")
@@ -235,7 +235,7 @@ def test_a_video_is_tracked_beside_the_window_and_escape_bakes_what_was_tracked(
 
 
 @pytest.mark.thorough
-def test_a_take_is_recorded_shown_changed_and_baked_by_clicks(blender, sidebar):
+def test_a_take_is_recorded_shown_edited_and_baked_by_clicks(blender, sidebar):
     add_head(sidebar)
     choose_video(sidebar)
     start(sidebar)
@@ -275,7 +275,7 @@ LINE = "bpy.context.scene.facemime_takes.items[0]"
 
 
 def choose_video(sidebar: Sidebar) -> None:
-    """Choose Video in the source's menu, and type the path of a clip into its field."""
+    """Choose Video in the menu of sources, and type the path of a clip."""
     blender = sidebar.blender
     shutil.copy(CLIP, blender.folder / "mine.mp4")
     sidebar.open_panel("FACEMIME_PT_source")
@@ -293,7 +293,7 @@ def choose_video(sidebar: Sidebar) -> None:
 
 
 def confirm(sidebar: Sidebar, button: str) -> None:
-    """Press a button that asks, and say yes; the take is in another file then."""
+    """Click a button that opens a dialog and confirm; wait for the new file of the take."""
     blender = sidebar.blender
     blender.do(f"from {MODULE}.settings import takes_store as store")
     before = blender.get(f"{LINE}.path")
@@ -304,7 +304,7 @@ def confirm(sidebar: Sidebar, button: str) -> None:
         blender.wait_for(f"{LINE}.path != {before!r}")
 
 
-def test_what_is_set_is_kept_as_a_preset_and_loaded_again_by_clicks(blender, sidebar):
+def test_settings_are_saved_and_loaded_as_a_preset_by_clicks(blender, sidebar):
     add_head(sidebar)
     sidebar.open_panel("FACEMIME_PT_expression")
     blender.do("bpy.context.scene.facemime.strength_lower = 1.5")
@@ -330,7 +330,7 @@ with bpy.context.temp_override(window=window, area=area, region=region):
 """
 
 
-def test_a_second_window_puppets_too_and_takes_its_puppet_with_it(blender, sidebar):
+def test_closing_a_second_window_stops_its_puppet(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
     blender.do("bpy.ops.wm.window_new()")
@@ -347,7 +347,7 @@ def test_a_second_window_puppets_too_and_takes_its_puppet_with_it(blender, sideb
     blender.wait_for(f"Session.current is None and workers() == [] and moved({HEAD}) == 0.0")
 
 
-def test_a_stroke_of_the_brush_is_followed_while_the_puppet_runs(blender, sidebar):
+def test_a_brush_stroke_takes_effect_while_the_puppet_is_running(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
     sidebar.open_panel("FACEMIME_PT_regions")
@@ -376,7 +376,7 @@ value = [x + region.x, bpy.context.window.height - (y + region.y)]
 """
 
 
-def test_regions_are_shown_mended_and_checked_by_clicks(blender, sidebar):
+def test_regions_are_shown_edited_and_checked_by_clicks(blender, sidebar):
     add_head(sidebar)
     sidebar.open_panel("FACEMIME_PT_regions")
     plain = cv2.imread(str(blender.shot("regions-hidden")))
@@ -395,7 +395,7 @@ def test_regions_are_shown_mended_and_checked_by_clicks(blender, sidebar):
     blender.wait_for("bpy.context.mode == 'OBJECT'")
 
 
-def test_an_imported_scan_becomes_a_head_that_opens_mouth_and_eyes_by_clicks(blender, sidebar):
+def test_an_imported_scan_becomes_a_head_with_open_mouth_and_eyes_by_clicks(blender, sidebar):
     places, faces = scanned()
     lines = [f"v {x:.6f} {-y:.6f} {-z:.6f}" for x, y, z in places]
     lines += ["f " + " ".join(str(v + 1) for v in face) for face in faces.tolist()]
@@ -422,7 +422,7 @@ def test_an_imported_scan_becomes_a_head_that_opens_mouth_and_eyes_by_clicks(ble
 
 
 @pytest.mark.thorough
-def test_control_points_are_chosen_from_a_take_picked_on_the_head_dropped_and_undone(blender, sidebar):
+def test_control_points_are_selected_from_a_take_picked_on_the_head_removed_and_undone(blender, sidebar):
     add_head(sidebar)
     save_take(performance(), blender.folder / "take.facetake")
     sidebar.open_panel("FACEMIME_PT_control_points")
@@ -446,7 +446,7 @@ _PIXEL_OF_LANDMARK = _PIXEL_OF_FOREHEAD.replace("from_ibug([27])[0]", "{landmark
 
 
 def choose_file(blender: Blender, folder: str, name: str) -> None:
-    """Choose a file in the browser that a button opened."""
+    """Choose a file in the file browser."""
     browser = "next((area for area in bpy.context.window.screen.areas if area.type == 'FILE_BROWSER'), None)"
     blender.wait_for(f"{browser} is not None and {browser}.spaces.active.params is not None")
     blender.do(f"params = {browser}.spaces.active.params")
@@ -458,7 +458,7 @@ def choose_file(blender: Blender, folder: str, name: str) -> None:
     blender.redraw()
 
 
-def test_it_is_disabled_while_it_runs_enabled_again_and_blender_quits_well(blender, sidebar):
+def test_the_extension_is_disabled_while_running_and_enabled_again_and_blender_quits(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
     blender.do(f"bpy.ops.preferences.addon_disable(module={MODULE!r})")

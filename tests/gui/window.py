@@ -1,4 +1,4 @@
-"""A Blender with a window on a screen that nobody sees: started, asked, clicked, photographed."""
+"""Blender with a window on a virtual screen: start it, query it, click in it, take screenshots."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 SHOTS = Path(os.environ.get("FACEMIME_SHOTS", ROOT / "build" / "gui"))
 _DEADLINE = 120.0
-"""Seconds that a test waits for something: Blender draws in software, and the machine may be busy with other things."""
+"""Seconds that a test waits: Blender renders in software, and the machine may be busy."""
 
 
 class GuiError(AssertionError):
-    """Blender did not do what a test waited for."""
+    """Blender did not do what a test was waiting for."""
 
 
 def places() -> dict[str, Path]:
-    """Where `tools/windows.sh` keeps each Blender, by Debian's name."""
+    """Return the folders in which `tools/windows.sh` keeps each Blender, by the name of the Debian release."""
     cache = Path(os.environ.get("FACEMIME_CACHE", Path.home() / ".cache" / "facemime"))
     listed = subprocess.run(
         ["sh", str(ROOT / "tools" / "windows.sh"), "places"],
@@ -38,7 +38,7 @@ def places() -> dict[str, Path]:
 
 
 class Blender:
-    """Blender in a chroot, its window at the corner of a screen of its own; a context manager.
+    """Context manager: Blender in a chroot, with its window in the corner of a virtual screen.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class Blender:
         theirs.close()
 
     def close(self) -> None:
-        """End Blender and the screen, whatever they do, and keep what Blender printed, and where it crashed."""
+        """Kill Blender and the screen, and keep Blender's output and crash report."""
         for name in ("process", "screen"):
             process = getattr(self, name, None)
             if process is not None and process.poll() is None:
@@ -133,22 +133,22 @@ class Blender:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def printed(self) -> str:
-        """What Blender printed so far."""
+        """Return Blender's output so far."""
         return self.log.read_text(errors="replace")
 
     def do(self, code: str) -> Any:
-        """Run statements in Blender, between two of its events; returns what they leave in the name `value`."""
+        """Run statements in Blender between two events, and return what they assign to the name `value`."""
         answer = self._ask({"code": code})
         if "error" in answer:
             raise GuiError(answer["error"])
         return answer["value"]
 
     def get(self, expression: str) -> Any:
-        """What `expression` is in Blender, as far as JSON can say it."""
+        """Return the value of an expression in Blender, converted to JSON."""
         return self.do(f"value = {expression}")
 
     def wait_for(self, expression: str, seconds: float = _DEADLINE) -> Any:
-        """Wait until `expression` is true in Blender, and return it."""
+        """Wait until an expression is true in Blender, and return its value."""
         return wait(lambda: self.get(expression), expression, seconds)
 
     def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -166,38 +166,38 @@ class Blender:
         return json.loads(line)
 
     def redraw(self) -> None:
-        """Let Blender handle its events and draw what they changed: a round of its loop, seen by the next."""
+        """Wait until Blender has handled its events and redrawn."""
         for _ in range(3):
             self.do("pass")
 
     def input(self, *words: object) -> None:
-        """Real events: what xdotool takes, mouse in the window's pixels from its top left."""
+        """Send real events: arguments of xdotool, with the mouse in pixels from the top left of the window."""
         command = ["chroot", str(self.place), "xdotool", *map(str, words)]
         subprocess.run(command, env=self._environment() | {"DISPLAY": self.display}, check=True, timeout=30)
 
     def move(self, x: float, y: float) -> None:
-        """The mouse to a place, pixels from the top left; in two steps, as Blender looks only at what moves."""
+        """Move the mouse, pixels from the top left; in two steps, as Blender ignores a mouse that does not move."""
         self.input("mousemove", round(x) - 1, round(y), "mousemove", round(x), round(y))
 
     def click(self, x: float, y: float) -> None:
-        """A click of the left button."""
+        """Click the left button."""
         self.move(x, y)
         self.redraw()
         self.input("click", 1)
 
     def drag(self, *points: tuple[float, float]) -> None:
-        """Press at the first point, go to the others, release."""
+        """Press at the first point, move to the others, release."""
         words: list[object] = ["mousemove", *map(round, points[0]), "sleep", 0.1, "mousedown", 1]
         for x, y in points[1:]:
             words += ["sleep", 0.05, "mousemove", round(x), round(y)]
         self.input(*words, "sleep", 0.05, "mouseup", 1)
 
     def key(self, *keys: str) -> None:
-        """Press keys, such as ctrl+z."""
+        """Press key combinations, such as ctrl+z."""
         self.input("key", *keys)
 
     def shot(self, name: str) -> Path:
-        """Keep what the screen shows as build/gui/…/NN-name.png."""
+        """Save a screenshot as build/gui/…/NN-name.png."""
         self._count += 1
         path = self.shots / f"{self._count:02d}-{name}.png"
         self.redraw()
@@ -212,7 +212,7 @@ class Blender:
 
 
 def wait(condition: Callable[[], Any], what: str, seconds: float = _DEADLINE) -> Any:
-    """Wait until `condition` holds, and return what it gave; GuiError after `seconds`."""
+    """Wait until `condition` returns a true value, and return it; raises GuiError after `seconds`."""
     end = time.monotonic() + seconds
     while not (found := condition()):
         if time.monotonic() > end:
