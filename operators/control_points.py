@@ -2,6 +2,7 @@
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_rpt as _
 from bpy.props import FloatProperty, IntProperty, StringProperty
 
 from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
@@ -157,7 +158,7 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
             raise HeadError("There is no window to click in. Set the number of the landmark instead.")
         context.scene.facemime_steps.show_points = True
         context.window.cursor_modal_set("CROSSHAIR")
-        context.workspace.status_text_set("Click a landmark; Esc or right-click to cancel")
+        context.workspace.status_text_set(_("Click a landmark; Esc or right-click to cancel"))
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 

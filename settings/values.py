@@ -90,10 +90,14 @@ def open_source(source: FacemimeSource) -> LiveSource:
     if source.kind == "SAMPLE":
         return VideoPlayer(SAMPLE, **playing)
     if source.kind == "VIDEO":
-        return VideoPlayer(_chosen(source.video, "video"), **playing)
+        return VideoPlayer(_chosen(source.video, "No video is selected. Select one under Source."), **playing)
     if source.kind == "PICTURES":
-        return PicturePlayer(_chosen(source.folder, "folder of images"), rate=source.rate, **playing)
-    path = _chosen(source.take, "take")
+        return PicturePlayer(
+            _chosen(source.folder, "No folder of images is selected. Select one under Source."),
+            rate=source.rate,
+            **playing,
+        )
+    path = _chosen(source.take, "No take is selected. Select one under Source.")
     return TakePlayer(load_take(path), path.name, **playing)
 
 
@@ -109,9 +113,9 @@ def _camera() -> Camera:
     return Camera(CameraSettings(device, chosen.width, chosen.height, chosen.rate))
 
 
-def _chosen(path: str, kind: str) -> Path:
+def _chosen(path: str, message: str) -> Path:
     if not path:
-        raise SourceError(f"No {kind} is selected. Select one under Source.")
+        raise SourceError(message)
     return Path(bpy.path.abspath(path))
 
 

@@ -1,6 +1,7 @@
 """The texts that Facemime shows in Blender, collected from its sources; prints those that a language lacks.
 
-Usage: python tools/strings.py [LANGUAGE]; zh_HANS by default. There are two kinds. Blender looks up constant texts:
+Usage: python tools/strings.py [LANGUAGE] [--unused]; zh_HANS by default. With --unused it prints the translations of
+texts that are no longer in the sources. There are two kinds of texts. Blender looks up constant texts:
 labels, tooltips (the docstrings of operators), items of enumerations, `text=` of buttons, and the arguments of `_()`
 and `labels()`. Messages such as errors contain values: of an f-string the template is collected, with the name of each
 value in braces, and `blender/messages.py` matches messages with it.
@@ -8,9 +9,9 @@ value in braces, and `blender/messages.py` matches messages with it.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import json
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,11 +23,15 @@ _CALLS = {"_", "pgettext_iface", "pgettext_rpt", "labels", "label", "poll_messag
 _SETTINGS = {"setting", "Choice"}
 """Their first argument is a value."""
 _ERRORS = {"FacemimeError", "SourceError", "ModelError", "HeadError", "OutputError", "MisnamedError"}
-_MESSAGES = {"report", "Finding", "Quality"}
+_MESSAGES = {"report", "Finding", "Quality", "_chosen"}
 _FUNCTIONS = {"explained", "missing_parts", "summary"}
 """Functions that return messages."""
-_TABLES = {"_EXPLANATIONS"}
-"""Dictionaries whose values are messages."""
+_TABLES = {"MARKS", "START", "_EXPLANATIONS", "_STAGES"}
+"""Dictionaries, or tuples of them, whose values are messages."""
+_LABELS = {"MARKS"}
+"""Those that are shown with a capital letter."""
+_VARIABLES = {"reason", "recovered", "warning"}
+"""Variables, attributes and items to which messages are assigned."""
 _NOT_SHOWN = {"WINDOW", "Facemime"}
 
 
@@ -37,7 +42,7 @@ def sources() -> list[Path]:
 
 def message_sources() -> list[Path]:
     """Return the modules with messages."""
-    return _modules(*(f"{room}/**/*.py" for room in ("core", "blender", "settings", "sessions", "operators")))
+    return _modules(*(f"{room}/**/*.py" for room in ("core", "blender", "settings", "sessions", "operators", "ui")))
 
 
 def _modules(*patterns: str) -> list[Path]:
@@ -100,12 +105,32 @@ def messages(path: Path) -> Iterator[str]:
             found = [*node.args, *(word.value for word in node.keywords if word.arg in ("message", "reason"))]
         elif isinstance(node, ast.FunctionDef) and node.name in _FUNCTIONS:
             found = [part.value for part in ast.walk(node) if isinstance(part, ast.Return) and part.value is not None]
-        elif isinstance(node, ast.Assign) and _name(node.targets[0]) in _TABLES:
-            found = getattr(node.value, "values", [])
+        elif isinstance(node, ast.Assign) and _target(node) in _VARIABLES:
+            found = [node.value]
+        elif isinstance(node, ast.Assign | ast.AnnAssign) and node.value and _target(node) in _TABLES:
+            shown = str.capitalize if _target(node) in _LABELS else str
+            yield from map(shown, _of_table(node.value))
+            continue
         else:
             continue
         for part in found:
             yield from _templates(part, constants)
+
+
+def _target(node: ast.Assign | ast.AnnAssign) -> str:
+    """Return the name of what is assigned to; of an item its key."""
+    target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+    if isinstance(target, ast.Subscript) and isinstance(target.slice, ast.Constant):
+        return str(target.slice.value)
+    return _name(target)
+
+
+def _of_table(node: ast.expr) -> Iterator[str]:
+    for part in ast.walk(node):
+        if isinstance(part, ast.Dict):
+            for value in part.values:
+                if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                    yield value.value
 
 
 def _makes_message(func: ast.expr) -> bool:
@@ -181,5 +206,22 @@ def lacking(language: str) -> list[str]:
     return [text for text in wanted() if not known.get(text)]
 
 
+def unused(language: str) -> list[str]:
+    """Return the texts that `language` translates and that are no longer in the sources."""
+    known = json.loads((TRANSLATIONS / f"{language}.json").read_text(encoding="utf-8"))
+    current = set(wanted())
+    return [text for text in known if text not in current]
+
+
+def main() -> None:
+    """Print the texts as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("language", nargs="?", default="zh_HANS", help="as Blender names it (zh_HANS)")
+    parser.add_argument("--unused", action="store_true", help="print translations that are no longer used")
+    arguments = parser.parse_args()
+    texts = unused(arguments.language) if arguments.unused else lacking(arguments.language)
+    print(json.dumps(texts, indent=0, ensure_ascii=False))
+
+
 if __name__ == "__main__":
-    print(json.dumps(lacking(*sys.argv[1:] or ["zh_HANS"]), indent=0, ensure_ascii=False))
+    main()

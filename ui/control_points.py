@@ -6,8 +6,10 @@ from functools import lru_cache
 
 import bpy
 import bpy.utils.previews
+from bpy.app.translations import pgettext_iface
 
 from ..blender.meshes import is_head, read_selection
+from ..blender.messages import translated
 from ..blender.names import SELECTION_PROPERTY
 from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import from_json
@@ -46,7 +48,7 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
             return
         row = shown_rows(context.active_object)[index]
         layout.active = bool(row.regions)
-        names = ", ".join(bpy.app.translations.pgettext_iface(REGIONS[r].name.capitalize()) for r in row.regions)
+        names = ", ".join(pgettext_iface(REGIONS[r].name.capitalize()) for r in row.regions)
         number = str(IBUG68_INDICES[index])
         if is_narrow(context):
             layout.label(text=f"{number} {names}", translate=False)
@@ -57,7 +59,8 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
         line.label(text=names or "-", translate=False)
         line = line.split(factor=0.5)
         line.label(text=f"{row.order}: {100 * row.error:.1f}%" if row.order and row.error == row.error else "")
-        line.label(text=row.reason)
+        reasons = [translated(reason, pgettext_iface) for reason in row.reason.split("; ")]
+        line.label(text="; ".join(reasons), translate=False)
 
     def filter_items(self, context, data, property_name) -> tuple[list[int], list[int]]:
         """Sort the control points by their order of selection, before the other landmarks if these are listed."""
@@ -109,16 +112,17 @@ def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) 
     column.prop(steps, "tolerance")
     column.prop(steps, "max_points")
     buttons = layout.column(align=True)
-    for operator in ("facemime.select_control_points", "facemime.select_live_points"):
-        text = "Select from a Take" if operator.endswith("control_points") else "Select from Live"
-        button = buttons.operator(operator, text=text, icon="CURVE_DATA" if "control" in operator else "REC")
+    for button in (
+        buttons.operator("facemime.select_control_points", text="Select from a Take", icon="CURVE_DATA"),
+        buttons.operator("facemime.select_live_points", text="Select from Live", icon="REC"),
+    ):
         button.tolerance, button.max_points = steps.tolerance, steps.max_points
 
 
 def _draw_curve(layout: bpy.types.UILayout, text: str, selection: GreedySelection) -> None:
     if icon := _curve_icon(text, selection):
         layout.template_icon(icon_value=icon, scale=9.0)
-    points = bpy.app.translations.pgettext_iface("{count} control points, tolerance {tolerance:.2f} %")
+    points = pgettext_iface("{count} control points, tolerance {tolerance:.2f} %")
     shown = points.format(count=len(selection.landmarks), tolerance=100 * selection.tolerance)
     layout.label(text=shown, translate=False)
 

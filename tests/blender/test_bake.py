@@ -131,7 +131,7 @@ def test_the_error_names_what_a_mesh_lacks():
     with pytest.raises(HeadError, match=REGION_GROUPS[1]):
         read_rig(head)
     head.vertex_groups.new(name=REGION_GROUPS[1])
-    with pytest.raises(HeadError, match="empty"):
+    with pytest.raises(HeadError, match="Empty"):
         read_rig(head)
     head.data[LANDMARKS_PROPERTY] = [10**6] * 66
     with pytest.raises(HeadError, match="no longer exist"):

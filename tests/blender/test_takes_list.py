@@ -142,7 +142,7 @@ def test_the_sound_is_in_sync_with_the_take(imported, tmp_path):
     assert bpy.ops.facemime.add_sound() == {"FINISHED"}
     strips = list(editor.strips if hasattr(editor, "strips") else editor.sequences)
     assert len(strips) == 2 and len({strip.channel for strip in strips}) == 2
-    with pytest.raises(RuntimeError, match="no sound"):
+    with pytest.raises(RuntimeError, match="no readable sound"):
         bpy.ops.facemime.add_sound(filepath=str(tmp_path / "late.facetake"))
 
 
