@@ -1,6 +1,6 @@
 #!/bin/sh
-# One environment for each Blender that the extension is tested with, outside the clone, keyed by its requirements.
-# It holds nothing but bpy: the extension must bring the rest. A Python that is not there is said and left out.
+# Creates an environment per Blender that the extension is tested with, outside the clone, keyed by its requirements.
+# It contains only bpy: the extension must bring the rest. A missing Python is reported and skipped.
 set -eu
 cd "$(dirname "$0")/.."
 cache=${FACEMIME_CACHE:?}

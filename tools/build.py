@@ -1,4 +1,4 @@
-"""Build the extension: fetch the wheels it carries, pack one zip a platform with Blender's own tool, validate each."""
+"""Build the extension: download the wheels, pack a zip per platform with Blender's own tool, and validate each."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PIP_PLATFORMS = {
 
 
 def main() -> int:
-    """Build into `dist/`; returns the exit status."""
+    """Build into `dist/`; return the exit status."""
     manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
     fetch_wheels(manifest)
     tool = blender_tool()
@@ -30,7 +30,7 @@ def main() -> int:
     run(tool, "build", "--source-dir", str(ROOT), "--output-dir", str(DIST), "--split-platforms")
     archives = sorted(DIST.glob("*.zip"))
     if len(archives) != len(manifest["platforms"]):
-        print(f"{len(manifest['platforms'])} archives were expected; got {len(archives)}", file=sys.stderr)
+        print(f"Expected {len(manifest['platforms'])} archives; got {len(archives)}", file=sys.stderr)
         return 1
     for archive in archives:
         run(tool, "validate", str(archive))
@@ -39,7 +39,7 @@ def main() -> int:
 
 
 def fetch_wheels(manifest: dict) -> None:
-    """Download the pinned wheels of every platform that are not there yet, checked by their hashes."""
+    """Download the pinned wheels of every platform unless they are present; their hashes are checked."""
     named = {Path(wheel).name for wheel in manifest["wheels"]}
     if all((WHEELS / name).is_file() for name in named):
         return
@@ -53,11 +53,11 @@ def fetch_wheels(manifest: dict) -> None:
             check=True,
         )
     if missing := named - {path.name for path in WHEELS.iterdir()}:
-        raise SystemExit(f"blender_manifest.toml names wheels that requirements/wheels.txt does not give: {missing}")
+        raise SystemExit(f"Wheels in blender_manifest.toml that requirements/wheels.txt does not provide: {missing}")
 
 
 def blender_tool() -> Path:
-    """The extension tool inside the bpy package, which runs without Blender."""
+    """Return the extension tool of the bpy package, which runs without Blender."""
     package = Path(sys.prefix).glob("lib/python3*/site-packages/bpy/*/scripts/addons_core/bl_pkg/cli/blender_ext.py")
     found = next(package, None)
     if found is None:
@@ -66,7 +66,13 @@ def blender_tool() -> Path:
 
 
 def run(tool: Path, *arguments: str) -> None:
-    """Run Blender's tool; its output is shown only where it fails."""
+    """Run Blender's tool; its output is shown only if it fails.
+
+    Parameters
+    ----------
+    tool : Path
+    *arguments : str
+    """
     done = subprocess.run([sys.executable, str(tool), *arguments], capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise SystemExit(f"blender_ext {arguments[0]} failed:\n{done.stdout}{done.stderr}")

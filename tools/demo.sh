@@ -1,6 +1,6 @@
 #!/bin/sh
-# Drives the built-in head by a video and leaves build/demo/demo.{mp4,png,blend}; does nothing where neither the video
-# nor the code nor the assets have changed since.
+# Drives the built-in head by a video and writes build/demo/demo.{mp4,png,blend}; does nothing if neither the video nor
+# the code nor the assets have changed.
 set -eu
 video=$1
 out=build/demo
@@ -14,4 +14,4 @@ else
     .venv/bin/facemime puppet "$video" -o "$out/demo.blend" --preview "$out/demo.mp4" --sheet "$out/demo.png"
     made_from >"$out/.made-from"
 fi
-echo "Look at $out/demo.mp4 and $out/demo.png; open $out/demo.blend in Blender."
+echo "See $out/demo.mp4 and $out/demo.png, or open $out/demo.blend in Blender."

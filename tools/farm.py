@@ -1,4 +1,4 @@
-"""Write the options that every clip of a batch has into the templates for render farms, between their marks.
+"""Write the options of a clip into the templates for render farms, between their marks.
 
 Usage: python tools/farm.py; changes farm/facemime.openjd.yaml and farm/facemime.js.
 """
@@ -19,20 +19,20 @@ FARM = Path(__file__).resolve().parents[1] / "farm"
 _BLOCK = re.compile(
     r"^( *(?://|#) Options, written by tools/farm.py\n)(?:.*\n)*?( *(?://|#) End of options\n)", re.MULTILINE
 )
-"""What stands between the marks is replaced."""
+"""The text between the marks is replaced."""
 
 
 @dataclass(frozen=True)
 class Option:
-    """An option of the command line as a farm's parameter.
+    """An option of the command line as a parameter of a render farm.
 
     Attributes
     ----------
     name : str
-        Without dashes: max-keys.
+        Name without leading dashes, such as "max-keys".
     default : str, float, int or bool
     choices : tuple of str
-        Empty where it is not one of several.
+        Allowed values of an enumeration, otherwise empty.
     description : str
     """
 
@@ -43,17 +43,17 @@ class Option:
 
     @property
     def key(self) -> str:
-        """As Flamenco names it: max_keys."""
+        """Name in Flamenco, such as "max_keys"."""
         return self.name.replace("-", "_")
 
     @property
     def title(self) -> str:
-        """As Open Job Description names it: MaxKeys."""
+        """Name in Open Job Description, such as "MaxKeys"."""
         return "".join(part.capitalize() for part in self.name.split("-"))
 
 
 def options() -> list[Option]:
-    """The options that `facemime clip` and `facemime batch` have in common."""
+    """Return the options that `facemime clip` and `facemime batch` share."""
     parser = Parser(add_help=False)
     add_puppet_options(parser)
     return [_option(action) for action in parser._actions]
@@ -63,13 +63,13 @@ def _option(action: argparse.Action) -> Option:
     name = action.option_strings[0].removeprefix("--")
     help_text = str(action.help)
     default: str | float | int | bool = "" if action.default is None else action.default
-    if isinstance(default, float):  # as the option has it: in degrees, or in percent
+    if isinstance(default, float):  # as on the command line: degrees, or per cent
         default = float(help_text.rpartition("(")[2].rstrip(")"))
     return Option(name, default, tuple(action.choices or ()), help_text)
 
 
 def openjd() -> str:
-    """The template for Open Job Description."""
+    """Return the template for Open Job Description."""
     parameters, arguments = [], []
     for option in options():
         lines = [f"  - name: {option.title}"]
@@ -91,7 +91,7 @@ def openjd() -> str:
 
 
 def flamenco() -> str:
-    """The job type for Flamenco."""
+    """Return the job type for Flamenco."""
     settings, switches = [], []
     for option in options():
         kind = {str: "string", int: "int32", float: "float", bool: "bool"}[type(option.default)]
@@ -105,7 +105,7 @@ def flamenco() -> str:
 
 
 def _filled(name: str, *blocks: Sequence[str]) -> str:
-    """The text of a template with `blocks` of lines between its marks."""
+    """Return the text of a template with `blocks` of lines between its marks."""
     parts = _BLOCK.split((FARM / name).read_text(encoding="utf-8"))
     kept = [parts[0]]
     for lines, (first, last, rest) in zip(blocks, zip(*(parts[n::3] for n in (1, 2, 3)), strict=True), strict=True):
@@ -114,7 +114,7 @@ def _filled(name: str, *blocks: Sequence[str]) -> str:
 
 
 def main() -> int:
-    """Write both; returns the exit status."""
+    """Write both templates; return the exit status."""
     (FARM / "facemime.openjd.yaml").write_text(openjd(), encoding="utf-8")
     (FARM / "facemime.js").write_text(flamenco(), encoding="utf-8")
     return 0

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Pins what requirements/*.in ask for, with hashes.
+# Pins the packages in requirements/*.in, with hashes.
 set -eu
 cd "$(dirname "$0")/../requirements"
 uv() { ../.venv/bin/uv pip compile --quiet --no-header --generate-hashes "$@"; }
@@ -10,7 +10,7 @@ uv --python-version 3.11 training.in -o training.txt
 uv --python-version 3.11 --allow-unsafe peers.in -o peers.txt
 uv --universal --python-version 3.11 docs.in -o docs.txt
 uv --universal --python-version 3.11 --no-deps wheels.in -o wheels.txt
-uv --universal --python-version 3.11 --no-deps oracles.in -o oracles.txt  # what they ask for is not needed to read files
+uv --universal --python-version 3.11 --no-deps oracles.in -o oracles.txt  # their dependencies are not needed to read files
 for version in 4.2 4.5 5.0; do
     uv --python-version 3.11 "bpy-$version.in" -o "bpy-$version.txt"
 done

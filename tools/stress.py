@@ -1,8 +1,8 @@
-"""Run every live and window test again and again on a busy machine: each run has enough others beside it for that.
+"""Run all live and window tests repeatedly on a busy machine.
 
-Usage: python tools/stress.py [RUNS] [--live | --windows]; 50 runs of both by default. So many run at once that each
-shares the machine with two busy processes for each core. Prints a line for each run, then how many failed, which is
-also the exit status. A test that fails once here races the clock: mend that, not the load.
+Usage: python tools/stress.py [RUNS] [--live | --windows]; 50 runs of both by default. As many runs are started at once
+as give each two busy processes per core beside it. Prints a line per run, then the number of failed runs, which is also
+the exit status. A test that fails once has a race condition: fix that rather than the load.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ WINDOWS = ["tests/gui"]
 
 @dataclass(frozen=True)
 class Run:
-    """One run of the tests: seconds, the last line that pytest printed, and what went wrong."""
+    """A run of the tests: duration in seconds, the last line of pytest's output, and the failures."""
 
     seconds: float
     summary: str
@@ -36,12 +36,12 @@ class Run:
 
 
 def main() -> int:
-    """Run; returns how many runs failed."""
+    """Run the tests; return the number of failed runs."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("runs", type=int, nargs="?", default=50, help="how often (50)")
+    parser.add_argument("runs", type=int, nargs="?", default=50, help="number of runs (50)")
     chosen = parser.add_mutually_exclusive_group()
-    chosen.add_argument("--live", action="store_true", help="tests of live sessions alone")
-    chosen.add_argument("--windows", action="store_true", help="tests in windows alone")
+    chosen.add_argument("--live", action="store_true", help="run only the tests of live sessions")
+    chosen.add_argument("--windows", action="store_true", help="run only the tests in windows")
     arguments = parser.parse_args()
     tests = (LIVE if not arguments.windows else []) + (WINDOWS if not arguments.live else [])
     at_once = 2 * (os.cpu_count() or 2) + 1
@@ -57,7 +57,7 @@ def main() -> int:
 
 
 def run(tests: list[str]) -> Run:
-    """Run `tests` once, with screenshots in a place of their own."""
+    """Run `tests` once, with screenshots in a temporary folder."""
     began = time.monotonic()
     with TemporaryDirectory() as shots:
         line = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *tests]
@@ -66,7 +66,7 @@ def run(tests: list[str]) -> Run:
     printed = done.stdout.strip().splitlines()
     failures = [text for text in printed if text.startswith(("FAILED", "ERROR", "E  "))]
     if done.returncode and not failures:
-        failures = [f"ended with status {done.returncode}"]
+        failures = [f"exit status {done.returncode}"]
     return Run(time.monotonic() - began, "".join(printed[-1:]), failures)
 
 

@@ -1,11 +1,11 @@
 #!/bin/sh
-# Installs the system libraries that Blender's module needs, and venv, where they are missing (Debian, Ubuntu).
+# Installs missing system libraries that Blender's module needs, and venv (Debian, Ubuntu).
 set -eu
 python=${PYTHON:-python3.11}
 packages="libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1 libegl1 libgomp1"
 
 if ! command -v "$python" >/dev/null 2>&1; then
-    echo "Python 3.11 is needed and was not found as $python. Install it, or give it as: make PYTHON=/path/to/python3.11" >&2
+    echo "Python 3.11 was not found as $python. Install it, or set its path: make PYTHON=/path/to/python3.11" >&2
     exit 1
 fi
 complete() {
@@ -31,11 +31,11 @@ if [ "$(id -u)" = 0 ]; then
 elif sudo -n true 2>/dev/null; then
     sudo="sudo -n"
 else
-    echo "Some system libraries are missing. Install them with this line, then run make again:" >&2
+    echo "Some system libraries are missing. Install them with this command, then run make again:" >&2
     echo "    sudo $install" >&2
     exit 1
 fi
 echo "Installing system libraries: $packages" >&2
 $sudo env DEBIAN_FRONTEND=noninteractive apt-get update --quiet=2
 $sudo env DEBIAN_FRONTEND=noninteractive $install --quiet=2 >/dev/null
-complete || { echo "The system libraries are still incomplete after: $install" >&2; exit 1; }
+complete || { echo "Some system libraries are still missing after: $install" >&2; exit 1; }

@@ -1,10 +1,10 @@
 #!/bin/sh
-# Starts an installed Blender with the extension of this tree in a throw-away profile, which is removed afterwards.
+# Starts an installed Blender with this extension in a temporary profile, which is removed afterwards.
 set -eu
 cd "$(dirname "$0")/.."
 blender=${BLENDER:-blender}
 if ! command -v "$blender" >/dev/null 2>&1; then
-    echo "No Blender was found as '$blender'. Give one: make try BLENDER=/path/to/blender" >&2
+    echo "Blender was not found as '$blender'. Set its path: make try BLENDER=/path/to/blender" >&2
     exit 1
 fi
 profile=$(mktemp -d)

@@ -1,4 +1,4 @@
-"""Make the pictures of `docs/tutorials` again: Blender's own window, driven by mouse, and what the commands leave.
+"""Make the pictures of `docs/tutorials` from Blender's window, driven by mouse, and from the output of commands.
 
 Run it with `.venv/bin/python tools/tutorial_pictures.py [NAME ...]`, each NAME one of webcam, own_head, take, batch;
 all by default. It needs what `make test-gui` sets up (`make build windows`) and, for the batch report, Chromium.
@@ -31,7 +31,7 @@ PICTURES = ROOT / "docs" / "tutorials" / "images"
 CLIP = ROOT / "assets" / "sample" / "sample.mp4"
 SUITE = "sid"
 _WIDE, _HIGH = (1200, 800), (1200, 1060)
-"""Sizes of the window: the usual one, and one in which all of the panel Takes has room."""
+"""Sizes of the window: the default one, and one that has room for the whole panel Takes."""
 _COLOURS = 256
 _HELD = f"""
 import math
@@ -49,11 +49,11 @@ class Held(sources.Clock):
         return True
 sources.PacedSource.pace = held = Held()
 """
-"""A clock that leaves no frame out and stops at `limit` seconds, so that a picture shows the frame that it should."""
+"""A clock that drops no frame and stops at `limit` seconds, so that a picture shows the intended frame."""
 
 
 def main(names: list[str]) -> int:
-    """Make the pictures of some tutorials; returns the exit status."""
+    """Make the pictures of the given tutorials; return the exit status."""
     tutorials: dict[str, Callable[[], None]] = {"webcam": webcam, "own_head": own_head, "take": take, "batch": batch}
     PICTURES.mkdir(parents=True, exist_ok=True)
     for name in names or list(tutorials):
@@ -64,7 +64,7 @@ def main(names: list[str]) -> int:
 
 
 class Studio:
-    """A window of Blender with Facemime's tab, and a camera on it; a context manager."""
+    """Context manager: a window of Blender with Facemime's tab, of which it takes pictures."""
 
     def __init__(self, tutorial: str, size: tuple[int, int] = _WIDE) -> None:
         self.tutorial = tutorial
@@ -84,7 +84,7 @@ class Studio:
         self.blender.close()
 
     def add_head(self, **options: object) -> None:
-        """Add the built-in head as the button does, and look at it."""
+        """Add the built-in head by its button, and view it from the front."""
         self.sidebar.open_panel("FACEMIME_PT_head")
         if options:
             given = ", ".join(f"{name}={value!r}" for name, value in options.items())
@@ -94,7 +94,7 @@ class Studio:
         self.look()
 
     def look(self) -> None:
-        """Look at what is selected from the front, without an outline."""
+        """View the selection from the front, without its outline."""
         self.blender.move(*self.sidebar.view(0.3))
         self.blender.redraw()
         self.blender.key("KP_1")
@@ -103,7 +103,7 @@ class Studio:
         self.blender.redraw()
 
     def start(self, until: float, panel: str = "") -> None:
-        """Start the puppet, and let it play to `until` seconds; with `panel` open where one is named."""
+        """Start the puppet, optionally open a panel, and play to `until` seconds."""
         self.blender.do(f"sources.PacedSource.pace = held = Held(); held.limit = {until}")
         self.sidebar.open_panel(panel or "FACEMIME_PT_puppet")
         if panel:
@@ -113,13 +113,13 @@ class Studio:
         self.play(until)
 
     def play(self, until: float) -> None:
-        """Let the puppet play on to `until` seconds."""
+        """Continue the puppet to `until` seconds."""
         self.blender.do(f"held.limit = {until}")
         self.blender.wait_for(f"Session.current.shown is not None and Session.current.shown.time > {until - 0.06}")
         self.blender.redraw()
 
     def stop(self) -> None:
-        """Stop the puppet by ESC."""
+        """Stop the puppet with Esc."""
         self.blender.do("held.limit = math.inf")
         self.blender.move(*self.sidebar.view(0.3))
         self.blender.redraw()
@@ -127,13 +127,13 @@ class Studio:
         self.blender.wait_for("Session.current is None and workers() == []")
 
     def picture(self, name: str, height: int = 0, whole: bool = False) -> None:
-        """Keep the viewport with its sidebar, down to `height` pixels, or the whole window."""
+        """Save a picture of the viewport with its sidebar, cropped to `height` pixels, or of the whole window."""
         self.blender.move(*self.sidebar.view(0.02, 0.98))
         self.blender.redraw()
         self.picture_as_it_is(name, height, whole)
 
     def picture_as_it_is(self, name: str, height: int = 0, whole: bool = False) -> None:
-        """`picture` without moving the mouse, which would close a menu."""
+        """Save a picture as `picture` does, without moving the mouse, which would close a menu."""
         shot = cv2.imread(str(self.blender.shot(name)))
         if not whole:
             x, y, width, tall = self.blender.do(_AREA)
@@ -160,14 +160,14 @@ for area in bpy.context.window.screen.areas:
 
 
 def keep(picture: cv2.typing.MatLike, name: str) -> None:
-    """Write a BGR picture as a PNG of so few colours that it stays small."""
+    """Write a BGR image as a small PNG with few colours."""
     image = Image.fromarray(picture[:, :, ::-1])
     few = image.quantize(_COLOURS, kmeans=2, dither=Image.Dither.NONE)
     few.save(PICTURES / f"{name}.png", optimize=True)
 
 
 def webcam() -> None:
-    """From an empty scene to a calibrated puppet."""
+    """Make the pictures of the first tutorial: from an empty scene to a calibrated puppet."""
     with Studio("webcam") as studio:
         blender, sidebar = studio.blender, studio.sidebar
         studio.add_head()
@@ -192,7 +192,7 @@ def webcam() -> None:
 
 
 def own_head() -> None:
-    """A scan whose lips and eyes are one skin becomes a head."""
+    """Make the pictures of the second tutorial: from a scan to a head."""
     with Studio("own_head") as studio:
         blender, sidebar = studio.blender, studio.sidebar
         vertices, faces = scanned()
@@ -227,7 +227,7 @@ def own_head() -> None:
 
 
 def take() -> None:
-    """A take is recorded, shown, and baked to ARKit's keys by a table."""
+    """Make the pictures of the third tutorial: record, show and bake a take to ARKit's shape keys."""
     with Studio("take", _HIGH) as studio:
         blender, sidebar = studio.blender, studio.sidebar
         studio.add_head(units=True)
@@ -274,7 +274,7 @@ _BORDER = """
 area = max((a for a in bpy.context.window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width)
 value = [area.x + area.width, bpy.context.window.height - area.y - area.height // 2]
 """
-"""Where the border between the viewport and the editors on its right is."""
+"""Position of the border between the viewport and the editors on its right."""
 _SHOW_KEYS = """
 editor = next(a for a in bpy.context.window.screen.areas if a.type == "PROPERTIES")
 editor.spaces.active.context = "DATA"
@@ -282,8 +282,8 @@ editor.spaces.active.context = "DATA"
 
 
 def batch() -> None:
-    """Three clips, one of them without a face, and the report."""
-    folder = Path(tempfile.gettempdir()) / "shoot"  # a name that may be read in the report
+    """Make the picture of the fourth tutorial: the report on three clips, one of them unreadable."""
+    folder = Path(tempfile.gettempdir()) / "shoot"  # the name can be seen in the report
     shutil.rmtree(folder, ignore_errors=True)
     clips = folder / "clips"
     clips.mkdir(parents=True)
@@ -318,7 +318,7 @@ def batch() -> None:
 
 
 def _cut(path: Path, first: int, last: int) -> None:
-    """Write frames `first` to `last` of the sample clip as a clip of their own."""
+    """Write frames `first` to `last` of the sample clip as a separate clip."""
     source = cv2.VideoCapture(str(CLIP))
     size = int(source.get(cv2.CAP_PROP_FRAME_WIDTH)), int(source.get(cv2.CAP_PROP_FRAME_HEIGHT))
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), source.get(cv2.CAP_PROP_FPS), size)

@@ -1,7 +1,7 @@
 #!/bin/sh
-# Blender with a window but without a screen: two of Debian's, each in a chroot outside the clone, keyed by its recipe.
-# Where they cannot be had it says why, in one line that the tests repeat, and ends well: whoever has no root or no
-# Debian mirror tests without windows. With the word "places" it only prints each suite, a blank and where it belongs.
+# Installs two of Debian's Blenders for tests on a virtual screen, each in a chroot outside the clone, keyed by its recipe.
+# If that is not possible, it prints the reason in one line, which the tests repeat, and succeeds: without root or a
+# Debian mirror, tests run without windows. With the argument "places" it only prints each suite and its folder.
 set -eu
 cd "$(dirname "$0")/.."
 cache=${FACEMIME_CACHE:?}

@@ -1,6 +1,6 @@
 """Runs in a bare Blender with a temporary profile: install the zip, use it, disable, enable and remove it.
 
-Usage: python extension_run.py ARCHIVE CLIP. Prints one line of JSON; the exit status is 0 only where all went well.
+Usage: python extension_run.py ARCHIVE CLIP. Prints one line of JSON; the exit status is 0 only if everything succeeded.
 """
 
 import importlib

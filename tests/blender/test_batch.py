@@ -58,8 +58,8 @@ def test_good_clips_succeed_bad_ones_are_reported_and_finished_ones_are_skipped(
     assert "broken.mp4 is not a video" in done.stderr and "missing.mp4 cannot be read" in done.stderr
     first = {path.name: path.stat().st_mtime_ns for path in records(out)}
     assert len(first) == 2 and not list(out.glob("*.lock")) and not list(out.glob("*unfinished*"))
-    told = json.loads((out / "report.json").read_text())
-    assert told["counts"] == {"done": 2, "skipped": 0, "failed": 2, "not reached": 0}
+    report = json.loads((out / "report.json").read_text())
+    assert report["counts"] == {"done": 2, "skipped": 0, "failed": 2, "not reached": 0}
     assert {len(load_take(path)) for path in out.glob("*.facetake")} == {12}
     page = (out / "report.html").read_text()
     assert page.count("data:image/jpeg;base64,") == 4 and page.count("<svg") == 2

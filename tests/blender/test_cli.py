@@ -80,7 +80,7 @@ def test_puppet_writes_a_blend_a_video_a_contact_sheet_and_a_take(clip, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("options", "left", "told"),
+    ("options", "written", "message"),
     [
         (("--keys", "named", "--clean", "0.5"), (), "52 shape keys"),
         (("--keys", "mapped", "--nla"), (), "52 shape keys"),
@@ -90,14 +90,14 @@ def test_puppet_writes_a_blend_a_video_a_contact_sheet_and_a_take(clip, tmp_path
     ],
     ids=str,
 )
-def test_puppet_bakes_to_the_requested_format(options, left, told, tmp_path):
+def test_puppet_bakes_to_the_requested_format(options, written, message, tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     done = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", *options)
-    assert done.returncode == 0 and told in done.stderr and done.stdout == ""
-    assert {path.name for path in tmp_path.iterdir()} == {"take.facetake", "out.blend", *left}
+    assert done.returncode == 0 and message in done.stderr and done.stdout == ""
+    assert {path.name for path in tmp_path.iterdir()} == {"take.facetake", "out.blend", *written}
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out.blend"))
     head = bpy.data.objects["Facemime Head"]
-    if left:
+    if written:
         assert head.modifiers[0].filepath == "//out.pc2"
     assert bool(head.animation_data.nla_tracks) == ("--nla" in options)
 
@@ -182,9 +182,9 @@ def test_the_source_video_is_never_overwritten(clip, tmp_path):
 
 def test_a_full_disk_does_not_lose_the_tracking(clip, tmp_path):
     done = run("puppet", clip, "-o", tmp_path / "out.blend", preexec_fn=with_little_space)
-    told = [line for line in done.stderr.splitlines() if line.startswith("facemime:")]
-    assert done.returncode == 1 and len(told) == 1 and "Traceback" not in done.stderr, done.stderr
-    assert "out.blend" in told[0] and f"What was tracked is in {tmp_path / 'out.unfinished.facetake'}" in told[0]
+    errors = [line for line in done.stderr.splitlines() if line.startswith("facemime:")]
+    assert done.returncode == 1 and len(errors) == 1 and "Traceback" not in done.stderr, done.stderr
+    assert "out.blend" in errors[0] and f"What was tracked is in {tmp_path / 'out.unfinished.facetake'}" in errors[0]
     assert len(load_take(tmp_path / "out.unfinished.facetake")) == 50
     assert [path.name for path in tmp_path.iterdir()] == ["out.unfinished.facetake"]
     done = run("puppet", tmp_path / "none.mp4", "-o", tmp_path / "out.blend")
@@ -246,8 +246,8 @@ def test_errors_are_one_line_and_keep_the_earlier_output(clip, faceless, tmp_pat
         (("puppet", clip, "-o", tmp_path / "o.blend", "--head", tmp_path / "no.blend"), "There is no file"),
     ):
         done = run(*arguments)
-        told = [line for line in done.stderr.splitlines() if line.startswith("facemime:")]
-        assert done.returncode == 1 and len(told) == 1 and words in told[0], done.stderr
+        errors = [line for line in done.stderr.splitlines() if line.startswith("facemime:")]
+        assert done.returncode == 1 and len(errors) == 1 and words in errors[0], done.stderr
         assert "Traceback" not in done.stderr
     assert good.read_text() == "good"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["broken.facetake", "empty.mp4", "good.facetake", "text.mp4"]

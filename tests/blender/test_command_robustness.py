@@ -181,8 +181,10 @@ def test_a_disk_that_is_full_from_the_start_is_reported_for_videos_and_reports(s
         write_video([np.zeros((64, 64, 3), np.uint8)] * 2, 25.0, small_disk / "out.mp4")
     assert os.listdir(small_disk) == ["fill"]
     done = run("batch", SAMPLE, "-o", small_disk / "out")
-    told = done.stderr.splitlines()
-    assert done.returncode == 1 and "facemime: sample.mp4: Cannot write" in told[-2] and "report" in told[-1], told
+    errors = done.stderr.splitlines()
+    assert done.returncode == 1 and "facemime: sample.mp4: Cannot write" in errors[-2] and "report" in errors[-1], (
+        errors
+    )
 
 
 def test_the_processes_of_a_killed_batch_end_and_the_next_run_cleans_up(tmp_path):

@@ -1,8 +1,8 @@
-"""Takes, presets and .blend files that an earlier version wrote open and give the same motion.
+"""Takes, presets and .blend files of an earlier version can be opened and give the same motion.
 
 The files in tests/data/before_floors were written by Facemime at commit e792407, in Blender 4.2: a scene with the
-built-in head and settings that are not the default ones, the same settings as a preset, a take of 60 frames, and
-what that version made of it: every eighth vertex and the poses of three frames.
+built-in head and settings other than the defaults, the same settings as a preset, a take of 60 frames, and the
+result of that version: every eighth vertex and the poses of three frames.
 """
 
 from pathlib import Path

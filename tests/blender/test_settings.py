@@ -1,4 +1,4 @@
-"""Blender's properties are the settings of core: defaults, ranges, choices, words."""
+"""Blender's properties have the defaults, ranges, choices and texts of the settings in core."""
 
 import bpy
 import pytest
@@ -11,13 +11,13 @@ from facemime.settings.values import bake_settings, puppet_settings
 
 
 def owners() -> list[tuple[type, bpy.types.PropertyGroup]]:
-    """Groups of settings, and what has their properties."""
+    """Return each group of settings with the property group that has its properties."""
     scene = bpy.context.scene
     pairs = ((DriveSettings, scene.facemime), (PuppetSettings, scene.facemime), (PosingSettings, scene.facemime.posing))
     return [*pairs, (BakeSettings, scene.facemime_takes.bake)]
 
 
-def test_a_new_scene_has_the_settings_that_the_command_has_by_default(in_a_project):
+def test_a_new_scene_has_the_defaults_of_the_command_line(in_a_project):
     scene = bpy.context.scene
     bake = bake_settings(scene.facemime_takes.bake, "take")
     shown = puppet_settings(scene.facemime)
@@ -28,7 +28,7 @@ def test_a_new_scene_has_the_settings_that_the_command_has_by_default(in_a_proje
             assert getattr(ours, name) == pytest.approx(getattr(theirs, name)), name
 
 
-def test_a_property_has_the_range_the_choices_and_the_words_of_its_setting():
+def test_a_property_has_the_range_choices_and_texts_of_its_setting():
     for group, owner in owners():
         for name, setting in settings_of(group).items():
             rna = owner.bl_rna.properties[name]

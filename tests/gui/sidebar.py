@@ -1,7 +1,7 @@
 """The sidebar tab Facemime, operated by mouse.
 
-Blender tells nobody where its buttons are. But Ctrl-C over a button puts its Python command on the clipboard, over a
-property its value, and Shift-Ctrl-C the property's path: so the mouse feels its way down the sidebar.
+Blender offers no way to query the positions of its buttons. But Ctrl-C over a button copies its Python command, over a
+property its value, and Shift-Ctrl-C the path of the property, so the mouse probes its way down the sidebar.
 """
 
 from __future__ import annotations
@@ -107,12 +107,12 @@ class Sidebar:
     def under_mouse(self, x: float, y: float, keys: str = "ctrl+c") -> str:
         """Return what the button at a position copies to the clipboard.
 
-        Coming straight from another button Blender has to see the mouse twice, and sees only the last of its moves in a
-        row: a key without meaning stands between two.
+        When the mouse comes from another button, Blender has to see it twice, and sees only the last of several moves
+        in a row. Hence a meaningless key is pressed between two moves.
         """
         x, y = round(x), round(y)
         self.blender.input("mousemove", x - 1, y, "key", "shift", "mousemove", x, y, "key", keys)
-        self.blender.do("pass")  # Blender reads its events, answers this, handles the events, answers the next
+        self.blender.do("pass")  # Blender reads events, answers this, handles the events, answers the next
         return str(self.blender.do(_PASTE))
 
     def places(self) -> Iterator[tuple[float, float]]:
@@ -177,7 +177,7 @@ class Sidebar:
     def find(self, name: str) -> tuple[float, float]:
         """Return the position of an operator's button or a property's field; raises GuiError if it is not drawn.
 
-        `name` is an operator with its arguments as Blender writes them, the arguments' beginning, or a property's path.
+        `name` is an operator with its arguments as Blender writes them, or their beginning, or the path of a property.
         """
         keys = "ctrl+c" if name.startswith("bpy.ops.") else "ctrl+shift+c"
         seen = []

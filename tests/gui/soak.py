@@ -1,7 +1,7 @@
 """Long puppetry in Blender's window with an interrupted source: memory, threads, tracebacks.
 
-Usage: python tests/gui/soak.py [--minutes 10] [--suite sid]. Prints a line every cut and one of JSON at the end; the
-exit status is 0 only where memory does not grow beyond noise, no thread is left, and nothing is thrown.
+Usage: python tests/gui/soak.py [--minutes 10] [--suite sid]. Prints a line per interruption and JSON at the end; the
+exit status is 0 only if memory does not grow beyond noise, no thread is left, and there is no traceback.
 """
 
 from __future__ import annotations

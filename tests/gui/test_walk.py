@@ -207,7 +207,7 @@ def test_a_performer_is_calibrated_by_a_click_and_stored_by_name(blender, sideba
     sidebar.open_panel("FACEMIME_PT_calibration")
     sidebar.press("bpy.ops.facemime.calibrate(")
     kept = "len(bpy.context.scene.facemime.performers) == 1"
-    # The countdown runs on the clock of the wall, for people; a busy machine may draw no frame before it is over.
+    # The countdown uses wall-clock time; a busy machine may not draw a frame before it is over.
     blender.wait_for(f"Session.current.countdown is not None or {kept}")
     blender.shot("countdown")
     blender.wait_for(kept)
@@ -217,7 +217,7 @@ def test_a_performer_is_calibrated_by_a_click_and_stored_by_name(blender, sideba
     stop(sidebar)
 
 
-def test_a_video_is_tracked_beside_the_window_and_escape_bakes_what_was_tracked(blender, sidebar):
+def test_a_video_is_tracked_in_the_background_and_escape_bakes_the_tracked_frames(blender, sidebar):
     add_head(sidebar)
     shutil.copy(CLIP, blender.folder / "mine.mp4")
     blender.do(f"bpy.ops.facemime.puppet_video(filepath={str(blender.inside / 'mine.mp4')!r})")

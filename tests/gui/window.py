@@ -47,7 +47,7 @@ class Blender:
     shots : str
         Folder under build/gui for screenshots.
     size : tuple of int
-        Of screen and window, pixels.
+        Width and height of the screen and the window, pixels.
     """
 
     def __init__(self, place: Path, shots: str, size: tuple[int, int] = (1100, 780)) -> None:
