@@ -76,7 +76,7 @@ def run_suites(version: str, folder: Path) -> ElementTree.Element:
 @pytest.mark.parametrize("version", ["4.2", "5.0", "5.2"])
 @pytest.mark.skipif(sys.platform != "linux", reason="the environments are Linux ones")
 def test_every_suite_passes_in_this_blender(version, suite, reports):
-    cases = [case for case in reports(version).iter("testcase") if f".test_{suite}" in case.get("classname", "")]
+    cases = [case for case in reports(version).iter("testcase") if case.get("classname", "").endswith(f".test_{suite}")]
     failed = {
         case.get("name"): wrong.text for case in cases for wrong in (*case.iterfind("failure"), *case.iterfind("error"))
     }
