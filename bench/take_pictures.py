@@ -28,7 +28,7 @@ from facemime.core.takes.from_video import track_video
 from facemime.core.takes.smooth import smooth_zero_phase
 from facemime.core.takes.take import Take
 from facemime.core.takes.timing import punch_in, shift_time, trim
-from facemime.core.tracking.overlay import label, picture_of_face
+from facemime.core.tracking.overlay import draw_face, draw_label
 from facemime.core.tracking.tracker import FaceTracker
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -54,7 +54,7 @@ def main() -> int:
     sheet = [_performer(take, mended, rows)]
     for name, keys in WAYS.items():
         pictures, told = _baked(mended, keys, mended.times[rows])
-        sheet.append(np.hstack([label(pictures[0], name), *pictures[1:]]))
+        sheet.append(np.hstack([draw_label(pictures[0], name), *pictures[1:]]))
         print(f"{name}: {told}")
     _write(folder / "takes_bakes.jpg", np.vstack(sheet))
     _write(folder / "takes_mended.jpg", draw_before_after(take, mended))
@@ -70,8 +70,8 @@ def _performer(take: Take, mended: Take, rows: NDArray[np.intp]) -> Image:
     with VideoSource(CLIP) as source:
         for frame in source:
             if frame.index in wanted:
-                seen[frame.index] = picture_of_face(frame.image, take.landmarks[frame.index].astype(float), SIDE)
-    return np.hstack([label(seen[n], f"{time:.1f} s") for n, time in zip(wanted, mended.times[rows], strict=True)])
+                seen[frame.index] = draw_face(frame.image, take.landmarks[frame.index].astype(float), SIDE)
+    return np.hstack([draw_label(seen[n], f"{time:.1f} s") for n, time in zip(wanted, mended.times[rows], strict=True)])
 
 
 def _baked(take: Take, keys: str, times: NDArray[np.float64]) -> tuple[list[Image], str]:

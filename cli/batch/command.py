@@ -16,7 +16,7 @@ from ...core.locks import lock_of, sweep
 from ...core.puppet.job import PuppetJob
 from ...core.takes.file import SUFFIX, load_take
 from ...core.takes.take import Take
-from ...core.tracking.overlay import picture_of_frame
+from ...core.tracking.overlay import draw_frame
 from ..puppet.command import run_puppet
 from ..terminal.console import Progress, printable, tell
 from ..terminal.options import (
@@ -183,7 +183,7 @@ def _thumbnails(clip: Path, take: Take) -> list[bytes]:
         for frame in source:
             if frame.index in wanted:
                 landmarks = take.landmarks[frame.index].astype(float)
-                pictures.append(jpeg_of(picture_of_frame(frame.image, landmarks, *_THUMBNAIL)))
+                pictures.append(jpeg_of(draw_frame(frame.image, landmarks, *_THUMBNAIL)))
             if len(pictures) == len(wanted):
                 break
     return pictures

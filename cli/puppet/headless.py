@@ -34,7 +34,7 @@ from ...core.puppet.job import HeadFile, PuppetJob
 from ...core.puppet.settings import PuppetSettings
 from ...core.reading import read_text
 from ...core.takes.take import Take
-from ...core.tracking.overlay import contact_sheet, label, picture_of_face, picture_of_frame
+from ...core.tracking.overlay import contact_sheet, draw_face, draw_frame, draw_label
 from ..terminal.console import Progress, tell
 from ..terminal.stopping import STOPPING
 
@@ -205,7 +205,7 @@ def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: 
         for i, (index, picture, avatar) in enumerate(zip(indices, pictures, avatars, strict=True)):
             STOPPING.check()
             progress.update(i + 1)
-            yield np.hstack([picture_of_frame(picture, _landmarks(take, index), left_width, AVATAR_SIDE), avatar])
+            yield np.hstack([draw_frame(picture, _landmarks(take, index), left_width, AVATAR_SIDE), avatar])
 
     with STOPPING.holding():
         write_video(composed(), fps, path)
@@ -217,9 +217,9 @@ def write_sheet(scene: bpy.types.Scene, take: Take, video: Path | None, frames: 
     avatars = _avatars(scene, take.times[frames])
     pairs = []
     for frame, picture, avatar in zip(frames, _pictures(take, video, frames.tolist()), avatars, strict=True):
-        face = picture_of_face(picture, _landmarks(take, frame), TILE_SIDE)
+        face = draw_face(picture, _landmarks(take, frame), TILE_SIDE)
         small = cv2.resize(avatar, (TILE_SIDE, TILE_SIDE), interpolation=cv2.INTER_AREA)
-        pairs.append((label(face, f"{take.times[frame]:.2f} s"), np.asarray(small, dtype=np.uint8)))
+        pairs.append((draw_label(face, f"{take.times[frame]:.2f} s"), np.asarray(small, dtype=np.uint8)))
     write_image(path, contact_sheet(pairs))
 
 

@@ -22,7 +22,7 @@ from ..errors import FacemimeError, OutputError
 from ..heads.rig import HeadRig
 from ..takes.neutral import Neutral
 from ..takes.take import Take, TakeRecorder
-from ..tracking.overlay import preview_of
+from ..tracking.overlay import draw_preview
 from ..tracking.result import TrackResult
 from ..tracking.smoothing import ResultSmoother
 from ..tracking.tracker import FaceTracker
@@ -298,7 +298,7 @@ class LiveWorker:
         heads = self._driven(result)
         prepared = tuple(self._prepare_to_show(head) for head in heads)
         driven = perf_counter()
-        preview = preview_of(frame.image, result, options.preview) if options.preview else None
+        preview = draw_preview(frame.image, result, options.preview) if options.preview else None
         self.counts.tracked += 1
         self.counts.lost += not result.found
         self.latest = LiveResult(

@@ -1,4 +1,4 @@
-"""Is there a face where the fit ended? A learnt answer, since the fit's own score is a weak one."""
+"""Whether there is a face where a fit ended, which is learnt (docs/method.md, section 3.6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The choice: which of several faces is the performer's."""
+"""Which of several faces is the performer's (docs/method.md, section 3.7)."""
 
 from __future__ import annotations
 
@@ -8,19 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from .identity import Identity, portrait
+from .identity import Identity, describe_face
 from .pdm import FittedShape
 from .search import Candidate, largest
 
-_REMEMBERED, _BEHIND = 25, 75
-"""Frames for which a lost face is waited for where it was before another one is taken: after a cut, or where it left,
-and while a bystander is in front of it."""
+_WAIT_FRAMES, _WAIT_CROWDED_FRAMES = 25, 75
+"""Frames for which a lost face is awaited before another one is taken; longer while a bystander may hide it."""
 LEFTMOST, RIGHTMOST = (-1e6, 0.0), (1e6, 0.0)
-"""Places for `FaceTracker.choose`: far out to either side."""
+"""Positions for `FaceTracker.choose`, in pixels, far outside either side of any image."""
 
 
 class FaceChoice:
-    """The face that the user named; otherwise the one that was lost, while it is waited for; otherwise the largest.
+    """Chooses the face that was requested; otherwise the lost one, while it is awaited; otherwise the largest.
 
     Attributes
     ----------
@@ -30,50 +29,62 @@ class FaceChoice:
 
     def __init__(self) -> None:
         self.misses = 0
-        self._named: FloatArray | None = None
+        self._requested: FloatArray | None = None
         self._lost: FittedShape | None = None
 
     @property
     def waiting(self) -> bool:
-        """Whether a certain face is waited for, not just any."""
-        return self._named is not None or self._lost is not None
+        """Whether a particular face is awaited, rather than any."""
+        return self._requested is not None or self._lost is not None
 
-    def name(self, x: float, y: float) -> None:
-        """Take the face nearest to the place (x, y), pixels, when one is found."""
-        self._named = np.array([x, y], np.float64)
+    def request(self, x: float, y: float) -> None:
+        """Take the face nearest to a point as soon as one is found.
 
-    def lose(self, last: FittedShape) -> None:
-        """Wait for the face that was here a frame ago."""
+        Parameters
+        ----------
+        x, y : float
+            Pixels, image frame.
+        """
+        self._requested = np.array([x, y], np.float64)
+
+    def wait_for(self, last: FittedShape) -> None:
+        """Wait for the face that was last seen here."""
         self._lost = last
 
     def settle(self) -> None:
-        """A face was chosen."""
-        self._named = self._lost = None
+        """Note that a face was found: nothing is awaited any more."""
+        self._requested = self._lost = None
         self.misses = 0
 
     def pick(self, grey: NDArray[np.uint8], candidates: Sequence[Candidate], identity: Identity) -> Candidate | None:
-        """The face to track of those in view, or None; `identity` starts again where it may be anybody's.
+        """Pick the face to track; resets `identity` when anybody may be tracked.
 
         Parameters
         ----------
         grey : (H, W) uint8
-            The image in which they were found.
+            The image in which the candidates were found.
         candidates : sequence of Candidate
+            The faces in view.
         identity : Identity
-            Of the performer who was lost.
+            Of the lost performer.
+
+        Returns
+        -------
+        Candidate or None
+            None if no candidate qualifies.
         """
-        if self._named is not None and candidates:
-            x, y = self._named
+        if self._requested is not None and candidates:
+            x, y = self._requested
             return min(candidates, key=lambda c: c.distance(x, y))
-        if self._lost is None or self.misses >= (_BEHIND if identity.crowded else _REMEMBERED):
+        if self._lost is None or self.misses >= (_WAIT_CROWDED_FRAMES if identity.crowded else _WAIT_FRAMES):
             identity.reset()
             return largest(candidates)
         poses = [c.pose for c in candidates]
-        own = identity.candidates([portrait(grey, pose) for pose in poses], poses)
+        own = identity.candidates([describe_face(grey, pose) for pose in poses], poses)
         return largest([candidates[i] for i in own if self._in_reach(candidates[i])])
 
     def _in_reach(self, candidate: Candidate) -> bool:
-        """Whether a face may be the one that was lost so many frames ago: near enough, and about as large."""
+        """Whether a face can be the lost one, given the frames since: near enough, and of about the same size."""
         assert self._lost is not None
         pose, reach = self._lost.pose, 1.5 + 0.2 * self.misses
         near = candidate.distance(pose[4], pose[5]) < reach * pose[0]

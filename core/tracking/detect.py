@@ -1,4 +1,4 @@
-"""Viola-Jones face boxes from the cascades that come with OpenCV."""
+"""Viola-Jones face detection with the cascades that come with OpenCV (docs/method.md, section 3.2)."""
 
 from __future__ import annotations
 
@@ -18,56 +18,56 @@ DETECTORS = ("haarcascade_frontalface_default", "haarcascade_frontalface_alt2", 
 
 
 class Effort(IntEnum):
-    """Where and how faces are looked for."""
+    """Kinds of search, in the order in which they are made: cheap and likely ones first."""
 
     NEAR = 0
-    """As large as before one's own camera."""
+    """Faces as large as in front of a webcam."""
     SMALL = 1
     FILLING = 2
-    """So near that they fill the picture, or are cut by its rim."""
+    """Close-ups that fill the picture or are cut by its border."""
     FINE = 3
-    """Also small, dim and odd ones."""
+    """Also small, dim and unusual faces."""
     PROFILE = 4
     TILTED = 5
     LYING = 6
     FAR = 7
     FARTHER = 8
-    """In images that are large enough for faces far away."""
+    """Faces far away, in images that are large enough for them."""
     ANYTHING = 9
-    """Wherever a single window looked like a face: nearly everywhere, for the tracker to sort out."""
+    """Every window that a single stage of a cascade accepts; the tracker has to sort them out."""
 
 
 EFFORTS = tuple(Effort)
 _QUICK_SIDE = 320
 _SIDES = {Effort.FILLING: 240, Effort.FINE: 480, Effort.FAR: 960, Effort.FARTHER: 1920, Effort.ANYTHING: 480}
-"""Pixels to which the longer side of an image is shrunk before it is searched, where it is not the quick side."""
+"""Pixels to which the longer side of an image is reduced for an effort, if not `_QUICK_SIDE`."""
 _SEARCHED = {Effort.FAR: _SIDES[Effort.FINE], Effort.FARTHER: _SIDES[Effort.FAR]}
-"""The side at which an earlier effort searched: images that are no larger have no more to show."""
+"""The side that an earlier effort used: smaller images gain nothing from this one."""
 _RIM = 60
-"""Pixels by which an image's rim is drawn out for faces that fill it."""
+"""Pixels by which the border of an image is extended for close-ups."""
 _SMALLEST = 28
 _FARTHEST = 72
-"""Pixels up to which faces far away are looked for; earlier efforts see larger ones."""
+"""Largest box in pixels of the efforts for faces far away; earlier efforts find larger ones."""
 _NEAR = 72
-"""Pixels of the quick side: faces of a quarter of the picture are looked for first, in a third of the time."""
+"""Smallest box in pixels of the first effort: about a quarter of the picture, which takes a third of the time."""
 _FILLING = 96
-"""Pixels from which on a face fills the picture."""
+"""Smallest box in pixels of a close-up."""
 _TILTS = {Effort.TILTED: (0.5, -0.5), Effort.LYING: (1.05, -1.05, 1.6, -1.6)}
-"""Radians, each good for a quarter of a radian to either side."""
+"""Radians; each covers a quarter of a radian to either side."""
 
 
 @dataclass(frozen=True)
 class FaceBox:
-    """Where a detector saw a face.
+    """A box in which a detector found a face.
 
     Attributes
     ----------
     box : (4,) float64
-        `(x, y, width, height)`, pixels; its centre is exact also where the image was turned.
+        `(x, y, width, height)`, pixels. If the image was rotated, only the centre and the size are meaningful.
     detector : int
         Index into `DETECTORS`.
     roll : float
-        Radians by which the image was turned back for the detector.
+        Radians by which the image was rotated back for the detector.
     """
 
     box: FloatArray
@@ -75,7 +75,7 @@ class FaceBox:
     roll: float = 0.0
 
     def start_pose(self, offsets: FloatArray) -> FloatArray:
-        """(6,) frontal pose, by each detector's learnt offset (D, 3) of translation and scale in box widths."""
+        """(6,) frontal pose from the learnt offsets (D, 3) of the detectors: translation and scale in box widths."""
         dx, dy, scale = offsets[self.detector]
         x, y, width, height = self.box
         place = (x + width * (0.5 + dx), y + 0.5 * height + width * dy)
@@ -83,7 +83,7 @@ class FaceBox:
 
 
 class BoxDetector:
-    """Proposes faces; the tracker tries and judges them."""
+    """Proposes boxes that may contain faces; the tracker fits and checks them."""
 
     @cached_property
     def _cascades(self) -> list[cv2.CascadeClassifier]:
@@ -96,9 +96,23 @@ class BoxDetector:
         return cascades
 
     def boxes(self, grey: NDArray[np.uint8], effort: Effort) -> list[FaceBox]:
-        """Boxes that one of `EFFORTS` sees in the grey image (H, W), largest first.
+        """Detect boxes that may contain faces.
 
-        4 to 100 ms an effort at 640 x 480; the first finds most faces.
+        Parameters
+        ----------
+        grey : (H, W) uint8
+            Grey image.
+        effort : Effort
+            One of `EFFORTS`.
+
+        Returns
+        -------
+        list of FaceBox
+            Largest first.
+
+        Notes
+        -----
+        An effort takes 4 to 100 ms at 640 x 480. The first one finds most faces.
         """
         plain, factor = _shrink(grey, _SIDES.get(effort, _QUICK_SIDE))
         if min(plain.shape) < _SMALLEST or max(grey.shape) <= _SEARCHED.get(effort, 0):
@@ -170,7 +184,7 @@ def _shrink(grey: NDArray[np.uint8], side: int) -> tuple[NDArray[np.uint8], floa
 
 
 def _distinct(boxes: list[FaceBox]) -> list[FaceBox]:
-    """Without those that repeat an earlier one's place, size and roll."""
+    """Remove boxes that repeat the position, size and roll of an earlier one."""
     kept: list[FaceBox] = []
     for candidate in boxes:
         x, y, w, _ = candidate.box

@@ -1,4 +1,4 @@
-"""One frame: look with the experts, fit the shape model, look again; from a given start (METHOD section 3)."""
+"""Fitting the shape model to a frame from a given start, stage by stage (docs/method.md, sections 3.3 to 3.5)."""
 
 from __future__ import annotations
 
@@ -19,33 +19,34 @@ from .pdm import FittedShape, PointDistributionModel
 from .reference import pose_in_image
 
 _SIDE_YAW = 0.36
-"""Radians of yaw beyond which the side view's visibility and patch experts count."""
-_CERTAIN, _CERTAIN_AT_A_GLANCE = 0.08, 0.1
-"""Standard deviation of a response map, in eye distances, at which its landmark is trusted half; a glance's maps are
-the wider the larger their cells are."""
-_FAR = 0.05
-"""Eye distances by which a part may have moved since the last frame before it is looked at again."""
+"""Radians of yaw beyond which visibilities and patch experts of the side view are used."""
+_HALF_CERTAIN, _HALF_CERTAIN_GLANCE = 0.08, 0.1
+"""`h` of equation 3.2, in eye distances: standard deviation of a map that halves its weight. The glance's maps are
+wider, as their cells are larger."""
+_REFIT_DISTANCE = 0.05
+"""Eye distances that a part may move between two frames before its experts are evaluated again."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One look and the fit to it.
+    """One evaluation of the experts and the fits to their maps.
 
     Attributes
     ----------
     parts : bool
-        Whether the parts' experts look, and the whole face is only glanced at; otherwise it is all that is looked at.
+        Whether to use the experts of the parts and the glance, rather than those of the whole face.
     rounds : tuple of MeanShiftOptions
-        In eye distances; each starts from where the last one ended.
+        In eye distances; each round starts from the result of the previous one.
     """
 
     parts: bool
     rounds: tuple[MeanShiftOptions, ...]
 
 
-_TOWARDS = MeanShiftOptions((inf,), 0.006)
-COARSE = Stage(False, (_TOWARDS, _TOWARDS, _TOWARDS, MeanShiftOptions((0.02, 0.01), 0.006, doubt=0.05)))
-FINE = Stage(True, (MeanShiftOptions((inf, inf, inf), 2e-4, doubt=0.03),))
+# The table of section 3.4. Three rounds with a Jacobian each let the pose turn far from that of a detected box.
+_APPROACH = MeanShiftOptions((inf,), 0.006)
+COARSE = Stage(False, (_APPROACH, _APPROACH, _APPROACH, MeanShiftOptions((0.02, 0.01), 0.006, outlier_scale=0.05)))
+FINE = Stage(True, (MeanShiftOptions((inf, inf, inf), 2e-4, outlier_scale=0.03),))
 _EDGES = MeanShiftOptions((4e-4, 2e-4), 3e-5)
 REFINED = (FINE, FINE)
 DETECTED = (COARSE, *REFINED)
@@ -53,7 +54,7 @@ DETECTED = (COARSE, *REFINED)
 
 @dataclass(frozen=True)
 class Fit:
-    """Where a fit ended (image frame), what the check looks at, and how certain each landmark is (66,)."""
+    """Result of a fit (image frame), features (6,) for the check, and certainty (66,) of each landmark, 0 to 1."""
 
     fitted: FittedShape
     features: FloatArray
@@ -61,23 +62,25 @@ class Fit:
 
 
 class FaceFitter:
-    """The fit of a model to a frame.
+    """Fits a model to frames.
 
     Parameters
     ----------
     model : TrackerModel
     timings : dict of str to float
-        The seconds that "look", "fit" and "check" took are added there.
+        Seconds spent in "experts", "fit" and "check" are added here.
     """
 
     def __init__(self, model: TrackerModel, timings: dict[str, float]) -> None:
         self._model, self._timings = model, timings
-        # Fitted are the places that the experts were taught; reported is where `pdm` has the same shape.
-        taught = model.pdm.mean_shape - model.definition
-        self._taught = PointDistributionModel(taught, model.pdm.basis, model.pdm.eigenvalues)
+        # The experts were trained on landmarks of a slightly different definition. Fit with a mean shape that follows
+        # theirs; results are reported by `pdm` with the same parameters.
+        trained = model.pdm.mean_shape - model.definition
+        self._fitted_pdm = PointDistributionModel(trained, model.pdm.basis, model.pdm.eigenvalues)
         self._visibility = {-1: model.visibility[1][MIRROR], 0: model.visibility[0], 1: model.visibility[1]}
         frontal, side = model.patches
         self._patches = {-1: side.mirrored(MIRROR), 0: frontal, 1: side}
+        # Section 3.3: beside the parts, the glance counts little, and less where a part has better maps.
         in_parts = np.zeros(N_LANDMARKS, bool)
         for part in model.parts:
             in_parts[part.landmarks] = True
@@ -85,36 +88,68 @@ class FaceFitter:
         self._face_weight = np.where(in_parts, 0.1, 0.4)
 
     def fit(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[Stage, ...]) -> Fit:
-        """Fit a grey image (H, W) from `start` (image frame)."""
+        """Fit a face from a given start.
+
+        Parameters
+        ----------
+        grey : (H, W) uint8
+            Grey image.
+        start : FittedShape
+            Image frame.
+        stages : tuple of Stage
+            `COARSE`, `REFINED` or `DETECTED`. If the last one uses parts, edges are refined at the end.
+
+        Returns
+        -------
+        Fit
+            Image frame.
+        """
         out = Fit(start, np.zeros(N_FEATURES), np.zeros(N_LANDMARKS))
         for stage in stages:
             out = self._fit_stage(grey, out.fitted, stage)
-        return self._on_edges(grey, out) if stages[-1].parts else out
+        return self._refine_edges(grey, out) if stages[-1].parts else out
 
     def follow(self, grey: NDArray[np.uint8], last: FittedShape) -> Fit:
-        """Fit a grey image (H, W) from where the face was a frame ago: one look, or two where it moved far."""
+        """Fit a face from its position in the previous frame, in one stage, or two if a part has moved far.
+
+        Parameters
+        ----------
+        grey : (H, W) uint8
+            Grey image.
+        last : FittedShape
+            Fit of the previous frame, image frame.
+
+        Returns
+        -------
+        Fit
+            Image frame.
+        """
         fit = self._fit_stage(grey, last, FINE)
         if self._moved_far(last, fit.fitted):
             fit = self._fit_stage(grey, fit.fitted, FINE)
-        return self._on_edges(grey, fit)
+        return self._refine_edges(grey, fit)
 
     def _fit_stage(self, grey: NDArray[np.uint8], start: FittedShape, stage: Stage) -> Fit:
         began = perf_counter()
         local = _in_face_frame(start)
-        face, log_odds = (self._model.glance if stage.parts else self._model.face).look(grey, start.pose)
-        shape = self._taught.project(local.pose, local.shape_params)
-        maps = [part.look(grey, start.pose, shape) for part in self._model.parts] if stage.parts else []
+        # 1. Response maps (3.3), in the face frame of the start.
+        face, log_odds = (self._model.glance if stage.parts else self._model.face).respond(grey, start.pose)
+        shape = self._fitted_pdm.project(local.pose, local.shape_params)
+        maps = [part.respond(grey, start.pose, shape) for part in self._model.parts] if stage.parts else []
         looked = perf_counter()
+        # 2. Their weights: certainty (3.2) times visibility in this view.
         visible = self._visibility[_view(start.pose)]
-        certainty = _certainty(face, _CERTAIN_AT_A_GLANCE if maps else _CERTAIN)
-        of_parts = [_certainty(m, _CERTAIN) for m in maps]
+        certainty = _certainty(face, _HALF_CERTAIN_GLANCE if maps else _HALF_CERTAIN)
+        of_parts = [_certainty(m, _HALF_CERTAIN) for m in maps]
         evidence = [Evidence(m, c * visible[m.landmarks]) for m, c in zip(maps, of_parts, strict=True)]
         evidence += [Evidence(face, certainty * visible * (self._face_weight if maps else 1.0), coarse=bool(maps))]
+        # 3. Mean-shift (3.4); the result returns to the image frame.
         for options in stage.rounds:
-            local = regularised_mean_shift(self._taught, local, evidence, options)
+            local = regularised_mean_shift(self._fitted_pdm, local, evidence, options)
         fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
         ended = perf_counter()
-        shape = self._taught.project(local.pose, local.shape_params)
+        shape = self._fitted_pdm.project(local.pose, local.shape_params)
+        # 4. Inputs of the loss check (3.6); factors bring them to similar ranges.
         features = np.zeros(N_FEATURES)
         features[:4] = 1.0, 0.2 * log_odds, certainty[INNER].mean(), 10.0 * _distance(face, shape)[INNER].mean()
         if maps:
@@ -122,32 +157,32 @@ class FaceFitter:
             features[4:] = np.concatenate(of_parts).mean(), 10.0 * away.mean()
         for m, c in zip(maps, of_parts, strict=True):
             certainty[m.landmarks] = c
-        self._timings["look"] += looked - began
+        self._timings["experts"] += looked - began
         self._timings["fit"] += ended - looked
         self._timings["check"] += perf_counter() - ended
         return Fit(fitted, features, certainty)
 
-    def _on_edges(self, grey: NDArray[np.uint8], fit: Fit) -> Fit:
-        """The fit after the patch experts had their last word."""
+    def _refine_edges(self, grey: NDArray[np.uint8], fit: Fit) -> Fit:
+        """Refine a fit by the patch experts (section 3.5)."""
         began = perf_counter()
         start = fit.fitted
         local, view = _in_face_frame(start), _view(start.pose)
-        shape = self._taught.project(local.pose, local.shape_params)
-        maps, highest = self._patches[view].look(grey, start.pose, shape)
+        shape = self._fitted_pdm.project(local.pose, local.shape_params)
+        maps, highest = self._patches[view].respond(grey, start.pose, shape)
         looked = perf_counter()
         evidence = [Evidence(maps, self._visibility[view] * highest)]
-        local = regularised_mean_shift(self._taught, local, evidence, _EDGES)
+        local = regularised_mean_shift(self._fitted_pdm, local, evidence, _EDGES)
         fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
-        self._timings["look"] += looked - began
+        self._timings["experts"] += looked - began
         self._timings["fit"] += perf_counter() - looked
         return Fit(fitted, fit.features, fit.certainty)
 
     def _moved_far(self, before: FittedShape, now: FittedShape) -> bool:
-        """Whether some part left the middle of the picture in which its experts looked for it."""
+        """Whether a part is no longer near the middle of the picture in which its experts saw it."""
         pdm = self._model.pdm
         moved = pdm.project(now.pose, now.shape_params) - pdm.project(before.pose, before.shape_params)
         parts = [np.abs(moved[part.landmarks].sum(axis=0)).max() / len(part.landmarks) for part in self._model.parts]
-        return bool(max(parts) > _FAR * before.pose[0])
+        return bool(max(parts) > _REFIT_DISTANCE * before.pose[0])
 
 
 def _in_face_frame(start: FittedShape) -> FittedShape:
@@ -161,12 +196,12 @@ def _view(pose: FloatArray) -> int:
 
 
 def _certainty(maps: ResponseMaps, half: float) -> FloatArray:
-    """(n,) 0 to 1: how narrow each map is; a standard deviation of `half`, in eye distances, gives 0.5."""
+    """(n,) certainty of equation 3.2, where `half` is `h`."""
     return np.asarray(half**2 / (half**2 + maps.moments[1]))
 
 
 def _distance(maps: ResponseMaps, shape: FloatArray) -> FloatArray:
-    """(n,) from the maps' means to the landmarks `shape` (66, 2)."""
+    """(n,) distances from the means of the maps to the landmarks `shape` (66, 2)."""
     away = maps.moments[0] - shape[maps.landmarks]
     out: FloatArray = np.hypot(away[:, 0], away[:, 1])
     return out

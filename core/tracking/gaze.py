@@ -1,9 +1,9 @@
-"""Where the eyes look: pupil centres by the vote of image gradients, and a direction from a ball in its socket.
+"""Gaze: pupil centres from votes of image gradients, and the direction of an eyeball (docs/method.md, section 3.8).
 
-Each edge between a dark iris and the brighter white votes for the place it curves about (Timm & Barth, "Accurate Eye
-Centre Localisation by Means of Gradients", VISAPP 2011). The paper squares the dot product of every gradient with every
-direction. Here the vote is the dot product itself, taken only over the ring in which an iris of known size has its rim.
-It then is a correlation with two fixed kernels, cheap, and something bright on a dark ground votes against itself.
+The edge between a dark iris and the brighter white votes for the centre of its curvature (Timm & Barth 2011). The paper
+squares the dot product of every gradient with every direction. Here the vote is the dot product itself, over the ring
+on which an iris of known size has its rim. That is a correlation with two fixed kernels, which is cheap, and bright
+spots on dark ground get negative votes.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from .reference import warp_to_reference
 
 _EYES = np.array([EYE_RIGHT, EYE_LEFT])
 _SCALE = 60.0
-"""Pixels an outer-eye distance in which eyes are looked at."""
+"""Pixels per outer-eye distance of the picture of the eyes."""
 _WIDTH, _HEIGHT = 72, 24
-"""Pixels of the band across the face in which both eyes lie."""
+"""Pixels of that picture, a band across the face with both eyes."""
 _IRIS = 0.066 * _SCALE
-"""Radius: 5.9 mm of an outer-eye distance of 89 mm."""
+"""Radius of the iris in that picture: 5.9 mm at an outer-eye distance of 89 mm."""
 _OPEN_ABOVE = 0.16
-"""Aperture of an eye as a share of its width below which its pupil counts as hidden."""
+"""Aperture of an eye, as a share of its width, below which it counts as shut."""
 _BALL = np.array([0.0, -0.02, 0.075])
-"""Centre of an eyeball from the middle between its eye's corners: head frame, outer-eye distances."""
+"""Centre of an eyeball, relative to the middle between the corners of the eye: head frame, outer-eye distances."""
 _BALL_RADIUS = 0.13
-"""From the eyeball's centre to its pupil."""
+"""Distance from the centre of an eyeball to its pupil, in outer-eye distances."""
 
 
 @dataclass(frozen=True)
@@ -45,57 +45,73 @@ class Gaze:
 
 
 def find_gaze(grey: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, shape: FloatArray) -> Gaze:
-    """Pupils and gaze of a tracked face.
+    """Find the pupils and the gaze of a tracked face.
 
     Parameters
     ----------
-    grey : (H, W)
-    pose : (6,), landmarks : (66, 2), shape : (66, 3)
+    grey : (H, W) uint8
+        Grey image.
+    pose : (6,) float64
         As in `TrackResult`.
+    landmarks : (66, 2) float64
+        As in `TrackResult`.
+    shape : (66, 3) float64
+        As in `TrackResult`.
+
+    Returns
+    -------
+    Gaze
+        NaN for shut eyes.
 
     Notes
     -----
-    The direction is the mean of the open eyes', each counting by the area that is seen of it.
+    The direction is the mean over the open eyes, weighted by their visible areas.
     """
     pupils = np.full((2, 2), np.nan)
     outlines = landmarks[_EYES]
     across = outlines[:, 3] - outlines[:, 0]
     width = np.hypot(across[:, 0], across[:, 1])
     aperture = eye_apertures(landmarks)
+    # An eye counts by its visible area, and not at all while it is shut.
     shares = np.where(aperture > _OPEN_ABOVE * width, aperture * width, 0.0)
     looking = np.flatnonzero(shares)
     if len(looking) == 0:
         return Gaze(pupils, np.full(2, np.nan))
+    # The eyeball lies at a fixed place behind the middle between the corners of the eye.
     pupils[looking] = _pupils(grey, pose, outlines[looking])
     middles = 0.5 * (shape[_EYES[looking, 0]] + shape[_EYES[looking, 3]])
     return Gaze(pupils, _direction(pupils[looking], pose, middles, shares[looking]))
 
 
 def _direction(pupils: FloatArray, pose: FloatArray, middles: FloatArray, shares: FloatArray) -> FloatArray:
-    """(2,) mean pitch and yaw, head frame, from the eyeballs' centres to their pupils (E, 2) in the image.
+    """(2,) mean pitch and yaw, head frame, from the centres of the eyeballs to their pupils (E, 2) in the image.
 
-    Under weak perspective the pupil lies on the line of sight through its image; where that line meets the ball, on
-    the side of the viewer, is the pupil. A pupil that falls outside the ball is taken at the ball's rim.
+    Under weak perspective the pupil is where the line of sight through its image meets the front of the eyeball. If the
+    line misses the eyeball, the nearest point of its outline is used.
     """
     rotation = euler_to_matrix(*pose[1:4].tolist())
     centres = (middles + _BALL) @ rotation[:2].T
     aside = ((pupils - pose[4:6]) / pose[0] - centres) / _BALL_RADIUS
     seen = [0.0, 0.0, 0.0]
     for (x, y), share in zip(aside.tolist(), shares.tolist(), strict=True):
+        # On a unit ball: (x, y) aside, and the rest of the unit vector towards the viewer, -z.
         off = hypot(x, y)
         inwards = share / max(off, 1.0)
         towards = share * sqrt(max(1.0 - off * off, 0.0))
         seen = [seen[0] + inwards * x, seen[1] + inwards * y, seen[2] - towards]
+    # From the axes of the image back to the head frame.
     x, y, z = (seen @ rotation).tolist()
     return np.array([atan2(y, hypot(x, z)), atan2(-x, -z)])
 
 
 def _pupils(grey: NDArray[np.uint8], pose: FloatArray, outlines: FloatArray) -> FloatArray:
     """(E, 2) pupil centres in the image of the eyes with the given outlines (E, 6, 2)."""
+    # Both eyes in one upright picture around their common centre.
     place = pose.copy()
     place[4:6] = outlines.reshape(-1, 2).sum(axis=0) / (6 * len(outlines))
     frame = warp_to_reference(grey, place, _SCALE, (_WIDTH, _HEIGHT))
     corners = np.round((outlines @ frame.linear.T + frame.offset) * 16.0).astype(np.int32)
+    # The pupil lies within the lids; the gradients that vote may lie a pixel outside.
     masks = np.zeros((len(outlines), _HEIGHT, _WIDTH), np.uint8)
     for mask, polygon in zip(masks, corners, strict=True):
         cv2.fillConvexPoly(mask, polygon, (1,), cv2.LINE_8, 4)
@@ -105,20 +121,23 @@ def _pupils(grey: NDArray[np.uint8], pose: FloatArray, outlines: FloatArray) -> 
 
 
 def _votes(pixels: NDArray[np.uint8], near: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """(h, w) how much every place looks like the middle of an iris, by the gradients where `near` is not 0."""
+    """(h, w) likeness of each pixel to the centre of an iris, from the gradients where `near` is not 0."""
     smooth = cv2.GaussianBlur(pixels.astype(np.float32), (5, 5), 0.9)
     right, down = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
     strength = cv2.magnitude(right, down)
+    # Directions count, not contrast: divide by the magnitude, plus its mean so that noise on flat skin stays small.
     weight = near / (strength + np.float32(cv2.mean(strength, near)[0] + 1e-3))
+    # Votes: sum over the ring of gradient times outward direction, as correlations of either component.
     across = cv2.filter2D(right * weight, -1, _RING_X, borderType=cv2.BORDER_CONSTANT)
     along = cv2.filter2D(down * weight, -1, _RING_Y, borderType=cv2.BORDER_CONSTANT)
+    # A pupil is also dark: weight by how far the disc around each pixel is below the brightest one.
     brightest = cv2.minMaxLoc(smooth, near)[1]
     darkness = np.float32(brightest + 2.0) - cv2.blur(smooth, _DISC)
     return np.asarray(np.maximum(across + along, 0.0) * np.maximum(darkness, 0.0), np.float32)
 
 
 def _peak(votes: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[float, float]:
-    """Place `(x, y)` of the largest vote under the mask, by parabolas between the pixels."""
+    """Position `(x, y)` of the largest vote within the mask, refined by a parabola along each axis."""
     x, y = cv2.minMaxLoc(votes, mask)[3]
     if not (0 < x < _WIDTH - 1 and 0 < y < _HEIGHT - 1):
         return float(x), float(y)
@@ -127,15 +146,15 @@ def _peak(votes: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[float, f
 
 
 def _vertex(before: float, best: float, after: float) -> float:
-    """Where the parabola through three values has its vertex, -0.5 to 0.5 from the middle one."""
+    """Vertex of the parabola through three values, -0.5 to 0.5 from the middle one."""
     bend = before - 2.0 * best + after
     return min(max((before - after) / (2.0 * bend), -0.5), 0.5) if bend < 0.0 else 0.0
 
 
 def _ring() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Kernels that add up, round a place, how far gradients point away from it at about the iris' radius.
+    """Kernels that sum, around a pixel, how far gradients point away from it at about the radius of an iris.
 
-    The rim's sides count more than its top and bottom, which lids cover.
+    The sides of the rim count more than its top and bottom, which lids cover.
     """
     reach = int(1.35 * _IRIS)
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(np.float64)

@@ -1,8 +1,8 @@
-"""Whose face it is: the performer's, told from those of bystanders who pass in front of it.
+"""Telling the performer's face from those of bystanders (docs/method.md, section 3.7).
 
-Where two people cross, the landmarks of the one behind slip onto the one in front, who is a perfectly good face. What
-gives the change away is the look of the face, little as a small picture says of who somebody is: it is compared with
-what was seen of the two a moment ago, in the same light, not with people in general. Nothing of it is kept.
+When two people cross, the landmarks of the one behind slip onto the one in front, which is a perfectly good face.
+Appearance gives the change away. Even a small picture suffices, as it is compared with what the two looked like a
+moment ago in the same light, not with people in general. Nothing is stored.
 """
 
 from __future__ import annotations
@@ -18,36 +18,51 @@ from ..arrays import FloatArray
 from .reference import warp_to_reference
 
 _SIDE, _SCALE, _CELLS = 40, 26.0, 10
-"""Side of a portrait in pixels, pixels an outer-eye distance in it, cells a side of its description."""
+"""Side of the picture that is described, in pixels; its pixels per outer-eye distance; its cells per side."""
 _CENTRE, _RADII = (19.5, 21.0), (15.0, 18.0)
-"""The oval from brows to chin that counts, in the portrait's pixels."""
-_FLOOR = 16.0
-"""Added to the squared contrast of a cell: flat skin says nothing."""
-_SAME, _SIMILAR = 0.85, 0.8
-"""Likeness above which a face surely is the one followed, and above which two looks are of one other person."""
-_MORE, _LESS = 0.06, 0.1
-"""By how much a face must be liker somebody before it counts as theirs, and by how much less like the one that was lost
-it may be where nobody else was."""
-_LEARNT, _IN_DOUBT, _OF_OTHERS = 0.2, 0.05, 0.3
-"""Share of the newest look in what is remembered: of the face followed, of the same while something is odd about it
-(a hand, a new light: what lasts two seconds is got used to), and of others."""
-_AT_ONCE = 6
-"""Odd looks in a row from which on it is searched for others at every sixth only."""
-_MOST = 4
-"""Others who are remembered at once."""
-_STEP, _STRAY = 0.25, 0.08
-"""Eye distances that a face may be from where it was a frame ago, and more with every further frame."""
-_FORGOTTEN, _LATELY = 12, 50
-"""Frames after which a place says nothing any more, and after which somebody is not there any more."""
+"""The oval from brows to chin that is described, in pixels of that picture."""
+_CONTRAST_FLOOR = 16.0
+"""Added to the squared contrast of a cell, so that flat skin contributes little."""
+_SAME, _SAME_BYSTANDER = 0.85, 0.8
+"""Similarity above which a face is certainly the tracked one, and above which two faces are the same bystander."""
+_MARGIN, _TOLERANCE = 0.06, 0.1
+"""How much more similar to one person a face has to be to count as theirs, and how much less similar to the lost one it
+may be if nobody else was seen there."""
+_LEARNING_RATE, _UNSURE_RATE, _BYSTANDER_RATE = 0.2, 0.05, 0.3
+"""Share of the newest descriptor in the remembered one: of the tracked face, of the same while it looks unusual (at
+this rate a hand or a new light is accepted after about two seconds), and of a bystander."""
+_PROMPT_SEARCHES = 6
+"""Unusual checks in a row that each search for bystanders; after that, only every sixth one does."""
+_MAX_BYSTANDERS = 4
+"""Bystanders that are remembered at a time."""
+_STEP, _DRIFT = 0.25, 0.08
+"""Eye distances that a face may move in one frame, and additionally per further frame."""
+_POSITION_FRAMES, _PRESENCE_FRAMES = 12, 50
+"""Frames for which the position of a bystander stays valid, and for which they count as present."""
 
 
-def portrait(grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float32]:
-    """(400,) of length 1: how a face of a grey image (H, W) looks at its fitted pose (6,).
+def describe_face(grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float32]:
+    """Describe the appearance of a fitted face, for comparison within one video.
 
-    Slopes of the picture, up, down, left and right, averaged over cells and scaled to equal contrast in each (a coarse
-    histogram of gradients: Dalal & Triggs 2005); 0.04 ms. The product of two portraits is their likeness: some 0.97
-    from second to second of one person, 0.85 where the expression changes, 0.7 between people.
+    Parameters
+    ----------
+    grey : (H, W) uint8
+        Grey image.
+    pose : (6,) float64
+        Fitted pose, image frame.
+
+    Returns
+    -------
+    (400,) float32
+        Descriptor of length 1. The inner product of two is their similarity: about 0.97 from one second to the next
+        for one person, 0.85 across a change of expression, 0.7 between people.
+
+    Notes
+    -----
+    A coarse histogram of gradients (Dalal & Triggs 2005): slopes up, down, left and right, averaged over cells and
+    normalised per cell. Takes 0.04 ms.
     """
+    # Slopes in four directions, within the oval.
     picture = warp_to_reference(grey, pose, _SCALE, (_SIDE, _SIDE)).pixels
     across = cv2.Sobel(picture, cv2.CV_32F, 1, 0)
     down = cv2.Sobel(picture, cv2.CV_32F, 0, 1)
@@ -55,8 +70,9 @@ def portrait(grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float32]:
     np.maximum(slopes, 0.0, out=slopes)
     slopes *= _OVAL
     cells = cv2.resize(slopes, (_CELLS, _CELLS), interpolation=cv2.INTER_AREA)
-    cells /= np.sqrt(np.square(cells).sum(axis=-1, keepdims=True) + np.float32(_FLOOR))
-    return _unit(cells.reshape(-1) - cells.mean())
+    # Normalise the contrast per cell, then the length of the whole, which makes descriptors independent of the light.
+    cells /= np.sqrt(np.square(cells).sum(axis=-1, keepdims=True) + np.float32(_CONTRAST_FLOOR))
+    return _normalise(cells.reshape(-1) - cells.mean())
 
 
 def _oval() -> NDArray[np.float32]:
@@ -66,111 +82,132 @@ def _oval() -> NDArray[np.float32]:
     return out
 
 
-def _unit(look: NDArray[np.float32]) -> NDArray[np.float32]:
-    out: NDArray[np.float32] = look / max(float(np.linalg.norm(look)), 1e-6)
+def _normalise(descriptor: NDArray[np.float32]) -> NDArray[np.float32]:
+    out: NDArray[np.float32] = descriptor / max(float(np.linalg.norm(descriptor)), 1e-6)
     return out
 
 
-def _blended(old: NDArray[np.float32], new: NDArray[np.float32], share: float) -> NDArray[np.float32]:
-    return _unit(old + np.float32(share) * (new - old))
+def _blend(old: NDArray[np.float32], new: NDArray[np.float32], share: float) -> NDArray[np.float32]:
+    return _normalise(old + np.float32(share) * (new - old))
 
 
 @dataclass
 class _Bystander:
-    """Somebody else: appearance, and where (6,) and in which frame last seen."""
+    """Another person: appearance, and the pose (6,) and frame in which they were last seen."""
 
-    look: NDArray[np.float32]
+    descriptor: NDArray[np.float32]
     pose: FloatArray
     frame: int
 
     def continues(self, pose: FloatArray, frame: int) -> bool:
-        """Whether a face at `pose` (6,) is where this one may have gone since."""
+        """Whether this person can have moved to `pose` (6,) since."""
         age = frame - self.frame
         away = float(np.hypot(*(pose[4:6] - self.pose[4:6]))) / self.pose[0]
-        return age < _FORGOTTEN and away < _STEP + _STRAY * age and 0.75 < pose[0] / self.pose[0] < 1.33
+        return age < _POSITION_FRAMES and away < _STEP + _DRIFT * age and 0.75 < pose[0] / self.pose[0] < 1.33
 
 
 @dataclass
 class Identity:
-    """What is remembered of the performer's face, and of bystanders'.
+    """What the performer and bystanders look like.
 
     Attributes
     ----------
     frame : int
-        Number of the present frame; whoever owns this counts it up.
+        Number of the current frame; the owner increments it.
     """
 
     frame: int = 0
     _own: NDArray[np.float32] | None = None
-    _doubts: int = 0
+    _unusual: int = 0
     _bystanders: list[_Bystander] = field(default_factory=list)
 
     @property
     def crowded(self) -> bool:
-        """Whether a bystander was seen lately."""
-        return any(self.frame - other.frame < _LATELY for other in self._bystanders)
+        """Whether a bystander was seen recently."""
+        return any(self.frame - other.frame < _PRESENCE_FRAMES for other in self._bystanders)
 
     @property
     def search_due(self) -> bool:
-        """Whether to search for bystanders, as the tracked face looks odd: at once, and less often while it lasts."""
-        return self._doubts < _AT_ONCE or self._doubts % _AT_ONCE == 0
+        """Whether to search for bystanders when the tracked face looks unusual: often at first, then less."""
+        return self._unusual < _PROMPT_SEARCHES or self._unusual % _PROMPT_SEARCHES == 0
 
     def reset(self) -> None:
-        """Start again with another performer."""
-        self._own, self._doubts = None, 0
+        """Start again, with any performer."""
+        self._own, self._unusual = None, 0
         self._bystanders = []
 
-    def recognises(self, look: NDArray[np.float32]) -> bool:
-        """Whether this portrait is certainly the performer's; if so, it is remembered."""
+    def recognises(self, descriptor: NDArray[np.float32]) -> bool:
+        """Whether a descriptor is certainly the performer's; if so, it is learnt."""
         if self._own is None:
-            self._own = look
+            self._own = descriptor
             return True
-        if float(self._own @ look) < _SAME:
+        if float(self._own @ descriptor) < _SAME:
             return False
-        self._own, self._doubts = _blended(self._own, look, _LEARNT), 0
+        self._own, self._unusual = _blend(self._own, descriptor, _LEARNING_RATE), 0
         return True
 
-    def is_bystander(self, look: NDArray[np.float32]) -> bool:
-        """Whether this portrait is closer to a bystander's."""
-        return self._margin(look) < -_MORE
+    def is_bystander(self, descriptor: NDArray[np.float32]) -> bool:
+        """Whether a descriptor is closer to a bystander's than to the performer's."""
+        return self._margin(descriptor) < -_MARGIN
 
-    def adapt(self, look: NDArray[np.float32]) -> None:
-        """Remember a little of a portrait that may be the performer's."""
+    def adapt(self, descriptor: NDArray[np.float32]) -> None:
+        """Adapt slowly to a descriptor that may be the performer's."""
         assert self._own is not None
-        self._own = _blended(self._own, look, _IN_DOUBT)
-        self._doubts += 1
+        self._own = _blend(self._own, descriptor, _UNSURE_RATE)
+        self._unusual += 1
 
-    def update_bystander(self, look: NDArray[np.float32], pose: FloatArray) -> None:
-        """Remember a face at `pose` (6,) as a bystander's: one who was there, one who looks alike, or a new one."""
+    def update_bystander(self, descriptor: NDArray[np.float32], pose: FloatArray) -> None:
+        """Remember a face as a bystander's: the one who was there, else one who looks alike, else a new one.
+
+        Parameters
+        ----------
+        descriptor : (400,) float32
+            As `describe_face` returns it.
+        pose : (6,) float64
+            Image frame.
+        """
         there = [other for other in self._bystanders if other.continues(pose, self.frame)]
-        alike = [other for other in self._bystanders if float(other.look @ look) > _SIMILAR]
+        alike = [other for other in self._bystanders if float(other.descriptor @ descriptor) > _SAME_BYSTANDER]
         if there or alike:
-            other = max(there or alike, key=lambda o: float(o.look @ look))
-            other.look, other.pose, other.frame = _blended(other.look, look, _OF_OTHERS), pose, self.frame
+            other = max(there or alike, key=lambda o: float(o.descriptor @ descriptor))
+            other.descriptor = _blend(other.descriptor, descriptor, _BYSTANDER_RATE)
+            other.pose, other.frame = pose, self.frame
         else:
-            self._bystanders = [*self._bystanders, _Bystander(look, pose, self.frame)][-_MOST:]
+            self._bystanders = [*self._bystanders, _Bystander(descriptor, pose, self.frame)][-_MAX_BYSTANDERS:]
 
-    def candidates(self, looks: Sequence[NDArray[np.float32]], poses: Sequence[FloatArray]) -> list[int]:
-        """Indices of the faces in view that may be the performer's; bystanders who are still there are updated.
+    def candidates(self, descriptors: Sequence[NDArray[np.float32]], poses: Sequence[FloatArray]) -> list[int]:
+        """Select the faces in view that may be the performer's, and update bystanders who are still there.
 
-        Such a face looks more like the performer than like anybody else, or is where nobody was and looks about as
-        much like either.
+        Such a face is more similar to the performer than to anybody else, or is about as similar and in a place where
+        nobody else was.
+
+        Parameters
+        ----------
+        descriptors : sequence of (400,) float32
+            Of the faces in view.
+        poses : sequence of (6,) float64
+            Of the same faces, image frame.
+
+        Returns
+        -------
+        list of int
+            Indices into `descriptors`.
         """
         own = []
-        for i, (look, pose) in enumerate(zip(looks, poses, strict=True)):
-            margin = self._margin(look)
+        for i, (descriptor, pose) in enumerate(zip(descriptors, poses, strict=True)):
+            margin = self._margin(descriptor)
             somebody = any(other.continues(pose, self.frame) for other in self._bystanders)
-            if margin > _MORE or (margin > -_LESS and not somebody):
+            if margin > _MARGIN or (margin > -_TOLERANCE and not somebody):
                 own.append(i)
             elif somebody:
-                self.update_bystander(look, pose)
+                self.update_bystander(descriptor, pose)
         return own
 
-    def _margin(self, look: NDArray[np.float32]) -> float:
-        """By how much a portrait is closer to the performer's than to any bystander's."""
+    def _margin(self, descriptor: NDArray[np.float32]) -> float:
+        """How much more similar a descriptor is to the performer's than to any bystander's."""
         if self._own is None or not self._bystanders:
             return 1.0
-        return float(self._own @ look) - max(float(other.look @ look) for other in self._bystanders)
+        return float(self._own @ descriptor) - max(float(other.descriptor @ descriptor) for other in self._bystanders)
 
 
 _OVAL = _oval()

@@ -1,4 +1,4 @@
-"""Regularised landmark mean-shift (Saragih, Lucey & Cohn, IJCV 91, 2011), the fit of shape to response maps."""
+"""Regularised landmark mean-shift, which fits the shape model to response maps (docs/method.md, section 3.4)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .pdm import N_POSE, FittedShape, PointDistributionModel
 
 @dataclass(frozen=True)
 class Evidence:
-    """Response maps, and how far each is trusted.
+    """Response maps and their weights.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class Evidence:
     weights : (n,) float64
         The diagonal of `W`.
     coarse : bool
-        Whether the maps are too coarse for more than their means.
+        Whether the maps are so coarse that only their means are used, whatever the variance.
     """
 
     maps: ResponseMaps
@@ -34,43 +34,52 @@ class Evidence:
 
 @dataclass(frozen=True)
 class MeanShiftOptions:
-    """How one set of response maps is climbed.
+    """Settings of one mean-shift fit.
 
     Attributes
     ----------
     variances : tuple of float
-        `rho`, one for each iteration, in the squared unit of the fit's frame: wide kernels first, so that no local
-        maximum holds the shape; infinity goes to each map's mean.
+        `rho` of equation 3.3, one per iteration, in squared units of the fit's frame. Wide kernels come first, so that
+        the shape does not stop at a local maximum; infinity pulls towards the mean of each map.
     regularisation : float
-        The `rho` of the prior's share `rho L`, in the same unit. One value for all iterations.
-    doubt : float
-        Distance from the shape, in the unit of the fit's frame, at which a map's mean makes it count half from the
-        second iteration on: a hand before the face draws a few landmarks far away.
+        `r` of equation 3.4, the weight of the prior, in the same unit.
+    outlier_scale : float
+        `d` of equation 3.5: distance from the shape, in units of the fit's frame, at which the mean of a map halves its
+        weight, from the second iteration on. Down-weights landmarks that a hand occludes.
     """
 
     variances: tuple[float, ...]
     regularisation: float
-    doubt: float = inf
+    outlier_scale: float = inf
 
 
 def regularised_mean_shift(
     model: PointDistributionModel, start: FittedShape, evidence: Sequence[Evidence], options: MeanShiftOptions
 ) -> FittedShape:
-    """Move pose and shape to the peak of the responses that the shape model allows.
+    """Fit pose and shape to response maps.
 
     Parameters
     ----------
+    model : PointDistributionModel
+        The shape model.
     start : FittedShape
-        In the frame of the maps.
+        Start of the fit, in the frame of the maps.
     evidence : sequence of Evidence
         A landmark may have several maps, or none.
+    options : MeanShiftOptions
+        Settings.
+
+    Returns
+    -------
+    FittedShape
+        In the frame of the maps; shape parameters are clamped to three standard deviations.
 
     Notes
     -----
-    Each step is `dp = -(rho L + J^T W J)^-1 (rho L p - J^T W v)` with `L = diag(0, 1 / lambda)`; in the end the
-    coefficients are kept within three standard deviations. The maps and the Jacobian are those of the start, and the
-    landmarks move along it: where the pose turns far, call again from the result. About 0.1 ms and 0.06 ms a step.
-    Doubt weighs as the Cauchy distribution does, by iteratively reweighted least squares (Holland & Welsch 1977).
+    Each iteration updates the parameters by ``dp = -(r L + J^T W J)^-1 (r L p - J^T W v)`` with ``L = diag(0, 1 /
+    lambda)`` (Saragih et al. 2011, equation 22). Maps and Jacobian are those of the start, and the landmarks move along
+    the Jacobian; if the pose changes much, call again with the result. Outliers are down-weighted by the weights of a
+    Cauchy distribution (Holland & Welsch 1977). Takes about 0.1 ms, and 0.06 ms per iteration.
     """
     jacobian = model.jacobian(start.pose, start.shape_params)
     flat = jacobian.reshape(-1, jacobian.shape[2])
@@ -79,20 +88,22 @@ def regularised_mean_shift(
     of = np.concatenate([e.maps.landmarks for e in evidence])
     weights = trusted = np.concatenate([e.weights for e in evidence])
     normal = _normal_matrix(flat, prior, of, weights)
-    # The derivative by the scale is where the landmarks are, over the scale.
+    # Equation 3.1 at the start: the derivative by the scale, times the scale, is the landmarks without translation.
     landmarks = (start.pose[0] * jacobian[:, :, 0] + start.pose[4:6, None]).T
     moved = np.zeros(len(prior))
     for i, variance in enumerate(options.variances):
         places = landmarks[of]
         shifts = _shifts(evidence, places, variance)
-        if i and options.doubt < inf:
+        # Equation 3.5, from the second iteration on: once the shape is near, maps that disagree with it are outliers.
+        if i and options.outlier_scale < inf:
             away = shifts if variance == inf else _shifts(evidence, places, inf)
-            weights = trusted * (options.doubt**2 / (options.doubt**2 + np.square(away).sum(axis=1)))
+            weights = trusted * (options.outlier_scale**2 / (options.outlier_scale**2 + np.square(away).sum(axis=1)))
             normal = _normal_matrix(flat, prior, of, weights)
+        # J^T W v, summed over the maps of each landmark; then the right-hand side of equation 3.4.
         pull = [np.bincount(of, weights * shift, len(landmarks)) for shift in shifts.T]
         right = np.concatenate(pull) @ flat
         right[N_POSE:] -= prior[N_POSE:] * (start.shape_params + moved[N_POSE:])
-        # By OpenCV, as numpy's would set threads to this small matrix, which on a busy machine wait for each other.
+        # OpenCV rather than numpy, whose threads wait for each other on a busy machine, even for a matrix this small.
         delta = cv2.solve(normal, right, flags=cv2.DECOMP_CHOLESKY)[1][:, 0]
         moved += delta
         landmarks += (flat @ delta).reshape(2, -1).T
@@ -100,19 +111,19 @@ def regularised_mean_shift(
 
 
 def _shifts(evidence: Sequence[Evidence], places: FloatArray, variance: float) -> FloatArray:
-    """(n, 2) where all maps together draw the landmarks at `places` (n, 2)."""
-    drawn, first = np.empty_like(places), 0
+    """(n, 2) mean-shift vectors `v` of equation 3.3 for all maps, from the landmarks at `places` (n, 2)."""
+    out, first = np.empty_like(places), 0
     for e in evidence:
         own = slice(first, first + len(e.weights))
-        drawn[own] = e.maps.shifts(places[own], inf if e.coarse else variance)
+        out[own] = e.maps.shifts(places[own], inf if e.coarse else variance)
         first = own.stop
-    return drawn
+    return out
 
 
 def _normal_matrix(flat: FloatArray, prior: FloatArray, of: IntArray, weights: FloatArray) -> FloatArray:
-    """`rho L + J^T W J` where each of the maps `of` landmarks (n,) has its weight (n,)."""
+    """`r L + J^T W J` of equation 3.4, for maps of the landmarks `of` (n,) with `weights` (n,)."""
     total = np.bincount(of, weights, len(flat) // 2)
     normal = flat.T @ (flat * np.concatenate([total, total])[:, None])
-    # A landmark set of weight 0 leaves the pose free; the small number keeps the system solvable, and the step is 0.
+    # If all weights are 0, the pose is undetermined; a small diagonal keeps the system solvable, with a step of 0.
     normal.reshape(-1)[:: len(prior) + 1] += prior + 1e-9
     return np.asarray(normal)

@@ -1,7 +1,7 @@
-"""The other side of the mirror: what tracking would have given for the picture flipped left to right.
+"""Mirroring of results: what tracking would have found in the image flipped left to right.
 
-Performers who watch themselves expect a mirror: who lifts the brow on the left of the screen wants the avatar's on the
-left to rise. Flipping what was tracked costs nothing and leaves the picture itself, its sound and its file alone.
+Performers who watch themselves expect a mirror: if they raise the brow on the left of the screen, the avatar's left one
+should rise. Mirroring results is free, and the video stays as it is.
 """
 
 from __future__ import annotations
@@ -20,15 +20,22 @@ _SHAPE = np.array([-1.0, 1.0, 1.0])
 
 
 def mirror_result(result: TrackResult, width: float, mode_signs: FloatArray | None = None) -> TrackResult:
-    """`result` as of the picture of `width` pixels flipped left to right; done twice, it is `result` again.
+    """Mirror a result left to right. Mirroring twice gives `result` again.
 
     Parameters
     ----------
+    result : TrackResult
+        The result to mirror.
     width : float
-        Of the image, pixels. Pixel centres have whole coordinates, so x becomes `width - 1 - x`.
-    mode_signs : (K,), optional
-        `PointDistributionModel.mirror_signs` of the tracker's model. Without them the shape parameters, whose meaning
-        only the model knows, become NaN; everything else is exact in any case.
+        Width of the image in pixels. Pixel centres have integer coordinates, so x becomes ``width - 1 - x``.
+    mode_signs : (K,) float64, optional
+        `PointDistributionModel.mirror_signs` of the model. Without them, the shape parameters become NaN;
+        everything else is exact in any case.
+
+    Returns
+    -------
+    TrackResult
+        What tracking would have found in the mirrored image.
     """
     signs = np.full(result.shape_params.shape, np.nan) if mode_signs is None else mode_signs
     landmarks, pupils = _flipped(result.landmarks, width)[MIRROR], _flipped(result.pupils, width)[::-1]
@@ -47,5 +54,5 @@ def mirror_result(result: TrackResult, width: float, mode_signs: FloatArray | No
 
 
 def _flipped(points: FloatArray, width: float) -> FloatArray:
-    """(N, 2) image points with x turned round."""
+    """(N, 2) image points with x mirrored."""
     return np.stack([width - 1.0 - points[:, 0], points[:, 1]], axis=1)

@@ -1,4 +1,4 @@
-"""The tracker's model and its file: magic, format version, checksum, then a numpy archive without pickles."""
+"""The tracker model and its file: magic number, format version, checksum, then a numpy archive without pickles."""
 
 from __future__ import annotations
 
@@ -28,37 +28,37 @@ FORMAT_VERSION = 3
 _VIEWS = ("frontal", "side")
 _HEADER = struct.Struct("<16sIQ32s")
 _LARGEST_SIDE = 512
-"""Pixels, of the pictures that experts look at and of the scales at which they do: four times what is in use."""
+"""Upper bound of picture sizes and scales of experts, in pixels: four times those in use."""
 _FARTHEST, _HEAVIEST = 100.0, 1e4
 _MOST_MODES, _MOST_PARTS = 512, 16
-"""Modes: as many as a take can hold."""
-_ADVICE = "Reinstall Facemime, or make the model again with `make model`."
+"""Upper bounds of counts; as many modes as a take can hold."""
+_ADVICE = "Reinstall Facemime, or rebuild the model with `make model`."
 
 
 @dataclass(frozen=True)
 class TrackerModel:
-    """Everything that is learnt.
+    """Everything that the tracker has learnt.
 
     Attributes
     ----------
     pdm : PointDistributionModel
     face : FaceExperts
-        For a start that may be far off.
+        For a start that may be far away.
     glance : FaceExperts
-        For a face that is where it was a frame ago.
+        For a face that is being followed.
     parts : tuple of PartExperts
-        The eyes with their brows, and the mouth with the nose's base.
+        An eye with its brow, and the mouth with the base of the nose.
     patches : (PatchExperts, PatchExperts)
-        Frontal, and with the nose to the viewer's left, which in a mirror serves the other side.
+        Frontal, and with the nose to the viewer's left; the latter, mirrored, serve the other side.
     definition : (66, 3) float64
-        From the places that the experts were taught to the places where `pdm` has the landmarks, head frame.
+        Offset from the landmarks on which the experts were trained to those of `pdm`, head frame.
     visibility : (2, 66) float64
-        How often each landmark is in sight, in the frontal view and where the nose points to the viewer's left.
+        How often each landmark is visible, in the frontal view and with the nose to the viewer's left.
     box_offset : (D, 3) float64
-        For each detector: the pose's translation from the box's centre (x, y) and its scale, in box widths.
+        Per detector, translation of the pose from the centre of the box (x, y) and scale, in box widths.
     check : FaceCheck
     model_id : str
-        First digits of the file's checksum.
+        First digits of the checksum of the file.
     """
 
     pdm: PointDistributionModel
@@ -93,7 +93,7 @@ def _pack_parts(parts: tuple[PartExperts, ...]) -> dict[str, NDArray[np.generic]
 def _pack_patches(patches: tuple[PatchExperts, PatchExperts]) -> dict[str, NDArray[np.generic]]:
     arrays: dict[str, NDArray[np.generic]] = {"patch_scale": np.array(patches[0].scale)}
     for name, e in zip(_VIEWS, patches, strict=True):
-        # A column of weights at a time to 8 bits: the nets' own noise is larger than the rounding.
+        # Weights are quantised to 8 bits per column; the rounding is smaller than the noise of training.
         step = np.maximum(np.abs(e.hidden).max(axis=1), 1e-12) / 127.0
         arrays[f"{name}_hidden"] = np.round(e.hidden / step[:, None]).astype(np.int8)
         arrays[f"{name}_step"] = step.astype(np.float32)
@@ -131,7 +131,25 @@ def _packed(network: Network) -> NDArray[np.uint8]:
 
 
 def save_model(model: TrackerModel, path: Path) -> str:
-    """Write the model, complete or not at all, and return its identifier."""
+    """Write a model file, completely or not at all.
+
+    Parameters
+    ----------
+    model : TrackerModel
+        The model.
+    path : Path
+        The file to write.
+
+    Returns
+    -------
+    str
+        Identifier of the model: the first digits of its checksum.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
     arrays: dict[str, NDArray[np.generic]] = {
         "mean_shape": model.pdm.mean_shape.astype(np.float32),
         "basis": model.pdm.basis.astype(np.float32),
@@ -153,7 +171,9 @@ def save_model(model: TrackerModel, path: Path) -> str:
         unfinished.write_bytes(_HEADER.pack(MAGIC, FORMAT_VERSION, len(payload), digest) + payload)
         unfinished.replace(path)
     except OSError as error:
-        raise OutputError(f"The model cannot be written to {path}: {error.strerror}. Choose another place.") from error
+        raise OutputError(
+            f"The model cannot be written to {path}: {error.strerror}. Choose another location."
+        ) from error
     return digest.hex()[:12]
 
 
@@ -163,7 +183,7 @@ def load_model(path: Path) -> TrackerModel:
     Raises
     ------
     ModelError
-        Where the file is missing, not a tracker model, of a newer format, cut short or changed.
+        If the file is missing, not a tracker model, of another format version, truncated or damaged.
     """
     payload, digest = _checked_payload(path)
     try:
@@ -182,7 +202,7 @@ def _checked_payload(path: Path) -> tuple[bytes, bytes]:
     if content[: len(MAGIC)] != MAGIC:
         raise ModelError(f"{path} is not a Facemime tracker model. {_ADVICE}")
     if len(content) < _HEADER.size:
-        raise ModelError(f"The tracker model {path} is cut short. {_ADVICE}")
+        raise ModelError(f"The tracker model {path} is truncated. {_ADVICE}")
     _, version, length, digest = _HEADER.unpack_from(content)
     if version != FORMAT_VERSION:
         raise ModelError(
@@ -191,7 +211,7 @@ def _checked_payload(path: Path) -> tuple[bytes, bytes]:
         )
     payload = content[_HEADER.size :]
     if len(payload) < length:
-        raise ModelError(f"The tracker model {path} is cut short. {_ADVICE}")
+        raise ModelError(f"The tracker model {path} is truncated. {_ADVICE}")
     if len(payload) > length or hashlib.sha256(payload).digest() != digest:
         raise ModelError(f"The tracker model {path} is damaged. {_ADVICE}")
     return payload, digest
@@ -204,7 +224,7 @@ def _assemble(archive: Archive, model_id: str) -> TrackerModel:
         raise ValueError("visibility is not within 0 to 1")
     box_offset = archive.reals("box_offset", (len(DETECTORS), 3))
     if not (box_offset[:, 2] > 0.0).all():
-        raise ValueError("box_offset has a scale that is not above 0")
+        raise ValueError("box_offset has a scale that is not positive")
     return TrackerModel(
         pdm=_pdm(archive),
         face=face,
@@ -220,10 +240,10 @@ def _assemble(archive: Archive, model_id: str) -> TrackerModel:
 
 
 def _places(name: str, archive: Archive, *more: int | None) -> FloatArray:
-    """(66, 3) places in the head frame, or moves from such."""
+    """(66, 3, ...) positions or displacements in the head frame."""
     places = archive.reals(name, (N_LANDMARKS, 3, *more))
     if np.abs(places).max(initial=0.0) > _FARTHEST:
-        raise ValueError(f"{name} lies outside a head")
+        raise ValueError(f"{name} is outside any head")
     return places
 
 
@@ -231,7 +251,7 @@ def _pdm(archive: Archive) -> PointDistributionModel:
     mean, basis = _places("mean_shape", archive), _places("basis", archive, None)
     eigenvalues = archive.reals("eigenvalues", (basis.shape[2],))
     if not 1 <= len(eigenvalues) <= _MOST_MODES or not (eigenvalues > 0.0).all():
-        raise ValueError(f"eigenvalues are not 1 to {_MOST_MODES} numbers above 0")
+        raise ValueError(f"eigenvalues are not 1 to {_MOST_MODES} positive numbers")
     if not 0.5 < outer_eye_distance(mean) < 2.0:
         raise ValueError("mean_shape is not in outer-eye distances")
     return PointDistributionModel(mean, basis, eigenvalues)
@@ -248,7 +268,7 @@ def _face(place: int, archive: Archive) -> FaceExperts:
     size = int(archive.wholes("face_sizes", (2,), 16, _LARGEST_SIDE)[place])
     network = Network(archive.data(f"face_{place}_network"), "maps", "face")
     if size % 16:
-        raise ValueError(f"face_sizes has {size}, which is no multiple of 16")
+        raise ValueError(f"face_sizes has {size}, which is not a multiple of 16")
     cells = size // FACE_STRIDE
     network.check((size, size), (1, N_LANDMARKS, cells, cells), (1, 1, cells // 4, cells // 4))
     return FaceExperts(network, _scales("face_scales", 2, archive)[place], size)
@@ -265,7 +285,7 @@ def _parts(archive: Archive) -> tuple[PartExperts, ...]:
         landmarks = archive.wholes(f"part_{i}_landmarks", (None,), 0, N_LANDMARKS - 1)
         network = Network(archive.data(f"part_{i}_network"), "maps")
         if not 1 <= len(landmarks) == len(set(landmarks.tolist())) or width % 8 or height % 8:
-            raise ValueError(f"part {i} names no landmarks, or one twice, or its size is no multiple of 8")
+            raise ValueError(f"part {i} has no landmarks, or one twice, or its size is not a multiple of 8")
         network.check((width, height), (1, len(landmarks), height // PART_STRIDE, width // PART_STRIDE))
         parts.append(PartExperts(network, landmarks, scales[i], (width, height), paired[i]))
     return tuple(parts)

@@ -1,4 +1,4 @@
-"""Landmarks drawn over a picture, and pictures put side by side."""
+"""Drawing of landmarks over pictures, and of pictures side by side."""
 
 from __future__ import annotations
 
@@ -24,7 +24,20 @@ _SHIFT = 4
 
 
 def draw_landmarks(image: Image, landmarks: FloatArray) -> Image:
-    """Return a copy of a BGR `image` with (66, 2) `landmarks` in pixels drawn over it; untouched where they are NaN."""
+    """Draw landmarks over a copy of an image.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+        BGR.
+    landmarks : (66, 2) float64
+        Pixels; nothing is drawn if any is NaN.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        The copy.
+    """
     canvas = image.copy()
     if not np.isfinite(landmarks).all():
         return canvas
@@ -39,15 +52,47 @@ def draw_landmarks(image: Image, landmarks: FloatArray) -> Image:
     return canvas
 
 
-def picture_of_frame(image: Image, landmarks: FloatArray, width: int, height: int) -> Image:
-    """Return `image` scaled to fill (height, width) as far as it fits, `landmarks` drawn over it at that size."""
+def draw_frame(image: Image, landmarks: FloatArray, width: int, height: int) -> Image:
+    """Scale a frame to fit into a picture, and draw its landmarks at that size.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+        BGR.
+    landmarks : (66, 2) float64
+        Pixels of `image`.
+    width, height : int
+        Size of the picture in pixels; what the frame does not fill is background.
+
+    Returns
+    -------
+    (height, width, 3) uint8
+        The picture.
+    """
     scale = min(width / image.shape[1], height / image.shape[0])
     centre = np.array([image.shape[1], image.shape[0]]) / 2.0
     return _picture(image, landmarks, scale, centre, width, height)
 
 
-def picture_of_face(image: Image, landmarks: FloatArray, side: int, margin: float = 0.35) -> Image:
-    """Return the square round `landmarks`, `margin` of the face's size wider on each side, and them drawn over it."""
+def draw_face(image: Image, landmarks: FloatArray, side: int, margin: float = 0.35) -> Image:
+    """Crop a square around a face, and draw its landmarks at the size of the crop.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+        BGR.
+    landmarks : (66, 2) float64
+        Pixels of `image`.
+    side : int
+        Side of the square in pixels.
+    margin : float
+        Margin on each side, as a share of the extent of the landmarks.
+
+    Returns
+    -------
+    (side, side, 3) uint8
+        The crop.
+    """
     low, high = landmarks.min(axis=0), landmarks.max(axis=0)
     centre = (low + high) / 2.0 - (0.0, 0.12 * float(high[1] - low[1]))
     scale = side / (float((high - low).max()) * (1.0 + 2.0 * margin))
@@ -64,13 +109,22 @@ def _picture(image: Image, landmarks: FloatArray, scale: float, centre: FloatArr
     return draw_landmarks(np.asarray(picture, dtype=np.uint8), scale * landmarks + offset)
 
 
-def preview_of(image: Image | None, result: TrackResult, width: int) -> NDArray[np.float32] | None:
-    """A small picture of a frame for a graphics card, with the landmarks coloured by confidence: red is a guess.
+def draw_preview(image: Image | None, result: TrackResult, width: int) -> NDArray[np.float32] | None:
+    """Draw a small preview of a frame, its landmarks coloured by confidence from red to green.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8 or None
+        BGR.
+    result : TrackResult
+        Of that frame.
+    width : int
+        Width of the preview in pixels.
 
     Returns
     -------
-    (H, `width`, 4) float32 or None
-        RGBA, 0 to 1, linear light, the bottom row first; None where there is no `image`.
+    (h, width, 4) float32 or None
+        RGBA, 0 to 1, linear light, bottom row first, as a GPU expects; None if `image` is None.
     """
     if image is None:
         return None
@@ -87,8 +141,21 @@ def preview_of(image: Image | None, result: TrackResult, width: int) -> NDArray[
     return np.asarray(_LINEAR[rgba], dtype=np.float32)
 
 
-def label(image: Image, text: str) -> Image:
-    """Return a copy of `image` with `text` in its lower left corner."""
+def draw_label(image: Image, text: str) -> Image:
+    """Draw text in the lower left corner of a copy of an image.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+        BGR.
+    text : str
+        ASCII text.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        The copy.
+    """
     canvas = image.copy()
     scale = max(0.4, image.shape[0] / 640.0)
     place = (round(12 * scale), image.shape[0] - round(14 * scale))
@@ -98,7 +165,22 @@ def label(image: Image, text: str) -> Image:
 
 
 def contact_sheet(pairs: Sequence[tuple[Image, Image]], columns: int = 3, gap: int = 10) -> Image:
-    """Return pairs of equally sized pictures as a grid, the two of each pair touching."""
+    """Arrange pairs of pictures in a grid, the two of each pair touching.
+
+    Parameters
+    ----------
+    pairs : sequence of (image, image)
+        BGR pictures of the same size.
+    columns : int
+        Pairs per row.
+    gap : int
+        Pixels between pairs.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        The sheet.
+    """
     tiles = [np.hstack(pair) for pair in pairs]
     height, width = tiles[0].shape[:2]
     columns = min(columns, len(tiles))

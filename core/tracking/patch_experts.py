@@ -1,8 +1,8 @@
-"""Patch experts: for each landmark a small net that tells from an 11 x 11 patch whether the landmark is there.
+"""Patch experts: one small network per landmark that rates 11 x 11 patches (docs/method.md, section 3.5).
 
-They have the last word. What convolutional experts find of a whole part, these put on the edge that is seen: they know
-nothing but their own few pixels. Some rectified units instead of the original model's linear filter tell a shut lid
-from a brow, and cost a single matrix product for all landmarks together.
+They refine what the convolutional experts found: they know nothing but a few pixels, and so follow the visible edge. A
+hidden layer, rather than the linear filter of the original model, tells a shut lid from a brow, at the cost of a single
+matrix product for all landmarks.
 """
 
 from __future__ import annotations
@@ -15,30 +15,29 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
 from .experts import ResponseMaps
-from .reference import moved, warp_to_reference
+from .reference import translate_pose, warp_to_reference
 
 PATCH = 11
 HALF = PATCH // 2
 RADIUS = 2
-"""Of the search window, in pixels."""
+"""Radius of the search window, in pixels."""
 REACH = 0.95
-"""Outer-eye distances from the pose's own place beyond which nothing is looked for: jaw and brows of any face are
-nearer."""
+"""Outer-eye distances from the translation of the pose within which landmarks are searched; no face extends further."""
 _GREY = np.float32(128.0)
 CONTRAST_FLOOR = 4.0
-"""Grey levels. Patches flatter than this are noise, and stay small when they are normalised."""
+"""Grey levels added to the deviation of a patch, so that the noise of flat ones is not amplified."""
 
 
 @dataclass(frozen=True)
 class PatchExperts:
-    """The experts of one view at one scale: `sigmoid(c + v . relu(b + W . patch))`.
+    """Patch experts of one view at one scale: ``sigmoid(c + v . relu(b + W . patch))`` (equation 3.6).
 
     Attributes
     ----------
     scale : float
-        Pixels an outer-eye distance at which they were trained.
+        Pixels per outer-eye distance at which they were trained.
     hidden : (N, 121, U) float32
-        `W`; each column sums to 0, so that only the contrast of a patch must be normalised.
+        `W`; each column sums to 0, so that the mean of a patch does not matter.
     hidden_bias : (N, U), output : (N, U), output_bias : (N,) float32
     """
 
@@ -48,22 +47,40 @@ class PatchExperts:
     output: NDArray[np.float32]
     output_bias: NDArray[np.float32]
 
-    def look(self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> tuple[ResponseMaps, FloatArray]:
-        """Maps in the face frame of `pose` (6,), in windows round landmarks `shape` (N, 2) of that frame.
+    def respond(self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> tuple[ResponseMaps, FloatArray]:
+        """Compute response maps in windows around landmarks.
 
-        Returns them, squared, and each one's highest response (N,), 0 to 1. One batched product of (N, 25, 122) by
-        (N, 122, U), some 6 million multiplications for N = 66, U = 32; 0.4 ms.
+        Parameters
+        ----------
+        grey : (H, W) uint8
+            Grey image.
+        pose : (6,) float64
+            Pose, image frame.
+        shape : (N, 2) float64
+            Landmarks in the face frame of `pose`.
+
+        Returns
+        -------
+        ResponseMaps
+            In the face frame; squared.
+        (N,) float64
+            Highest response of each landmark, 0 to 1.
+
+        Notes
+        -----
+        One batched product of (N, 25, 122) by (N, 122, U), some 6 million multiplications for N = 66, U = 32; 0.4 ms.
         """
-        # Whole pixels from the pose's own place, so that a blink, which moves the box, leaves them where they are.
+        # Whole pixels from the translation of the pose: independent of the window's extent, which changes with a blink.
         centres = np.round(np.minimum(np.maximum(shape, -REACH), REACH) * self.scale).astype(np.intp)
         first = centres.min(axis=0) - (HALF + RADIUS)
         size = centres.max(axis=0) + (HALF + RADIUS + 1) - first
         middle = ((first + (size - 1) / 2.0) / self.scale).tolist()
         width, height = size.tolist()
-        pixels = warp_to_reference(grey, moved(pose, *middle), self.scale, (width, height)).pixels
+        pixels = warp_to_reference(grey, translate_pose(pose, *middle), self.scale, (width, height)).pixels
         likely, corner = self.responses(pixels, centres - first, RADIUS)
         count = len(shape)
         highest = likely.reshape(count, -1).max(axis=1).astype(np.float64)
+        # Squared, maps are narrower, and the mean-shift ends nearer to the maximum.
         np.square(likely, out=likely)
         place = ((corner + first) / self.scale).astype(np.float32)
         return ResponseMaps(np.arange(count), likely, place, np.full((count, 1), 1.0 / self.scale, np.float32)), highest
@@ -71,26 +88,43 @@ class PatchExperts:
     def responses(
         self, pixels: NDArray[np.uint8], centres: IntArray, radius: int
     ) -> tuple[NDArray[np.float32], IntArray]:
-        """Responses (N, w, w) of w = 2 radius + 1 places round centres (N, 2) of a picture (H, W); rows are y.
+        """Compute responses in square windows of a picture.
 
-        And the first place (N, 2) of each window: one that would leave the picture is moved inside.
+        Parameters
+        ----------
+        pixels : (H, W) uint8
+            Grey picture.
+        centres : (N, 2) int
+            Centres `(x, y)` of the windows; a window that would leave the picture is moved inside.
+        radius : int
+            Of the windows, in pixels.
+
+        Returns
+        -------
+        (N, w, w) float32
+            Responses with ``w = 2 radius + 1``; rows are y.
+        (N, 2) int
+            First position `(x, y)` of each window.
 
         Notes
         -----
-        A unit sees `relu(b + W . patch / d)` with the patch's deviation d: `relu(b d + W . patch) / d`, so that the
-        biases are a row of the same product, and a place is divided once and not in every unit.
+        With the deviation `d` of a patch, ``relu(b + W . patch / d)`` is computed as ``relu(b d + W . patch) / d``:
+        biases become a row of the product, and positions are divided instead of units.
         """
         side = 2 * radius + 1
         height, width = pixels.shape
         limit = np.array([width, height]) - side - PATCH + 1
         corner = np.minimum(np.maximum(centres - (radius + HALF), 0), limit)
         crops = np.subtract(_crops(pixels, corner, side + PATCH - 1), _GREY, dtype=np.float32)
+        # Biases times the deviation are the last row of the product; dividing afterwards normalises a patch once (see
+        # Notes).
         deviation = _deviations(crops, side)
         units = np.matmul(_patches(crops, side, deviation), self._hidden_with_bias)
         np.maximum(units, 0.0, out=units)
         score = np.matmul(units, self.output[:, :, None])[..., 0]
         score /= deviation
         score += self.output_bias[:, None]
+        # The sigmoid, in place.
         np.negative(score, out=score)
         np.exp(score, out=score)
         score += 1.0
@@ -115,7 +149,7 @@ class PatchExperts:
 
 
 def _crops(pixels: NDArray[np.uint8], corner: IntArray, side: int) -> NDArray[np.uint8]:
-    """(N, side, side) squares that start at corner (N, 2)."""
+    """(N, side, side) squares of a picture whose first pixels are `corner` (N, 2)."""
     height, width = pixels.shape
     every = (height - side + 1, width - side + 1, side, side)
     squares: NDArray[np.uint8] = np.ndarray(every, np.uint8, pixels, 0, pixels.strides * 2)
@@ -124,7 +158,7 @@ def _crops(pixels: NDArray[np.uint8], corner: IntArray, side: int) -> NDArray[np
 
 
 def _deviations(crops: NDArray[np.float32], side: int) -> NDArray[np.float32]:
-    """(N, side * side) standard deviation of every patch of the crops (N, S, S), noise added."""
+    """(N, side * side) standard deviation of each patch of the crops (N, S, S), with the floor added."""
     flat = crops.reshape(len(crops), -1)
     boxes = _boxes(crops.shape[1], side)
     mean = flat @ boxes
@@ -137,17 +171,17 @@ def _deviations(crops: NDArray[np.float32], side: int) -> NDArray[np.float32]:
 
 @cache
 def _boxes(span: int, side: int) -> NDArray[np.float32]:
-    """(span * span, side * side): the mean of each patch of a crop as a matrix product."""
+    """(span * span, side * side) matrix that maps a crop to the mean of each of its patches."""
     first, step = np.arange(side), np.arange(span)[:, None]
     covers = ((step >= first) & (step < first + PATCH)).astype(np.float32) / PATCH
     return np.kron(covers, covers)
 
 
 def _patches(crops: NDArray[np.float32], side: int, deviation: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(N, side * side, 122) every patch of the crops (N, S, S), row by row, and behind each its deviation.
+    """(N, side * side, 122) all patches of the crops (N, S, S), row by row, each followed by its deviation.
 
-    The columns are unfolded first: a patch is then a run of 121 numbers that starts 11 after the one above it, and
-    the second copy moves long runs instead of single rows of a patch.
+    Columns are unfolded first. A patch is then a run of 121 numbers that starts 11 after the one above it, so that the
+    second copy moves long runs rather than single rows of a patch.
     """
     count, span, _ = crops.shape
     a, b, c = crops.strides

@@ -1,7 +1,7 @@
-"""The 3-D point distribution model: 66 landmarks as a mean plus modes, seen under weak perspective.
+"""The 3-D point distribution model: 66 landmarks as a mean and modes, under weak perspective.
 
-Euler angles are updated by addition. They would degenerate at 90 degrees of yaw, where no landmark detector of this
-kind still works, and in return pose and Jacobian need no extra state between iterations.
+See docs/method.md, section 3.1. Euler angles are updated by addition. They degenerate at 90 degrees of yaw, where no
+landmark detector of this kind works; in return, nothing but the parameters is kept between iterations.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ N_POSE = 6
 
 @dataclass(frozen=True)
 class FittedShape:
-    """Pose `(6,)` and shape parameters `(K,)` that explain given landmarks best."""
+    """Pose (6,) and shape parameters (K,) of a fitted face."""
 
     pose: FloatArray
     shape_params: FloatArray
@@ -30,14 +30,14 @@ class FittedShape:
 
 @dataclass(frozen=True)
 class PointDistributionModel:
-    """`x_i = s R (m_i + B_i q) + t`, first two rows, with `q ~ N(0, diag(lambda))` (Saragih et al. 2011, eq. 1).
+    """``x_i = s R (m_i + B_i q) + t``, first two rows, with ``q ~ N(0, diag(lambda))`` (equation 3.1).
 
     Parameters
     ----------
     mean_shape : (N, 3) float64
-        Head frame (x viewer's right, y down, z away); the mean's outer eye corners are 1 apart.
+        Head frame, in outer-eye distances of the mean.
     basis : (N, 3, K) float64
-        Modes. They need not be orthonormal; only their coefficients are uncorrelated.
+        Modes. They need not be orthonormal; their coefficients are uncorrelated.
     eigenvalues : (K,) float64
         Variances of the coefficients.
     """
@@ -53,7 +53,7 @@ class PointDistributionModel:
 
     @cached_property
     def _flat_basis(self) -> FloatArray:
-        """(3, N * (6 + K)), so that rotating every mode is a single matrix product; 0 in the pose's columns."""
+        """(3, N * (6 + K)) modes, for rotating all by a single matrix product; 0 in the columns of the pose."""
         modes = self.basis.transpose(1, 0, 2)
         flat: FloatArray = np.concatenate([np.zeros((*modes.shape[:2], N_POSE)), modes], axis=2).reshape(3, -1)
         return flat
@@ -68,9 +68,9 @@ class PointDistributionModel:
 
     @cached_property
     def mirror_signs(self) -> FloatArray:
-        """(K,) factors of the coefficients of a face seen in a mirror: 1 for a symmetric mode, -1 for an opposed one.
+        """(K,) factors that mirror the shape parameters: 1 for a symmetric mode, -1 for an antisymmetric one.
 
-        NaN for a mode that is neither, as those of a model are that was not learnt from faces and their mirror images.
+        NaN for modes that are neither, which a model has that was not learnt from faces and their mirror images.
         """
         flipped = self.basis[MIRROR] * np.array([-1.0, 1.0, 1.0])[:, None]
         size = np.square(self.basis).sum(axis=(0, 1))
@@ -85,19 +85,45 @@ class PointDistributionModel:
         return out
 
     def project(self, pose: FloatArray, shape_params: FloatArray) -> FloatArray:
-        """(N, 2) landmarks in pixels."""
+        """Project the landmarks to the image (equation 3.1).
+
+        Parameters
+        ----------
+        pose : (6,) float64
+            As in `TrackResult`.
+        shape_params : (K,) float64
+            Coefficients of the modes.
+
+        Returns
+        -------
+        (N, 2) float64
+            Landmarks in pixels.
+        """
         scale, pitch, yaw, roll, *_ = pose.tolist()
         projected: FloatArray = self.shape(shape_params) @ (scale * euler_to_matrix(pitch, yaw, roll)[:2]).T
         projected += pose[4:6]
         return projected
 
     def jacobian(self, pose: FloatArray, shape_params: FloatArray) -> FloatArray:
-        """(2, N, 6 + K) derivatives of the projected x and y by pose and coefficients."""
+        """Derivatives of the projected landmarks.
+
+        Parameters
+        ----------
+        pose : (6,) float64
+            As in `TrackResult`.
+        shape_params : (K,) float64
+            Coefficients of the modes.
+
+        Returns
+        -------
+        (2, N, 6 + K) float64
+            Of x and y, by pose and coefficients.
+        """
         scale, pitch, yaw, roll, *_ = pose.tolist()
         rotation = scale * euler_to_matrix(pitch, yaw, roll)
         x, y, z = rotation.tolist()
         c, s = cos(roll), sin(roll)
-        # R = Rz Ry Rx: pitch turns the second column into the third, yaw both rows along the third one, roll x into y.
+        # Derivatives of R = Rz Ry Rx: pitch turns its second column into the third, yaw its rows along the third.
         by_pose = np.array(
             [
                 [[v / scale for v in x], [0.0, x[2], -x[1]], [c * v for v in z], [-v for v in y]],
@@ -110,24 +136,67 @@ class PointDistributionModel:
         return out
 
     def clamp(self, shape_params: FloatArray, limit: float = 3.0) -> FloatArray:
-        """Coefficients (K,) kept within `limit` standard deviations."""
+        """Clamp coefficients to a number of standard deviations.
+
+        Parameters
+        ----------
+        shape_params : (K,) float64
+            Coefficients of the modes.
+        limit : float
+            Standard deviations.
+
+        Returns
+        -------
+        (K,) float64
+            The clamped coefficients.
+        """
         bound = limit * self._deviations
         clamped: FloatArray = np.minimum(np.maximum(shape_params, -bound), bound)
         return clamped
 
     def step(self, pose: FloatArray, shape_params: FloatArray, delta: FloatArray) -> FittedShape:
-        """Add an update (6 + K,): scale stays positive, angles in -pi..pi, coefficients within 3 deviations."""
+        """Add an update to pose and coefficients.
+
+        Parameters
+        ----------
+        pose : (6,) float64
+            As in `TrackResult`.
+        shape_params : (K,) float64
+            Coefficients of the modes.
+        delta : (6 + K,) float64
+            The update.
+
+        Returns
+        -------
+        FittedShape
+            With a positive scale, angles from -pi to pi, and coefficients within three standard deviations.
+        """
         moved = pose + delta[:N_POSE]
+        # A step may at most halve the scale, which keeps it positive.
         moved[0] = max(moved[0], 0.5 * pose[0])
         moved[1:4] = (moved[1:4] + pi) % (2 * pi) - pi
         return FittedShape(moved, self.clamp(shape_params + delta[N_POSE:]))
 
     def frontal_pose(self, landmarks: FloatArray, weights: FloatArray | None = None) -> FloatArray:
-        """(6,) pose without pitch and yaw: the similarity that brings the mean nearest to landmarks (N, 2)."""
+        """Fit a pose without pitch and yaw: the similarity that takes the mean shape nearest to landmarks.
+
+        Parameters
+        ----------
+        landmarks : (N, 2) float64
+            Pixels.
+        weights : (N,) float64, optional
+            Relative weight of each landmark.
+
+        Returns
+        -------
+        (6,) float64
+            The pose, as in `TrackResult`.
+        """
         weights = np.ones(len(landmarks)) if weights is None else weights
         share = (weights / weights.sum())[:, None]
         mean_2d = self.mean_shape[:, :2]
         centre_model, centre_image = (share * mean_2d).sum(0), (share * landmarks).sum(0)
+        # Similarity as a complex factor: the least-squares fit of b = z a (Umeyama 1991).
         a, b = mean_2d - centre_model, landmarks - centre_image
         norm = (share * a * a).sum()
         real = (share * a * b).sum() / norm
@@ -145,17 +214,26 @@ class PointDistributionModel:
         iterations: int = 15,
         start: FloatArray | None = None,
     ) -> FittedShape:
-        """Most probable pose and coefficients for landmarks (N, 2) in pixels, by Gauss-Newton.
+        """Fit the most probable pose and coefficients to landmarks, by Gauss-Newton.
 
         Parameters
         ----------
-        weights : (N,), optional
-            Relative trust in each landmark; 0 leaves it out.
+        landmarks : (N, 2) float64
+            Pixels.
+        weights : (N,) float64, optional
+            Relative weight of each landmark; 0 ignores it.
         noise : float
-            Standard deviation of a landmark of weight 1, in outer-eye distances. 0 turns the prior off, which is
-            solvable only where landmarks outnumber the parameters.
-        start : (6,), optional
-            Pose to begin at; otherwise a frontal one.
+            Standard deviation of a landmark of weight 1, in outer-eye distances. 0 disables the prior, which
+            requires more landmarks than parameters.
+        iterations : int
+            Number of Gauss-Newton steps.
+        start : (6,) float64, optional
+            Initial pose; frontal by default.
+
+        Returns
+        -------
+        FittedShape
+            Image frame.
         """
         weights = np.ones(len(landmarks)) if weights is None else weights
         pose = self.frontal_pose(landmarks, weights) if start is None else start
@@ -172,19 +250,29 @@ class PointDistributionModel:
 def solve_update(
     jacobian: FloatArray, shift: FloatArray, weights: FloatArray, prior: FloatArray, shape_params: FloatArray
 ) -> FloatArray:
-    """(P,) `-(rho L + J^T W J)^-1 (rho L p - J^T W v)` (Saragih et al. 2011, eq. 22).
+    """Solve for one update of pose and coefficients, ``-(r L + J^T W J)^-1 (r L p - J^T W v)``.
 
     Parameters
     ----------
-    jacobian : (2, N, P)
-    shift : (2, N)
-        Where each landmark wants to go, `v`, in pixels.
-    weights : (N,)
-        The diagonal of `W`.
-    prior : (P,)
-        The diagonal of `rho L`, 0 for the pose.
-    shape_params : (K,)
-        The shape part of `p`; the pose part is multiplied by 0.
+    jacobian : (2, N, P) float64
+        `J`.
+    shift : (2, N) float64
+        `v`, the shift towards which each landmark is pulled, in pixels.
+    weights : (N,) float64
+        Diagonal of `W`.
+    prior : (P,) float64
+        Diagonal of `r L`, 0 for the pose.
+    shape_params : (K,) float64
+        Shape part of `p`; the pose part is multiplied by 0.
+
+    Returns
+    -------
+    (P,) float64
+        The update.
+
+    Notes
+    -----
+    Equation 3.4 (Saragih et al. 2011, equation 22).
     """
     flat = jacobian.reshape(-1, jacobian.shape[2])
     weighted = (jacobian * weights[None, :, None]).reshape(flat.shape)
@@ -192,7 +280,7 @@ def solve_update(
     right[N_POSE:] -= prior[N_POSE:] * shape_params
     normal = weighted.T @ flat
     normal[np.diag_indices_from(normal)] += prior
-    # A landmark set of weight 0 leaves the pose free; this keeps the system solvable and the step then is 0.
+    # If all weights are 0, the pose is undetermined; a small diagonal keeps the system solvable, with a step of 0.
     normal[np.diag_indices(N_POSE)] += 1e-9
     solution: FloatArray = np.linalg.solve(normal, right)
     return solution

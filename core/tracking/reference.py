@@ -1,4 +1,4 @@
-"""The reference frame: the image warped by a similarity, so that experts see one scale and one roll."""
+"""The reference frame: the image warped by a similarity, so that experts see faces upright and of one size."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ..arrays import FloatArray
 
 @dataclass(frozen=True)
 class ReferenceFrame:
-    """A grey picture (H, W) and the similarity `reference = linear @ image + offset` that made it.
+    """A grey picture (H, W) and the similarity ``reference = linear @ image + offset`` that maps the image to it.
 
     Attributes
     ----------
     turn : (float, float)
-        First row of `linear`; the second is the same, turned by a quarter.
+        First row of `linear`; the second is the first, rotated by 90 degrees.
     shift : (float, float)
         `offset`.
     """
@@ -42,10 +42,24 @@ class ReferenceFrame:
 
 
 def pose_in_image(relative: FloatArray, start: FloatArray) -> FloatArray:
-    """(6,) pose of the image frame, for a `relative` (6,) one in the face frame of `start` (6,).
+    """Convert a pose from the face frame of `start` to the image frame.
 
-    The face frame is the image moved to the start's translation, turned back by its roll and divided by its scale: the
-    start itself is `(1, pitch, yaw, 0, 0, 0)` there.
+    Parameters
+    ----------
+    relative : (6,) float64
+        Pose in the face frame of `start`.
+    start : (6,) float64
+        Pose in the image frame.
+
+    Returns
+    -------
+    (6,) float64
+        The pose in the image frame.
+
+    Notes
+    -----
+    The face frame is the image translated by the start, rotated back by its roll and divided by its scale, so that the
+    start itself is ``(1, pitch, yaw, 0, 0, 0)`` there.
     """
     start_scale, _, _, start_roll, start_x, start_y = start.tolist()
     scale, pitch, yaw, roll, x, y = relative.tolist()
@@ -54,29 +68,59 @@ def pose_in_image(relative: FloatArray, start: FloatArray) -> FloatArray:
     return np.array([start_scale * scale, pitch, yaw, start_roll + roll, *place])
 
 
-def moved(pose: FloatArray, x: float, y: float) -> FloatArray:
-    """`pose` (6,) with its translation moved to the place (x, y) of its face frame."""
+def translate_pose(pose: FloatArray, x: float, y: float) -> FloatArray:
+    """Translate a pose to a point of its own face frame.
+
+    Parameters
+    ----------
+    pose : (6,) float64
+        Image frame.
+    x, y : float
+        Face frame of `pose`, in outer-eye distances.
+
+    Returns
+    -------
+    (6,) float64
+        The translated pose, image frame.
+    """
     return pose_in_image(np.array([1.0, pose[1], pose[2], 0.0, x, y]), pose)
 
 
 def warp_to_reference(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: tuple[int, int]) -> ReferenceFrame:
-    """Cut the face at `pose` (6,) out of a grey image (H, W), unrolled and at `scale` pixels an outer-eye distance.
+    """Crop a face, upright and at a given scale.
 
-    Only the part of the image that the frame shows is touched; it is shrunk by whole pixels first where the face is
-    much larger than the frame, since the bilinear warp would alias. Beyond the image the border is repeated. `size` is
-    the frame's width and height in pixels.
+    Parameters
+    ----------
+    grey : (H, W) uint8
+        Grey image.
+    pose : (6,) float64
+        Image frame; its translation becomes the centre of the crop.
+    scale : float
+        Pixels per outer-eye distance of the crop.
+    size : (int, int)
+        Width and height of the crop in pixels.
+
+    Returns
+    -------
+    ReferenceFrame
+        The crop. Beyond the border of the image, border pixels are repeated.
+
+    Notes
+    -----
+    Only the visible part of the image is processed. If the face is much larger than the crop, the image is reduced by
+    an integer factor first, as the bilinear warp would alias.
     """
-    # Numbers of Python's own: on numpy's scalars each operation takes ten times as long.
+    # Python floats: operations on numpy scalars take ten times as long.
     pose_scale, _, _, roll, x, y = pose.tolist()
     gain = scale / pose_scale
     c, s = gain * cos(roll), gain * sin(roll)
     width, height = size
     right, down = (width - 1) / 2.0 - c * x - s * y, (height - 1) / 2.0 + s * x - c * y
-    # Half the sides of the upright box in the image that holds the frame.
+    # Half the sides of the frame's bounding box in the image.
     along, across = 0.5 * abs(c) / gain**2, 0.5 * abs(s) / gain**2
     reach = (along * width + across * height + 2.0, across * width + along * height + 2.0)
     patch, step, left, top = _shrunk_region(grey, x, y, reach, int(1.0 / gain))
-    # Pixel centres: the shrunk pixel j stands for image position corner + step * j + (step - 1) / 2.
+    # Pixel centres: pixel j of the reduced image is at corner + step * j + (step - 1) / 2 in the image.
     left, top = left + (step - 1) / 2.0, top + (step - 1) / 2.0
     local = np.array(
         [
@@ -91,9 +135,9 @@ def warp_to_reference(grey: NDArray[np.uint8], pose: FloatArray, scale: float, s
 def _shrunk_region(
     grey: NDArray[np.uint8], x: float, y: float, reach: tuple[float, float], step: int
 ) -> tuple[NDArray[np.uint8], int, float, float]:
-    """The part of the image within `reach` (x, y) pixels of (x, y), every step x step pixels averaged into one.
+    """The part of the image within `reach` (x, y) pixels of (x, y), reduced by averaging step x step pixels.
 
-    Returns it, the step that could be taken, and the image position of its first pixel.
+    Returns it, the step that was used, and the position of its first pixel in the image.
     """
     height, width = grey.shape
     left, right = _span(x, reach[0], width, step)
@@ -108,9 +152,9 @@ def _shrunk_region(
 
 
 def _span(centre: float, reach: float, length: int, step: int) -> tuple[int, int]:
-    """First and last pixel (exclusive) within `reach` of a place on an axis; at least one pixel of the image.
+    """First and last (exclusive) pixel within `reach` of `centre` along an axis; at least one pixel of the image.
 
-    The first is a multiple of `step`, so that the same pixels are averaged wherever a face moves to.
+    The first is a multiple of `step`, so that the same pixels are averaged when a face moves.
     """
     first = int(min(max(centre - reach, 0.0), length - 1))
     first -= first % max(step, 1)

@@ -1,4 +1,4 @@
-"""What tracking one frame gives; the one type that everything behind the tracker reads."""
+"""The result of tracking one frame, the type that everything after the tracker reads."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ def _unknown(*shape: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class TrackResult:
-    """The face in one frame, or its absence.
+    """The face in one frame, or that there is none.
 
     Attributes
     ----------
     found : bool
-        False: no face, and every array is NaN.
+        Whether there is a face; if not, all arrays are NaN.
     landmarks : (66, 2) float64
         Image frame, pixels.
     pose : (6,) float64
-        `(s, pitch, yaw, roll, tx, ty)`: scale in pixels per outer-eye distance, radians, pixels. A point m of the
-        head frame falls on the image at `s R m + t`, first two rows, with `R = Rz(roll) Ry(yaw) Rx(pitch)`.
+        `(s, pitch, yaw, roll, tx, ty)`: scale in pixels per outer-eye distance, radians, pixels. A point `m` of the
+        head frame is seen at ``s R m + t``, first two rows, with ``R = Rz(roll) Ry(yaw) Rx(pitch)``.
         Positive pitch looks down, positive yaw turns the nose to the viewer's left, positive roll tilts the head
         clockwise as the viewer sees it.
     shape_params : (K,) float64
-        Coefficients of the shape model's modes.
+        Coefficients of the modes of the shape model.
     shape : (66, 3) float64
-        The landmarks with the pose taken out: head frame, in outer-eye distances.
+        Landmarks without the pose: head frame, in outer-eye distances.
     confidence : float
-        0 to 1: how far the fitted appearance looks like a face.
+        Confidence that this is a face, 0 to 1.
     landmark_confidence : (66,) float64
-        0 to 1: how far the image speaks for each landmark's place. Low where something covers it or where it is turned
-        away, and the shape model had to guess. NaN where not known.
+        Certainty of each landmark, 0 to 1. Low if it is covered or turned away, so that the shape model estimated it;
+        NaN if unknown.
     pupils : (2, 2) float64
-        Image frame, pixels: centres of the performer's right and left pupil; NaN for an eye that is shut.
+        Image frame, pixels: centres of the performer's right and left pupil; NaN for a shut eye.
     gaze : (2,) float64
-        `(pitch, yaw)`, radians: how both eyes are turned within the head, with the signs of the pose. They look along
-        `Ry(yaw) Rx(pitch) (0, 0, -1)` of the head frame: (0, 0) straight out of the face, positive pitch down,
-        positive yaw to the viewer's left. NaN where both eyes are shut.
+        `(pitch, yaw)`, radians: direction of both eyes relative to the head, with the signs of the pose. They look
+        along ``Ry(yaw) Rx(pitch) (0, 0, -1)`` in the head frame: (0, 0) is straight ahead, positive pitch down,
+        positive yaw to the viewer's left. NaN if both eyes are shut.
     """
 
     found: bool
@@ -59,7 +59,7 @@ class TrackResult:
 
     @classmethod
     def nothing(cls, n_modes: int) -> TrackResult:
-        """The result where no face is found, of a shape model with `n_modes` modes."""
+        """The result without a face, for a shape model with `n_modes` modes."""
         return cls(
             found=False,
             landmarks=_unknown(N_LANDMARKS, 2),
@@ -76,13 +76,13 @@ class TrackResult:
 
     @property
     def eye_apertures(self) -> FloatArray:
-        """(2,) height of the right and the left eye's slit in outer-eye distances, the pose taken out; 0 is shut.
+        """(2,) apertures of the right and the left eye in outer-eye distances, without the pose; 0 is shut.
 
-        `core.apertures` has the definition.
+        Defined in `core.apertures`.
         """
         return eye_apertures(self.shape)
 
     @property
     def mouth_aperture(self) -> float:
-        """Height of the slit between the inner lips in outer-eye distances, the pose taken out; 0 is closed."""
+        """Aperture between the inner lips in outer-eye distances, without the pose; 0 is closed."""
         return float(mouth_aperture(self.shape))

@@ -1,4 +1,4 @@
-"""The search: every convincing face of an image, whoever it is."""
+"""Finding all faces of an image, whoever they are (docs/method.md, section 3.2)."""
 
 from __future__ import annotations
 
@@ -15,38 +15,49 @@ from .fitter import COARSE, REFINED, FaceFitter, Fit
 from .model_file import TrackerModel
 from .pdm import FittedShape
 
-_MOST_BOXES, _MOST_FACES = 60, 4
-"""How many boxes of an effort are looked at, and how many of them are fitted to the end."""
-_BEYOND_DOUBT = 0.85
-"""Confidence of a detected face from which on no further effort is made."""
-_APART = 0.6
-"""Eye distances between the centres of two fits from which on they are two people's."""
+_MAX_BOXES, _MAX_FACES = 60, 4
+"""Boxes per effort that are fitted coarsely, and those of them that are fitted to the end."""
+_CERTAIN = 0.85
+"""Confidence of a detected face above which no further effort is made."""
+_SEPARATION = 0.6
+"""Eye distances between the centres of two fits above which they belong to two people."""
 _QUICK = (Effort.NEAR, Effort.SMALL)
-"""The efforts that look for others in view."""
+"""The efforts that search for other people in view."""
 _EVERY_FRAME = (*_QUICK, Effort.FILLING)
-"""Those that are made in every frame while nobody is in view, beside one of the others in turn."""
-STAGES = ("detect", "look", "fit", "check", "gaze")
+"""The efforts that are made in every frame without a face, in addition to one of the others in turn."""
+STAGES = ("detect", "experts", "fit", "check", "gaze")
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A fitted face and the confidence, 0 to 1, that it is one."""
+    """A fitted face, and the confidence, 0 to 1, that it is a face."""
 
     fit: Fit
     confidence: float
 
     @property
     def pose(self) -> FloatArray:
-        """(6,) as `FittedShape` has it."""
+        """(6,) pose, image frame."""
         return self.fit.fitted.pose
 
     def distance(self, x: float, y: float) -> float:
-        """From the place (x, y), pixels, to the middle of the face."""
+        """Distance from a point to the middle of the face.
+
+        Parameters
+        ----------
+        x, y : float
+            Pixels, image frame.
+
+        Returns
+        -------
+        float
+            Pixels.
+        """
         return float(np.hypot(self.pose[4] - x, self.pose[5] - y))
 
 
 class FaceSearch:
-    """Finds faces in a grey image, from scratch or from where one was a frame ago.
+    """Finds faces in a grey image, from scratch or near a face of the previous frame.
 
     Parameters
     ----------
@@ -55,7 +66,7 @@ class FaceSearch:
     Attributes
     ----------
     timings : dict of str to float
-        Seconds that each stage has taken since `begin`: "detect", "look", "fit", "check", "gaze".
+        Seconds that each stage has taken since `begin`: "detect", "experts", "fit", "check", "gaze".
     """
 
     found_above = 0.5
@@ -68,81 +79,130 @@ class FaceSearch:
         self.fitter = FaceFitter(model, self.timings)
 
     def begin(self) -> None:
-        """Measure another image."""
+        """Reset the timings for another image."""
         self.timings.update(dict.fromkeys(STAGES, 0.0))
 
     def follow(self, grey: NDArray[np.uint8], last: FittedShape) -> Candidate:
-        """The face near where it was in the frame before, however unlikely."""
-        return self._judged(self.fitter.follow(grey, last))
+        """Fit the face near its position in the previous frame, and judge the fit.
+
+        Parameters
+        ----------
+        grey : (H, W) uint8
+            Grey image.
+        last : FittedShape
+            Fit of the previous frame, image frame.
+
+        Returns
+        -------
+        Candidate
+            Whatever its confidence is.
+        """
+        return self._judge(self.fitter.follow(grey, last))
 
     def efforts(self, misses: int) -> tuple[Effort, ...]:
-        """Those to make in a frame after `misses` frames without a face: all at first, then some in turn."""
+        """Efforts to make after `misses` frames without a face: all at first, then the quick ones and one in turn."""
         others = EFFORTS[len(_EVERY_FRAME) :]
         return EFFORTS if misses == 0 else (*_EVERY_FRAME, others[misses % len(others)])
 
     def detect(
         self, grey: NDArray[np.uint8], efforts: Sequence[Effort] = EFFORTS, *, small: bool = False
     ) -> list[Candidate]:
-        """Convincing faces, effort by effort, until one finds a face beyond doubt.
+        """Detect faces, effort by effort, until one of these finds a certain one.
 
         Parameters
         ----------
         grey : (H, W) uint8
+            Grey image.
         efforts : sequence of Effort
+            The efforts to make, in order.
         small : bool
-            Whether small faces are looked for in any case, as a certain one is waited for that may be one.
+            Search small faces even if the first effort finds a certain one, as a particular face is awaited that
+            may be small.
+
+        Returns
+        -------
+        list of Candidate
+            The accepted faces.
         """
         return list(self._detected(grey, efforts, small))
 
     def others(
         self, grey: NDArray[np.uint8], pose: FloatArray, efforts: Sequence[Effort] = _QUICK[:1]
     ) -> list[Candidate]:
-        """Faces in view that are not the one at `pose` (6,); only boxes beside that one are looked at."""
+        """Find faces other than the one at `pose`; only boxes beside it are fitted.
+
+        Parameters
+        ----------
+        grey : (H, W) uint8
+            Grey image.
+        pose : (6,) float64
+            Pose of the tracked face, image frame.
+        efforts : sequence of Effort
+            The efforts to make.
+
+        Returns
+        -------
+        list of Candidate
+            The accepted faces.
+        """
 
         def apart(other: FloatArray) -> bool:
-            return float(np.hypot(*(other[4:6] - pose[4:6]))) > _APART * float(pose[0])
+            return float(np.hypot(*(other[4:6] - pose[4:6]))) > _SEPARATION * float(pose[0])
 
         starts = [[start for start in self._starts(grey, effort) if apart(start)] for effort in efforts]
         return [c for poses in starts for c in self._faces_in(grey, poses) if apart(c.pose)]
 
     def neighbours(self, grey: NDArray[np.uint8], pose: FloatArray) -> list[Candidate]:
-        """As `others`, with small faces too."""
+        """Find faces other than the one at `pose`, including small ones.
+
+        Parameters
+        ----------
+        grey : (H, W) uint8
+            Grey image.
+        pose : (6,) float64
+            Pose of the tracked face, image frame.
+
+        Returns
+        -------
+        list of Candidate
+            The accepted faces.
+        """
         return self.others(grey, pose, _QUICK)
 
     def _detected(self, grey: NDArray[np.uint8], efforts: Sequence[Effort], small: bool) -> Iterator[Candidate]:
         for effort in efforts:
             found = self._faces_in(grey, self._starts(grey, effort))
             yield from found
-            certain = any(c.confidence >= _BEYOND_DOUBT for c in found)
+            certain = any(c.confidence >= _CERTAIN for c in found)
             if certain and not (effort == Effort.NEAR and small):
                 return
 
     def _starts(self, grey: NDArray[np.uint8], effort: Effort) -> list[FloatArray]:
-        """Frontal poses (6,) of the boxes that the detector proposes."""
+        """Frontal poses (6,) of the boxes that the detector finds."""
         began = perf_counter()
-        boxes = self._detector.boxes(grey, effort)[:_MOST_BOXES]
+        boxes = self._detector.boxes(grey, effort)[:_MAX_BOXES]
         self.timings["detect"] += perf_counter() - began
         return [box.start_pose(self._model.box_offset) for box in boxes]
 
     def _faces_in(self, grey: NDArray[np.uint8], poses: Sequence[FloatArray]) -> list[Candidate]:
-        """The convincing faces about the given poses (6,)."""
-        tried = [self._judged(self.fitter.fit(grey, start, REFINED)) for start in self._promising(grey, poses)]
+        """The accepted faces near the given poses (6,)."""
+        tried = [self._judge(self.fitter.fit(grey, start, REFINED)) for start in self._promising(grey, poses)]
         return [c for c in tried if c.confidence >= self.found_above]
 
     def _promising(self, grey: NDArray[np.uint8], poses: Sequence[FloatArray]) -> list[FittedShape]:
-        """Coarse fits from the given poses (6,), those first that the face experts score highest."""
+        """The coarse fits from the given poses (6,) to which the face network gives the highest log odds."""
         neutral = np.zeros(self._model.pdm.n_modes)
         fits = [self.fitter.fit(grey, FittedShape(pose, neutral), (COARSE,)) for pose in poses]
         fits.sort(key=lambda f: -f.features[1])
-        return [f.fitted for f in fits[:_MOST_FACES]]
+        return [f.fitted for f in fits[:_MAX_FACES]]
 
-    def _judged(self, fit: Fit) -> Candidate:
+    def _judge(self, fit: Fit) -> Candidate:
         return Candidate(fit, self._model.check.confidence(fit.features))
 
 
 def largest(candidates: Sequence[Candidate]) -> Candidate | None:
-    """The largest face; of fits that are about as large, which may be of the same face, the most convincing."""
-    certain = [c for c in candidates if c.confidence >= _BEYOND_DOUBT] or candidates
+    """The largest face; of fits of about the same size, which may be of one face, the most confident one."""
+    certain = [c for c in candidates if c.confidence >= _CERTAIN] or candidates
     if not certain:
         return None
     size = max(c.pose[0] for c in certain)

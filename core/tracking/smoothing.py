@@ -1,8 +1,8 @@
-"""Smoothing of results over time, a stage of its own behind the tracker: one-euro filters, one a part of the face.
+"""Smoothing of live results: one one-euro filter per part of the face (docs/method.md, section 3.10).
 
-A low-pass filter whose cutoff rises with speed (Casiez, Roussel & Vogel, "1 Euro Filter", CHI 2012): what rests is held
-still, what moves fast passes. Each part has cutoffs of its own and a single speed, so that its landmarks stay together,
-and a blink passes while the brows above it are held.
+The cutoff of this low-pass filter rises with speed (Casiez, Roussel & Vogel 2012): what rests is held still, and fast
+motion passes. Each part has its own cutoffs and a single speed, so that its landmarks stay together, and a blink passes
+while the brow above it is held.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from .result import TrackResult
 
 @dataclass(frozen=True)
 class Cutoffs:
-    """How one part is smoothed.
+    """Cutoffs of one part of the face.
 
     Attributes
     ----------
     at_rest : float
-        Cutoff in Hz of a part that does not move (`f_cmin` of the paper).
+        Cutoff in Hz of a part that does not move (`f_0`; `f_cmin` in the paper).
     by_speed : float
-        Hz by which the cutoff rises for each unit a second (`beta`). A unit is an outer-eye distance or a radian.
+        Rise of the cutoff in Hz per unit per second (`beta`), where the unit is an outer-eye distance or a radian.
     speed : float
-        Cutoff in Hz of the speed itself (`d_cutoff`).
+        Cutoff in Hz of the speed itself (`f_d`).
     """
 
     at_rest: float
@@ -38,7 +38,7 @@ class Cutoffs:
     speed: float
 
     def softer(self, amount: float) -> Cutoffs:
-        """The cutoffs at rest and by speed divided by `amount`, which is above 0."""
+        """Divide the cutoffs at rest and by speed by `amount`, which has to be positive."""
         return replace(self, at_rest=self.at_rest / amount, by_speed=self.by_speed / amount)
 
 
@@ -50,23 +50,23 @@ SHAPE_PARTS: dict[str, tuple[NDArray[np.intp], Cutoffs]] = {
     "mouth": (np.concatenate([MOUTH_OUTER, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER]), Cutoffs(1.2, 60.0, 8.0)),
     "jaw": (JAW, Cutoffs(1.0, 30.0, 5.0)),
 }
-"""Every landmark belongs to one part."""
+"""Landmarks and cutoffs of the parts of the shape; every landmark belongs to one part."""
 ROTATION = Cutoffs(1.5, 30.0, 4.0)
 PLACE = Cutoffs(1.5, 60.0, 4.0)
 GAZE = Cutoffs(1.5, 8.0, 8.0)
 
 
 class OneEuroFilter:
-    """Filters a vector (D,) that is seen at increasing times; all its components share one cutoff.
+    """One-euro filter of a vector (D,) that is sampled at increasing times; its components share one cutoff.
 
     Notes
     -----
-    With `a(f) = 1 / (1 + 1 / (2 pi f dt))`:
+    Equation 3.8. With ``a(f) = 1 / (1 + 1 / (2 pi f dt))``::
 
-        v <- v + a(d_cutoff) (dx / dt - v)
-        x <- x + a(f_cmin + beta |v|) (new - x)
+        v <- v + a(f_d) (dy / dt - v)
+        x <- x + a(f_0 + beta |v|) (y - x)
 
-    where `|v|` is the root mean square over the vector's points of `dims` components each. The first value passes.
+    where `|v|` is the root mean square speed over points of `dims` components each. The first value passes unchanged.
     """
 
     def __init__(self, cutoffs: Cutoffs, dims: int = 1) -> None:
@@ -81,7 +81,7 @@ class OneEuroFilter:
         self._velocity: FloatArray | None = None
 
     def __call__(self, seen: FloatArray, time: float) -> FloatArray:
-        """The smoothed vector for what is seen at `time`, seconds."""
+        """Return the smoothed vector for the sample `seen` at `time` in seconds."""
         if self._seen is None or self._value is None or self._velocity is None:
             self._velocity, self._value = np.zeros_like(seen), seen
         elif time > self._time:
@@ -102,14 +102,14 @@ def _share(cutoff: float, step: float) -> float:
 class ResultSmoother:
     """Smooths the results of one performance, frame by frame.
 
-    Pose, shape and gaze are smoothed, and the landmarks follow from pose and shape. What states what the tracker itself
-    found stays: shape parameters, pupils, confidences. Where the face is lost everything is forgotten, so nothing is
-    drawn from where it was lost to where it is found again.
+    Pose, shape and gaze are smoothed, and landmarks follow from pose and shape. Shape parameters, pupils and
+    confidences remain as tracked. If tracking is lost, the filters are reset, so that nothing is smoothed across the
+    gap.
 
     Parameters
     ----------
     amount : float
-        1 as tuned; 2 has half the cutoffs, so twice the delay; towards 0 everything passes.
+        1 is the tuned amount; 2 halves the cutoffs, which doubles the delay; towards 0 everything passes.
     """
 
     def __init__(self, amount: float = 1.0) -> None:
@@ -125,7 +125,20 @@ class ResultSmoother:
         self._unit = 0.0
 
     def smooth(self, result: TrackResult, time: float) -> TrackResult:
-        """The smoothed result of the frame at `time` seconds; times must increase."""
+        """Smooth the result of a frame.
+
+        Parameters
+        ----------
+        result : TrackResult
+            The result as tracked.
+        time : float
+            Seconds; has to increase from call to call.
+
+        Returns
+        -------
+        TrackResult
+            The smoothed result; `result` itself if there is no face.
+        """
         if not result.found:
             self.reset()
             return result
@@ -142,7 +155,7 @@ class ResultSmoother:
         )
 
     def _smooth_pose(self, pose: FloatArray, time: float) -> FloatArray:
-        """Scale as its logarithm, place in eye distances of the first frame, so that speeds mean the same for all."""
+        """Smooth the logarithm of the scale, and positions in eye distances, so that speeds mean the same for all."""
         self._unit = self._unit or float(pose[0])
         rotation = self._rotation(pose[1:4], time)
         size, x, y = self._place(np.array([np.log(pose[0]), pose[4] / self._unit, pose[5] / self._unit]), time)

@@ -1,4 +1,4 @@
-"""The face tracker: search, choose, follow from frame to frame, and notice whose face it is (METHOD section 3)."""
+"""The face tracker: find a face, follow it, and notice when it is somebody else's (docs/method.md, section 3)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..assets import ASSETS
 from .choice import FaceChoice
 from .fitter import FaceFitter
 from .gaze import find_gaze
-from .identity import Identity, portrait
+from .identity import Identity, describe_face
 from .model_file import TrackerModel, load_model
 from .pdm import FittedShape, PointDistributionModel
 from .result import TrackResult
@@ -22,18 +22,18 @@ from .search import Candidate, FaceSearch, largest
 
 DEFAULT_MODEL = ASSETS / "tracker" / "face.tracker"
 
-_LOOKED_AT = 3
-"""Every so many frames it is checked whose face is tracked."""
+_IDENTITY_INTERVAL = 3
+"""Frames between two checks of whose face is tracked; cheap enough at a third of all frames."""
 
 
 class FaceTracker:
-    """Finds one face and follows it: a constrained local model.
+    """Finds one face and follows it, by a constrained local model.
 
-    `track` continues from the last frame, `locate` looks at one image by itself.
+    `track` continues from the previous frame; `locate` treats an image on its own.
 
-    Of several faces the largest is tracked, or the one that `choose` names. A face that was lost is taken up again
-    where it was before another one is; while it is tracked, others may pass, also in front of it: it is then lost until
-    it is seen again, for three seconds at 25 frames a second.
+    If several faces are in view, the largest is tracked, or the one that was chosen with `choose`. A lost face is
+    searched near its last position before another one is taken. Other people may pass, even in front of the tracked
+    face: tracking is then lost until the face is seen again, for at most 75 frames.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class FaceTracker:
     """
 
     lost_below = 0.3
-    """Confidence below which a tracked face counts as lost: a hand in front of it is no reason to let go."""
+    """Confidence below which a tracked face counts as lost; lower than for a new face, as a hand may cover it."""
 
     def __init__(self, model: TrackerModel) -> None:
         self._model = model
@@ -49,11 +49,11 @@ class FaceTracker:
         self._identity = Identity()
         self._choice = FaceChoice()
         self._last: FittedShape | None = None
-        self._another = False
+        self._switch_requested = False
 
     @classmethod
     def load(cls, path: Path | None = None) -> FaceTracker:
-        """A tracker with the model file at `path`, by default the one that is shipped; ModelError where it is bad."""
+        """Load the model file at `path`, by default the one that is shipped; ModelError if it is invalid."""
         return cls(load_model(DEFAULT_MODEL if path is None else Path(path)))
 
     @property
@@ -68,47 +68,53 @@ class FaceTracker:
 
     @property
     def fitter(self) -> FaceFitter:
-        """What fits the shape model to an image."""
+        """Fits the shape model to an image."""
         return self._search.fitter
 
     @property
     def timings(self) -> dict[str, float]:
-        """Seconds that the stages of the last call took: "detect", "look", "fit", "check", "gaze"."""
+        """Seconds that each stage of the last call took: "detect", "experts", "fit", "check", "gaze"."""
         return self._search.timings
 
     def reset(self) -> None:
-        """Forget the face that was tracked and any choice: the next `track` detects."""
-        self._last, self._another = None, False
+        """Forget the tracked face and any choice; the next `track` detects a face."""
+        self._last, self._switch_requested = None, False
         self._choice = FaceChoice()
         self._identity.reset()
 
     def choose(self, x: float, y: float) -> None:
-        """Track the face nearest to the place (x, y), pixels, from the next `track` on."""
+        """Track the face nearest to a point, from the next `track` on.
+
+        Parameters
+        ----------
+        x, y : float
+            Pixels, image frame.
+        """
         self.reset()
-        self._choice.name(x, y)
+        self._choice.request(x, y)
 
     def choose_next(self) -> None:
-        """Track another face from the next `track` on: the next to the right, or the leftmost; or stay, if alone."""
-        self._another = True
+        """Switch faces at the next `track`: to the next on the right, or the leftmost; stay if there is only one."""
+        self._switch_requested = True
 
     def track(self, image: ArrayLike) -> TrackResult:
-        """The face in the next frame of a video: (H, W) grey, (H, W, 3) BGR or (H, W, 4) BGRA.
+        """Track the face in the next frame of a video: (H, W) grey, (H, W, 3) BGR or (H, W, 4) BGRA.
 
-        Follows the face of the last call; detects where there is none or it is lost.
+        Follows the face of the previous call, and detects one if there is none or it was lost.
         """
         grey = self._begin(image)
         self._identity.frame += 1
-        # 1. Another face, where the user asked for one and it is in view.
-        if self._another and (another := self._next(grey)) is not None:
+        # 1. Switch to another face if that was requested and one is in view.
+        if self._switch_requested and (another := self._next_face(grey)) is not None:
             self._identity.reset()
-            return self._keep(grey, another)
-        # 2. The face of the last frame, fitted from where it was; accepted while it is a face, and still the same.
+            return self._accept(grey, another)
+        # 2. Fit from the face of the previous frame; keep the result while it is a face (3.6), and the same one (3.7).
         if self._last is not None:
             followed = self._search.follow(grey, self._last)
             if followed.confidence >= self.lost_below and self._is_same(grey, followed):
-                return self._keep(grey, followed)
-            self._choice.lose(self._last)
-        # 3. All faces in view, and of these the performer's.
+                return self._accept(grey, followed)
+            self._choice.wait_for(self._last)
+        # 3. Detect all faces in view (3.2), and choose the performer's among them.
         efforts = self._search.efforts(self._choice.misses)
         found = self._search.detect(grey, efforts, small=self._choice.waiting)
         chosen = self._choice.pick(grey, found, self._identity)
@@ -116,10 +122,10 @@ class FaceTracker:
             self._last = None
             self._choice.misses += 1
             return TrackResult.nothing(self.pdm.n_modes)
-        return self._keep(grey, chosen)
+        return self._accept(grey, chosen)
 
     def locate(self, image: ArrayLike) -> TrackResult:
-        """The largest face of a single image; what `track` follows is not touched."""
+        """Find the largest face in a single image; does not affect `track`."""
         grey = self._begin(image)
         found = largest(self._search.detect(grey, small=self._choice.waiting))
         return TrackResult.nothing(self.pdm.n_modes) if found is None else self._result(grey, found)
@@ -130,34 +136,34 @@ class FaceTracker:
         return pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), np.uint8)
 
     def _is_same(self, grey: NDArray[np.uint8], followed: Candidate) -> bool:
-        """Whether the tracked face is still whose it was, and nobody's who stepped in front of it."""
+        """Whether the tracked face is still the same person's, not that of somebody who stepped in front."""
         identity = self._identity
-        if identity.frame % _LOOKED_AT:
+        if identity.frame % _IDENTITY_INTERVAL:
             return True
-        look = portrait(grey, followed.pose)
-        if identity.recognises(look):
+        descriptor = describe_face(grey, followed.pose)
+        if identity.recognises(descriptor):
             return True
-        if identity.is_bystander(look):
-            identity.update_bystander(look, followed.pose)
+        if identity.is_bystander(descriptor):
+            identity.update_bystander(descriptor, followed.pose)
             return False
-        # It looks like nobody who is known. Whoever else is in view is not the performer: learn what they look like,
-        # so that the next such face can be told apart; with nobody there, it is a hand, a shadow or a new light.
+        # It looks like nobody known. Others in view are not the performer: remember them, so that they can be told
+        # apart later. If there is nobody else, the change is a hand, a shadow or the light.
         if identity.crowded or identity.search_due:
             for other in self._search.others(grey, followed.pose):
-                identity.update_bystander(portrait(grey, other.pose), other.pose)
-        identity.adapt(look)
+                identity.update_bystander(describe_face(grey, other.pose), other.pose)
+        identity.adapt(descriptor)
         return True
 
-    def _next(self, grey: NDArray[np.uint8]) -> Candidate | None:
-        """The face to the right of the tracked one, or the leftmost; None where there is no other."""
-        self._another = False
+    def _next_face(self, grey: NDArray[np.uint8]) -> Candidate | None:
+        """The next face to the right of the tracked one, or else the leftmost; None if there is no other."""
+        self._switch_requested = False
         if self._last is None:
             return None
         here = self._last.pose
         found = self._search.neighbours(grey, here)
         return min([c for c in found if c.pose[4] > here[4]] or found, key=lambda c: float(c.pose[4]), default=None)
 
-    def _keep(self, grey: NDArray[np.uint8], candidate: Candidate) -> TrackResult:
+    def _accept(self, grey: NDArray[np.uint8], candidate: Candidate) -> TrackResult:
         self._last = candidate.fit.fitted
         self._choice.settle()
         return self._result(grey, candidate)

@@ -6,7 +6,7 @@ import numpy as np
 
 from facemime.cli.terminal.console import Progress
 from facemime.core.heads.built_in import load_head
-from facemime.core.tracking.overlay import contact_sheet, draw_landmarks, label, picture_of_face, picture_of_frame
+from facemime.core.tracking.overlay import contact_sheet, draw_face, draw_frame, draw_label, draw_landmarks
 
 
 def face(scale: float, x: float, y: float) -> np.ndarray:
@@ -42,7 +42,7 @@ def test_landmarks_stay_on_the_face_when_the_picture_is_scaled_or_cropped():
     image = np.zeros((240, 320, 3), np.uint8)
     points = face(600.0, 100.0, 120.0)
     image[int(points[:, 1].min()) : int(points[:, 1].max()), int(points[:, 0].min()) : int(points[:, 0].max()), 2] = 255
-    for picture in (picture_of_frame(image, points, 800, 600), picture_of_face(image, points, 300)):
+    for picture in (draw_frame(image, points, 800, 600), draw_face(image, points, 300)):
         rows, columns = np.nonzero(picture[..., 2] > 200)
         red = np.array([columns.min() + columns.max(), rows.min() + rows.max()]) / 2
         green = np.array(np.nonzero(picture[..., 1] > 150)[::-1])
@@ -62,7 +62,7 @@ def test_a_sheet_holds_every_pair_once():
 
 def test_a_label_is_written_over_a_copy():
     image = np.zeros((100, 200, 3), np.uint8)
-    assert label(image, "1.25 s").any() and not image.any()
+    assert draw_label(image, "1.25 s").any() and not image.any()
 
 
 def test_progress_is_one_line_where_nobody_watches():

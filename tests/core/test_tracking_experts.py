@@ -8,7 +8,7 @@ import pytest
 
 from facemime.core.errors import ModelError
 from facemime.core.landmarks import MIRROR
-from facemime.core.tracking.experts import ResponseMaps, standardised
+from facemime.core.tracking.experts import ResponseMaps, standardise
 from facemime.core.tracking.model_file import TrackerModel, load_model
 from facemime.core.tracking.network import Network
 from facemime.core.tracking.reference import pose_in_image, warp_to_reference
@@ -71,15 +71,15 @@ def test_a_landmark_far_outside_its_map_is_drawn_nowhere() -> None:
 
 def test_brightness_and_contrast_do_not_change_what_the_experts_see() -> None:
     grey = picture(3)[:96, :96] // 4
-    np.testing.assert_allclose(standardised(3 * grey + 30, 0.0), standardised(grey, 0.0), atol=1e-4)
-    assert np.abs(standardised(np.full((96, 96), 77, np.uint8), 8.0)).max() == 0.0
+    np.testing.assert_allclose(standardise(3 * grey + 30, 0.0), standardise(grey, 0.0), atol=1e-4)
+    assert np.abs(standardise(np.full((96, 96), 77, np.uint8), 8.0)).max() == 0.0
 
 
 def test_every_place_is_as_likely_as_it_can_be_somewhere(model: TrackerModel) -> None:
     pose = np.array([60.0, 0.1, -0.2, 0.3, 210.0, 130.0])
-    faces = [experts.look(picture(4), pose)[0] for experts in (model.face, model.glance)]
+    faces = [experts.respond(picture(4), pose)[0] for experts in (model.face, model.glance)]
     shape = model.pdm.project(np.array([1.0, 0.1, -0.2, 0.0, 0.0, 0.0]), np.zeros(model.pdm.n_modes))
-    for maps in (*faces, *(part.look(picture(4), pose, shape) for part in model.parts)):
+    for maps in (*faces, *(part.respond(picture(4), pose, shape) for part in model.parts)):
         np.testing.assert_array_equal(maps.likelihood.max((1, 2)), 1.0)
         assert maps.likelihood.min() >= 0.0
 
@@ -90,8 +90,8 @@ def test_a_pair_of_parts_sees_a_mirrored_picture_as_each_other(model: TrackerMod
     shape = model.pdm.mean_shape[:, :2]
     flipped_shape = shape[MIRROR] * (-1.0, 1.0)
     pose = np.array([70.0, 0, 0, 0, 199.5, 150.0])
-    maps = eye.look(grey, pose, shape)
-    mirrored = eye.look(np.ascontiguousarray(grey[:, ::-1]), pose, flipped_shape)
+    maps = eye.respond(grey, pose, shape)
+    mirrored = eye.respond(np.ascontiguousarray(grey[:, ::-1]), pose, flipped_shape)
     count = len(eye.landmarks)
     np.testing.assert_array_equal(maps.landmarks[count:], MIRROR[maps.landmarks[:count]])
     np.testing.assert_allclose(mirrored.moments[0][:count] * (-1.0, 1.0), maps.moments[0][count:], atol=5e-3)

@@ -10,7 +10,7 @@ import pytest
 
 from bench.crossing import cross, follow
 from bench.exact import Clip
-from facemime.core.tracking.identity import Identity, portrait
+from facemime.core.tracking.identity import Identity, describe_face
 from facemime.core.tracking.tracker import FaceTracker
 
 ROOT = Path(__file__).parents[2]
@@ -44,17 +44,17 @@ def test_a_portrait_has_length_one_and_hardly_depends_on_exposure_size_and_place
     sample: tuple[np.ndarray, np.ndarray],
 ) -> None:
     grey, pose = sample
-    usual = portrait(grey, pose)
+    usual = describe_face(grey, pose)
     assert np.linalg.norm(usual) == pytest.approx(1.0, abs=1e-5)
     dark = np.clip(grey * 0.6 + 10, 0, 255).astype(np.uint8)
-    assert portrait(dark, pose) @ usual > 0.97
+    assert describe_face(dark, pose) @ usual > 0.97
     half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     moved = np.array([pose[0] / 2, *pose[1:4], *((pose[4:6] + 0.5) / 2 - 0.5)])
-    assert portrait(half, moved) @ usual > 0.95
+    assert describe_face(half, moved) @ usual > 0.95
 
 
 def test_a_portrait_of_a_flat_picture_is_finite() -> None:
-    assert np.isfinite(portrait(np.full((50, 50), 7, np.uint8), at(20.0))).all()
+    assert np.isfinite(describe_face(np.full((50, 50), 7, np.uint8), at(20.0))).all()
 
 
 def test_the_first_face_seen_is_known_and_an_unlike_one_is_not() -> None:

@@ -91,10 +91,10 @@ def test_landmarks_that_a_hand_draws_away_are_doubted_and_carried_by_the_others(
     lies[covered] += (8.0, -6.0)
     maps = peaks_at(lies, pdm.project(start.pose, start.shape_params), 16)
 
-    def away(doubt: float) -> float:
+    def away(outlier_scale: float) -> float:
         fitted = start
         for _ in range(2):
-            options = MeanShiftOptions((np.inf,) * 8, 1.0, doubt)
+            options = MeanShiftOptions((np.inf,) * 8, 1.0, outlier_scale)
             fitted = regularised_mean_shift(pdm, fitted, [Evidence(maps, np.ones(66))], options)
         return float(np.linalg.norm(pdm.project(fitted.pose, fitted.shape_params) - truth, axis=1).mean())
 
@@ -105,7 +105,9 @@ def test_where_all_maps_agree_doubt_changes_nothing(pdm: PointDistributionModel)
     truth, start = displaced_face(pdm, 4)
     maps = peaks_at(truth, pdm.project(start.pose, start.shape_params), 14)
     one, other = (
-        regularised_mean_shift(pdm, start, [Evidence(maps, np.ones(66))], MeanShiftOptions((np.inf,) * 8, 0.01, doubt))
-        for doubt in (2.0, np.inf)
+        regularised_mean_shift(
+            pdm, start, [Evidence(maps, np.ones(66))], MeanShiftOptions((np.inf,) * 8, 0.01, outlier_scale)
+        )
+        for outlier_scale in (2.0, np.inf)
     )
     assert np.abs(pdm.project(one.pose, one.shape_params) - pdm.project(other.pose, other.shape_params)).max() < 0.3

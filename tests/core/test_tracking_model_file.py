@@ -56,8 +56,8 @@ def test_a_foreign_file_is_refused(tmp_path: Path, content: bytes) -> None:
 
 
 @pytest.mark.parametrize("kept", [20, 70, 5000])
-def test_a_file_cut_short_is_refused(tmp_path: Path, kept: int) -> None:
-    with pytest.raises(ModelError, match="cut short"):
+def test_a_truncated_file_is_refused(tmp_path: Path, kept: int) -> None:
+    with pytest.raises(ModelError, match="truncated"):
         load_model(changed(tmp_path, DEFAULT_MODEL.read_bytes()[:kept]))
 
 

@@ -63,7 +63,7 @@ def test_maps_lie_round_the_landmarks_in_the_face_frame() -> None:
     experts = random_experts(6)
     grey = np.random.default_rng(7).integers(0, 255, (200, 240), np.uint8)
     shape = np.random.default_rng(8).uniform(-0.5, 0.5, (66, 2))
-    maps, highest = experts.look(grey, np.array([60.0, 0.1, 0.2, 0.3, 120.0, 100.0]), shape)
+    maps, highest = experts.respond(grey, np.array([60.0, 0.1, 0.2, 0.3, 120.0, 100.0]), shape)
     centre = maps.corner + maps.stride * (maps.likelihood.shape[1] - 1) / 2.0
     assert np.abs(centre - shape).max() <= 0.5 / experts.scale + 1e-6
     np.testing.assert_allclose(maps.likelihood.max((1, 2)), highest**2, rtol=1e-5)
