@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import from_json, to_json
 from ..core.errors import HeadError
-from ..core.heads.eyeballs import eyeball_of
+from ..core.heads.eyeballs import fit_eyeball
 from ..core.heads.rig import HeadRig
 from ..core.landmarks import N_LANDMARKS, OUTER_EYE_CORNERS
 from .frames import flat_in_blender, from_blender
@@ -285,7 +285,7 @@ def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating]) -> NDA
     points = read_vertices(obj.data)[eye_vertices(obj)].astype(np.float64)
     right, left = landmarks[OUTER_EYE_CORNERS].astype(np.float64)
     side = (points - (right + left) / 2.0) @ (left - right)
-    eyeballs = [eyeball_of(eye).tolist() for eye in (points[side < 0], points[side >= 0]) if len(eye) > 3]
+    eyeballs = [fit_eyeball(eye).tolist() for eye in (points[side < 0], points[side >= 0]) if len(eye) > 3]
     for child in obj.children:
         if str(child.get(PART_PROPERTY, "")).startswith("eye") and isinstance(child.data, bpy.types.Mesh):
             within = child.matrix_parent_inverse @ child.matrix_basis

@@ -103,7 +103,7 @@ def _cut_out(
     of_lid = {vertex: lid for pair, lid in zip(copies, lids, strict=True) for vertex in pair}
     bound[:] = [of_lid.get(vertex, vertex) for vertex in bound]
     patch = list(eye)
-    _move_to(work, patch, cut.on_eye(_places(patch)))
+    _move_to(work, patch, cut.project_to_eye(_places(patch)))
     border = [copy_moved(work, vertex, Vector()) for vertex in rim]
     _move_to(work, border, cut.behind_lids(_places(lids), _SKIRT))
     _put_strip(work, rim, border)

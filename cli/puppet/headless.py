@@ -26,7 +26,7 @@ from ...core.bake.settings import BakeSettings
 from ...core.capture import Frame, VideoSource, at_constant_rate, check_readable, require_utf8_name
 from ...core.control_points.greedy import GreedySelection
 from ...core.control_points.select import from_json
-from ...core.drive.motion import most_different
+from ...core.drive.motion import select_distinct_frames
 from ...core.errors import HeadError, OutputError, SourceError
 from ...core.files import replacing
 from ...core.images import write_image
@@ -95,7 +95,7 @@ def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> Pupp
     if not own:
         look_through_camera()
         save_blend(job.output)
-    chosen = most_different(report.motion, SHEET_TILES) if job.sheet is not None else np.empty(0, dtype=np.intp)
+    chosen = select_distinct_frames(report.motion, SHEET_TILES) if job.sheet is not None else np.empty(0, dtype=np.intp)
     sheet_frames = np.flatnonzero(take.found)[chosen]
     if job.preview is not None:
         write_preview(scene, take, video, job.preview)

@@ -1,1 +1,1 @@
-"""What a driven take becomes as animation, computed without Blender: weights of keys, tables, clean curves, caches."""
+"""Baking without Blender: bases, weights of shape keys, tables, clean curves and caches (docs/method.md, section 9)."""

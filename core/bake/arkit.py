@@ -1,6 +1,6 @@
-"""ARKit's 52 coefficients of any take: the built-in head, whose face units they are, is driven by it and fitted.
+"""ARKit's 52 coefficients of a take, by fitting the built-in head, which has these units (docs/method.md, section 9.3).
 
-They are the names that other programs and tables know a face by; a head that is driven itself does without them.
+Other programs and tables describe a face by them; a head that is driven directly does not need them.
 """
 
 from __future__ import annotations
@@ -33,27 +33,33 @@ _SINGLE = (
     *("mouthShrugUpper", "tongueOut"),
 )
 COEFFICIENTS = tuple(sorted([*_SINGLE, *(name + side for name in _SIDED for side in ("Left", "Right"))]))
-"""The names of all 52, alphabetically; left and right are the performer's own."""
+"""Names of the 52 coefficients, alphabetically; left and right are the performer's own."""
 _DEFAULTS = DriveSettings()
 _LOOKS = ("In", "Out", "Up", "Down")
 
 
 def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _DEFAULTS) -> FloatArray:
-    """(N, 52) coefficients from 0 to 1 of the N frames of `take` in which a face was found.
-
-    Where the eyes look is taken from the gaze, everything else is fitted to what the skin does beside that.
+    """Compute ARKit's coefficients of a take.
 
     Parameters
     ----------
+    take : Take
+        The take.
     neutral : Neutral
-        The performer's.
+        The performer's neutral face.
     options : DriveSettings
-        Mode, strength, mirror and strength of the eyes count; pose and its limits don't.
+        Mode, strength, mirror and the settings of the eyes are used; those of the pose are not.
+
+    Returns
+    -------
+    (N, 52) float64
+        Coefficients from 0 to 1 of the frames with a face. Those of the eyes' direction come from the gaze; the
+        others are fitted to the remaining motion.
 
     Raises
     ------
     SourceError
-        Where no frame has a face.
+        If no frame has a face.
     """
     posing = PosingSettings(eyes_strength=options.posing.eyes_strength, eyes_limit=options.posing.eyes_limit)
     options = replace(options, posing=posing, incremental=False)
@@ -67,6 +73,7 @@ def coefficients_of(motion: HeadMotion) -> FloatArray:
     others = [i for i in range(len(head.unit_names)) if i not in looks]
     coefficients = np.zeros((len(motion.times), len(head.unit_names)))
     coefficients[:, looks] = _looks(motion.gaze)
+    # The gaze decides the coefficients of the eyes' direction; what these do to the lids is not fitted again.
     lids = np.tensordot(coefficients[:, looks].astype(np.float32), head.units[looks], axes=1)
     bounds = np.zeros(len(others)), np.ones(len(others))
     coefficients[:, others] = fit_keys(motion.vertices - lids, head.units[others], *bounds).weights
@@ -78,7 +85,7 @@ def _look_columns() -> list[int]:
 
 
 def _looks(gaze: FloatArray) -> FloatArray:
-    """(N, 8) of `_look_columns` for rotations (N, 3, 3) of both eyeballs: the share of each unit's own turn."""
+    """(N, 8) coefficients of `_look_columns` for rotations (N, 3, 3) of both eyeballs, as shares of each unit's own."""
     forward = -gaze[:, :, 2]
     turned = {
         "x": np.arctan2(forward[:, 0], -forward[:, 2]),
@@ -92,7 +99,7 @@ def _looks(gaze: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=1)
 def _look_reaches() -> list[tuple[str, float]]:
-    """For each of `_look_columns` the axis along which the eye looks away and the signed angle at coefficient 1."""
+    """For each of `_look_columns`, the axis along which the eye looks, and its signed angle at coefficient 1."""
     head = load_head()
     reaches = []
     for column in _look_columns():

@@ -1,4 +1,4 @@
-"""A small basis for a long motion: what a take of vertex positions is baked into instead of one shape key a frame."""
+"""A small basis for a long motion, instead of one shape key per frame (docs/method.md, section 9.1)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 
 _ROWS = 4
+"""Frames at a time."""
 
 
 @dataclass(frozen=True)
 class MotionBasis:
-    """`motion[n] ~ sum_k weights[n, k] modes[k]`.
+    """``motion[n] ~ sum_k weights[n, k] modes[k]``.
 
     Attributes
     ----------
@@ -23,7 +24,7 @@ class MotionBasis:
     weights : (N, K) float32
         -1 to 1.
     worst_error : float
-        The largest distance of any vertex in any frame from the motion, in the motion's unit.
+        Largest distance of any vertex in any frame from the motion, in its unit.
     """
 
     modes: NDArray[np.float32]
@@ -32,7 +33,7 @@ class MotionBasis:
 
 
 def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> MotionBasis:
-    """The fewest modes, by singular values, whose worst vertex error stays below `tolerance`.
+    """Fit the smallest basis of singular vectors with a vertex error within `tolerance`.
 
     Parameters
     ----------
@@ -41,14 +42,20 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
     tolerance : float
         In the unit of `motion`.
     max_modes : int
-        Where it does not suffice, `worst_error` says what was reached.
+        Largest number of modes; if it does not suffice, `worst_error` exceeds the tolerance.
+
+    Returns
+    -------
+    MotionBasis
+        The basis.
 
     Notes
     -----
-    O(N^2 V): the eigenvectors of the N x N Gram matrix give the singular vectors, as N is far below 3 V.
+    Costs O(N^2 V): singular vectors are found from the N x N Gram matrix, as N is far below 3 V.
     """
     frames, vertices = motion.shape[:2]
     flat = np.ascontiguousarray(motion, dtype=np.float32).reshape(frames, -1)
+    # Singular vectors from the Gram matrix, strongest first; those of rounding are dropped.
     values, vectors = np.linalg.eigh((flat @ flat.T).astype(np.float64))
     strongest = values[-1] if values[-1] > 0 else 1.0
     order = [i for i in np.argsort(values)[::-1][:max_modes] if values[i] > 1e-10 * strongest]
@@ -57,10 +64,12 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
     residual = flat.copy()
     count = 0
     worst = _subtract(residual, np.zeros(frames, np.float32), np.zeros(residual.shape[1], np.float32))
+    # Add modes until the worst vertex of the worst frame is within the tolerance.
     while worst > tolerance and count < len(order):
         worst = _subtract(residual, weights[:, count], modes[count])
         count += 1
     weights, modes = weights[:, :count], modes[:count]
+    # Scale each mode so that its largest weight is 1, which suits the range of a slider.
     peak = weights[np.abs(weights).argmax(axis=0), np.arange(count)] if count else np.ones(0, dtype=np.float32)
     return MotionBasis(
         modes=np.ascontiguousarray((modes * peak[:, None]).reshape(count, vertices, 3)),
@@ -70,9 +79,9 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
 
 
 def _subtract(residual: NDArray[np.float32], weights: NDArray[np.float32], mode: NDArray[np.float32]) -> float:
-    """Take a mode out of (N, 3 V) `residual`, in place; the largest distance of a vertex that is left.
+    """Subtract a mode from `residual` (N, 3 V) in place, and return the largest remaining distance of a vertex.
 
-    A few frames at a time, so that nothing of the size of the whole is made beside it.
+    Works on a few frames at a time, so that no second array of this size is allocated.
     """
     worst = 0.0
     for n in range(0, len(residual), _ROWS):

@@ -1,4 +1,4 @@
-"""Fewer keys on a curve: only those that straight lines between them need to stay near all the others."""
+"""Removal of keyframes that straight lines between the others replace (docs/method.md, section 9.5)."""
 
 from __future__ import annotations
 
@@ -9,19 +9,26 @@ from ..arrays import FloatArray
 
 
 def needed_keys(times: FloatArray, values: FloatArray, tolerance: float) -> NDArray[np.intp]:
-    """Indices, ascending, of the keys to keep so that lines between them are nowhere further than `tolerance` away.
+    """Select the keyframes that a polyline needs to stay within a tolerance of all.
 
     Parameters
     ----------
-    times, values : (N,) array
-        Times increase. The distance is that of values at the same time, not across the line.
+    times : (N,) array
+        Increasing.
+    values : (N,) array
+        Values of the keyframes; errors are differences in value at the same time.
     tolerance : float
-        In the unit of `values`; 0 keeps every key that is not on the line.
+        In the unit of `values`; 0 keeps every keyframe that is not on the line.
+
+    Returns
+    -------
+    (n,) int
+        Indices of the keyframes to keep, ascending.
 
     Notes
     -----
-    Douglas and Peucker (Cartographica 10, 1973), with spans on a list instead of calls. The tolerance holds at the
-    keys; as the curve is straight between them, it holds everywhere.
+    Douglas & Peucker 1973, without recursion. The error is bounded at the keyframes, and so everywhere, as the curve
+    between them is straight.
     """
     count = len(values)
     if count < 3:

@@ -1,4 +1,4 @@
-"""A vertex motion as weights of shape keys that a mesh has: a key called "jawOpen" rather than a third component."""
+"""A motion of vertices as weights of shape keys that a mesh already has (docs/method.md, section 9.2)."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from ..arrays import FloatArray
 from .least_squares import bounded_least_squares
 
 RIDGE = 1e-4
-"""Of the mean square of a key: shares among keys that look alike, and leaves those at rest that nothing tells."""
+"""Ridge as a share of the mean square of a key: similar keys share motion, undetermined ones stay at 0."""
 _ROWS = 64
+"""Frames at a time."""
 
 
 @dataclass(frozen=True)
 class KeyFit:
-    """Weights of keys, and how far they end from what they stand for.
+    """Weights of shape keys, and the errors of the fit.
 
     Attributes
     ----------
     weights : (N, K) float64
         Within the bounds.
     worst_error, mean_error : float
-        Distance of the vertices from the motion, in its unit: the largest of all, and the root mean square.
+        Largest and root mean square distance of the vertices from the motion, in its unit.
     """
 
     weights: FloatArray
@@ -33,7 +34,7 @@ class KeyFit:
 
 
 def fit_keys(motion: FloatArray, keys: FloatArray, lower: FloatArray, upper: FloatArray) -> KeyFit:
-    """The weights within bounds whose mix of `keys` is next to `motion`, frame by frame, by least squares.
+    """Fit weights of shape keys to a motion, by least squares within bounds.
 
     Parameters
     ----------
@@ -42,9 +43,19 @@ def fit_keys(motion: FloatArray, keys: FloatArray, lower: FloatArray, upper: Flo
     keys : (K, V, 3) array
         Displacements at weight 1.
     lower, upper : (K,) array
-        Each key's range.
+        Range of each key.
+
+    Returns
+    -------
+    KeyFit
+        Weights and errors.
+
+    Notes
+    -----
+    Equation 9.1.
     """
     flat = np.ascontiguousarray(keys, dtype=np.float64).reshape(len(keys), -1)
+    # Normal equations of equation 9.1; the motion enters by its products with the keys only.
     gram = flat @ flat.T
     gram[np.diag_indices(len(gram))] += RIDGE * max(float(np.trace(gram)) / max(len(gram), 1), 1e-30)
     products = np.concatenate(
@@ -55,7 +66,24 @@ def fit_keys(motion: FloatArray, keys: FloatArray, lower: FloatArray, upper: Flo
 
 
 def mix_errors(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tuple[float, float]:
-    """Largest and root mean square distance of the vertices from `motion` where `keys` are mixed by `weights`."""
+    """Errors of a mix of shape keys.
+
+    Parameters
+    ----------
+    motion : (N, V, 3) array
+        Displacements from rest.
+    keys : (K, V, 3) array
+        Displacements at weight 1.
+    weights : (N, K) array
+        Weights of the keys.
+
+    Returns
+    -------
+    float
+        Largest distance of a vertex from the motion.
+    float
+        Root mean square distance.
+    """
     flat = np.ascontiguousarray(keys, dtype=np.float32).reshape(len(keys), -1)
     worst, total = 0.0, 0.0
     for n in range(0, len(motion), _ROWS):

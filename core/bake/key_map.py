@@ -1,7 +1,7 @@
-"""Tables that say which shape keys of a mesh a performance moves: source -> key, times a gain, plus an offset.
+"""Tables from ARKit's coefficients to the shape keys of a mesh, with gains and offsets (docs/method.md, section 9.4).
 
-Sources are ARKit's 52 coefficients. Presets for the vocabularies in use lie in `assets/key_maps`; names are compared
-without case, separators and ways to write left and right: `eyeBlink_L`, `EyeBlinkLeft` and `eye blink.l` are one.
+Presets for common vocabularies are in `assets/key_maps`. Names are compared without case, separators and the spelling
+of left and right: `eyeBlink_L`, `EyeBlinkLeft` and `eye blink.l` are equal.
 """
 
 from __future__ import annotations
@@ -25,17 +25,21 @@ from .least_squares import bounded_least_squares
 
 PRESETS = ASSETS / "key_maps"
 _FORMAT = "facemime-key-map"
-_MOST_ROWS, _LARGEST = 10_000, 1e6
-"""Rows, and gains and offsets, of any table that makes sense."""
+_MAX_ROWS, _MAX_VALUE = 10_000, 1e6
+"""Upper bounds of rows, and of gains and offsets, in a file."""
 _KINDS = ("modifier", "expression", "phoneme")
-_FEWEST = 3
+"""Prefixes of FaceGen's morphs, which are ignored."""
+_MIN_MATCHES = 3
+"""Fewest keys by which a preset is recognised."""
 _RIDGE = 1e-3
-_SMALLEST_GAIN = 0.01
+"""Ridge of equation 9.2 towards the gains of the table so far."""
+_MIN_GAIN = 0.01
+"""Learnt gains below this are dropped."""
 
 
 @dataclass(frozen=True)
 class KeyRow:
-    """A row of a table: `key` gets `gain` times the coefficient `source`, plus `offset`; rows of a key add up."""
+    """A row of a table: sets `key` to `gain` times the coefficient `source`, plus `offset`; rows of a key add up."""
 
     source: str
     key: str
@@ -45,18 +49,18 @@ class KeyRow:
 
 @dataclass(frozen=True)
 class KeyPose:
-    """Keys as the user posed them: their `values` by name, for a frame with `coefficients` (52,)."""
+    """Shape key `values` by name, as the user posed them for a frame with `coefficients` (52,)."""
 
     coefficients: FloatArray
     values: dict[str, float]
 
     def to_json(self) -> str:
-        """As `from_json` reads it."""
+        """Serialise to the text that `from_json` parses."""
         return json.dumps({"coefficients": self.coefficients.tolist(), "values": self.values})
 
     @classmethod
     def from_json(cls, text: str) -> KeyPose:
-        """From what `to_json` gave; SourceError where it is something else."""
+        """Parse what `to_json` returned; SourceError if it is anything else."""
         try:
             data = as_object(parse_json(text), "the text")
             numbers = as_list(data.get("coefficients"), "coefficients", len(COEFFICIENTS))
@@ -64,8 +68,8 @@ class KeyPose:
                 raise ValueError(f"there are {len(numbers)} coefficients, not {len(COEFFICIENTS)}")
             values = as_object(data.get("values"), "values")
             return cls(
-                np.array([as_number(number, "a coefficient", -_LARGEST, _LARGEST) for number in numbers]),
-                {key: as_number(value, shown(key), -_LARGEST, _LARGEST) for key, value in values.items()},
+                np.array([as_number(number, "a coefficient", -_MAX_VALUE, _MAX_VALUE) for number in numbers]),
+                {key: as_number(value, shown(key), -_MAX_VALUE, _MAX_VALUE) for key, value in values.items()},
             )
         except ValueError as error:
             raise SourceError(
@@ -75,18 +79,31 @@ class KeyPose:
 
 @dataclass(frozen=True)
 class KeyMap:
-    """A table, by `name`."""
+    """A named table of shape keys."""
 
     name: str
     rows: tuple[KeyRow, ...]
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The keys that it moves, each once, in their order."""
+        """Keys that the table sets, each once, in order."""
         return tuple(dict.fromkeys(row.key for row in self.rows))
 
     def apply(self, coefficients: FloatArray, ranges: Mapping[str, tuple[float, float]]) -> dict[str, FloatArray]:
-        """Values (N,) of each key that is in `ranges`, kept within them, for (N, 52) coefficients."""
+        """Compute the values of shape keys.
+
+        Parameters
+        ----------
+        coefficients : (N, 52) float64
+            In the order of `COEFFICIENTS`.
+        ranges : mapping of str to (float, float)
+            Range of each key of the mesh.
+
+        Returns
+        -------
+        dict of str to (N,) float64
+            Values, clipped to the ranges, of the keys that are in both table and mesh.
+        """
         names, values = COEFFICIENTS, {}
         for key in self.keys:
             if key in ranges:
@@ -96,13 +113,13 @@ class KeyMap:
         return values
 
     def matched(self, keys: Iterable[str]) -> KeyMap:
-        """The rows whose key is among `keys`, however that is written, under the names that `keys` has."""
+        """Rows whose key is among `keys`, regardless of spelling, with the names in `keys`."""
         known = {normalised(key): key for key in reversed(list(keys))}
         rows = (replace(row, key=known[normalised(row.key)]) for row in self.rows if normalised(row.key) in known)
         return KeyMap(self.name, tuple(rows))
 
     def to_json(self) -> str:
-        """As `from_json` reads it."""
+        """Serialise to the text that `from_json` parses."""
         return json.dumps(
             {"format": _FORMAT, "name": self.name, "rows": [asdict(row) for row in self.rows]},
             indent=1,
@@ -111,15 +128,15 @@ class KeyMap:
 
 
 def from_json(text: str) -> KeyMap:
-    """The table that `text` holds; SourceError where it is none."""
+    """Parse a table; SourceError if `text` is anything else."""
     try:
         data = as_object(parse_json(text), "the text")
         if data.get("format") != _FORMAT:
-            raise ValueError("it does not say that it is one")
-        rows = as_list(data.get("rows"), "rows", _MOST_ROWS)
+            raise ValueError("it has another format")
+        rows = as_list(data.get("rows"), "rows", _MAX_ROWS)
         return KeyMap(as_text(data.get("name"), "name"), tuple(_row(as_object(row, "a row")) for row in rows))
     except ValueError as error:
-        raise SourceError(f"This is no table of keys ({error}). Give one that Facemime exported.") from error
+        raise SourceError(f"This is not a table of keys ({error}). Use one that Facemime exported.") from error
 
 
 def _row(data: Mapping[str, Any]) -> KeyRow:
@@ -127,43 +144,43 @@ def _row(data: Mapping[str, Any]) -> KeyRow:
         raise ValueError(f"{shown(source)} is not an ARKit coefficient")
     key = as_text(data.get("key"), "key")
     gain, offset = (
-        as_number(data.get(name, default), f"the {name} of {shown(key)}", -_LARGEST, _LARGEST)
+        as_number(data.get(name, default), f"the {name} of {shown(key)}", -_MAX_VALUE, _MAX_VALUE)
         for name, default in (("gain", 1.0), ("offset", 0.0))
     )
     return KeyRow(source, key, gain, offset)
 
 
 def load_map(path: Path) -> KeyMap:
-    """The table at `path`; SourceError where there is none."""
+    """Load the table at `path`; SourceError if there is none."""
     try:
         return from_json(read_text(Path(path)))
     except (OSError, ValueError) as error:
-        raise SourceError(f"{path} cannot be read ({error}). Give a table of keys.") from error
+        raise SourceError(f"{path} cannot be read ({error}). Choose a table of keys.") from error
     except SourceError as error:
         raise SourceError(f"{path}: {error}") from error
 
 
 @lru_cache(maxsize=1)
 def presets() -> tuple[KeyMap, ...]:
-    """The tables that ship, ARKit's first."""
+    """The tables that are shipped, ARKit's first."""
     return tuple(load_map(path) for path in sorted(PRESETS.glob("*.json")))
 
 
 def best_preset(keys: Sequence[str]) -> KeyMap | None:
-    """The preset that moves the most of `keys`, with the names they have; None where none moves three."""
+    """The preset that sets the most of `keys`, with their names; None if none sets at least three."""
     matches = [preset.matched(keys) for preset in presets()]
     best = max(matches, key=lambda match: len(match.keys), default=None)
-    return best if best is not None and len(best.keys) >= _FEWEST else None
+    return best if best is not None and len(best.keys) >= _MIN_MATCHES else None
 
 
 def expression_keys(keys: Sequence[str]) -> list[str]:
-    """Those of `keys` that some preset knows for an expression; all where none is known."""
+    """Those of `keys` that are in any preset, or all if none is."""
     known = {normalised(key) for preset in presets() for key in preset.keys}
     return [key for key in keys if normalised(key) in known] or list(keys)
 
 
 def normalised(name: str) -> str:
-    """`name` as it is compared: `eyeBlink_L` and `Modifier EyeBlink-Left` both give "eyeblinkleft"."""
+    """Normalise a name for comparison: `eyeBlink_L` and `Modifier EyeBlink-Left` both give "eyeblinkleft"."""
     words = re.sub(r"[\W_]+", " ", name).strip()
     for short, side in (("L", "left"), ("R", "right")):
         words = re.sub(rf"(?<= ){short}$", side, words, flags=re.IGNORECASE)
@@ -172,35 +189,43 @@ def normalised(name: str) -> str:
 
 
 def learn_map(coefficients: FloatArray, poses: FloatArray, keys: Sequence[str], start: KeyMap) -> KeyMap:
-    """A table whose gains put `keys` as the user posed them, next to `start` where the poses do not tell.
+    """Learn the gains of shape keys from frames that the user posed.
 
     Parameters
     ----------
     coefficients : (P, 52) array
-        Of the frames that the user posed.
+        Of the posed frames.
     poses : (P, K) array
-        Values of `keys` in these frames.
+        Values of the keys in these frames.
+    keys : sequence of str
+        Names of the keys.
     start : KeyMap
-        The table so far; its offsets stay.
+        The table so far; its offsets are kept.
+
+    Returns
+    -------
+    KeyMap
+        The learnt table.
 
     Notes
     -----
-    For each key the gains g >= 0 that minimise `|C g + offset - pose|^2 + r |g - g_start|^2`: few poses leave most
-    gains open, and these stay as they were.
+    Equation 9.2. A few poses leave most gains undetermined; these stay as they were.
     """
     names = COEFFICIENTS
     coefficients = np.asarray(coefficients, dtype=np.float64)
+    # Gains of the table so far, which are the centre of the ridge.
     before, offsets = np.zeros((len(keys), len(names))), np.zeros(len(keys))
     for row in start.rows:
         if row.key in keys:
             before[keys.index(row.key), names.index(row.source)] += max(row.gain, 0.0)
             offsets[keys.index(row.key)] += row.offset
+    # Equation 9.2 for all keys at once.
     gram = coefficients.T @ coefficients + _RIDGE * np.eye(len(names))
     products = (np.asarray(poses).T - offsets[:, None]) @ coefficients + _RIDGE * before
     gains = bounded_least_squares(gram, products, np.zeros(len(names)), np.full(len(names), np.inf))
     rows = [row for row in start.rows if row.key not in keys]
     for key, row_gains, offset in zip(keys, gains, offsets, strict=True):
-        chosen = np.flatnonzero(row_gains >= _SMALLEST_GAIN)
+        chosen = np.flatnonzero(row_gains >= _MIN_GAIN)
         for place, source in enumerate(chosen):
             rows.append(KeyRow(names[source], key, float(row_gains[source]), float(offset) if place == 0 else 0.0))
     return KeyMap(f"{start.name}, learnt" if not start.name.endswith("learnt") else start.name, tuple(rows))

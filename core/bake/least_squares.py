@@ -1,4 +1,4 @@
-"""Least squares within bounds, for weights of shape keys: non-negative, and never more than a slider goes."""
+"""Least squares within bounds, for weights of shape keys (docs/method.md, section 9.2)."""
 
 from __future__ import annotations
 
@@ -8,37 +8,44 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 
 _TOLERANCE = 1e-10
+"""Gradient at a bound, relative to the largest number of the system, below which a variable stays there."""
 _STEPS = 200
+"""Projected gradient steps, after which most active bounds are found."""
 
 
 def bounded_least_squares(gram: FloatArray, products: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """(N, K) rows x that minimise |A x - y|^2 for `lower <= x <= upper`, exactly, each row for its own y.
+    """Minimise ``|A x - y|^2`` subject to ``lower <= x <= upper``, for many y.
 
     Parameters
     ----------
     gram : (K, K) array
-        A^T A, positive definite.
+        ``A^T A``, positive definite.
     products : (N, K) array
-        A^T y, a row for each y.
+        ``A^T y``, one row per y.
     lower, upper : (K,) array
-        May be infinite; `lower < upper`.
+        Bounds, which may be infinite; ``lower < upper``.
+
+    Returns
+    -------
+    (N, K) float64
+        The exact solutions.
 
     Notes
     -----
-    All rows together by accelerated projected gradients (Beck and Teboulle, SIAM Journal on Imaging Sciences 2, 2009),
-    which find most of what is at a bound in a few matrix products; then each row exactly by the active-set method of
-    Stark and Parker (Bounded-variable least squares, Computational Statistics 10, 1995) from there, on the normal
-    equations, as K is small and N large.
+    Accelerated projected gradients (Beck & Teboulle 2009) for all rows at once find most active bounds in a few matrix
+    products. An active-set method (Stark & Parker 1995) on the normal equations then solves each row exactly, which is
+    fast as K is small.
     """
     gram, products = np.asarray(gram, dtype=np.float64), np.asarray(products, dtype=np.float64)
-    result = _near(gram, products, lower, upper)
+    result = _approximate(gram, products, lower, upper)
     for x, product in zip(result, products, strict=True):
         _solve(gram, product, lower, upper, x, (x > lower) & (x < upper))
     return result
 
 
-def _near(gram: FloatArray, products: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """(N, K) rows near the solution, within the bounds; each unknown in its own unit, so that steps are alike."""
+def _approximate(gram: FloatArray, products: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """(N, K) rows near the solution, within the bounds, by accelerated projected gradients (Beck & Teboulle 2009)."""
+    # Scale unknowns to a unit diagonal, which evens out the steps.
     unit = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     scaled, wanted = gram * np.outer(unit, unit), products * unit
     low, high = lower / unit, upper / unit
@@ -47,6 +54,7 @@ def _near(gram: FloatArray, products: FloatArray, lower: FloatArray, upper: Floa
     ahead, speed = x, 1.0
     for _ in range(_STEPS):
         before, x = x, np.clip(ahead - step * (ahead @ scaled - wanted), low, high)
+        # Nesterov's momentum.
         faster = (1.0 + np.sqrt(1.0 + 4.0 * speed**2)) / 2.0
         ahead, speed = x + (speed - 1.0) / faster * (x - before), faster
     return np.asarray(np.clip(x * unit, lower, upper))
@@ -55,16 +63,17 @@ def _near(gram: FloatArray, products: FloatArray, lower: FloatArray, upper: Floa
 def _solve(
     gram: FloatArray, product: FloatArray, lower: FloatArray, upper: FloatArray, x: FloatArray, free: NDArray[np.bool_]
 ) -> None:
-    """Move `x` to the minimum; `free` are the variables off their bounds. Both are changed in place."""
+    """Move `x` to the minimum (Stark & Parker 1995); `free` are the variables off their bounds. Works in place."""
     tolerance = _TOLERANCE * max(float(np.abs(product).max(initial=0.0)), float(np.abs(gram).max(initial=0.0)), 1e-300)
     _descend(gram, product, lower, upper, x, free)
-    for _ in range(64 * len(gram)):  # the objective falls with each, so that no active set comes twice; rounding apart
+    for _ in range(64 * len(gram)):  # terminates, as the objective falls with each step; the limit is for rounding
         slope = gram @ x - product
         wrong = np.where(x <= lower, -slope, np.where(x >= upper, slope, 0.0))
         wrong[free] = 0.0
         worst = int(np.argmax(wrong)) if len(wrong) else 0
         if not len(wrong) or wrong[worst] <= tolerance:
             return
+        # Free the variable that gains most by leaving its bound.
         free[worst] = True
         _descend(gram, product, lower, upper, x, free)
 
@@ -72,7 +81,7 @@ def _solve(
 def _descend(
     gram: FloatArray, product: FloatArray, lower: FloatArray, upper: FloatArray, x: FloatArray, free: NDArray[np.bool_]
 ) -> None:
-    """Minimise over the free variables; one that meets a bound on the way stays there."""
+    """Minimise over the free variables; those that reach a bound on the way stay there."""
     while free.any():
         rows, fixed = np.flatnonzero(free), np.flatnonzero(~free)
         right = product[rows] - gram[np.ix_(rows, fixed)] @ x[fixed]

@@ -1,4 +1,4 @@
-"""PC2 point caches: the positions of all vertices at even times, which Blender's Mesh Cache modifier plays."""
+"""PC2 point caches: positions of all vertices at even times, for Blender's Mesh Cache modifier."""
 
 from __future__ import annotations
 
@@ -16,19 +16,28 @@ _HEADER = struct.Struct("<12siiffi")
 
 
 def write_point_cache(path: Path, samples: Iterable[FloatArray], vertices: int, start: float = 0.0) -> int:
-    """Write positions, (V, 3) a sample; returns how many samples. What was at `path` is replaced by a whole file only.
+    """Write a point cache. An existing file is replaced only by a complete one.
 
     Parameters
     ----------
+    path : Path
+        The file.
+    samples : iterable of (V, 3) array
+        Positions of the vertices.
     vertices : int
         V, the same in every sample.
     start : float
-        Frame of the first sample, one sample a frame from there.
+        Frame of the first sample; there is one sample per frame.
+
+    Returns
+    -------
+    int
+        Number of samples.
 
     Raises
     ------
     OutputError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     count = 0
     with replacing(Path(path)) as temporary, open(temporary, "wb") as stream:
@@ -44,7 +53,22 @@ def write_point_cache(path: Path, samples: Iterable[FloatArray], vertices: int, 
 
 
 def in_between(times: FloatArray, values: FloatArray, at: float) -> FloatArray:
-    """What (N, ...) `values` at increasing `times` are at the time `at`, on straight lines; held beyond both ends."""
+    """Interpolate linearly, constant beyond both ends.
+
+    Parameters
+    ----------
+    times : (N,) float64
+        Increasing.
+    values : (N, ...) array
+        Values at these times.
+    at : float
+        Time to interpolate at.
+
+    Returns
+    -------
+    ndarray
+        Values of one time.
+    """
     after = int(np.searchsorted(times, at, side="left"))
     if after == 0 or after == len(times):
         return np.asarray(values[min(after, len(times) - 1)])

@@ -1,1 +1,1 @@
-"""Which landmarks control which region: chosen greedily for a take, or by hand, and kept (METHOD section 6)."""
+"""Control points: chosen greedily for a take, or by hand, and saved (docs/method.md, section 6)."""

@@ -1,7 +1,7 @@
-"""How far the skin that some landmarks move lies from the skin that all of them move: what the choice of points costs.
+"""The difference between the skin moved by some landmarks and by all of them (docs/method.md, section 6.3).
 
-The largest error at a landmark says when points suffice, but not how much skin is wrong by it. That needs no true
-motion: the skin that all landmarks give is known for every frame of a take.
+The largest error at a landmark says when points suffice, but not how much skin is wrong. Measuring that needs no true
+motion, as the skin that all landmarks would give is known for every frame of a take.
 """
 
 from __future__ import annotations
@@ -15,32 +15,34 @@ from ..heads.regions import REGIONS
 from ..mesh.kernels import Kernel, distances
 
 _VERTICES = 4_000
-"""More say no more, and are passed over evenly."""
+"""Vertices that are evaluated at most; of more, evenly spaced ones are used."""
 
 
 class SkinDifference:
-    """Sum of squared distances over vertices, mean over frames; what a call costs depends on neither number.
+    """Weighted sum of squared distances over vertices, averaged over frames; a call does not depend on either count.
 
-    A vertex counts the less the more it moves, so that the mouth does not take all the points of eyes and brows.
+    Vertices that move more weigh less, so that the mouth does not take all points from the eyes and brows.
 
     Parameters
     ----------
     points : (66, 3) array
         The landmarks at rest.
+    kernel : Kernel
+        Of the regions' functions.
     sigmas : (3,) array
         Width of `kernel` in each region.
     displacements : (N, 66, 3) array
-        Of the landmarks in each frame, unit of `points`.
+        Of the landmarks in each frame, in the unit of `points`.
     vertices : (V, 3) array
-        Places on the skin.
+        Positions on the skin.
     region_weights : (3, V) array
         As `RBFDeformer` takes them.
 
     Notes
     -----
-    With S the mean of d d^T over frames and axes, E the kernel between vertices and landmarks times the vertices'
-    shares, W the vertices' weights, and B = phi^-1 (F - 1) with F the way in which all landmarks follow the chosen
-    ones, it is the trace of B^T E^T W E B S, summed over regions.
+    Equation 6.2: ``tr(G^T E^T W E G S)`` with ``G = K (F - I)``, summed over regions. S is the mean of d d^T over
+    frames and axes, E the kernel between vertices and landmarks times the region weights, W the weights of the
+    vertices, K the inverse of the regularised kernel matrix, and F maps chosen landmarks to all.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class SkinDifference:
         every = -(-len(vertices) // _VERTICES)
         places, painted = np.asarray(vertices, dtype=np.float64)[::every], np.asarray(region_weights)[:, ::every]
         shares = painted / np.maximum(painted.sum(axis=0), 1.0)
+        # What does not depend on the choice of points is computed here, so that a call is products of small matrices.
         covariance = landmark_covariance(displacements)
         parts, squared = [], np.zeros(len(places))
         for region, sigma, share in zip(REGIONS, sigmas.tolist(), shares, strict=True):
@@ -66,12 +69,13 @@ class SkinDifference:
             matrix = evaluation @ full
             squared += np.sum((matrix @ alike) * matrix, axis=1)
             parts.append((region.landmarks, phi, full, alike, evaluation))
+        # Weights of the vertices: the inverse of their rms motion plus its mean, which keeps resting ones finite.
         motion = np.sqrt(np.maximum(squared, 0.0))
         weights = 1.0 / np.maximum(motion + motion.mean(), 1e-30)
         self._parts = [(*part, evaluation.T @ (weights[:, None] * evaluation)) for *part, evaluation in parts]
 
     def __call__(self, members: NDArray[np.bool_]) -> float:
-        """For the control points `members` (3, 66); infinite where a region has none."""
+        """Return the difference for the control points `members`, (3, 66); infinite if a region has none."""
         if not members.any(axis=1).all():
             return np.inf
         total = 0.0

@@ -1,4 +1,4 @@
-"""Control points for a head from a recorded take, and their file."""
+"""Selection of control points for a head from a take, and the file of a selection."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _BEYOND = 68
 _ACTIONS = ("start", "add", "drop")
 _MOST_STEPS = 10_000
 _LARGEST_ERROR, _LARGEST_VARIANCE = 1e3, 1e15
-"""Widths of the face; squares of whatever the head is measured in."""
+"""Bounds of values in a file: face widths, and squared units of the head."""
 _ROUNDING = 1e-3
-"""Of the largest variance: what five digits leave of an eigenvalue of 0."""
+"""Share of the largest eigenvalue by which one of 0 may be negative after rounding to five digits."""
 
 
 def select_for_take(
@@ -44,19 +44,32 @@ def select_for_take(
     always: Iterable[int] = (),
     never: Iterable[int] = (),
 ) -> GreedySelection:
-    """Choose the control points that `rig` needs for what happens in `take`; frames are numbered as in the take.
+    """Choose the control points that a head needs for a take.
 
     Parameters
     ----------
-    neutral : optional
-        The performer's; found in the take by default.
-    tolerance, max_points, always, never
+    rig : HeadRig
+        The head.
+    take : Take
+        The take.
+    neutral : Neutral, optional
+        The performer's neutral face; by default it is found in the take.
+    tolerance : float
         As for `greedy_select`.
+    max_points : int
+        As for `greedy_select`.
+    always, never : iterable of int
+        As for `greedy_select`.
+
+    Returns
+    -------
+    GreedySelection
+        Frames are numbered as in the take.
 
     Raises
     ------
     SourceError
-        Where no face was found in the take.
+        If the take has no face.
     """
     neutral = calibrate(take) if neutral is None else neutral
     landmarks = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
@@ -76,7 +89,7 @@ def select_for_take(
 
 
 def to_json(selection: GreedySelection) -> str:
-    """The selection as text, landmarks by their iBUG numbers; of the covariance, its lower triangle to five digits."""
+    """Serialise a selection: landmarks by iBUG numbers, and the lower triangle of the covariance to five digits."""
     steps = [
         asdict(replace(step, landmark=int(IBUG68_INDICES[step.landmark]), worst=int(IBUG68_INDICES[step.worst])))
         for step in selection.steps
@@ -89,17 +102,17 @@ def to_json(selection: GreedySelection) -> str:
 
 
 def from_json(text: str) -> GreedySelection:
-    """The selection that `to_json` wrote.
+    """Parse a selection that `to_json` wrote.
 
     Raises
     ------
     SourceError
-        Where the text is something else.
+        If the text is anything else.
     """
     try:
         data = as_object(parse_json(text, nan=True), "the text")
         if data.get("format") != _FORMAT:
-            raise ValueError("another format")
+            raise ValueError("it has another format")
         steps = as_list(data.get("steps"), "steps", _MOST_STEPS)
         reached = data.get("reached")
         if not isinstance(reached, bool):
@@ -113,12 +126,12 @@ def from_json(text: str) -> GreedySelection:
         )
     except ValueError as error:
         raise SourceError(
-            f"These are no control points of Facemime ({error}). Make some with: facemime select TAKE -o POINTS.json"
+            f"This is not a control point file ({error}). Create one: facemime select TAKE -o POINTS.json"
         ) from error
 
 
 def _members(regions: Any) -> NDArray[np.bool_]:
-    """(3, 66) of the lists of landmarks, which have some of each region and none of another."""
+    """(3, 66) control points from lists of landmarks; each list needs one, and only those of its region."""
     rows = as_list(regions, "regions", len(REGIONS))
     if len(rows) != len(REGIONS):
         raise ValueError(f"there are {len(rows)} regions, not {len(REGIONS)}")
@@ -126,7 +139,7 @@ def _members(regions: Any) -> NDArray[np.bool_]:
     for row, region, numbers in zip(members, REGIONS, rows, strict=True):
         row[[_landmark(number) for number in as_list(numbers, region.name, N_LANDMARKS)]] = True
         if not row.any() or (np.delete(row, region.landmarks)).any():
-            raise ValueError(f"the region {region.name} has no control point, or one that is not its own")
+            raise ValueError(f"the region {region.name} has no control points, or one of another region")
     return members
 
 
@@ -154,7 +167,7 @@ def _step(data: dict[str, Any]) -> GreedyStep:
     if data.get("action") not in _ACTIONS:
         raise ValueError(f"the action of a step is {shown(data.get('action'))}")
     error = data.get("error")
-    unknown = isinstance(error, float) and isnan(error)  # of what was changed by hand
+    unknown = isinstance(error, float) and isnan(error)  # of steps that were made by hand
     return GreedyStep(
         action=data["action"],
         landmark=_landmark(data.get("landmark")),
@@ -168,14 +181,14 @@ def _step(data: dict[str, Any]) -> GreedyStep:
 
 
 def parse_landmarks(text: str) -> list[int]:
-    """Positions in the 66 of iBUG numbers and ranges such as "17,19-21"; empty text gives none.
+    """Parse iBUG numbers and ranges such as "17,19-21" into positions in the 66; empty text gives none.
 
-    A range runs over 60 and 64, which are not among the 66.
+    Ranges skip 60 and 64, which are not among the 66.
 
     Raises
     ------
     HeadError
-        Where it is something else.
+        If the text is anything else.
     """
     numbers: list[int] = []
     try:
@@ -183,10 +196,10 @@ def parse_landmarks(text: str) -> list[int]:
             first, dash, last = part.partition("-")
             span = range(int(first), min(int(last or first), _BEYOND) + 1)
             if not span:
-                raise ValueError(f"{part} runs backwards")
-            if not 0 <= span[0] <= span[-1] <= _LAST:  # before a long range fills the memory
+                raise ValueError(f"{part} is reversed")
+            if not 0 <= span[0] <= span[-1] <= _LAST:  # before a long range is expanded in memory
                 raise ValueError(f"landmarks are numbered from 0 to {_LAST}")
             numbers += [number for number in span if not dash or number not in _LEFT_OUT]
         return [int(i) for i in from_ibug(numbers)]
     except ValueError as error:
-        raise HeadError(f"{text!r} names no landmarks ({error}). Write iBUG numbers such as 17,19-21.") from error
+        raise HeadError(f"{text!r} is not a list of landmarks ({error}). Use iBUG numbers such as 17,19-21.") from error

@@ -1,4 +1,4 @@
-"""Control points as a table and a curve for people to look at, and changed by hand."""
+"""Control points as a table and a curve, and changes by hand."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from .greedy import GreedySelection, GreedyStep
 
 BY_HAND = "added by hand"
 REGION_COLOURS = ((0.10, 0.50, 0.85), (0.95, 0.65, 0.10), (0.05, 0.65, 0.45))
-"""Of upper, middle and lower, sRGB: told apart by those too who see no red or no green."""
+"""Colours of the regions upper, middle and lower, sRGB, that colour-blind people can tell apart."""
 
 
 @dataclass(frozen=True)
 class PointRow:
-    """A landmark as a control point.
+    """A row of the table of control points.
 
     Attributes
     ----------
     landmark : int
         Position in the 66.
     regions : tuple of int
-        Rows of `REGIONS` that it controls; empty where it is no control point.
+        Rows of `REGIONS` that it controls; empty if it is not a control point.
     order : int
-        Which it was in the choice, from 1; 0 where nothing chose it.
+        Its number in the order of the selection, from 1; 0 if it was not selected by the search.
     reason : str
-        A muscle, or the error that it takes away.
+        A muscle, or the error that it removes.
     error : float
-        Worst error left when it had been added, as a fraction of the face's width; nan where nobody knows.
+        Worst error after it was added, as a fraction of the face's width; NaN if unknown.
     """
 
     landmark: int
@@ -44,7 +44,7 @@ class PointRow:
 
 
 def point_rows(selection: GreedySelection | None) -> list[PointRow]:
-    """A row for each of the 66 landmarks, in their order; all are control points where there is no `selection`."""
+    """Rows of all 66 landmarks, in order; without a `selection`, all are control points."""
     if selection is None:
         return [PointRow(i, tuple(np.flatnonzero(column).tolist())) for i, column in enumerate(membership().T)]
     added: dict[int, GreedyStep] = {}
@@ -65,35 +65,59 @@ def point_rows(selection: GreedySelection | None) -> list[PointRow]:
 
 
 def add_by_hand(selection: GreedySelection, landmark: int) -> GreedySelection:
-    """The selection with `landmark` as a control point of each region that it belongs to.
+    """Make a landmark a control point of all its regions.
+
+    Parameters
+    ----------
+    selection : GreedySelection
+        The selection.
+    landmark : int
+        Position in the 66.
+
+    Returns
+    -------
+    GreedySelection
+        The new selection.
 
     Raises
     ------
     HeadError
-        Where it is one already.
+        If it is a control point already.
     """
     if selection.membership[:, landmark].any():
-        raise HeadError(f"Landmark {IBUG68_INDICES[landmark]} is a control point already. Pick another one.")
+        raise HeadError(f"Landmark {IBUG68_INDICES[landmark]} is already a control point. Choose another one.")
     return _changed(selection, landmark, "add", BY_HAND, membership()[:, landmark])
 
 
 def drop_by_hand(selection: GreedySelection | None, landmark: int) -> GreedySelection:
-    """The selection, or all landmarks where there is none, without `landmark`.
+    """Remove a landmark from the control points.
+
+    Parameters
+    ----------
+    selection : GreedySelection or None
+        The selection; None stands for all landmarks.
+    landmark : int
+        Position in the 66.
+
+    Returns
+    -------
+    GreedySelection
+        The new selection.
 
     Raises
     ------
     HeadError
-        Where it is no control point, or the last one of a region.
+        If it is not a control point, or the last one of a region.
     """
     selection = selection or GreedySelection(membership(), (), 0.0, True)
     column = selection.membership[:, landmark]
     if not column.any():
-        raise HeadError(f"Landmark {IBUG68_INDICES[landmark]} is no control point. Pick one that is.")
+        raise HeadError(f"Landmark {IBUG68_INDICES[landmark]} is not a control point. Choose one that is.")
     last = [region.name for region, row in zip(REGIONS, selection.membership, strict=True) if row.sum() == 1]
     last = [name for name, has in zip([r.name for r in REGIONS], column, strict=True) if has and name in last]
     if last:
-        raise HeadError(f"It is the last control point of the region {last[0]}. Add another one there first.")
-    return _changed(selection, landmark, "drop", "dropped by hand", np.zeros(len(REGIONS), dtype=np.bool_))
+        raise HeadError(f"It is the last control point of the region {last[0]}. Add another one to that region first.")
+    return _changed(selection, landmark, "drop", "removed by hand", np.zeros(len(REGIONS), dtype=np.bool_))
 
 
 def _changed(
@@ -108,7 +132,7 @@ def _changed(
 
 
 def error_curve(selection: GreedySelection) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Counts of control points, ascending, and the least worst error that was met with each."""
+    """Numbers of control points, ascending, and the lowest worst error that was reached with each."""
     best: dict[int, float] = {}
     for step in selection.steps:
         if np.isfinite(step.error):
@@ -118,9 +142,20 @@ def error_curve(selection: GreedySelection) -> tuple[NDArray[np.intp], NDArray[n
 
 
 def draw_curve(selection: GreedySelection, width: int = 320, height: int = 200) -> NDArray[np.float32]:
-    """(height, width, 4) picture of the worst error over the count, in per cent; rows from the bottom, as Blender's.
+    """Draw the worst error, in per cent, over the number of control points.
 
-    Strokes on nothing: they are seen on light panels and on dark ones.
+    Parameters
+    ----------
+    selection : GreedySelection
+        The selection.
+    width, height : int
+        Pixels.
+
+    Returns
+    -------
+    (height, width, 4) float32
+        RGBA, bottom row first as in Blender. The background is transparent and the ink legible on light and dark
+        panels.
     """
     counts, errors = error_curve(selection)
     picture = np.zeros((height, width, 4), dtype=np.uint8)
@@ -150,7 +185,20 @@ def draw_curve(selection: GreedySelection, width: int = 320, height: int = 200) 
 
 
 def region_colours(weights: NDArray[np.float32] | NDArray[np.float64], opacity: float) -> NDArray[np.float32]:
-    """(V, 4) colour of each vertex of (3, V) `weights`: the regions' colours mixed, clear where no region is."""
+    """Colour vertices by their regions.
+
+    Parameters
+    ----------
+    weights : (3, V) float
+        Region weights.
+    opacity : float
+        Opacity where the weights sum to 1.
+
+    Returns
+    -------
+    (V, 4) float32
+        RGBA; transparent outside all regions.
+    """
     weights = np.clip(np.asarray(weights, dtype=np.float32), 0.0, 1.0)
     total = weights.sum(axis=0)
     colours = np.zeros((weights.shape[1], 4), dtype=np.float32)

@@ -1,1 +1,1 @@
-"""From the displacements of a head's landmarks to every vertex (METHOD sections 5 and 6)."""
+"""From the displacements of a head's landmarks to every vertex (docs/method.md, section 5)."""

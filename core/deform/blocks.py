@@ -1,14 +1,13 @@
-"""The product of a frame, `rest + A d`, with an `A` whose rows are much alike where vertices are near each other.
+"""The product of a frame, ``rest + A d``, in blocks of low rank (docs/method.md, section 5.7).
 
-What a frame costs is the reading of `A`: on a head of 100,000 vertices it exceeds the processor's caches. But within a
-small piece of the face all control points together move the vertices in few ways only, as the fields are smooth. So
-vertices of the same regions are put side by side in pieces, halved across their widest side, and each piece keeps the
-strongest singular vectors of its rows: `A ~ U (W d)`, with a bound on what is left out. A sparse matrix would
-be slower: its rows are short.
+A frame is limited by the reading of `A`, which exceeds the CPU's caches on a head of 100,000 vertices. Within a small
+piece of the face, however, all control points together move the vertices in few ways, as the fields are smooth.
+Vertices of the same regions are therefore grouped into pieces, and each piece keeps the strongest singular vectors of
+its rows: ``A ~ U (Y d)``, with a bound on the error. A sparse matrix would be slower, as its rows are short.
 
-The blocks lie as (rank, vertices): their transpose times four columns (three coordinates and one of zeros, which the
-matrix product's inner loop likes better than three) writes the coordinates of a vertex side by side, which are then put
-back into the mesh's order. On a small mesh the sorting would cost more than it saves, and one block as it is is used.
+Blocks are stored as (rank, vertices). Their transpose times four columns (three coordinates and one of zeros, as matrix
+products with four columns are faster) gives contiguous coordinates, which are then reordered to the mesh. On a small
+mesh reordering would cost more than it saves, and a single exact block is used.
 """
 
 from __future__ import annotations
@@ -20,17 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 TOLERANCE = 5e-4
-"""How far a vertex may be off, over the root of the sum of the control points' squared displacements."""
-_PIECE = 2_048
-"""Vertices of a piece at most: smaller ones have a lower rank but cost more calls."""
-_SMALL = 4_096
+"""Error allowed at a vertex, over the root of the sum of the squared displacements of all control points."""
+_MAX_PIECE = 2_048
+"""Largest number of vertices of a piece: smaller pieces have lower ranks, but need more calls."""
+_EXACT_VERTICES = 4_096
+"""Largest mesh for which a single exact block is used."""
 _CHUNK = 30_000
-"""Vertices put back at a time: they stay in the processor's second cache."""
+"""Vertices reordered at a time, which fit into the CPU's second-level cache."""
 
 
 @dataclass(frozen=True)
 class RegionMatrix:
-    """One region's matrix: `rows` (Vr,) vertices, `columns` (Pr,) control points, `matrix` (Vr, Pr)."""
+    """Matrix of a region: vertices `rows` (Vr,), control points `columns` (Pr,), and `matrix` (Vr, Pr)."""
 
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
@@ -38,42 +38,45 @@ class RegionMatrix:
 
 
 class BlockProduct:
-    """`rest + A d` for many `d`, prepared once.
+    """``rest + A d`` for many `d`, prepared once.
 
     Parameters
     ----------
     rest : (V, 3) float32
+        Rest positions.
     regions : sequence of RegionMatrix
-        They may share vertices, which take the sum.
+        Their sum is `A`; they may share vertices.
     n_columns : int
-        Control points in all.
+        Number of control points.
 
     Attributes
     ----------
     nbytes : int
-        Memory that the blocks take.
+        Memory of the blocks in bytes.
 
     Notes
     -----
-    No vertex is further than `TOLERANCE |d|` from the exact product, `|d|` being the root of the sum of squares of all
-    displacements; up to 4,096 vertices the product is exact.
+    No vertex is off by more than ``TOLERANCE |d|``, where ``|d|`` is the root of the sum of all squared displacements.
+    Up to 4,096 vertices the product is exact.
     """
 
     def __init__(self, rest: NDArray[np.float32], regions: list[RegionMatrix], n_columns: int) -> None:
         count = len(rest)
-        rows_of = _RowsOf(regions, count, n_columns)
+        build_rows = _RowBuilder(regions, count, n_columns)
         self._place: NDArray[np.intp] | None = None
-        if count <= _SMALL:
+        if count <= _EXACT_VERTICES:
             order = np.arange(count)
             pieces = [order]
-            factors = [(rows_of(order), np.eye(n_columns, dtype=np.float32))]
+            factors = [(build_rows(order), np.eye(n_columns, dtype=np.float32))]
         else:
-            pieces = [piece for vertices in rows_of.classes() for piece in _pieces(rest, vertices)]
+            # 1. Group the vertices into pieces; those that nothing moves come last. Factor the rows of each piece.
+            pieces = [piece for vertices in build_rows.classes() for piece in _pieces(rest, vertices)]
             still = np.ones(count, dtype=np.bool_)
             still[np.concatenate(pieces)] = False
             order = np.concatenate([*pieces, np.flatnonzero(still)])
             self._place = np.argsort(order)
-            factors = [_factors(rows_of(piece)) for piece in pieces]
+            factors = [_factors(build_rows(piece)) for piece in pieces]
+        # 2. Buffers of a frame. Each block has three more modes, which add its rest positions within the same product.
         widths = [len(modes) + 3 for _, modes in factors]
         self._inputs = np.zeros((4, n_columns + 3), dtype=np.float32)
         self._inputs[:3, n_columns:] = np.eye(3)
@@ -83,7 +86,7 @@ class BlockProduct:
         self._moved[0, :, :3] = rest[order]
         self._sorted = np.empty((1, min(_CHUNK, count), 4), dtype=np.float32)
         self._products: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]] = []
-        # One array for all blocks: numpy asks for huge pages where an array is large, and a frame walks through it all.
+        # 3. Store the blocks in one array, for which numpy requests huge pages if it is large.
         store = np.empty(sum(w * len(p) for w, p in zip(widths, pieces, strict=True)), dtype=np.float32)
         row = column = used = 0
         for piece, width, (left, modes) in zip(pieces, widths, factors, strict=True):
@@ -98,8 +101,17 @@ class BlockProduct:
         self.nbytes = store.nbytes + self._modes.nbytes
 
     def apply(self, displacements: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-        """Write `rest + A displacements` for (P, 3) float32 displacements into (V, 3) float32 contiguous `out`."""
+        """Compute ``rest + A d``.
+
+        Parameters
+        ----------
+        displacements : (P, 3) float32
+            `d`, of the control points.
+        out : (V, 3) float32
+            C-contiguous; overwritten by the result.
+        """
         self._inputs[:3, :-3] = displacements.T
+        # d -> Y d for all blocks at once, then U (Y d) per block.
         np.matmul(self._inputs, self._modes, out=self._amounts)
         for block, amounts, moved in self._products:
             np.matmul(block, amounts, out=moved)
@@ -107,6 +119,7 @@ class BlockProduct:
         if self._place is None:
             cv2.cvtColor(self._moved, cv2.COLOR_BGRA2BGR, result)
             return
+        # Back to the order of the mesh; OpenCV drops the fourth column faster than numpy does.
         for start in range(0, len(self._place), _CHUNK):
             place = self._place[start : start + _CHUNK]
             part = self._sorted[:, : len(place)]
@@ -114,8 +127,8 @@ class BlockProduct:
             cv2.cvtColor(part, cv2.COLOR_BGRA2BGR, result[:, start : start + _CHUNK])
 
 
-class _RowsOf:
-    """Rows of the sum of the regions' matrices, (len(vertices), n_columns)."""
+class _RowBuilder:
+    """Builds rows of the sum of the regions' matrices, (len(vertices), n_columns)."""
 
     def __init__(self, regions: list[RegionMatrix], count: int, n_columns: int) -> None:
         self._n_columns = n_columns
@@ -132,18 +145,18 @@ class _RowsOf:
         return rows
 
     def classes(self) -> list[NDArray[np.intp]]:
-        """Vertices that hang on the same regions, which lie along slits; those of small classes together."""
+        """Vertices grouped by the set of regions that move them; small groups, which lie along slits, are joined."""
         bits = np.left_shift(1, np.arange(len(self._regions)))
         key = bits @ (self._places >= 0)
         keys, counts = np.unique(key[key > 0], return_counts=True)
-        large = keys[counts >= _PIECE]
+        large = keys[counts >= _MAX_PIECE]
         rest = np.flatnonzero((key > 0) & ~np.isin(key, large))
         return [group for group in [*(np.flatnonzero(key == k) for k in large), rest] if len(group)]
 
 
 def _pieces(places: NDArray[np.float32], vertices: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """`vertices` in pieces that are near each other in (V, 3) `places`: halved across the widest side."""
-    if len(vertices) <= _PIECE:
+    """Split `vertices` into compact pieces by halving across the widest side, with positions `places` (V, 3)."""
+    if len(vertices) <= _MAX_PIECE:
         return [np.sort(vertices)]
     there = places[vertices]
     order = np.argpartition(there[:, np.ptp(there, axis=0).argmax()], len(vertices) // 2)
@@ -152,11 +165,13 @@ def _pieces(places: NDArray[np.float32], vertices: NDArray[np.intp]) -> list[NDA
 
 
 def _factors(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """`left` (N, K) and orthonormal `modes` (K, P): `left modes` differs in no row by more than the tolerance."""
+    """`left` (N, K) and orthonormal `modes` (K, P) whose product approximates each row within the tolerance."""
     exact = rows.astype(np.float64)
+    # Right singular vectors from the Gram matrix, strongest first.
     _, vectors = np.linalg.eigh(exact.T @ exact)
     modes = vectors[:, ::-1].T.astype(np.float32)
     left = rows @ modes.T
+    # The error of a row after K modes is the norm of its remaining coefficients; take the smallest sufficient K.
     beyond = np.sqrt(np.cumsum(np.square(left[:, ::-1]), axis=1)[:, ::-1].max(axis=0))
     rank = int((beyond > TOLERANCE).sum())
     return left[:, :rank], modes[:rank]

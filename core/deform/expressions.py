@@ -1,9 +1,9 @@
-"""What moves together in a face, learnt from the expression shapes of other heads and carried to any mesh.
+"""Correlation of motion, learnt from expression shapes of known heads (docs/method.md, section 5.5).
 
-The skin does not know that a lower lid goes with the cheek and not with the bridge of the nose, as near as that is. So
-the covariance of its process gains a term that is large between places which move alike in known expressions (Luethi
-et al. 2018, *Gaussian Process Morphable Models*): the correlation of their motions. The correlation and not the
-covariance, as how far a face moves differs from head to head much more than what goes with what.
+The skin alone does not know that a lower lid moves with the cheek, and not with the bridge of the nose, which is as
+near. The covariance of its process therefore gains a term that is large between places that move alike in known
+expressions (Luethi et al. 2018). It is a correlation and not a covariance, as the amount of motion differs between
+heads much more than what moves together.
 """
 
 from __future__ import annotations
@@ -30,32 +30,34 @@ from .skin import SkinCovariance, skin_covariance
 FORMAT = "facemime-expressions-1"
 EXPRESSIONS_FILE = ASSETS / "expressions" / "ict.npz"
 
-AMOUNT = 0.7
+LEARNT_WEIGHT = 0.7
 REACH = 0.2
-"""Weight of the term beside a process of 1, and how far it reaches, outer-eye distances."""
+"""Weight of the learnt term relative to the process, and its reach in outer-eye distances (equation 5.7)."""
 _FEATURES = 24
-_STILL = 0.03
-"""Motion, in outer-eye distances, below which a place counts as resting: noise has no direction."""
-_SIDE = 0.2
+"""Singular vectors that are kept."""
+_REST_MOTION = 0.03
+"""Motion in outer-eye distances below which a place counts as resting (equation 5.6): noise has no direction."""
+_REGION_DISTANCE = 0.2
+"""Outer-eye distances for which a difference of 1 in region weights stands in the search for nearest places."""
 _NEIGHBOURS = 4
 _CHUNK = 4_000
-"""Vertices at a time: what they need stays in the processor's second cache."""
+"""Vertices at a time, which fit into the CPU's second-level cache."""
 
 
 @dataclass(frozen=True)
 class ExpressionModel:
-    """Which places of one head move alike.
+    """The correlation of motion on one head.
 
     Attributes
     ----------
     places : (S, 3) float32
-        Places on the skin: head frame, outer-eye distances, origin at the landmarks' mean.
+        Positions on the skin: head frame, outer-eye distances, origin at the mean of the landmarks.
     sides : (S, 3) float32
-        Share of the regions in each place, so that a lip is never taken for the other one.
+        Share of each region at each place, so that one lip is not taken for the other.
     features : (S, K) float32
-        Their products are the correlations of the places' motions.
+        Features whose inner products are the correlations of motion.
     landmarks : (66, 3) float32
-        As `places`.
+        In the frame of `places`.
     """
 
     places: NDArray[np.float32]
@@ -63,18 +65,26 @@ class ExpressionModel:
     features: NDArray[np.float32]
     landmarks: NDArray[np.float32]
 
-    def carry(self, vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray) -> NDArray[np.float32]:
-        """(V, K) features of the vertices of another head; 0 where no region moves them.
+    def transfer(self, vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray) -> NDArray[np.float32]:
+        """Transfer the features to the vertices of another head.
 
         Parameters
         ----------
         vertices : (V, 3) array
             Head frame, any unit.
         landmarks : (66,) array of int
+            Vertex of each landmark.
         region_weights : (3, V) array
+            Weights of the regions.
+
+        Returns
+        -------
+        (V, K) float32
+            Features; 0 where no region moves the vertex.
         """
         places = _normalised(vertices, landmarks)
         moving = np.flatnonzero(region_weights.any(axis=0))
+        # Warp the vertices to the known head, and average over the nearest places of the same region.
         warped = Warp(places[landmarks], self.landmarks)(places[moving])
         known = NearestPoints(_with_sides(self.places, self.sides))
         nearest, squared = known.query(_with_sides(warped, _sides(region_weights)[moving]), _NEIGHBOURS)
@@ -94,30 +104,39 @@ def learn(
     motions: FloatArray,
     kept: IntArray | None = None,
 ) -> ExpressionModel:
-    """What moves together on a head whose expressions are known.
+    """Learn the correlation of motion from a head whose expressions are known.
 
     Parameters
     ----------
     vertices : (V, 3) array
         Head frame, any unit.
     landmarks : (66,) array of int
+        Vertex of each landmark.
     region_weights : (3, V) array
+        Weights of the regions.
     motions : (E, V, 3) array
         Displacements under each expression, unit of `vertices`.
     kept : (S,) array of int, optional
-        Vertices to keep, for a small file; all that move by default.
+        Vertices to keep, for a small file; by default all that move.
+
+    Returns
+    -------
+    ExpressionModel
+        The model.
 
     Notes
     -----
-    The correlation of places x and y over expressions and axes is `u(x).u(y)` with `u(x) = m(x) / |m(x)|` and m(x)
-    all coordinates of all motions of x; the features are u on its strongest singular vectors.
+    The features are ``h(x) = m(x) / sqrt(|m(x)|^2 + 3 c^2)`` (equation 5.6), where m(x) holds all coordinates of all
+    motions of the place x, projected to their strongest singular vectors.
     """
     unit = outer_eye_distance(np.asarray(vertices)[landmarks])
     places = _normalised(vertices, landmarks)
     moving = np.flatnonzero(region_weights.any(axis=0)) if kept is None else np.asarray(kept)
+    # m(x) for all places, one row each; equation 5.6.
     flat = motions[:, moving].transpose(1, 0, 2).reshape(len(moving), -1) / unit
-    size = np.sqrt(np.square(flat).sum(axis=1, keepdims=True) / 3.0 + _STILL**2)
+    size = np.sqrt(np.square(flat).sum(axis=1, keepdims=True) / 3.0 + _REST_MOTION**2)
     alike = flat / (np.sqrt(3.0) * size)
+    # Project to the strongest singular vectors.
     _, axes = np.linalg.eigh(alike.T @ alike)
     return ExpressionModel(
         places=places[moving].astype(np.float32),
@@ -128,7 +147,7 @@ def learn(
 
 
 def shipped_expressions() -> tuple[ExpressionModel, ...]:
-    """Of both heads whose expressions are known: ICT-FaceKit's and the built-in."""
+    """Models of the two known heads: ICT-FaceKit and the built-in head."""
     return load_expressions(), _built_in()
 
 
@@ -139,19 +158,40 @@ def learnt_covariance(
     landmarks: IntArray,
     region_weights: FloatArray,
 ) -> SkinCovariance:
-    """The process on the skin of a head, and beside it how alike places move, the mean of what `models` say.
+    """Covariance of the process on the skin plus the learnt correlation, averaged over models.
 
-    Between places x and y with features u it gains `AMOUNT u(x).u(y) exp(-|x - y|^2 / (2 REACH^2))`; parameters as for
-    `skin_covariance`.
+    Parameters
+    ----------
+    models : tuple of ExpressionModel
+        Known heads.
+    vertices : (V, 3) array
+        Head frame, any unit.
+    faces : (F, K) array of int
+        Vertices of each face, padded with -1.
+    landmarks : (66,) array of int
+        Vertex of each landmark.
+    region_weights : (3, V) array
+        Weights of the regions.
+
+    Returns
+    -------
+    SkinCovariance
+        Between vertices and landmarks, and among landmarks.
+
+    Notes
+    -----
+    Adds ``w h(x) . h(y) exp(-|x - y|^2 / (2 REACH^2))`` with ``w = LEARNT_WEIGHT`` between places x and y with features
+    h (equation 5.7).
     """
     skin = skin_covariance(vertices, faces, landmarks, region_weights)
+    # Features side by side, scaled so that inner products are means over the models.
     scale = np.float32(1.0 / np.sqrt(len(models)))
-    features = scale * np.concatenate([m.carry(vertices, landmarks, region_weights) for m in models], axis=1)
+    features = scale * np.concatenate([m.transfer(vertices, landmarks, region_weights) for m in models], axis=1)
     places = _normalised(vertices, landmarks)
 
     def term(rows: IntArray) -> FloatArray:
         near = np.exp(-0.5 * np.square(distances(places[rows], places[landmarks]) / REACH))
-        return np.asarray(AMOUNT * near * (features[rows] @ features[landmarks].T))
+        return np.asarray(LEARNT_WEIGHT * near * (features[rows] @ features[landmarks].T))
 
     joined = np.flatnonzero(skin.vertices.any(axis=1))
     for start in range(0, len(joined), _CHUNK):
@@ -167,12 +207,12 @@ def load_expressions(path: Path = EXPRESSIONS_FILE) -> ExpressionModel:
     Raises
     ------
     ModelError
-        The file is missing, damaged, or of another version.
+        If the file is missing, damaged, or of another version.
     """
     try:
         archive = read_archive(read_bytes(path, MAX_BYTES))
         if archive.text("format") != FORMAT:
-            raise ValueError("another version")
+            raise ValueError("it has another version")
         places = archive.reals("places", (None, 3), np.float32)
         model = ExpressionModel(
             places=places,
@@ -181,9 +221,9 @@ def load_expressions(path: Path = EXPRESSIONS_FILE) -> ExpressionModel:
             landmarks=archive.reals("landmarks", (N_LANDMARKS, 3), np.float32),
         )
     except FileNotFoundError as error:
-        raise ModelError(f"The expressions {path} are missing. Install Facemime again.") from error
+        raise ModelError(f"The expression model {path} is missing. Reinstall Facemime.") from error
     except (OSError, ValueError) as error:
-        raise ModelError(f"The expressions {path} are damaged ({error}). Install Facemime again.") from error
+        raise ModelError(f"The expression model {path} is damaged ({error}). Reinstall Facemime.") from error
     return model
 
 
@@ -201,10 +241,10 @@ def _normalised(vertices: FloatArray, landmarks: IntArray) -> FloatArray:
 
 
 def _sides(region_weights: FloatArray) -> FloatArray:
-    """(V, 3) share of each region in what moves a vertex."""
+    """(V, 3) share of each region in the weights of a vertex."""
     weights = np.asarray(region_weights, dtype=np.float64)
     return np.asarray((weights / np.maximum(weights.sum(axis=0), 1e-9)).T)
 
 
 def _with_sides(places: FloatArray, sides: FloatArray) -> NDArray[np.float32]:
-    return np.ascontiguousarray(np.concatenate([places, _SIDE * sides], axis=1), dtype=np.float32)
+    return np.ascontiguousarray(np.concatenate([places, _REGION_DISTANCE * sides], axis=1), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""The deformer of a head: its regions, its control points, and the kernel that knows faces."""
+"""The deformer of a head, from its regions, control points and kernel."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 
 from ..heads.regions import DEFAULT_KERNEL, membership, region_sigmas
 from ..heads.rig import HeadRig
-from ..mesh.kernels import kernel_named
+from ..mesh.kernels import get_kernel
 from .expressions import ExpressionModel, learnt_covariance, shipped_expressions
-from .follow import following
+from .follow import follow_matrix
 from .rbf import IncrementalDeformer, RBFDeformer
 
 INFORMED = "informed"
-"""The kernel that knows faces, by default; any name of `kernels.KERNELS` is one that knows distance alone."""
+"""The default kernel, which combines distance with the skin and learnt motion. `KERNELS` use distance alone."""
 
 
 def head_deformer(
@@ -24,17 +24,31 @@ def head_deformer(
     incremental: bool = False,
     expressions: tuple[ExpressionModel, ...] | None = None,
 ) -> RBFDeformer | IncrementalDeformer:
-    """What moves the vertices of `rig` by the displacements of its 66 landmarks; `kernel` and `incremental` as for
-    `DriveSettings`.
+    """Prepare the deformer of a head.
 
-    `expressions` are what the informed kernel knows of faces, by default what ships.
+    Parameters
+    ----------
+    rig : HeadRig
+        The head.
+    kernel : str
+        As in `DriveSettings`.
+    incremental : bool
+        As in `DriveSettings`.
+    expressions : tuple of ExpressionModel, optional
+        Known heads for the informed kernel; by default those that are shipped.
+
+    Returns
+    -------
+    RBFDeformer or IncrementalDeformer
+        Moves the vertices by the displacements of the 66 landmarks. Without faces, or if incremental, the informed
+        kernel is its distance part alone.
     """
     places = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
     plain = DEFAULT_KERNEL if kernel == INFORMED else kernel
-    sigma = region_sigmas(places, kernel_named(plain))
+    sigma = region_sigmas(places, get_kernel(plain))
     follow = None
     if rig.control_points is not None:
-        follow = following(places, rig.control_points, rig.covariance, kernel_named(plain), sigma)
+        follow = follow_matrix(places, rig.control_points, rig.covariance, get_kernel(plain), sigma)
     fit = partial(
         IncrementalDeformer if incremental else RBFDeformer,
         rig.vertices,

@@ -1,8 +1,8 @@
-"""Radial basis functions, one for each region, prepared once so that a frame is a few matrix products.
+"""Radial basis functions, one per region, prepared so that a frame is one matrix product (docs/method.md, section 5.1).
 
-The paper refits the weights in every frame. Rest positions do not change, so neither does the matrix of the fit: it is
-solved once here, together with the evaluation at every vertex, and a frame costs the product alone. Solved, never
-inverted: Gaussians become ill-conditioned as sigma grows.
+The paper refits the weights in every frame. As rest positions do not change, neither does the matrix of the fit: it is
+solved once, together with the evaluation at every vertex. It is never inverted, as Gaussians become ill-conditioned
+with growing sigma.
 """
 
 from __future__ import annotations
@@ -17,20 +17,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import FloatArray, as_points
 from ..errors import HeadError
-from ..mesh.kernels import Kernel, distances, kernel_named
+from ..mesh.kernels import Kernel, distances, get_kernel
 from .blocks import BlockProduct, RegionMatrix
 from .skin import SkinCovariance
 
 MAX_CONDITION = 1e10
+"""Largest condition number of a fit: beyond it, rounding would be visible."""
 _SKIN_SHARE = 0.6
-"""Of the process on the skin in the mean with the regions' functions."""
+"""Share of the process on the skin in its mean with the regions' functions (section 5.6)."""
 _CHUNK = 4_000
-"""Vertices fitted at a time: what they need stays in the processor's second cache."""
+"""Vertices fitted at a time, which fit into the CPU's second-level cache."""
 
 
 @dataclass(frozen=True)
 class RegionFit:
-    """One region's fit, as it came out.
+    """Properties of the fit of a region.
 
     Attributes
     ----------
@@ -39,9 +40,9 @@ class RegionFit:
     columns : (Pr,) intp
         The control points that move it.
     sigma : float
-        Width of the kernel, unit of the vertices.
+        Width of the kernel, in the unit of the vertices.
     condition : float
-        Condition number of the regularised Phi.
+        Condition number of the regularised kernel matrix.
     """
 
     rows: NDArray[np.intp]
@@ -51,9 +52,9 @@ class RegionFit:
 
 
 class RBFDeformer:
-    """Moves a mesh by the displacements of its control points.
+    """Deforms a mesh by the displacements of its control points.
 
-    Solvable where the control points of each region are distinct and sigma is not far above their spacing.
+    The control points of each region have to be distinct, and sigma must not be far above their spacing.
 
     Parameters
     ----------
@@ -62,27 +63,26 @@ class RBFDeformer:
     control_points : (P, 3) array_like
         Rest positions of the control points, same frame.
     region_weights : (R, V) array_like
-        Share of each region in each vertex, >= 0; normalised to a sum of one where the sum exceeds one, so that a
-        vertex on a border takes the weighted mean of its regions (the paper's mean for weights of 0 and 1), and one
-        where the paint fades out moves less.
+        Weight of each region at each vertex, >= 0, normalised where the sum exceeds one: vertices take the weighted
+        mean of overlapping regions (for weights of 0 and 1, the paper's mean), and move less where weights fade out.
     membership : (R, P) array_like of bool
-        Which control point controls which region.
+        Whether a control point belongs to a region.
     kernel : str
-        A name in `kernels.KERNELS`; the paper's Gaussian by default.
+        Key in `KERNELS`; by default the Gaussian of the paper.
     sigma : float or (R,) array_like, optional
-        Width of the kernel, one for all regions or one for each; by default chosen from the spacing of a region's
-        control points, times `spacing_factor`.
+        Width of the kernel, for all regions or for each; by default the spacing of the region's control points times
+        `spacing_factor`.
     spacing_factor : float or (R,) array_like
-        One for all regions, or one for each.
+        For all regions, or for each.
     regularisation : float
-        Added to the diagonal of Phi, whose entries are at most one. At 0.001 vertices between control points
-        follow more smoothly than at nothing, and the points themselves are met within 0.5 mm on the face units.
+        Added to the diagonal of the kernel matrix, whose entries are at most one. With 0.001, the skin between control
+        points is smoother than without, and the points are met within 0.5 mm.
     skin : SkinCovariance, optional
-        A process on the mesh's surface, over all control points. What it joins to any of them takes a weighted mean of
-        it and of the regions' functions.
+        A process on the surface of the mesh, over all control points. Vertices that it joins to any of them take a
+        weighted mean of it and the regions' functions.
     follow : (P, P) array_like, optional
-        Displacements of all control points from those that are given, as `follow.following` tells; columns of those
-        that are not given are 0. All are given by default.
+        Matrix from given displacements to those of all control points, as `follow_matrix` returns it; columns of
+        points that are not given are 0. By default all are given.
 
     Attributes
     ----------
@@ -95,16 +95,13 @@ class RBFDeformer:
     Raises
     ------
     HeadError
-        Coincident control points, a region with vertices but without control points, an ill-conditioned fit.
+        If control points coincide, a region has vertices but no control points, or the fit is ill-conditioned.
 
     Notes
     -----
-    Preparation costs O(R P^3 + V P); a frame costs V P multiply-adds a coordinate, P those of the vertex' regions.
-    An instance holds the buffers of a frame: threads need one each.
-
-    References
-    ----------
-    Yao, Li, Li & Su 2019, equations (1) to (3), section 4.1.
+    Equations 5.1 and 5.2 (Yao et al. 2019, equations 1 to 3). Preparation costs O(R P^3 + V P); a frame costs V P
+    multiply-adds per coordinate, with the control points P of a vertex's regions. An instance holds the buffers of a
+    frame, so each thread needs its own.
     """
 
     def __init__(
@@ -124,14 +121,15 @@ class RBFDeformer:
         rest = as_points(vertices, "vertices", error=HeadError)
         points = as_points(control_points, "control_points", error=HeadError)
         members = np.asarray(membership, dtype=np.bool_)
-        shares = _shares(region_weights, len(members), len(rest))
+        shares = _normalise_weights(region_weights, len(members), len(rest))
         if members.shape != (len(shares), len(points)):
             raise HeadError(f"membership must be ({len(shares)}, {len(points)}); got {members.shape}.")
         factors = np.broadcast_to(np.asarray(spacing_factor, dtype=np.float64), len(members))
         if sigma is not None and not (np.asarray(sigma) > 0).all():
-            raise HeadError(f"sigma must be above 0; got {sigma!r}.")
+            raise HeadError(f"sigma must be positive; got {sigma!r}.")
         widths = [None] * len(members) if sigma is None else np.broadcast_to(np.asarray(sigma), len(members)).tolist()
-        fit = _Fit(rest, points, kernel_named(kernel), regularisation)
+        fit = _Fit(rest, points, get_kernel(kernel), regularisation)
+        # One function per region (equation 5.2).
         regions = [
             fit.region(shares[row], np.flatnonzero(members[row]), widths[row], float(factors[row]))
             for row in range(len(members))
@@ -140,11 +138,12 @@ class RBFDeformer:
         if not regions:
             raise HeadError("No vertex lies in a region. Paint the regions Upper, Middle and Lower as vertex groups.")
         matrices = [matrix for _, matrix in regions]
+        # Mean with the process on the skin (5.6); landmarks that are not control points follow (6.1).
         if skin is not None:
             used = np.flatnonzero(members[shares.any(axis=1)].any(axis=0))
-            matrices = _mean(matrices, fit.surface(skin, shares.sum(axis=0), used), len(rest))
+            matrices = _blend(matrices, fit.surface(skin, shares.sum(axis=0), used), len(rest))
         if follow is not None:
-            matrices = [_followed(matrix, np.asarray(follow, dtype=np.float32)) for matrix in matrices]
+            matrices = [_apply_follow(matrix, np.asarray(follow, dtype=np.float32)) for matrix in matrices]
         self.rest: NDArray[np.float32] = rest.astype(np.float32)
         self.n_control_points = len(points)
         self.fits = tuple(found for found, _ in regions)
@@ -152,13 +151,19 @@ class RBFDeformer:
         self.nbytes = self._product.nbytes
 
     def deform(self, displacements: ArrayLike, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """Return the deformed vertices, (V, 3) float32, written into `out` where given.
+        """Deform the mesh.
 
         Parameters
         ----------
         displacements : (P, 3) array_like
             Of the control points from their rest positions, frame and unit of `vertices`.
-        out : (V, 3) float32, C-contiguous, optional
+        out : (V, 3) float32, optional
+            C-contiguous array for the result.
+
+        Returns
+        -------
+        (V, 3) float32
+            The deformed vertices; `out` if given.
         """
         moved = np.asarray(displacements, dtype=np.float32)
         if moved.shape != (self.n_control_points, 3) or not math.isfinite(np.vdot(moved, moved)):
@@ -170,7 +175,7 @@ class RBFDeformer:
         return result
 
     def matrix(self) -> NDArray[np.float32]:
-        """The whole (V, P) matrix A of `rest + A d`: for analysis; a frame never needs it."""
+        """The whole matrix A of ``rest + A d``, (V, P), for analysis; frames do not need it."""
         columns = []
         unit = np.zeros((self.n_control_points, 3), dtype=np.float32)
         for column in range(self.n_control_points):
@@ -181,10 +186,9 @@ class RBFDeformer:
 
 
 class IncrementalDeformer:
-    """The paper's own way: every frame is fitted anew from the coordinates of the one before (section 3.2).
+    """The method of the paper (its section 3.2): each frame is fitted from the coordinates of the previous one.
 
-    It costs a hundred times as much as `RBFDeformer`, and what a frame gets wrong the next one keeps; here for
-    comparison.
+    It is a hundred times slower than `RBFDeformer`, and errors accumulate. Kept for comparison.
 
     Parameters
     ----------
@@ -213,7 +217,20 @@ class IncrementalDeformer:
         self._moved = np.zeros_like(self._points)
 
     def deform(self, displacements: ArrayLike, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """As `RBFDeformer.deform`, from the frame before: the result hangs on all frames since `reset`."""
+        """Deform the mesh from the coordinates of the previous frame; depends on all frames since `reset`.
+
+        Parameters
+        ----------
+        displacements : (P, 3) array_like
+            Of the control points from their rest positions, frame and unit of `vertices`.
+        out : (V, 3) float32, optional
+            C-contiguous array for the result.
+
+        Returns
+        -------
+        (V, 3) float32
+            The deformed vertices; `out` if given.
+        """
         moved = as_points(displacements, "displacements", count=self.n_control_points)
         step = RBFDeformer(self._vertices, self._points + self._moved, *self._regions, **self._options)
         result = step.deform(moved - self._moved, out)
@@ -221,7 +238,7 @@ class IncrementalDeformer:
         return result
 
 
-def _shares(region_weights: ArrayLike, n_regions: int, n_vertices: int) -> FloatArray:
+def _normalise_weights(region_weights: ArrayLike, n_regions: int, n_vertices: int) -> FloatArray:
     weights = np.asarray(region_weights, dtype=np.float64)
     if weights.shape != (n_regions, n_vertices):
         raise HeadError(f"region_weights must be ({n_regions}, {n_vertices}); got {weights.shape}.")
@@ -232,7 +249,7 @@ def _shares(region_weights: ArrayLike, n_regions: int, n_vertices: int) -> Float
 
 @dataclass(frozen=True)
 class _Fit:
-    """What the fits of all regions share."""
+    """Parameters that the fits of all regions share."""
 
     rest: FloatArray
     points: FloatArray
@@ -242,14 +259,14 @@ class _Fit:
     def region(
         self, share: FloatArray, columns: NDArray[np.intp], width: float | None, spacing_factor: float
     ) -> tuple[RegionFit, RegionMatrix]:
-        """Fit a region, of which vertices have `share` (V,), on the control points `columns`."""
+        """Fit a region with the weights `share` (V,) to the control points `columns`."""
         if len(columns) == 0:
             raise HeadError(
-                "A region has vertices but no control point. Bind its landmarks, or clear its vertex group."
+                "A region has vertices but no control points. Bind its landmarks, or clear its vertex group."
             )
         centres = self.points[columns]
         between = distances(centres, centres)
-        _refuse_coincident(between, columns)
+        _check_distinct(between, columns)
         sigma = self.kernel.width(between, spacing_factor) if width is None else width
         rows = np.flatnonzero(share)
         system, condition = self._system(self.kernel.phi(between, sigma), f"at sigma {sigma:.3g}")
@@ -257,20 +274,20 @@ class _Fit:
         def evaluation(part: NDArray[np.intp]) -> FloatArray:
             return self.kernel.phi(distances(self.rest[part], centres), sigma)
 
-        return RegionFit(rows, columns, float(sigma), condition), _solved(system, evaluation, rows, columns, share)
+        return RegionFit(rows, columns, float(sigma), condition), _solve(system, evaluation, rows, columns, share)
 
     def surface(self, skin: SkinCovariance, share: FloatArray, columns: NDArray[np.intp]) -> RegionMatrix:
-        """Fit `skin` on the control points `columns`, for the vertices that have `share` (V,) and that it joins."""
+        """Fit `skin` to the control points `columns`, for vertices with `share` (V,) that it joins to any."""
         rows = np.flatnonzero((share > 0.0) & skin.vertices.any(axis=1))
         system, _ = self._system(skin.control_points[np.ix_(columns, columns)], "on the skin")
 
         def evaluation(part: NDArray[np.intp]) -> FloatArray:
             return np.asarray(skin.vertices[part[:, None], columns], dtype=np.float64)
 
-        return _solved(system, evaluation, rows, columns, share)
+        return _solve(system, evaluation, rows, columns, share)
 
     def _system(self, phi: FloatArray, where: str) -> tuple[FloatArray, float]:
-        """The regularised `phi`, and its condition number."""
+        """The regularised kernel matrix, and its condition number."""
         system = phi + self.regularisation * np.eye(len(phi))
         condition = float(np.linalg.cond(system))
         if not condition <= MAX_CONDITION:
@@ -281,14 +298,14 @@ class _Fit:
         return system, condition
 
 
-def _solved(
+def _solve(
     system: FloatArray,
     evaluation: Callable[[NDArray[np.intp]], FloatArray],
     rows: NDArray[np.intp],
     columns: NDArray[np.intp],
     share: FloatArray,
 ) -> RegionMatrix:
-    """The matrix of a fit for the vertices `rows`, whose kernel to the control points `evaluation` tells."""
+    """The matrix of a fit for the vertices `rows`; `evaluation` returns the kernel between these and its points."""
     matrix = np.empty((len(rows), len(columns)), dtype=np.float32)
     for start in range(0, len(rows), _CHUNK):
         part = rows[start : start + _CHUNK]
@@ -296,24 +313,24 @@ def _solved(
     return RegionMatrix(rows, columns, matrix)
 
 
-def _mean(regions: list[RegionMatrix], surface: RegionMatrix, count: int) -> list[RegionMatrix]:
-    """The regions' functions and the process on the skin in shares; where the latter does not reach, the former."""
-    kept = np.ones(count, dtype=np.float32)
-    kept[surface.rows] -= _SKIN_SHARE
-    halved = [RegionMatrix(r.rows, r.columns, r.matrix * kept[r.rows, None]) for r in regions]
-    return [*halved, RegionMatrix(surface.rows, surface.columns, np.float32(_SKIN_SHARE) * surface.matrix)]
+def _blend(regions: list[RegionMatrix], surface: RegionMatrix, count: int) -> list[RegionMatrix]:
+    """Weighted mean of the regions' functions and the process on the skin; the former alone where the latter ends."""
+    share = np.ones(count, dtype=np.float32)
+    share[surface.rows] -= _SKIN_SHARE
+    scaled = [RegionMatrix(r.rows, r.columns, r.matrix * share[r.rows, None]) for r in regions]
+    return [*scaled, RegionMatrix(surface.rows, surface.columns, np.float32(_SKIN_SHARE) * surface.matrix)]
 
 
-def _followed(region: RegionMatrix, follow: NDArray[np.float32]) -> RegionMatrix:
-    """The region's matrix for the displacements of those control points alone that `follow` (P, P) starts from."""
+def _apply_follow(region: RegionMatrix, follow: NDArray[np.float32]) -> RegionMatrix:
+    """The matrix of a region times `follow` (P, P), for the displacements of the given control points alone."""
     columns = np.flatnonzero(follow[region.columns].any(axis=0))
     return RegionMatrix(region.rows, columns, region.matrix @ follow[np.ix_(region.columns, columns)])
 
 
-def _refuse_coincident(between: FloatArray, columns: NDArray[np.intp]) -> None:
+def _check_distinct(between: FloatArray, columns: NDArray[np.intp]) -> None:
     if len(columns) < 2:
         return
     nearest = np.where(np.eye(len(columns), dtype=bool), np.inf, between).min(axis=1)
     if nearest.min() < 1e-6 * between.max():
         pair = columns[np.argmin(nearest)]
-        raise HeadError(f"Control point {pair} lies on another one. Bind the two to different vertices.")
+        raise HeadError(f"Control point {pair} coincides with another one. Bind them to different vertices.")

@@ -1,1 +1,1 @@
-"""From a performer's tracked face to a head: displacements, pose, jaw and gaze, a frame or a take at a time."""
+"""Driving a head by a tracked face: displacements, pose, jaw and gaze (docs/method.md, section 4)."""

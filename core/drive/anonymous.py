@@ -1,4 +1,4 @@
-"""A take without the performer's face: the average face, driven as a head is."""
+"""Anonymous takes: the performance on the average face (docs/method.md, section 8.4)."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import numpy as np
 from ..apertures import mouth_aperture
 from ..takes.neutral import calibrate
 from ..takes.take import Take
-from ..takes.timing import lose, project
+from ..takes.timing import mark_lost, project
 from ..tracking.tracker import FaceTracker
 from .retarget import Retargeter
 
-_NOT_PERSONAL = ("fps", "image_size", "model", "clock", "mirrored", "smoothed", "bridged", "punched_in", "interrupted")
-"""What an anonymous take still tells of how it was made."""
+_KEPT_INFO = ("fps", "image_size", "model", "clock", "mirrored", "smoothed", "bridged", "punched_in", "interrupted")
+"""Technical entries of `Take.info` that an anonymous take keeps."""
 
 
 def anonymise(take: Take) -> Take:
-    """The performance without the performer's name and face: an average face that moves as the performer's did.
+    """Remove the performer's name and face from a take: an average face then moves as the performer's did.
 
-    Each frame's shape becomes the model's mean face, moved by what `Retargeter` makes of it, and the landmarks follow
-    from it; coefficients, pupils and each landmark's confidence, which tell of the performer's own face, are gone, and
-    so are the names and dates in `info`. A head is driven as before, up to rounding. How the performer moves, holds the
-    head, looks and blinks stays: that is the performance, and somebody who knows the performer may recognise it.
+    The shape of each frame becomes the mean face of the model, displaced by `Retargeter`, and landmarks follow from it.
+    Shape parameters, pupils and landmark confidences, which depend on the performer's face, are removed, as are names
+    and dates in `info`. The take drives a head as before, up to rounding. The motion remains, by which somebody who
+    knows the performer may recognise them.
     """
-    info = {key: take.info[key] for key in _NOT_PERSONAL if key in take.info}
-    result = replace(lose(take, np.ones(len(take), bool)), found=take.found.copy(), info=info)
+    info = {key: take.info[key] for key in _KEPT_INFO if key in take.info}
+    result = replace(mark_lost(take, np.ones(len(take), bool)), found=take.found.copy(), info=info)
     result.confidence[:] = take.confidence
     result.pose[:], result.gaze[:] = take.pose, take.gaze
     if not take.found.any():

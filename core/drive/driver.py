@@ -1,4 +1,4 @@
-"""The way of a frame from a tracking result to a head: vertices, pose, jaw and gaze; the same live and headless."""
+"""From a tracking result to a frame of a head: vertices, pose, jaw and gaze, both live and headless."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from ..takes.neutral import MIRROR_WIDTH, Neutral
 from ..tracking.mirror import mirror_result
 from ..tracking.result import TrackResult
 from .eyes import EyeDriver
-from .posing import limited_rotation, limited_vector
+from .posing import limit_rotation, limit_vector
 from .retarget import retargeter_for
 from .settings import DriveSettings
 
 _CAMERA_DISTANCE = 6.0
+"""Assumed distance of the camera in eye distances (equation 4.4), about that of a webcam."""
 _BY_DEFAULT = DriveSettings()
 
 
@@ -33,13 +34,13 @@ class HeadFrame:
     Attributes
     ----------
     vertices : (V, 3) float32
-        Head frame, the mesh's unit, the head's pose not applied.
+        Head frame, unit of the mesh, without the pose of the head.
     rotation : (3, 3) float64
-        Of the whole head from its neutral attitude.
+        Rotation of the head from neutral.
     translation : (3,) float64
-        Of the whole head from its neutral place, the mesh's unit.
+        Translation of the head from neutral, unit of the mesh.
     jaw : (3, 3) float64
-        Rotation of lower teeth and tongue about the jaw's pivot.
+        Rotation of lower teeth and tongue about the pivot of the jaw.
     gaze : (3, 3) float64
         Rotation of both eyeballs about their centres, within the head.
     """
@@ -52,16 +53,18 @@ class HeadFrame:
 
 
 class HeadDriver:
-    """Drives one head from one performer; prepared once, then a few matrix products a frame.
+    """Drives a head by a performer. After preparation, a frame costs a few matrix products.
 
     Parameters
     ----------
     rig : HeadRig
+        The head.
     neutral : Neutral
-        The performer's, from `calibrate`.
+        The performer's neutral face, from `calibrate`.
     options : DriveSettings
-    like : HeadDriver, optional
-        Drove the same rig before: where its kernel is the same too, what was prepared for it is used again.
+        Settings.
+    reuse : HeadDriver, optional
+        An earlier driver, whose deformer is reused if it has the same rig and kernel.
     """
 
     def __init__(
@@ -70,7 +73,7 @@ class HeadDriver:
         neutral: Neutral,
         options: DriveSettings = _BY_DEFAULT,
         *,
-        like: HeadDriver | None = None,
+        reuse: HeadDriver | None = None,
     ) -> None:
         landmarks = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
         self.rig = rig
@@ -79,8 +82,8 @@ class HeadDriver:
         self.retargeter = retargeter_for(self.neutral, landmarks, mode=options.mode, strength=options.strength)
         self.deformer: RBFDeformer | IncrementalDeformer
         self.contact: EyeballContact
-        if like is not None and like.rig is rig and _same_skin(like.options, options):
-            self.deformer, self.contact = like.deformer, like.contact
+        if reuse is not None and reuse.rig is rig and _same_deformer(reuse.options, options):
+            self.deformer, self.contact = reuse.deformer, reuse.contact
         else:
             self.deformer = head_deformer(rig, options.kernel, incremental=options.incremental)
             self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
@@ -89,30 +92,32 @@ class HeadDriver:
         self._unit = outer_eye_distance(landmarks)
 
     def frame(self, result: TrackResult) -> HeadFrame:
-        """The head for one tracking result in which a face was found."""
+        """Compute the head for a tracking result with a face."""
         result = mirror_result(result, MIRROR_WIDTH) if self.options.mirror else result
         posing = self.options.posing
+        # Sections 4.1 to 4.4: landmarks; 4.5: pose within the user's limits.
         displacements = self.retargeter.displacements(result.shape)
         turned = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
-        rotation = limited_rotation(turned, posing.rotation_strength, posing.rotation_limit)
+        rotation = limit_rotation(turned, posing.rotation_strength, posing.rotation_limit)
+        # Section 5: the skin, and lids that slide over the eyeballs (5.8).
         vertices = self.deformer.deform(displacements)
         self.contact.resolve(vertices)
         return HeadFrame(
             vertices=vertices,
             rotation=rotation,
             translation=self._unit
-            * limited_vector(self._moved(result.pose), posing.location_strength, posing.location_limit),
+            * limit_vector(self._translation(result.pose), posing.location_strength, posing.location_limit),
             jaw=fit_rotation(self._chin, self._chin + displacements[CHIN]),
-            gaze=limited_rotation(self.eyes.rotation(result.gaze, rotation), posing.eyes_strength, posing.eyes_limit),
+            gaze=limit_rotation(self.eyes.rotation(result.gaze, rotation), posing.eyes_strength, posing.eyes_limit),
         )
 
-    def _moved(self, pose: FloatArray) -> FloatArray:
-        """(3,) outer-eye distances from the neutral place: weak perspective at an ordinary webcam distance."""
+    def _translation(self, pose: FloatArray) -> FloatArray:
+        """(3,) translation from neutral in outer-eye distances, by weak perspective (equation 4.4)."""
         scale, tx, ty = self.neutral.position
         s = float(pose[0])
         sideways = np.array([pose[4] - tx, pose[5] - ty]) / np.sqrt(s * scale)
         return np.array([*sideways, _CAMERA_DISTANCE * (scale / s - 1.0)])
 
 
-def _same_skin(one: DriveSettings, other: DriveSettings) -> bool:
+def _same_deformer(one: DriveSettings, other: DriveSettings) -> bool:
     return one.kernel == other.kernel and not one.incremental and not other.incremental

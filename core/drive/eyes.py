@@ -1,4 +1,4 @@
-"""How an avatar's eyes turn within its head: as the performer's do, or, where that is not known, to the viewer."""
+"""Rotation of an avatar's eyes: by the performer's gaze or, if that is unknown, towards the viewer."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from ..arrays import FloatArray
 from ..rotation import euler_to_matrix, matrix_to_euler
 
 _LIMIT = np.radians((7.0, 22.0))
-"""Pitch and yaw: up and down much less, as the lids, which follow the performer's, would hide the iris."""
+"""Limits of pitch and yaw. Pitch is small, as the lids, which follow the performer's, would hide the iris."""
 
 
 class EyeDriver:
-    """Turns the eyes of one avatar by those of one performer.
+    """Turns the eyes of an avatar by the gaze of a performer.
 
-    Shut eyes tell no gaze: until they open again, the avatar's stay where they were last, unseen behind its lids.
+    Shut eyes have no gaze; the avatar's, behind its lids, then keep their last direction.
 
     Parameters
     ----------
-    straight : (2,)
-        The performer's usual gaze, `Neutral.gaze`: the avatar looks straight out of its face then. NaN where a take
-        tells no gaze; the eyes then stay on the viewer.
+    straight : (2,) array
+        The performer's usual gaze, `Neutral.gaze`, at which the avatar looks straight ahead. NaN if a take has no gaze;
+        the eyes then stay on the viewer.
     """
 
     def __init__(self, straight: FloatArray) -> None:
@@ -28,31 +28,36 @@ class EyeDriver:
         self._last = np.zeros(2)
 
     def rotation(self, gaze: FloatArray, head: FloatArray) -> FloatArray:
-        """(3, 3) rotation of both eyeballs within the head.
+        """Rotation of both eyeballs within the head.
 
         Parameters
         ----------
-        gaze : (2,)
+        gaze : (2,) float64
             `TrackResult.gaze`.
-        head : (3, 3)
-            How the avatar's head is turned; eyes that stay on the viewer turn against it.
+        head : (3, 3) float64
+            Rotation of the avatar's head, against which eyes turn that stay on the viewer.
+
+        Returns
+        -------
+        (3, 3) float64
+            The rotation, within the limits.
         """
         if not np.isfinite(self._straight).all():
             return gaze_at_viewer(head)
         if np.isfinite(gaze).all():
             self._last = gaze - self._straight
-        return _turned(self._last)
+        return _rotation_within_limits(self._last)
 
 
 def gaze_at_viewer(head: FloatArray) -> FloatArray:
-    """Rotation of the eyes within a head turned by `head` (3, 3) that keeps them on the viewer, as far as eyes turn.
+    """Rotation of the eyes in a head with the rotation `head`, (3, 3), that keeps them on the viewer within the limits.
 
-    People mostly look at the screen that they perform to, and an avatar whose eyes are fixed in its skull looks dead.
+    People mostly look at the screen in front of which they perform, and fixed eyes look dead.
     """
     pitch, yaw, _ = matrix_to_euler(head.T)
-    return _turned(np.array([pitch, yaw]))
+    return _rotation_within_limits(np.array([pitch, yaw]))
 
 
-def _turned(angles: FloatArray) -> FloatArray:
+def _rotation_within_limits(angles: FloatArray) -> FloatArray:
     pitch, yaw = (float(angle) for angle in np.clip(angles, -_LIMIT, _LIMIT))
     return euler_to_matrix(pitch, yaw, 0.0)

@@ -1,4 +1,4 @@
-"""A whole take driven through one head: what baking, previews and benchmarks read."""
+"""The motion of a head over a take, for baking, previews and benchmarks."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from .driver import HeadDriver
 
 @dataclass(frozen=True)
 class HeadMotion:
-    """The frames of a take in which a face was found, driven through a head.
+    """The motion of a head over those frames of a take that have a face.
 
     Attributes
     ----------
     times : (N,) float64
-        Seconds from the take's first frame. Lost frames are left out: the curves bridge them.
+        Seconds from the first frame of the take. Lost frames are omitted; animation curves bridge them.
     vertices : (N, V, 3) float32
-        Displacements from rest, head frame, the mesh's unit.
+        Displacements from rest, head frame, unit of the mesh.
     rotation, jaw, gaze : (N, 3, 3) float64
     translation : (N, 3) float64
         As in `HeadFrame`.
@@ -38,7 +38,27 @@ class HeadMotion:
 
 
 def drive_take(driver: HeadDriver, take: Take, on_frame: Callable[[int], None] | None = None) -> HeadMotion:
-    """Drive every frame of `take` in which a face was found; `on_frame` hears how many are done."""
+    """Drive a head by all frames of a take that have a face.
+
+    Parameters
+    ----------
+    driver : HeadDriver
+        Of the head.
+    take : Take
+        The take.
+    on_frame : callable, optional
+        Called with the number of frames done.
+
+    Returns
+    -------
+    HeadMotion
+        The motion.
+
+    Raises
+    ------
+    SourceError
+        If no frame has a face.
+    """
     found = np.flatnonzero(take.found)
     if len(found) == 0:
         raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")
@@ -61,10 +81,25 @@ def drive_take(driver: HeadDriver, take: Take, on_frame: Callable[[int], None] |
     )
 
 
-def most_different(motion: HeadMotion, count: int) -> NDArray[np.intp]:
-    """Up to `count` rows of `motion` whose expressions differ most, in order of time.
+def select_distinct_frames(motion: HeadMotion, count: int) -> NDArray[np.intp]:
+    """Select frames whose expressions differ most.
 
-    Farthest-point sampling on the vertices' displacements, from the frame that is farthest from rest (Gonzalez 1985).
+    Parameters
+    ----------
+    motion : HeadMotion
+        The motion.
+    count : int
+        Largest number of frames.
+
+    Returns
+    -------
+    (n,) int
+        Rows of `motion` in order of time.
+
+    Notes
+    -----
+    Farthest-point sampling (Gonzalez 1985) on the displacements of the vertices, starting at the frame that is farthest
+    from rest.
     """
     flat = motion.vertices.reshape(len(motion.times), -1)
     squares = np.square(flat).sum(axis=1)

@@ -1,4 +1,4 @@
-"""Rotations and vectors within limits: how far an avatar's head and eyes follow the performer's."""
+"""Strength and limits of rotations and vectors, for an avatar's head and eyes."""
 
 from __future__ import annotations
 
@@ -10,16 +10,46 @@ import numpy as np
 from ..arrays import FloatArray
 
 
-def limited_rotation(rotation: FloatArray, strength: float, limit: float) -> FloatArray:
-    """`rotation` (3, 3) about its own axis by `strength` times its angle, at most `limit` radians."""
+def limit_rotation(rotation: FloatArray, strength: float, limit: float) -> FloatArray:
+    """Scale and limit the angle of a rotation.
+
+    Parameters
+    ----------
+    rotation : (3, 3) float64
+        The rotation.
+    strength : float
+        Factor of its angle.
+    limit : float
+        Largest angle in radians.
+
+    Returns
+    -------
+    (3, 3) float64
+        Rotation about the same axis.
+    """
     if strength == 1.0 and limit >= pi:
         return rotation
     vector = np.array(cv2.Rodrigues(rotation)[0], dtype=np.float64).ravel()
-    return np.array(cv2.Rodrigues(limited_vector(vector, strength, limit))[0], dtype=np.float64)
+    return np.array(cv2.Rodrigues(limit_vector(vector, strength, limit))[0], dtype=np.float64)
 
 
-def limited_vector(vector: FloatArray, strength: float, limit: float) -> FloatArray:
-    """`vector` times `strength`, shortened to `limit` where it is longer."""
+def limit_vector(vector: FloatArray, strength: float, limit: float) -> FloatArray:
+    """Scale a vector and limit its length.
+
+    Parameters
+    ----------
+    vector : (3,) float64
+        The vector.
+    strength : float
+        Factor of its length.
+    limit : float
+        Largest length.
+
+    Returns
+    -------
+    (3,) float64
+        The vector.
+    """
     scaled = strength * np.asarray(vector, dtype=np.float64)
     length = float(np.linalg.norm(scaled))
     return np.asarray(scaled * (limit / length)) if length > limit else scaled

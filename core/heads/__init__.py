@@ -1,1 +1,1 @@
-"""What makes a mesh a head: landmarks, regions, lids, lips, eyeballs; the built-in head, and heads that others made."""
+"""Heads: landmarks, regions, lids, lips and eyeballs of a mesh; the built-in head and FaceGen's (docs/method.md, 7)."""

@@ -1,9 +1,8 @@
-"""Landmarks on a head that nobody has labelled: a template is laid over it and bent until the two agree.
+"""Landmarks on an unlabelled head, by laying a template over it and bending it (docs/method.md, section 7.1).
 
-The user marks a few points (eye corners, nose tip, mouth corners, chin), or none where the mesh's axes are the head's;
-a whole body will do.
-The built-in head is the template: its skin follows the mesh through ever more flexible warps, each to the nearest
-places that face the same way, and its 66 landmarks end on the vertices next to them.
+The user marks a few points (corners of the eyes and the mouth, tip of the nose, chin), or none if the head is aligned
+with the axes of the mesh. It may have a body. The template is the built-in head, whose skin follows the mesh through
+ever more flexible warps to the nearest places that face the same way.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from ..landmarks import (
 )
 from ..mesh.nearest import NearestPoints
 from ..mesh.surface import SurfaceGraph, lips_joined
-from .template import Surface, Template, lay_over
+from .template import Surface, Template, fit_template
 
 MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left eye, inner corner"} | {
     45: "left eye, outer corner",
@@ -38,17 +37,19 @@ MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left
     54: "left mouth corner",
     8: "chin",
 }
-"""The points that a user marks, by iBUG number: all or some of them, in any order."""
-LEAST_MARKS = 4
+"""Points that a user may mark, by iBUG number: all or some of them, in any order."""
+MIN_MARKS = 4
 
 _RIMS = np.concatenate([EYE_RIGHT, EYE_LEFT, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
-"""The lips' outer rims between the corners."""
+"""Landmarks that lie on the rims of openings, where the mesh has some."""
 _RIM_REACH = 0.08
-_HEAD_ALONE = 0.8
-"""Share of a mesh's vertices that its head has, where it is little more than a head."""
-_TOO_FAR = 0.1
-"""Outer-eye distances beyond which a place is not a landmark's, though it faces the same way."""
+"""Outer-eye distances within which these landmarks are moved to a rim."""
+_HEAD_SHARE = 0.8
+"""Share of a mesh's vertices below which its head comes with a body."""
+_MAX_DISTANCE = 0.1
+"""Outer-eye distances beyond which a vertex that faces the same way is not accepted for a landmark."""
 _SYMMETRY = 1e-3
+"""Outer-eye distances within which vertices count as mirror images."""
 
 
 @dataclass(frozen=True)
@@ -60,15 +61,15 @@ class Binding:
     landmarks : (66,) intp
         Vertex of each landmark.
     rotation : (3, 3) float64
-        Turns the mesh upright and towards the viewer: `vertices @ rotation.T` are in the head frame.
+        Rotates the mesh upright and towards the viewer: ``vertices @ rotation.T`` is in the head frame.
     residual : float
-        Median distance of the bent template from the mesh, outer-eye distances.
+        Median distance of the bent template from the mesh, in outer-eye distances.
     strain : float
-        How far the template's landmarks had to be bent, outer-eye distances: 0.02 to 0.04 for a human head.
+        Bending of the template's landmarks in outer-eye distances: 0.02 to 0.04 for a human head.
     symmetric : bool
-        Whether the head is its own mirror image; then so are the landmarks.
+        Whether the head is its own mirror image; if so, the landmarks are too.
     body : bool
-        Whether the mesh has much more to it than a head.
+        Whether the mesh is much more than a head.
     """
 
     landmarks: NDArray[np.intp]
@@ -85,61 +86,69 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     Parameters
     ----------
     vertices : (V, 3) array
-        Any unit. Where nothing is marked, the head's axes are those of the mesh: upright and facing the viewer in the
-        head frame, which is tried first and is quickest, to another side, or lying on back or face.
+        Any unit. Without marks, the head has to be aligned with the axes: upright and facing the viewer in the head
+        frame, which is tried first and is fastest, facing another side, or lying on its back or face.
     faces : (F, K) array of int
         Vertices of each face, padded with -1.
-    marks : mapping, optional
-        iBUG number of a landmark to the vertex that the user picked, at least four of `MARKS`.
+    marks : mapping of int to int, optional
+        Vertices that the user marked, by iBUG number: at least four of `MARKS`.
+
+    Returns
+    -------
+    Binding
+        The landmarks.
 
     Raises
     ------
     HeadError
-        Fewer than four marks, marks on one line, or a mesh on which no face was found.
+        If there are fewer than four marks, they lie on one line, or no face is found.
 
     Notes
     -----
-    Nearest places are sought among position and normal together, so that a lip is not taken for the inside of the
-    mouth. A similarity first (Besl & McKay 1992), then biharmonic warps of falling smoothness (as in Amberg et al.
-    2007), then lids and inner lips are moved to the openings' rims where the mesh has some. About a second for 100,000
-    vertices.
+    Nearest places are sought by position and normal together, so that a lip is not taken for the inside of the mouth.
+    The steps are those of docs/method.md, section 7.1: a similarity (Besl & McKay 1992), warps of falling smoothness
+    (Amberg et al. 2007), rims and symmetry. Takes about a second for 100,000 vertices.
     """
     places = as_points(vertices, "vertices", error=HeadError)
     picked = {int(from_ibug([number])[0]): int(vertex) for number, vertex in (marks or {}).items()}
-    if picked and len(picked) < LEAST_MARKS:
-        raise HeadError(f"Mark at least {LEAST_MARKS} points, or none; got {len(picked)}.")
+    if picked and len(picked) < MIN_MARKS:
+        raise HeadError(f"Mark at least {MIN_MARKS} points, or none; got {len(picked)}.")
     if picked and (min(picked.values()) < 0 or max(picked.values()) >= len(places)):
-        raise HeadError("A marked point is no vertex of the mesh. Mark it again.")
+        raise HeadError("A marked point is not a vertex of the mesh. Mark it again.")
     if len(places) < N_LANDMARKS:
-        raise HeadError(f"The mesh has {len(places)} vertices; a head with {N_LANDMARKS} landmarks needs more.")
+        raise HeadError(f"The mesh has {len(places)} vertices; {N_LANDMARKS} landmarks need more. Subdivide it first.")
+    # 1. and 2. Similarity and warps.
     template = Template()
-    laid = lay_over(template, places, np.asarray(faces), picked)
-    surface, (unit, rotation, _), bent, picked = laid.surface, laid.pose, laid.bent, dict(laid.marks)
-    landmarks = _nearest(template, surface, bent, _TOO_FAR * unit)
+    fitted = fit_template(template, places, np.asarray(faces), picked)
+    surface, (unit, rotation, _), bent, picked = fitted.surface, fitted.pose, fitted.bent, dict(fitted.marks)
+    # Nearest vertices of the bent landmarks; marked points override them.
+    landmarks = _nearest(template, surface, bent, _MAX_DISTANCE * unit)
     graph = SurfaceGraph(surface.places, surface.faces)
+    # 3. Rims of openings, and each inner lip on its own side.
     landmarks = _onto_rims(graph, bent[template.landmarks], landmarks, _RIM_REACH * unit)
     landmarks[list(picked)] = list(picked.values())
     landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks)
+    # 4. Symmetry, on a mesh that is its own mirror image.
     mirror = _mirror(surface.places, rotation, surface.places[landmarks], unit)
     if mirror is not None:
         landmarks = _symmetric(landmarks, mirror, surface.places, bent[template.landmarks], picked)
         landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks, mirror == np.arange(len(mirror)))
     if len(set(landmarks.tolist())) < 0.8 * N_LANDMARKS:
         raise HeadError("No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin.")
-    turn = rotation.T @ laid.attitude
-    found = laid.part[_distinct(graph, landmarks)]
-    body = len(laid.part) < _HEAD_ALONE * len(places)
-    return Binding(found, turn, laid.residual, laid.strain, mirror is not None, body)
+    turn = rotation.T @ fitted.attitude
+    found = fitted.part[_distinct(graph, landmarks)]
+    body = len(fitted.part) < _HEAD_SHARE * len(places)
+    return Binding(found, turn, fitted.residual, fitted.strain, mirror is not None, body)
 
 
 def _nearest(template: Template, surface: Surface, bent: FloatArray, reach: float) -> NDArray[np.intp]:
-    """(66,) vertices nearest to the bent template's landmarks that face the same way.
+    """(66,) vertices nearest to the landmarks of the bent template that face the same way.
 
-    On lids and lips the same way is that of what lies around them, where there is nothing that way within `reach`: on a
-    mesh without rims a rim's own way leads to the underside of something.
+    If there is none within `reach` at a lid or lip, the orientation of the surrounding skin is used: on a mesh without
+    rims, the normal of a rim would lead to the underside of something.
     """
     wanted = bent[template.landmarks]
-    own, around = template.outlook(bent)
+    own, around = template.landmark_normals(bent)
     found = surface.nearest(wanted, own)
     away = np.linalg.norm(surface.places[found] - wanted, axis=1) > reach
     found[away] = surface.nearest(wanted[away], around[away]) if away.any() else found[away]
@@ -147,7 +156,7 @@ def _nearest(template: Template, surface: Surface, bent: FloatArray, reach: floa
 
 
 def _onto_rims(graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, reach: float) -> NDArray[np.intp]:
-    """Lids and inner lips on the nearest border within `reach`, where the mesh has openings there."""
+    """Move lids and inner lips to the nearest border within `reach`, if the mesh has openings there."""
     moved = np.array(landmarks, dtype=np.intp)
     pieces = [piece for piece in graph.openings() if len(piece) < 0.5 * len(graph.vertices)]
     if not pieces:
@@ -163,14 +172,14 @@ def _onto_rims(graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, rea
 def _on_own_lip(
     graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, middle: NDArray[np.bool_] | None = None
 ) -> NDArray[np.intp]:
-    """Inner lips that were found on the other lip, which touches, on their own: the nearer one along the surface.
+    """Move inner lip landmarks that ended on the wrong lip to their own, which is nearer along the surface.
 
-    The two in the middle of a symmetric head stay among the vertices `middle` (V,).
+    Those in the middle of a symmetric head stay among the vertices `middle` (V,).
     """
     moved = np.array(landmarks, dtype=np.intp)
     if lips_joined(graph, landmarks):
         return moved
-    to_upper, to_lower = (graph.ways(landmarks[rim].tolist()) for rim in (UPPER_LIP, LOWER_LIP))
+    to_upper, to_lower = (graph.path_lengths(landmarks[rim].tolist()) for rim in (UPPER_LIP, LOWER_LIP))
     for inner, own, other in (
         (MOUTH_INNER_UPPER, to_upper, to_lower),
         (MOUTH_INNER_LOWER, to_lower, to_upper),
@@ -183,7 +192,7 @@ def _on_own_lip(
 
 
 def _mirror(places: FloatArray, rotation: FloatArray, points: FloatArray, unit: float) -> NDArray[np.intp] | None:
-    """(V,) vertex on the other side, where the mesh is its own mirror image across the face's middle; else None."""
+    """(V,) mirror image of each vertex if the mesh is symmetric about the middle of the face, or None."""
     across = rotation[:, 0]
     axis = int(np.argmax(np.abs(across)))
     if abs(across[axis]) < 0.999:
@@ -201,7 +210,7 @@ def _mirror(places: FloatArray, rotation: FloatArray, points: FloatArray, unit: 
 def _symmetric(
     landmarks: IntArray, mirror: NDArray[np.intp], places: FloatArray, wanted: FloatArray, picked: Mapping[int, int]
 ) -> NDArray[np.intp]:
-    """Of each pair the side that lies nearer to where it should, and its mirror image; the middle on the middle."""
+    """Mirror the better side of each pair of landmarks; those in the middle go to the middle of the mesh."""
     even = np.array(landmarks, dtype=np.intp)
     middle = np.flatnonzero(mirror == np.arange(len(mirror)))
     off = np.linalg.norm(places[landmarks] - wanted, axis=1)
@@ -217,7 +226,7 @@ def _symmetric(
 
 
 def _distinct(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
-    """Landmarks that fell on one vertex spread to free neighbours: control points must differ."""
+    """Move landmarks that share a vertex to free neighbours, as control points have to differ."""
     spread, used = np.array(landmarks, dtype=np.intp), set()
     for i, vertex in enumerate(landmarks.tolist()):
         if vertex in used:

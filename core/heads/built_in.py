@@ -1,7 +1,7 @@
 """The built-in head: 1,781 vertices with landmarks, regions and the 52 ARKit face units, and its parts.
 
-`assets/head/head.npz` holds it; `training/head` builds it from CC0 data. Its arrays are those of `Head` and `HeadPart`
-below, under the fields' names, offsets as float16 and a part's prefixed with its name and a dot.
+It is stored in `assets/head/head.npz`, which `training/head` builds from CC0 data. The arrays in the file are the
+fields of `Head` and `HeadPart`, offsets as float16, those of a part prefixed with its name and a dot.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ HEAD_FILE = ASSETS / "head" / "head.npz"
 
 @dataclass(frozen=True)
 class HeadPart:
-    """An eyeball, a row of teeth or the tongue, in the head frame, metres.
+    """An eyeball, a row of teeth or the tongue, in the head frame and metres.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class HeadPart:
     faces : (f, 4) int32
         Vertices of each face, triangles padded with -1.
     uv : (f, 4, 2) float32
-        Texture coordinates of the faces' corners, v up.
+        Texture coordinates of the corners of each face, v up.
     pivot : (3,) float32
-        What the part turns about: the eyeball's centre, the jaw's hinge.
+        Centre of rotation: the centre of the eyeball, or the hinge of the jaw.
     units : (U, n, 3) float32
-        Offsets of the vertices under each face unit, zero for most.
+        Displacements of the vertices under each face unit, zero for most.
     """
 
     name: str
@@ -56,7 +56,7 @@ class HeadPart:
 
 @dataclass(frozen=True)
 class Head:
-    """A head at rest, in the head frame, metres; the origin lies between the ears.
+    """A head at rest, in the head frame and metres; the origin is between the ears.
 
     Attributes
     ----------
@@ -64,19 +64,19 @@ class Head:
     faces : (F, 4) int32
         Vertices of each face, triangles padded with -1.
     uv : (F, 4, 2) float32
-        Texture coordinates of the faces' corners, v up.
+        Texture coordinates of the corners of each face, v up.
     landmarks : (66,) intp
         Vertex of each landmark.
     regions : (3, V) float32
-        Share in 0..1 of the regions `REGION_NAMES` in each vertex; their sum is at most 1 and 0 where nothing moves.
+        Weights of the regions `REGION_NAMES`, 0 to 1; they sum to at most 1, and to 0 where nothing moves.
     unit_names : tuple of str
-        The 52 ARKit face units, alphabetically.
+        Names of the 52 ARKit face units, alphabetically.
     units : (U, V, 3) float32
-        Offsets of the vertices under each face unit.
+        Displacements of the vertices under each face unit.
     parts : tuple of HeadPart
         In the order of `PART_NAMES`.
     jaw_pivot : (3,) float32
-        A point on the axis, along x, about which the jaw opens.
+        A point on the axis of the jaw, which is parallel to x.
     """
 
     vertices: NDArray[np.float32]
@@ -91,28 +91,28 @@ class Head:
 
 
 def load_head(path: Path | None = None) -> Head:
-    """Read a head from `path`, by default the built-in one.
+    """Load the head at `path`, by default the built-in one.
 
     Raises
     ------
     ModelError
-        The file is missing, damaged, or no head of this version.
+        If the file is missing, damaged, or of another version.
     """
     path = HEAD_FILE if path is None else Path(path)
     try:
         archive = read_archive(read_bytes(path, MAX_BYTES))
     except FileNotFoundError as error:
-        raise ModelError(f"The head {path} is missing. Install Facemime again, or run make head.") from error
+        raise ModelError(f"The head {path} is missing. Reinstall Facemime, or run make head.") from error
     except OSError as error:
-        raise ModelError(f"The head {path} cannot be read: {error.strerror}. Install Facemime again.") from error
+        raise ModelError(f"The head {path} cannot be read: {error.strerror}. Reinstall Facemime.") from error
     except ValueError as error:
-        raise ModelError(f"The head {path} is damaged ({error}). Install Facemime again.") from error
+        raise ModelError(f"The head {path} is damaged ({error}). Reinstall Facemime.") from error
     if archive.text("format") != FORMAT:
-        raise ModelError(f"{path} is no Facemime head of this version. Give a file that training/head built.")
+        raise ModelError(f"{path} is not a Facemime head of this version. Use a file that training/head built.")
     try:
         head = _head(archive)
     except ValueError as error:
-        raise ModelError(f"The head {path} is incomplete or inconsistent: {error}. Install Facemime again.") from error
+        raise ModelError(f"The head {path} is incomplete or inconsistent: {error}. Reinstall Facemime.") from error
     return head
 
 
@@ -122,10 +122,10 @@ def _head(archive: Archive) -> Head:
     names = archive.texts("unit_names")
     landmarks = archive.wholes("landmarks", (N_LANDMARKS,), 0, count - 1)
     if len(np.unique(vertices[landmarks], axis=0)) != N_LANDMARKS:
-        raise ValueError("two landmarks share a place")
+        raise ValueError("two landmarks coincide")
     regions = archive.reals("regions", (len(REGION_NAMES), count), np.float32)
     if regions.min() < 0.0 or regions.sum(axis=0).max() > 1.0 + _ROUNDING:
-        raise ValueError("regions has shares outside 0 to 1")
+        raise ValueError("regions has weights outside 0 to 1")
     faces, uv = _faces(archive, "", count)
     return Head(
         vertices=vertices,
@@ -154,7 +154,7 @@ def _part(name: str, unit_count: int, archive: Archive) -> HeadPart:
 
 
 def _faces(archive: Archive, prefix: str, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Faces, none of which has a vertex twice, and the texture coordinates of their corners."""
+    """Faces, checked not to be degenerate, and the texture coordinates of their corners."""
     faces = archive.wholes(f"{prefix}faces", (None, 4), -1, count - 1)
     ordered = np.sort(faces, axis=1)
     if (faces[:, :3] < 0).any() or (ordered[:, 1:] == ordered[:, :-1]).any():

@@ -1,4 +1,4 @@
-"""Is a head ready to be driven? Each finding says what is wrong and what to do."""
+"""Checks whether a head is ready to be driven."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ..mesh.surface import SurfaceGraph, lips_joined
 from .lids import eyes_joined
 from .regions import REGIONS, membership
 
-_STRANGER = 0.01
-_LISTED = 8
+_MIN_WEIGHT = 0.01
+_MAX_LISTED = 8
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong with a head, and what to do, each one sentence; and the step that does it, where one does."""
+    """A problem of a head, its remedy, one sentence each, and the step that remedies it, if there is one."""
 
     problem: str
     remedy: str
@@ -26,21 +26,29 @@ class Finding:
 
 
 def check_head(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> list[Finding]:
-    """What would keep a head from being driven well; empty where nothing does.
+    """Check what would keep a head from being driven well.
 
     Parameters
     ----------
     vertices : (V, 3) array
+        Head frame, any unit.
     faces : (F, K) array of int
         Vertices of each face, padded with -1.
     landmarks : (66,) array of int
+        Vertex of each landmark.
     region_weights : (3, V) array
+        Weights of the regions.
+
+    Returns
+    -------
+    list of Finding
+        Empty if there is no problem.
     """
     findings = []
     unique, counts = np.unique(landmarks, return_counts=True)
     if (counts > 1).any():
         twins = np.flatnonzero(np.isin(landmarks, unique[counts > 1]))
-        findings.append(Finding(f"Landmarks {_list(twins)} share vertices.", "Bind each to a vertex of its own."))
+        findings.append(Finding(f"Landmarks {_list(twins)} share vertices.", "Bind each to its own vertex."))
     findings += _region_findings(landmarks, region_weights)
     findings += _lip_findings(vertices, faces, landmarks)
     findings += _eye_findings(vertices, faces, landmarks)
@@ -50,20 +58,20 @@ def check_head(vertices: FloatArray, faces: IntArray, landmarks: IntArray, regio
 def _region_findings(landmarks: IntArray, region_weights: FloatArray) -> list[Finding]:
     findings = []
     weights = np.asarray(region_weights)[:, landmarks]
-    outside = np.flatnonzero(weights.max(axis=0) < _STRANGER)
+    outside = np.flatnonzero(weights.max(axis=0) < _MIN_WEIGHT)
     if len(outside):
         findings.append(
             Finding(
-                f"Landmarks {_list(outside)} lie in no region.", "Paint their regions over them, or bind them anew."
+                f"Landmarks {_list(outside)} lie in no region.", "Paint their regions over them, or bind them again."
             )
         )
     for region, members, row, whole in zip(REGIONS, membership(), weights, region_weights, strict=True):
         if not np.asarray(whole).any():
             findings.append(Finding(f"The region {region.name} is empty.", "Paint it, or propose the regions again."))
-        elif not (members & (row >= _STRANGER)).any():
+        elif not (members & (row >= _MIN_WEIGHT)).any():
             findings.append(
                 Finding(
-                    f"The region {region.name} has none of its control points within.",
+                    f"The region {region.name} contains none of its control points.",
                     "Paint it over its landmarks, or propose the regions again.",
                 )
             )
@@ -75,8 +83,8 @@ def _lip_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) ->
         return []
     return [
         Finding(
-            "The lips are joined into one skin, so that the mouth cannot open.",
-            "Press Open Lips, which cuts the mesh between them, or model a slit.",
+            "The lips are joined, so the mouth cannot open.",
+            "Use Open Lips, which cuts the mesh between them, or model a slit.",
             "open_lips",
         )
     ]
@@ -87,8 +95,8 @@ def _eye_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) ->
         return []
     return [
         Finding(
-            "The eyes are one skin with their lids, so that they cannot shut.",
-            "Press Open Eyes, which cuts the mesh along the lids, or model eyes of their own.",
+            "The eyes are joined to their lids, so they cannot shut.",
+            "Use Open Eyes, which cuts the mesh along the lids, or model separate eyes.",
             "open_eyes",
         )
     ]
@@ -96,4 +104,6 @@ def _eye_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) ->
 
 def _list(landmarks: IntArray) -> str:
     numbers = [str(int(IBUG68_INDICES[i])) for i in landmarks]
-    return ", ".join(numbers[:_LISTED]) + (f" and {len(numbers) - _LISTED} more" if len(numbers) > _LISTED else "")
+    return ", ".join(numbers[:_MAX_LISTED]) + (
+        f" and {len(numbers) - _MAX_LISTED} more" if len(numbers) > _MAX_LISTED else ""
+    )

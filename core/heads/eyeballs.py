@@ -1,7 +1,7 @@
-"""Lids slide over the eyeballs rather than through them.
+"""Contact of lids and eyeballs (docs/method.md, section 5.8).
 
-A lid that closes along a straight line cuts the corner of the sphere that it should roll over: the eye shows through
-the skin. Vertices near an eyeball are therefore kept at least as far from its centre as its surface.
+A lid that closes along a straight line would cut through the eyeball, which would show through the skin. Vertices near
+an eyeball are therefore kept at least as far from its centre as its surface.
 """
 
 from __future__ import annotations
@@ -11,23 +11,24 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 
-LID = 0.03
-"""How far within the sphere of the lids an eye lies that was cut out of the skin, of its radius."""
+LID_THICKNESS = 0.03
+"""Distance of an eye that was cut out of the skin from the sphere of its lids, as a share of the radius."""
 _REACH = 1.8
+"""Distance from the centre of an eyeball, in radii, within which vertices are kept outside of it."""
 _SLACK = 1e-5
-"""Of the squared distance: what rounding may take from a vertex that has not moved."""
+"""Share of the squared distance that a vertex may lose to rounding without having moved."""
 
 
-def eyeball_of(points: FloatArray) -> FloatArray:
-    """(4,) centre and radius of the sphere on which the lids slide over an eye that has vertices (N, 3) on one.
+def fit_eyeball(points: FloatArray) -> FloatArray:
+    """Fit the sphere of the lids to the vertices (N, 3) of an eye that was cut out; returns centre and radius, (4,).
 
-    Least squares of |p|^2 = 2 c p + (r^2 - |c|^2), linear in c and in what stands in brackets.
+    Least squares of ``|p|^2 = 2 c p + (r^2 - |c|^2)``, which is linear in c and in the bracket.
     """
     middle = points.mean(axis=0)
     about = points - middle
     *half, rest = np.linalg.lstsq(np.column_stack([about, np.ones(len(about))]), (about**2).sum(axis=1), rcond=None)[0]
     centre = np.array(half) / 2.0
-    return np.array([*(middle + centre), np.sqrt(rest + centre @ centre) / (1.0 - LID)])
+    return np.array([*(middle + centre), np.sqrt(rest + centre @ centre) / (1.0 - LID_THICKNESS)])
 
 
 class EyeballContact:
@@ -38,13 +39,13 @@ class EyeballContact:
     rest : (V, 3) array
         Vertices at rest.
     weights : (V,) array
-        Vertices of weight 0 do not move and are left alone.
+        Sum of the region weights. Vertices of weight 0 do not move and are ignored.
     eyeballs : (E, 4) array
-        Centre and radius of each eyeball, frame and unit of `rest`.
+        Centre and radius of each eyeball, in the frame and unit of `rest`.
 
     Notes
     -----
-    A vertex that lies within the eyeball at rest (the lid's inner rim) may stay as near as it was.
+    Vertices that are inside the eyeball at rest (the inner rim of the lid) may stay as near as they were.
     """
 
     def __init__(self, rest: FloatArray, weights: FloatArray, eyeballs: FloatArray) -> None:
@@ -64,7 +65,7 @@ class EyeballContact:
         self._ones = np.ones(3, dtype=np.float32)
 
     def resolve(self, vertices: NDArray[np.float32]) -> None:
-        """Push what lies too deep out along the radius, in place; (V, 3) float32."""
+        """Push `vertices`, (V, 3) float32, that are too deep out along the radius, in place."""
         outward = vertices.take(self._rows, axis=0, out=self._outward, mode="clip")
         np.subtract(outward, self._centres, out=outward)
         squared = np.multiply(outward, outward, out=self._products) @ self._ones

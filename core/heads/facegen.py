@@ -1,8 +1,8 @@
-"""FaceGen's heads: `.tri` (mesh with difference and statistical morphs), `.egm` (face space modes), and its OBJ.
+"""FaceGen heads: `.tri` (mesh with difference and statistical morphs), `.egm` (modes of face space), and OBJ files.
 
-FaceGen's vertices keep their order through all three, which is what its morphs hang on: nothing is merged or sorted.
-FaceGen's axes are x to the viewer's right, y up, z to the viewer, in millimetres; what is read here is in the head
-frame (y down, z away), still in millimetres.
+The order of vertices is the same in all three, and morphs depend on it: nothing is merged or sorted. FaceGen's axes are
+x to the viewer's right, y up and z to the viewer; results are in the head frame (y down, z away). Both are in
+millimetres.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from ..reading import read_bytes, shown
 
 _TO_HEAD = np.array([1.0, -1.0, -1.0], dtype=np.float32)
 _MOST = 50_000_000
-"""No count of a sound file is larger."""
+"""Upper bound of any count in a valid file."""
 _MOST_FILE = 256 << 20
 _MOST_MORPHS, _MOST_MORPH_BYTES = 1000, 256 << 20
-"""Of a file. An empty statistical morph takes twelve bytes of it and as many of memory for every vertex."""
+"""Upper bounds per file. An empty statistical morph takes 12 bytes in the file, and as many in memory per vertex."""
 _FARTHEST = 1e9
-"""Millimetres: what is farther away is no head, and its squares would not be finite."""
+"""Upper bound of coordinates in millimetres; squares of larger ones might not be finite."""
 
 
 @dataclass(frozen=True)
 class FaceGenMesh:
-    """A mesh in the head frame, millimetres.
+    """A mesh in the head frame and millimetres.
 
     Attributes
     ----------
@@ -38,11 +38,11 @@ class FaceGenMesh:
     faces : (F, 4) int32
         Vertices of each face, triangles padded with -1.
     uv : (F, 4, 2) float32 or None
-        Texture coordinates of the faces' corners, v up.
+        Texture coordinates of the corners of each face, v up.
     morphs : tuple of (str, (V, 3) float32)
         Name and displacement of each difference and statistical morph.
     labels : dict of str to int
-        Vertices that the file names.
+        Named vertices.
     """
 
     vertices: NDArray[np.float32]
@@ -58,7 +58,7 @@ def read_tri(path: Path) -> FaceGenMesh:
     Raises
     ------
     SourceError
-        The file is missing, encrypted, of another version, or damaged; the message tells at which byte.
+        If the file is missing, encrypted, of another version or damaged; the message names the byte.
     """
     reader = _Reader(path, b"FRTRI", b"003")
     names = ("V", "T", "Q", "LV", "LS", "X", "ext", "Md", "Ms", "K")
@@ -95,19 +95,31 @@ def read_tri(path: Path) -> FaceGenMesh:
 
 
 def read_egm(path: Path, mesh: FaceGenMesh) -> tuple[tuple[str, NDArray[np.float32]], ...]:
-    """Read the modes of an `.egm` of version 002 that belongs to `mesh`: name and (V, 3) displacement at one unit.
+    """Read the modes of an `.egm` of version 002 that belongs to a mesh.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    mesh : FaceGenMesh
+        The mesh, from `read_tri`.
+
+    Returns
+    -------
+    tuple of (str, (V, 3) float32)
+        Name and displacement at one unit of each mode.
 
     Raises
     ------
     SourceError
-        As for `read_tri`; also where the file belongs to a mesh of another number of vertices.
+        As for `read_tri`, and if the file has fewer vertices than the mesh.
     """
     reader = _Reader(path, b"FREGM", b"002")
     vertices, symmetric, asymmetric = (reader.count(name) for name in ("vertices", "symmetric", "asymmetric modes"))
     reader.skip(44)
     if vertices < len(mesh.vertices):
         raise SourceError(
-            f"{path} is for a mesh of {vertices} vertices, this one has {len(mesh.vertices)}. Give the .egm beside it."
+            f"{path} belongs to a mesh with {vertices} vertices; this one has {len(mesh.vertices)}. Use its own .egm."
         )
     reader.check_morphs(symmetric + asymmetric, vertices)
     names = [f"Symmetric {i + 1:02d}" for i in range(symmetric)]
@@ -118,12 +130,12 @@ def read_egm(path: Path, mesh: FaceGenMesh) -> tuple[tuple[str, NDArray[np.float
 
 
 def read_obj(path: Path) -> FaceGenMesh:
-    """Read vertices, faces and texture coordinates of a Wavefront OBJ in the file's own order; the rest is left out.
+    """Read vertices, faces and texture coordinates of a Wavefront OBJ in the order of the file; ignore the rest.
 
     Raises
     ------
     SourceError
-        The file is missing, or a line cannot be read; the message tells which.
+        If the file is missing, or a line cannot be parsed; the message names the line.
     """
     vertices: list[list[float]] = []
     texture: list[list[float]] = []
@@ -147,7 +159,7 @@ def read_obj(path: Path) -> FaceGenMesh:
         where = f" at line {number}" if number else ""
         raise SourceError(f"{path} is damaged{where} ({error}). Export it again.") from error
     if not len(places) or not corners:
-        raise SourceError(f"{path} holds no mesh. Export it again, with its faces.")
+        raise SourceError(f"{path} contains no mesh. Export it again, with its faces.")
     faces = np.array([[vertex for vertex, _ in face] for face in corners], dtype=np.int32)
     of_texture = np.array([[index for _, index in face] for face in corners])
     has_uv = len(texture) > 0 and bool((of_texture[faces >= 0] >= 0).all())
@@ -157,16 +169,16 @@ def read_obj(path: Path) -> FaceGenMesh:
 
 
 def _sound(path: Path, mesh: FaceGenMesh) -> FaceGenMesh:
-    """The mesh without degenerate and duplicate faces; SourceError where no area is left.
+    """Remove degenerate and duplicate faces; SourceError if no area remains.
 
-    Blender accepts such faces, and Subdivide then crashes on them, or never ends.
+    Blender accepts such faces, but Subdivide then crashes or never ends.
     """
     faces = mesh.faces.copy()
     ordered = np.sort(faces, axis=1)
     for row in np.flatnonzero(((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] >= 0)).any(axis=1)).tolist():
         corners = [corner for corner in faces[row].tolist() if corner >= 0]
         distinct = [place for place, corner in enumerate(corners) if corner != corners[place - 1]]
-        if len(distinct) == 3 == len({corners[place] for place in distinct}):  # a quad with a side of no length
+        if len(distinct) == 3 == len({corners[place] for place in distinct}):  # a quad with one side of length 0
             faces[row] = [*(corners[place] for place in distinct), -1]
             if mesh.uv is not None:
                 mesh.uv[row, :3] = mesh.uv[row, distinct]
@@ -178,7 +190,7 @@ def _sound(path: Path, mesh: FaceGenMesh) -> FaceGenMesh:
     corners = mesh.vertices.astype(np.float64)[faces[kept]]
     with_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     if not with_area.any():
-        raise SourceError(f"{path} holds no mesh: none of its faces has an area. Export it again.")
+        raise SourceError(f"{path} contains no mesh: none of its faces has an area. Export it again.")
     uv = None if mesh.uv is None else mesh.uv[kept]
     return replace(mesh, faces=faces[kept], uv=uv)
 
@@ -186,29 +198,29 @@ def _sound(path: Path, mesh: FaceGenMesh) -> FaceGenMesh:
 def _numbers(text: str, count: int) -> list[float]:
     numbers = [float(value) for value in text.split()[:count]]
     if len(numbers) < count or not all(abs(number) <= _FARTHEST for number in numbers):
-        raise ValueError(f"{shown(text.strip())} where {count} numbers are needed")
+        raise ValueError(f"{shown(text.strip())} instead of {count} numbers")
     return numbers
 
 
 def _corner(text: str, vertices: int, texture: int) -> tuple[int, int]:
-    """Vertex and texture coordinate of a corner `v`, `v/vt`, `v//vn` or `v/vt/vn`; the latter -1 where not given."""
+    """Vertex and texture coordinate, or -1, of a corner `v`, `v/vt`, `v//vn` or `v/vt/vn`."""
     parts = text.split("/")
     vertex = _from_one(int(parts[0]), vertices)
     return vertex, _from_one(int(parts[1]), texture) if len(parts) > 1 and parts[1] else -1
 
 
 def _from_one(index: int, count: int) -> int:
-    """OBJ counts from one, or backwards from the last."""
+    """Convert an OBJ index, which counts from 1, or backwards from the last."""
     place = index - 1 if index > 0 else count + index
     if not 0 <= place < count:
-        raise ValueError(f"{shown(index)} where {count} were given")
+        raise ValueError(f"index {shown(index)} is out of range, as there are {count}")
     return place
 
 
 def _fan(face: list[tuple[int, int]]) -> list[list[tuple[int, int]]]:
-    """Triangles and quads as they are, padded; larger polygons as a fan of triangles."""
+    """Pad triangles and quads, and split larger polygons into a fan of triangles."""
     if len(face) < 3:
-        raise ValueError("a face of fewer than three corners")
+        raise ValueError("a face with fewer than three corners")
     if len(face) <= 4:
         return [face + [(-1, -1)] * (4 - len(face))]
     return [[face[0], face[i], face[i + 1], (-1, -1)] for i in range(1, len(face) - 1)]
@@ -217,7 +229,7 @@ def _fan(face: list[tuple[int, int]]) -> list[list[tuple[int, int]]]:
 def _tri_uv(
     reader: _Reader, count: dict[str, int], triangles: NDArray[np.int32], quads: NDArray[np.int32]
 ) -> NDArray[np.float32] | None:
-    """(F, 4, 2): by a list and indices of each face, or one for each vertex."""
+    """(F, 4, 2) texture coordinates, from a list with indices per face, or one per vertex."""
     if count["X"]:
         table = reader.array("<f4", (count["X"], 2), "texture coordinates")
         of_triangles = reader.indices((count["T"], 3), count["X"], "texture of the triangles")
@@ -234,7 +246,7 @@ def _tri_uv(
 
 
 class _Reader:
-    """Little-endian values one after the other; whatever does not fit is told with its place in the file."""
+    """Reads little-endian values in sequence; errors state the position in the file."""
 
     def __init__(self, path: Path, kind: bytes, version: bytes) -> None:
         self.path = path
@@ -245,30 +257,30 @@ class _Reader:
         except ValueError as error:
             raise SourceError(f"{path} cannot be read: {error}. Choose another file.") from error
         if self._data[:5] != kind:
-            raise SourceError(f"{path} is no {kind.decode()} file of FaceGen (byte 0). Choose another file.")
+            raise SourceError(f"{path} is not a {kind.decode()} file of FaceGen (byte 0). Choose another file.")
         if self._data[5:8] != version:
             found = self._data[5:8].decode("ascii", "replace")
             raise SourceError(
-                f"{path} is of version {found} (byte 5); {version.decode()} is read. Export it again unencrypted."
+                f"{path} has version {found} (byte 5), not {version.decode()}. Export it again, unencrypted."
             )
         self._at = 8
 
     def fail(self, what: str) -> None:
-        """Raise SourceError for the place reached."""
+        """Raise SourceError at the current position."""
         raise SourceError(f"{self.path} is damaged at byte {self._at}: {what}. Export it again.")
 
     def end(self) -> None:
-        """Nothing may follow."""
+        """Check that nothing follows."""
         if self._at != len(self._data):
             self.fail(f"{len(self._data) - self._at} bytes follow the end")
 
     def skip(self, size: int) -> None:
-        """Leave `size` bytes out."""
+        """Skip `size` bytes."""
         self._need(size, "reserved bytes")
         self._at += size
 
     def count(self, what: str) -> int:
-        """A number of things, 32 bit."""
+        """Read a count, 32 bits."""
         self._need(4, f"the number of {what}")
         (value,) = struct.unpack_from("<i", self._data, self._at)
         if not 0 <= value <= _MOST:
@@ -277,12 +289,12 @@ class _Reader:
         return int(value)
 
     def check_morphs(self, morphs: int, vertices: int) -> None:
-        """Fail where so many morphs are more than any head has, before anything is made of them."""
+        """Fail if these are more morphs than any head has, before memory is allocated."""
         if morphs > _MOST_MORPHS or 12 * morphs * vertices > _MOST_MORPH_BYTES:
-            self.fail(f"{morphs} morphs of {vertices} vertices, more than a head has")
+            self.fail(f"{morphs} morphs of {vertices} vertices, more than any head has")
 
     def array(self, dtype: str, shape: tuple[int, ...], what: str) -> NDArray[Any]:
-        """Numbers of `dtype`."""
+        """Read an array of `dtype`."""
         size = int(np.prod(shape)) * np.dtype(dtype).itemsize
         self._need(size, what)
         values = np.frombuffer(self._data, dtype, int(np.prod(shape)), self._at).reshape(shape)
@@ -292,7 +304,7 @@ class _Reader:
         return values
 
     def vectors(self, count: int, what: str) -> NDArray[np.float32]:
-        """(count, 3) in the head frame."""
+        """Read vectors (count, 3), converted to the head frame."""
         start = self._at
         values = self.array("<f4", (count, 3), what)
         if np.abs(values).max(initial=0.0) > _FARTHEST:
@@ -301,7 +313,7 @@ class _Reader:
         return np.asarray(values * _TO_HEAD, dtype=np.float32)
 
     def indices(self, shape: tuple[int, ...], limit: int, what: str) -> NDArray[np.int32]:
-        """Indices below `limit`."""
+        """Read indices below `limit`."""
         start = self._at
         values = self.array("<i4", shape, what)
         if values.size and (values.min() < 0 or values.max() >= limit):
@@ -310,14 +322,14 @@ class _Reader:
         return values.astype(np.int32)
 
     def differences(self, count: int) -> NDArray[np.float32]:
-        """A scale and (count, 3) 16-bit displacements."""
+        """Read a scale and 16-bit displacements, (count, 3)."""
         scale = float(self.array("<f4", (1,), "the scale of a morph")[0])
         if abs(scale) > _FARTHEST / 2**15:
             self.fail("a morph that moves too far")
         return np.asarray(self.array("<i2", (count, 3), "a morph") * (scale * _TO_HEAD), dtype=np.float32)
 
     def label(self, wide: bool) -> str:
-        """A text with its length before it and a null after it."""
+        """Read a text with its length in front and a null at the end."""
         length = self.count("letters of a label") * (2 if wide else 1)
         self._need(length, "a label")
         text = self._data[self._at : self._at + length].decode("utf-16-le" if wide else "latin-1", "replace")

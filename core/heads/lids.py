@@ -1,8 +1,8 @@
-"""Eyes that are one skin with their lids, as a scan's are: where to cut so that the lids can shut over them.
+"""Opening eyes that are one skin with their lids, as on a scan: where to cut (docs/method.md, section 7.4).
 
-A cut along the mesh's own edges would leave a rim of teeth that cannot meet, so edges are split where an almond through
-the lids crosses them. What lies within becomes an eye on a sphere that touches the lids from behind, and the lids slide
-over that (`EyeballContact`).
+A cut along existing edges would leave jagged rims that cannot meet. Edges are therefore split where an almond through
+the lids crosses them. What is inside becomes an eye on a sphere that touches the lids from behind, and the lids slide
+over it (`EyeballContact`).
 """
 
 from __future__ import annotations
@@ -17,46 +17,50 @@ from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
 from ..landmarks import EYE_LEFT, EYE_RIGHT
 from ..mesh.surface import JOINED, SurfaceGraph
-from .eyeballs import LID
-from .lips import at_shares
+from .eyeballs import LID_THICKNESS
+from .lips import nearest_at_shares
 
 EYES = EYE_RIGHT, EYE_LEFT[[3, 2, 1, 0, 5, 4]]
-"""Right and left eye: outer corner, upper lid, inner corner, lower lid; each other's mirror image."""
+"""Landmarks of the right and left eye: outer corner, upper lid, inner corner, lower lid; mirror images."""
 _LIDS = (1, 2, 4, 5)
 _USUAL = np.array([0.76, -0.48, 0.0])
-"""Bows and lean, as in `EyeOutline`: about those of labelled scans."""
+"""Usual bows and lean of an `EyeOutline`, about those of labelled scans."""
 _TRUST = 0.03
-"""How much the usual curve counts beside two landmarks: about a quarter."""
-_SPREAD, _LEAST_BOW, _MOST_LEAN = (0.2, 0.8), 0.5, 0.2
-"""What landmarks can make of it: where along the eye they count, the least share of the usual bow, and the lean."""
-_STEEPEST = 0.9
-"""Sine of the angle beyond which two corners lie above each other."""
-_WITHIN, _REACH = 0.1, 1.0
-"""From an eye's corners, in its widths: nearer, or farther, a way from lid to lid may lead round an open eye."""
-_FINE, _STRETCH = 0.1, 0.35
-"""Longest edge about an eye that is not too coarse, and how far from it lids still stretch, in its widths."""
+"""Ridge towards the usual shape, which then counts about a quarter beside two landmarks of a lid."""
+_SHARE_RANGE, _MIN_BOW, _MAX_LEAN = (0.2, 0.8), 0.5, 0.2
+"""Limits of what misplaced landmarks can do: range of their positions along the eye, least share of the usual bow, and
+largest lean."""
+_MAX_SLOPE = 0.9
+"""Sine of the angle of the line between the corners, beyond which they lie above each other."""
+_MARGIN, _REACH = 0.1, 1.0
+"""In eye widths: margin at the corners, and extent, of the part of the mesh in which paths from lid to lid are sought;
+outside of it a path may lead around an open eye."""
+_MAX_EDGE, _STRETCH = 0.1, 0.35
+"""In eye widths: longest edge near an eye that lids can roll over, and how far from the eye they still stretch."""
 _SNAP = 0.15
-"""Of an edge: a vertex as near to the cut as that is taken to lie on it, which saves slivers."""
-_LEAST_RIM = 12
-"""Vertices of a rim: fewer make no almond."""
+"""Share of an edge within which a vertex is moved onto the cut, which avoids slivers."""
+_MIN_RIM = 12
+"""Fewest vertices of a rim that can follow an almond."""
 _MIDDLE = np.array([0.5, 0.04, 0.2])
-"""About where the middle of an eye lies in its own frame."""
-_ALONG = (0.36, 0.68)
-"""Where along an eye a lid's two landmarks lie: about there on labelled faces, 0.26 to 0.40 and 0.65 to 0.72."""
-_ROUND = 0.7
-"""Radius of the sphere on which lids lie, in widths of the eye: 0.01 to 0.02 off (rms) on labelled faces."""
-_BESIDE, _PITS = 0.15, 95.0
-"""Skin as near to the cut lies before the sphere, this percentage of it: a pit of noise does not push the eye in."""
+"""Approximate middle of an eye in its own frame."""
+_LID_SHARES = (0.36, 0.68)
+"""Positions of the two landmarks of a lid along the eye; 0.26 to 0.40 and 0.65 to 0.72 on labelled faces."""
+_RADIUS = 0.7
+"""Radius of the sphere on which lids lie, in eye widths; lids of labelled faces lie within 0.01 to 0.02 of it (rms)."""
+_BESIDE, _FRONT_PERCENT = 0.15, 95.0
+"""Skin within this distance of the cut, in eye widths, of which this percentage has to lie in front of the sphere; not
+all, so that a pit of noise does not push the eye inwards."""
 _STEEP = 0.95
 """Share of the sphere's radius beyond which its sides are too steep to be used."""
 _SPINE = (0.3, 0.7)
-"""The part of an eye's middle line from which all sides lie outward."""
+"""The part of an eye's middle line from which outward directions are measured."""
 _HALVINGS, _STEPS = 40, 12
+"""Bisections of an edge, and Gauss-Newton steps for the sphere."""
 
 
 @dataclass(frozen=True)
 class EyeOutline:
-    """An almond between the corners of an eye, in the plane of its width and of the head's height.
+    """An almond between the corners of an eye (equation 7.2).
 
     Attributes
     ----------
@@ -65,12 +69,12 @@ class EyeOutline:
     axes : (3, 3) float
         Rows: unit vectors towards the inner corner, up, and towards the viewer.
     width : float
-        From corner to corner.
+        Distance of the corners.
     bows : (2,) float
+        Of the upper and the lower lid.
     lean : float
-        The height of a lid over the line from corner to corner, in widths, is s (1 - s) (bow + lean (2 s - 1)) at the
-        share s of the way to the inner corner. Both lids lean the same way, as they do in people, and lie opposite
-        each other in the same shares of the eye's opening, so that they meet everywhere when they shut.
+        The height of a lid over the line between the corners, in widths, is ``s (1 - s) (bow + lean (2 s - 1))`` at the
+        share s of the way to the inner corner. The common lean, as in people, lets lids meet everywhere when they shut.
     """
 
     corner: FloatArray
@@ -79,16 +83,16 @@ class EyeOutline:
     bows: FloatArray
     lean: float
 
-    def local(self, points: FloatArray) -> FloatArray:
-        """(..., 3) in widths from the outer corner: along to the inner one, up, and towards the viewer."""
+    def to_local(self, points: FloatArray) -> FloatArray:
+        """Convert (..., 3) points to the frame of the eye: widths along to the inner corner, up, and to the viewer."""
         return np.asarray((points - self.corner) @ self.axes.T / self.width)
 
-    def places(self, local: FloatArray) -> FloatArray:
-        """(..., 3) in the frame of the mesh: the inverse of `local`."""
+    def from_local(self, local: FloatArray) -> FloatArray:
+        """Convert (..., 3) points from the frame of the eye to that of the mesh."""
         return np.asarray(self.corner + self.width * local @ self.axes)
 
     def depth_within(self, local: FloatArray) -> FloatArray:
-        """(...) how far a point lies within the almond, by height, in widths; below 0 outside."""
+        """(...) depth of points within the almond, vertically and in widths; negative outside."""
         along, up = local[..., 0], local[..., 1]
         upper, lower = (along * (1.0 - along) * (bow + self.lean * (2.0 * along - 1.0)) for bow in self.bows)
         return np.asarray(np.minimum(upper - up, up - lower))
@@ -96,25 +100,25 @@ class EyeOutline:
 
 @dataclass(frozen=True)
 class EyeCut:
-    """How one eye is cut out of a mesh of V vertices.
+    """The cut of an eye out of a mesh with V vertices.
 
     Attributes
     ----------
     edges : (K, 2) intp
-        Edges to be split, the vertex within the eye first. The new vertices are V, V + 1 and so on.
+        Edges to split, the vertex inside the eye first. The new vertices are V, V + 1 and so on.
     shares : (K,) float
-        Where, from the vertex within.
+        Where to split them, from the vertex inside.
     chords : (C, 2) intp
-        Pairs of vertices, most of them new, to be joined by an edge across the face that has both.
+        Pairs of vertices, most of them new, to join by an edge across the face that has both.
     rim : (N,) intp
-        The closed cut, from the outer corner along the upper lid to the inner corner and back.
+        Vertices of the closed cut, from the outer corner along the upper lid to the inner corner and back.
     inner : int
-        Place of the inner corner in `rim`.
+        Index of the inner corner in `rim`.
     within : (M,) intp
-        Vertices of the eye that are not on the rim.
+        Vertices inside the cut.
     outline : EyeOutline
     eyeball : (4,) float
-        Centre and radius of the sphere that touches the lids from behind, frame of the mesh.
+        Centre and radius of the sphere that touches the lids from behind, in the frame of the mesh.
     """
 
     edges: NDArray[np.intp]
@@ -127,54 +131,85 @@ class EyeCut:
     eyeball: FloatArray
 
     def landmark_places(self, points: FloatArray) -> NDArray[np.intp]:
-        """(6,) places in the rim, which leads through `points` (N, 3), for the landmarks of an eye in `EYES`' order."""
-        # Opposite each other, so that the upper one comes down on the lower one.
-        along = self.outline.local(points)[:, :1]
+        """(6,) indices into the rim, whose positions are `points` (N, 3), for the landmarks of an eye as in `EYES`."""
+        # Opposite each other, so that the upper one meets the lower one.
+        along = self.outline.to_local(points)[:, :1]
         upper = np.arange(self.inner + 1)
         lower = np.append(np.arange(self.inner, len(points)), 0)
-        above, below = upper[at_shares(along[upper], _ALONG)], lower[at_shares(along[lower], _ALONG)]
+        above, below = (
+            upper[nearest_at_shares(along[upper], _LID_SHARES)],
+            lower[nearest_at_shares(along[lower], _LID_SHARES)],
+        )
         return np.array([0, *above, self.inner, *below])
 
-    def on_eye(self, points: FloatArray) -> FloatArray:
-        """(N, 3) points (N, 3) moved along the view of the eye onto the eye's sphere, `LID` behind the lids."""
-        return self.outline.places(self._sunk(self.outline.local(points)))
+    def project_to_eye(self, points: FloatArray) -> FloatArray:
+        """Move `points` (N, 3) along the viewing direction onto the sphere of the eye, behind the lids."""
+        return self.outline.from_local(self._onto_sphere(self.outline.to_local(points)))
 
     def behind_lids(self, points: FloatArray, distance: float) -> FloatArray:
-        """(N, 3) on the eye's sphere, `distance` widths outside the rim, whose places are `points` (N, 3)."""
-        local = self.outline.local(points)
+        """Points on the sphere of the eye, outside of its rim.
+
+        Parameters
+        ----------
+        points : (N, 3) float64
+            Positions of the rim, frame of the mesh.
+        distance : float
+            Distance outside the rim, in eye widths.
+
+        Returns
+        -------
+        (N, 3) float64
+            Frame of the mesh.
+        """
+        local = self.outline.to_local(points)
+        # Outward from the nearest point of the eye's middle line.
         spine = np.zeros_like(local)
         spine[:, 0] = np.clip(local[:, 0], *_SPINE)
         spine[:, 1] = self.outline.bows.mean() / 4.0
         away = (local - spine)[:, :2]
         local[:, :2] += distance * away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
-        return self.outline.places(self._sunk(local))
+        return self.outline.from_local(self._onto_sphere(local))
 
-    def _sunk(self, local: FloatArray) -> FloatArray:
-        centre = self.outline.local(self.eyeball[:3])
-        radius = (1.0 - LID) * self.eyeball[3] / self.outline.width
+    def _onto_sphere(self, local: FloatArray) -> FloatArray:
+        centre = self.outline.to_local(self.eyeball[:3])
+        radius = (1.0 - LID_THICKNESS) * self.eyeball[3] / self.outline.width
         across = local[:, :2] - centre[:2]
         far = np.linalg.norm(across, axis=1, keepdims=True)
+        # Where the sphere is too steep, stay on its edge.
         across *= np.minimum(1.0, _STEEP * radius / np.maximum(far, 1e-9))
         depth = np.sqrt(radius**2 - np.square(across).sum(axis=1))
         return np.column_stack([centre[:2] + across, centre[2] + depth])
 
 
 def eye_outline(vertices: FloatArray, landmarks: IntArray, eye: IntArray) -> EyeOutline:
-    """The almond through the landmarks `eye`, one of `EYES`, of a head in the head frame with landmarks (66,).
+    """Fit an almond to the landmarks of an eye.
 
-    Both corners are met. The lids' landmarks, which lie anywhere on a mesh without rims, are met as far as two of them
-    and the usual shape of eyes agree.
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Head frame, any unit.
+    landmarks : (66,) array of int
+        Vertex of each landmark.
+    eye : (6,) array of int
+        One of `EYES`.
+
+    Returns
+    -------
+    EyeOutline
+        Meets both corners; meets the landmarks of the lids, which are imprecise on a mesh without rims, as far as
+        these and the usual shape of eyes agree.
 
     Raises
     ------
     HeadError
-        Where the two corners lie in one place, or one above the other.
+        If the corners coincide, or one lies above the other.
     """
     points = np.asarray(vertices, dtype=np.float64)[landmarks[eye]]
     width = float(np.linalg.norm(points[3] - points[0]))
     along = (points[3] - points[0]) / max(width, np.finfo(float).tiny)
-    if width == 0.0 or abs(along[1]) > _STEEPEST:
-        raise HeadError("The two corners of an eye lie above each other. Bind the landmarks anew, or mark the corners.")
+    if width == 0.0 or abs(along[1]) > _MAX_SLOPE:
+        raise HeadError("The corners of an eye lie above each other. Bind the landmarks again, or mark the corners.")
+    # Axes of the eye: along its width, the head's up direction made orthogonal to it, and towards the viewer.
     up = along * along[1] - (0.0, 1.0, 0.0)
     up /= np.linalg.norm(up)
     towards = np.cross(along, up)
@@ -185,19 +220,20 @@ def eye_outline(vertices: FloatArray, landmarks: IntArray, eye: IntArray) -> Eye
 
 
 def _bows(points: FloatArray) -> FloatArray:
-    """(3,) `bows` and `lean` of lids with landmarks (6, 3) in an eye's own frame: least squares, drawn to the usual."""
-    share = np.clip(points[_LIDS, 0], *_SPREAD)
+    """(3,) `bows` and `lean` for landmarks (6, 3) in the frame of an eye: least squares with a ridge."""
+    share = np.clip(points[_LIDS, 0], *_SHARE_RANGE)
     bow = share * (1.0 - share)
     upper = np.arange(len(_LIDS)) < 2
+    # Equation 7.2 is linear in the bows and the lean.
     terms = np.column_stack([bow * upper, bow * ~upper, bow * (2.0 * share - 1.0)])
     pull = _TRUST * np.eye(3)
     fitted = np.linalg.solve(terms.T @ terms + pull, terms.T @ points[_LIDS, 1] + pull @ _USUAL)
-    upper_bow, lower_bow = _USUAL[:2] * np.maximum(fitted[:2] / _USUAL[:2], _LEAST_BOW)
-    return np.array([upper_bow, lower_bow, np.clip(fitted[2], -_MOST_LEAN, _MOST_LEAN)])
+    upper_bow, lower_bow = _USUAL[:2] * np.maximum(fitted[:2] / _USUAL[:2], _MIN_BOW)
+    return np.array([upper_bow, lower_bow, np.clip(fitted[2], -_MAX_LEAN, _MAX_LEAN)])
 
 
 def eyes_joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[bool]:
-    """Whether each of `EYES` is one skin with its lids: whether the way from lid to lid leads straight over it.
+    """Whether each of `EYES` is one skin with its lids, that is, whether paths from lid to lid lead straight over it.
 
     Parameters
     ----------
@@ -206,6 +242,12 @@ def eyes_joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> l
     faces : (F, K) array of int
         Vertices of each face, padded with -1.
     landmarks : (66,) array of int
+        Vertex of each landmark.
+
+    Returns
+    -------
+    list of bool
+        For each of `EYES`.
     """
     return [_joined(np.asarray(vertices, dtype=np.float64), np.asarray(faces), landmarks, eye) for eye in EYES]
 
@@ -215,30 +257,48 @@ def _joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray, eye: Int
         outline = eye_outline(vertices, landmarks, eye)
     except HeadError:
         return False  # without corners there is no eye
-    local = outline.local(vertices)
+    local = outline.to_local(vertices)
     along = local[:, 0]
-    between = (along > _WITHIN) & (along < 1.0 - _WITHIN) & (np.abs(local[:, 1:]) < _REACH).all(axis=1)
+    between = (along > _MARGIN) & (along < 1.0 - _MARGIN) & (np.abs(local[:, 1:]) < _REACH).all(axis=1)
+    # A graph of the skin between the corners only; on open eyes it has no path from lid to lid.
     kept = faces[(between[faces] | (faces < 0)).all(axis=1)]
     graph = SurfaceGraph(vertices, kept)
     pairs = landmarks[eye][[[1, 5], [2, 4]]]
-    told = [
-        bool(np.isfinite(graph.ways([upper], JOINED * float(np.linalg.norm(vertices[upper] - vertices[lower])))[lower]))
+    joined = [
+        bool(
+            np.isfinite(
+                graph.path_lengths([upper], JOINED * float(np.linalg.norm(vertices[upper] - vertices[lower])))[lower]
+            )
+        )
         for upper, lower in pairs[between[pairs].all(axis=1)].tolist()
     ]
-    return bool(told) and all(told)
+    return bool(joined) and all(joined)
 
 
 def coarse_edges(graph: SurfaceGraph, outline: EyeOutline) -> NDArray[np.intp]:
-    """(E, 2) edges about an eye that are too long for lids to roll over it."""
-    ends = outline.local(graph.vertices[graph.edges])
-    long = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) > _FINE
+    """Edges near an eye that are too long for lids to roll over it.
+
+    Parameters
+    ----------
+    graph : SurfaceGraph
+        Of the head.
+    outline : EyeOutline
+        Of the eye.
+
+    Returns
+    -------
+    (E, 2) int
+        Vertices of the edges.
+    """
+    ends = outline.to_local(graph.vertices[graph.edges])
+    long = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) > _MAX_EDGE
     middle = ends.mean(axis=1)
     about = (np.abs(middle[:, 0] - 0.5) < 0.5 + _STRETCH) & (np.abs(middle[:, 1:]) < 2.0 * _STRETCH).all(axis=1)
     return np.asarray(graph.edges[long & about])
 
 
 def cut_eye(vertices: FloatArray, faces: IntArray, outline: EyeOutline) -> EyeCut:
-    """Where the skin is cut along the almond.
+    """Find where to cut the skin along the almond.
 
     Parameters
     ----------
@@ -247,33 +307,42 @@ def cut_eye(vertices: FloatArray, faces: IntArray, outline: EyeOutline) -> EyeCu
     faces : (F, K) array of int
         Vertices of each face, padded with -1.
     outline : EyeOutline
+        Of the eye.
+
+    Returns
+    -------
+    EyeCut
+        The cut.
 
     Raises
     ------
     HeadError
-        Where the mesh is too coarse or has holes at the eye.
+        If the mesh is too coarse at the eye, or has holes there.
 
     Notes
     -----
-    Nothing hangs on the order of vertices or faces: the mirror image of a mesh is cut in the mirror image of the cut.
+    The result does not depend on the order of vertices or faces, and the cut of a mirrored mesh is the mirrored cut.
     """
     graph = SurfaceGraph(vertices, faces)
-    local = outline.local(graph.vertices)
+    local = outline.to_local(graph.vertices)
+    # 1. Cut edges and faces along the almond. If snapping breaks the loop, cut without it.
     for snap in (_SNAP, 0.0):
         side, ends, shares = _sides(graph, outline, local, snap)
         pieces, chords = _pieces(np.asarray(faces), side, ends)
         loop = _loop(pieces)
         if loop is not None:
             break
-    if not pieces or (loop is not None and len(loop) < _LEAST_RIM):
+    if not pieces or (loop is not None and len(loop) < _MIN_RIM):
         raise HeadError("The mesh is too coarse at the eyes. Subdivide them first.")
+    # 2. The eye, which must not contain or touch a hole.
     within = np.unique([v for piece in pieces for v in piece if side[v] > 0])
     holes = {v for edge in graph.edges[graph.faces_at == 1].tolist() for v in edge}
     if loop is None or holes.intersection(within.tolist()) or holes.intersection(loop):
         raise HeadError("The mesh has holes at the eyes. Fill them, or cut along the lids: Edge > Edge Split.")
+    # 3. The rim in order, and the sphere behind it and the skin beside it.
     places = np.concatenate([local, _between(local[ends], shares)])
     rim, inner = _from_outer_corner(loop, places)
-    beside = np.isfinite(graph.ways(np.unique(ends).tolist(), _BESIDE * outline.width))
+    beside = np.isfinite(graph.path_lengths(np.unique(ends).tolist(), _BESIDE * outline.width))
     beside[within] = False
     eyeball = _sphere_behind(outline, places[rim], local[beside])
     return EyeCut(ends, shares, chords, rim, inner, within, outline, eyeball)
@@ -282,11 +351,12 @@ def cut_eye(vertices: FloatArray, faces: IntArray, outline: EyeOutline) -> EyeCu
 def _sides(
     graph: SurfaceGraph, outline: EyeOutline, local: FloatArray, snap: float
 ) -> tuple[IntArray, NDArray[np.intp], FloatArray]:
-    """Of each vertex 1 within, 0 on the cut, -1 without; edges (K, 2) from within to without; where they are cut."""
+    """Per vertex 1 inside, 0 on the cut, -1 outside; edges (K, 2) from inside to outside; where to split these."""
     inside = _piece(graph, outline.depth_within(local) > 0.0, local)
     first, second = graph.edges[inside[graph.edges].sum(axis=1) == 1].T
     ends = np.asarray(np.where(inside[first], [first, second], [second, first]).T, dtype=np.intp)
     shares = _crossings(outline, local[ends])
+    # Snap vertices to the cut, then drop what that has separated from the eye.
     side = np.where(inside, 1, -1)
     side[ends[shares < snap, 0]] = 0
     side[ends[shares > 1.0 - snap, 1]] = 0
@@ -297,7 +367,7 @@ def _sides(
 
 
 def _piece(graph: SurfaceGraph, among: NDArray[np.bool_], local: FloatArray) -> NDArray[np.bool_]:
-    """(V,) the vertices `among` (V,) that edges join to the one of them that is next to the middle of the eye."""
+    """(V,) the connected piece of the vertices `among` (V,) around the one nearest to the middle of the eye."""
     found = np.zeros(len(among), dtype=np.bool_)
     rows = np.flatnonzero(among)
     if not len(rows):
@@ -313,7 +383,7 @@ def _piece(graph: SurfaceGraph, among: NDArray[np.bool_], local: FloatArray) -> 
 
 
 def _crossings(outline: EyeOutline, ends: FloatArray) -> FloatArray:
-    """(K,) shares at which edges, of which (K, 2, 3) are the ends within and without, cross the almond; by halving."""
+    """(K,) shares at which edges with ends (K, 2, 3), inside and outside, cross the almond, by bisection."""
     low, high = np.zeros(len(ends)), np.ones(len(ends))
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
@@ -323,16 +393,17 @@ def _crossings(outline: EyeOutline, ends: FloatArray) -> FloatArray:
 
 
 def _between(ends: FloatArray, shares: FloatArray) -> FloatArray:
-    """(K, 3) places on edges (K, 2, 3) at `shares` (K,) of the way from the first end to the second."""
+    """(K, 3) points on edges (K, 2, 3) at `shares` (K,) of the way from the first end to the second."""
     return np.asarray(ends[:, 0] + shares[:, None] * (ends[:, 1] - ends[:, 0]))
 
 
 def _pieces(faces: IntArray, side: IntArray, ends: IntArray) -> tuple[list[list[int]], NDArray[np.intp]]:
-    """The parts of faces that lie within, as lists of vertices, and the chords (C, 2) that part them from the rest."""
+    """The parts of faces that lie inside, as lists of vertices, and the chords (C, 2) that separate them."""
     new = {frozenset(pair): len(side) - len(ends) + i for i, pair in enumerate(ends.tolist())}
     pieces, chords = [], []
     for face in faces[((side[faces] > 0) & (faces >= 0)).any(axis=1)].tolist():
         corners = [v for v in face if v >= 0]
+        # The face with new vertices on its split edges; what is not outside is the piece.
         ring: list[int] = []
         for a, b in zip(corners, corners[1:] + corners[:1], strict=True):
             ring += [a, new[frozenset((a, b))]] if frozenset((a, b)) in new else [a]
@@ -345,7 +416,7 @@ def _pieces(faces: IntArray, side: IntArray, ends: IntArray) -> tuple[list[list[
 
 
 def _loop(pieces: list[list[int]]) -> list[int] | None:
-    """The border of `pieces`, vertex by vertex; None where it is not one closed line."""
+    """The border of `pieces`, vertex by vertex; None if it is not a single closed line."""
     count: dict[frozenset[int], int] = {}
     for piece in pieces:
         for pair in zip(piece, piece[1:] + piece[:1], strict=True):
@@ -366,7 +437,7 @@ def _loop(pieces: list[list[int]]) -> list[int] | None:
 
 
 def _from_outer_corner(loop: list[int], places: FloatArray) -> tuple[NDArray[np.intp], int]:
-    """The loop begun at the outer corner and led along the upper lid, and the place of the inner corner in it."""
+    """The loop from the outer corner along the upper lid, and the index of the inner corner in it."""
     first = int(np.argmin(places[loop, 0]))
     rim = np.array(loop[first:] + loop[:first], dtype=np.intp)
     inner = int(np.argmax(places[rim, 0]))
@@ -376,17 +447,19 @@ def _from_outer_corner(loop: list[int], places: FloatArray) -> tuple[NDArray[np.
 
 
 def _sphere_behind(outline: EyeOutline, rim: FloatArray, skin: FloatArray) -> FloatArray:
-    """(4,) centre and radius of the sphere on which the `rim` lies best, drawn back behind the `skin` beside it.
+    """(4,) centre and radius of the sphere on which the `rim` lies best, moved back behind the `skin` beside it.
 
-    Gauss-Newton steps for the centre; of a rim alone, which is nearly flat, no radius could be told.
+    The radius is fixed, as it cannot be estimated from a rim, which is nearly flat; the centre is found by Gauss-Newton
+    steps.
     """
     centre = np.array([0.5, 0.2, -0.45])
     for _ in range(_STEPS):
         away = rim - centre
         far = np.linalg.norm(away, axis=1)
-        centre = centre + np.linalg.lstsq(away / far[:, None], far - _ROUND, rcond=None)[0]
+        centre = centre + np.linalg.lstsq(away / far[:, None], far - _RADIUS, rcond=None)[0]
+    # Move back until most of the skin lies in front of the sphere.
     across = np.linalg.norm(skin[:, :2] - centre[:2], axis=1)
-    over = across < _STEEP * _ROUND
-    before = centre[2] + np.sqrt(_ROUND**2 - across[over] ** 2) - skin[over, 2]
-    centre[2] -= max(0.0, float(np.percentile(before, _PITS)))
-    return np.array([*outline.places(centre), _ROUND * outline.width])
+    over = across < _STEEP * _RADIUS
+    before = centre[2] + np.sqrt(_RADIUS**2 - across[over] ** 2) - skin[over, 2]
+    centre[2] -= max(0.0, float(np.percentile(before, _FRONT_PERCENT)))
+    return np.array([*outline.from_local(centre), _RADIUS * outline.width])

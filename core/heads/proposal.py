@@ -1,9 +1,9 @@
-"""The three regions of any bound mesh, proposed from its landmarks and its openings; painted over by the user after.
+"""Proposed regions of a bound mesh, from its landmarks and openings (docs/method.md, section 7.2).
 
-Across a slit the change is sharp, lid from lid and lip from lip, and told by the way along the surface: lips that are
-closed but not joined lie in one place, yet far apart on the skin. Elsewhere the regions overlap along the lines on
+Across a slit, from lid to lid and from lip to lip, the change is sharp and follows the distance along the surface: lips
+that are closed but not joined are in one place, yet far apart on the skin. Elsewhere regions overlap along the lines on
 which the muscles meet: from the outer corner of the eye to the temple, over the bridge of the nose, and from the corner
-of the mouth to the angle of the jaw (METHOD section 6).
+of the mouth to the angle of the jaw.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ _INNER_LOWER = np.concatenate([_LEFT_CORNER, LOWER_LIPS[::-1], _RIGHT_CORNER])
 _EYE_SOFTNESS, _MOUTH_SOFTNESS = 0.08, 0.22
 _SLIT_SOFTNESS = 0.002
 _REACH = 0.6
-"""Lengths in outer-eye distances: half widths of the overlaps, and how far from a slit the surface decides."""
+"""In outer-eye distances: half widths of the overlaps, and distance from a slit within which the surface decides."""
 
 
 @dataclass(frozen=True)
 class _Slit:
-    """The side of a slit for vertices near it: `share` (V,) of the upper side, valid where `near` (V,)."""
+    """Sides of a slit: `share` (V,) of the upper side for each vertex, valid where `near` (V,)."""
 
     share: FloatArray
     near: NDArray[np.bool_]
 
 
 def propose_regions(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> FloatArray:
-    """(3, V) shares in 0..1 of the regions upper, middle and lower, their sum at most 1 and 0 where nothing moves.
+    """Propose the weights of the regions.
 
     Parameters
     ----------
@@ -64,6 +64,12 @@ def propose_regions(vertices: FloatArray, faces: IntArray, landmarks: IntArray) 
         Vertices of each face, padded with -1.
     landmarks : (66,) array of int
         Vertex of each landmark.
+
+    Returns
+    -------
+    (3, V) float64
+        Weights of the regions upper, middle and lower, 0 to 1, with a sum of at most 1, and of 0 where nothing
+        moves.
     """
     points = np.asarray(vertices, dtype=np.float64)[landmarks]
     unit = outer_eye_distance(points)
@@ -71,12 +77,15 @@ def propose_regions(vertices: FloatArray, faces: IntArray, landmarks: IntArray) 
     place = (np.asarray(vertices, dtype=np.float64) - centre) / unit
     points = place[landmarks]
     graph = SurfaceGraph(place, faces)
+    # 1. By height: smooth borders through the corners of the eyes and the mouth.
     above_eyes = _above_eyes(place, points)
     above_mouth = _above_mouth(place, points)
+    # 2. Between the corners of a slit, by the rim that is nearer along the surface.
     for upper, lower in zip(_UPPER_LIDS, _LOWER_LIDS, strict=True):
         _decide(above_eyes, _slit(graph, landmarks, [upper], [lower], place, points))
     lips = _slit(graph, landmarks, [_UPPER_LIP, _INNER_UPPER], [_LOWER_LIP, _INNER_LOWER], place, points)
     _decide(above_mouth, lips)
+    # 3. Shares of the three regions, fading out at the edges of the face.
     shares = np.stack([above_eyes, (1.0 - above_eyes) * above_mouth, (1.0 - above_eyes) * (1.0 - above_mouth)])
     shares *= _moving(place, points)
     shares[shares < 0.01] = 0.0
@@ -91,10 +100,10 @@ def _slit(
     place: FloatArray,
     points: FloatArray,
 ) -> _Slit:
-    """Whether the upper or the lower rim is nearer along the surface, between the slit's corners."""
+    """Decide between the corners of a slit whether the upper or the lower rim is nearer along the surface."""
     rims = [{v for line in lines for v in _rim(graph, landmarks[line])} for lines in (upper, lower)]
     corners = rims[0] & rims[1]
-    to_upper, to_lower = (graph.ways(rim - corners, _REACH) for rim in rims)
+    to_upper, to_lower = (graph.path_lengths(rim - corners, _REACH) for rim in rims)
     left, right = np.sort(points[upper[0][[0, -1]], 0])
     between = (place[:, 0] >= left) & (place[:, 0] <= right)
     near = between & np.isfinite(to_upper) & np.isfinite(to_lower)
@@ -104,7 +113,7 @@ def _slit(
 
 
 def _rim(graph: SurfaceGraph, line: IntArray) -> list[int]:
-    """Vertices along the surface through the landmark vertices `line`."""
+    """Vertices of the path along the surface through the landmark vertices `line`."""
     return [v for a, b in zip(line[:-1].tolist(), line[1:].tolist(), strict=True) for v in graph.path(a, b)]
 
 
@@ -113,18 +122,19 @@ def _decide(above: FloatArray, slit: _Slit) -> None:
 
 
 def _above_eyes(place: FloatArray, points: FloatArray) -> FloatArray:
-    """Share above the line from temple to temple through the eyes' corners and the bridge of the nose."""
+    """Share above the line from temple to temple through the corners of the eyes and the bridge of the nose."""
     corners = points[EYE_CORNERS]
     bridge = points[NOSE_ROOT].mean(axis=0)
     line = np.stack([corners[0] - (0.3, 0.0, 0.0), *corners[:2], bridge, *corners[2:], corners[3] + (0.3, 0.0, 0.0)])
     x = place[:, 0]
     inside = ((x > corners[0, 0]) & (x < corners[1, 0])) | ((x > corners[2, 0]) & (x < corners[3, 0]))
+    # The border widens with the distance from the eyes.
     outside = np.abs(x[:, None] - corners[:, 0]).min(axis=1) * ~inside
     return _above(place, line, np.clip(0.8 * outside, _SLIT_SOFTNESS, _EYE_SOFTNESS))
 
 
 def _above_mouth(place: FloatArray, points: FloatArray) -> FloatArray:
-    """Share above the line from the mouth's corners to the angles of the jaw."""
+    """Share above the line from the corners of the mouth to the angles of the jaw."""
     right, left = points[MOUTH_CORNERS]
     angle_right, angle_left = points[from_ibug((3, 4))].mean(axis=0), points[from_ibug((12, 13))].mean(axis=0)
     x = place[:, 0]
@@ -134,16 +144,17 @@ def _above_mouth(place: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _above(place: FloatArray, line: FloatArray, soft: FloatArray) -> FloatArray:
-    """1 above the line (y is down), 0 below, changing over `soft` on either side."""
+    """1 above the line (y is down), 0 below, with a transition of `soft` to either side."""
     height = np.interp(place[:, 0], line[:, 0], line[:, 1]) - place[:, 1]
     return _step(height / soft, -1.0, 1.0)
 
 
 def _moving(place: FloatArray, points: FloatArray) -> FloatArray:
-    """1 on the face, 0 on skull, ears and the neck, and between the two a fade."""
+    """1 on the face, 0 on skull, ears and neck, with smooth transitions."""
     x, y, z = place.T
     ears, chin = points[[0, 16]], points[8]
     brow = points[BROWS, 1].min()
+    # Behind the ears, above the brows, below the chin, and beyond the ears; in outer-eye distances.
     side = _step(z, ears[:, 2].mean() + 0.3, ears[:, 2].mean() - 0.15)
     scalp = _step(y, brow - 0.70, brow - 0.30)
     throat = _step(y + 0.25 * (z - chin[2]), chin[1] + 0.80, chin[1] + 0.20)
@@ -152,6 +163,6 @@ def _moving(place: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _step(value: FloatArray, start: float, end: float) -> FloatArray:
-    """0 at `start`, 1 at `end`, level at both; `start` may be the greater."""
+    """Smooth step from 0 at `start` to 1 at `end`; `start` may be the greater."""
     t = np.clip((value - start) / (end - start), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))

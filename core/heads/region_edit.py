@@ -1,4 +1,4 @@
-"""Regions after painting: one half of the face like the other, and softer borders."""
+"""Editing of painted regions: mirroring and smoothing."""
 
 from __future__ import annotations
 
@@ -15,18 +15,17 @@ Side = Literal["left", "right"]
 """The head's own left or right."""
 
 _RIGHT_HALF = np.concatenate([JAW[:8], BROWS[:5], EYE_RIGHT])
-_KD_TREE_SINGLE = 4
-_NORMALS = 0.1
-"""Lips that touch lie in one place and look apart: eye distances that opposite normals stand for, halved."""
+_NORMAL_DISTANCE = 0.1
+"""Half the outer-eye distances for which opposite normals stand: lips that touch coincide, but face apart."""
 
 
 def mirror_regions(
     vertices: FloatArray, faces: IntArray, landmarks: IntArray, weights: FloatArray, source: Side
 ) -> FloatArray:
-    """(3, V) weights with the half `source` as it is, and the other half as its mirror image.
+    """Copy the weights of one half of a head to the other, mirrored.
 
-    Each vertex of the other half takes the weights of the vertex whose mirror image is nearest and looks the same way;
-    the plane of symmetry is that of the landmarks, so that the mesh need neither be symmetric nor stand straight.
+    Each vertex of the other half takes the weights of the vertex whose mirror image is nearest and faces the same way.
+    The plane of symmetry is that of the landmarks, so that the mesh need not be symmetric or upright.
 
     Parameters
     ----------
@@ -35,16 +34,25 @@ def mirror_regions(
     faces : (F, K) array of int
         Vertices of each face, padded with -1.
     landmarks : (66,) array of int
+        Vertex of each landmark.
     weights : (3, V) array
+        Weights of the regions.
     source : {"left", "right"}
+        The half that stays, from the head's own point of view.
+
+    Returns
+    -------
+    (3, V) array
+        The new weights.
     """
     place = np.asarray(vertices, dtype=np.float64)
     points = place[landmarks]
     unit = outer_eye_distance(points)
+    # The plane of symmetry passes through the mean landmark, normal to the mean direction between mirrored pairs.
     to_left = (points[MIRROR[_RIGHT_HALF]] - points[_RIGHT_HALF]).sum(axis=0)
     normal = to_left / np.linalg.norm(to_left)
     height = (place - points.mean(axis=0)) @ normal
-    looks = _NORMALS * unit * _normals(place, faces)
+    looks = _NORMAL_DISTANCE * unit * _normals(place, faces)
     images = np.hstack([_reflected(place, height, normal), _reflected(looks, looks @ normal, normal)])
     on_source = height >= 0.0 if source == "left" else height <= 0.0
     kept, others = np.flatnonzero(on_source), np.flatnonzero(~on_source)
@@ -55,10 +63,26 @@ def mirror_regions(
 
 
 def smooth_regions(vertices: FloatArray, faces: IntArray, weights: FloatArray, repeat: int = 1) -> FloatArray:
-    """(3, V) weights, each halfway to the mean of its neighbours along edges, `repeat` times.
+    """Smooth weights: move each halfway to the mean of its neighbours along edges.
 
-    Lips and lids stay apart, as no edge joins them. The sum of the three at a vertex never grows beyond the largest
+    Lips and lids stay apart, as no edge joins them. The sum of the weights of a vertex never exceeds the largest sum
     around it.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Any frame and unit.
+    faces : (F, K) array of int
+        Vertices of each face, padded with -1.
+    weights : (3, V) array
+        Weights of the regions.
+    repeat : int
+        Number of passes.
+
+    Returns
+    -------
+    (3, V) array
+        The new weights.
     """
     edges = SurfaceGraph(vertices, faces).edges
     degree = np.bincount(edges.reshape(-1), minlength=len(vertices))
@@ -70,7 +94,7 @@ def smooth_regions(vertices: FloatArray, faces: IntArray, weights: FloatArray, r
 
 
 def _sums(values: FloatArray, edges: IntArray) -> FloatArray:
-    """(V,) sum of the values of each vertex's neighbours."""
+    """(V,) sum of `values` over the neighbours of each vertex."""
     sums = np.zeros(len(values))
     for at, other in (edges.T, edges[:, ::-1].T):
         sums += np.bincount(at, values[other], len(values))
@@ -82,7 +106,7 @@ def _reflected(vectors: FloatArray, heights: FloatArray, normal: FloatArray) -> 
 
 
 def _normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """(V, 3) unit normals, of the first three corners of each face."""
+    """(V, 3) unit normals, from the first three corners of each face."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     of_faces = np.cross(b - a, c - a)
     normals: FloatArray = np.zeros_like(vertices)

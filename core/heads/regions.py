@@ -1,7 +1,7 @@
-"""The three regions of the face, cut through the eye slits and the mouth slit along muscle groups (METHOD section 6).
+"""The three regions of the face, cut through the slits of eyes and mouth along muscles (docs/method.md, section 5.3).
 
-Lips that touch, and lids that touch, move apart: neighbours in space that hardly influence each other. One radial
-basis function over the whole face halves the opening of mouth and eyes; one for each region does not.
+Lips that touch move apart, and so do lids: they are neighbours in space that hardly influence each other. A single
+radial basis function over the whole face would halve the opening of mouth and eyes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from ..mesh.kernels import Kernel, distances
 UPPER, MIDDLE, LOWER = 0, 1, 2
 
 DEFAULT_KERNEL = "multiscale"
-"""Kernel that heads are driven with; the paper's is "gaussian"."""
+"""Kernel of the regions' functions; that of the paper is "gaussian"."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class Region:
     ----------
     name : str
     landmarks : (P,) intp
-        The landmarks (positions in the 66) that control it.
+        Landmarks (positions in the 66) that control it.
     spacing_factor : float
-        Width of its kernel over the spacing of its landmarks, as `RBFDeformer` takes it. By measurement: with these
-        the vertex error on two heads of known expressions (`bench/deformation.py`) is about least. The upper one is
-        small, as lids move close below brows that rest.
+        Width of its kernel over the spacing of its landmarks, as for `RBFDeformer`. Chosen for the least vertex error
+        on two heads with known expressions (`bench/deformation.py`). That of the upper region is small, as lids move
+        close below resting brows.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Region:
 
 
 _SHARED_ABOVE = np.concatenate([EYE_CORNERS, NOSE_ROOT])
-"""By the upper and the middle region; the mouth's corners are by the middle and the lower one."""
+"""Landmarks of the upper and the middle region; the corners of the mouth belong to the middle and the lower one."""
 
 REGIONS: tuple[Region, Region, Region] = (
     Region("upper", np.concatenate([BROWS, UPPER_LIDS, _SHARED_ABOVE]), 0.5),
@@ -72,7 +72,7 @@ REGIONS: tuple[Region, Region, Region] = (
 
 
 def membership() -> NDArray[np.bool_]:
-    """(3, 66): which landmark controls which region; eye corners, nose bridge and mouth corners control two."""
+    """(3, 66) whether a landmark controls a region; corners of eyes and mouth, and the nose bridge, control two."""
     table = np.zeros((len(REGIONS), N_LANDMARKS), dtype=np.bool_)
     for row, region in zip(table, REGIONS, strict=True):
         row[region.landmarks] = True
@@ -80,9 +80,20 @@ def membership() -> NDArray[np.bool_]:
 
 
 def region_sigmas(landmarks: FloatArray, kernel: Kernel) -> FloatArray:
-    """(3,) width of the kernel in each region of a head with (66, 3) `landmarks`, unit of these.
+    """Width of the kernel in each region of a head.
 
-    From all landmarks of the region, whichever of them are control points: fewer points do not make the skin stiffer.
+    Parameters
+    ----------
+    landmarks : (66, 3) float64
+        Rest positions.
+    kernel : Kernel
+        The kernel.
+
+    Returns
+    -------
+    (3,) float64
+        In the unit of the landmarks. All landmarks count, whichever are control points, so that fewer points do not
+        stiffen the skin.
     """
     widths = [
         kernel.width(distances(points, points), region.spacing_factor)
@@ -92,6 +103,6 @@ def region_sigmas(landmarks: FloatArray, kernel: Kernel) -> FloatArray:
     return np.array(widths)
 
 
-def spread(points: FloatArray) -> FloatArray:
-    """Root mean square extent of points (N, 3) across and down, (2,)."""
+def rms_extent(points: FloatArray) -> FloatArray:
+    """(2,) root mean square extent of points (N, 3) in x and y."""
     return np.asarray(points[:, :2].std(axis=0))

@@ -1,4 +1,4 @@
-"""What driving a mesh needs to know of it, whatever it came from."""
+"""What driving a head requires, wherever its mesh comes from."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .built_in import load_head
 
 @dataclass(frozen=True)
 class HeadRig:
-    """What driving a mesh needs to know of it, in the head frame and the mesh's own unit.
+    """A mesh that can be driven, in the head frame and the unit of the mesh.
 
     Attributes
     ----------
@@ -24,17 +24,17 @@ class HeadRig:
     landmarks : (66,) int
         Vertex of each landmark.
     region_weights : (3, V) float
-        Shares of the regions upper, middle and lower.
+        Weights of the regions upper, middle and lower.
     jaw_pivot : (3,) float
         A point on the hinge of the jaw.
     eyeballs : (E, 4) float
-        Centre and radius of each eyeball; none by default.
+        Centre and radius of each eyeball.
     control_points : (3, 66) bool, optional
-        Which landmark controls which region, as `greedy_select` chooses; all of a region's by default.
+        Whether a landmark is a control point of a region, as `greedy_select` chooses; by default all are.
     covariance : (66, 66) float, optional
-        Of the landmarks in the take for which these were chosen: how the others follow.
+        Covariance of the landmarks in the take for which these were chosen, by which the others follow.
     faces : (F, K) int, optional
-        Vertices of each face, padded with -1: the skin that the informed kernel follows; space alone where not known.
+        Vertices of each face, padded with -1, for the informed kernel, which otherwise uses distance in space alone.
     """
 
     vertices: FloatArray
@@ -48,7 +48,7 @@ class HeadRig:
 
     @property
     def eye_distance(self) -> float:
-        """Between the outer corners of the eyes, the mesh's unit."""
+        """Distance between the outer corners of the eyes, in the unit of the mesh."""
         return outer_eye_distance(self.vertices[self.landmarks])
 
     def __post_init__(self) -> None:
@@ -58,11 +58,11 @@ class HeadRig:
                 f"{N_LANDMARKS} landmark vertices are needed; got {landmarks.shape}. Bind the landmarks first."
             )
         if landmarks.min() < 0 or landmarks.max() >= len(self.vertices):
-            raise HeadError("The landmarks name vertices that the mesh no longer has. Bind them again.")
+            raise HeadError("The mesh no longer has the vertices of the landmarks. Bind them again.")
 
 
 def built_in_rig() -> HeadRig:
-    """The built-in head, as Blender's copy of it would be read."""
+    """The rig of the built-in head, equal to that of its copy in Blender."""
     head = load_head()
     eyes = [part for part in head.parts if part.name.startswith("eye")]
     eyeballs = [[*eye.pivot, float(np.linalg.norm(eye.vertices - eye.pivot, axis=1).max())] for eye in eyes]

@@ -1,4 +1,4 @@
-"""The built-in head's skin laid over another mesh: turned and sized, then bent until the two agree."""
+"""The built-in head as a template: aligned with another mesh, then bent to it (docs/method.md, section 7.1)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .built_in import load_head
 
 _SCALES = (0.8, 1.0, 1.25)
 _HEIGHTS = (-0.35, -0.15, 0.05, 0.25)
-"""First guesses where nothing is marked: size over the mesh's width, height of the eyes over its own height."""
+"""Starts of the alignment without marks: size over width of the mesh, and height of the eyes over its height."""
 _ATTITUDES = tuple(
     euler_to_matrix(*np.radians(angles))
     for angles in (
@@ -41,36 +41,38 @@ _ATTITUDES = tuple(
         (0, 0, -90),
     )
 )
-"""How a mesh may have been left: to the viewer, to the back, on back or face, to a side, on the crown, on an ear."""
-_LITTLE_STRAIN = 0.045
-"""Bending, in outer-eye distances, below which an attitude is right beyond doubt: heads of other people and families
-take 0.02 to 0.035, wrong attitudes 0.05 and more."""
-_BODY = 2.6
-"""Height over the smallest extent above which a mesh is not a head alone."""
-_HEADS = (1.0 / 6.0, 1.0 / 4.0, 0.4)
-"""How much of a body's height the head and neck may be: of a grown-up, a child, a comic figure."""
-_ABOUT_MARKS = 3.0
-"""Reach of the head about the marks' centre, in distances of the outermost mark."""
+"""Attitudes of a mesh: towards the viewer, away, on back or face, to a side, upside down, on an ear."""
+_LOW_STRAIN = 0.045
+"""Strain in outer-eye distances below which an attitude is accepted: human heads take 0.02 to 0.035, wrong attitudes
+0.05 and more."""
+_BODY_RATIO = 2.6
+"""Height over smallest extent above which a mesh is more than a head."""
+_HEAD_SHARES = (1.0 / 6.0, 1.0 / 4.0, 0.4)
+"""Share of a body's height that head and neck may have: of an adult, a child, a cartoon figure."""
+_MARKS_REACH = 3.0
+"""Reach of the head around the centre of the marks, in distances of the outermost mark."""
 _RIGID_STEPS = 25
 _SMOOTHINGS = (1.0, 0.3, 0.1)
-_FEWEST = 5
-"""Points that a bend in space needs at least; four fix its affine part."""
-_LEFT_OUT = (
+"""Smoothness of successive warps, as a multiple of the smoothing of `_bend`."""
+_MIN_POINTS = 5
+"""Fewest points of a warp; four determine its affine part."""
+_EXCLUDED = (
     (np.concatenate([EYE_RIGHT, EYE_LEFT]), 0.12),
     (np.concatenate([MOUTH_OUTER, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER]), 0.06),
 )
-"""Outer-eye distances from lids and lips within which the warps follow nothing: of a scan's eyes and mouth, which are
-one skin with what is about them, the nearest places are others' as often as not. What lies around carries them."""
+"""Landmarks, and outer-eye distances from these within which the template does not follow the mesh. On a scan, whose
+eyes and mouth are closed by skin, nearest places there are often wrong; the surrounding skin carries them."""
 _AROUND = 0.3
 """Outer-eye distances that count as around a lid or lip."""
 _SAMPLES = 900
+"""Points of the template that follow the mesh."""
 
 Pose = tuple[float, FloatArray, FloatArray]
-"""Scale, rotation and translation of the template: s R x + t."""
+"""Scale, rotation and translation of the template: ``s R x + t``."""
 
 
 class Template:
-    """The built-in head's skin, outer-eye distances, and the part of it that the warps follow."""
+    """The skin of the built-in head in outer-eye distances, and the points of it that follow the mesh."""
 
     def __init__(self) -> None:
         head = load_head()
@@ -81,17 +83,17 @@ class Template:
         self.landmarks: IntArray = head.landmarks
         self.normals = surface_normals(self.places, head.faces)
         outside = (head.regions.sum(axis=0) > 0.5) & (self.normals[:, 2] < 0.2)
-        for part, apart in _LEFT_OUT:
+        for part, apart in _EXCLUDED:
             marks = self.places[self.landmarks[part]]
             outside &= np.linalg.norm(self.places[:, None] - marks, axis=2).min(axis=1) > apart
         self.skin = np.flatnonzero(outside)[:: max(1, int(outside.sum()) // _SAMPLES)]
 
-    def outlook(self, bent: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(66, 3) each: which way the landmarks look on the bent vertices, and lids and lips with what lies around."""
+    def landmark_normals(self, bent: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(66, 3) normals of the landmarks on the bent vertices, and the same with those around lids and lips."""
         normals = surface_normals(bent, self.faces)
         own = normals[self.landmarks]
         around = own.copy()
-        for part, _ in _LEFT_OUT:
+        for part, _ in _EXCLUDED:
             away = np.linalg.norm(self.places[self.landmarks[part], None] - self.places[self.skin], axis=2)
             total = (away < _AROUND).astype(np.float64) @ normals[self.skin]
             around[part] = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
@@ -99,15 +101,29 @@ class Template:
 
 
 class Surface:
-    """A mesh to be followed: the nearest vertex that faces the same way."""
+    """A mesh that the template follows: finds nearest vertices that face the same way."""
 
     def __init__(self, places: FloatArray, faces: IntArray) -> None:
         self.places, self.faces, self.normals = places, faces, surface_normals(places, faces)
+        # Opposite normals are as far apart as 0.3 of the smallest extent.
         self._weight = 0.15 * float(np.ptp(places, axis=0).min())
         self._points = NearestPoints(self._key(places, self.normals))
 
     def nearest(self, places: FloatArray, normals: FloatArray) -> NDArray[np.intp]:
-        """(N,) vertices."""
+        """Find nearest vertices that face the same way.
+
+        Parameters
+        ----------
+        places : (N, 3) float64
+            Positions.
+        normals : (N, 3) float64
+            Unit normals.
+
+        Returns
+        -------
+        (N,) int
+            Vertices.
+        """
         found, _ = self._points.query(self._key(places, normals))
         return found[:, 0]
 
@@ -116,7 +132,20 @@ class Surface:
 
 
 def surface_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """(V, 3) unit normals of the vertices, by the areas of their faces."""
+    """Unit normals of vertices, weighted by the areas of their faces.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Any frame and unit.
+    faces : (F, 3) or (F, 4) array of int
+        Vertices of each face, triangles padded with -1.
+
+    Returns
+    -------
+    (V, 3) float64
+        Normals; 0 for vertices without faces.
+    """
     triangles = faces[:, :3]
     if faces.shape[1] > 3:
         triangles = np.concatenate([triangles, faces[faces[:, 3] >= 0][:, [0, 2, 3]]])
@@ -129,25 +158,27 @@ def surface_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Laid:
-    """The template on a mesh.
+class FittedTemplate:
+    """The template, fitted to a mesh.
 
     Attributes
     ----------
     attitude : (3, 3) float64
-        By which the mesh was turned first.
+        Rotation that was applied to the mesh first.
     part : (P,) intp
-        Vertices of the mesh that were taken for its head.
+        Vertices of the mesh that belong to its head.
     marks : mapping
-        Landmark to vertex of that part.
+        Vertex of that part by landmark.
     surface : Surface
-        That part, so turned.
+        That part, rotated.
     pose : Pose
+        Alignment of the template.
     bent : (T, 3) float64
-        The template's vertices.
-    residual, strain : float
-        Median distance that is left; mean distance of the bent landmarks from where a similarity would bring them.
-        Outer-eye distances.
+        Vertices of the bent template.
+    residual : float
+        Median distance to the mesh, in outer-eye distances.
+    strain : float
+        Mean distance of the bent landmarks from their best similarity, in outer-eye distances.
     """
 
     attitude: FloatArray
@@ -160,15 +191,31 @@ class Laid:
     strain: float
 
 
-def lay_over(template: Template, places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> Laid:
-    """The template over the mesh or its head, without marks in that attitude in which it has to be bent least.
+def fit_template(template: Template, places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> FittedTemplate:
+    """Fit the template to a mesh or its head; without marks, in the attitude that bends it least.
+
+    Parameters
+    ----------
+    template : Template
+        The template.
+    places : (V, 3) float64
+        Vertices of the mesh.
+    faces : (F, K) int
+        Vertices of each face, padded with -1.
+    picked : mapping of int to int
+        Marked vertices by landmark (position in the 66); may be empty.
+
+    Returns
+    -------
+    FittedTemplate
+        The best fit.
 
     Raises
     ------
     HeadError
-        If nothing of the mesh lies where the template's skin is, in any attitude.
+        If nothing of the mesh is near the skin of the template, in any attitude.
     """
-    best: Laid | None = None
+    best: FittedTemplate | None = None
     for attitude in _ATTITUDES[:1] if picked else _ATTITUDES:
         turned = places @ attitude.T
         for part in _heads_of(turned, picked):
@@ -177,41 +224,41 @@ def lay_over(template: Template, places: FloatArray, faces: IntArray, picked: Ma
             within = (numbers[faces] >= 0) | (faces < 0)
             surface = Surface(turned[part], numbers[faces[within.all(axis=1)]])
             marks = {landmark: int(numbers[vertex]) for landmark, vertex in picked.items()}
-            laid = _laid(template, surface, marks, part, attitude)
-            if best is None or laid.strain < best.strain:
-                best = laid
-            if best.strain < _LITTLE_STRAIN:
+            fitted = _fit_in_attitude(template, surface, marks, part, attitude)
+            if best is None or fitted.strain < best.strain:
+                best = fitted
+            if best.strain < _LOW_STRAIN:
                 return best
     if best is None or not np.isfinite(best.strain):
         raise HeadError("No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin.")
     return best
 
 
-def _laid(
+def _fit_in_attitude(
     template: Template, surface: Surface, marks: Mapping[int, int], part: NDArray[np.intp], attitude: FloatArray
-) -> Laid:
+) -> FittedTemplate:
     pose = _pose_from_marks(template, surface.places, marks) if marks else _pose_from_shape(template, surface)
     bent, residual = _bend(template, surface, pose, marks)
     strain = _strain(template, bent) if np.isfinite(residual) else np.inf
-    return Laid(attitude, part, marks, surface, pose, bent, residual / pose[0], strain)
+    return FittedTemplate(attitude, part, marks, surface, pose, bent, residual / pose[0], strain)
 
 
 def _heads_of(places: FloatArray, picked: Mapping[int, int]) -> list[NDArray[np.intp]]:
-    """Vertices that may be the head's: about the marks; all, or the top of what is as tall as a body."""
+    """Vertices that may form the head: those around the marks; else all, or tops of a mesh as tall as a body."""
     if picked:
         marks = places[list(picked.values())]
         centre = marks.mean(axis=0)
-        reach = _ABOUT_MARKS * float(np.linalg.norm(marks - centre, axis=1).max())
+        reach = _MARKS_REACH * float(np.linalg.norm(marks - centre, axis=1).max())
         return [np.flatnonzero(np.linalg.norm(places - centre, axis=1) < reach)]
     low, extent = places.min(axis=0), np.ptp(places, axis=0)
-    if extent[1] < _BODY * extent.min():
+    if extent[1] < _BODY_RATIO * extent.min():
         return [np.arange(len(places))]
-    tops = [np.flatnonzero(places[:, 1] < low[1] + share * extent[1]) for share in _HEADS]
+    tops = [np.flatnonzero(places[:, 1] < low[1] + share * extent[1]) for share in _HEAD_SHARES]
     return [top for top in tops if len(top) > N_LANDMARKS]
 
 
 def _strain(template: Template, bent: FloatArray) -> float:
-    """Mean distance of the bent template's landmarks from where a similarity would bring them, outer-eye distances."""
+    """Mean distance of the bent landmarks from their best similarity, in outer-eye distances."""
     source, target = template.places[template.landmarks], bent[template.landmarks]
     size, rotation, shift = _similarity(source, target)
     away = np.linalg.norm(size * source @ rotation.T + shift - target, axis=1)
@@ -223,7 +270,7 @@ def _pose_from_marks(template: Template, places: FloatArray, picked: Mapping[int
 
 
 def _pose_from_shape(template: Template, surface: Surface) -> Pose:
-    """The similarity, among several starts, that leaves the template's skin nearest to the mesh."""
+    """The best of the similarities that `_follow` finds from several starts."""
     low, high = surface.places.min(axis=0), surface.places.max(axis=0)
     skin = template.skin[::2]
     best: tuple[float, Pose] | None = None
@@ -241,7 +288,7 @@ def _pose_from_shape(template: Template, surface: Surface) -> Pose:
 
 
 def _follow(template: Template, surface: Surface, pose: Pose, skin: NDArray[np.intp]) -> tuple[float, Pose]:
-    """Iterated closest points from `pose`, the worst fifth left out; the mean distance in the template's unit."""
+    """Iterated closest points (Besl & McKay 1992) from `pose`, without the worst fifth; mean distance, and pose."""
     for _ in range(_RIGID_STEPS):
         size, rotation, shift = pose
         placed = size * template.places[skin] @ rotation.T + shift
@@ -253,7 +300,7 @@ def _follow(template: Template, surface: Surface, pose: Pose, skin: NDArray[np.i
 
 
 def _similarity(source: FloatArray, target: FloatArray) -> Pose:
-    """The similarity from (N, 3) source to target points (Umeyama 1991)."""
+    """The least-squares similarity from (N, 3) source to target points (Umeyama 1991)."""
     from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
     a, b = source - from_centre, target - to_centre
     spread = np.linalg.svd(a, compute_uv=False)
@@ -262,23 +309,26 @@ def _similarity(source: FloatArray, target: FloatArray) -> Pose:
     rotation = fit_rotation(a, b)
     size = float((b * (a @ rotation.T)).sum() / (a * a).sum())
     if not size > 0.0:
-        raise HeadError("The marked points do not look like a face. Mark them again, left and right as the head's own.")
+        raise HeadError("The marked points do not form a face. Mark them again; left and right are the head's own.")
     return size, rotation, np.asarray(to_centre - size * rotation @ from_centre)
 
 
 def _bend(template: Template, surface: Surface, pose: Pose, picked: Mapping[int, int]) -> tuple[FloatArray, float]:
-    """The template's vertices on the mesh, and the median distance that is left: infinite if the mesh is elsewhere."""
+    """Bend the template to the mesh: its vertices, and the median distance; infinite if the mesh is elsewhere."""
     size, rotation, shift = pose
     rest = size * template.places @ rotation.T + shift
     bent = rest
     own = template.landmarks[list(picked)]
     for smoothing in _SMOOTHINGS:
         for _ in range(2):
+            # Nonrigid closest points (Amberg et al. 2007): always warp the rest shape, so that errors do not
+            # accumulate.
             normals = surface_normals(bent, template.faces)
             goal = surface.places[surface.nearest(bent[template.skin], normals[template.skin])]
             distance = np.linalg.norm(goal - bent[template.skin], axis=1)
+            # Points that are far away have no counterpart.
             near = distance < 0.15 * size
-            if np.count_nonzero(near) + len(own) < _FEWEST:
+            if np.count_nonzero(near) + len(own) < _MIN_POINTS:
                 return bent, np.inf
             source = np.concatenate([rest[template.skin][near], rest[own]])
             target = np.concatenate([goal[near], surface.places[list(picked.values())]])

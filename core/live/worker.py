@@ -368,5 +368,5 @@ class LiveWorker:
     def _prepare(self, heads: tuple[LiveHead, ...], neutral: Neutral) -> None:
         """Drivers for `heads`; where one is the same but for its options, its costly parts are taken over."""
         before = {id(driver.rig): driver for driver in self._drivers}
-        self._drivers = [HeadDriver(head.rig, neutral, head.options, like=before.get(id(head.rig))) for head in heads]
+        self._drivers = [HeadDriver(head.rig, neutral, head.options, reuse=before.get(id(head.rig))) for head in heads]
         self._driven_heads, self._driven_by = heads, neutral

@@ -1,1 +1,1 @@
-"""Meshes and the space round them, whatever they show: surfaces, kernels, warps, sparse systems, nearest points."""
+"""Geometry of any mesh: surfaces, kernels, warps, sparse systems, nearest points."""

@@ -1,4 +1,4 @@
-"""Kernels of distance by name: how far, and how smoothly, a control point carries its surroundings."""
+"""Kernels of distance: how far, and how smoothly, a control point moves its surroundings (docs/method.md, 5.2)."""
 
 from __future__ import annotations
 
@@ -11,22 +11,24 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 from ..errors import HeadError
 
-_FAR, _NEAR_SHARE = 3.0, 0.46
-"""The wider Gaussian's sigma over the narrower one's, and the narrower one's share of the sum."""
+_WIDE, _NARROW_SHARE = 3.0, 0.46
+"""Sigma of the wide Gaussian over that of the narrow one, and share of the narrow one. Like the spacings in `KERNELS`,
+tuned on ICT-FaceKit and the built-in head (docs/deformation.md)."""
 
 
 @dataclass(frozen=True)
 class Kernel:
-    """A function of distance r and width sigma, 1 at r = 0.
+    """A function of distance r and width sigma that is 1 at r = 0.
 
     Attributes
     ----------
     name : str
+        Key in `KERNELS`.
     phi : callable
-        (distances, sigma) -> values, of the same shape.
+        ``phi(distances, sigma)`` returns values of the same shape.
     spacing : float
-        Sigma over the spacing of a region's control points that suits the kernel, before the region's own factor;
-        0 where the kernel knows no width: sigma is then twice the extent of the control points.
+        Sigma over the spacing of the control points, before the factor of a region. 0 if the kernel has no width; sigma
+        is then twice the extent of the control points.
     """
 
     name: str
@@ -34,10 +36,24 @@ class Kernel:
     spacing: float
 
     def width(self, between: FloatArray, factor: float) -> float:
-        """Sigma for control points at the distances `between`, (P, P): their spacing times `factor`.
+        """Choose sigma from the spacing of control points.
 
-        Their spacing is the median distance to the third nearest neighbour: to the nearest alone, the pairs on
-        opposite lips would count.
+        Parameters
+        ----------
+        between : (P, P) float64
+            Distances between the control points.
+        factor : float
+            Factor of the region.
+
+        Returns
+        -------
+        float
+            Sigma, in the unit of the distances.
+
+        Notes
+        -----
+        The spacing is the median distance to the third nearest neighbour; to the nearest, pairs on opposite lips would
+        decide.
         """
         if len(between) == 1:
             return 1.0
@@ -48,29 +64,84 @@ class Kernel:
 
 
 def gaussian(distance: FloatArray, sigma: float) -> FloatArray:
-    """phi(r) = exp(-r^2 / (2 sigma^2)), equation (2) of Yao et al. 2019."""
+    """``exp(-r^2 / (2 sigma^2))``, equation 2 of Yao et al. 2019.
+
+    Parameters
+    ----------
+    distance : ndarray
+        Distances r.
+    sigma : float
+        Width, same unit.
+
+    Returns
+    -------
+    ndarray
+        Values of the shape of `distance`.
+    """
     return np.asarray(np.exp(np.square(distance) * (-0.5 / (sigma * sigma))))
 
 
 def multiscale(distance: FloatArray, sigma: float) -> FloatArray:
-    """A Gaussian on top of one three times as wide: detail near the landmarks, no hole where they are far apart.
+    """A Gaussian and one three times as wide: detail near the landmarks, no gap where these are far apart.
 
-    Landmarks lie close on lids and lips and far apart over the cheeks. One Gaussian that suits the former leaves the
-    middle of the cheek behind. A sum of Gaussians is positive definite as they are (Opfer 2006; Luethi et al. 2018).
+    Parameters
+    ----------
+    distance : ndarray
+        Distances.
+    sigma : float
+        Width of the narrow Gaussian, same unit.
+
+    Returns
+    -------
+    ndarray
+        Values of the shape of `distance`.
+
+    Notes
+    -----
+    Landmarks are dense on lids and lips and sparse on the cheeks. A single Gaussian that suits the former leaves the
+    middle of the cheek behind. A sum of Gaussians is positive definite as its terms are (Opfer 2006; Luethi et al.
+    2018).
     """
-    return _NEAR_SHARE * gaussian(distance, sigma) + (1.0 - _NEAR_SHARE) * gaussian(distance, _FAR * sigma)
+    return _NARROW_SHARE * gaussian(distance, sigma) + (1.0 - _NARROW_SHARE) * gaussian(distance, _WIDE * sigma)
 
 
 def wendland(distance: FloatArray, sigma: float) -> FloatArray:
-    """phi(r) = (1 - r / R)^4 (4 r / R + 1) below the radius R = 4 sigma, 0 beyond: C2 and compact (Wendland 1995)."""
+    """``(1 - r / R)^4 (4 r / R + 1)`` below ``R = 4 sigma`` and 0 beyond, which is C2 with compact support.
+
+    Parameters
+    ----------
+    distance : ndarray
+        Distances r.
+    sigma : float
+        Width, same unit.
+
+    Returns
+    -------
+    ndarray
+        Values of the shape of `distance`.
+
+    Notes
+    -----
+    Wendland 1995.
+    """
     r = np.minimum(distance / (4.0 * sigma), 1.0)
     return np.asarray((1.0 - r) ** 4 * (4.0 * r + 1.0))
 
 
 def biharmonic(distance: FloatArray, sigma: float) -> FloatArray:
-    """phi(r) = 1 - r / sigma: the biharmonic -r of three dimensions, shifted so that it is positive definite.
+    """``1 - r / sigma``: the biharmonic kernel -r of three dimensions, shifted so that it is positive definite.
 
-    It is so for a sigma that exceeds the extent of the control points (Micchelli 1986).
+    Parameters
+    ----------
+    distance : ndarray
+        Distances r.
+    sigma : float
+        Has to exceed the extent of the control points (Micchelli 1986).
+
+    Returns
+    -------
+    ndarray
+        Values of the shape of `distance`.
     """
     return np.asarray(1.0 - distance / sigma)
 
@@ -86,15 +157,28 @@ KERNELS: dict[str, Kernel] = {
 }
 
 
-def kernel_named(name: str) -> Kernel:
-    """The kernel of that name; HeadError where there is none."""
+def get_kernel(name: str) -> Kernel:
+    """Return the kernel of that name; HeadError if there is none."""
     if name not in KERNELS:
         raise HeadError(f"There is no kernel {name!r}. Choose one of {', '.join(KERNELS)}.")
     return KERNELS[name]
 
 
 def distances(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
-    """(N, M) distances between (N, 3) and (M, 3) points."""
+    """Pairwise distances.
+
+    Parameters
+    ----------
+    a : (N, 3) float64
+        Points.
+    b : (M, 3) float64
+        Points.
+
+    Returns
+    -------
+    (N, M) float64
+        Distances, in the unit of the points.
+    """
     squared = np.asarray(a @ (-2.0 * b.T))
     squared += (a * a).sum(axis=1)[:, None]
     squared += (b * b).sum(axis=1)

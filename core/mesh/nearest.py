@@ -1,4 +1,4 @@
-"""Nearest points in any number of dimensions: one k-d tree, searched exactly."""
+"""Nearest points in any number of dimensions, by an exact search of a k-d tree."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 
 _SINGLE_TREE = 4
-"""FLANN's number of the k-d tree for few dimensions, whose search is exact."""
+"""FLANN's number of the k-d tree for few dimensions, the only one with an exact search."""
 
 
 class NearestPoints:
-    """Finds the nearest of the given points; prepared in O(N log N), a query costs O(log N).
+    """Finds the nearest of given points: preparation is O(N log N), a query O(log N).
 
     Parameters
     ----------
     points : (N, D) array_like
-        Searched in single precision.
+        The points, searched in single precision.
     """
 
     def __init__(self, points: FloatArray) -> None:
@@ -27,13 +27,14 @@ class NearestPoints:
         self._index = cv2.flann_Index(self._points, tree)  # type: ignore[attr-defined] # its stubs lack it
 
     def query(self, places: FloatArray, count: int = 1) -> tuple[NDArray[np.intp], FloatArray]:
-        """The nearest points to each place.
+        """Find the nearest points to each of some positions.
 
         Parameters
         ----------
         places : (M, D) array_like
+            The positions.
         count : int
-            How many of each.
+            Number of points per position.
 
         Returns
         -------

@@ -1,7 +1,7 @@
-"""Sparse symmetric systems on meshes, solved with numpy alone: nested dissection by place.
+"""Sparse symmetric systems on meshes, solved with numpy alone by nested dissection (docs/method.md, section 5.4).
 
-What joins two halves of a mesh is a line of vertices. Eliminated after both halves, it leaves dense systems of a few
-hundred unknowns instead of one of thousands.
+Two halves of a mesh are joined by a line of vertices. If that is eliminated after both halves, dense systems of a few
+hundred unknowns remain, instead of one of thousands.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from numpy.typing import DTypeLike, NDArray
 from ..arrays import FloatArray, IntArray
 
 _LEAF = 80
-"""Unknowns below which a part is not divided any more."""
+"""Unknowns of a part that is not divided further: dense elimination is faster there."""
 
 
 @dataclass(frozen=True)
 class _Front:
-    """An elimination: `own` unknowns are `pivot^-1 b - carry x[rest]`, with `rest` eliminated later.
+    """An elimination: ``x[own] = pivot^-1 b - carry x[rest]``, where `rest` is eliminated later.
 
-    Unknowns are counted as they are eliminated, so that a front's own lie side by side.
+    Unknowns are numbered in the order of elimination, so that those of a front are contiguous.
     """
 
     own: slice
@@ -31,7 +31,7 @@ class _Front:
 
 
 class NestedDissection:
-    """`A x = b` for a positive definite A whose entries join neighbours on a mesh.
+    """Solves ``A x = b`` for a positive definite A whose entries join neighbours on a mesh.
 
     Parameters
     ----------
@@ -40,18 +40,15 @@ class NestedDissection:
     weights : (E,) array
         Entries of A at `edges`.
     diagonal : (N,) array
+        Diagonal of A.
     places : (N, D) array
-        Where the unknowns lie: parts are halved across their widest side.
+        Positions of the unknowns: parts are halved across their widest side.
     dtype : data type
-        In which `solve` works. Single precision takes half the memory, where A is as well-conditioned as a skin's.
+        Precision of `solve`. Single precision takes half the memory and suffices for well-conditioned systems.
 
     Notes
     -----
-    O(N^1.5) on a surface.
-
-    References
-    ----------
-    George 1973, *Nested dissection of a regular finite element mesh*; Duff & Reid 1983 for the fronts.
+    Factorisation is O(N^1.5) on a surface: nested dissection (George 1973) with frontal matrices (Duff & Reid 1983).
     """
 
     def __init__(
@@ -63,6 +60,7 @@ class NestedDissection:
         dtype: DTypeLike = np.float64,
     ) -> None:
         count = len(diagonal)
+        # Rows of A in compressed form: both directions of each edge, sorted by row.
         both = np.concatenate([edges, edges[:, ::-1]])
         order = np.argsort(both[:, 0], kind="stable")
         self._from, self._to = both[order].T
@@ -81,8 +79,10 @@ class NestedDissection:
         self._fronts = [replace(front, rest=self._rank[front.rest]) for front in self._fronts]
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """x, (N, K), for (N, K) `right`."""
+        """Return x, (N, K), for the right-hand sides `right`, (N, K)."""
         x = np.asarray(right, dtype=self._dtype)[self._order]
+        # Forward elimination, then back substitution. Right-hand sides are mostly zeros: skip fronts that these do not
+        # reach.
         for front in self._fronts:
             given = x[front.own]
             if given.any():
@@ -93,9 +93,11 @@ class NestedDissection:
         return np.asarray(x[self._rank])
 
     def _eliminate(self, nodes: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray]:
-        """Eliminate `nodes`: the later unknowns that they join, (B,), and what is to be taken from A there, (B, B)."""
-        own, parts = self._divided(nodes)
+        """Eliminate `nodes`; return the later unknowns that they touch, (B,), and their update, (B, B)."""
+        # 1. Eliminate both halves; `own`, the separator between them, comes last.
+        own, parts = self._split(nodes)
         updates = [self._eliminate(part) for part in parts]
+        # 2. `rest`: unknowns that are eliminated later and joined to the separator, or to a half.
         entries = self._entries(own)
         entries = entries[~self._done[self._to[entries]]]
         unknowns = np.unique(np.concatenate([self._to[entries], *(rest for rest, _ in updates)]))
@@ -103,6 +105,7 @@ class NestedDissection:
         rest = unknowns[~self._mark[unknowns]]
         self._mark[own] = False
         self._done[own] = True
+        # 3. Assemble the dense front: entries of A in the rows of the separator, minus the updates of the halves.
         count = len(own)
         self._column[own], self._column[rest] = np.arange(count), np.arange(count, count + len(rest))
         front = np.zeros((count + len(rest), count + len(rest)))
@@ -111,6 +114,7 @@ class NestedDissection:
         for others, update in updates:
             at = self._column[others]
             front[at[:, None], at] -= update
+        # 4. Eliminate the separator; the Schur complement updates `rest`.
         pivot, coupling = front[:count, :count], front[:count, count:]
         carry = np.linalg.solve(pivot, coupling)
         place = self._fronts[-1].own.stop if self._fronts else 0
@@ -120,14 +124,15 @@ class NestedDissection:
         )
         return rest, coupling.T @ carry - front[count:, count:]
 
-    def _divided(self, nodes: NDArray[np.intp]) -> tuple[NDArray[np.intp], list[NDArray[np.intp]]]:
-        """What parts two halves of `nodes`, and these; a small part is not divided."""
+    def _split(self, nodes: NDArray[np.intp]) -> tuple[NDArray[np.intp], list[NDArray[np.intp]]]:
+        """The separator between two halves of `nodes`, and the halves; a small part is not divided."""
         if len(nodes) <= _LEAF:
             return nodes, []
         places = self._places[nodes]
         along = places[:, np.ptp(places, axis=0).argmax()]
         order = np.argpartition(along, len(nodes) // 2)
         low, high = nodes[order[: len(nodes) // 2]], nodes[order[len(nodes) // 2 :]]
+        # The separator: vertices of the lower half with a neighbour in the upper one.
         self._mark[high] = True
         entries = self._entries(low)
         border = np.unique(self._from[entries[self._mark[self._to[entries]]]])
@@ -138,7 +143,7 @@ class NestedDissection:
         return border, [part for part in (inner, high) if len(part)]
 
     def _entries(self, nodes: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Positions of all entries in the rows `nodes`."""
+        """Indices of all entries in the rows `nodes`."""
         counts = self._starts[nodes + 1] - self._starts[nodes]
         ends = np.cumsum(counts)
         return np.asarray(np.arange(int(counts.sum())) + np.repeat(self._starts[nodes] - ends + counts, counts))

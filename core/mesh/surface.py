@@ -1,4 +1,4 @@
-"""Ways along the surface of a mesh, and its openings: what tells lips and lids apart where they touch in space."""
+"""Paths along the surface of a mesh, and its openings, which tell lips and lids apart where they touch in space."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from ..arrays import FloatArray, IntArray
 from ..landmarks import LOWER_LIP, MOUTH_CORNERS, UPPER_LIP
 
 JOINED = 1.7
-"""Ways across the lips of fewer straight distances lead over one skin; round a corner of the mouth they are longer."""
+"""Lips or lids count as joined if the path from one to the other is shorter than this multiple of the straight
+distance; around a corner of the mouth it is longer."""
 
 
 class SurfaceGraph:
-    """Vertices joined by the edges of their faces.
+    """The graph of vertices and edges of a mesh, weighted by length.
 
     Parameters
     ----------
@@ -28,9 +29,9 @@ class SurfaceGraph:
     Attributes
     ----------
     edges : (E, 2) intp
-        Each edge once, the smaller vertex first.
+        Each edge once, with the smaller index first.
     faces_at : (E,) intp
-        Number of faces at each edge; one on a border.
+        Number of faces at each edge; 1 at a border.
     """
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
@@ -47,15 +48,39 @@ class SurfaceGraph:
         """Vertices one edge away from `vertex`."""
         return self._neighbours[self._starts[vertex] : self._starts[vertex + 1]]
 
-    def ways(self, seeds: Iterable[int], limit: float = np.inf) -> FloatArray:
-        """Length of the shortest way along edges from each vertex to any of `seeds`, (V,); inf beyond `limit`."""
+    def path_lengths(self, seeds: Iterable[int], limit: float = np.inf) -> FloatArray:
+        """Length of the shortest path along edges from each vertex to any seed.
+
+        Parameters
+        ----------
+        seeds : iterable of int
+            Vertices.
+        limit : float
+            Length at which to stop.
+
+        Returns
+        -------
+        (V,) float64
+            Infinite beyond `limit`.
+        """
         way = np.full(len(self.vertices), np.inf)
         for vertex, (length, _) in self._search(seeds, limit).items():
             way[vertex] = length
         return way
 
     def path(self, start: int, end: int) -> list[int]:
-        """Vertices of the shortest way from `start` to `end`; the two alone where none leads there."""
+        """Shortest path along edges.
+
+        Parameters
+        ----------
+        start, end : int
+            Vertices.
+
+        Returns
+        -------
+        list of int
+            Vertices from `start` to `end`; these two alone if they are not connected.
+        """
         reached = self._search([start], np.inf, end)
         if end not in reached:
             return [start, end]
@@ -65,7 +90,7 @@ class SurfaceGraph:
         return path[::-1]
 
     def openings(self) -> list[NDArray[np.intp]]:
-        """The border of the mesh, an array of vertices a connected piece, the longest first."""
+        """Connected borders of the mesh as arrays of vertices, the longest first."""
         border = self.edges[self.faces_at == 1]
         label = {int(v): int(v) for v in np.unique(border)}
 
@@ -75,6 +100,7 @@ class SurfaceGraph:
                 v = label[v]
             return v
 
+        # Union-find: join the ends of each border edge.
         for a, b in border.tolist():
             label[root(a)] = root(b)
         pieces: dict[int, list[int]] = {}
@@ -83,7 +109,7 @@ class SurfaceGraph:
         return sorted((np.array(piece) for piece in pieces.values()), key=len, reverse=True)
 
     def _search(self, seeds: Iterable[int], limit: float, end: int = -1) -> dict[int, tuple[float, int]]:
-        """Dijkstra 1959: vertices within `limit` of `seeds` with their distance and the vertex before them."""
+        """Dijkstra's algorithm: vertices within `limit` of `seeds`, each with its distance and predecessor."""
         done: dict[int, tuple[float, int]] = {}
         heap = [(0.0, int(seed), int(seed)) for seed in seeds]
         heapq.heapify(heap)
@@ -102,19 +128,33 @@ class SurfaceGraph:
 
 
 def lips_joined(graph: SurfaceGraph, landmarks: IntArray) -> bool:
-    """Whether the lips of a head with landmarks (66,) are one skin: whether the way across them along it is short.
+    """Whether the lips are one skin, that is, whether the path along the surface from lip to lip is short.
 
-    The way leads between the lips' outer rims, whose landmarks are nowhere near a slit that may be there.
+    Parameters
+    ----------
+    graph : SurfaceGraph
+        Of the head.
+    landmarks : (66,) int
+        Vertex of each landmark.
+
+    Returns
+    -------
+    bool
+        Whether they are joined.
+
+    Notes
+    -----
+    Paths are measured between the outer rims of the lips, whose landmarks are away from any slit.
     """
     upper, lower = landmarks[UPPER_LIP[1:4]], landmarks[LOWER_LIP[1:4]]
     across = np.linalg.norm(graph.vertices[upper] - graph.vertices[lower], axis=1)
     width = float(np.linalg.norm(np.subtract(*graph.vertices[landmarks[MOUTH_CORNERS]])))
-    ways = [graph.ways([int(u)], 2.0 * width)[v] for u, v in zip(upper, lower, strict=True)]
+    ways = [graph.path_lengths([int(u)], 2.0 * width)[v] for u, v in zip(upper, lower, strict=True)]
     return bool((np.array(ways) < JOINED * across).any())
 
 
 def _edges(faces: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Unique edges, (E, 2), and how many faces each belongs to, (E,)."""
+    """Unique edges, (E, 2), and the number of faces at each, (E,)."""
     counts = (faces >= 0).sum(axis=1)
     pairs = [
         np.stack([polygons, np.roll(polygons, -1, axis=1)], axis=-1).reshape(-1, 2)

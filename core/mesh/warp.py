@@ -1,4 +1,4 @@
-"""Smooth warps between faces: from the landmarks of one to those of another, for every place between."""
+"""Smooth warps of space that take given points to others (docs/method.md, section 7.1)."""
 
 from __future__ import annotations
 
@@ -12,17 +12,23 @@ _CHUNK = 4_000
 
 
 class Warp:
-    """The smoothest map of space that takes (P, 3) `source` points to `target` ones.
+    """The smoothest map of space that takes `source` points to `target` points.
 
     Parameters
     ----------
+    source, target : (P, 3) array
+        Corresponding points.
     smoothing : float
-        How far a point may stay away, for the sake of smoothness; 0 meets all.
+        Added to the diagonal, as a share of the extent of the source, to allow points to be missed; 0 meets all.
+
+    Raises
+    ------
+    HeadError
+        If the source points lie in one plane.
 
     Notes
     -----
-    A biharmonic spline in three dimensions: kernel -r beside an affine map (Duchon 1977; Bookstein 1989). Solvable
-    where the points do not lie in one plane.
+    A biharmonic spline in three dimensions (equation 7.1): kernel -r and an affine map (Duchon 1977; Bookstein 1989).
     """
 
     def __init__(self, source: FloatArray, target: FloatArray, smoothing: float = 1e-3) -> None:
@@ -31,16 +37,17 @@ class Warp:
         count = len(self._source)
         extent = float(np.linalg.norm(np.ptp(self._source, axis=0)))
         affine = np.column_stack([np.ones(count), self._source])
+        # Interpolation conditions, and below them the side conditions that make the weights orthogonal to affine maps.
         system = np.zeros((count + 4, count + 4))
         system[:count, :count] = smoothing * extent * np.eye(count) - distances(self._source, self._source)
         system[:count, count:], system[count:, :count] = affine, affine.T
         try:
             self._weights = np.linalg.solve(system, np.concatenate([goal, np.zeros((4, 3))]))
         except np.linalg.LinAlgError as error:
-            raise HeadError("The landmarks lie in one plane. Bind them to the vertices that they name.") from error
+            raise HeadError("The landmarks lie in one plane. Bind them again.") from error
 
     def __call__(self, points: FloatArray) -> FloatArray:
-        """Where (N, 3) `points` come to lie."""
+        """Return the warped `points`, (N, 3)."""
         count = len(self._source)
         out = np.empty((len(points), 3))
         for start in range(0, len(points), _CHUNK):

@@ -1,1 +1,1 @@
-"""A job: which face moves which head, how, and what comes of it; a plain value, whoever asks for it."""
+"""Jobs and performances: which face moves which head, how, and with which output."""

@@ -1,4 +1,4 @@
-"""A job: which face moves which head, how, and where what comes of it goes."""
+"""A job as a plain value: which face moves which head, how, and where the output goes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .settings import PuppetSettings
 
 @dataclass(frozen=True)
 class HeadFile:
-    """A head in a .blend: the object of this name, or where that is empty the only one with landmarks."""
+    """A head in a .blend file: the object of this name or, if that is empty, the only one with landmarks."""
 
     path: Path
     name: str = ""
@@ -20,24 +20,24 @@ class HeadFile:
 
 @dataclass(frozen=True)
 class PuppetJob:
-    """A head that is moved by a video or by a take, as a file of animation and pictures of it.
+    """A head driven by a video or a take, written as an animation with pictures.
 
     Attributes
     ----------
     source : Path
-        A video, or a take.
+        A video or a take.
     output : Path
-        The .blend that is made; caches lie beside it.
+        The .blend file to write; caches are written next to it.
     settings : PuppetSettings
-        Its table and its cache's path come from `map` and `output` when the job is run.
+        Its table and the path of its cache are set from `map` and `output` when the job runs.
     face : (float, float), optional
-        Which of several faces is tracked, as for `FaceTracker.choose`; the largest by default.
+        Position of the face to track, as for `FaceTracker.choose`; by default the largest is tracked.
     head : HeadFile, optional
-        The built-in one by default.
+        The head; by default the built-in one.
     points, map : Path, optional
-        Files of control points, and of the table for "mapped" keys.
+        Files with control points, and with the table for "mapped" keys.
     preview, sheet, take : Path, optional
-        A video of performer and avatar, a contact sheet, and the take, where they are wanted.
+        Further files to write: a video of performer and avatar, a contact sheet, and the take.
     """
 
     source: Path
@@ -58,7 +58,7 @@ class PuppetJob:
 
     @property
     def inputs(self) -> Mapping[str, Path | None]:
-        """What is read, by what it is."""
+        """Files to read, by their description."""
         return {
             "the video that is tracked" if self.tracks else "the take that moves the head": self.source,
             "the file of the head": None if self.head is None else self.head.path,
@@ -68,7 +68,7 @@ class PuppetJob:
 
     @property
     def outputs(self) -> tuple[tuple[Path | None, frozenset[str]], ...]:
-        """What is written, and what it may end in."""
+        """Files to write, and their allowed suffixes."""
         return (
             (self.output, frozenset({".blend"})),
             (self.preview, frozenset({".mp4"})),

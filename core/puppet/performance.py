@@ -1,4 +1,4 @@
-"""A take made ready to move heads: smoothed, and measured from the performer's neutral face."""
+"""A take that is ready to drive heads: smoothed, with the performer's neutral face."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .settings import PuppetSettings
 
 @dataclass(frozen=True)
 class Performance:
-    """What moves any head: the same whether it is shown, baked or written to a file."""
+    """What drives a head, whether it is shown, baked or written to a file."""
 
     take: Take
     neutral: Neutral
@@ -23,16 +23,28 @@ class Performance:
 
     @classmethod
     def of(cls, take: Take, settings: PuppetSettings) -> Performance:
-        """The performance in `take`.
+        """Prepare the performance in a take.
+
+        Parameters
+        ----------
+        take : Take
+            The take.
+        settings : PuppetSettings
+            Smoothing, neutral face and the settings of driving.
+
+        Returns
+        -------
+        Performance
+            The performance.
 
         Raises
         ------
         SourceError
-            Where the take holds no face, or none in the neutral second that `settings` names.
+            If the take has no face, or none in the neutral second of the settings.
         """
         take = smooth_take(take, settings.smoothing)
         return cls(take, calibrate(take, settings.neutral), settings.drive)
 
     def driver(self, rig: HeadRig) -> HeadDriver:
-        """What turns its frames into frames of a head."""
+        """Create the driver of a head for this performance."""
         return HeadDriver(rig, self.neutral, self.settings)

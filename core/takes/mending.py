@@ -17,7 +17,7 @@ from ..tracking.tracker import FaceTracker
 from .neutral import Neutral, calibrate
 from .smooth import smooth_take, smooth_zero_phase
 from .take import Take, TakeRecorder
-from .timing import lose, mix
+from .timing import mark_lost, mix
 
 Gaps = Literal["leave", "bridge", "hold"]
 Smoothing = Literal["none", "one-euro", "zero-phase"]
@@ -115,7 +115,7 @@ def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: 
     lost, before, after, span = lost[short], before[short], after[short], span[short]
     share = (take.times[lost] - take.times[before]) / span if how == "bridge" else np.zeros(len(lost))
     filling = mix(take.part(before), take.part(after), share)
-    result = lose(take, np.zeros(len(take), bool))
+    result = mark_lost(take, np.zeros(len(take), bool))
     for name in ("landmarks", "pose", "shape_params", "shape", "pupils", "gaze", "found"):
         getattr(result, name)[lost] = getattr(filling, name)
     result.landmark_confidence[lost], result.confidence[lost] = 0.0, 0.0
@@ -155,7 +155,7 @@ def _running_median(values: FloatArray) -> FloatArray:
 
 def remove_outliers(take: Take) -> Take:
     """The take with no face in the frames that `find_outliers` tells; `bridge_gaps` closes them."""
-    return lose(take, find_outliers(take))
+    return mark_lost(take, find_outliers(take))
 
 
 def mirror_take(take: Take, mode_signs: FloatArray | None = None) -> Take:

@@ -11,7 +11,7 @@ import numpy as np
 from ..apertures import eye_apertures, mouth_aperture
 from ..arrays import FloatArray
 from ..errors import SourceError
-from ..heads.regions import REGIONS, spread
+from ..heads.regions import REGIONS, rms_extent
 from ..landmarks import BROWS, MIRROR, MOUTH_CORNERS, N_LANDMARKS
 from ..reading import as_object, parse_json
 from ..rotation import euler_to_matrix
@@ -128,7 +128,7 @@ class Neutral:
 
 def _is_face(shape: FloatArray) -> bool:
     """Whether each region of a shape (66, 3) has some width and height."""
-    return all(float(spread(shape[region.landmarks]).min()) > _FLAT for region in REGIONS)
+    return all(float(rms_extent(shape[region.landmarks]).min()) > _FLAT for region in REGIONS)
 
 
 def _plain(value: FloatArray) -> Any:

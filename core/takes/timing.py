@@ -80,7 +80,7 @@ def sample(take: Take, times: FloatArray) -> Take:
     nearest = np.where(share < 0.5, before, after)
     far = broken | (times < take.times[0]) | (times > take.times[-1])
     far &= np.abs(take.times[nearest] - times) > 0.5 * typical + 1e-9
-    return lose(replace(between, times=times), far)
+    return mark_lost(replace(between, times=times), far)
 
 
 def _typical_step(take: Take) -> float:
@@ -88,7 +88,7 @@ def _typical_step(take: Take) -> float:
     return float(np.median(np.diff(take.times))) if len(take) > 1 else 1.0 / fps
 
 
-def lose(take: Take, lost: NDArray[np.bool_]) -> Take:
+def mark_lost(take: Take, lost: NDArray[np.bool_]) -> Take:
     """The take with no face in the frames `lost` (N,) bool."""
     arrays = {name: getattr(take, name).copy() for name in FIELDS[1:]}
     for name, array in arrays.items():

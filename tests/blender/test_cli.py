@@ -294,7 +294,7 @@ def test_select_prints_the_curve_and_puppet_uses_the_points(tmp_path):
     [
         (["--max-points", "2"], "At least 3 control points"),
         (["--tolerance", "0"], "must be above 0"),
-        (["--add", "nose"], "names no landmarks"),
+        (["--add", "nose"], "not a list of landmarks"),
         (["-o", "points.txt"], "json"),
     ],
 )
@@ -308,5 +308,5 @@ def test_invalid_points_are_rejected_before_anything_is_written(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     (tmp_path / "points.json").write_text("{}")
     done = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", "--points", tmp_path / "points.json")
-    assert done.returncode == 1 and "no control points of Facemime" in done.stderr
+    assert done.returncode == 1 and "not a control point file" in done.stderr
     assert not (tmp_path / "out.blend").exists()

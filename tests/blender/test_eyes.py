@@ -16,7 +16,7 @@ from facemime.core.mesh.surface import SurfaceGraph
 from facemime.core.takes.neutral import calibrate
 from takes import make_take
 
-WORDS = "The eyes are one skin with their lids, so that they cannot shut."
+WORDS = "The eyes are joined to their lids, so they cannot shut."
 
 
 def blinks(rig, wide=0.0):

@@ -17,7 +17,7 @@ from takes import performance
 
 
 def test_joined_lips_of_a_scan_are_reported_until_they_are_opened(scan):
-    words = "The lips are joined into one skin, so that the mouth cannot open."
+    words = "The lips are joined, so the mouth cannot open."
     assert words in [finding.problem for finding in check_object(scan)]
     assert "open_lips" in [line.step for line in bpy.context.window_manager.facemime.findings]
     before = len(scan.data.vertices)

@@ -112,7 +112,7 @@ def test_damaged_control_points_are_reported_and_can_be_reset():
     head = add_head(bpy.context)
     head.data[SELECTION_PROPERTY] = "{"
     drawn = draw(FACEMIME_PT_control_points)
-    assert "no control points of Facemime" in drawn and "facemime.use_all_landmarks" in drawn
+    assert "not a control point file" in drawn and "facemime.use_all_landmarks" in drawn
 
 
 def test_regions_show_the_paint_buttons_and_the_findings_of_the_check():

@@ -150,7 +150,7 @@ def test_a_table_adds_its_rows_and_stops_at_the_sliders():
 )
 def test_what_is_no_table_is_refused(text, tmp_path):
     (tmp_path / "table.json").write_text(text)
-    with pytest.raises(SourceError, match="no table"):
+    with pytest.raises(SourceError, match="not a table"):
         load_map(tmp_path / "table.json")
     with pytest.raises(SourceError, match="cannot be read"):
         load_map(tmp_path / "none.json")

@@ -102,10 +102,10 @@ def test_a_vertex_in_no_region_stays():
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda v, c, w, m: (v, np.vstack([c[:-1], c[:1]]), w, m), "lies on another"),
+        (lambda v, c, w, m: (v, np.vstack([c[:-1], c[:1]]), w, m), "coincides with another"),
         (lambda v, c, w, m: (np.where(v > 0.9, np.nan, v), c, w, m), "must be finite"),
         (lambda v, c, w, m: (v, c, 0 * w, m), "No vertex lies in a region"),
-        (lambda v, c, w, m: (v, c, w, m & False), "no control point"),
+        (lambda v, c, w, m: (v, c, w, m & False), "no control points"),
         (lambda v, c, w, m: (v, c, w[:, :-1], m), "region_weights must be"),
         (lambda v, c, w, m: (v, c, -w, m), "not negative"),
     ],

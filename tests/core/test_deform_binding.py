@@ -135,7 +135,7 @@ def test_each_inner_landmark_of_closed_lips_is_bound_to_its_own_lip():
     graph = SurfaceGraph(places, faces)
     landmarks = bind_landmarks(places, faces).landmarks
     assert not lips_joined(graph, landmarks)
-    upper, lower = (graph.ways(landmarks[from_ibug(rim)].tolist()) for rim in (range(49, 54), range(55, 60)))
+    upper, lower = (graph.path_lengths(landmarks[from_ibug(rim)].tolist()) for rim in (range(49, 54), range(55, 60)))
     assert (upper < lower)[landmarks[MOUTH_INNER_UPPER]].all()
     assert (lower < upper)[landmarks[MOUTH_INNER_LOWER]].all()
 
@@ -166,7 +166,7 @@ def test_landmarks_of_a_symmetric_mesh_are_symmetric_and_all_different():
     ("chosen", "message"),
     [
         ({36: 1, 45: 2}, "at least 4 points, or none; got 2"),
-        ({36: 0, 39: 1, 42: 2, 45: 99_999}, "no vertex of the mesh"),
+        ({36: 0, 39: 1, 42: 2, 45: 99_999}, "not a vertex of the mesh"),
     ],
 )
 def test_marks_that_do_not_suffice_are_refused(chosen, message):
@@ -220,7 +220,7 @@ def test_lips_joined_into_one_skin_are_found():
     bridge = np.array([[upper, lower, int(nearest[nearest != upper][0]), -1]])
     findings = check_head(VERTICES, np.concatenate([HEAD.faces, bridge]), HEAD.landmarks, HEAD.regions)
     assert [finding.problem for finding in findings] == [
-        "The lips are joined into one skin, so that the mouth cannot open."
+        "The lips are joined, so the mouth cannot open."
     ]
 
 
@@ -233,9 +233,9 @@ def test_ways_along_a_strip_go_round_its_slit():
     quads = [[r * 6 + i, r * 6 + i + 1, (r + 1) * 6 + i + 1, (r + 1) * 6 + i] for r in (0, 2) for i in range(5)]
     quads.append([6, 12, 12, 6])
     graph = SurfaceGraph(vertices, np.array(quads))
-    assert graph.ways([11])[17] == pytest.approx(10.1)
+    assert graph.path_lengths([11])[17] == pytest.approx(10.1)
     assert graph.path(11, 17) == [*range(11, 5, -1), *range(12, 18)]
-    assert np.isinf(graph.ways([11], limit=3.0)[17])
+    assert np.isinf(graph.path_lengths([11], limit=3.0)[17])
 
 
 def test_a_warp_meets_its_points_and_carries_affine_maps_everywhere():

@@ -12,7 +12,7 @@ from scans import HEAD, UNIT, cut_apart, padded, scanned
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.errors import HeadError
 from facemime.core.heads.binding import bind_landmarks
-from facemime.core.heads.eyeballs import LID, EyeballContact, eyeball_of
+from facemime.core.heads.eyeballs import LID_THICKNESS, EyeballContact, fit_eyeball
 from facemime.core.heads.lids import EYES, coarse_edges, cut_eye, eye_outline, eyes_joined
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.rig import HeadRig
@@ -72,10 +72,10 @@ def test_landmarks_in_one_place_are_no_eye(scan):
 def test_the_outline_of_a_modelled_eye_is_near_its_lids():
     for eye in EYES:
         outline = eye_outline(HEAD.vertices, HEAD.landmarks, eye)
-        local = outline.local(HEAD.vertices[HEAD.landmarks[eye]].astype(float))
+        local = outline.to_local(HEAD.vertices[HEAD.landmarks[eye]].astype(float))
         np.testing.assert_allclose(local[[0, 3]], [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], atol=1e-6)
         assert np.abs(outline.depth_within(local)).max() < 0.04
-        np.testing.assert_allclose(outline.local(outline.places(local)), local, atol=1e-6)
+        np.testing.assert_allclose(outline.to_local(outline.from_local(local)), local, atol=1e-6)
 
 
 @settings(max_examples=60, deadline=None)
@@ -96,12 +96,12 @@ def test_the_cut_is_one_closed_line_on_the_outline_from_the_outer_corner_over_th
     for cut in cuts:
         assert len(set(cut.rim.tolist())) == len(cut.rim)
         assert ((cut.shares > 0.0) & (cut.shares < 1.0)).all()
-        local = cut.outline.local(rim_of(cut, places))
+        local = cut.outline.to_local(rim_of(cut, places))
         assert np.abs(cut.outline.depth_within(local)).max() < 0.02
         assert local[0, 0] < 0.05 and local[cut.inner, 0] > 0.95
         upper, lower = local[1 : cut.inner], local[cut.inner + 1 :]
         assert upper[:, 1].mean() > 0.1 and lower[:, 1].mean() < -0.02
-        assert (cut.outline.depth_within(cut.outline.local(places[cut.within])) > 0.0).all()
+        assert (cut.outline.depth_within(cut.outline.to_local(places[cut.within])) > 0.0).all()
 
 
 def test_the_parts_of_a_cut_skin_have_its_area_and_meet_in_the_rim(scan, cuts):
@@ -150,12 +150,12 @@ def test_the_lids_lie_on_a_sphere_and_the_eye_just_behind_it(scan, cuts):
     for cut in cuts:
         centre, radius = cut.eyeball[:3], cut.eyeball[3]
         away = np.linalg.norm(rim_of(cut, places) - centre, axis=1) / radius
-        assert away.min() > 1.0 - LID and np.median(away) < 1.03
-        eye = cut.on_eye(places[cut.within])
-        np.testing.assert_allclose(np.linalg.norm(eye - centre, axis=1), (1.0 - LID) * radius, rtol=1e-9)
-        moved = cut.outline.local(eye) - cut.outline.local(places[cut.within])
+        assert away.min() > 1.0 - LID_THICKNESS and np.median(away) < 1.03
+        eye = cut.project_to_eye(places[cut.within])
+        np.testing.assert_allclose(np.linalg.norm(eye - centre, axis=1), (1.0 - LID_THICKNESS) * radius, rtol=1e-9)
+        moved = cut.outline.to_local(eye) - cut.outline.to_local(places[cut.within])
         np.testing.assert_allclose(moved[:, :2], 0.0, atol=1e-9)
-        beyond = cut.outline.local(cut.behind_lids(rim_of(cut, places), 0.1))
+        beyond = cut.outline.to_local(cut.behind_lids(rim_of(cut, places), 0.1))
         assert (cut.outline.depth_within(beyond) < -0.02).all()
 
 
@@ -182,7 +182,7 @@ def test_lids_that_were_cut_shut_over_the_eye_and_stay_before_it(scan):
     for cut in cuts:
         assert area(moved[cut.rim]) < 0.05 * area(points[cut.rim])
         away = np.linalg.norm(moved[skin] - cut.eyeball[:3], axis=1)
-        assert away.min() > (1.0 - LID) * cut.eyeball[3]
+        assert away.min() > (1.0 - LID_THICKNESS) * cut.eyeball[3]
 
 
 def test_a_mesh_that_is_too_coarse_is_told_so_and_where(scan):
@@ -191,7 +191,7 @@ def test_a_mesh_that_is_too_coarse_is_told_so_and_where(scan):
     assert len(coarse_edges(SurfaceGraph(places, faces), outline)) < 60
     grid = np.array([[x, y, 0.0] for y in range(5) for x in range(5)])
     squares = np.array([[i, i + 1, i + 6, i + 5] for i in range(19) if i % 5 < 4])
-    coarse = outline.places((grid - (2.0, 2.0, 0.0)) * 0.45 + (0.5, 0.0, 0.0))
+    coarse = outline.from_local((grid - (2.0, 2.0, 0.0)) * 0.45 + (0.5, 0.0, 0.0))
     found = coarse_edges(SurfaceGraph(coarse, squares), outline)
     assert len(found) == 24
     for faces in (squares, squares[:1]):
@@ -213,5 +213,5 @@ def test_an_eyes_sphere_is_found_again_from_its_vertices(seed):
     rng = np.random.default_rng(seed)
     centre, radius = rng.normal(0.0, 5.0, 3), rng.uniform(0.1, 10.0)
     cap = rng.normal(0.0, 0.4, (30, 3)) - (0.0, 0.0, 1.0)
-    cap *= (1.0 - LID) * radius / np.linalg.norm(cap, axis=1, keepdims=True)
-    np.testing.assert_allclose(eyeball_of(centre + cap), [*centre, radius], rtol=1e-6, atol=1e-6)
+    cap *= (1.0 - LID_THICKNESS) * radius / np.linalg.norm(cap, axis=1, keepdims=True)
+    np.testing.assert_allclose(fit_eyeball(centre + cap), [*centre, radius], rtol=1e-6, atol=1e-6)

@@ -181,5 +181,5 @@ def test_a_result_is_never_written_beside_the_array_that_was_given(deformer, out
 @pytest.mark.parametrize("sigma", [0.0, -1.0, np.nan])
 def test_a_width_that_is_none_is_refused(sigma):
     points = np.random.default_rng(0).uniform(size=(5, 3))
-    with pytest.raises(HeadError, match="sigma must be above 0"):
+    with pytest.raises(HeadError, match="sigma must be positive"):
         RBFDeformer(points, points, np.ones((1, 5)), np.ones((1, 5), bool), sigma=sigma)

@@ -197,7 +197,7 @@ def test_a_missing_head_is_refused_by_name(tmp_path):
 
 def test_a_foreign_file_is_refused(tmp_path):
     np.savez(tmp_path / "foreign.npz", vertices=np.zeros((4, 3)))
-    with pytest.raises(ModelError, match="no Facemime head"):
+    with pytest.raises(ModelError, match="not a Facemime head"):
         load_head(tmp_path / "foreign.npz")
 
 
@@ -219,8 +219,8 @@ def test_a_head_whose_arrays_do_not_fit_is_refused(tmp_path):
         ("vertices", lambda a: a.__setitem__((5, 1), np.nan), "vertices is not finite"),
         ("units", lambda a: a.__setitem__((0, 0, 0), np.inf), "units is not finite"),
         ("landmarks", lambda a: a.__setitem__(3, -1), "landmarks is not within"),
-        ("landmarks", lambda a: a.__setitem__(slice(None), 7), "two landmarks share a place"),
-        ("regions", lambda a: a.__setitem__((0, 0), 2.0), "regions has shares"),
+        ("landmarks", lambda a: a.__setitem__(slice(None), 7), "two landmarks coincide"),
+        ("regions", lambda a: a.__setitem__((0, 0), 2.0), "regions has weights"),
         ("faces", lambda a: a.__setitem__((0, 1), a[0, 0]), "faces has a degenerate face"),
         ("tongue.faces", lambda a: a.__setitem__((0, 0), -1), "tongue.faces has a degenerate face"),
     ],

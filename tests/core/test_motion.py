@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.bake.basis import fit_basis
-from facemime.core.drive.motion import HeadMotion, most_different
+from facemime.core.drive.motion import HeadMotion, select_distinct_frames
 
 
 @settings(max_examples=30, deadline=None)
@@ -39,5 +39,5 @@ def test_the_most_different_frames_are_one_of_each_expression():
     count = len(vertices)
     eye = np.tile(np.eye(3), (count, 1, 1))
     motion = HeadMotion(np.arange(count) / 25.0, vertices, eye, np.zeros((count, 3)), eye, eye)
-    assert (most_different(motion, 4) // 10).tolist() == [0, 1, 2, 3]
-    assert len(most_different(motion, 100)) == count
+    assert (select_distinct_frames(motion, 4) // 10).tolist() == [0, 1, 2, 3]
+    assert len(select_distinct_frames(motion, 100)) == count

@@ -53,7 +53,7 @@ def test_a_point_added_by_hand_is_dropped_again_and_both_survive_the_file(select
     assert not point_rows(less)[landmark].regions
     with pytest.raises(HeadError, match="already"):
         add_by_hand(more, landmark)
-    with pytest.raises(HeadError, match="no control point"):
+    with pytest.raises(HeadError, match="not a control point"):
         drop_by_hand(less, landmark)
 
 

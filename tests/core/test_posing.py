@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.posing import limited_rotation, limited_vector
+from facemime.core.drive.posing import limit_rotation, limit_vector
 from facemime.core.drive.settings import DriveSettings, PosingSettings
 from facemime.core.errors import SourceError
 from facemime.core.heads.rig import built_in_rig
@@ -29,7 +29,7 @@ def angle(rotation: np.ndarray) -> float:
 @given(angles, st.floats(0.0, 2.0), st.floats(0.0, 3.0))
 def test_a_rotation_keeps_its_axis_and_stops_at_its_limit(euler, strength, limit):
     rotation = euler_to_matrix(*euler)
-    turned = limited_rotation(rotation, strength, limit)
+    turned = limit_rotation(rotation, strength, limit)
     np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-9)
     assert angle(turned) == pytest.approx(min(strength * angle(rotation), limit, 2 * pi), abs=1e-5) or strength > 1
     assert angle(turned) <= limit + 1e-5
@@ -41,8 +41,8 @@ def test_a_rotation_keeps_its_axis_and_stops_at_its_limit(euler, strength, limit
 @given(angles)
 def test_full_strength_without_a_limit_changes_nothing(euler):
     rotation = euler_to_matrix(*euler)
-    np.testing.assert_array_equal(limited_rotation(rotation, 1.0, pi), rotation)
-    np.testing.assert_array_equal(limited_vector(np.array(euler), 1.0, inf), euler)
+    np.testing.assert_array_equal(limit_rotation(rotation, 1.0, pi), rotation)
+    np.testing.assert_array_equal(limit_vector(np.array(euler), 1.0, inf), euler)
 
 
 def test_strength_and_limit_reach_the_head_the_eyes_and_the_place():

@@ -49,7 +49,7 @@ def changed(data: dict, value: object, *place: object) -> str:
 def test_a_step_of_control_points_has_whole_numbers_in_range(field, value):
     if field == "frame" and value == 70:
         return
-    with pytest.raises(SourceError, match="no control points of Facemime"):
+    with pytest.raises(SourceError, match="not a control point file"):
         control_points.from_json(changed(POINTS, value, "steps", 1, field))
 
 
@@ -68,7 +68,7 @@ def test_a_step_of_control_points_has_whole_numbers_in_range(field, value):
     ],
 )
 def test_control_points_of_other_kinds_are_refused(value, place):
-    with pytest.raises(SourceError, match="no control points of Facemime"):
+    with pytest.raises(SourceError, match="not a control point file"):
         control_points.from_json(changed(POINTS, value, *place))
 
 
@@ -87,7 +87,7 @@ def test_control_points_changed_by_hand_have_no_error():
     ],
 )
 def test_a_table_of_keys_of_other_kinds_is_refused(value, place):
-    with pytest.raises(SourceError, match="no table of keys") as caught:
+    with pytest.raises(SourceError, match="not a table of keys") as caught:
         key_map.from_json(changed(TABLE, value, *place))
     assert len(str(caught.value)) < 300
 
@@ -185,5 +185,5 @@ def test_landmarks_of_an_endless_range_are_refused_at_once():
     from facemime.core.errors import HeadError
 
     for text in ("0-99999999999", "5-" + "9" * 400, "-" + "9" * 5000):
-        with pytest.raises(HeadError, match="names no landmarks"):
+        with pytest.raises(HeadError, match="not a list of landmarks"):
             control_points.parse_landmarks(text)

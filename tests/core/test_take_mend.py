@@ -22,7 +22,7 @@ from facemime.core.takes.mending import bridge_gaps, find_outliers, mirror_take,
 from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.takes.smooth import CUTOFFS, before_after, low_pass, smooth_zero_phase
 from facemime.core.takes.take import FIELDS, Take, check_take
-from facemime.core.takes.timing import lose
+from facemime.core.takes.timing import mark_lost
 from facemime.core.tracking.smoothing import SHAPE_PARTS
 from facemime.core.tracking.tracker import FaceTracker
 from takes import performance
@@ -37,7 +37,7 @@ def tracked() -> Take:
 
 
 def gone(take: Take, *rows: int) -> Take:
-    return lose(take, np.isin(np.arange(len(take)), rows))
+    return mark_lost(take, np.isin(np.arange(len(take)), rows))
 
 
 def test_a_bridged_gap_leads_evenly_from_face_to_face_and_says_that_nothing_was_seen():

@@ -28,7 +28,7 @@ from facemime.core.capture import VideoSource
 from facemime.core.control_points import select as control_points
 from facemime.core.control_points.greedy import GreedySelection, GreedyStep
 from facemime.core.control_points.table import draw_curve, drop_by_hand, point_rows
-from facemime.core.deform.follow import following
+from facemime.core.deform.follow import follow_matrix
 from facemime.core.drive.anonymous import anonymise
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.retarget import retargeter_for
@@ -38,7 +38,7 @@ from facemime.core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tr
 from facemime.core.heads.regions import membership, region_sigmas
 from facemime.core.heads.rig import built_in_rig
 from facemime.core.images import read_image
-from facemime.core.mesh.kernels import kernel_named
+from facemime.core.mesh.kernels import get_kernel
 from facemime.core.reading import parse_json
 from facemime.core.settings import Choice, Setting
 from facemime.core.takes.file import load_take, save_take
@@ -185,10 +185,10 @@ def _read_points(text: str) -> None:
     selection = control_points.from_json(text)
     assert all(isinstance(row.reason, str) and row.order >= 0 for row in point_rows(selection))
     assert np.isfinite(draw_curve(selection)).all()
-    rig, kernel = built_in_rig(), kernel_named("gaussian")
+    rig, kernel = built_in_rig(), get_kernel("gaussian")
     points = np.asarray(rig.vertices, np.float64)[rig.landmarks]
     sigmas = region_sigmas(points, kernel)
-    assert np.isfinite(following(points, selection.membership, selection.covariance, kernel, sigmas)).all()
+    assert np.isfinite(follow_matrix(points, selection.membership, selection.covariance, kernel, sigmas)).all()
     assert len(control_points.from_json(control_points.to_json(selection)).steps) == len(selection.steps)
     with contextlib.suppress(HeadError):  # the last one of a region
         drop_by_hand(selection, int(selection.landmarks[0]))
