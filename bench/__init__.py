@@ -1,4 +1,4 @@
-"""Measurements. Every bench prints one table, draws one figure, and with `--json FILE` writes the same numbers.
+"""Benchmarks. Each prints tables and, with `--json FILE`, writes the same numbers.
 
 All run on one core: the thread pools are sized before numpy is loaded.
 """

@@ -1,4 +1,4 @@
-"""What is measured of a tracker, free of where the pictures come from.
+"""Measures of a tracker's accuracy, independent of the source of the images.
 
 Errors are means over the 49 inner points, in percent of the face's outer-eye distance. A face counts as lost where none
 is found or where the error is above 10 %.
@@ -19,22 +19,22 @@ from facemime.core.landmarks import INNER, OUTER_EYE_CORNERS
 
 LOST_ABOVE = 10.0
 _SLACK = 2
-"""Frames by which a blink that is found may lie beside the true one."""
+"""Frames by which a detected blink may miss the true one."""
 
 
 @dataclass(frozen=True)
 class Differences:
-    """Found minus true landmarks of N pictures, (N, 66, 2) in percent and unrolled; NaN where no face was found."""
+    """Tracked minus true landmarks of N images, (N, 66, 2), without roll, in percent; NaN if no face was found."""
 
     values: np.ndarray
 
     def errors(self, offsets: np.ndarray | float = 0.0) -> np.ndarray:
-        """(N,) mean error of the inner points without `offsets` (66, 2); infinite where no face was found."""
+        """(N,) mean error of the inner points after removing `offsets` (66, 2); infinite if no face was found."""
         error = np.linalg.norm(self.values - offsets, axis=2)[:, INNER].mean(axis=1)
         return np.where(np.isnan(error), np.inf, error)
 
     def offsets(self) -> np.ndarray:
-        """(66, 2) median of every point over the pictures in which the face is not lost."""
+        """(66, 2) median error of each point over the images with a face."""
         kept = self.values[self.errors() <= LOST_ABOVE]
         return np.median(kept, axis=0) if len(kept) else np.zeros(self.values.shape[1:])
 
@@ -55,19 +55,19 @@ def eye_distances(landmarks: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Located:
-    """Landmarks (N, 66, 2) that a tracker found in N pictures by themselves, and the seconds (N,) each took."""
+    """Landmarks (N, 66, 2) that a tracker found in N independent images, and the seconds (N,) for each."""
 
     landmarks: np.ndarray
     seconds: np.ndarray
 
 
 def locate_all(peer: Peer, images: Iterable[np.ndarray]) -> Located:
-    """Let a tracker look at every picture by itself."""
+    """Locate the face in each image independently."""
     return _timed(peer.locate, images)
 
 
 def track_all(peer: Peer, frames: Iterable[np.ndarray]) -> Located:
-    """Let a tracker follow the face of a clip."""
+    """Track the face in a clip."""
     peer.reset()
     return _timed(peer.track, frames)
 
@@ -84,14 +84,14 @@ def _timed(look: object, images: Iterable[np.ndarray]) -> Located:
 
 @dataclass(frozen=True)
 class Jitter:
-    """Of a still: mean standard deviation and mean second difference of the inner points, percent."""
+    """Jitter on a still: mean standard deviation and mean second difference of the inner points, in percent."""
 
     position: float
     second_difference: float
 
 
 def jitter(runs: Sequence[np.ndarray], unit: float) -> Jitter:
-    """How far landmarks (T, 66, 2) of faces that do not move do move; frames in which the face is lost are left out."""
+    """Motion of landmarks (T, 66, 2) of resting faces, without lost frames."""
     deviations, seconds = [], []
     for run in runs:
         inner = run[np.isfinite(run[:, 0, 0])][:, INNER] / (unit / 100.0)
@@ -102,7 +102,7 @@ def jitter(runs: Sequence[np.ndarray], unit: float) -> Jitter:
 
 
 def second_differences(points: np.ndarray) -> np.ndarray:
-    """(T - 2,) mean length of the points' second difference in time."""
+    """(T - 2,) mean length of the second differences of the points."""
     return np.linalg.norm(points[2:] - 2.0 * points[1:-1] + points[:-2], axis=2).mean(axis=1)
 
 
@@ -147,7 +147,7 @@ def _slope(truth: np.ndarray, found: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class BlinkCount:
-    """True blinks, those of them that were found, blinks that were told, and those of them that are true."""
+    """Numbers of true blinks, of those that were detected, of reported blinks, and of those that are true."""
 
     true: int
     found: int
@@ -159,12 +159,12 @@ class BlinkCount:
 
     @property
     def recall(self) -> float:
-        """Share of the true blinks that were found."""
+        """Share of the true blinks that were detected."""
         return self.found / self.true if self.true else float("nan")
 
     @property
     def precision(self) -> float:
-        """Share of the blinks told that are true."""
+        """Share of the reported blinks that are true."""
         return self.right / self.told if self.told else float("nan")
 
 
@@ -173,7 +173,7 @@ def _counts(count: BlinkCount) -> tuple[int, int, int, int]:
 
 
 def count_blinks(found: np.ndarray, truth: np.ndarray) -> BlinkCount:
-    """Blinks in a clip's landmarks (T, 66, 2): spans in which the eyes are open less than half their median."""
+    """Blinks in landmarks (T, 66, 2): spans in which the eyes are open by less than half their median."""
     told, true = _blinks(found), _blinks(truth)
 
     def met(span: tuple[int, int], others: list[tuple[int, int]]) -> bool:
@@ -183,7 +183,7 @@ def count_blinks(found: np.ndarray, truth: np.ndarray) -> BlinkCount:
 
 
 def _blinks(landmarks: np.ndarray) -> list[tuple[int, int]]:
-    """First and last frame of every blink."""
+    """First and last frame of each blink."""
     share = eye_apertures(landmarks).mean(axis=1) / eye_distances(landmarks)
     shut = share < 0.5 * np.nanmedian(share)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], shut, [False]]).astype(int)))
@@ -191,7 +191,7 @@ def _blinks(landmarks: np.ndarray) -> list[tuple[int, int]]:
 
 
 def delay(motion: np.ndarray, late: np.ndarray) -> float:
-    """Frames by which a signal (T,) must be held back to come nearest to its late copy (T,), to a twentieth."""
+    """Delay in frames, to a twentieth, by which a signal (T,) is nearest to its late copy (T,)."""
     times = np.arange(len(motion))
     shifts = np.arange(-1.0, 6.0, 0.05)
     misses = [np.square(np.interp(times - s, times, motion) - late)[8:-8].sum() for s in shifts]

@@ -1,4 +1,4 @@
-"""How long a bake takes and how near it comes, by keys and by vertices: part of `python -m bench.takes`."""
+"""Speed and accuracy of bakes to keys and to caches; part of `python -m bench.takes`."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _head(level: int, bake: BakeSettings) -> bpy.types.Object:
 
 
 def _curves() -> tuple[str, float]:
-    """What writing the curves alone takes."""
+    """Seconds for writing the curves alone."""
     head = _head(0, BakeSettings(keys="named"))
     frames = 1.0 + np.arange(SECONDS * FPS)
     curves = [

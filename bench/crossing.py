@@ -1,4 +1,4 @@
-"""Two people who cross: whether the tracker stays with the one it was told to follow."""
+"""Two people who cross: does the tracker stay with the chosen one?"""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from facemime.core.tracking.tracker import FaceTracker
 
 _WIDTH, _HEIGHT = 640, 480
 _FOREHEAD = 0.55
-"""Eye distances above the brows up to which a head is cut out."""
+"""Eye distances above the brows at which a head is cut out."""
 _NEAR = 0.1
-"""Eye distances of mean error up to which the tracker is on a person."""
+"""Mean error in eye distances below which the tracker follows a person."""
 SPEEDS = (1.5, 2.0, 2.5, 3.0)
-"""Pixels a frame, for eyes that are 100 pixels apart."""
+"""Pixels per frame, for eyes that are 100 pixels apart."""
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """Frames in which the tracker was on the person it followed, on the other, nowhere, or between; and in the end."""
+    """Numbers of frames in which the tracker followed the chosen person, the other, nobody, or neither; and the end."""
 
     own: int
     other: int
@@ -33,7 +33,7 @@ class Crossing:
 
 
 def cross(behind: Clip, before: Clip, speed: float) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
-    """Grey frames (480, 640) in which the second person passes before the first, and both's landmarks (T, 66, 2)."""
+    """Grey frames (480, 640) in which the second person passes in front of the first; landmarks (T, 66, 2) of both."""
     count = min(len(behind.frames), len(before.frames))
     rng = np.random.default_rng(0)
     room = 110.0 + 6.0 * cv2.GaussianBlur(rng.normal(0, 40, (_HEIGHT, _WIDTH)).astype(np.float32), (0, 0), 12)
@@ -55,7 +55,7 @@ def cross(behind: Clip, before: Clip, speed: float) -> tuple[list[np.ndarray], n
 
 
 def _head(points: np.ndarray) -> np.ndarray:
-    """(480, 640) 0 to 1: the face of landmarks (66, 2) with its forehead, soft at the edge."""
+    """(480, 640) mask, 0 to 1, of the face with landmarks (66, 2) and its forehead, with a soft edge."""
     raised = points[BROWS] - (0.0, _FOREHEAD * eye_distances(points[None])[0])
     hull = cv2.convexHull(np.concatenate([points, raised]).astype(np.float32))
     mask = np.zeros((_HEIGHT, _WIDTH), np.uint8)
@@ -64,7 +64,7 @@ def _head(points: np.ndarray) -> np.ndarray:
 
 
 def follow(tracker: FaceTracker, frames: list[np.ndarray], own: np.ndarray, other: np.ndarray) -> Crossing:
-    """Follow the person with landmarks `own` (T, 66, 2), whom `choose` names in the first frame."""
+    """Track the person with landmarks `own` (T, 66, 2), who is chosen in the first frame."""
     tracker.reset()
     tracker.choose(*own[0].mean(axis=0))
     units = eye_distances(own)
@@ -83,7 +83,7 @@ def follow(tracker: FaceTracker, frames: list[np.ndarray], own: np.ndarray, othe
 
 
 def on_crossings(tracker: FaceTracker, clips: list[Clip]) -> dict[str, dict[str, float]]:
-    """Each person passed by each other at every speed, by speed: shares of frames, and of crossings that end well."""
+    """All pairs of people at all speeds: shares of frames, and of crossings that end well, by speed."""
     out = {}
     for speed in SPEEDS:
         runs = [follow(tracker, *cross(a, b, speed)) for a in clips for b in clips if a is not b]

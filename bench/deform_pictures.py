@@ -30,11 +30,11 @@ _COMPARED = ("jaw open", "smile", "blink", "frown")
 _COLUMNS = ("whole", "split", "gaussian", "regions", "informed", "laplacian", "blender_laplacian")
 _SIDE = (230, 290)
 _ZOOM, _MIDDLE = 0.47, (0.12, 0.02)
-"""Of the picture's width an outer-eye distance; what of the head lies in the middle, in these."""
+"""Outer-eye distance as a share of the picture's width, and the centre of the view in outer-eye distances."""
 _SKIN = np.array([150.0, 180.0, 210.0])
 _BACKGROUND = (30, 28, 26)
 _WORST = 0.08
-"""Outer-eye distances that the error's colours end at."""
+"""Error in outer-eye distances at the end of the colour scale."""
 _LIGHT = np.array([0.25, -0.45, -0.85])
 
 
@@ -49,7 +49,7 @@ def draw_head(folder: Path, head: TrueHead, methods: list[Method], selection: Gr
 
 
 def _weights(head: TrueHead, units: tuple[str, ...]) -> NDArray[np.float64]:
-    """(E,) 1 for each expression whose name, without its side, is among `units`."""
+    """(E,) 1 for each expression whose name without side is in `units`."""
     bare = [
         name.removesuffix("_L").removesuffix("_R").removesuffix("Left").removesuffix("Right") for name in head.names
     ]
@@ -87,7 +87,7 @@ def _comparison(head: TrueHead, methods: dict[str, Method]) -> Image:
 
 
 def _project(points: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Pixels of the head frame's x and y, a little from the side and above so that depth shows."""
+    """Project head-frame points to pixels, slightly from the side and above, to show depth."""
     yaw, pitch = 0.35, -0.08
     turn = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
     tilt = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
@@ -97,7 +97,7 @@ def _project(points: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def _render(head: TrueHead, moved: NDArray[np.float32], error: NDArray[np.floating] | None) -> Image:
-    """The head with its vertices moved, flat triangles from back to front; `error` 0 to 1 as colours."""
+    """Draw the deformed head as flat triangles from back to front, with `error` (0 to 1) as colours."""
     scale = 2
     points = _project(head.vertices + moved)
     triangles = triangles_of(head.faces)
@@ -120,7 +120,7 @@ def _render(head: TrueHead, moved: NDArray[np.float32], error: NDArray[np.floati
 
 
 def _landmarks(head: TrueHead, moved: NDArray[np.float32], title: str) -> Image:
-    """The landmarks that go in, as a drawing."""
+    """Draw the input landmarks."""
     canvas = np.full((_SIDE[1], _SIDE[0], 3), _BACKGROUND, np.uint8)
     points = _project((head.vertices + moved)[head.landmarks])[:, :2]
     fixed = np.round(points * 16).astype(np.int32)

@@ -1,4 +1,4 @@
-"""What preparing a deformer and a frame of it cost: random points, and the built-in head with ever finer meshes."""
+"""Cost of preparing a deformer and of a frame, for random points and ever finer meshes of the built-in head."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COLUMNS = ("mesh", "vertices", "points", "prepare ms", "frame µs", "MB", "copy 
 _SIZES = ((1_781, 30), (26_000, 60), (100_000, 60))
 _HALVINGS = (0, 2, 3)
 _BATCHES, _FRAMES = 20, 50
-"""The fastest of twenty batches counts, as in timeit: what others do on the machine only ever adds."""
+"""The fastest of twenty batches counts, as in timeit: other load only ever adds time."""
 
 
 def speed_table() -> Table:
@@ -59,7 +59,7 @@ def _fastest(work: Callable[[], object]) -> float:
 
 
 def _random(count: int, points: int) -> RBFDeformer:
-    """Vertices in a cube, by the three regions of a face."""
+    """Random vertices in a cube, with the three regions of a face."""
     rng = np.random.default_rng(0)
     vertices = rng.uniform(0.0, 1.0, (count, 3))
     controls = vertices[rng.choice(count, points, replace=False)]

@@ -28,14 +28,16 @@ HALF = 33
 BOUND_COLUMNS = ("marked points", "inner 49", "brows", "lids", "lips", "seconds")
 _BATCH = 50
 _OPEN = 0.01
-"""Area, squared outer-eye distances, above which an opening counts as open."""
+"""Area in squared outer-eye distances above which an opening counts as open."""
 
 
 def main() -> int:
-    """Measure, print, draw."""
+    """Run the benchmark; returns the exit status."""
     command = parser(__doc__.splitlines()[0])
-    command.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", help="where heads/ lies")
-    command.add_argument("--pictures", type=Path, metavar="DIR", help="draw the comparison on the heads there")
+    command.add_argument(
+        "--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder that contains heads/"
+    )
+    command.add_argument("--pictures", type=Path, metavar="DIR", help="folder for pictures of the comparison")
     arguments = command.parse_args()
     if not (arguments.data / "heads").is_dir():
         command.error(f"{arguments.data} has no heads/ict_facekit_light.npz; say with --data where ICT-FaceKit lies")
@@ -118,13 +120,13 @@ def judge(head: TrueHead, method: Method, weights: NDArray[np.float64]) -> dict[
 
 
 def _opening(outline: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,) area of (N, K, 3) outlines in the front view, never below 0: rims that cross leave nothing open."""
+    """(N,) areas of outlines (N, K, 3) in the front view, at least 0, as rims that cross leave nothing open."""
     x, y = outline[..., 0], outline[..., 1]
     return np.maximum((x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y).sum(axis=1) / 2.0, 0.0)
 
 
 def _border_edges(head: TrueHead) -> NDArray[np.int64]:
-    """(E, 2) edges of the mesh along which what rules the vertices changes from one region to another."""
+    """(E, 2) edges of the mesh at the borders of the regions."""
     count = head.faces.shape[1]
     pairs = np.concatenate([head.faces[:, [i, (i + 1) % count]] for i in range(count)])
     pairs = pairs[(pairs >= 0).all(axis=1)]
@@ -136,7 +138,7 @@ def _border_edges(head: TrueHead) -> NDArray[np.int64]:
 def _bend(
     head: TrueHead, edges: NDArray[np.int64], true: NDArray[np.float32], found: NDArray[np.float32]
 ) -> NDArray[np.float64]:
-    """Degrees between the true and the found direction of each of `edges`, (N E,)."""
+    """Angle in degrees between the true and the computed direction of each of `edges`, (N E,)."""
     a, b = edges.T
     along = head.vertices[b] - head.vertices[a]
     right, ours = (along + moved[:, b] - moved[:, a] for moved in (true, found))
@@ -145,7 +147,7 @@ def _bend(
 
 
 def tables_of(head: TrueHead, methods: list[Method], mixed: dict, alone: dict) -> list[Table]:
-    """Errors of mixtures, errors alone, and what else was measured."""
+    """Tables of errors in mixtures, errors of single expressions, and other measures."""
     count = len(head.names)
     rows = [[[method.name, *scores[method.name]["errors"].values()] for method in methods] for scores in (mixed, alone)]
     detail = [[method.name, *mixed[method.name]["detail"].values()] for method in methods]
@@ -166,7 +168,7 @@ def curve_of(selection: GreedySelection) -> list[dict[str, object]]:
 
 
 def bound_rows(head: TrueHead) -> list[tuple[object, ...]]:
-    """How far landmarks that were found lie from the head's own, without and with marked points."""
+    """Distance of found landmarks from the true ones, without and with marked points."""
     own = head.landmarks
     marks = {number: int(own[from_ibug([number])[0]]) for number in MARKS}
     rows: list[tuple[object, ...]] = []

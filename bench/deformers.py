@@ -1,4 +1,4 @@
-"""The ways to deform a head that are compared: each takes landmark displacements and gives those of all vertices."""
+"""The deformers that are compared, from displacements of landmarks to those of all vertices."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Method:
 
 
 def all_methods(head: TrueHead, model: ExpressionModel, selection: GreedySelection) -> list[Method]:
-    """Every row, `model` being learnt on another head than `head`."""
+    """All rows; `model` was learnt on another head."""
     builders: dict[str, tuple[int, Callable[[], Predict]]] = {
         "whole": (N_LANDMARKS, lambda: whole(head)),
         "split": (N_LANDMARKS, lambda: split(head)),
@@ -74,7 +74,7 @@ def all_methods(head: TrueHead, model: ExpressionModel, selection: GreedySelecti
 
 
 def greedy_points(head: TrueHead, count: int) -> GreedySelection:
-    """Control points chosen on the head's own expressions, one at a time and mixed, not as where it is judged."""
+    """Control points chosen on single expressions of the head and mixtures, other than those of the evaluation."""
     weights = np.concatenate([np.eye(len(head.names)), random_mixtures(len(head.names), 250, seed=1)])
     motion = head.true(weights)[:, head.landmarks]
     skin = head.vertices, head.regions
@@ -82,13 +82,13 @@ def greedy_points(head: TrueHead, count: int) -> GreedySelection:
 
 
 def whole(head: TrueHead) -> Predict:
-    """One Gaussian over the whole face (Yu & Li 2005), at the sigma that is best for the expressions themselves."""
+    """One Gaussian over the whole face (Yu & Li 2005), with the best sigma for these expressions."""
     best = min(np.linspace(0.06, 0.3, 13), key=lambda sigma: _error_alone(head, _one_region(head, float(sigma))))
     return _rbf(_one_region(head, float(best)))
 
 
 def split(head: TrueHead) -> Predict:
-    """Three bands, cut along the horizontal lines of eyes and mouth only (Zhang 2017): 0 or 1, no way along a slit."""
+    """Three bands with weights of 0 and 1, cut along the horizontal lines of eyes and mouth (Zhang 2017)."""
     points = head.vertices[head.landmarks]
     eyes, mouth = points[from_ibug((36, 39, 42, 45)), 1].mean(), points[from_ibug((48, 54)), 1].mean()
 
@@ -100,12 +100,12 @@ def split(head: TrueHead) -> Predict:
 
 
 def regions(head: TrueHead, chosen: GreedySelection | None = None, kernel: str = DEFAULT_KERNEL) -> Predict:
-    """Ours, with a kernel of distance alone."""
+    """Our deformer with a kernel of distance alone."""
     return _rbf(head_deformer(_rig(head, chosen), kernel))
 
 
 def informed(head: TrueHead, model: ExpressionModel, chosen: GreedySelection | None = None) -> Predict:
-    """Ours, with the skin's covariance and what `model` learnt on another head."""
+    """Our deformer with the covariance of the skin, and `model`, learnt on another head."""
     return _rbf(head_deformer(_rig(head, chosen), expressions=(model,)))
 
 
@@ -116,7 +116,7 @@ def _rig(head: TrueHead, chosen: GreedySelection | None) -> HeadRig:
 
 
 def laplacian(head: TrueHead) -> Predict:
-    """Bi-Laplacian editing with cotangent weights, `L M^-1 L x = 0`: landmarks move, what is in no region stays."""
+    """Bi-Laplacian editing with cotangent weights, ``L M^-1 L x = 0``; vertices in no region are fixed."""
     count = len(head.vertices)
     stiffness, mass = _cotangent(head)
     system = csc_matrix(stiffness @ diags(1.0 / mass) @ stiffness)
@@ -162,7 +162,7 @@ def blender_laplacian(head: TrueHead) -> Predict:
 
 
 def own_matrix(head: TrueHead) -> Predict:
-    """The best matrix for the head's own true motions: what a deformer that treats x, y and z alike can reach."""
+    """The best matrix for this head's own motions: the limit of deformers that treat x, y and z alike."""
     weights = np.linalg.cholesky(head.mixtures.T @ head.mixtures + 1e-9 * np.eye(len(head.names))).T
     motion = head.true(weights).transpose(0, 2, 1).reshape(3 * len(head.names), -1)
     inputs = motion[:, head.landmarks].astype(np.float64)
@@ -172,7 +172,7 @@ def own_matrix(head: TrueHead) -> Predict:
 
 
 def ridge(head: TrueHead) -> Predict:
-    """A ridge regression from landmarks to vertices on the head's own expressions: what knowing the rig would give."""
+    """A ridge regression from landmarks to vertices on this head's own expressions: the limit of knowing the rig."""
     inputs = head.motions[:, head.landmarks].reshape(len(head.names), -1).astype(np.float64)
     gram = inputs @ inputs.T
     targets = head.motions.reshape(len(head.names), -1)
@@ -217,7 +217,7 @@ def _anchors(head: TrueHead) -> NDArray[np.int64]:
 
 
 def _cotangent(head: TrueHead) -> tuple[csc_matrix, Points]:
-    """Stiffness matrix of the cotangents and the vertices' areas (Pinkall & Polthier 1993; Botsch & Sorkine 2008)."""
+    """Cotangent stiffness matrix and vertex areas (Pinkall & Polthier 1993; Botsch & Sorkine 2008)."""
     triangles = triangles_of(head.faces)
     corners = head.vertices[triangles]
     rows, columns, values = [], [], []

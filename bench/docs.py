@@ -1,4 +1,4 @@
-"""`python -m bench.docs`: put the tables that the benches left in `build/bench` into `docs`.
+"""`python -m bench.docs`: copy tables of benchmarks from `build/bench` into `docs`.
 
 A line `<!-- table: TITLE -->` in a document says that the table below it is the one that a bench prints under that
 title; `git diff` then shows what has changed. Tables without such a line are nobody's but the author's.
@@ -18,15 +18,17 @@ _TITLE = re.compile(r"## (.+)")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Replace and tell; returns the exit status, 1 where no bench left a table or a document lacks one."""
+    """Update the documents; returns the exit status, 1 if there is no table, or a document lacks one."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("results", nargs="*", type=Path, metavar="FILE.md", help="what benches printed (build/bench)")
-    parser.add_argument("--docs", type=Path, default=ROOT / "docs", metavar="DIR", help="of the documents (docs)")
+    parser.add_argument("results", nargs="*", type=Path, metavar="FILE.md", help="tables of benchmarks (build/bench)")
+    parser.add_argument(
+        "--docs", type=Path, default=ROOT / "docs", metavar="DIR", help="folder of the documents (docs)"
+    )
     chosen = parser.parse_args(arguments)
     results = chosen.results or sorted((ROOT / "build" / "bench").glob("*.md"))
     tables = {title: lines for path in results for title, lines in tables_in(path.read_text("utf-8")).items()}
     if not tables:
-        print("There is no table. Run a bench first, such as: make bench", file=sys.stderr)
+        print("There is no table. Run a benchmark first, such as make bench.", file=sys.stderr)
         return 1
     failed = False
     for path in sorted(chosen.docs.glob("*.md")):
@@ -45,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def tables_in(text: str) -> dict[str, list[str]]:
-    """The lines of each table that a bench printed, by title; of several with one title the last."""
+    """Lines of each table by title; the last one if a title repeats."""
     tables: dict[str, list[str]] = {}
     title = ""
     for line in text.splitlines():
@@ -58,7 +60,7 @@ def tables_in(text: str) -> dict[str, list[str]]:
 
 
 def with_tables(text: str, tables: Mapping[str, Sequence[str]]) -> tuple[str, list[str]]:
-    """`text` with those of `tables` that it has marked, and their titles.
+    """Replace the tables that `text` marks; returns the text, and the titles of these tables.
 
     Raises
     ------

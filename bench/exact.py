@@ -1,4 +1,4 @@
-"""Pictures of held-out people whose landmarks are known exactly: stills that vary one thing at a time, and clips.
+"""Images of held-out people with exact landmarks: stills that vary one thing at a time, and clips.
 
 Photos of people whom no training has seen become the skins of heads that are rendered anew, as by
 `training.tracker.reproject`. All have the same size, the same place in the picture and no expression, except for the
@@ -23,16 +23,16 @@ from training.tracker.reproject import Light, SkinnedHead, render, skin_head
 from training.tracker.sources import HAND_LABELLED, Photo, read_photos, split
 
 VERSION = 1
-"""Of the pictures; a higher one renders them anew."""
+"""Version of the images; raising it renders them again."""
 SIZE = 400
 EYES = 100.0
-"""Pixels between the outer eye corners, where size is not what varies."""
+"""Pixels between the outer corners of the eyes, unless size varies."""
 FPS = 25.0
 _CENTRE = (SIZE - 1) / 2.0
 
 _WINDOW_LIGHT = Light(0.7, 0.4, np.array([0.4, -0.3, -0.866]))
 LIMITS = (25.0, 45.0, 40.0)
-"""Degrees of pitch, yaw and roll within which a face is always to be followed."""
+"""Limits of pitch, yaw and roll in degrees within which a face should never be lost."""
 _TURNS_A_SECOND = np.array([0.31, 0.23, 0.17])
 
 _EXPRESSIONS: dict[str, dict[str, float]] = {
@@ -61,7 +61,7 @@ AXES: dict[str, tuple[str, tuple[float | str, ...]]] = {
     "size": ("pixels between the eyes", (140, 100, 70, 50, 35, 25, 18)),
     "all at once": ("share of the hardest", (0.2, 0.4, 0.6, 0.8, 1.0)),
 }
-"""What varies, its unit, and its values. Yaw, roll, light and covers come from either side, person by person."""
+"""What varies, its unit, and its values. Yaw, roll, light and covers alternate between sides."""
 
 
 def shown_size(axis: str, value: float | str) -> float:
@@ -73,7 +73,7 @@ def shown_size(axis: str, value: float | str) -> float:
 
 @dataclass(frozen=True)
 class Stills:
-    """Pictures of one value of an axis, one a person: (N, H, W) uint8 each, landmarks (N, 66, 2) in pixels."""
+    """Images at one value of an axis, one per person: (N, H, W) uint8, landmarks (N, 66, 2) in pixels."""
 
     images: list[np.ndarray]
     landmarks: np.ndarray
@@ -81,7 +81,7 @@ class Stills:
 
 @dataclass(frozen=True)
 class Clip:
-    """A performance of known landmarks: frames, (T, 66, 2) pixels, seconds (T,)."""
+    """A clip with exact landmarks: frames, landmarks (T, 66, 2) in pixels, times (T,) in seconds."""
 
     name: str
     frames: list[np.ndarray]
@@ -90,7 +90,7 @@ class Clip:
 
 
 class ExactFaces:
-    """Renders, and remembers below `folder` what was rendered."""
+    """Renders images, and caches them in `folder`."""
 
     def __init__(self, data: Path, folder: Path, people: int) -> None:
         self.data, self.folder, self.people = data, folder / f"v{VERSION}", people
@@ -98,18 +98,18 @@ class ExactFaces:
         self._head: IctHead | None = None
 
     def stills(self, axis: str) -> dict[float | str, Stills]:
-        """All pictures of an axis, by its values."""
+        """All images of an axis, by value."""
         values = AXES[axis][1]
         return {value: self._kept(f"{axis}-{value}", lambda v=value: self._pictures(axis, v)) for value in values}
 
     def clip(self, person: int) -> Clip:
-        """Six seconds of one person who blinks, speaks and turns the head, with the noise of a webcam."""
+        """Six seconds of a person who blinks, speaks and turns the head, with the noise of a webcam."""
         kept = self._kept(f"clip-{person}", lambda: zip(*self._performance(person), strict=True))
         times = np.arange(len(kept.images)) / FPS
         return Clip(f"re-projected {person}", kept.images, kept.landmarks, times)
 
     def turning(self, person: int) -> Clip:
-        """Eight seconds in which one person turns, nods and tilts the head as far as it is to be followed."""
+        """Eight seconds in which a person turns, nods and tilts the head to the limits."""
         kept = self._kept(f"turning-{person}", lambda: zip(*self._turns(person), strict=True))
         return Clip(f"turning {person}", kept.images, kept.landmarks, np.arange(len(kept.images)) / FPS)
 
@@ -150,7 +150,7 @@ class ExactFaces:
         return image, landmarks
 
     def _hard(self, person: int, share: float, pose: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
-        """Turned, acting, lit from the side, small, blurred, noisy and packed, up to `share` of the worst."""
+        """Turned, lit from the side, small, blurred, noisy and compressed, by `share` of the hardest."""
         rng = np.random.default_rng((person, 5))
         pose[1:4] = np.radians([25.0, 45.0, 30.0]) * share * np.array([rng.choice([-1, 1]), side, rng.choice([-1, 1])])
         actions = {k: v * min(1.0, 1.5 * share) for k, v in _EXPRESSIONS[str(rng.choice(list(_EXPRESSIONS)))].items()}
@@ -165,7 +165,7 @@ class ExactFaces:
     def _shown(
         self, person: int, actions: dict[str, float], pose: np.ndarray, light: Light
     ) -> tuple[np.ndarray, np.ndarray]:
-        """A person's picture before the background of the person's own photo."""
+        """An image of a person in front of the background of the same photo."""
         head, skinned = self.head, self.cast[person]
         rng = np.random.default_rng(person)
         drawn = render(head, skinned, self._weights(skinned, actions), pose, SIZE, light, rng, perspective=0.06)
@@ -233,14 +233,14 @@ class ExactFaces:
 
 
 def _skinned(head: IctHead, model: PointDistributionModel, photo: Photo) -> SkinnedHead:
-    """The head of a photo, first shrunk to little more than it is shown at, as rendering reads single pixels."""
+    """The head of a photo, reduced to little more than its rendered size, as rendering samples single pixels."""
     shrink = min(1.5 * EYES / photo.eye_distance(), 1.0)
     grey = cv2.resize(photo.grey(), None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
     return skin_head(head, model, grey, (photo.landmarks + 0.5) * shrink - 0.5, acting=False)
 
 
 def _pulse(t: float, at: float, width: float) -> float:
-    """A smooth rise to 1 at `at` and back, `width` seconds from foot to foot, flat for its middle third."""
+    """A smooth rise to 1 at `at` and back, `width` seconds wide, flat in the middle third."""
     share = np.clip(1.5 - 1.5 * abs(t - at) / (0.5 * width), 0.0, 1.0)
     return float(share * share * (3.0 - 2.0 * share))
 
@@ -249,7 +249,7 @@ _Changed = tuple[np.ndarray, np.ndarray]
 
 
 def _dark(image: np.ndarray, points: np.ndarray, value: float, _: int, rng: np.random.Generator) -> _Changed:
-    """Less light on the sensor; its own noise of two grey levels stays."""
+    """Reduce the exposure; the sensor's noise of two grey levels stays."""
     return np.clip(image * value + rng.normal(0, 2.0, image.shape), 0, 255).astype(np.uint8), points
 
 
@@ -267,7 +267,7 @@ def _packed(image: np.ndarray, points: np.ndarray, value: float, _: int, __: np.
 
 
 def _shrunk(image: np.ndarray, points: np.ndarray, value: float, _: int, __: np.random.Generator) -> _Changed:
-    """Farther away: the picture made smaller, its border drawn out to the old size."""
+    """Reduce the image, and extend its border to the old size."""
     side = round(SIZE * min(value / EYES, 1.0))
     small = cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA)
     before = (SIZE - side) // 2
@@ -277,7 +277,7 @@ def _shrunk(image: np.ndarray, points: np.ndarray, value: float, _: int, __: np.
 
 
 def _covered(image: np.ndarray, points: np.ndarray, value: float, person: int, rng: np.random.Generator) -> _Changed:
-    """Something before the face, from below, the left, the right or above: a flat cover with a little texture."""
+    """Cover the face from below, the left, the right or above by a slightly textured rectangle."""
     if value == 0:
         return image, points
     low, high = points.min(0), points.max(0)

@@ -1,4 +1,4 @@
-"""The tracker's curves."""
+"""Figures of the tracking benchmark."""
 
 from __future__ import annotations
 

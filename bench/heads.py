@@ -1,4 +1,4 @@
-"""Heads whose true expressions are known: what a deformer is judged on."""
+"""Heads with known expressions, on which deformers are evaluated."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ AREAS = ("all", "lips", "eyes", "brows", "cheeks", "jaw")
 MIXTURES = 500
 
 _LIPS, _EYES, _BROWS = 0.13, 0.12, 0.16
-"""How far lips, eyes and brows reach from their landmarks, outer-eye distances."""
+"""Extent of lips, eyes and brows around their landmarks in outer-eye distances."""
 _RIMS = {
     "mouth": (from_ibug((48, 61, 62, 63, 54)), from_ibug((54, 65, 66, 67, 48))),
     "right eye": (from_ibug((36, 37, 38, 39)), from_ibug((39, 40, 41, 36))),
@@ -32,7 +32,7 @@ _RIMS = {
 
 @dataclass(frozen=True)
 class TrueHead:
-    """A head and how its vertices truly move; lengths in outer-eye distances, head frame.
+    """A head and the true motion of its vertices, in the head frame and outer-eye distances.
 
     Attributes
     ----------
@@ -60,13 +60,13 @@ class TrueHead:
 
     @property
     def rig(self) -> HeadRig:
-        """What driving it needs."""
+        """The rig of the head."""
         points = self.vertices[self.landmarks]
         pivot = points[[2, 14]].mean(axis=0)
         return HeadRig(self.vertices, self.landmarks, self.regions, pivot, faces=self.faces)
 
     def true(self, weights: Points) -> NDArray[np.float32]:
-        """(N, V, 3) motion under (N, E) weights."""
+        """(N, V, 3) motion for weights (N, E)."""
         return np.tensordot(weights.astype(np.float32), self.motions, axes=1)
 
 
@@ -132,7 +132,7 @@ def random_mixtures(count: int, mixtures: int, seed: int) -> Points:
 
 
 def _areas(vertices: Points, points: Points, regions: Points) -> dict[str, NDArray[np.bool_]]:
-    """Lips, eyes and brows by distance to their landmarks; cheeks and jaw are what else moves, above and below."""
+    """Areas: lips, eyes and brows by distance to their landmarks; cheeks and jaw are the rest, above and below."""
 
     def near(landmarks: NDArray[np.intp], reach: float) -> NDArray[np.bool_]:
         return np.linalg.norm(vertices[:, None] - points[landmarks], axis=2).min(axis=1) < reach

@@ -1,4 +1,4 @@
-"""How far learning from expressions can help at all: each expression from all others of the same head.
+"""The limit of learning from expressions: each expression from all others of the same head.
 
 What a kernel of distance gets wrong is regressed on the landmarks' displacements, near ones first, over all expressions
 but one and its mirror image. Another head's expressions cannot be expected to tell more than a head's own.
@@ -15,13 +15,13 @@ from facemime.core.mesh.kernels import distances, gaussian
 
 _VERTICES = 500
 _NEAR = 0.3
-"""Reach of a landmark, outer-eye distances."""
+"""Reach of a landmark in outer-eye distances."""
 _RIDGE = 0.03
-"""Of the landmarks' mean squared displacement."""
+"""Ridge as a share of the landmarks' mean squared displacement."""
 
 
 def left_out_errors(head: TrueHead) -> list[dict[str, float]]:
-    """Errors by area over single expressions: of the kernel of distance, and with what the others tell beside it."""
+    """Errors by area of single expressions: of the kernel of distance, and with a correction learnt from the others."""
     rng = np.random.default_rng(2019)
     chosen = rng.choice(np.flatnonzero(head.regions.any(axis=0)), _VERTICES, replace=False)
     moved = head.motions[:, head.landmarks].astype(np.float64)
@@ -44,7 +44,7 @@ def left_out_errors(head: TrueHead) -> list[dict[str, float]]:
 def _regressed(
     moved: NDArray[np.float64], wrong: NDArray[np.float32], near: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(V, 66) weights of the landmarks, a ridge regression a vertex in which far landmarks cost more."""
+    """(V, 66) weights of the landmarks, by a ridge regression per vertex that penalises distant landmarks."""
     inputs = moved.transpose(0, 2, 1).reshape(-1, moved.shape[1])
     outputs = wrong.transpose(0, 2, 1).reshape(-1, wrong.shape[1])
     scale = float(np.square(inputs).sum(axis=0).mean())

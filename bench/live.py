@@ -1,4 +1,4 @@
-"""A live session from the frame to the vertices: delay by stage, and what the main thread spends on a tick.
+"""Live sessions: delay of each stage, and time of the main thread per tick.
 
 The sample clip plays at its own speed and is tracked as live; the heads are the built-in one and two that are
 subdivided. Drawing is not in it: that is Blender's, and needs a window. Run as `python -m bench.live`.
@@ -32,7 +32,7 @@ _WARM = 30
 
 @dataclass(frozen=True)
 class Measured:
-    """Of one head: delays by stage, (stage: percentiles), the ticks' seconds, and how long the worker prepared."""
+    """Results for a head: percentiles of the delays by stage, seconds of the ticks, and of the preparation."""
 
     vertices: int
     preview: bool
@@ -42,9 +42,9 @@ class Measured:
 
 
 def main() -> int:
-    """Measure, print, draw."""
+    """Run the benchmark; returns the exit status."""
     command = parser(__doc__.splitlines()[0])
-    command.add_argument("--seconds", type=float, default=9.0, help="for each head (default 9)")
+    command.add_argument("--seconds", type=float, default=9.0, help="duration for each head (9)")
     arguments = command.parse_args()
     cv2.setNumThreads(1)
     facemime.register()
@@ -68,7 +68,7 @@ def main() -> int:
 
 
 def measure(level: int, preview: bool, seconds: float) -> Measured:
-    """Puppet a head of `level` subdivisions for `seconds`, with ticks as Blender's timer gives them."""
+    """Puppet a head with `level` subdivisions for `seconds`, with ticks as by Blender's timer."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     head = dense_head(level)
     settings = bpy.context.scene.facemime
@@ -96,7 +96,7 @@ def _ticked(session: LiveSession, settings, seconds: float, vertices: int, previ
 
 
 def dense_head(level: int) -> bpy.types.Object:
-    """The built-in head, each face divided `level` times; the first vertices stay what they were."""
+    """The built-in head with faces subdivided `level` times; original vertices come first."""
     head = add_head(bpy.context)
     if level:
         landmarks = read_landmarks(head)

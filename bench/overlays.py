@@ -1,4 +1,4 @@
-"""Landmarks drawn on what nobody may see but who has the data: `python -m bench.overlays -o FOLDER`.
+"""Landmarks drawn on data that cannot be published: `python -m bench.overlays -o FOLDER`.
 
 One sheet of held-out people's photos, those first that are furthest from their labels, and one of each clip. The
 pictures show photos and frames of ../shared/data and stay out of the repository.
@@ -18,11 +18,11 @@ from training.tracker.sources import HAND_LABELLED, read_photos, split
 
 ROOT = Path(__file__).resolve().parents[1]
 SIDE, COLUMNS, FRAMES = 240, 8, 48
-"""Pixels of a picture, pictures in a row, frames of a clip's sheet."""
+"""Pixels of a picture, pictures per row, and frames per clip."""
 
 
 def draw_face(image: np.ndarray, landmarks: np.ndarray, caption: str) -> np.ndarray:
-    """The face cut out, (SIDE, SIDE, 3), with its landmarks; the whole image where there is none."""
+    """Crop the face, (SIDE, SIDE, 3), with its landmarks; the whole image if there is none."""
     if not np.isfinite(landmarks).all():
         out = cv2.resize(image, (SIDE, SIDE))
     else:
@@ -37,7 +37,7 @@ def draw_face(image: np.ndarray, landmarks: np.ndarray, caption: str) -> np.ndar
 
 
 def photo_sheet(tracker: FaceTracker, data: Path) -> list[np.ndarray]:
-    """Every held-out photo, also the smiling ones, whose labels are automatic; the largest differences first."""
+    """All held-out photos, including smiling ones with automatic labels, the largest differences first."""
     drawn = []
     for photo in split(read_photos(data, *HAND_LABELLED, "london_smiling"))[1]:
         image = cv2.imread(str(photo.path))
@@ -48,7 +48,7 @@ def photo_sheet(tracker: FaceTracker, data: Path) -> list[np.ndarray]:
 
 
 def clip_sheet(tracker: FaceTracker, path: Path) -> list[np.ndarray]:
-    """Frames of a clip at even distances, tracked through."""
+    """Evenly spaced frames of a tracked clip."""
     reader = cv2.VideoCapture(str(path))
     every = max(int(reader.get(cv2.CAP_PROP_FRAME_COUNT)) // FRAMES, 1)
     tracker.reset()
@@ -66,7 +66,7 @@ def main() -> None:
     command = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     command.add_argument("-o", "--output", type=Path, required=True, help="folder for the sheets")
     command.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
-    command.add_argument("--model", type=Path, help="tracker model; the shipped one by default")
+    command.add_argument("--model", type=Path, help="tracker model (the shipped one)")
     arguments = command.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
     tracker = FaceTracker.load(arguments.model)

@@ -1,4 +1,4 @@
-"""Milliseconds a stage and frames a second end to end, on one core: from a video's frame to the mesh in Blender.
+"""Milliseconds per stage, and frames per second from a video to the mesh in Blender, on one core.
 
 Run as `python -m bench.pipeline [VIDEO]`; the sample clip by default.
 """
@@ -35,7 +35,7 @@ STAGES = {
 
 
 def main() -> int:
-    """Measure, print, draw."""
+    """Run the benchmark; returns the exit status."""
     command = parser(__doc__.splitlines()[0])
     command.add_argument("video", type=Path, nargs="?", default=ROOT / "assets" / "sample" / "sample.mp4")
     arguments = command.parse_args()
@@ -65,7 +65,7 @@ def main() -> int:
 
 
 def measure(video: Path) -> tuple[dict[str, list[float]], int, float]:
-    """Seconds of each stage of each frame, the number of frames, and the seconds of the whole."""
+    """Seconds of each stage and frame, the number of frames, and seconds in total."""
     tracker = FaceTracker.load()
     neutral = calibrate(track_video(video, tracker).finish())
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)

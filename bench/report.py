@@ -1,4 +1,4 @@
-"""The table, the figure and the JSON that every bench ends with."""
+"""Tables, figures and JSON of benchmarks."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ class Table:
 
 
 def parser(description: str) -> argparse.ArgumentParser:
-    """Arguments that every bench understands."""
+    """Add the arguments that all benchmarks have."""
     arguments = argparse.ArgumentParser(description=description)
     arguments.add_argument(
-        "--json", type=Path, metavar="FILE", help="write the numbers there, the tables beside it as .md"
+        "--json", type=Path, metavar="FILE", help="write the numbers, and the tables beside it as .md"
     )
-    arguments.add_argument("--figure", type=Path, metavar="FILE.png", help="draw the figure there")
+    arguments.add_argument("--figure", type=Path, metavar="FILE.png", help="write the figure")
     return arguments
 
 
 def bars(path: Path, title: str, names: Sequence[str], values: Sequence[float], unit: str) -> None:
-    """Draw horizontal bars, one a name, labelled with their values."""
+    """Draw horizontal bars, one per name, labelled with their values."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -61,7 +61,7 @@ def bars(path: Path, title: str, names: Sequence[str], values: Sequence[float], 
 
 
 def finish(arguments: argparse.Namespace, tables: Sequence[Table], numbers: dict[str, object]) -> None:
-    """Print the tables; where a JSON is asked for, write it, and the tables beside it, for `bench.docs`."""
+    """Print the tables; if requested, write JSON, with the tables beside it for `bench.docs`."""
     printed = "\n".join(table.markdown() for table in tables)
     print(printed)
     if arguments.json is not None:

@@ -42,7 +42,7 @@ Image = NDArray[np.uint8]
 
 
 def main() -> int:
-    """Make both pictures; returns the exit status."""
+    """Write both pictures; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "images", metavar="DIR")
     folder = parser.parse_args().output
@@ -62,7 +62,7 @@ def main() -> int:
 
 
 def _performer(take: Take, mended: Take, rows: NDArray[np.intp]) -> Image:
-    """What the camera saw at the mended take's `rows`: in the part punched in, what it saw before."""
+    """Frames of the camera at `rows` of the mended take; in the punched-in part, those it came from."""
     times = mended.times[rows]
     times = np.where((times > START) & (times < END), times - EARLIER, times)
     wanted = [int(np.abs(take.times - time).argmin()) for time in times]

@@ -29,7 +29,7 @@ FPS, MINUTE = 30.0, 1800
 
 
 def main() -> int:
-    """Measure and print; returns the exit status, 1 where a cut file was not read as it must be."""
+    """Run the benchmark; returns the exit status, 1 if a truncated file was not read correctly."""
     arguments = parser(__doc__ or "").parse_args()
     clip = track_video(ROOT / "assets" / "sample" / "sample.mp4", FaceTracker.load()).finish()
     take = a_minute(clip)
@@ -37,7 +37,7 @@ def main() -> int:
         path = Path(folder) / "take.facetake"
         rates = measure_rates(take, path)
         sizes = measure_sizes(take, path)
-        save_take(take.part(slice(0, 2 * int(FPS))), path)  # reading a minute for each of the cuts would take many
+        save_take(take.part(slice(0, 2 * int(FPS))), path)  # a minute would take too long to read for each cut
         recovery = measure_recovery(path.read_bytes())
     tables = [
         Table("Written and read, a minute at 30 frames a second", ("what", "s", "frames/s"), rates),
@@ -52,13 +52,13 @@ def main() -> int:
 
 
 def a_minute(take: Take) -> Take:
-    """`take` there and back again until it is a minute at 30 frames a second."""
+    """`take`, forwards and backwards until it is a minute long at 30 frames per second."""
     rows = np.resize(np.concatenate([np.arange(len(take)), np.arange(len(take))[::-1]]), MINUTE)
     return replace(take.part(rows), times=np.arange(MINUTE) / FPS)
 
 
 def measure_rates(take: Take, path: Path) -> list[tuple[str, float, float]]:
-    """Seconds and frames a second of writing and reading; leaves the take at `path`."""
+    """Seconds, and frames per second, of writing and reading; writes the take to `path`."""
     results = [take.result(frame) for frame in range(len(take))]
     rows = []
 
@@ -83,7 +83,7 @@ def measure_rates(take: Take, path: Path) -> list[tuple[str, float, float]]:
 
 
 def measure_sizes(take: Take, path: Path) -> list[tuple[str, float]]:
-    """Kilobytes of the file, of the same numbers in numpy's own, and of each array alone."""
+    """Kilobytes of the file, of a numpy archive, and of each array alone."""
     np.savez_compressed(path.with_suffix(".npz"), **{name: getattr(take, name) for name in FIELDS})
     rows = [("the take", path.stat().st_size / 1e3), ("as .npz", path.with_suffix(".npz").stat().st_size / 1e3)]
     nothing = replace(take, **{name: np.zeros_like(getattr(take, name)) for name, _, _ in LAYOUT})
@@ -95,12 +95,12 @@ def measure_sizes(take: Take, path: Path) -> list[tuple[str, float]]:
 
 
 def seconds_of(take: Take) -> list[Take]:
-    """The take in parts as long as a chunk."""
+    """Parts of the take with the length of a chunk."""
     return [take.part(slice(first, first + int(FPS))) for first in range(0, len(take), int(FPS))]
 
 
 def measure_recovery(data: bytes) -> Counter[str]:
-    """How many cuts within the last chunk of frames leave what; each is read and compared with the whole."""
+    """Results of truncating the file at each byte of the last chunk, compared with the whole take."""
     whole = take_of(data)
     chunks = [chunk for chunk in chunks_in(data) if isinstance(chunk, Chunk)]
     start = sum(HEADER.size + len(chunk.content) for chunk in chunks[:-2])

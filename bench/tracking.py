@@ -1,4 +1,4 @@
-"""How exact, steady and fast the tracker is, beside others: `python -m bench.tracking [--model FILE]`.
+"""Accuracy, stability and speed of the tracker, compared with others: `python -m bench.tracking [--model FILE]`.
 
 Held-out people with hand labels, the same people re-projected with exact truth, clips of known landmarks, and the clips
 of ../shared/data, of which nothing is known but that a face is in them.
@@ -46,11 +46,11 @@ ROOT = Path(__file__).resolve().parents[1]
 PHOTO_WIDTH = 640
 JITTER_FRAMES = 30
 _WARM_UP = 5
-"""Frames of a still before its jitter counts."""
+"""Frames of a still before jitter is measured."""
 
 
 def main() -> int:
-    """Measure, print, draw."""
+    """Run the benchmark; returns the exit status."""
     arguments = _arguments()
     cv2.setNumThreads(1)
     tracker, peers = chosen_peers(arguments)
@@ -74,12 +74,12 @@ def main() -> int:
 def _arguments() -> argparse.Namespace:
     command = parser(__doc__.splitlines()[0])
     add_options(command)
-    command.add_argument("--people", type=int, default=12, help="held-out people who are re-projected")
+    command.add_argument("--people", type=int, default=12, help="number of re-projected people")
     return command.parse_args()
 
 
 def measure(peer: Peer, photos: list[Photo], exact: ExactFaces, clips: list[Clip], videos: list[Path]) -> dict:
-    """Everything about one tracker, as it is written to JSON."""
+    """All results of a tracker, as written to JSON."""
     print(f"measuring {peer.name}", file=sys.stderr)
     studio, located = on_photos(peer, photos)
     offsets = studio.offsets()
@@ -99,7 +99,7 @@ def measure(peer: Peer, photos: list[Photo], exact: ExactFaces, clips: list[Clip
 
 
 def _errors(values: np.ndarray) -> list[float]:
-    """Sorted, those of lost faces as 100."""
+    """Sorted errors, 100 for lost faces."""
     return [round(float(v), 3) for v in np.sort(np.minimum(values, 100.0))]
 
 
@@ -108,7 +108,7 @@ def _lost(errors: np.ndarray) -> float:
 
 
 def on_photos(peer: Peer, photos: list[Photo]) -> tuple[Differences, object]:
-    """Hand-labelled photos of held-out people, shrunk to a webcam's width."""
+    """Hand-labelled photos of held-out people, reduced to the width of a webcam image."""
     images, truth = [], []
     for photo in photos:
         image = cv2.imread(str(photo.path))
@@ -121,7 +121,7 @@ def on_photos(peer: Peer, photos: list[Photo]) -> tuple[Differences, object]:
 
 
 def on_stills(peer: Peer, photos: list[Photo]) -> dict[str, float]:
-    """Jitter on photos that do not move."""
+    """Jitter on still photos."""
     runs = []
     for photo in photos:
         runs.append(track_all(peer, noisy_still(photo)).landmarks[_WARM_UP:])
@@ -129,7 +129,7 @@ def on_stills(peer: Peer, photos: list[Photo]) -> dict[str, float]:
 
 
 def noisy_still(photo: Photo) -> list[np.ndarray]:
-    """The same photo again and again, 100 pixels between the eyes, with fresh noise of 3 grey levels."""
+    """The same photo repeatedly, 100 pixels between the eyes, with new noise of 3 grey levels."""
     rng = np.random.default_rng(0)
     factor = EYES / photo.eye_distance()
     still = cv2.resize(photo.grey(), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
@@ -186,7 +186,7 @@ def on_clips(peer: Peer, clips: list[Clip]) -> dict[str, object]:
 
 
 def on_turning(peer: Peer, clips: list[Clip]) -> dict[str, float]:
-    """Heads that turn to the limits of what is to be followed: no face, a face elsewhere, and errors of the others."""
+    """Heads that turn to the limits: frames without a face, with a wrong one, and errors of the others."""
     errors = []
     for clip in clips:
         followed = track_all(peer, clip.frames).landmarks
@@ -203,7 +203,7 @@ def on_turning(peer: Peer, clips: list[Clip]) -> dict[str, float]:
 
 
 def on_video(peer: Peer, path: Path) -> dict[str, float]:
-    """A clip of which only is known that it shows a face: found, jitter of a moving face, milliseconds."""
+    """A clip with a face but without known landmarks: share found, jitter, and milliseconds."""
     reader, frames = cv2.VideoCapture(str(path)), []
     while (read := reader.read())[0]:
         frames.append(read[1])
@@ -219,7 +219,7 @@ def on_video(peer: Peer, path: Path) -> dict[str, float]:
 
 
 def paces(peers: list[Peer], frames: list[np.ndarray]) -> dict[str, float]:
-    """Median milliseconds a frame, all trackers in turn at each: what else the machine does falls on all of them."""
+    """Median milliseconds per frame; trackers take turns, so that other load affects all of them."""
     seconds: dict[str, list[float]] = {peer.name: [] for peer in peers}
     for peer in peers:
         peer.reset()
@@ -232,7 +232,7 @@ def paces(peers: list[Peer], frames: list[np.ndarray]) -> dict[str, float]:
 
 
 def stage_times(tracker: FaceTracker) -> dict[str, dict[str, float]]:
-    """Median milliseconds of our stages on the sample clip, 640 x 480: following, and looking anew."""
+    """Median milliseconds of our stages on the sample clip, 640 x 480, when tracking and when detecting."""
     frames = sample_clip().frames
     tracker.reset()
     out: dict[str, dict[str, float]] = {}
@@ -247,7 +247,7 @@ def stage_times(tracker: FaceTracker) -> dict[str, dict[str, float]]:
 
 
 def on_smoothing(tracker: FaceTracker, photos: list[Photo], clips: list[Clip]) -> dict[str, dict]:
-    """What the smoothing stage takes from the jitter of stills, and by how many milliseconds it delays each motion."""
+    """Reduction of jitter by smoothing, and its delay of each motion in milliseconds."""
     stills: dict[str, list[np.ndarray]] = {"raw": [], "smoothed": []}
     for photo in photos:
         runs = followed(tracker, noisy_still(photo), np.arange(JITTER_FRAMES) / FPS)
@@ -267,7 +267,7 @@ def on_smoothing(tracker: FaceTracker, photos: list[Photo], clips: list[Clip]) -
 def followed(
     tracker: FaceTracker, frames: list[np.ndarray], times: np.ndarray
 ) -> tuple[list[TrackResult], list[TrackResult]]:
-    """The results of a clip, and the same smoothed."""
+    """Results of a clip, without and with smoothing."""
     tracker.reset()
     smoother = ResultSmoother()
     raw = [tracker.track(frame) for frame in frames]
@@ -282,7 +282,7 @@ MOTIONS: dict[str, Callable[[TrackResult], float]] = {
     "turn": lambda r: float(r.pose[2]),
     "place": lambda r: float(r.pose[4]),
 }
-"""One number of each part that is smoothed by itself."""
+"""One value of each part that has its own filter."""
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from bench.report import Table
 
 
 def tables(measured: dict[str, dict], numbers: dict) -> list[Table]:
-    """What is printed."""
+    """Create the tables."""
     names = list(measured)
     rows = [
         (

@@ -1,4 +1,4 @@
-"""Faces in the wild that somebody has labelled: `python -m bench.wild FOLDER`.
+"""Labelled faces in the wild: `python -m bench.wild FOLDER`.
 
 The folder, or folders in it, holds pictures with a `.pts` file of the same name beside each: the 68 points of the iBUG
 figure, as 300-W, AFW, HELEN and LFPW have them. None of them comes with Facemime.
@@ -22,7 +22,7 @@ from facemime.core.landmarks import IBUG68_INDICES
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Measure and print."""
+    """Run the benchmark; returns the exit status."""
     command = parser(__doc__.splitlines()[0])
     command.add_argument("folder", type=Path)
     add_options(command)
@@ -57,22 +57,22 @@ def read_faces(folder: Path, margin: float) -> list[tuple[np.ndarray, np.ndarray
     pictures = sorted(p for p in folder.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
     labelled = [p for p in pictures if p.with_suffix(".pts").is_file()]
     if not labelled:
-        raise SourceError(f"{folder} has no pictures with .pts files beside them. Give a folder of labelled faces.")
+        raise SourceError(f"{folder} has no images with .pts files beside them. Choose a folder of labelled faces.")
     return [_around(read_image(p), read_points(p.with_suffix(".pts")), margin) for p in labelled]
 
 
 def read_points(path: Path) -> np.ndarray:
-    """(66, 2) landmarks of a `.pts` file, whose first pixel is (1, 1); ours is (0, 0)."""
+    """(66, 2) landmarks of a `.pts` file, converted from a first pixel of (1, 1) to (0, 0)."""
     try:
         inside = path.read_text(encoding="utf-8").split("{", 1)[1].split("}", 1)[0]
         points = np.array(inside.split(), np.float64).reshape(68, 2) - 1.0
     except (OSError, UnicodeDecodeError, IndexError, ValueError) as error:
-        raise SourceError(f"{path} does not hold 68 points ({error}).") from error
+        raise SourceError(f"{path} does not contain 68 points ({error}).") from error
     return points[IBUG68_INDICES]
 
 
 def measure(peer: Peer, faces: list[tuple[np.ndarray, np.ndarray]]) -> dict[str, object]:
-    """What one tracker makes of them; a lost face counts as the worst in the medians."""
+    """Results of a tracker; lost faces have the largest error."""
     located: Located = locate_all(peer, (picture for picture, _ in faces))
     truth = np.stack([landmarks for _, landmarks in faces])
     away = differences(located.landmarks, truth, eye_distances(truth))
@@ -87,7 +87,7 @@ def measure(peer: Peer, faces: list[tuple[np.ndarray, np.ndarray]]) -> dict[str,
 
 
 def _around(picture: np.ndarray, landmarks: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray]:
-    """The part of a picture that shows a face and `margin` of its size about it, and the landmarks there."""
+    """Crop an image to a face with a `margin`, as a share of its size, and translate its landmarks."""
     low, high = landmarks.min(axis=0), landmarks.max(axis=0)
     reach = (0.5 + margin) * float((high - low).max())
     first = np.maximum((low + high) / 2.0 - reach, 0.0).astype(int)

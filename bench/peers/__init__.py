@@ -1,4 +1,4 @@
-"""Other trackers, measured beside ours. None is shipped; each is left out where it is not installed.
+"""Other trackers for comparison. None is shipped; those that are not installed are skipped.
 
 They are read as `Peer`: `locate` looks at a picture by itself, `track` follows a face through a clip.
 """
@@ -19,16 +19,16 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
-    """The options that say which trackers are measured."""
-    command.add_argument("--model", type=Path, help="tracker model; the shipped one by default")
+    """Add the options that choose the trackers."""
+    command.add_argument("--model", type=Path, help="tracker model (the shipped one)")
     command.add_argument(
-        "--data", type=Path, default=ROOT.parent / "shared" / "data", help="where photos and models lie"
+        "--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of photos and models"
     )
-    command.add_argument("--only", action="append", metavar="TRACKER", help="leave out all others; may be repeated")
+    command.add_argument("--only", action="append", metavar="TRACKER", help="use this tracker only; may be repeated")
 
 
 def chosen_peers(arguments: argparse.Namespace) -> tuple[FaceTracker, list[Peer]]:
-    """Our tracker and the trackers that these options choose; what is left out is told."""
+    """Our tracker and those that the options choose; reports which are skipped."""
     tracker = FaceTracker.load(arguments.model)
     peers, absent = available_peers(arguments.data, tracker)
     print(f"model {tracker.model_id}", *absent, sep="\n", file=sys.stderr)
@@ -36,22 +36,22 @@ def chosen_peers(arguments: argparse.Namespace) -> tuple[FaceTracker, list[Peer]
 
 
 class Peer(Protocol):
-    """What the measurements ask of a tracker."""
+    """Interface of a tracker."""
 
     name: str
 
     def locate(self, image: np.ndarray) -> np.ndarray:
-        """(66, 2) landmarks of the largest face in a BGR image (H, W, 3); NaN where there is none."""
+        """Return landmarks (66, 2) of the largest face in a BGR image (H, W, 3); NaN if there is none."""
 
     def track(self, image: np.ndarray) -> np.ndarray:
-        """(66, 2) landmarks in the next frame of a clip; NaN where lost."""
+        """Return landmarks (66, 2) in the next frame of a clip; NaN if lost."""
 
     def reset(self) -> None:
         """Forget the clip."""
 
 
 class Ours:
-    """Our own tracker as a peer; `result` is its last result in full."""
+    """Our tracker as a peer; `result` is its last complete result."""
 
     name = "Facemime"
 
@@ -74,7 +74,7 @@ class Ours:
 
 
 def available_peers(data: Path, tracker: FaceTracker) -> tuple[list[Peer], list[str]]:
-    """The peers that are installed here, ours first, and why each of the others is left out."""
+    """Installed peers, ours first, and why others are skipped."""
     from .dlib68 import Dlib
     from .mediapipe478 import MediaPipe
     from .saragih import Saragih

@@ -9,7 +9,7 @@ from facemime.core.landmarks import IBUG68_INDICES, N_LANDMARKS
 
 
 class Dlib:
-    """dlib as a `Peer`. It has no tracking: each frame is detected anew."""
+    """dlib as a `Peer`. It has no tracking: each frame is detected from scratch."""
 
     name = "dlib"
 

@@ -1,4 +1,4 @@
-"""MediaPipe's face mesh with refined eyes and lips: 478 points, of which the nearest to ours are read."""
+"""MediaPipe's face mesh with refined eyes and lips: 478 points, of which those nearest to ours are used."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from facemime.core.landmarks import IBUG68_INDICES, N_LANDMARKS
 
 VERTICES_68 = (
-    # jaw line from the viewer's left ear to the chin and up again, along the oval of the face
+    # jaw line along the oval of the face, from the viewer's left ear to the right one
     *(127, 234, 93, 58, 172, 136, 149, 148, 152, 377, 378, 365, 397, 288, 323, 454, 356),
     # brows: the upper rim, at the inner ends the lower one
     *(70, 63, 105, 66, 55, 285, 296, 334, 293, 300),
@@ -21,7 +21,7 @@ VERTICES_68 = (
     # inner lip
     *(78, 82, 13, 312, 308, 317, 14, 87),
 )
-"""Vertex of the face mesh for each iBUG-68 landmark; of neighbours, that nearer to training people's hand labels."""
+"""Vertex of the face mesh for each iBUG-68 landmark, chosen by hand labels of people in the training set."""
 
 
 class MediaPipe:

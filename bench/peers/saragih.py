@@ -1,4 +1,4 @@
-"""The peer's model (J. Saragih's FaceTracker, text format) in our reference frame and our mean-shift fit.
+"""J. Saragih's FaceTracker model (text format) in our reference frame, with our mean-shift fit.
 
 What differs from our tracker is what was learnt: the shape model and the patch experts. Its own detector and its own
 start are not used: it starts at the pose that our tracker finds, with its mean shape, so a face that ours does not find
@@ -23,12 +23,12 @@ from facemime.core.tracking.reference import pose_in_image, warp_to_reference
 from facemime.core.tracking.tracker import FaceTracker
 
 RADII = (5, 4, 3)
-"""Of the search windows, coarse to fine: 11, 9 and 7 pixels wide."""
+"""Radii of the search windows, coarse to fine: 11, 9 and 7 pixels wide."""
 _ITERATIONS = 10
 _REGULARISATION = 0.5
 _HALF = 5
 _REACH, _MARGIN = 1.35, 14
-"""Half the side of the reference frame in outer-eye distances, and pixels more for the filters."""
+"""Half the side of the reference frame in outer-eye distances, and additional pixels for the filters."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Filter:
 
 @dataclass(frozen=True)
 class PeerModel:
-    """The file's content, the shape model brought into our head frame.
+    """The content of the file, with the shape model converted to our head frame.
 
     `views` are frontal, nose to the viewer's left, nose to the viewer's right: for each landmark its filters, none
     where it is hidden. `scale` is the reference frame's, pixels an outer-eye distance of our mean face.
@@ -58,12 +58,12 @@ class PeerModel:
 
 
 def read_peer(path: Path, ours: PointDistributionModel) -> PeerModel:
-    """Read `face2.tracker`; FileNotFoundError where it is missing."""
+    """Read `face2.tracker`; FileNotFoundError if it is missing."""
     words = iter(path.read_text(encoding="ascii").split())
 
     def expect(kind: int) -> None:
         if int(next(words)) != kind:
-            raise ValueError(f"{path} is not a FaceTracker model. Fetch it again.")
+            raise ValueError(f"{path} is not a FaceTracker model. Download it again.")
 
     expect(8)
     expect(4)
@@ -72,7 +72,7 @@ def read_peer(path: Path, ours: PointDistributionModel) -> PeerModel:
     basis, variances, mean, reference = (_matrix(words) for _ in range(4))
     yaws = [_matrix(words)[1, 0] for _ in range(n_views)]
     for _ in range(n_views):
-        _matrix(words)  # visibility: a hidden landmark's filters are empty
+        _matrix(words)  # visibility; filters of hidden landmarks are empty
     views = [tuple(_filters(words, expect) for _ in range(N_LANDMARKS)) for _ in range(n_views)]
     order = [int(np.argmin(np.abs(np.array(yaws) - yaw))) for yaw in (0.0, 0.7, -0.7)]
     points, modes = mean.reshape(3, N_LANDMARKS).T, basis.reshape(3, N_LANDMARKS, -1).transpose(1, 0, 2)
@@ -113,14 +113,14 @@ def _onto(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 class PeerExperts:
-    """The peer's filters of one view; its three kinds of picture are made once for the whole frame."""
+    """Filters of one view; their three kinds of input are computed once per frame."""
 
     def __init__(self, filters: tuple[tuple[Filter, ...], ...]) -> None:
         self.filters = filters
         self.visible = np.array([float(len(f) > 0) for f in filters])
 
     def response_maps(self, pixels: np.ndarray, centres: np.ndarray, radius: int) -> ResponseMaps:
-        """Product of each landmark's filters in windows round centres (N, 2); every window sums to 1."""
+        """Product of the filters of each landmark in windows around centres (N, 2), each with a sum of 1."""
         side, span = 2 * radius + 1, 2 * (radius + _HALF) + 1
         corner = np.clip(centres - radius - _HALF, 0, len(pixels) - span)
         shown = (pixels, _squared_gradient(pixels), _binary_pattern(pixels))
@@ -142,7 +142,7 @@ def _squared_gradient(pixels: np.ndarray) -> np.ndarray:
 
 
 def _binary_pattern(pixels: np.ndarray) -> np.ndarray:
-    """Sum of a power of two, from 2 up, for each neighbour in reading order that is not brighter than the pixel."""
+    """Sum of powers of two, from 2 up, over neighbours in reading order that are not brighter than the pixel."""
     out = np.zeros_like(pixels)
     height, width = pixels.shape
     around = [(dy, dx) for dy in (0, 1, 2) for dx in (0, 1, 2) if (dy, dx) != (1, 1)]
@@ -153,7 +153,7 @@ def _binary_pattern(pixels: np.ndarray) -> np.ndarray:
 
 
 class Saragih:
-    """The peer's model as a `Peer`."""
+    """FaceTracker as a `Peer`."""
 
     name = "Saragih's model, our fit"
 
@@ -172,7 +172,7 @@ class Saragih:
         return self.model.pdm.project(fitted.pose, fitted.shape_params)
 
     def track(self, image: np.ndarray) -> np.ndarray:
-        """As `Peer.track`: from frame to frame by its own fit; where ours loses the face, it is lost."""
+        """As `Peer.track`: by its own fit from frame to frame; lost if ours is."""
         result = self.tracker.track(image)
         if not result.found:
             self._last = None

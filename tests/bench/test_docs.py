@@ -1,4 +1,4 @@
-"""The documents' tables are those that the benches printed."""
+"""Tables in documents are updated from benchmarks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Some words.
 
 @pytest.fixture
 def folder(tmp_path):
-    """A document in a folder of documents, and what a bench left."""
+    """A document, and the tables of a benchmark."""
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs" / "speed.md").write_text(BEFORE, encoding="utf-8")
     tables = [
@@ -43,7 +43,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_a_benchs_tables_go_where_a_document_names_them_and_nowhere_else(folder, capsys):
+def test_tables_replace_only_those_that_a_document_marks(folder, capsys):
     capsys.readouterr()
     assert docs.main([str(folder / "speed.md"), "--docs", str(folder / "docs")]) == 0
     assert capsys.readouterr().out == f"{folder / 'docs' / 'speed.md'}: Milliseconds\n"
@@ -55,7 +55,7 @@ def test_a_benchs_tables_go_where_a_document_names_them_and_nowhere_else(folder,
     assert (folder / "docs" / "speed.md").read_text(encoding="utf-8") == after
 
 
-def test_a_marker_without_a_table_is_told_and_the_document_stays(folder, capsys):
+def test_a_marker_without_a_table_is_reported_and_the_document_stays(folder, capsys):
     broken = BEFORE.replace("<!-- table: Milliseconds -->\n", "<!-- table: Milliseconds -->\n\n")
     (folder / "docs" / "speed.md").write_text(broken, encoding="utf-8")
     assert docs.main([str(folder / "speed.md"), "--docs", str(folder / "docs")]) == 1
@@ -63,14 +63,14 @@ def test_a_marker_without_a_table_is_told_and_the_document_stays(folder, capsys)
     assert (folder / "docs" / "speed.md").read_text(encoding="utf-8") == broken
 
 
-def test_without_results_the_benches_are_named(folder, capsys):
+def test_without_results_the_benchmarks_are_named(folder, capsys):
     (folder / "empty.md").write_text("nothing", encoding="utf-8")
     assert docs.main([str(folder / "empty.md"), "--docs", str(folder / "docs")]) == 1
-    assert "Run a bench first" in capsys.readouterr().err
+    assert "Run a benchmark first" in capsys.readouterr().err
     assert (folder / "docs" / "speed.md").read_text(encoding="utf-8") == BEFORE
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "docs").glob("*.md")), ids=lambda path: path.name)
-def test_our_documents_are_well_marked(path):
+def test_all_markers_in_the_documents_are_valid(path):
     text = path.read_text(encoding="utf-8")
     assert docs.with_tables(text, {}) == (text, [])

@@ -1,4 +1,4 @@
-"""What the tracker's measurements measure, on landmarks whose errors are known."""
+"""Measures of the tracking benchmark, on landmarks with known errors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def face() -> np.ndarray:
     return 100.0 * FaceTracker.load().pdm.mean_shape[:, :2] + (320.0, 240.0)
 
 
-def test_a_face_that_lies_two_percent_aside_has_that_error_and_none_without_its_offset(face):
+def test_a_constant_offset_is_an_error_that_offsets_remove(face):
     truth = np.stack([face, 3.0 * face])
     found = truth + np.array([2.0, 6.0])[:, None, None] * (1.0, 0.0)
     away = differences(found, truth, eye_distances(truth))
@@ -30,7 +30,7 @@ def test_a_face_that_lies_two_percent_aside_has_that_error_and_none_without_its_
     np.testing.assert_allclose(away.errors(away.offsets()), 0.0, atol=1e-9)
 
 
-def test_offsets_turn_with_the_head(face):
+def test_offsets_rotate_with_the_head(face):
     angle = 0.7
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     truth = np.stack([face, face @ turn.T])
@@ -39,7 +39,7 @@ def test_offsets_turn_with_the_head(face):
     np.testing.assert_allclose(away.values[0], away.values[1], atol=1e-9)
 
 
-def test_a_face_that_is_not_found_is_lost_and_does_not_spoil_the_offsets(face):
+def test_lost_faces_do_not_affect_the_offsets(face):
     truth = np.stack([face] * 3)
     found = truth + 1.0
     found[1] = np.nan
@@ -48,7 +48,7 @@ def test_a_face_that_is_not_found_is_lost_and_does_not_spoil_the_offsets(face):
     np.testing.assert_allclose(away.errors(away.offsets())[[0, 2]], 0.0, atol=1e-9)
 
 
-def test_a_still_that_is_found_in_one_place_has_no_jitter_and_noise_has_its_own(face):
+def test_constant_landmarks_have_no_jitter_and_noise_has_its_own(face):
     still = np.stack([face] * 40)
     assert jitter([still], 100.0).position == 0.0
     noisy = still + np.random.default_rng(0).normal(0, 0.5, still.shape)
@@ -63,7 +63,7 @@ def blinking(face: np.ndarray, spans: list[tuple[int, int]], length: int = 80) -
     return clip
 
 
-def test_blinks_are_counted_as_found_missed_and_made_up(face):
+def test_blinks_are_counted_as_detected_missed_or_false(face):
     truth = blinking(face, [(10, 13), (30, 34), (50, 53)])
     found = blinking(face, [(11, 14), (31, 33), (70, 73)])
     count = count_blinks(found, truth)
@@ -97,7 +97,7 @@ def test_the_peers_model_lies_in_our_head_frame():
     assert all(shown[2][:8]) and not any(shown[2][9:17])
 
 
-def test_trackers_whose_pace_is_compared_take_turns_at_every_frame():
+def test_compared_trackers_take_turns_at_every_frame():
     shown: list[tuple[str, int]] = []
 
     class Watcher:

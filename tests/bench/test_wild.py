@@ -1,4 +1,4 @@
-"""Measuring on labelled faces of the user's own."""
+"""The benchmark on the user's own labelled faces."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_points_are_read_as_they_were_written(tmp_path: Path) -> None:
     np.testing.assert_allclose(wild.read_points(tmp_path / "a.pts"), landmarks, atol=1e-9)
 
 
-def test_a_cut_shows_the_face_with_its_margin_and_the_landmarks_move_along(folder: Path) -> None:
+def test_a_crop_shows_the_face_with_its_margin_and_translates_landmarks(folder: Path) -> None:
     whole, cut = wild.read_faces(folder, 100.0)[0], wild.read_faces(folder, 0.2)[0]
     size = np.ptp(cut[1], axis=0).max()
     assert max(cut[0].shape[:2]) < 1.5 * size + 3 and whole[0].shape == (480, 640, 3)
@@ -53,7 +53,7 @@ def test_a_cut_shows_the_face_with_its_margin_and_the_landmarks_move_along(folde
     np.testing.assert_array_equal(shown, cut[0])
 
 
-def test_the_sample_faces_are_found_with_their_known_error_and_a_picture_without_one_is_lost(
+def test_sample_faces_have_their_known_error_and_an_image_without_one_is_lost(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     landmarks = wild.read_faces(folder, 100.0)[0][1]
@@ -67,12 +67,12 @@ def test_the_sample_faces_are_found_with_their_known_error_and_a_picture_without
 
 
 @pytest.mark.parametrize("text", ["", "{ 1 2 3 }", "{ a b }", "no braces"])
-def test_a_file_that_holds_no_68_points_is_named(tmp_path: Path, text: str) -> None:
+def test_a_file_without_68_points_is_named(tmp_path: Path, text: str) -> None:
     (tmp_path / "a.pts").write_text(text, encoding="utf-8")
-    with pytest.raises(SourceError, match=r"a\.pts does not hold 68 points"):
+    with pytest.raises(SourceError, match=r"a\.pts does not contain 68 points"):
         wild.read_points(tmp_path / "a.pts")
 
 
 def test_a_folder_without_labelled_faces_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match=r"no pictures with \.pts files"):
+    with pytest.raises(SourceError, match=r"no images with \.pts files"):
         wild.read_faces(tmp_path, 1.0)
