@@ -1,6 +1,6 @@
-"""Where the command's own process starts and ends.
+"""Start and end of the command's process.
 
-`main` is for whoever goes on afterwards: tests, and programs that call Facemime.
+Tests and programs that call Facemime and continue afterwards use `main` instead.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from .terminal.stopping import STOPPING, open_standard_streams
 
 
 def start(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line `arguments`, or else that of this process, and end the process with the exit status."""
+    """Run the command line `arguments`, by default that of this process, and end the process with its exit status."""
     STOPPING.install()
     open_standard_streams()
     with STOPPING.starting():
@@ -37,12 +37,14 @@ def start(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _leave(status: int) -> NoReturn:
-    """End at once: Python's own end takes signals for its death, and Blender's waits for ever where a scene holds a
-    driver that it did not run.
+    """End the process at once.
+
+    Signals during Python's own shutdown would change the exit status, and Blender's shutdown does not end if a scene
+    contains a driver that was not run.
     """
     STOPPING.leave()
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):  # nobody reads
+        with contextlib.suppress(OSError):  # the reader is gone
             stream.flush()
     if "bpy" in sys.modules:
         _remove_blenders_folder()
@@ -55,5 +57,5 @@ def _remove_blenders_folder() -> None:
     import bpy
 
     folder = os.path.normpath(bpy.app.tempdir) if bpy.app.tempdir else ""
-    if os.path.basename(folder).startswith("blender_"):  # else it is the user's folder for all temporary files
+    if os.path.basename(folder).startswith("blender_"):  # otherwise it is the general temporary folder
         shutil.rmtree(folder, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""The command `landmarks`: the 66 landmarks of the faces in pictures."""
+"""The command `landmarks`: find the 66 landmarks of faces in images."""
 
 from __future__ import annotations
 
@@ -27,16 +27,18 @@ from .terminal.stopping import INTERRUPTED, STOPPING
 
 
 def add_commands(commands: Commands) -> None:
-    """Make the command known to the parser."""
-    landmarks = add_command(commands, "landmarks", "find the 66 landmarks in pictures")
-    landmarks.add_argument("images", nargs="+", type=Path, metavar="IMAGE|FOLDER", help="pictures, and folders of them")
+    """Add the command to the parser."""
+    landmarks = add_command(commands, "landmarks", "find the 66 landmarks of faces in images")
+    landmarks.add_argument("images", nargs="+", type=Path, metavar="IMAGE|FOLDER", help="images, or folders of images")
     add_output(landmarks, "FILE.npz", "names (N,), landmarks (N, 66, 2) in pixels or NaN, confidence (N,)")
-    landmarks.add_argument("--overlay", type=Path, metavar="DIR", help="also draw them over copies of the pictures")
+    landmarks.add_argument(
+        "--overlay", type=Path, metavar="DIR", help="also write copies of the images with the landmarks drawn on them"
+    )
     landmarks.set_defaults(run=run_landmarks)
 
 
 def run_landmarks(arguments: argparse.Namespace) -> int:
-    """`facemime landmarks`: one row per picture, NaN where there is no face; returns the exit status."""
+    """Run `facemime landmarks`: one row per image, NaN if there is no face; returns the exit status."""
     paths = _images(arguments.images)
     with outputs_of(((arguments.output, {".npz"}),), {}):
         return _locate(paths, arguments.output, arguments.overlay)
@@ -47,7 +49,7 @@ def _locate(paths: Sequence[Path], output: Path, overlay: Path | None) -> int:
     tracker = FaceTracker.load()
     landmarks = np.full((len(paths), N_LANDMARKS, 2), np.nan)
     confidence = np.zeros(len(paths))
-    progress = Progress("Finding landmarks", len(paths), unit="pictures")
+    progress = Progress("Finding landmarks", len(paths), unit="images")
     unreadable: list[SourceError] = []
     done = 0
     with contextlib.suppress(KeyboardInterrupt), STOPPING.noting():
@@ -66,7 +68,7 @@ def _locate(paths: Sequence[Path], output: Path, overlay: Path | None) -> int:
             progress.update(done)
     kept = output if done == len(paths) else place_beside(output, output.suffix)
     names, landmarks, confidence = np.array([path.name for path in paths[:done]]), landmarks[:done], confidence[:done]
-    content = io.BytesIO()  # an archive that meets the end of the disk complains once more when it is thrown away
+    content = io.BytesIO()  # in memory, as numpy reports a full disk a second time when the archive is discarded
     np.savez_compressed(content, names=names, landmarks=landmarks, confidence=confidence)
     with replacing(kept) as temporary:
         temporary.write_bytes(content.getvalue())
@@ -75,27 +77,27 @@ def _locate(paths: Sequence[Path], output: Path, overlay: Path | None) -> int:
     for error in unreadable:
         tell(f"facemime: {error}")
     if done < len(paths):
-        tell(f"facemime: interrupted; the first {done} pictures are in {kept}.")
+        tell(f"facemime: interrupted; the results of the first {done} images are in {kept}.")
         return INTERRUPTED
     return 1 if unreadable else 0
 
 
 def _drawings(paths: Sequence[Path], folder: Path) -> list[Path]:
-    """Where each picture is drawn: in `folder`, under its own name, numbered where several have the same.
+    """Files in `folder` for the drawings, named as the images, and numbered if names repeat.
 
     Raises
     ------
     OutputError
-        Where nothing can be written there, or one of the pictures themselves lies there.
+        If the folder cannot be written to, or contains one of the images.
     """
     drawings: dict[Path, None] = {}
     for path in paths:
         names = itertools.chain([path.stem], (f"{path.stem}-{number}" for number in itertools.count(2)))
         drawings[next(place for name in names if (place := folder / f"{name}.png") not in drawings)] = None
     pictures = {os.path.realpath(path) for path in paths}
-    there = {os.path.dirname(picture) for picture in pictures}  # and a link among the drawings may lead to one
+    there = {os.path.dirname(picture) for picture in pictures}  # a link among the drawings may also lead to one
     if os.path.realpath(folder) in there or any(os.path.realpath(drawing) in pictures for drawing in drawings):
-        raise OutputError(f"Cannot draw in {folder}: the pictures themselves are there. Give --overlay another folder.")
+        raise OutputError(f"Cannot draw in {folder}: it contains the images. Choose another folder for --overlay.")
     check_writable(next(iter(drawings)))
     return list(drawings)
 
@@ -110,7 +112,7 @@ def _images(paths: Sequence[Path]) -> list[Path]:
         else:
             raise SourceError(f"There is no file or folder {path}. Check the path.")
     if not files:
-        raise SourceError("There is no picture in the folders given. JPEG, PNG, BMP, TIFF and WebP are read.")
+        raise SourceError("There is no image in these folders. Use JPEG, PNG, BMP, TIFF or WebP.")
     return files
 
 

@@ -1,7 +1,7 @@
-"""The command `facemime`: the same work as the operators', without Blender's window.
+"""The command `facemime`, which does what the operators do without Blender's window.
 
-`landmarks` and `track` need no Blender; `puppet` runs where `bpy` can be imported: the bpy module, or Blender itself
-as `blender --command facemime puppet ...`.
+`puppet`, `clip` and `batch` need `bpy`: either the module, or Blender itself, as in `blender --command facemime puppet
+...`. The other commands run without it.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit status: 0, 1 for an error that was told, 2 for usage, 130 for Ctrl-C, 143 for SIGTERM.
+        The exit status: 0, 1 for an error with a message, 2 for a wrong command line, 130 for Ctrl-C, 143 for SIGTERM.
     """
     with contextlib.ExitStack() as stack:
-        if sys.stderr is None:  # closed by whoever called
+        if sys.stderr is None:  # closed by the caller
             stack.enter_context(contextlib.redirect_stderr(stack.enter_context(open(os.devnull, "w"))))
         try:
             arguments = _parser().parse_args(argv)
@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             tell(f"facemime: {error}")
             return 1
         except KeyboardInterrupt as stop:
-            kept = f"; {stop}" if str(stop) else ". Files that were complete before are kept"
+            kept = f"; {stop}" if str(stop) else ". Files that were complete are kept"
             tell(f"facemime: interrupted{kept}.")
             status = INTERRUPTED
         return STOPPING.status if status == INTERRUPTED else status

@@ -1,4 +1,4 @@
-"""The command `select`: the control points that a take needs."""
+"""The command `select`: choose the control points that a take needs."""
 
 from __future__ import annotations
 
@@ -20,24 +20,36 @@ from .terminal.takes import load_with_warnings
 
 
 def add_commands(commands: Commands) -> None:
-    """Make the command known to the parser."""
+    """Add the command to the parser."""
     select = add_command(commands, "select", "choose the control points that a take needs on the built-in head")
-    select.add_argument("take", type=Path, metavar="TAKE.facetake", help="what track made")
-    select.add_argument("-o", "--output", type=Path, metavar="POINTS.json", help="for puppet --points")
-    select.add_argument("--tolerance", type=number, default=1.0, metavar="PERCENT", help="of the face's width (1)")
+    select.add_argument("take", type=Path, metavar="TAKE.facetake", help="a take, from track")
+    select.add_argument("-o", "--output", type=Path, metavar="POINTS.json", help="file for puppet --points")
     select.add_argument(
-        "--max-points", type=whole_number, default=N_LANDMARKS, metavar="N", help=f"at most so many ({N_LANDMARKS})"
+        "--tolerance",
+        type=number,
+        default=1.0,
+        metavar="PERCENT",
+        help="error allowed at the other landmarks, relative to the face's width (1)",
     )
-    select.add_argument("--add", default="", metavar="17,19-21", help="landmarks to have in any case, iBUG numbers")
-    select.add_argument("--remove", default="", metavar="0-3,30", help="landmarks never to have")
-    select.add_argument("--neutral", type=number, metavar="SECONDS", help="where the neutral second starts; else found")
+    select.add_argument(
+        "--max-points",
+        type=whole_number,
+        default=N_LANDMARKS,
+        metavar="N",
+        help=f"maximum number of points ({N_LANDMARKS})",
+    )
+    select.add_argument("--add", default="", metavar="17,19-21", help="landmarks to include, by iBUG number")
+    select.add_argument("--remove", default="", metavar="0-3,30", help="landmarks to exclude")
+    select.add_argument(
+        "--neutral", type=number, metavar="SECONDS", help="start of the neutral second (found automatically)"
+    )
     select.set_defaults(run=run_select)
 
 
 def run_select(arguments: argparse.Namespace) -> int:
-    """`facemime select`: a take to control points; the curve of error goes to the output, a line a step."""
+    """Run `facemime select`: choose control points, and print a line per step."""
     if not arguments.tolerance > 0:
-        raise FacemimeError(f"The tolerance must be above 0 %; got {arguments.tolerance}.")
+        raise FacemimeError(f"The tolerance must be above 0 %; got {arguments.tolerance}. Use 1, for instance.")
     always, never = parse_landmarks(arguments.add), parse_landmarks(arguments.remove)
     with outputs_of(((arguments.output, {".json"}),), {"the take that is read": arguments.take}):
         take = load_with_warnings(arguments.take)
@@ -55,12 +67,12 @@ def run_select(arguments: argparse.Namespace) -> int:
                 temporary.write_text(to_json(selection) + "\n", encoding="utf-8")
     say(_table(selection))
     if not selection.reached:
-        tell("facemime: the tolerance was not reached; allow more points, or a larger one.")
+        tell("facemime: the tolerance was not reached. Raise --max-points or --tolerance.")
     return 0
 
 
 def _table(selection: GreedySelection) -> str:
-    """A line a step, and one with the control points."""
+    """A line per step, and one with the control points."""
     lines = ["action  landmark  region  points  worst error %  in frame  at landmark  reason"]
     for step in selection.steps:
         landmark, worst = IBUG68_INDICES[[step.landmark, step.worst]]

@@ -1,4 +1,4 @@
-"""The commands of `facemime` that work on takes: mend, export, import."""
+"""The commands `mend`, `export` and `import` for takes."""
 
 from __future__ import annotations
 
@@ -23,52 +23,60 @@ from .terminal.takes import load_with_warnings
 
 
 def add_commands(commands: Commands) -> None:
-    """Make the commands known to the parser."""
-    mend = add_command(commands, "mend", "mend a take: gaps, outliers, noise, times; done in the order listed")
-    mend.add_argument("take", type=Path, metavar="TAKE.facetake", help="is left as it is")
-    add_output(mend, "OUT.facetake", "the mended one")
-    mend.add_argument("--punch-in", type=Path, metavar="OTHER.facetake", help="put a part of another take in")
-    mend.add_argument("--at", metavar="A:B", help="seconds of the part that is put in; by default all of it")
-    mend.add_argument("--blend", type=number, default=0.2, metavar="S", help="over which it passes over (0.2)")
-    mend.add_argument("--outliers", action="store_true", help="drop frames that jump out of line")
+    """Add the commands to the parser."""
+    mend = add_command(commands, "mend", "mend a take: gaps, outliers, jitter, timing; in the order of the options")
+    mend.add_argument("take", type=Path, metavar="TAKE.facetake", help="the take, which is not changed")
+    add_output(mend, "OUT.facetake", "the mended take")
+    mend.add_argument("--punch-in", type=Path, metavar="OTHER.facetake", help="insert a part of another take")
+    mend.add_argument("--at", metavar="A:B", help="span to insert, in seconds (the whole other take)")
+    mend.add_argument(
+        "--blend",
+        type=number,
+        default=0.2,
+        metavar="S",
+        help="seconds over which the takes blend into each other (0.2)",
+    )
+    mend.add_argument("--outliers", action="store_true", help="remove outliers")
     gaps = mend.add_mutually_exclusive_group()
-    gaps.add_argument("--bridge", action="store_true", help="move through gaps without a face")
-    gaps.add_argument("--hold", action="store_true", help="stay still through gaps without a face")
-    mend.add_argument("--longest", type=float, default=1.0, metavar="S", help="longest gap to be filled (1)")
+    gaps.add_argument("--bridge", action="store_true", help="interpolate gaps without a face")
+    gaps.add_argument("--hold", action="store_true", help="hold the last face in gaps without one")
+    mend.add_argument("--longest", type=float, default=1.0, metavar="S", help="longest gap to fill, in seconds (1)")
     mend.add_argument(
         "--smooth",
         choices=("none", "one-euro", "zero-phase"),
         default="none",
-        help="as it is done live, or without delay",
+        help="smooth as live, or without delay (none)",
     )
     cutoffs = ",".join(f"{part}={cutoff:g}" for part, cutoff in CUTOFFS.items())
-    mend.add_argument("--cutoff", default="", metavar="PART=HZ,...", help=f"for zero-phase ({cutoffs})")
+    mend.add_argument("--cutoff", default="", metavar="PART=HZ,...", help=f"cutoffs for zero-phase ({cutoffs})")
     mend.add_argument("--mirror", action="store_true", help="swap left and right")
-    mend.add_argument("--neutral", type=number, metavar="S", help="the face at this time is the neutral one")
+    mend.add_argument("--neutral", type=number, metavar="S", help="use the face at this time as the neutral face")
     mend.add_argument(
-        "--trim", metavar="A:B", help="keep these seconds; either may be left out (--trim=-1:4 where A is below 0)"
+        "--trim", metavar="A:B", help="keep this span in seconds; A or B may be omitted (--trim=-1:4 if A is negative)"
     )
-    mend.add_argument("--shift", type=float, default=0.0, metavar="S", help="seconds later")
-    mend.add_argument("--rate", type=float, metavar="FPS", help="frames at an even rate")
-    mend.add_argument("--anonymous", action="store_true", help="leave out names, dates and the shape of the face")
-    mend.add_argument("--figure", type=Path, metavar="CURVES.png", help="draw every part before and after")
+    mend.add_argument("--shift", type=float, default=0.0, metavar="S", help="shift the take to later times, in seconds")
+    mend.add_argument("--rate", type=float, metavar="FPS", help="resample to an even rate")
+    mend.add_argument("--anonymous", action="store_true", help="remove names, dates and the shape of the face")
+    mend.add_argument("--figure", type=Path, metavar="CURVES.png", help="also draw the motion before and after")
     mend.set_defaults(run=run_mend)
 
-    export = add_command(commands, "export", "a take as a table of comma-separated values")
-    export.add_argument("take", type=Path, metavar="TAKE.facetake", help="what track made")
-    add_output(export, "OUT.csv", "a row a frame; docs/takes.md tells the columns")
+    export = add_command(commands, "export", "write a take as a table of comma-separated values")
+    export.add_argument("take", type=Path, metavar="TAKE.facetake", help="a take, from track")
+    add_output(export, "OUT.csv", "a table with one row per frame; docs/takes.md lists the columns")
     export.set_defaults(run=run_export)
 
-    read = add_command(commands, "import", "a table as a take")
-    read.add_argument("table", type=Path, metavar="TABLE.csv", help="as export writes them; fewer columns will do")
+    read = add_command(commands, "import", "write a table as a take")
+    read.add_argument(
+        "table", type=Path, metavar="TABLE.csv", help="a table as export writes it, or with fewer columns"
+    )
     add_output(read, "OUT.facetake", "the take")
     read.set_defaults(run=run_import)
 
 
 def run_mend(arguments: argparse.Namespace) -> int:
-    """`facemime mend`: a take to a better one."""
+    """Run `facemime mend`: mend a take."""
     outputs = ((arguments.output, {SUFFIX}), (arguments.figure, {".png", ".jpg"}))
-    inputs = {"the take that is mended": arguments.take, "the take that is put in": arguments.punch_in}
+    inputs = {"the take that is mended": arguments.take, "the take that is inserted": arguments.punch_in}
     with outputs_of(outputs, inputs):
         take = load_with_warnings(arguments.take)
         mended = _mended(take, arguments)
@@ -82,9 +90,9 @@ def run_mend(arguments: argparse.Namespace) -> int:
 
 def _mended(take: Take, arguments: argparse.Namespace) -> Take:
     if arguments.at is not None and arguments.punch_in is None:
-        raise FacemimeError("--at is where another take is put in. Give that with --punch-in.")
+        raise FacemimeError("--at needs another take to insert. Add --punch-in.")
     if arguments.cutoff and arguments.smooth != "zero-phase":
-        raise FacemimeError("--cutoff is for smoothing without delay. Give --smooth zero-phase too.")
+        raise FacemimeError("--cutoff is for smoothing without delay. Add --smooth zero-phase.")
     if arguments.punch_in is not None:
         insert = load_with_warnings(arguments.punch_in)
         start, end = parse_span(arguments.at or ":", (float(insert.times[0]), float(insert.times[-1])))
@@ -103,14 +111,14 @@ def _mended(take: Take, arguments: argparse.Namespace) -> Take:
 
 
 def run_export(arguments: argparse.Namespace) -> int:
-    """`facemime export`: a take to a table."""
+    """Run `facemime export`: write a take as a table."""
     with outputs_of(((arguments.output, {".csv"}),), {"the take that is exported": arguments.take}):
         to_csv(load_with_warnings(arguments.take), arguments.output)
     return 0
 
 
 def run_import(arguments: argparse.Namespace) -> int:
-    """`facemime import`: a table to a take."""
+    """Run `facemime import`: write a table as a take."""
     with outputs_of(((arguments.output, {SUFFIX}),), {"the table that is imported": arguments.table}):
         check_readable(arguments.table)
         save_take(from_csv(arguments.table), arguments.output)
@@ -118,12 +126,12 @@ def run_import(arguments: argparse.Namespace) -> int:
 
 
 def parse_span(text: str, default: tuple[float, float] = (float("-inf"), float("inf"))) -> tuple[float, float]:
-    """`A:B` as two numbers of seconds, either of which may be left out for the default.
+    """Parse a span `A:B` in seconds, either end of which may be omitted.
 
     Raises
     ------
     FacemimeError
-        Where it is no span, or one without length.
+        If it is not a span, or is empty.
     """
     first, colon, last = text.partition(":")
     try:
@@ -131,17 +139,17 @@ def parse_span(text: str, default: tuple[float, float] = (float("-inf"), float("
     except ValueError:
         colon = ""
     if not colon or not start < end:
-        raise FacemimeError(f"{text!r} is no span of time. Give seconds as 1.5:4, 1.5: or :4.")
+        raise FacemimeError(f"{text!r} is not a time span. Use seconds, as in 1.5:4, 1.5: or :4.")
     return start, end
 
 
 def parse_cutoffs(text: str) -> dict[str, float]:
-    """`mouth=6,jaw=4` as Hz by part; FacemimeError where it is something else."""
+    """Parse cutoffs in Hz by part, as in `mouth=6,jaw=4`; FacemimeError if it is anything else."""
     cutoffs = {}
     for item in filter(None, text.split(",")):
         part, _, value = item.partition("=")
         try:
             cutoffs[part.strip()] = float(value)
         except ValueError:
-            raise FacemimeError(f"{item!r} is no cutoff. Give them as mouth=6,jaw=4.") from None
+            raise FacemimeError(f"{item!r} is not a cutoff. Use the form mouth=6,jaw=4.") from None
     return cutoffs

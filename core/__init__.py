@@ -1,13 +1,12 @@
-"""The mathematics of Facemime: numpy, cv2 and the standard library, never bpy.
+"""Everything that Facemime computes, with numpy, OpenCV and the standard library, and without Blender.
 
-Two frames of reference, used everywhere in this package:
+Two frames of reference are used throughout:
 
 image
     pixels, x right, y down; the centre of the top left pixel is (0, 0).
 head
-    x to the viewer's right, y down, z away from the viewer, so that a face looks along -z and, unturned, projects
-    onto the image by dropping z. Right-handed. Lengths are metres for avatar heads and multiples of the mean
-    outer-eye distance for the tracker's shape model.
+    x to the viewer's right, y down, z away from the viewer; right-handed. A face looks along -z and, without rotation,
+    is projected by dropping z. Lengths are metres for avatars and outer-eye distances for the shape model.
 
-Angles are radians and times are seconds. `blender/` alone converts to Blender's axes.
+Angles are in radians and times in seconds. Only `blender/` converts to Blender's axes.
 """

@@ -1,7 +1,7 @@
-"""How far eyes and mouth are open: one definition for the tracker's results, the retargeting and the measurements.
+"""Apertures of eyes and mouth, as used by tracking, retargeting and benchmarks (docs/method.md, section 3.9).
 
-An aperture is measured in the (x, y) plane across the line through the two corners of the eye or the mouth, so that it
-does not depend on the head's roll, and is signed, so that noise about shut lids has the mean 0.
+An aperture is measured in the (x, y) plane, perpendicular to the line through the corners, so that it does not depend
+on roll. It is signed, so that noise around shut lids has the mean 0.
 """
 
 from __future__ import annotations
@@ -13,27 +13,32 @@ from .landmarks import EYE_CORNERS, LOWER_LIDS, LOWER_LIPS, MOUTH_CORNERS, UPPER
 
 _EYE_ENDS = EYE_CORNERS[[0, 0, 2, 2]], EYE_CORNERS[[1, 1, 3, 3]]
 _MOUTH_ENDS = MOUTH_CORNERS[:1], MOUTH_CORNERS[1:]
-"""Corner at the viewer's left, and at the right, of the slit that each pair lies on."""
+"""Corners of the slit of each pair of landmarks, at the viewer's left and right."""
 
 
 def lid_gaps(points: FloatArray) -> FloatArray:
-    """(..., 4) signed gap between facing lid landmarks, two of the right eye and two of the left.
+    """Signed gaps between facing landmarks of the lids, two of the right eye and two of the left.
 
     Parameters
     ----------
-    points : (..., 66, 2) or (..., 66, 3)
-        Image or head frame, x to the viewer's right and y down; a depth is not looked at. Gaps are in their unit.
+    points : (..., 66, 2) or (..., 66, 3) array
+        Image or head frame; depth is ignored.
+
+    Returns
+    -------
+    (..., 4) float64
+        Gaps in the unit of the points (equation 3.7).
     """
     return _across(_between(points, *_EYE_ENDS), _between(points, UPPER_LIDS, LOWER_LIDS))
 
 
 def lip_gaps(points: FloatArray) -> FloatArray:
-    """(..., 3) signed gap between facing landmarks of the inner lips, from the viewer's left; as `lid_gaps`."""
+    """(..., 3) signed gaps between facing landmarks of the inner lips, from the viewer's left, as `lid_gaps`."""
     return _across(_between(points, *_MOUTH_ENDS), _between(points, UPPER_LIPS, LOWER_LIPS))
 
 
 def eye_apertures(points: FloatArray) -> FloatArray:
-    """(..., 2) aperture of the performer's right and left eye: the mean of each eye's two lid gaps."""
+    """(..., 2) apertures of the performer's right and left eye: the means of the two gaps of each eye."""
     gaps = lid_gaps(points)
     return np.asarray(0.5 * (gaps[..., ::2] + gaps[..., 1::2]))
 
@@ -49,6 +54,6 @@ def _between(points: FloatArray, first: IntArray, second: IntArray) -> FloatArra
 
 
 def _across(along: FloatArray, gap: FloatArray) -> FloatArray:
-    """(...) component of `gap` along the normal of `along` that points down in an upright face; x and y only."""
+    """(...) component of `gap` along the normal of `along` that points down in an upright face, in x and y."""
     length = np.maximum(np.hypot(along[..., 0], along[..., 1]), 1e-12)
     return np.asarray((along[..., 0] * gap[..., 1] - along[..., 1] * gap[..., 0]) / length)

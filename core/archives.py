@@ -1,8 +1,7 @@
-"""Numpy archives (`.npz`) from anywhere: read within bounds, and handed out only as what they ought to be.
+"""Safe reading of untrusted numpy archives (`.npz`), with checks of sizes, types and ranges.
 
-`np.load` trusts a file: a header of a hundred bytes may ask for any amount of memory, and what is damaged ends in a
-dozen kinds of exceptions, by the codec and by the byte. Here the sizes that the archive states are checked before
-anything is allocated, and whatever is wrong is one `ValueError`.
+`np.load` trusts a file: a header of a hundred bytes can request any amount of memory, and damage ends in a dozen kinds
+of exceptions. Here sizes are checked before anything is allocated, and every problem is a `ValueError`.
 """
 
 from __future__ import annotations
@@ -22,12 +21,12 @@ from numpy.typing import NDArray
 from .arrays import FloatArray
 
 MAX_BYTES = 16 << 20
-"""Of the file, and of all members when they are unpacked: several times the largest that is shipped."""
+"""Upper bound of the file, and of all members unpacked: several times the largest that is shipped."""
 MAX_MEMBERS = 256
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 0x1
 _DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, RuntimeError)
-"""What `zipfile` raises for archives that are damaged, encrypted (RuntimeError) or of a later kind (its subclass)."""
+"""Exceptions of `zipfile` for archives that are damaged, encrypted (RuntimeError) or unsupported (its subclass)."""
 _MEMBER = b"PK\x01\x02"
 _MAGIC = b"\x93NUMPY"
 _PREFIXES = {1: struct.Struct("<H"), 2: struct.Struct("<I"), 3: struct.Struct("<I")}
@@ -40,28 +39,43 @@ Shape = tuple[int | None, ...]
 
 
 class Archive:
-    """The arrays of an archive by name; each is asked for as what it has to be.
+    """The arrays of an archive, read by name with an expected kind and shape.
 
-    All methods raise ValueError, which says what is wrong with which array. A dimension of None may have any length.
+    All methods raise ValueError, which names the array and the problem. A dimension of None may have any length.
     """
 
     def __init__(self, arrays: dict[str, NDArray[Any]]) -> None:
         self._arrays = arrays
 
     def text(self, name: str) -> str:
-        """One text; empty if no array has that name."""
+        """Read a text; empty if there is no such array."""
         array = self._arrays.get(name)
         return str(array[()]) if array is not None and array.dtype.kind == "U" and array.ndim == 0 else ""
 
     def texts(self, name: str) -> tuple[str, ...]:
-        """Some texts, all different."""
+        """Read a list of distinct texts."""
         array = self._of(name, (None,), "U")
         if len(set(array.tolist())) != len(array):
-            raise ValueError(f"{name} has a name twice")
+            raise ValueError(f"{name} contains a duplicate")
         return tuple(array.tolist())
 
     def reals(self, name: str, shape: Shape, dtype: type = np.float64) -> FloatArray:
-        """Finite numbers of `dtype`."""
+        """Read finite numbers.
+
+        Parameters
+        ----------
+        name : str
+            Name of the array.
+        shape : tuple of int or None
+            Expected shape.
+        dtype : type
+            Type of the result.
+
+        Returns
+        -------
+        ndarray
+            The array.
+        """
         array = self._of(name, shape, "fiu")
         with np.errstate(over="ignore"):
             out: FloatArray = array.astype(dtype)
@@ -70,18 +84,46 @@ class Archive:
         return out
 
     def wholes(self, name: str, shape: Shape, low: int, high: int) -> NDArray[np.intp]:
-        """Whole numbers from `low` to `high`, both included."""
+        """Read integers within a range.
+
+        Parameters
+        ----------
+        name : str
+            Name of the array.
+        shape : tuple of int or None
+            Expected shape.
+        low, high : int
+            Range, both included.
+
+        Returns
+        -------
+        ndarray of intp
+            The array.
+        """
         array = self._of(name, shape, "iu")
         if array.size and (int(array.min()) < low or int(array.max()) > high):
             raise ValueError(f"{name} is not within {low} to {high}")
         return array.astype(np.intp)
 
     def flags(self, name: str, shape: Shape) -> NDArray[np.bool_]:
-        """Yes or no."""
+        """Read booleans.
+
+        Parameters
+        ----------
+        name : str
+            Name of the array.
+        shape : tuple of int or None
+            Expected shape.
+
+        Returns
+        -------
+        ndarray of bool
+            The array.
+        """
         return self._of(name, shape, "b").astype(np.bool_)
 
     def data(self, name: str) -> bytes:
-        """Bytes, stored as an array of them."""
+        """Read bytes, stored as an array."""
         array = self._of(name, (None,), "u")
         if array.dtype != np.uint8:
             raise ValueError(f"{name} has the type {array.dtype}")
@@ -109,14 +151,19 @@ def read_archive(data: bytes, most: int = MAX_BYTES) -> Archive:
     data : bytes
         A zip file of `.npy` members, stored or deflated.
     most : int
-        Bytes that all members together may unpack to.
+        Bytes to which all members together may unpack.
+
+    Returns
+    -------
+    Archive
+        The arrays.
 
     Raises
     ------
     ValueError
-        Where it is no such archive, is damaged, or would unpack to more.
+        If it is not such an archive, is damaged, or would unpack to more.
     """
-    if data.count(_MEMBER) > MAX_MEMBERS:  # before `zipfile` makes an object of each
+    if data.count(_MEMBER) > MAX_MEMBERS:  # before `zipfile` creates an object for each
         raise ValueError(f"it has more than {MAX_MEMBERS} members")
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -129,10 +176,10 @@ def read_archive(data: bytes, most: int = MAX_BYTES) -> Archive:
 
 def _check_members(members: list[zipfile.ZipInfo], most: int) -> None:
     if (total := sum(member.file_size for member in members)) > most:
-        raise ValueError(f"it unpacks to {total >> 20} MB; {most >> 20} MB are read at most")
+        raise ValueError(f"it unpacks to {total >> 20} MB, more than {most >> 20} MB")
     for member in members:
         if member.compress_type not in _METHODS or member.flag_bits & _ENCRYPTED:
-            raise ValueError("it is encrypted, or packed in a way that numpy does not write")
+            raise ValueError("it is encrypted, or not compressed as by numpy")
         if not member.filename.endswith(".npy"):
             raise ValueError("a member is not a numpy array")
     if len({member.filename for member in members}) != len(members):
@@ -143,12 +190,12 @@ def _array(member: zipfile.ZipInfo, archive: zipfile.ZipFile) -> NDArray[Any]:
     with archive.open(member) as stream:
         content = stream.read(member.file_size)
         if len(content) != member.file_size or stream.read(1):
-            raise ValueError("a member is not as long as the archive says")
+            raise ValueError("the length of a member differs from the archive's directory")
     return _array_of(content)
 
 
 def _array_of(content: bytes) -> NDArray[Any]:
-    """The array of an `.npy`; its size is held against what is there before it is made."""
+    """Parse an `.npy` file, comparing the stated size with the actual one before allocating."""
     version = content[len(_MAGIC)] if len(content) > len(_MAGIC) + 2 else 0
     if not content.startswith(_MAGIC) or version not in _PREFIXES:
         raise ValueError("a member is not a numpy array")
@@ -170,8 +217,8 @@ def _array_of(content: bytes) -> NDArray[Any]:
         or count * dtype.itemsize != len(content) - start - length
         or any(side > len(content) for side in shape)
     ):
-        raise ValueError("a member is not as long as its header says")
+        raise ValueError("the length of a member differs from its header")
     flat = np.frombuffer(content, dtype, count, start + length) if count else np.empty(0, dtype)
     if dtype.kind == "U" and count and int(flat.view(f"{dtype.byteorder}u4").max()) > sys.maxunicode:
-        raise ValueError("a member has invalid characters")  # at which numpy would end in a SystemError
+        raise ValueError("a member has invalid characters")  # which numpy would answer with a SystemError
     return flat.reshape(shape, order="F" if found[2] == "True" else "C")

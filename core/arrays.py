@@ -1,4 +1,4 @@
-"""One door for each kind of array: shape, type and finiteness are checked here, and the message quotes what came."""
+"""Checks of arrays from callers: shape, type and finiteness, with messages that quote what was given."""
 
 from __future__ import annotations
 
@@ -23,12 +23,34 @@ def as_points(
     finite: bool = True,
     error: type[FacemimeError] = FacemimeError,
 ) -> FloatArray:
-    """Return `values` as a contiguous (N, dims) array of floats.
+    """Convert to a contiguous (N, dims) array of floats.
+
+    Parameters
+    ----------
+    values : array_like
+        The points.
+    name : str
+        Name of the argument, for messages.
+    count : int, optional
+        Required N.
+    dims : int
+        Required number of columns.
+    dtype : type
+        Type of the result.
+    finite : bool
+        Whether all values have to be finite.
+    error : type
+        Exception to raise.
+
+    Returns
+    -------
+    (N, dims) ndarray
+        The points.
 
     Raises
     ------
     error
-        Where the shape is not (N, dims), N is not `count`, or (if `finite`) a value is NaN or infinite.
+        If the shape is wrong, or a value is NaN or infinite although it has to be finite.
     """
     array: FloatArray = np.ascontiguousarray(values, dtype=dtype)
     expected = f"({'N' if count is None else count}, {dims})"
@@ -36,19 +58,32 @@ def as_points(
         raise error(f"{name} must have the shape {expected}; got {array.shape}.")
     if finite and not np.isfinite(array).all():
         rows = np.flatnonzero(~np.isfinite(array).all(axis=1))
-        raise error(f"{name} must be finite; {len(rows)} rows are not, the first is row {rows[0]}.")
+        raise error(f"{name} must be finite; {len(rows)} rows are not, first row {rows[0]}.")
     return array
 
 
 def as_image(frame: ArrayLike, name: str = "image") -> NDArray[np.uint8]:
-    """Return `frame` as an 8-bit grey (H, W) or BGR (H, W, 3) image.
+    """Convert to an 8-bit grey (H, W) or BGR (H, W, 3) image.
 
-    BGRA drops its alpha, 16 bit its low byte; floats reach from 0 to 1, and what is not finite among them is black.
+    Alpha is dropped. 16-bit images are reduced to 8 bits. Floats are expected from 0 to 1, and become black if not
+    finite.
+
+    Parameters
+    ----------
+    frame : array_like
+        (H, W), (H, W, 1), (H, W, 3) or (H, W, 4).
+    name : str
+        Name of the argument, for messages.
+
+    Returns
+    -------
+    ndarray of uint8
+        The image, contiguous.
 
     Raises
     ------
     FacemimeError
-        Where the array is not an image of at least one pixel.
+        If it is not an image of at least one pixel.
     """
     image = np.asarray(frame)
     if image.ndim == 3 and image.shape[2] == 1:

@@ -1,4 +1,4 @@
-"""Where the files that ship with Facemime are."""
+"""The folder of the files that are shipped with Facemime."""
 
 from pathlib import Path
 

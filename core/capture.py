@@ -1,7 +1,7 @@
-"""Where frames come from: a video file, each frame with the time that the media itself states.
+"""Reading of video files, with the presentation time of each frame.
 
-A frame's time is its presentation time in the container, not its number over the nominal rate: recordings from phones
-and webcams have a variable rate, and animation timed by counting runs out of step with their sound.
+Times are those in the container, not frame numbers over the nominal rate: recordings of phones and webcams have a
+variable rate, and animation that is timed by counting would run out of step with their sound.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from .errors import SourceError
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
-MOST_PIXELS = 1 << 26
-"""Of a frame, 8192 by 8192: decoding a larger one takes gigabytes."""
+MAX_PIXELS = 1 << 26
+"""Upper bound of a frame, 8192 by 8192: decoding a larger one takes gigabytes."""
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+:|subfile,", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame: `image` (H, W, 3) uint8 BGR, `time` in seconds from the first frame, `index` from 0."""
+    """A frame: `image` (H, W, 3) uint8 BGR, `time` in seconds from the first frame, `index` from 0."""
 
     image: NDArray[np.uint8]
     time: float
@@ -37,27 +37,27 @@ class Frame:
 
 
 class VideoSource:
-    """The frames of a video file, in order; a context manager and an iterator of `Frame`.
+    """A video file: a context manager, and an iterator over its frames in order.
 
     Parameters
     ----------
     path : Path
-        Anything that OpenCV's FFmpeg reads: H.264, HEVC, MPEG-4, VP8/9, MJPEG; not AV1. What a telephone held upright
-        has recorded lies on its side in the file, which says so; its frames come upright.
+        Any file that OpenCV's FFmpeg reads: H.264, HEVC, MPEG-4, VP8/9, MJPEG; not AV1. Frames are rotated upright as
+        the file states, as phone videos require.
 
     Attributes
     ----------
     turn : int
-        Degrees, clockwise, by which the pictures stored in the file were turned: 0, 90, 180 or 270.
+        Degrees by which the stored frames are rotated clockwise: 0, 90, 180 or 270.
     fps : float
-        The nominal rate, frames a second; 25 where the file states none.
+        Nominal rate in frames per second; 25 if the file states none.
     frame_count : int
-        The stated number of frames, 0 where unknown. Not to be relied on: containers err.
+        Stated number of frames, which may be wrong; 0 if unknown.
 
     Raises
     ------
     SourceError
-        Where there is no such file, it is no video, its frames are too large, or not one of them can be decoded.
+        If there is no such file, it is not a video, its frames are too large, or none of them can be decoded.
     """
 
     def __init__(self, path: Path) -> None:
@@ -65,12 +65,12 @@ class VideoSource:
         require_file(self.path)
         require_utf8_name(self.path)
         cv2.setLogLevel(0)
-        # FFmpeg takes what stands before a colon for a protocol, but never where a slash comes first.
+        # FFmpeg takes text before a colon for a protocol, unless the path begins with a slash.
         self._capture = cv2.VideoCapture(os.path.abspath(self.path), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
             raise SourceError(f"{self.path} is not a video that can be read. Convert it to MP4 (H.264) and try again.")
         width, height = (int(self._capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        if width * height > MOST_PIXELS:
+        if width * height > MAX_PIXELS:
             self._capture.release()
             raise SourceError(f"The frames of {self.path} are too large: {width} x {height} pixels. Scale it down.")
         self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
@@ -113,7 +113,20 @@ class VideoSource:
 
 
 def at_constant_rate(frames: Iterable[Frame], fps: float) -> Iterator[Frame]:
-    """Yield, `fps` times a second, the frame on show at that moment, its `time` that moment, its `index` unchanged."""
+    """Resample frames to a constant rate: at each moment, the frame that is on display.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+        Frames with any times.
+    fps : float
+        Frames per second.
+
+    Returns
+    -------
+    iterator of Frame
+        With even times, and the index of the original frame.
+    """
     emitted = 0
     shown: Frame | None = None
     for frame in frames:
@@ -126,18 +139,18 @@ def at_constant_rate(frames: Iterable[Frame], fps: float) -> Iterator[Frame]:
 
 
 def require_file(path: Path) -> None:
-    """Raise SourceError, saying which it is, where `path` is missing, no regular file, or not readable."""
+    """Raise SourceError if `path` is missing, not a regular file, or not readable."""
     if not check_readable(path):
         raise SourceError(f"There is no file {path}. Check the path.")
 
 
 def check_readable(path: Path) -> bool:
-    """Whether there is a file `path`.
+    """Whether there is a file at `path`.
 
     Raises
     ------
     SourceError
-        Where something else is there, such as a folder or a pipe, whose end may never come, or it may not be read.
+        If there is something else, such as a folder, or a pipe, which may never end, or the file is not readable.
     """
     try:
         mode = os.stat(path).st_mode
@@ -152,17 +165,14 @@ def check_readable(path: Path) -> bool:
         raise SourceError(f"{path} cannot be read: {reason}. Check the path.") from error
     if not stat.S_ISREG(mode):
         kind = "" if stat.S_ISDIR(mode) else " but a pipe or a device"
-        raise SourceError(f"{path} is not a file{kind}. Give the path of a file.")
+        raise SourceError(f"{path} is not a file{kind}. Choose a file.")
     if not os.access(path, os.R_OK):
         raise SourceError(f"{path} cannot be read: no permission. Change its permissions or copy it elsewhere.")
     return True
 
 
 def require_utf8_name(path: Path) -> None:
-    """Raise SourceError where the whole name of `path`, its folders' included, is not UTF-8.
-
-    OpenCV and Blender would end the process.
-    """
+    """Raise SourceError if the absolute path is not valid UTF-8, on which OpenCV and Blender would crash."""
     whole = os.path.abspath(path)
     try:
         whole.encode()
@@ -172,7 +182,7 @@ def require_utf8_name(path: Path) -> None:
 
 
 def is_address(text: str) -> bool:
-    """Whether FFmpeg would take `text` for an address, such as `http:host/x`, and might go to the network for it.
+    """Whether FFmpeg would take `text` for an address, such as `http:host/x`, and might access the network.
 
     A Windows drive letter is not an address.
     """

@@ -1,8 +1,8 @@
-"""The errors that a user can cause. Each message is one sentence on what is wrong and one on what to do."""
+"""Errors that a user can cause. Their messages say what is wrong, and what to do."""
 
 
 class FacemimeError(Exception):
-    """Base of every expected error: shown to the user as its message, without a traceback."""
+    """Base class of expected errors, which are shown as a message without a traceback."""
 
 
 class SourceError(FacemimeError):
@@ -10,12 +10,12 @@ class SourceError(FacemimeError):
 
 
 class ModelError(FacemimeError):
-    """A file of assets is missing, damaged, of another version, or not ours."""
+    """A file of the assets is missing, damaged, of another version, or not one of Facemime's."""
 
 
 class HeadError(FacemimeError):
-    """A mesh lacks what driving it needs: landmarks, regions, or enough distinct control points."""
+    """A mesh cannot be driven: it lacks landmarks, regions, or enough distinct control points."""
 
 
 class OutputError(FacemimeError):
-    """A result cannot be written where the user asked for it."""
+    """A result cannot be written to the requested location."""

@@ -1,7 +1,7 @@
 """The 66 landmarks: iBUG-68 without the inner mouth corners 60 and 64, in iBUG order.
 
-Everything here speaks of positions in the 66-point array. METHOD and the literature speak of iBUG numbers: use
-`from_ibug` to translate. The two agree below 60.
+Constants are positions in the array of 66 points. The documentation and the literature use iBUG numbers, which
+`from_ibug` converts. The two agree below 60.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 N_LANDMARKS = 66
 
 IBUG68_INDICES: NDArray[np.intp] = np.array([i for i in range(68) if i not in (60, 64)])
-"""(66,) iBUG-68 number of each of our landmarks; `points68[IBUG68_INDICES]` are our 66 points."""
+"""(66,) iBUG-68 numbers of the landmarks: ``points68[IBUG68_INDICES]`` are the 66 points."""
 
 
 def from_ibug(numbers: Iterable[int]) -> NDArray[np.intp]:
-    """Positions in the 66-point array of iBUG-68 landmark `numbers`; ValueError for 60, 64 and unknown ones."""
+    """Positions in the array of 66 points of iBUG-68 `numbers`; ValueError for 60, 64 and unknown ones."""
     position = {int(ibug): i for i, ibug in enumerate(IBUG68_INDICES)}
     numbers = [int(n) for n in numbers]
     if unknown := [n for n in numbers if n not in position]:
@@ -39,13 +39,13 @@ MOUTH_INNER_LOWER = from_ibug(range(65, 68))
 INNER = np.arange(17, N_LANDMARKS)
 """The 49 inner points (all but the jaw line), over which errors are reported."""
 EYE_CORNERS = from_ibug((36, 39, 42, 45))
-"""From the viewer's left to the right: outer and inner of the performer's right eye, inner and outer of the left."""
+"""From the viewer's left to right: outer and inner corner of the right eye, inner and outer corner of the left one."""
 OUTER_EYE_CORNERS = EYE_CORNERS[[0, 3]]
-"""Their distance is the unit of the shape model and of reported errors."""
+"""Their distance is the eye distance, the unit of the shape model and of reported errors."""
 UPPER_LIDS, LOWER_LIDS = from_ibug((37, 38, 43, 44)), from_ibug((41, 40, 47, 46))
 """Landmarks that face each other across the eye slits, the performer's right eye first."""
 MOUTH_CORNERS = from_ibug((48, 54))
-"""The performer's right one, and the left one."""
+"""The performer's right and left corner."""
 UPPER_LIP, LOWER_LIP = from_ibug(range(49, 54)), from_ibug(range(59, 54, -1))
 """The lips' outer rims between the corners, from the viewer's left."""
 UPPER_LIPS, LOWER_LIPS = MOUTH_INNER_UPPER, MOUTH_INNER_LOWER[::-1]
@@ -55,7 +55,7 @@ NOSE_ROOT = from_ibug((27, 28))
 
 
 def outer_eye_distance(points: ArrayLike) -> float:
-    """Between the outer corners of the eyes, in the unit of the landmarks `points` (66, D)."""
+    """Distance of the outer corners of the eyes, in the unit of the landmarks `points`, (66, D)."""
     right, left = np.asarray(points, dtype=np.float64)[OUTER_EYE_CORNERS]
     return float(np.linalg.norm(right - left))
 
@@ -66,7 +66,7 @@ _MIRROR_IBUG = np.array(
     + [54, 53, 52, 51, 50, 49, 48, 59, 58, 57, 56, 55, 64, 63, 62, 61, 60, 67, 66, 65]
 )
 MIRROR: NDArray[np.intp] = from_ibug(_MIRROR_IBUG[IBUG68_INDICES])
-"""(66,) the landmark on the other side of the face; `points[MIRROR]` relabels a face flipped left to right."""
+"""(66,) mirror image of each landmark; ``points[MIRROR]`` relabels a face that was flipped left to right."""
 
 EDGES: tuple[tuple[int, int], ...] = tuple(
     (int(a), int(b))
@@ -84,4 +84,4 @@ EDGES: tuple[tuple[int, int], ...] = tuple(
     )
     for a, b in zip(chain, [*chain[1:], chain[0]] if closed else chain[1:], strict=False)
 )
-"""Pairs of landmarks that a drawing joins by a line."""
+"""Pairs of landmarks that are connected in drawings."""

@@ -1,8 +1,8 @@
-"""Locks between processes, and the clearing away of what a killed process left.
+"""Locks between processes, and removal of what killed processes left behind.
 
-A lock is the system's own (`flock`, on Windows `msvcrt.locking`) on a small hidden file: it goes with the process that
-has it, however that ends, so that a file left by a killed one blocks nobody. Temporary files carry the name of such a
-lock. Where a lock can be had, its owner is gone, and whatever carries its name is waste.
+A lock is one of the system (`flock`, on Windows `msvcrt.locking`) on a small hidden file. It ends with its process,
+even if that crashes, so a leftover file blocks nobody. Temporary files carry the name of such a lock: if the lock is
+free, its owner is gone, and they can be deleted.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _PAUSE = 0.02
 
 
 def lock_of(path: Path) -> Path:
-    """The lock of a file that is written over: beside it, named by its name's checksum, which is never too long."""
+    """The lock of an output: a file beside it, named by the checksum of its name, which is never too long."""
     mark = hashlib.sha256(os.fsencode(os.path.normcase(path.name))).hexdigest()[:16]
     return path.with_name(_lock_name(mark))
 
@@ -38,22 +38,24 @@ def _lock_name(mark: str) -> str:
 
 @contextmanager
 def holding(path: Path, patience: float | None = None) -> Iterator[bool]:
-    """Hold the lock that is the file `path`, which is gone afterwards.
+    """Hold the lock file `path`, which is deleted at the end.
 
     Parameters
     ----------
+    path : Path
+        The lock file.
     patience : float or None
-        Seconds to wait for another process that has it; None waits as long as that takes.
+        Seconds to wait for another process that holds it; None waits indefinitely.
 
     Yields
     ------
     bool
-        Whether it is held; False where another process has it still.
+        Whether it is held; False if another process still holds it.
 
     Raises
     ------
     OSError
-        Where the file cannot be made, or the file system has no locks.
+        If the file cannot be created, or the file system has no locks.
     """
     stream = _acquired(path, patience)
     if stream is None:
@@ -63,22 +65,22 @@ def holding(path: Path, patience: float | None = None) -> Iterator[bool]:
         try:
             yield True
         finally:
-            if sys.platform != "win32":  # there an open file cannot be taken away
-                with suppress(OSError):  # another user's, in a folder where only owners may delete
+            if sys.platform != "win32":  # where an open file cannot be deleted
+                with suppress(OSError):  # of another user, in a folder where only owners may delete
                     path.unlink()
     if sys.platform == "win32":
-        with suppress(OSError):  # the next one has it open already
+        with suppress(OSError):  # the next process already has it open
             path.unlink()
 
 
 @contextmanager
 def temporary_beside(path: Path) -> Iterator[Path]:
-    """An empty file in the folder of `path`, with its suffix, for as long as this lasts.
+    """Yield an empty temporary file in the folder of `path`, with its suffix, which is deleted at the end.
 
     Raises
     ------
     OSError
-        Where it cannot be made.
+        If it cannot be created.
     """
     mark = secrets.token_hex(8)
     with _held_if_possible(path.with_name(_lock_name(mark))):
@@ -92,12 +94,12 @@ def temporary_beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """An empty folder where the system keeps temporary files, for as long as this lasts; those of the dead go.
+    """Yield an empty temporary folder, which is deleted at the end, as are those of killed processes.
 
     Raises
     ------
     OSError
-        Where it cannot be made.
+        If it cannot be created.
     """
     place = Path(tempfile.gettempdir())
     sweep(place)
@@ -112,12 +114,12 @@ def temporary_folder() -> Iterator[Path]:
 
 
 def sweep(folder: Path) -> None:
-    """Delete the locks and temporary files in `folder` whose process is gone; what cannot be deleted stays."""
+    """Delete locks and temporary files in `folder` whose process is gone, as far as possible."""
     with suppress(OSError):
         names = os.listdir(folder)
         for name in names:
             if ours := _OURS.fullmatch(name):
-                with suppress(OSError):  # another user's, or gone by now
+                with suppress(OSError):  # of another user, or already gone
                     _sweep_one(folder, ours[1], names)
 
 
@@ -147,7 +149,7 @@ def _remove(path: Path) -> None:
 
 @contextmanager
 def _held_if_possible(path: Path) -> Iterator[None]:
-    """Hold a lock of which nobody else knows yet; without it where the file system has no locks."""
+    """Hold a lock that nobody else knows yet; go on without it if the file system has no locks."""
     try:
         stream = _acquired(path, 0.0)
     except OSError:
@@ -166,7 +168,7 @@ def _held_if_possible(path: Path) -> Iterator[None]:
 
 
 def _acquired(path: Path, patience: float | None) -> FileIO | None:
-    """The locked file; opened again where the one that was waited for has been taken away meanwhile."""
+    """The locked file, or None; opened again if it was deleted while waiting."""
     end = None if patience is None else time.monotonic() + patience
     while True:
         stream = _opened(path)
@@ -190,7 +192,7 @@ def _opened(path: Path) -> FileIO:
     except PermissionError:
         if not path.exists():
             raise
-        return FileIO(path, "r")  # another user's; it can be locked all the same
+        return FileIO(path, "r")  # of another user; it can be locked nevertheless
 
 
 def _still_there(stream: FileIO, path: Path) -> bool:
@@ -205,7 +207,7 @@ if sys.platform == "win32":
     import msvcrt
 
     def _lock(stream: FileIO) -> bool:
-        with suppress(OSError):  # it gives up after ten seconds
+        with suppress(OSError):  # which gives up after ten seconds
             msvcrt.locking(stream.fileno(), msvcrt.LK_LOCK, 1)
             return True
         return False

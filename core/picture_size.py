@@ -1,6 +1,6 @@
-"""How large a picture says that it is, from its first bytes: known before anything is decoded.
+"""The size that an image file states in its header, read before anything is decoded.
 
-A PNG of 65 bytes may claim any size, and OpenCV makes room for up to a thousand megapixels before it looks further.
+A PNG of 65 bytes may state any size, and OpenCV allocates up to a thousand megapixels before it reads on.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ Size = tuple[int, int]
 _PNM = re.compile(rb"P[1-6](?:\s+|#[^\n]*\n)+(\d{1,9})(?:\s+|#[^\n]*\n)+(\d{1,9})\s")
 _JPEG_FRAMES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
 _JPEG_ALONE = frozenset({0x01, 0xFF, *range(0xD0, 0xD9)})
-"""Markers without a length behind them."""
+"""Markers without a length."""
 _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257
 
 
 def stated_size(data: bytes) -> Size | None:
-    """Width and height in pixels of a PNG, JPEG, BMP, TIFF, WebP, PGM or PPM; None where `data` is something else."""
+    """Width and height in pixels of a PNG, JPEG, BMP, TIFF, WebP, PGM or PPM; None if `data` is anything else."""
     for start, read in _READERS:
         if data.startswith(start):
             try:
                 return read(data)
-            except (struct.error, IndexError):  # cut off within its header
+            except (struct.error, IndexError):  # truncated header
                 return None
     return None
 
@@ -37,7 +37,7 @@ def _png(data: bytes) -> Size | None:
 def _jpeg(data: bytes) -> Size | None:
     at = 2
     while True:
-        if data[at] != 0xFF:  # OpenCV's decoder skips what stands between two segments
+        if data[at] != 0xFF:  # skip data between segments, as OpenCV's decoder does
             at = data.find(b"\xff", at)
             if at < 0:
                 return None

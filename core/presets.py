@@ -1,4 +1,4 @@
-"""Presets as text: checked as a whole before anything is set by one, and the names that their files may have."""
+"""Serialisation of presets, which are checked as a whole before use, and names of their files."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ SUFFIX = ".json"
 _FORMAT = "facemime-preset"
 _FORBIDDEN = frozenset('<>:"/\\|?*')
 _DEVICES = frozenset({"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))})
-"""Names that Windows keeps for itself, whatever follows a dot behind them."""
-_LONGEST_NAME = 200
-"""Bytes: with the suffix, and what a file is called while it is written, they fit into the 255 of file systems."""
+"""Names that Windows reserves, with any suffix."""
+_MAX_NAME = 200
+"""Bytes of a name, which with suffix and temporary prefix fit into the 255 bytes of file systems."""
 
 
 Settings = Mapping[str, Mapping[str, Setting]]
@@ -24,43 +24,55 @@ Values = dict[str, dict[str, Any]]
 
 
 def to_json(values: Values) -> str:
-    """The text of a preset: the values of the settings of each group."""
+    """Serialise a preset: the values of the settings of each group."""
     return json.dumps({"format": _FORMAT} | values, indent=2) + "\n"
 
 
 def from_json(text: str, known: Settings) -> Values:
-    """The values that a preset has for the `known` settings of each group, all of them checked; others are left out.
+    """Parse a preset.
+
+    Parameters
+    ----------
+    text : str
+        The text of a preset.
+    known : mapping of str to (mapping of str to Setting)
+        Known settings by group; others in the text are ignored.
+
+    Returns
+    -------
+    dict of str to dict
+        Values of the known settings that the preset contains, checked.
 
     Raises
     ------
     SourceError
-        Where the text is not a preset, or a value is not one that its setting can have.
+        If the text is not a preset, or a value is out of its range.
     """
     try:
         data = as_object(parse_json(text), "the text")
         if data.get("format") != _FORMAT:
-            raise ValueError("it is not a preset of Facemime")
+            raise ValueError("it has another format")
         return {
             group: {name: setting.checked(given[name], name) for name, setting in settings.items() if name in given}
             for group, settings in known.items()
             for given in [as_object(data.get(group), group)]
         }
     except ValueError as error:
-        raise SourceError(f"This is not a preset that can be read ({error}). Choose another file.") from error
+        raise SourceError(f"This is not a Facemime preset ({error}). Choose another file.") from error
 
 
 def file_name(name: str) -> str:
-    """The name of the file of the preset `name`, the same on every system.
+    """File name of the preset `name`, the same on every system.
 
     Raises
     ------
     OutputError
-        Where it cannot be a file's name.
+        If it cannot be the name of a file.
     """
     clean = name.strip()
     odd = any(letter in _FORBIDDEN or not letter.isprintable() for letter in clean)
     if not clean or odd or clean[0] == "." or clean[-1] == "." or clean.split(".")[0].strip().lower() in _DEVICES:
         raise OutputError(f"{shown(name)} cannot be the name of a preset. Use letters, digits and spaces.")
-    if len(clean.encode()) > _LONGEST_NAME:
-        raise OutputError(f"{shown(name)} cannot be the name of a preset: it is too long. Use fewer letters.")
+    if len(clean.encode()) > _MAX_NAME:
+        raise OutputError(f"{shown(name)} cannot be the name of a preset: it is too long. Use a shorter one.")
     return clean + SUFFIX

@@ -1,4 +1,4 @@
-"""Files and JSON that others wrote: read within bounds, and whatever is wrong with their form is one `ValueError`."""
+"""Safe reading of untrusted files and JSON: within bounds, and every problem of their form is a `ValueError`."""
 
 from __future__ import annotations
 
@@ -9,16 +9,36 @@ from pathlib import Path
 from typing import Any
 
 MAX_TEXT = 8 << 20
-"""Bytes of a JSON file: eighty times the largest that is written."""
+"""Upper bound of a JSON file in bytes: eighty times the largest that is written."""
 _DIGITS = 18
 _PIECE = 1 << 20
 
 
 def read_bytes(path: Path, most: int) -> bytes:
-    """The content of a file of at most `most` bytes; ValueError where it has more, OSError where it cannot be read."""
+    """Read a file of limited size.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    most : int
+        Largest size in bytes.
+
+    Returns
+    -------
+    bytes
+        The content.
+
+    Raises
+    ------
+    ValueError
+        If it is larger.
+    OSError
+        If it cannot be read.
+    """
     pieces, length = [], 0
     with open(path, "rb") as stream:
-        # As much as it says it has, and not `read(most)`, which would take that memory at once; a pipe says 0.
+        # Not `read(most)`, which would allocate that memory at once; the stated size of a pipe is 0.
         wanted = min(os.fstat(stream.fileno()).st_size, most) + 1
         while piece := stream.read(wanted):
             pieces.append(piece)
@@ -29,76 +49,180 @@ def read_bytes(path: Path, most: int) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """The text of a file in UTF-8; ValueError where it is too large or something else, OSError as for any file."""
+    """Read a text file; ValueError if it is too large or not UTF-8, OSError if it cannot be read."""
     try:
         return read_bytes(path, MAX_TEXT).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ValueError("it is not a text in UTF-8") from error
+        raise ValueError("it is not UTF-8 text") from error
 
 
 def parse_json(text: str | bytes, *, nan: bool = False) -> Any:
-    """The value of a JSON text.
+    """Parse JSON.
 
     Parameters
     ----------
     text : str or bytes
+        The text.
     nan : bool
-        Whether numbers may be NaN, as Python writes them though JSON has none. They are never infinite.
+        Whether numbers may be NaN, which Python writes though JSON has none.
+
+    Returns
+    -------
+    object
+        The value.
 
     Raises
     ------
     ValueError
-        Where it is no JSON, nested too deeply, or has a number that is not finite or too large.
+        If it is not JSON, is nested too deeply, or has a number that is too large or infinite.
     """
     try:
         return json.loads(text, parse_int=_whole, parse_float=_real, parse_constant=_nan if nan else _refused)
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
     except UnicodeError as error:
-        raise ValueError("it is not a text in UTF-8") from error
+        raise ValueError("it is not UTF-8 text") from error
     except json.JSONDecodeError as error:
         raise ValueError(f"it is not JSON: {error.msg} in line {error.lineno}") from error
 
 
 def as_number(value: Any, name: str, low: float, high: float) -> float:
-    """`value` as a number from `low` to `high`; ValueError where it is something else."""
+    """Check that a value is a number within a range.
+
+    Parameters
+    ----------
+    value : object
+        The value.
+    name : str
+        Its name, for messages.
+    low, high : float
+        Range, both included.
+
+    Returns
+    -------
+    float
+        The number.
+
+    Raises
+    ------
+    ValueError
+        If it is anything else.
+    """
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
         raise ValueError(f"{name} is {shown(value)}, not a number from {low:g} to {high:g}")
     return float(value)
 
 
 def as_whole(value: Any, name: str, low: int, high: int) -> int:
-    """`value` as a whole number from `low` to `high`; ValueError where it is something else."""
+    """Check that a value is an integer within a range.
+
+    Parameters
+    ----------
+    value : object
+        The value.
+    name : str
+        Its name, for messages.
+    low, high : int
+        Range, both included.
+
+    Returns
+    -------
+    int
+        The integer.
+
+    Raises
+    ------
+    ValueError
+        If it is anything else.
+    """
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
         raise ValueError(f"{name} is {shown(value)}, not a whole number from {low} to {high}")
     return value
 
 
 def as_text(value: Any, name: str, most: int = 200) -> str:
-    """`value` as a text of at most `most` letters; ValueError where it is something else."""
+    """Check that a value is a text of limited length.
+
+    Parameters
+    ----------
+    value : object
+        The value.
+    name : str
+        Its name, for messages.
+    most : int
+        Largest number of characters.
+
+    Returns
+    -------
+    str
+        The text.
+
+    Raises
+    ------
+    ValueError
+        If it is anything else.
+    """
     if not isinstance(value, str) or len(value) > most:
         raise ValueError(f"{name} is {shown(value)}, not a text of at most {most} letters")
-    if any("\ud800" <= letter <= "\udfff" for letter in value):  # JSON can have them; no file and no Blender takes them
+    if any("\ud800" <= letter <= "\udfff" for letter in value):  # valid in JSON, but not in files or in Blender
         raise ValueError(f"{name} is {shown(value)}, which has invalid characters")
     return value
 
 
 def as_list(value: Any, name: str, most: int) -> list[Any]:
-    """`value` as a list of at most `most` items; ValueError where it is something else."""
+    """Check that a value is a list of limited length.
+
+    Parameters
+    ----------
+    value : object
+        The value.
+    name : str
+        Its name, for messages.
+    most : int
+        Largest number of items.
+
+    Returns
+    -------
+    list
+        The list.
+
+    Raises
+    ------
+    ValueError
+        If it is anything else.
+    """
     if not isinstance(value, list) or len(value) > most:
         raise ValueError(f"{name} is {shown(value)}, not a list of at most {most} items")
     return value
 
 
 def as_object(value: Any, name: str) -> dict[str, Any]:
-    """`value` as a JSON object; ValueError where it is something else."""
+    """Check that a value is a JSON object.
+
+    Parameters
+    ----------
+    value : object
+        The value.
+    name : str
+        Its name, for messages.
+
+    Returns
+    -------
+    dict
+        The object.
+
+    Raises
+    ------
+    ValueError
+        If it is anything else.
+    """
     if not isinstance(value, dict):
         raise ValueError(f"{name} is {shown(value)}, not an object")
     return value
 
 
 def shown(value: Any) -> str:
-    """`value` for a message, cut where it is long."""
+    """Representation of `value` for a message, shortened if long."""
     text = repr(value)
     return text if len(text) <= 40 else f"{text[:37]}..."
 

@@ -1,4 +1,4 @@
-"""Rotations of the head frame (x right, y down, z away): angles, vectors and the fit between two point sets."""
+"""Rotations in the head frame: Euler angles, fits between point sets, and interpolation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,18 @@ from .arrays import FloatArray
 
 
 def euler_to_matrix(pitch: float, yaw: float, roll: float) -> FloatArray:
-    """R = Rz(roll) Ry(yaw) Rx(pitch), (3, 3): head frame to image axes."""
+    """Rotation matrix of Euler angles, ``R = Rz(roll) Ry(yaw) Rx(pitch)``.
+
+    Parameters
+    ----------
+    pitch, yaw, roll : float
+        Radians.
+
+    Returns
+    -------
+    (3, 3) float64
+        The rotation.
+    """
     cx, sx, cy, sy, cz, sz = cos(pitch), sin(pitch), cos(yaw), sin(yaw), cos(roll), sin(roll)
     return np.array(
         [
@@ -22,7 +33,7 @@ def euler_to_matrix(pitch: float, yaw: float, roll: float) -> FloatArray:
 
 
 def matrix_to_euler(rotation: FloatArray) -> tuple[float, float, float]:
-    """(pitch, yaw, roll) with |yaw| <= pi / 2, the inverse of `euler_to_matrix`."""
+    """Euler angles (pitch, yaw, roll) with |yaw| <= pi / 2 of a rotation, (3, 3); the inverse of `euler_to_matrix`."""
     yaw = np.arctan2(-rotation[2, 0], np.hypot(rotation[2, 1], rotation[2, 2]))
     pitch = np.arctan2(rotation[2, 1], rotation[2, 2])
     roll = np.arctan2(rotation[1, 0], rotation[0, 0])
@@ -30,11 +41,23 @@ def matrix_to_euler(rotation: FloatArray) -> tuple[float, float, float]:
 
 
 def fit_rotation(source: FloatArray, target: FloatArray) -> FloatArray:
-    """The rotation R, (3, 3), that minimises sum |R source_i - target_i|^2 over (N, 3) points about the origin.
+    """Fit a rotation about the origin: minimise ``sum_i |R source_i - target_i|^2``.
 
-    References
+    Parameters
     ----------
-    Kabsch, Acta Crystallographica A32, 1976; the sign of the determinant after Umeyama 1991.
+    source : (N, 3) float64
+        Points.
+    target : (N, 3) float64
+        Corresponding points.
+
+    Returns
+    -------
+    (3, 3) float64
+        The rotation R.
+
+    Notes
+    -----
+    Kabsch 1976; the sign of the determinant after Umeyama 1991.
     """
     u, _, vt = np.linalg.svd(target.T @ source)
     sign = np.sign(np.linalg.det(u @ vt))
@@ -42,24 +65,29 @@ def fit_rotation(source: FloatArray, target: FloatArray) -> FloatArray:
 
 
 def mix_rotations(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArray:
-    """Rotations between two sets, by the short way at an even turn (Shoemake's slerp, SIGGRAPH 1985).
+    """Interpolate rotations along the shortest path at constant speed.
 
     Parameters
     ----------
-    first, second : (N, 3)
-        `(pitch, yaw, roll)`, radians.
-    share : (N,)
+    first, second : (N, 3) float64
+        `(pitch, yaw, roll)` in radians.
+    share : (N,) float64
         0 gives `first`, 1 gives `second`.
 
     Returns
     -------
-    (N, 3) angles, |yaw| <= pi / 2.
+    (N, 3) float64
+        Angles with |yaw| <= pi / 2.
+
+    Notes
+    -----
+    Spherical linear interpolation of quaternions (Shoemake 1985).
     """
     a, b = _quaternions(first), _quaternions(second)
     cosine = (a * b).sum(axis=1)
     b = np.where(cosine[:, None] < 0.0, -b, b)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    near = angle < 1e-6  # the sines' ratio is the plain share there
+    near = angle < 1e-6  # where the ratio of sines is the share
     sine = np.where(near, 1.0, np.sin(angle))
     of_a = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / sine)
     of_b = np.where(near, share, np.sin(share * angle) / sine)

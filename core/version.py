@@ -1,4 +1,4 @@
-"""The version, read from the manifest so that it stands in one place."""
+"""The version, read from the extension's manifest."""
 
 import tomllib
 from functools import cache
@@ -7,6 +7,6 @@ from pathlib import Path
 
 @cache
 def version() -> str:
-    """The version of Facemime, as the extension's manifest states it."""
+    """Return the version of Facemime."""
     manifest = Path(__file__).resolve().parents[1] / "blender_manifest.toml"
     return str(tomllib.loads(manifest.read_text(encoding="utf-8"))["version"])

@@ -12,13 +12,13 @@ const JOB_TYPE = {
         { key: "output", type: "string", subtype: "dir_path", required: true, description: "Folder for the results" },
         // Options, written by tools/farm.py
         { key: "face", type: "string", default: "",
-          description: "of several people the leftmost, the rightmost, or the one at these pixels of the first frame; the largest by default" },
+          description: "face to track if several are in view: the leftmost, the rightmost, or the nearest to a pixel of the first frame (the largest)" },
         { key: "head", type: "string", default: "",
-          description: "your own head (the built-in one)" },
+          description: "your own head (the built-in head)" },
         { key: "points", type: "string", default: "",
-          description: "control points that select chose" },
+          description: "control points, from select" },
         { key: "pose", type: "string", choices: ["none", "rotation", "full"], default: "rotation",
-          description: "head pose to follow (rotation)" },
+          description: "how much of the head's pose to follow (rotation)" },
         { key: "smoothing", type: "float", default: 1.0,
           description: "jitter smoothing: 0 is off, values above 1 add lag (1)" },
         { key: "mode", type: "string", choices: ["3d", "planar"], default: "3d",
@@ -54,7 +54,7 @@ const JOB_TYPE = {
         { key: "nla", type: "bool", default: false,
           description: "put the animation onto an NLA track instead of the active action" },
         { key: "map", type: "string", default: "",
-          description: "for --keys mapped (the preset that fits the head best)" },
+          description: "table for --keys mapped (the preset that matches the head best)" },
         // End of options
     ],
 };

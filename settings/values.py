@@ -17,7 +17,7 @@ from ..core.bake.settings import BakeSettings
 from ..core.capture import is_address
 from ..core.drive.settings import DriveSettings, PosingSettings
 from ..core.errors import FacemimeError, SourceError
-from ..core.live.camera import Camera, CameraSettings, device_of, list_cameras
+from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
 from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
 from ..core.puppet.settings import PuppetSettings
 from ..core.takes.file import load_take
@@ -103,7 +103,7 @@ def open_source(source: FacemimeSource) -> LiveSource:
 
 def _camera() -> Camera:
     chosen = preferences()
-    device = device_of(chosen.camera, list_cameras())
+    device = parse_device(chosen.camera, list_cameras())
     if not device:
         raise SourceError("No camera is selected. Enter its number under Source; 0 is the first.")
     if is_address(device) and not bpy.app.online_access:

@@ -1,4 +1,4 @@
-"""The Blenders that tests run in, beside their own."""
+"""Other versions of Blender in which tests run."""
 
 import hashlib
 import os
@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def blender_python(version: str) -> Path:
-    """The Python of the environment with nothing but this Blender in it."""
+    """Python of an environment with only this version of Blender."""
     key = hashlib.sha256((ROOT / "requirements" / f"bpy-{version}.txt").read_bytes()).hexdigest()[:12]
     cache = Path(os.environ.get("FACEMIME_CACHE", Path.home() / ".cache" / "facemime"))
     place = cache / f"bpy-{version}-{key}"

@@ -1,4 +1,4 @@
-"""Clocks whose seconds pass on request, so that no test depends on how fast the machine is at that moment."""
+"""Clocks that advance on request, so that tests do not depend on the speed of the machine."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from collections.abc import Callable
 from facemime.core.live.sources import Clock
 
 PATIENCE = 300.0
-"""Seconds after which a test gives up on something that a busy machine would have done long before."""
+"""Seconds after which a test gives up; even a busy machine needs much less."""
 
 
 class EagerClock(Clock):
-    """Never waits: time passes by as much as somebody would have waited."""
+    """Never waits: time advances by the time that would have been waited."""
 
     def __init__(self) -> None:
         self.time = 100.0
 
     def now(self) -> float:
-        """The time so far."""
+        """The current time."""
         return self.time
 
     def wait_until(self, due: float, timeout: float, closed: threading.Event) -> bool:
-        """Pass on to `due`, or by `timeout`."""
+        """Advance to `due`, or by `timeout`."""
         ahead = due - self.time
         self.time += min(max(ahead, 0.0), timeout)
         return ahead <= timeout
 
 
 class AskedClock(EagerClock):
-    """Stands still until a test asks for the next frame; then it is due at once, and none is late or left out."""
+    """Stands still until a test requests the next frame, which is then due at once; no frame is late or dropped."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -49,7 +49,7 @@ class AskedClock(EagerClock):
             return True
 
     def ask(self, running: Callable[[], bool]) -> None:
-        """Let one frame come, and wait until whoever reads has done with it and waits for the next, or has ended."""
+        """Release a frame, and wait until its reader waits for the next one, or has ended."""
         with self._news:
             self._asked = True
             self._news.notify_all()

@@ -1,4 +1,4 @@
-"""Small FaceGen files, written byte by byte as the format's description says."""
+"""Small FaceGen files, written byte by byte according to the specification of the format."""
 
 import struct
 
@@ -34,7 +34,7 @@ def tri(labels: bool = False, per_vertex_uv: bool = False) -> bytes:
 
 
 def egm(vertices: int = 8) -> bytes:
-    """An `.egm` with two symmetric modes and an asymmetric one; FaceGen counts the statistical morphs' vertices too."""
+    """An `.egm` with two symmetric modes and one asymmetric; FaceGen counts vertices of statistical morphs, too."""
     modes = np.arange(3 * vertices * 3, dtype=np.int16).reshape(3, vertices, 3)
     out = b"FREGM002" + struct.pack("<3iI10i", vertices, 2, 1, 2001060901, *[0] * 10)
     return out + b"".join(struct.pack("<f", 0.5) + mode.tobytes() for mode in modes)

@@ -1,4 +1,4 @@
-"""A live session from a test: frames when they are asked for, the events that its operator gets, and what is seen."""
+"""Live sessions in tests: frames on request, events of the operator, and what is displayed."""
 
 import time
 from types import SimpleNamespace
@@ -15,7 +15,7 @@ CLICK = SimpleNamespace(type="LEFTMOUSE", value="PRESS", ctrl=False, oskey=False
 
 
 def let_a_frame_come() -> None:
-    """Where a session runs: one more frame of its source, tracked and driven."""
+    """Process one more frame of a running session's source."""
     session, clock = running(), PacedSource.pace
     if session is not None and isinstance(session.worker.source, PacedSource) and isinstance(clock, AskedClock):
         clock.ask(lambda: session.worker.running)
@@ -24,12 +24,12 @@ def let_a_frame_come() -> None:
 
 
 def tick(event=TIMER) -> set[str]:
-    """One event for the operator that runs."""
+    """Send an event to the running operator."""
     return FACEMIME_OT_puppet.instance.modal(bpy.context, event)
 
 
 def ticks_until(condition) -> None:
-    """Frames and ticks until `condition` holds or the operator has ended."""
+    """Send frames and ticks until `condition` holds or the operator has ended."""
     end = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < end, "waited in vain"
@@ -40,7 +40,7 @@ def ticks_until(condition) -> None:
 
 
 def outcome_of_ticks() -> set[str]:
-    """Frames and ticks until the operator ends; how it ended."""
+    """Send frames and ticks until the operator ends; returns its result."""
     end = time.monotonic() + PATIENCE
     while True:
         assert time.monotonic() < end, "waited in vain"
@@ -50,7 +50,7 @@ def outcome_of_ticks() -> set[str]:
 
 
 def shown(obj: bpy.types.Object) -> np.ndarray:
-    """(V, 3) what the viewport shows."""
+    """(V, 3) vertices as displayed in the viewport."""
     bpy.context.view_layer.update()
     mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
     points = np.empty(3 * len(mesh.vertices), np.float32)
@@ -65,7 +65,7 @@ def moving() -> bool:
 
 
 def wait_for(condition) -> None:
-    """Frames until the worker has come so far."""
+    """Send frames until the worker has reached a number."""
     end = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < end, "waited in vain"

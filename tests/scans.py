@@ -1,4 +1,4 @@
-"""A head as a depth camera sees it: one skin, without openings for eyes and mouth."""
+"""Scans of the built-in head as by a depth camera: one skin, without openings for eyes and mouth."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ UNIT = float(np.linalg.norm(np.subtract(*VERTICES[HEAD.landmarks[OUTER_EYE_CORNE
 
 
 def scanned(spacing: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
-    """The front of the head as a depth camera sees it: one skin, a grid of `spacing` eye distances."""
+    """The front of the head as one skin, on a grid with a spacing in eye distances."""
     step = spacing * UNIT
     low = VERTICES[:, :2].min(axis=0) - step
     width, height = np.ceil((VERTICES[:, :2].max(axis=0) - low) / step).astype(int) + 2
@@ -45,7 +45,7 @@ def _triangles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def cut_apart(
     vertices: np.ndarray, polygons: list[list[int]], cut: EyeCut
 ) -> tuple[np.ndarray, list[list[int]], list[list[int]]]:
-    """What `cut` says, done: the vertices with the new ones, and the polygons of the skin and of the eye."""
+    """Apply a cut: all vertices, including new ones, and the polygons of the skin and of the eye."""
     ends = vertices[cut.edges]
     points = np.concatenate([vertices, ends[:, 0] + cut.shares[:, None] * (ends[:, 1] - ends[:, 0])])
     new = {frozenset(pair): len(vertices) + i for i, pair in enumerate(cut.edges.tolist())}

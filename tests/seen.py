@@ -1,4 +1,4 @@
-"""Which face of a mesh is seen where: a picture without a renderer."""
+"""Visible faces of a mesh per pixel, without a renderer."""
 
 from __future__ import annotations
 

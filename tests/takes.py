@@ -17,7 +17,7 @@ def make_take(
     found: np.ndarray | None = None,
     gaze: np.ndarray | None = None,
 ) -> Take:
-    """A take of (N, 66, 3) pose-free shapes, seen from the front unless a (N, 6) pose says otherwise; no gaze known."""
+    """A take of pose-free shapes (N, 66, 3), frontal unless poses (N, 6) are given, without gaze."""
     count = len(shapes)
     found = np.ones(count, bool) if found is None else found
     return Take(

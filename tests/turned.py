@@ -1,4 +1,4 @@
-"""Videos as telephones record them: lying in the file, with a note of how to turn them."""
+"""Phone videos, which are stored rotated, with their orientation in the metadata."""
 
 import struct
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def turned_clip(path: Path, turn: int, count: int = 3) -> Path:
-    """A clip that is bright at the top, and says that it is to be shown turned by `turn` degrees, clockwise."""
+    """A clip that is bright at the top, to be displayed rotated clockwise by `turn` degrees."""
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 20.0, (64, 48))
     for _ in range(count):
         image = np.zeros((48, 64, 3), np.uint8)

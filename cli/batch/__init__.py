@@ -1,1 +1,1 @@
-"""Many clips: each puppeted by a process of its own, here or on other machines, and one report of all."""
+"""Batches: many clips, each in a process of its own, here or on other machines, with one report."""

@@ -1,8 +1,8 @@
-"""Which clips there are, which of them are done, and what is kept of each.
+"""The clips of a batch, and their records.
 
-A clip is done when its record lies in the output folder. The record's name holds the checksum of the clip and of all
-that decides what comes out, so that a clip that changed, another head or a new tracker make a new one, and whatever was
-moved or listed twice is done once.
+A clip is done when its record exists in the output folder. The record is named by a checksum of the clip and of
+everything that decides the result. A changed clip, another head or a new tracker therefore make a new record, and a
+clip that was moved or listed twice is processed once.
 """
 
 from __future__ import annotations
@@ -31,35 +31,37 @@ from .record import checked_record
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"})
 _OUTPUTS = frozenset({".blend", ".facetake", ".png", ".pc2", ".abc"})
-_LONGEST_LIST = 1 << 26
-"""Characters; what is longer is a film with an unusual suffix."""
+_MAX_LIST = 1 << 26
+"""Longest list in characters; longer files are videos with an unusual suffix."""
 _CURVE_POINTS = 300
-_WORST, _APART = 3, 0.5
+"""Points of a confidence curve at most."""
+_WORST_FRAMES, _MIN_GAP = 3, 0.5
+"""Number of the least certain frames that are shown, and seconds between them."""
 
 
 @dataclass(frozen=True)
 class Clip:
-    """A clip to be done: `name` is what its outputs are called in the folder of outputs."""
+    """A clip, and the `name` of its outputs in the output folder."""
 
     path: Path
     name: str
 
     def output(self, folder: Path, suffix: str) -> Path:
-        """A file of this clip in the folder of outputs."""
+        """An output of this clip, by its suffix."""
         return folder / f"{self.name}{suffix}"
 
 
 def find_clips(sources: Sequence[Path]) -> list[Path]:
-    """The clips that `sources` name: videos, folders of videos and of such folders, and lists, a path a line.
+    """Find clips in videos, folders (with subfolders), and lists with one path per line.
 
-    Of a folder, hidden files are left out: macOS puts one beside each video that it copies to other disks.
-    Paths of a list are relative to it; empty lines and those that begin with # are left out. What a list names need not
-    exist: that is found out, and told, when its turn comes.
+    Hidden files in folders are skipped, as macOS creates one beside each video that it copies to other disks. Paths in
+    a list are relative to it; empty lines and those that begin with # are ignored. Missing files in a list are reported
+    when they are processed.
 
     Raises
     ------
     SourceError
-        Where a source is missing or there is no clip in it.
+        If a source is missing or contains no clip.
     """
     clips: list[Path] = []
     for source in sources:
@@ -70,7 +72,7 @@ def find_clips(sources: Sequence[Path]) -> list[Path]:
         else:
             found = [source] if source.suffix.lower() in VIDEO_SUFFIXES else _listed(source)
         if not found:
-            raise SourceError(f"There is no clip in {source}. Videos are {', '.join(sorted(VIDEO_SUFFIXES))}.")
+            raise SourceError(f"There is no video in {source}. Use files with {', '.join(sorted(VIDEO_SUFFIXES))}.")
         clips += found
     return clips
 
@@ -78,7 +80,7 @@ def find_clips(sources: Sequence[Path]) -> list[Path]:
 def _videos_in(folder: Path) -> list[Path]:
     files = (path for path in folder.rglob("*") if not path.name.startswith(".") and os.path.isfile(path))
     try:
-        os.listdir(folder)  # `rglob` says nothing of a folder that may not be read
+        os.listdir(folder)  # `rglob` ignores a folder that is not readable
         return sorted(path for path in files if path.suffix.lower() in VIDEO_SUFFIXES)
     except OSError as error:
         raise SourceError(f"The folder {folder} cannot be read: {reason_of(error)}. Change its permissions.") from error
@@ -87,26 +89,28 @@ def _videos_in(folder: Path) -> list[Path]:
 def _listed(path: Path) -> list[Path]:
     try:
         with open(path, encoding="utf-8-sig") as stream:
-            text = stream.read(_LONGEST_LIST + 1)
+            text = stream.read(_MAX_LIST + 1)
     except (OSError, UnicodeDecodeError) as error:
         raise _no_list(path) from error
-    if len(text) > _LONGEST_LIST or "\0" in text:
+    if len(text) > _MAX_LIST or "\0" in text:
         raise _no_list(path)
     lines = (line.strip() for line in text.splitlines())
     return [path.parent / line for line in lines if line and not line.startswith("#")]
 
 
 def _no_list(path: Path) -> SourceError:
-    return SourceError(f"{path} is no folder and no list of clips. Give a folder, or a text in UTF-8, a path a line.")
+    return SourceError(
+        f"{path} is neither a folder nor a list of clips. Use a folder, or a UTF-8 text with one path per line."
+    )
 
 
 class Namer:
-    """Gives clips their names: the file's own, and a checksum of all that decides what comes out.
+    """Names clips by their file name and a checksum of everything that decides the result.
 
     Parameters
     ----------
     job : PuppetJob
-        What is done with each clip.
+        The job for each clip.
     """
 
     def __init__(self, job: PuppetJob) -> None:
@@ -122,14 +126,14 @@ class Namer:
         self._settings = json.dumps(decides, sort_keys=True).encode()
 
     def clip(self, path: Path) -> Clip:
-        """The clip at `path`; SourceError where it cannot be read."""
+        """Name the clip at `path`; SourceError if it cannot be read."""
         require_utf8_name(path)
         key = hashlib.sha256(checksum(path).encode() + self._settings).hexdigest()
         return Clip(path, f"{path.stem}-{key[:12]}")
 
 
 def checksum(path: Path) -> str:
-    """SHA-256 of a file's content; SourceError where it cannot be read."""
+    """SHA-256 of a file; SourceError if it cannot be read."""
     check_readable(path)
     try:
         with open(path, "rb") as stream:
@@ -139,16 +143,16 @@ def checksum(path: Path) -> str:
 
 
 def read_record(clip: Clip, folder: Path) -> dict[str, Any] | None:
-    """What is kept of a clip that is done; None where it is not, or where its outputs are gone."""
+    """The record of a clip; None if it is not done, or its outputs are missing."""
     try:
         record = checked_record(parse_json(read_text(clip.output(folder, ".json"))))
-    except (OSError, ValueError):  # missing, cut off or not a record: the clip is done again
+    except (OSError, ValueError):  # missing, truncated or not a record: the clip is processed again
         return None
     return record if all((folder / name).is_file() for name in record["outputs"]) else None
 
 
 def write_record(clip: Clip, folder: Path, take: Take, seconds: float, thumbnails: Sequence[bytes]) -> None:
-    """Keep what a report tells of a clip, last of all its outputs: that it is there means that the clip is done."""
+    """Write the record of a clip for the report, after all other outputs: its existence means that the clip is done."""
     record = {
         "clip": clip.path.name,
         "outputs": sorted(path.name for path in folder.glob(f"{glob.escape(clip.name)}.*") if path.suffix in _OUTPUTS),
@@ -165,19 +169,19 @@ def write_record(clip: Clip, folder: Path, take: Take, seconds: float, thumbnail
 
 
 def confidence_curve(take: Take) -> list[float]:
-    """The confidence over time, at most some hundred points: of each stretch of frames the least, 0 where lost."""
+    """Confidence over time as the minima of at most some hundred spans; 0 where lost."""
     sure = np.where(take.found, take.confidence, 0.0)
     parts = np.array_split(sure, min(_CURVE_POINTS, len(sure)))
     return [round(float(part.min()), 3) for part in parts]
 
 
 def worst_frames(take: Take) -> list[int]:
-    """The frames of which the tracker is least sure, some time apart, in order of time."""
+    """The least certain frames, some time apart, in order of time."""
     sure = np.where(take.found, take.confidence, 0.0)
     chosen: list[int] = []
     for frame in np.argsort(sure, kind="stable").tolist():
-        if all(abs(take.times[frame] - take.times[other]) >= _APART for other in chosen):
+        if all(abs(take.times[frame] - take.times[other]) >= _MIN_GAP for other in chosen):
             chosen.append(frame)
-        if len(chosen) == _WORST:
+        if len(chosen) == _WORST_FRAMES:
             break
     return sorted(chosen)

@@ -1,4 +1,4 @@
-"""The commands of `facemime` for many clips: batch, and clip, of which batch runs one a process."""
+"""The commands `batch` for many clips, and `clip` for one of them, which `batch` runs in processes."""
 
 from __future__ import annotations
 
@@ -33,42 +33,53 @@ from .clips import Clip, Namer, find_clips, read_record, worst_frames, write_rec
 from .report import Entry, jpeg_of, write_report
 from .run import DaskRunner, LocalRunner, Outcome, Runner
 
-_SOURCES = "videos, folders of them, or a text with a path a line"
-_OUTPUT = "where each clip's .blend, .facetake, .png and record go; what is there already is not done again"
+_SOURCES = "videos, folders, or text files with one path per line"
+_OUTPUT = "output folder for each clip's .blend, .facetake, .png and record; clips that are done are skipped"
 _THUMBNAIL = (240, 180)
-_MOST_FAILED = 99
+_MAX_STATUS = 99
 
 
 def add_commands(commands: Commands) -> None:
-    """Make the commands known to the parser."""
-    clip = add_command(commands, "clip", "puppet one of many clips, if that is not done yet; what batch runs")
+    """Add the commands to the parser."""
+    clip = add_command(commands, "clip", "puppet one of many clips, unless it is done; batch runs this command")
     clip.add_argument("source", type=Path, metavar="VIDEO|FOLDER|LIST", help=_SOURCES)
-    clip.add_argument("--number", type=whole_number, metavar="N", help="which clip of the folder or the list, from 1")
+    clip.add_argument(
+        "--number", type=whole_number, metavar="N", help="number of the clip in the folder or the list, from 1"
+    )
     add_output(clip, "DIR", _OUTPUT)
     add_puppet_options(clip)
     clip.set_defaults(run=lambda a: run_clip(puppet_job(a, a.source, a.output), a.number))
 
-    batch = add_command(commands, "batch", "puppet many clips; the exit status is how many failed, 99 at most")
+    batch = add_command(commands, "batch", "puppet many clips; the exit status is the number of failures, at most 99")
     batch.add_argument("sources", nargs="+", type=Path, metavar="FOLDER|LIST|VIDEO", help=_SOURCES)
-    add_output(batch, "DIR", f"{_OUTPUT}; and report.html")
+    add_output(batch, "DIR", f"{_OUTPUT}; report.html is written here, too")
     jobs = max(1, (os.cpu_count() or 2) // 2)
     batch.add_argument(
-        "--jobs", type=whole_number, default=jobs, metavar="N", help=f"clips at a time (half the cores: {jobs})"
+        "--jobs",
+        type=whole_number,
+        default=jobs,
+        metavar="N",
+        help=f"number of clips to process at a time ({jobs}, half the cores)",
     )
-    batch.add_argument("--dask", metavar="ADDRESS", help="on the workers of this Dask scheduler instead of here")
+    batch.add_argument("--dask", metavar="ADDRESS", help="use the workers of this Dask scheduler")
     add_puppet_options(batch)
     batch.set_defaults(run=lambda a: run_batch(puppet_job(a, a.sources[0], a.output), a.sources, a.jobs, a.dask))
 
 
 def run_clip(job: PuppetJob, number: int | None) -> int:
-    """`facemime clip`: one clip to a head, a take, a sheet and a record; two at once do it once.
+    """Run `facemime clip`: a clip to a head, a take, a sheet and a record; concurrent runs process it once.
 
     Parameters
     ----------
     job : PuppetJob
-        Its source is a clip, a folder or a list of them, its output the folder of outputs.
+        Its source is a clip, a folder or a list, its output the output folder.
     number : int, optional
-        Which clip of a folder or a list, from 1.
+        Number of the clip in a folder or a list, from 1.
+
+    Returns
+    -------
+    int
+        The exit status.
     """
     folder = job.output
     clip = Namer(job).clip(_chosen(find_clips([job.source]), number))
@@ -88,24 +99,29 @@ def run_clip(job: PuppetJob, number: int | None) -> int:
 
 
 def run_batch(job: PuppetJob, sources: Sequence[Path], jobs: int, dask: str | None) -> int:
-    """`facemime batch`: every clip that is not done yet, and a report of all; returns how many failed, 99 at most.
+    """Run `facemime batch`: process all clips that are not done, and write a report of all.
 
     Parameters
     ----------
     job : PuppetJob
-        What is done with each clip; its output is the folder of outputs.
+        The job for each clip; its output is the output folder.
     sources : sequence of Path
-        Clips, folders and lists of them.
+        Clips, folders and lists.
     jobs : int
-        Clips at a time on this machine.
+        Number of clips to process at a time on this machine.
     dask : str, optional
-        Address of a scheduler whose workers run the clips instead.
+        Address of a scheduler whose workers process the clips instead.
+
+    Returns
+    -------
+    int
+        The exit status: the number of failures, at most 99.
     """
     folder = job.output
     clips = find_clips(sources)
     check_writable(folder / "report.json")
     if jobs < 1:
-        raise FacemimeError(f"At least one clip has to run at a time; got {jobs}. Give --jobs 1 or more.")
+        raise FacemimeError(f"The number of clips at a time must be at least 1; got {jobs}. Use --jobs 1 or more.")
     if dask is None and importlib.util.find_spec("bpy") is None:
         raise FacemimeError("batch needs Blender. Run: blender --command facemime batch ..., or install bpy.")
     folder.mkdir(parents=True, exist_ok=True)
@@ -116,21 +132,21 @@ def run_batch(job: PuppetJob, sources: Sequence[Path], jobs: int, dask: str | No
     todo = [clip for name, clip in named.items() if name not in before]
     lines = [["clip", str(clip.path.absolute()), "-o", str(folder.absolute()), *as_options(job)] for clip in todo]
     ended, interrupted = _run(runner, lines, len(named))
-    said = {todo[outcome.index].name: outcome.said or f"ended with status {outcome.status}" for outcome in ended}
-    entries = failures + [_entry(clip, folder, clip.name in before, said.get(clip.name)) for clip in named.values()]
+    messages = {todo[outcome.index].name: outcome.said or f"ended with status {outcome.status}" for outcome in ended}
+    entries = failures + [_entry(clip, folder, clip.name in before, messages.get(clip.name)) for clip in named.values()]
     failed = [entry for entry in entries if entry.status == "failed"]
     for entry in failed:
-        last = (entry.said.splitlines() or ["no reason was told"])[-1]
+        last = (entry.said.splitlines() or ["no reason was given"])[-1]
         tell(f"facemime: {entry.clip}: {last.removeprefix('facemime: ')}")
     write_report(entries, folder)
     tell(f"facemime: {len(failed)} of {len(entries)} clips failed; see {folder / 'report.html'}.")
     if interrupted:
-        tell("facemime: interrupted. The same line again goes on where this one ended.")
-    return INTERRUPTED if interrupted else min(len(failed), _MOST_FAILED)
+        tell("facemime: interrupted. Run the same command again to continue.")
+    return INTERRUPTED if interrupted else min(len(failed), _MAX_STATUS)
 
 
 def _run(runner: Runner, lines: Sequence[Sequence[str]], total: int) -> tuple[list[Outcome], bool]:
-    """How each line ended that did, and whether the user stopped before all had."""
+    """Outcomes of the lines that ended, and whether the user interrupted the batch."""
     progress = Progress("Puppeting", total, unit="clips")
     before = total - len(lines)
     progress.update(before)
@@ -162,7 +178,7 @@ def _named(clips: Sequence[Path], namer: Namer) -> tuple[dict[str, Clip], list[E
 
 
 def _entry(clip: Clip, folder: Path, before: bool, said: str | None) -> Entry:
-    """What the report tells of a clip: that it is done is known by its record alone."""
+    """The entry of a clip in the report; its record decides whether it is done."""
     if (record := read_record(clip, folder)) is not None:
         return Entry(printable(clip.path.name), "skipped" if before else "done", clip.name, record=record)
     return Entry(printable(clip.path.name), "not reached" if said is None else "failed", clip.name, said or "")
@@ -177,7 +193,7 @@ def _chosen(clips: Sequence[Path], number: int | None) -> Path:
 
 
 def _thumbnails(clip: Path, take: Take) -> list[bytes]:
-    """The frames of which the tracker was least sure, with its landmarks, as JPEG."""
+    """The least certain frames with their landmarks, as JPEG."""
     wanted, pictures = worst_frames(take), []
     with VideoSource(clip) as source:
         for frame in source:

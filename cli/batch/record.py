@@ -1,4 +1,4 @@
-"""The record of a clip, checked as it is read: the folder of outputs is open to others, and the report shows it."""
+"""Checks of a clip's record, as others may write to the output folder, and the report shows it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _MOST_OUTPUTS, _MOST_POINTS, _MOST_PICTURES = 16, 1000, 16
 
 
 def checked_record(data: Any) -> dict[str, Any]:
-    """The record that `data` is, without what does not belong to one.
+    """Check a record, and drop unknown entries.
 
     Raises
     ------
     ValueError
-        Where something is missing or of another kind.
+        If an entry is missing or of another kind.
     """
     given = as_object(data, "the record")
     record: dict[str, Any] = {
@@ -42,7 +42,7 @@ def checked_record(data: Any) -> dict[str, Any]:
 
 
 def _name(value: Any) -> str:
-    """A file's own name; not a path, which may lead anywhere."""
+    """The name of a file; not a path, which might lead anywhere."""
     if not isinstance(value, str) or value in ("", ".", "..") or PurePath(value).name != value or "\\" in value:
         raise ValueError(f"{shown(value)} is not the name of a file")
     return value

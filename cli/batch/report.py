@@ -1,4 +1,4 @@
-"""What became of many clips: report.json for programs, report.html for people, in one file without any other."""
+"""The report of a batch: report.json for programs, and report.html for people, a single file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ img, svg { display: block; max-width: 100% } figcaption { color: #666; font-size
 
 @dataclass(frozen=True)
 class Entry:
-    """A clip of the report: `status` is done, skipped (it was done before), failed or not reached."""
+    """A clip in the report, whose `status` is done, skipped (done before), failed or not reached."""
 
     clip: str
     status: str
@@ -40,16 +40,16 @@ class Entry:
 
 
 def write_report(entries: Sequence[Entry], folder: Path) -> None:
-    """Write report.json and report.html into the folder of outputs.
+    """Write report.json and report.html into the output folder.
 
     Raises
     ------
     OutputError
-        Where they cannot be written.
+        If they cannot be written.
     """
-    told = {"counts": _counts(entries), "clips": [_without_pictures(entry) for entry in entries]}
+    summary = {"counts": _counts(entries), "clips": [_without_pictures(entry) for entry in entries]}
     with replacing(folder / "report.json") as temporary:
-        temporary.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     with replacing(folder / "report.html") as temporary:
         temporary.write_text(_page(entries, folder), encoding="utf-8", errors="replace")
 
@@ -62,14 +62,14 @@ def _counts(entries: Sequence[Entry]) -> dict[str, int]:
 
 
 def _without_pictures(entry: Entry) -> dict[str, Any]:
-    told = asdict(entry)
-    told["record"].pop("thumbnails", None)
-    return told
+    data = asdict(entry)
+    data["record"].pop("thumbnails", None)
+    return data
 
 
 def _page(entries: Sequence[Entry], folder: Path) -> str:
     counts = ", ".join(f"{count} {status}" for status, count in _counts(entries).items() if count)
-    # What failed comes first, then what was tracked least surely.
+    # Failures first, then by the least confidence.
     body = "\n".join(_article(entry, folder) for entry in sorted(entries, key=_place))
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Facemime: {counts}</title>'
@@ -88,11 +88,11 @@ def _article(entry: Entry, folder: Path) -> str:
     if record := entry.record:
         parts.append(
             f"<p>{record['length']:.1f} s, a face in {record['found']:d} of {record['frames']:d} frames, "
-            f"done in {record['seconds']:.1f} s</p>"
+            f"processed in {record['seconds']:.1f} s</p>"
         )
         parts.append(_figure(_curve(record["confidence"]), "confidence over time, 0 to 1"))
         parts += [
-            _figure(_image(picture), f"least sure, at {time:.2f} s")
+            _figure(_image(picture), f"least certain, at {time:.2f} s")
             for picture, time in zip(record["thumbnails"], record["worst"], strict=False)
         ]
         parts.append(_figure(_image(_sheet(folder / f"{entry.name}.png")), "performer and avatar"))
@@ -119,7 +119,7 @@ def _curve(confidence: Sequence[float]) -> str:
 
 
 def _sheet(path: Path) -> str:
-    """The contact sheet, small, as base64; nothing where it is gone."""
+    """The contact sheet, reduced, in base64; empty if it is missing."""
     try:
         image = read_image(path)
     except SourceError:
@@ -130,5 +130,5 @@ def _sheet(path: Path) -> str:
 
 
 def jpeg_of(image: Any) -> bytes:
-    """A picture (H, W, 3) BGR as a JPEG."""
+    """Encode a picture, (H, W, 3) BGR, as JPEG."""
     return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1])

@@ -1,4 +1,4 @@
-"""Running command lines, each in a process of its own: on this machine, or on others through Dask."""
+"""Runners of command lines, each in a process of its own, on this machine or on others through Dask."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ..terminal.leash import LEASH
 
 _LINES = 12
 _PATIENCE = 10.0
-"""Seconds that a process may take to end tidily."""
+"""Seconds for a process to terminate before it is killed."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How the command line number `index` ended: exit status 0 where all went well, and the last it said."""
+    """Outcome of command line number `index`: its exit status, and the last lines of its messages."""
 
     index: int
     status: int
@@ -30,27 +30,27 @@ class Outcome:
 
 
 class Runner(Protocol):
-    """Runs command lines of `facemime` and tells of each as it ends; `close` stops those that still run."""
+    """Runs command lines of `facemime` and reports each as it ends; `close` stops those that still run."""
 
     def run(self, lines: Sequence[Sequence[str]]) -> Iterator[Outcome]:
-        """Run all `lines`, arguments of `facemime`, in any order."""
+        """Run all `lines`, which are arguments of `facemime`, in any order."""
         ...
 
     def close(self) -> None:
-        """Stop what runs and forget what waits; may be called twice."""
+        """Stop running lines and drop waiting ones; may be called twice."""
         ...
 
 
 def own_command() -> list[str]:
-    """How this very `facemime` is called: by Blender where it runs inside Blender, by Python elsewhere."""
-    blender = sys.modules.get("bpy")  # there from the start inside Blender, and not to be loaded for this elsewhere
+    """The command that starts this `facemime`: through Blender if it runs inside Blender, otherwise through Python."""
+    blender = sys.modules.get("bpy")  # always loaded inside Blender; not to be imported for this elsewhere
     if blender is not None and blender.app.binary_path:
         return [blender.app.binary_path, "--command", "facemime"]
     return [sys.executable, "-m", __package__.rpartition(".")[0]]
 
 
 class LocalRunner:
-    """`jobs` processes at a time on this machine."""
+    """Runs `jobs` processes at a time on this machine."""
 
     def __init__(self, jobs: int) -> None:
         self._pool = ThreadPoolExecutor(jobs)
@@ -64,7 +64,7 @@ class LocalRunner:
             yield done.result()
 
     def close(self) -> None:
-        """As `Runner.close`; what was killed leaves nothing that counts as done."""
+        """As `Runner.close`; clips that were killed do not count as done."""
         self._closed = True
         self._pool.shutdown(wait=False, cancel_futures=True)
         for process in list(self._running):
@@ -81,7 +81,7 @@ class LocalRunner:
             return Outcome(index, 130, "stopped")
         with _started(line) as process:
             self._running.add(process)
-            if self._closed:  # meanwhile
+            if self._closed:  # closed meanwhile
                 process.terminate()
             try:
                 _, said = process.communicate()
@@ -91,9 +91,9 @@ class LocalRunner:
 
 
 class DaskRunner:
-    """As many at a time as the workers of a Dask scheduler have threads; what a lost worker had is given to another.
+    """Runs lines on the workers of a Dask scheduler, one per thread; those of a lost worker go to another one.
 
-    Facemime must be installed where the workers run, and clips, head and output folder lie at the same paths there.
+    Facemime has to be installed on the workers, with clips, head and output folder at the same paths.
     """
 
     def __init__(self, address: str) -> None:
@@ -107,7 +107,7 @@ class DaskRunner:
             self._client = Client(address, timeout="10s")
         except (OSError, ValueError) as error:
             raise FacemimeError(
-                f"There is no Dask scheduler at {address}. Start one with: dask scheduler, and give its address."
+                f"There is no Dask scheduler at {address}. Start one by running dask scheduler, and use its address."
             ) from error
         self._waiting: list[object] = []
 
@@ -129,7 +129,7 @@ class DaskRunner:
 
 
 def run_line(line: list[str]) -> tuple[int, str]:
-    """Run one command line of `facemime` to its end; returns its exit status and the last it said."""
+    """Run a command line of `facemime`; returns its exit status and the last lines of its messages."""
     with _started(line) as process:
         _, said = process.communicate()
     return process.returncode, _last(said)
@@ -137,8 +137,8 @@ def run_line(line: list[str]) -> tuple[int, str]:
 
 @contextmanager
 def _started(line: Sequence[str]) -> Iterator[subprocess.Popen[str]]:
-    """A process that runs `line`, and ends with this one, however that ends: its standard input does then."""
-    end, held = os.pipe()  # which no other process inherits, so that nothing else keeps it open
+    """A process that runs `line`, and ends when this one does, even by a crash, as its standard input then ends."""
+    end, held = os.pipe()  # not inherited by other processes, so that nothing else keeps it open
     try:
         with subprocess.Popen(
             [*own_command(), *line],

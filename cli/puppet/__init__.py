@@ -1,1 +1,1 @@
-"""The commands of `facemime` that track a face and move a head."""
+"""The commands `track` and `puppet`."""

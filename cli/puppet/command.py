@@ -1,4 +1,4 @@
-"""The commands `track` and `puppet`: a video to a take, and a video or a take to an animated head."""
+"""The commands `track`, from a video to a take, and `puppet`, from either of these to an animated head."""
 
 from __future__ import annotations
 
@@ -29,21 +29,27 @@ from .tracked import INTERRUPTED_NAME, growing, keep_interrupted, place_beside, 
 
 
 def add_commands(commands: Commands) -> None:
-    """Make the commands known to the parser."""
-    track = add_command(commands, "track", "track a face through a video")
-    track.add_argument("video", type=Path, metavar="VIDEO", help="what FFmpeg reads; MP4 (H.264) is safe")
-    add_output(track, "TAKE.facetake", "all that was tracked, to move any head by; it is there while it grows")
+    """Add the commands to the parser."""
+    track = add_command(commands, "track", "track the face in a video")
+    track.add_argument("video", type=Path, metavar="VIDEO", help="any video that FFmpeg reads, such as MP4 (H.264)")
+    add_output(track, "TAKE.facetake", "everything that was tracked, which can drive any head; written while tracking")
     track.add_argument("--smooth", action="store_true", help="reduce jitter")
     add_face_option(track)
     track.set_defaults(run=lambda a: run_track(a.video, a.output, face_of(a.face), smooth=a.smooth))
 
-    puppet = add_command(commands, "puppet", "move a head by a video or a take, as Blender animation")
-    puppet.add_argument("source", type=Path, metavar="VIDEO|TAKE", help="a video, or what track made of one")
+    puppet = add_command(commands, "puppet", "animate a head by a video or a take")
+    puppet.add_argument("source", type=Path, metavar="VIDEO|TAKE", help="a video, or a take from track")
     add_output(puppet, "OUT.blend", "the head with its animation")
-    puppet.add_argument("--preview", type=Path, metavar="OUT.mp4", help="video of performer and avatar side by side")
-    puppet.add_argument("--sheet", type=Path, metavar="OUT.png", help="contact sheet of the most different expressions")
-    puppet.add_argument("--take", type=Path, metavar="TAKE.facetake", help="also keep the take")
-    puppet.add_argument("--neutral", type=number, metavar="SECONDS", help="where the neutral second starts; else found")
+    puppet.add_argument(
+        "--preview", type=Path, metavar="OUT.mp4", help="also write a video of performer and avatar side by side"
+    )
+    puppet.add_argument(
+        "--sheet", type=Path, metavar="OUT.png", help="also write a contact sheet of the most distinct expressions"
+    )
+    puppet.add_argument("--take", type=Path, metavar="TAKE.facetake", help="also write the take")
+    puppet.add_argument(
+        "--neutral", type=number, metavar="SECONDS", help="start of the neutral second (found automatically)"
+    )
     add_puppet_options(puppet)
     puppet.set_defaults(run=lambda a: run_puppet(_job(a)))
 
@@ -54,7 +60,7 @@ def _job(arguments: argparse.Namespace) -> PuppetJob:
 
 
 def run_track(video: Path, output: Path, face: tuple[float, float] | None, *, smooth: bool) -> int:
-    """`facemime track`: a video to a take; returns the exit status."""
+    """Run `facemime track`: write a video as a take; returns the exit status."""
     unfinished = unfinished_beside(output)
     outputs, inputs = ((output, {SUFFIX}),), {"the video that is tracked": video}
     with outputs_of(outputs, inputs, unfinished), growing(unfinished) as unfinished:
@@ -69,12 +75,12 @@ def run_track(video: Path, output: Path, face: tuple[float, float] | None, *, sm
 
 
 def run_puppet(job: PuppetJob) -> int:
-    """`facemime puppet`: a video or a take to an animated head, and pictures of it; returns the exit status.
+    """Run `facemime puppet`: animate a head, and write pictures of it; returns the exit status.
 
     Raises
     ------
     FacemimeError
-        Where Blender is missing, or anything that the job names cannot be read, written or driven.
+        If Blender is missing, or anything in the job cannot be read, written or driven.
     """
     try:
         with STOPPING.importing():
@@ -107,7 +113,7 @@ def run_puppet(job: PuppetJob) -> int:
 
 
 def _part_of(job: PuppetJob) -> Path:
-    """Where the take of an interrupted job goes."""
+    """File for the take of an interrupted job."""
     if job.take is not None:
         return place_beside(job.take, SUFFIX)
     return free_name(job.output.with_suffix(f"{INTERRUPTED_NAME}{SUFFIX}"))

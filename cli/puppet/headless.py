@@ -1,4 +1,4 @@
-"""`facemime puppet` inside Blender: a head, an animation, a file, and pictures of what came out."""
+"""`facemime puppet` inside Blender: open a head, animate it, save the file, and render pictures."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ AVATAR_SIDE = 512
 SHEET_TILES = 9
 TILE_SIDE = 320
 _END_OF_BLEND = b"\xb1\xea\x92\x8f"
-"""What a compressed .blend ends with, as any file of Zstandard's seekable format."""
+"""Last bytes of a compressed .blend file, as of any file in Zstandard's seekable format."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """The scene and the head of a job, and its settings with the files read that it names."""
+    """The scene and the head of a job, and its settings, including the content of files."""
 
     scene: bpy.types.Scene
     head: bpy.types.Object
@@ -57,15 +57,15 @@ class Stage:
 
 
 def open_stage(job: PuppetJob) -> Stage:
-    """Open the head of `job`, the built-in one in a new file by default, with its control points.
+    """Open the head of `job`, by default the built-in one in a new file, with its control points.
 
-    The built-in one has its face units as shape keys where the bake goes to keys that are there.
+    The built-in head has its face units as shape keys if the bake uses existing keys.
 
     Raises
     ------
     FacemimeError
-        Where a file cannot be read, it holds no such object, or none or several with landmarks, or the head cannot
-        be driven or take the bake.
+        If a file cannot be read, the object does not exist, none or several have landmarks, or the head cannot be
+        driven or baked.
     """
     settings = _settings(job)
     points = None if job.points is None else _points(job.points)
@@ -77,7 +77,7 @@ def open_stage(job: PuppetJob) -> Stage:
 
 
 def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> PuppetReport:
-    """Do all of `job` once there is a take; `video` is None where only the take is there."""
+    """Animate the head by `take` and write all outputs; `video` is None if there is only the take."""
     scene, head, own = stage.scene, stage.head, job.head is not None
     if not own:
         set_rate(scene, float(take.info.get("fps", 25.0)))
@@ -89,7 +89,7 @@ def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> Pupp
         f"Baked {len(report.motion.times)} frames: {report.summary()}; "
         f"neutral at {neutral.start:.2f}-{neutral.end:.2f} s"
     )
-    if own:  # a user's own file keeps its camera and its render settings
+    if own:  # a file of the user keeps its camera and render settings
         save_blend(job.output)
     setup_preview(scene, head, (AVATAR_SIDE, AVATAR_SIDE))
     if not own:
@@ -105,7 +105,7 @@ def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> Pupp
 
 
 def _settings(job: PuppetJob) -> PuppetSettings:
-    """The settings of `job` with its table read, and the cache beside its output."""
+    """The settings of `job`, with the content of its table, and the cache beside its output."""
     table = None
     if job.map is not None:
         check_readable(job.map)
@@ -119,7 +119,7 @@ def _points(path: Path) -> GreedySelection:
     try:
         return from_json(read_text(path))
     except (OSError, ValueError) as error:
-        raise SourceError(f"{path} cannot be read ({error}). Give a file that facemime select -o wrote.") from error
+        raise SourceError(f"{path} cannot be read ({error}). Use a file that facemime select -o wrote.") from error
 
 
 def _built_in(bake: BakeSettings) -> tuple[bpy.types.Scene, bpy.types.Object]:
@@ -132,30 +132,32 @@ def _built_in(bake: BakeSettings) -> tuple[bpy.types.Scene, bpy.types.Object]:
 def _opened(file: HeadFile) -> tuple[bpy.types.Scene, bpy.types.Object]:
     path, name = file.path, file.name
     if not check_readable(path):
-        raise SourceError(f"There is no file {path}. Give --head as FILE.blend:OBJECT.")
+        raise SourceError(f"There is no file {path}. Check --head, which is FILE.blend:OBJECT.")
     place = os.path.realpath(path)
     require_utf8_name(Path(place))
     try:
-        # A head from elsewhere may bring programs of its own: none is run, whatever the preferences say.
+        # A file from elsewhere may contain scripts: none is run, whatever the preferences say.
         with STOPPING.holding(), quiet():
             bpy.ops.wm.open_mainfile(filepath=place, use_scripts=False)
     except RuntimeError as error:
-        raise SourceError(f"{path} cannot be opened by this Blender. Check that it is a .blend file.") from error
+        raise SourceError(
+            f"{path} cannot be opened by this version of Blender. Check that it is a .blend file."
+        ) from error
     bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and LANDMARKS_PROPERTY in obj.data]
     if name:
-        # `get` refuses a name that is not UTF-8.
+        # `get` raises on names that are not UTF-8.
         head = next((obj for obj in bpy.data.objects if obj.name == name), None)
         if head is None:
-            names = ", ".join(obj.name for obj in bpy.data.objects if obj.type == "MESH") or "no mesh at all"
-            raise HeadError(f"{path} has no object {name}. It has: {names}.")
+            names = ", ".join(obj.name for obj in bpy.data.objects if obj.type == "MESH") or "no mesh"
+            raise HeadError(f"{path} has no object {name}. Choose one of: {names}.")
         return bpy.context.scene, head
     if len(bound) != 1:
-        raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Name one: --head {path}:OBJECT.")
+        raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Choose one: --head {path}:OBJECT.")
     return bpy.context.scene, bound[0]
 
 
 def look_through_camera() -> None:
-    """Let every 3-D view of the file open on the camera, with textures."""
+    """Set all 3D viewports of the file to the camera view, with textures."""
     for screen in bpy.data.screens:
         for space in (area.spaces.active for area in screen.areas if area.type == "VIEW_3D"):
             space.shading.type = "SOLID"
@@ -164,12 +166,12 @@ def look_through_camera() -> None:
 
 
 def save_blend(path: Path) -> None:
-    """Save the open file at `path`; what was there is replaced only by a whole file.
+    """Save the open file; an existing one is replaced only by a complete one.
 
     Raises
     ------
     OutputError
-        Where it cannot be written.
+        If it cannot be written.
     """
     with replacing(path) as temporary:
         temporary.unlink()
@@ -178,20 +180,20 @@ def save_blend(path: Path) -> None:
                 bpy.ops.wm.save_as_mainfile(filepath=str(temporary.resolve()), copy=True, compress=True)
         except RuntimeError as error:
             reason = str(error).strip().removeprefix("Error: ").lower()
-            raise OutputError(f"Cannot write {path}: {reason}. Choose another place for the output.") from error
-        if _end_of(temporary) != _END_OF_BLEND:  # Blender misses a disk that is full only at the end
-            raise OutputError(f"Cannot write {path}: no space is left. Choose another place for the output.")
+            raise OutputError(f"Cannot write {path}: {reason}. Choose another location for the output.") from error
+        if _end_of(temporary) != _END_OF_BLEND:  # Blender does not notice a disk that becomes full at the very end
+            raise OutputError(f"Cannot write {path}: no space is left. Choose another location for the output.")
 
 
 def _end_of(path: Path) -> bytes:
-    """As many of a file's last bytes as `_END_OF_BLEND` has."""
+    """The last bytes of a file, as many as `_END_OF_BLEND` has."""
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - len(_END_OF_BLEND)))
         return file.read()
 
 
 def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: Path) -> None:
-    """Write a video of the performer with landmarks beside the avatar, at the video's nominal rate."""
+    """Write a video of the performer with landmarks beside the avatar, at the nominal rate of the source."""
     fps = float(take.info.get("fps", 25.0))
     frames = list(at_constant_rate(_stamps(take), fps))
     width, height = _image_size(take)
@@ -213,7 +215,7 @@ def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: 
 
 
 def write_sheet(scene: bpy.types.Scene, take: Take, video: Path | None, frames: NDArray[np.intp], path: Path) -> None:
-    """Write a contact sheet: performer beside avatar for each of `frames` of `take`."""
+    """Write a contact sheet of performer and avatar in `frames` of `take`."""
     avatars = _avatars(scene, take.times[frames])
     pairs = []
     for frame, picture, avatar in zip(frames, _pictures(take, video, frames.tolist()), avatars, strict=True):
@@ -224,7 +226,7 @@ def write_sheet(scene: bpy.types.Scene, take: Take, video: Path | None, frames: 
 
 
 def _avatars(scene: bpy.types.Scene, times: NDArray[np.float64]) -> Iterator[Image]:
-    """Pictures of the scene at `times`, seconds; OutputError where Blender cannot keep one for a moment."""
+    """Render the scene at `times` in seconds; OutputError if Blender cannot store a picture temporarily."""
     pictures = render_frames(scene, frames_of(scene, times), (AVATAR_SIDE, AVATAR_SIDE))
     try:
         for _ in times:
@@ -254,7 +256,7 @@ def _image_size(take: Take) -> tuple[int, int]:
 
 
 def _pictures(take: Take, video: Path | None, indices: list[int]) -> Iterator[Image]:
-    """The video's frames numbered by ascending `indices`; plain grey ones where there is only a take."""
+    """Frames of the video by ascending `indices`; plain grey if there is only a take."""
     width, height = _image_size(take)
     if video is None:
         blank = np.full((height, width, 3), 40, dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Tracking a video from the command line: with progress, and with what was tracked kept whatever ends it."""
+"""Tracking of a video from the command line, with progress, keeping what was tracked if it is interrupted."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _UNFINISHED = f".unfinished{SUFFIX}"
 
 
 def unfinished_beside(output: Path) -> Path:
-    """Where a take grows that belongs to `output`."""
+    """File for the unfinished take of `output`."""
     return output.with_suffix(_UNFINISHED)
 
 
 def place_beside(output: Path, suffix: str) -> Path:
-    """Where the part of an interrupted run goes: `output` where nothing is there yet, a free name beside it else."""
+    """File for the result of an interrupted run: `output` if it does not exist, otherwise a free name beside it."""
     if not os.path.lexists(output):
         return output
     return free_name(output.with_suffix(f"{INTERRUPTED_NAME}{suffix}"))
@@ -36,13 +36,13 @@ def place_beside(output: Path, suffix: str) -> Path:
 
 @contextlib.contextmanager
 def growing(unfinished: Path) -> Iterator[Path]:
-    """A free name for a take that is tracked; where what follows fails, the error says that the take is there.
+    """Yield a free name for an unfinished take; if what follows fails, the error names that file.
 
-    An earlier run's unfinished take is kept, which is said.
+    An unfinished take of an earlier run is kept, with a message.
     """
     name = free_name(unfinished)
     if name != unfinished:
-        tell(f"facemime: {unfinished} is what an earlier run tracked before it was broken off; it is kept.")
+        tell(f"facemime: {unfinished} is from an earlier run that did not finish; it is kept.")
     try:
         yield name
     except FacemimeError as error:
@@ -56,12 +56,12 @@ def growing(unfinished: Path) -> Iterator[Path]:
 
 
 def track(video: Path, unfinished: Path, face: tuple[float, float] | None) -> Take:
-    """The take of `video`, written to `unfinished` as it grows.
+    """Track `video`, writing the take to `unfinished` at the same time.
 
     Raises
     ------
     SourceError
-        Where the video cannot be read, or no face was found in it.
+        If the video cannot be read, or no face was found in it.
     """
     require_file(video)
     tracker = FaceTracker.load()
@@ -86,7 +86,7 @@ def track(video: Path, unfinished: Path, face: tuple[float, float] | None) -> Ta
 
 
 def keep_interrupted(take: Take, unfinished: Path, kept: Path) -> int:
-    """Give what was tracked until Ctrl-C its name, and say so; returns the exit status."""
+    """Move the take of an interrupted run to `kept`, with a message; returns the exit status."""
     settle(unfinished, kept)
     tell(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.")
     return INTERRUPTED

@@ -1,4 +1,4 @@
-"""What the command line says while it works. All of it goes through here."""
+"""All output of the command line: results, messages and progress."""
 
 from __future__ import annotations
 
@@ -15,63 +15,63 @@ _TURNING = frozenset("\u200e\u200f\u061c\u202a\u202b\u202c\u202d\u202e\u2066\u20
 
 
 def say(text: str) -> None:
-    """Write a result to the standard output; a reader that has had enough, such as `head`, is no error.
+    """Write a result to the standard output; a reader that stops early, such as `head`, is not an error.
 
     Raises
     ------
     OutputError
-        Where it cannot be written.
+        If it cannot be written.
     """
-    if sys.stdout is None:  # closed by whoever called
+    if sys.stdout is None:  # closed by the caller
         return
     try:
         print("\n".join(printable(line) for line in text.split("\n")), flush=True)
     except BrokenPipeError:
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - what is left in the buffer goes there when Python ends
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - receives the rest of the buffer when Python ends
     except OSError as error:
         raise OutputError(f"Cannot write to the standard output: {(error.strerror or str(error)).lower()}.") from error
 
 
 def tell(text: str) -> None:
-    """Write a line for the user to the standard error; that nobody reads it, or its disk is full, is no error."""
+    """Write a message to the standard error; a closed stream or a full disk is not an error."""
     write_error(printable(text) + "\n")
 
 
 def write_error(text: str) -> None:
-    """Write `text` as it is to the standard error, as `tell`."""
+    """Write `text` unchanged to the standard error, as `tell` does."""
     if sys.stderr is None:
         return
     try:
         sys.stderr.write(text)
         sys.stderr.flush()
     except OSError:
-        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - what is left in the buffer goes there when Python ends
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - receives the rest of the buffer when Python ends
 
 
 def printable(text: str) -> str:
-    """`text` on one line, with the characters by which a file's name could command a terminal written as escapes."""
+    """`text` with control characters escaped, by which the name of a file could control the terminal."""
     if text.isascii() and text.isprintable():
         return text
     return "".join(_escaped(c) if unicodedata.category(c) in _UNSEEN or c in _TURNING else c for c in text)
 
 
 def _escaped(character: str) -> str:
-    if "\udc80" <= character <= "\udcff":  # a byte that is not UTF-8
+    if "\udc80" <= character <= "\udcff":  # an undecodable byte
         return f"\\x{ord(character) - 0xDC00:02x}"
     return character.encode("unicode_escape").decode()
 
 
 class Progress:
-    """A line that is rewritten in place on a terminal, and printed once at the end elsewhere.
+    """A progress line, rewritten in place on a terminal, and otherwise printed once at the end.
 
     Parameters
     ----------
     title : str
-        What is being done.
+        Name of the task.
     total : int
-        Steps expected; 0 where unknown.
+        Expected number of steps; 0 if unknown.
     unit : str
-        What the steps are.
+        Name of the steps.
     """
 
     def __init__(self, title: str, total: int = 0, stream: TextIO | None = None, unit: str = "frames") -> None:
@@ -84,7 +84,7 @@ class Progress:
         self._drawn = 0.0
 
     def update(self, done: int, total: int | None = None) -> None:
-        """Say that `done` steps are done; drawn ten times a second at most."""
+        """Report that `done` steps are done; drawn at most ten times per second."""
         self.done, self.total = done, self.total if total is None else total
         now = time.perf_counter()
         if self._live and now - self._drawn > 0.1:
@@ -92,7 +92,7 @@ class Progress:
             self._write("\r\x1b[K" + self.line())
 
     def finish(self, note: str = "") -> None:
-        """End the line, with what came out."""
+        """End the line, with a note."""
         note = f", {printable(note)}" if note else ""
         self._write(("\r\x1b[K" if self._live else "") + self.line(ended=True) + note + "\n")
 
@@ -104,7 +104,7 @@ class Progress:
             self._stream.flush()
 
     def line(self, ended: bool = False) -> str:
-        """The line as it stands: title, bar, count, rate and the time left."""
+        """The current line: title, bar, count, rate and remaining time."""
         elapsed = max(time.perf_counter() - self._start, 1e-6)
         rate = self.done / elapsed
         if ended:

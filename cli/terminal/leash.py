@@ -1,6 +1,6 @@
-"""How a process ends with the one that started it: when its standard input does, whatever became of that one.
+"""Ending a process together with the one that started it, when its standard input ends.
 
-Imports nothing that takes time, so that it can be the first thing that a process does.
+Imports nothing that takes time, so that it can run first in a process.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ import threading
 import time
 
 LEASH = "FACEMIME_ENDS_WITH_STDIN"
-"""Set in the environment of a process that is to end so."""
+"""Environment variable of processes that end with their standard input."""
 _PATIENCE = 3.0
-"""Seconds that a tidy end may take."""
+"""Seconds from SIGTERM to the end of the process."""
 
 
 def follow_stdin() -> None:
-    """Where the environment asks for it, end when the standard input does: by SIGTERM, and if need be at once."""
+    """If the environment requests it, end with the standard input: by SIGTERM and, if that fails, at once."""
     if os.environ.pop(LEASH, ""):
         threading.Thread(target=_end_with_stdin, name="facemime-leash", daemon=True).start()
 

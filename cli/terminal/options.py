@@ -1,4 +1,4 @@
-"""What several commands have in common: which head is moved, how, and what of it is animated."""
+"""Options that several commands share, and the jobs that they describe."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from .console import printable, say, write_error
 _SIDES = {"left": LEFTMOST, "right": RIGHTMOST}
 _FOLLOWED = ("rotation", "translation")
 _POSES = {"none": (False, False), "rotation": (True, False), "full": (True, True)}
-"""What --pose says of those."""
-_LARGEST = 1_000_000_000
-_FURTHEST = 1_000_000
+"""Values of these settings by --pose."""
+_MAX_COUNT = 1_000_000_000
+_MAX_PIXEL = 1_000_000
 
 
-Commands = argparse._SubParsersAction  # argparse names the type of what add_subparsers gives in no other way
+Commands = argparse._SubParsersAction  # argparse has no public name for this type
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose messages cannot command a terminal, and may go where nobody reads."""
+    """A parser whose messages cannot control the terminal, and whose streams may be closed."""
 
     def _print_message(self, message: str, file: IO[str] | None = None) -> None:
         text = "\n".join(printable(line) for line in message.rstrip("\n").split("\n"))
@@ -42,24 +42,24 @@ class Parser(argparse.ArgumentParser):
 
 
 def whole_number(text: str) -> int:
-    """The type of an option that counts something."""
+    """Type of options that count something."""
     try:
         value = int(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{_shortened(text)} is no whole number") from None
-    if abs(value) > _LARGEST:
+        raise argparse.ArgumentTypeError(f"{_shortened(text)} is not a whole number") from None
+    if abs(value) > _MAX_COUNT:
         raise argparse.ArgumentTypeError(f"{_shortened(text)} is too large")
     return value
 
 
 def number(text: str) -> float:
-    """The type of an option that measures something."""
+    """Type of options that measure something."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{_shortened(text)} is no number that can be used")
+        raise argparse.ArgumentTypeError(f"{_shortened(text)} is not a valid number")
     return value
 
 
@@ -67,34 +67,36 @@ def _shortened(text: str) -> str:
     return repr(text if len(text) <= 20 else f"{text[:17]}...")
 
 
-def add_command(commands: Commands, name: str, told: str) -> argparse.ArgumentParser:
-    """A command that does what is `told`, in the list of all commands and at the top of its own help."""
-    parser: argparse.ArgumentParser = commands.add_parser(name, help=told, description=f"{told[0].upper()}{told[1:]}.")
+def add_command(commands: Commands, name: str, summary: str) -> argparse.ArgumentParser:
+    """Add a command, whose `summary` is shown in the list of commands and in its own help."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name, help=summary, description=f"{summary[0].upper()}{summary[1:]}."
+    )
     return parser
 
 
-def add_output(parser: argparse.ArgumentParser, metavar: str, told: str) -> None:
-    """Where the result goes, which has to be said."""
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=told)
+def add_output(parser: argparse.ArgumentParser, metavar: str, summary: str) -> None:
+    """Add the option for the output, which is required."""
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=summary)
 
 
 def add_face_option(parser: argparse.ArgumentParser) -> None:
-    """Whom to follow where several people are in view."""
+    """Add the option for the face to track if several are in view."""
     parser.add_argument(
         "--face",
         metavar="left|right|X,Y",
-        help="of several people the leftmost, the rightmost, or the one at these "
-        "pixels of the first frame; the largest by default",
+        help="face to track if several are in view: the leftmost, the rightmost, or the nearest "
+        "to a pixel of the first frame (the largest)",
     )
 
 
 def face_of(text: str | None) -> tuple[float, float] | None:
-    """The place that `--face` names, as for `FaceTracker.choose`; None for the largest face.
+    """Parse `--face` into a position, as for `FaceTracker.choose`; None for the largest face.
 
     Raises
     ------
     FacemimeError
-        Where it names none.
+        If it is not a face.
     """
     if not text:
         return None
@@ -103,46 +105,53 @@ def face_of(text: str | None) -> tuple[float, float] | None:
     try:
         x, y = (int(part) for part in text.split(","))
     except ValueError:
-        x = y = _FURTHEST + 1
-    if max(abs(x), abs(y)) > _FURTHEST:
-        raise FacemimeError(f"{_shortened(text)} names no face. Give left, right, or pixels as 320,240.")
+        x = y = _MAX_PIXEL + 1
+    if max(abs(x), abs(y)) > _MAX_PIXEL:
+        raise FacemimeError(f"{_shortened(text)} is not a face. Use left, right, or pixels such as 320,240.")
     return float(x), float(y)
 
 
 def add_puppet_options(parser: argparse.ArgumentParser) -> None:
-    """The options that say which head is moved, by whom, how, and to what it is baked; `puppet_job` reads them."""
+    """Add the options that `puppet_job` reads: the face, the head, how it moves, and what it is baked to."""
     add_face_option(parser)
-    parser.add_argument("--head", type=_head, metavar="FILE.blend[:OBJECT]", help="your own head (the built-in one)")
-    parser.add_argument("--points", type=_path, metavar="POINTS.json", help="control points that select chose")
-    how = parser.add_argument_group("how the head moves")
-    how.add_argument("--pose", choices=tuple(_POSES), default="rotation", help="head pose to follow (rotation)")
+    parser.add_argument("--head", type=_head, metavar="FILE.blend[:OBJECT]", help="your own head (the built-in head)")
+    parser.add_argument("--points", type=_path, metavar="POINTS.json", help="control points, from select")
+    how = parser.add_argument_group("motion of the head")
+    how.add_argument(
+        "--pose", choices=tuple(_POSES), default="rotation", help="how much of the head's pose to follow (rotation)"
+    )
     for group in (PuppetSettings, DriveSettings, PosingSettings):
         _add_settings(how, group, without=_FOLLOWED)
-    bake = parser.add_argument_group("what it is baked to")
+    bake = parser.add_argument_group("baking")
     _add_settings(bake, BakeSettings)
     bake.add_argument(
-        "--map", type=_path, metavar="TABLE.json", help="for --keys mapped (the preset that fits the head best)"
+        "--map",
+        type=_path,
+        metavar="TABLE.json",
+        help="table for --keys mapped (the preset that matches the head best)",
     )
 
 
 def _add_settings(parser: argparse._ArgumentGroup, group: type, without: Collection[str] = ()) -> None:
-    """An option for each setting of a group, named as its field is."""
+    """Add an option for each setting of a group, named after its field."""
     for name, setting in settings_of(group).items():
         if name in without:
             continue
-        told = f"{setting.description[0].lower()}{setting.description[1:]}"
+        summary = f"{setting.description[0].lower()}{setting.description[1:]}"
         if setting.kind is bool:
-            parser.add_argument(_flag(name), action=argparse.BooleanOptionalAction, default=setting.default, help=told)
+            parser.add_argument(
+                _flag(name), action=argparse.BooleanOptionalAction, default=setting.default, help=summary
+            )
             continue
         default = _shown(setting, setting.default)
         more = {"choices": setting.values} if setting.choices else {"metavar": _METAVARS[setting.unit]}
         parser.add_argument(
-            _flag(name), type=_type_of(setting), default=setting.default, help=f"{told} ({default})", **more
+            _flag(name), type=_type_of(setting), default=setting.default, help=f"{summary} ({default})", **more
         )
 
 
 def _type_of(setting: Setting) -> Callable[[str], Any]:
-    """What reads an option's value, and refuses one that the setting cannot have."""
+    """The type of an option, which rejects values that its setting cannot have."""
 
     def read(text: str) -> Any:
         value = whole_number(text) if setting.kind is int else number(text) / _scale(setting)
@@ -163,22 +172,22 @@ def _scale(setting: Setting) -> float:
 
 
 def _shown(setting: Setting, value: Any) -> str:
-    """The value of a setting as an option has it: angles in degrees, fractions in percent."""
+    """The value of a setting as an option: angles in degrees, fractions in percent."""
     return str(value) if setting.kind in (str, int) else f"{value * _scale(setting):.12g}"
 
 
 def puppet_job(
     arguments: argparse.Namespace, source: Path, output: Path, neutral: float | None = None, **wanted: Path | None
 ) -> PuppetJob:
-    """The job that the options of `add_puppet_options` describe; `wanted` are further outputs of `PuppetJob`.
+    """Create the job that the options of `add_puppet_options` describe; `wanted` are further outputs of `PuppetJob`.
 
     Raises
     ------
     FacemimeError
-        Where they make no sense.
+        If options contradict each other.
     """
     if arguments.map is not None and arguments.keys != "mapped":
-        raise FacemimeError("A table is for keys that are mapped. Give --keys mapped, or no --map.")
+        raise FacemimeError("--map is used with --keys mapped only. Add --keys mapped, or remove --map.")
     given = vars(arguments)
 
     def read(group: type, **more: Any) -> Any:
@@ -196,7 +205,7 @@ def puppet_job(
 
 
 def as_options(job: PuppetJob) -> list[str]:
-    """The options that describe a job's head, settings and bake, with paths that hold in any folder."""
+    """The options that describe the head, settings and bake of a job, with absolute paths."""
     line: list[str] = []
     if job.face is not None:
         sides = {place: name for name, place in _SIDES.items()}

@@ -1,4 +1,4 @@
-"""What a command writes: looked at before the work begins, and its own while that lasts."""
+"""Outputs of a command: checked before the work begins, and claimed while it lasts."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ Outputs = Sequence[tuple[Path | None, Collection[str]]]
 
 @contextlib.contextmanager
 def outputs_of(outputs: Outputs, inputs: Mapping[str, Path | None], *more: Path) -> Iterator[None]:
-    """Keep the outputs of a command to this process.
+    """Check the outputs of a command, and claim them for this process.
 
     Parameters
     ----------
     outputs : sequence of (Path or None, suffixes)
-        Those that the user named, and what they may end in.
+        Outputs that the user named, and their allowed suffixes.
     inputs : mapping of str to (Path or None)
-        What is read, by what it is; never written over.
+        Inputs by their description, which must not be overwritten.
     more : Path
-        What else is written.
+        Further outputs.
 
     Raises
     ------
     OutputError
-        Where one cannot be written, is an input, or is being written by another process.
+        If an output cannot be written, is an input, or is being written by another process.
     """
     for path, suffixes in outputs:
         if path is not None:

@@ -1,6 +1,6 @@
-"""Ctrl-C and SIGTERM: a KeyboardInterrupt each, or the end at once where nothing is begun yet.
+"""Handling of Ctrl-C and SIGTERM: a KeyboardInterrupt, or an immediate end if nothing has begun.
 
-Imports nothing that takes time, so that it is ready before anything else is.
+Imports nothing that takes time, so that it is ready first.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from typing import Any, NoReturn
 
 INTERRUPTED = 130
 _TOGETHER = 1.0
-"""Seconds within which a second signal is the first one's twin: a terminal's and a parent's, say."""
+"""Seconds within which a second signal is a duplicate, for instance from the terminal and from a parent process."""
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 class Stopping:
-    """What signals do to this process.
+    """The effect of signals on this process.
 
     Attributes
     ----------
     status : int
-        The exit status of a run that a signal ended: 128 and the signal's number, 130 before any came.
+        Exit status after a signal: 128 plus its number; 130 before any signal.
     heard : bool
-        Whether one came.
+        Whether a signal has arrived.
     """
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class Stopping:
         self._holds, self._last = 0, -_TOGETHER
 
     def install(self) -> None:
-        """Listen to signals, but to those that this process was started to ignore; until `run` they end it at once."""
+        """Handle signals, except those that this process ignores from its start; until `run` they end it at once."""
         self._at_once = True
         for number in _SIGNALS:
             ignored = signal.getsignal(number) is signal.SIG_IGN
@@ -47,19 +47,19 @@ class Stopping:
         self._restore()
 
     def run(self) -> None:
-        """Let signals be KeyboardInterrupts from now on."""
+        """Raise KeyboardInterrupt on signals from now on."""
         self._at_once = False
 
     def leave(self) -> None:
-        """Hear no signal any more: the end is near."""
+        """Ignore further signals, as the process is ending."""
         self._over = True
 
     @contextlib.contextmanager
     def starting(self) -> Iterator[None]:
-        """Let no thread hear signals that a library starts while it is imported: `importing` could not stop those."""
+        """Keep threads that libraries start during import from receiving signals; `importing` cannot prevent that."""
         over = threading.Event()
         listener = threading.Thread(target=over.wait, name="facemime-signals", daemon=True)
-        listener.start()  # hears them in place of the main thread, which acts on them all the same
+        listener.start()  # receives signals for the main thread, which still handles them
         try:
             with _blocked():
                 yield
@@ -69,9 +69,9 @@ class Stopping:
 
     @contextlib.contextmanager
     def importing(self) -> Iterator[None]:
-        """Let signals end the process at once, without a traceback, when this is over.
+        """Let signals end the process at once, without a traceback, after this block.
 
-        Blender takes Ctrl-C for itself as soon as it is imported.
+        Blender installs its own handler of Ctrl-C when it is imported.
         """
         if not self._handlers:
             yield
@@ -86,10 +86,10 @@ class Stopping:
 
     @contextlib.contextmanager
     def noting(self) -> Iterator[None]:
-        """Raise nothing when a signal comes, but set `heard`.
+        """On a signal, set `heard` but do not raise.
 
-        Where Blender calls Python, it prints what is raised and goes on. OpenCV 4.11 crashes: it asks for the text of
-        an argument's error to choose between the variants of a function, and takes none for impossible.
+        Blender prints exceptions of Python code that it calls, and continues. OpenCV 4.11 crashes on exceptions without
+        a message, as it examines the messages of argument errors to choose between overloads.
         """
         self._holds += 1
         try:
@@ -99,13 +99,13 @@ class Stopping:
 
     @contextlib.contextmanager
     def holding(self) -> Iterator[None]:
-        """Let a signal wait until this is over."""
+        """Defer signals to the end of this block."""
         with self.noting():
             yield
         self.check()
 
     def check(self) -> None:
-        """Raise KeyboardInterrupt where a signal came that waits, or that somebody swallowed."""
+        """Raise KeyboardInterrupt if a signal was deferred or swallowed."""
         if self.heard:
             raise KeyboardInterrupt
 
@@ -131,7 +131,7 @@ STOPPING = Stopping()
 
 @contextlib.contextmanager
 def _blocked() -> Iterator[None]:
-    """Let signals wait, where the system can, until this is over."""
+    """Block signals until the end, if the system can."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -143,16 +143,16 @@ def _blocked() -> Iterator[None]:
 
 
 def end_at_once(status: int) -> NoReturn:
-    """End the process before it has written anything, and say so."""
+    """End the process, which has not written anything yet, with a message."""
     with contextlib.suppress(OSError):
         os.write(2, b"facemime: interrupted; nothing was written.\n")
     os._exit(status)
 
 
 def open_standard_streams() -> None:
-    """Give the null device to each standard stream that was closed by whoever called.
+    """Open the null device for each standard stream that the caller closed.
 
-    A file that is opened later would else be one of them, and Blender would print into it.
+    Otherwise a file that is opened later would become one of them, and Blender would print into it.
     """
     for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         try:
@@ -163,4 +163,4 @@ def open_standard_streams() -> None:
                 os.dup2(opened, number)
                 os.close(opened)
         if getattr(sys, name) is None:
-            setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115 - for as long as the process lives
+            setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115 - open until the process ends

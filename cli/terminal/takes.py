@@ -1,4 +1,4 @@
-"""Takes as commands read them."""
+"""Loading of takes for commands."""
 
 from pathlib import Path
 
@@ -9,12 +9,12 @@ from .console import tell
 
 
 def load_with_warnings(path: Path) -> Take:
-    """The take at `path`; what its file has lost goes to standard error.
+    """Load a take; what is missing from its file is reported on the standard error.
 
     Raises
     ------
     SourceError
-        Where it cannot be read.
+        If it cannot be read.
     """
     check_readable(path)
     take = load_take(path)

@@ -1,1 +1,1 @@
-"""Live: where frames come from as they happen, the worker that tracks them, and calibration before a camera."""
+"""Live sessions: sources of frames, the worker that tracks them, and calibration in front of a camera."""

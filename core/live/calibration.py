@@ -1,6 +1,6 @@
-"""Calibration before the camera: the performer at rest, and how far the eyes close and the mouth opens.
+"""Live calibration: the neutral face, and how far the eyes close and the mouth opens (docs/method.md, section 4.1).
 
-`retarget.calibrate` finds a neutral second in a take; live the performer is asked for it, and told how good it was.
+In a take, `calibrate` finds a neutral second; live, the performer is asked for one, and told how well it went.
 """
 
 from __future__ import annotations
@@ -17,14 +17,17 @@ from ..tracking.result import TrackResult
 
 DURATION = 1.0
 RANGE_DURATION = 4.0
-_FEWEST = 5
-_STILL = 0.02
-_TURNED = np.radians(20.0)
+_MIN_FRAMES = 5
+"""Fewest frames with a face."""
+_MAX_MOTION = 0.02
+"""Standard deviation of landmarks in outer-eye distances above which the performer moved."""
+_MAX_YAW = np.radians(20.0)
+"""Yaw above which the head was turned."""
 
 
 @dataclass(frozen=True)
 class Quality:
-    """What is to be said of a calibration: `good`, and one sentence on what to do better, or that it is well."""
+    """Quality of a calibration: whether it is `good`, and a message that says so or what to do better."""
 
     good: bool
     message: str
@@ -36,7 +39,7 @@ class NeutralCalibration:
     Parameters
     ----------
     duration : float
-        Seconds from the first result in which a face is found.
+        Seconds from the first result with a face.
     """
 
     def __init__(self, duration: float = DURATION) -> None:
@@ -48,33 +51,46 @@ class NeutralCalibration:
         return len(self._recorder)
 
     def add(self, time: float, result: TrackResult) -> bool:
-        """Take in the result at `time`, seconds; returns whether that is enough."""
+        """Add a result.
+
+        Parameters
+        ----------
+        time : float
+            Seconds.
+        result : TrackResult
+            Of that time.
+
+        Returns
+        -------
+        bool
+            Whether that is enough.
+        """
         if len(self._recorder) == 0:
             self._since = time
         self._recorder.append(time, result)
         return time - self._since >= self._duration
 
     def neutral(self) -> Neutral:
-        """The performer at rest; SourceError where no face was found."""
+        """The neutral face; SourceError if there is none."""
         take = self._recorder.finish()
         return calibrate(take, float(take.times[0]), self._duration + 1e-6)
 
     def quality(self) -> Quality:
-        """How far the calibration is to be trusted."""
+        """Assess the calibration."""
         take = self._recorder.finish()
         found = take.found
-        if found.sum() < _FEWEST:
+        if found.sum() < _MIN_FRAMES:
             return Quality(
-                False, "Your face was hardly seen. Look at the camera, with light from the front, and repeat."
+                False, "Your face was hardly visible. Look at the camera, with light from the front, and try again."
             )
         if found.mean() < 0.8:
-            return Quality(False, "Your face was lost for a while. Stay in view and repeat.")
+            return Quality(False, "Your face was lost for a while. Stay in view and try again.")
         shape = take.shape[found].astype(np.float64)
-        if float(shape.std(axis=0).mean()) > _STILL:
-            return Quality(False, "You moved. Hold a relaxed face for a second and repeat.")
-        if float(np.abs(np.median(take.pose[found, 2], axis=0))) > _TURNED:
-            return Quality(False, "Your head was turned. Look straight at the camera and repeat.")
-        return Quality(True, "Neutral face taken.")
+        if float(shape.std(axis=0).mean()) > _MAX_MOTION:
+            return Quality(False, "You moved. Keep a relaxed face for a second and try again.")
+        if float(np.abs(np.median(take.pose[found, 2], axis=0))) > _MAX_YAW:
+            return Quality(False, "Your head was turned. Look straight at the camera and try again.")
+        return Quality(True, "Neutral face set.")
 
 
 class RangeCalibration:
@@ -83,7 +99,9 @@ class RangeCalibration:
     Parameters
     ----------
     neutral : Neutral
-        What is to learn of it.
+        The neutral face to extend.
+    duration : float
+        Seconds from the first result.
     """
 
     def __init__(self, neutral: Neutral, duration: float = RANGE_DURATION) -> None:
@@ -93,7 +111,20 @@ class RangeCalibration:
         self._since: float | None = None
 
     def add(self, time: float, result: TrackResult) -> bool:
-        """Take in the result at `time`, seconds; returns whether that is enough."""
+        """Add a result.
+
+        Parameters
+        ----------
+        time : float
+            Seconds.
+        result : TrackResult
+            Of that time.
+
+        Returns
+        -------
+        bool
+            Whether that is enough.
+        """
         self._since = time if self._since is None else self._since
         if result.found:
             self._shapes.append(result.shape)
@@ -101,21 +132,23 @@ class RangeCalibration:
         return time - self._since >= self._duration
 
     def neutral(self) -> Neutral:
-        """The neutral that knows the range; SourceError where the face was hardly seen."""
-        if len(self._shapes) < _FEWEST:
-            raise SourceError("Your face was hardly seen. Look at the camera, with light from the front, and repeat.")
+        """The neutral face with the range; SourceError if the face was hardly seen."""
+        if len(self._shapes) < _MIN_FRAMES:
+            raise SourceError(
+                "Your face was hardly visible. Look at the camera, with light from the front, and try again."
+            )
         widest = float(np.sort(self._mouths)[-min(3, len(self._mouths))])
         return replace(self._neutral, shut=shut_level(self._neutral.shape, np.array(self._shapes)), open_mouth=widest)
 
     def quality(self) -> Quality:
-        """Whether shut eyes and an open mouth were seen."""
-        if len(self._shapes) < _FEWEST:
+        """Assess whether shut eyes and an open mouth were seen."""
+        if len(self._shapes) < _MIN_FRAMES:
             return Quality(
-                False, "Your face was hardly seen. Look at the camera, with light from the front, and repeat."
+                False, "Your face was hardly visible. Look at the camera, with light from the front, and try again."
             )
         learnt = self.neutral()
         if learnt.shut == 0.0:
-            return Quality(False, "Shut eyes were not seen. Shut them for a second and repeat.")
+            return Quality(False, "Your eyes were not shut. Shut them for a second and try again.")
         if learnt.mouth_gain == 1.0:
-            return Quality(False, "Eyes taken; the mouth was hardly opened. Open it wide and repeat.")
-        return Quality(True, "Shut eyes and open mouth taken.")
+            return Quality(False, "Your mouth was hardly opened. Open it wide and try again.")
+        return Quality(True, "Shut eyes and open mouth set.")

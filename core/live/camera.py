@@ -1,8 +1,8 @@
-"""A camera, read in a process of its own.
+"""A camera that is read by a process of its own.
 
-Drivers hang, crash, and on macOS the system ends a program that opens a camera without leave. What happens in
-`camera_process` happens to that process alone; here it becomes one sentence for the user, and the next `read` tries
-again, so that a camera that was unplugged goes on when it is back.
+Drivers hang or crash, and macOS terminates programs that open a camera without permission. That affects
+`camera_process` only. Here it becomes a message for the user, and the next `read` tries again, so that a camera that
+was unplugged continues when it is back.
 """
 
 from __future__ import annotations
@@ -26,25 +26,26 @@ from .camera_process import FAILED, HEADER
 from .sources import LiveFrame, LiveSource
 
 PROGRAM = Path(__file__).with_name("camera_process.py")
-_OPENING, _SILENCE, _AGAIN = 15.0, 4.0, 2.0
-"""Seconds until a camera that opens, or that gave frames, counts as hanging; and until it is tried again."""
+_OPENING, _SILENCE, _RETRY = 15.0, 4.0, 2.0
+"""Seconds without a frame after which a camera counts as hanging, while it opens and later; and until the next try."""
 _ENDING = 2.0
-"""Seconds to wait for a process that was killed: one whose driver hangs in the kernel dies when that lets go of it."""
-_LARGEST = 1 << 28
+"""Seconds for which to wait for a killed process; if its driver hangs in the kernel, it dies later."""
+_MAX_BYTES = 1 << 28
+"""Upper bound of a frame in bytes."""
 
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """Which camera, and what is asked of it; it may give something else.
+    """Which camera to open, and the format to request, from which the camera may deviate.
 
     Attributes
     ----------
     device : str
-        A number, a path, or the address of a stream (a telephone's, say).
+        A number, a path, or the address of a stream, for instance of a phone.
     width, height : int
         Pixels.
     rate : float
-        Frames a second.
+        Frames per second.
     """
 
     device: str = "0"
@@ -58,10 +59,12 @@ class Camera(LiveSource):
 
     Parameters
     ----------
-    command : sequence of str, optional
-        What is started instead of `camera_process`, as far as its arguments.
+    settings : CameraSettings
+        Which camera, and the requested format.
+    command : tuple of str, optional
+        Command to start instead of `camera_process`, without its arguments.
     opening, silence : float
-        Seconds without a frame after which the camera counts as hanging: at first, and later.
+        Seconds without a frame after which the camera counts as hanging, while it opens and later.
     """
 
     clock = "monotonic"
@@ -83,7 +86,7 @@ class Camera(LiveSource):
         self._listener: threading.Thread | None = None
         self._frame: LiveFrame | None = None
         self._failure = ""
-        self._heard = self._again = 0.0
+        self._heard = self._retry_at = 0.0
         self._first: float | None = None
         self._last = -1.0
         self._closed = False
@@ -93,7 +96,7 @@ class Camera(LiveSource):
         with self._news:
             if self._closed:
                 return None
-            if self._process is None and perf_counter() >= self._again:
+            if self._process is None and perf_counter() >= self._retry_at:
                 self._open()
             self._news.wait_for(lambda: self._frame is not None or self._failure or self._closed, timeout)
             frame, self._frame = self._frame, None
@@ -101,8 +104,8 @@ class Camera(LiveSource):
             self._failure = "" if failure else self._failure
         if failure:
             self._end()
-            self._again = perf_counter() + _AGAIN
-            raise SourceError(explained(failure, self.settings.device))
+            self._retry_at = perf_counter() + _RETRY
+            raise SourceError(explain_failure(failure, self.settings.device))
         return frame
 
     def close(self) -> None:
@@ -115,7 +118,9 @@ class Camera(LiveSource):
     def _open(self) -> None:
         asked = self.settings
         named = asked.device.isdecimal() or is_address(asked.device)
-        device = asked.device if named else os.path.abspath(asked.device)  # which is never taken for an address
+        device = (
+            asked.device if named else os.path.abspath(asked.device)
+        )  # absolute, so as not to be taken for an address
         self._failure, self._frame = "", None
         self._heard = perf_counter() + self._opening - self._silence
         try:
@@ -134,7 +139,7 @@ class Camera(LiveSource):
         self._listener.start()
 
     def _attend(self, process: subprocess.Popen[bytes]) -> None:
-        """Listen to `process` until it ends, and clear up after it; in a thread of its own, as either may take long."""
+        """Listen to `process` until it ends, and clean up; runs in a thread of its own, as either may take long."""
         self._listen(process)
         process.kill()
         process.wait()
@@ -143,7 +148,7 @@ class Camera(LiveSource):
                 stream.close()
 
     def _listen(self, process: subprocess.Popen[bytes]) -> None:
-        """Keep the newest frame of `process` until it says no more."""
+        """Keep the newest frame of `process` until it ends."""
         assert process.stdout is not None
         failure = "died"
         try:
@@ -174,7 +179,7 @@ class Camera(LiveSource):
         return "hangs" if self._process is not None and perf_counter() - self._heard > self._silence else ""
 
     def _end(self) -> None:
-        """Kill the process; one that does not die in time is left to its listener."""
+        """Kill the process; if it does not die in time, leave it to its listener."""
         with self._news:
             process, self._process = self._process, None
             listener, self._listener = self._listener, None
@@ -186,12 +191,12 @@ class Camera(LiveSource):
 
 
 def _message(stream: IO[bytes]) -> LiveFrame | str | None:
-    """A frame, the reason of a failure, or None at the end."""
+    """Read a frame, the reason of a failure, or None at the end."""
     head = stream.read(HEADER.size)
     if len(head) < HEADER.size:
         return None
     kind, taken, height, width, size = HEADER.unpack(head)
-    if size > _LARGEST:
+    if size > _MAX_BYTES:
         return None
     data = stream.read(size)
     if kind == FAILED:
@@ -202,17 +207,17 @@ def _message(stream: IO[bytes]) -> LiveFrame | str | None:
 
 
 def module_folders() -> str:
-    """Where a program that this one starts finds cv2 and numpy, as PATH lists folders."""
+    """Folders with cv2 and numpy for a child process, separated as in PATH."""
     return os.pathsep.join({str(Path(str(module.__file__)).parents[1]) for module in (cv2, np)})
 
 
 def python_executable() -> str:
-    """The Python that runs here, also inside Blender; never one that happens to be on the path for programs.
+    """The Python executable that runs here, also inside Blender; never another one from PATH.
 
     Raises
     ------
     SourceError
-        Where there is none.
+        If there is none.
     """
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     own = [sys.executable] if "python" in Path(sys.executable or "").name.lower() else []
@@ -223,35 +228,48 @@ def python_executable() -> str:
     raise SourceError(_EXPLANATIONS["no python"])
 
 
-def explained(failure: str, device: str) -> str:
-    """What happened to the camera and what to do, for the user."""
+def explain_failure(failure: str, device: str) -> str:
+    """Explain what happened to a camera, and what to do.
+
+    Parameters
+    ----------
+    failure : str
+        Reason that `camera_process` gave, or "hangs", "died" or "no python".
+    device : str
+        As in `CameraSettings`.
+
+    Returns
+    -------
+    str
+        Message for the user.
+    """
     path = Path(f"/dev/video{device}") if device.isdecimal() and sys.platform == "linux" else None
     if failure in ("closed", "silent") and path is not None:
         if not os.path.exists(path):
-            return f"There is no camera {device}. Plug one in, choose another, or use a video."
+            return f"There is no camera {device}. Plug it in, choose another one, or use a video."
         if not os.access(path, os.R_OK | os.W_OK):
-            return f"You may not use {path}. Add yourself to the group 'video' and log in again, or use a video."
+            return f"There is no permission to use {path}. Join the group 'video' and log in again, or use a video."
     if sys.platform == "darwin" and failure in ("closed", "silent", "died"):
         return (
             "macOS did not give Blender the camera. Start Blender from Terminal and allow Terminal in System "
-            "Settings > Privacy & Security > Camera, or use a video or a telephone's stream."
+            "Settings > Privacy & Security > Camera, or use a video or a phone's stream."
         )
     return _EXPLANATIONS.get(failure, _EXPLANATIONS["died"]).format(device=device)
 
 
 _EXPLANATIONS = {
     "closed": "Camera {device} cannot be opened. Plug it in, close other programs that use it, or choose another.",
-    "silent": "Camera {device} gives no picture: another program may use it. Close that, or choose another camera.",
-    "gone": "Camera {device} stopped: it was unplugged, or its stream ended. Facemime goes on when it is back.",
-    "hangs": "Camera {device} does not answer. Unplug it and plug it in again, or choose another source.",
-    "died": "The driver of camera {device} broke down. Plug the camera in again, or choose another source.",
-    "no python": "Blender's Python cannot be started, which reads the camera. Install Blender anew, or use a video.",
+    "silent": "Camera {device} gives no picture; another program may be using it. Close it, or choose another camera.",
+    "gone": "Camera {device} stopped: it was unplugged, or its stream ended. Plug it in again to continue.",
+    "hangs": "Camera {device} does not respond. Unplug it and plug it in again, or choose another source.",
+    "died": "The driver of camera {device} crashed. Plug the camera in again, or choose another source.",
+    "no python": "Blender's Python, which reads the camera, cannot be started. Reinstall Blender, or use a video.",
 }
 
 
 @dataclass(frozen=True)
 class CameraName:
-    """A camera of this computer: what `CameraSettings.device` takes, and the name that the system gives it."""
+    """A camera of this computer: its `CameraSettings.device`, and its name in the system."""
 
     device: str
     name: str
@@ -260,8 +278,21 @@ class CameraName:
         return f"{self.device}: {self.name}"
 
 
-def device_of(text: str, cameras: Sequence[CameraName]) -> str:
-    """The device that `text` means: a number, an address, or a `CameraName` as text, by its name where it moved."""
+def parse_device(text: str, cameras: Sequence[CameraName]) -> str:
+    """Parse the device that a user chose or typed.
+
+    Parameters
+    ----------
+    text : str
+        A number, an address, or a `CameraName` as text.
+    cameras : sequence of CameraName
+        The cameras of the computer.
+
+    Returns
+    -------
+    str
+        As in `CameraSettings`; a named camera is found by its name if its number has changed.
+    """
     number, separator, name = text.strip().partition(": ")
     if not (separator and number.isdecimal()):
         return text.strip()
@@ -269,16 +300,16 @@ def device_of(text: str, cameras: Sequence[CameraName]) -> str:
 
 
 def list_cameras() -> list[CameraName]:
-    """The cameras that the system tells of; opens none. Empty where it tells nothing."""
+    """Cameras that the system lists, without opening any; empty if it lists none."""
     if sys.platform == "linux":
-        return _listed_by_linux(Path("/sys/class/video4linux"))
+        return _list_on_linux(Path("/sys/class/video4linux"))
     if sys.platform == "darwin":
-        return _listed_by_macos()
+        return _list_on_macos()
     return []
 
 
-def _listed_by_linux(folder: Path) -> list[CameraName]:
-    """Of the several devices of one camera the first one gives pictures."""
+def _list_on_linux(folder: Path) -> list[CameraName]:
+    """List cameras on Linux; of the several devices of a camera, the first one has the pictures."""
     cameras = []
     for device in sorted(folder.glob("video*"), key=lambda path: int(path.name[5:] or 0)):
         try:
@@ -289,7 +320,7 @@ def _listed_by_linux(folder: Path) -> list[CameraName]:
     return cameras
 
 
-def _listed_by_macos() -> list[CameraName]:
+def _list_on_macos() -> list[CameraName]:
     import json
 
     try:

@@ -1,12 +1,12 @@
-"""Run as a program of its own: opens a camera and writes its frames to the standard output.
+"""A separate process that opens a camera and writes its frames to the standard output.
 
-Usage: python camera_process.py FOLDERS DEVICE WIDTH HEIGHT RATE. FOLDERS are where cv2 and numpy lie. DEVICE is a
-camera's number, or the path or address of what OpenCV opens as a stream.
+Usage: python camera_process.py FOLDERS DEVICE WIDTH HEIGHT RATE, where FOLDERS contain cv2 and numpy, and DEVICE is the
+number of a camera, or a path or address that OpenCV can open as a stream.
 
-A driver that hangs, crashes or is refused by the system takes this process with it, not Blender. Imports nothing of
-Facemime: that would need its package on the path. Each message is `HEADER`: kind, time.perf_counter() (one clock for
-all processes of a machine), height, width, bytes that follow; then BGR pixels, or a reason in UTF-8. It ends when its
-standard input does, that is, with the process that started it, whatever became of that.
+A driver that hangs, crashes or is refused by the system affects this process only, not Blender. Nothing of Facemime is
+imported, as its package is not on the path. A message is `HEADER` (kind, time.perf_counter(), which all processes of a
+machine share, height, width, number of bytes) and BGR pixels, or a reason in UTF-8. The process ends when its standard
+input does, that is, with the process that started it, even by a crash.
 """
 
 import contextlib
@@ -26,11 +26,11 @@ def main() -> None:
     """Open the device and write frames until the other end is closed."""
     sys.path[:0] = sys.argv[1].split(os.pathsep)
     out = os.fdopen(os.dup(1), "wb", buffering=0)
-    os.dup2(2, 1)  # what a driver prints must not come between the frames
+    os.dup2(2, 1)  # output of a driver must not mix with the frames
     threading.Thread(target=_end_with_the_caller, daemon=True).start()
-    with contextlib.suppress(BrokenPipeError):  # the other end has enough
+    with contextlib.suppress(BrokenPipeError):  # the other end was closed
         _stream(out)
-    os._exit(0)  # a driver's clean-up may hang
+    os._exit(0)  # the clean-up of a driver may hang
 
 
 def _end_with_the_caller() -> None:
@@ -69,7 +69,7 @@ def _opened(cv2: Any, device: str, number: int | None, width: int, height: int, 
     if number is None:
         return cv2.VideoCapture(device)
     capture = cv2.VideoCapture(number, cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY)
-    # Most webcams give their full rate only as Motion JPEG.
+    # Most webcams reach their full rate only with Motion JPEG.
     capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter_fourcc(*"MJPG"))
     capture.set(cv2.CAP_PROP_FRAME_WIDTH, width)
     capture.set(cv2.CAP_PROP_FRAME_HEIGHT, height)

@@ -1,7 +1,7 @@
-"""What the camera saw, kept beside a take: to look at while animating, and to track again.
+"""Reference video: what the camera saw, stored beside a take, for viewing and for tracking again.
 
-It is written by a process of its own (`video_process`): a video's last seconds wait in memory to be packed, and only a
-program that outlives a crash of Blender can still write them.
+It is written by a process of its own (`video_process`), as the last seconds of a video wait in memory to be encoded,
+and only a process that survives a crash of Blender can still write them.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from .camera import module_folders, python_executable
 from .video_process import HEADER
 
 SUFFIX = ".mkv"
-"""Of the container: what is written of it can be played although its end was never written."""
+"""Suffix of the container, which can be played even if its end was never written."""
 PROGRAM = Path(__file__).with_name("video_process.py")
 _ROOM = 1 << 28
-"""Bytes of frames that may wait to be packed; those behind them are left out, and the one before them shown instead."""
+"""Bytes of frames that may wait to be encoded; further ones are dropped, and the frame before is repeated."""
 _ENDING = 20.0
-"""Seconds to wait for the last frames to be written; after that they are written while the user goes on."""
+"""Seconds for which `close` waits for the last frames; after that they are written in the background."""
 
 
 class ReferenceVideo:
-    """A video that is written beside the program, until `close`.
+    """A video that is written in the background, until `close`.
 
     Parameters
     ----------
     path : Path
-        Of the file, ending in `SUFFIX`; made with the first frame.
+        The file, with `SUFFIX`; created with the first frame.
     fps : float
-        Of the file.
+        Frames per second of the file.
     """
 
     def __init__(self, path: Path, fps: float) -> None:
@@ -50,20 +50,28 @@ class ReferenceVideo:
         self._thread.start()
 
     def add(self, time: float, image: NDArray[np.uint8]) -> None:
-        """Take in a frame, (H, W, 3) BGR or (H, W) grey, seen `time` seconds after the first; never waits."""
+        """Add a frame, without waiting.
+
+        Parameters
+        ----------
+        time : float
+            Seconds since the first frame.
+        image : (H, W, 3) or (H, W) uint8
+            BGR or grey.
+        """
         if self._bytes + image.nbytes <= _ROOM and self._thread.is_alive():
             self._count(image.nbytes)
             self._waiting.put((time, image.copy()))
 
     def close(self) -> None:
-        """Write what waits, and end the file."""
+        """Write pending frames, and end the file."""
         if self._thread.is_alive():
             self._waiting.put(None)
             self._thread.join(_ENDING)
 
     @property
     def written(self) -> bool:
-        """Whether there is a file with something in it."""
+        """Whether the file exists and is not empty."""
         return self.path.is_file() and self.path.stat().st_size > 0
 
     def _count(self, added: int) -> None:
@@ -71,7 +79,7 @@ class ReferenceVideo:
             self._bytes += added
 
     def _work(self) -> None:
-        with contextlib.suppress(OSError, SourceError):  # `written` says so
+        with contextlib.suppress(OSError, SourceError):  # `written` is false then
             command = [python_executable(), "-s", str(PROGRAM), module_folders(), os.fspath(self.path), str(self.fps)]
             quiet = subprocess.DEVNULL
             with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet) as process:

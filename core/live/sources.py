@@ -1,7 +1,7 @@
-"""What a live session looks at, each frame when its time has come: a video, pictures, a take; `camera` has the camera.
+"""Sources of live frames: videos, pictures and takes, played in real time; for cameras see `camera`.
 
-Unlike `capture.VideoSource`, which gives every frame as fast as it is asked, these keep to the clock and drop what is
-late: a puppet that follows an old frame is worse than one that skipped it.
+Unlike `capture.VideoSource`, which delivers every frame on request, these keep to the clock and drop late frames:
+following an old frame is worse than skipping it.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from ..takes.take import Take
 from ..tracking.result import TrackResult
 
 _LATEST = 1.0
-"""Seconds by which frames may be late before the clock is set back instead: after a computer's sleep, say."""
+"""Seconds by which frames may be late before the clock is set back, for instance after the computer slept."""
 _CATCHING_UP = 0.1
-"""Seconds that leaving late frames out may take: what is read more slowly than it plays would only get later."""
+"""Seconds that skipping late frames may take: a video that is read more slowly than it plays would never catch up."""
 
 
 @dataclass(frozen=True)
 class LiveFrame:
-    """One frame as it reaches the worker.
+    """A frame for the worker.
 
     Attributes
     ----------
     time : float
-        Seconds from the first frame, strictly increasing, also where a recording starts over.
+        Seconds from the first frame, strictly increasing, even if a recording loops.
     image : (H, W, 3) uint8 or None
         BGR; None for a frame of a take.
     result : TrackResult or None
-        What a take knows of the frame already.
+        Result of the frame, if it comes from a take.
     taken : float
-        `time.perf_counter()` when it was there; latency counts from here.
+        `time.perf_counter()` of its arrival, from which latency counts.
     dropped : int
-        Frames left out since the last one, as they came too fast.
+        Frames dropped since the last one, as they came too fast.
     """
 
     time: float
@@ -55,16 +55,16 @@ class LiveFrame:
 
 
 class LiveSource(ABC):
-    """Where a live session's frames come from. `read` is called by one thread, `close` by any.
+    """A source of frames for a live session. `read` is called by one thread, `close` by any.
 
     Attributes
     ----------
     name : str
-        For messages.
+        Name for messages.
     clock : str
-        What `LiveFrame.time` counts: "media" or "monotonic".
+        Clock of `LiveFrame.time`: "media" or "monotonic".
     ended : bool
-        Whether no frame will come any more.
+        Whether there are no more frames.
     """
 
     name: str
@@ -73,54 +73,71 @@ class LiveSource(ABC):
 
     @abstractmethod
     def read(self, timeout: float) -> LiveFrame | None:
-        """The newest frame; None where none came within `timeout` seconds, or the source has ended or is closed.
+        """Return the newest frame; None if none came within `timeout` seconds, or the source has ended or is closed.
 
         Raises
         ------
         SourceError
-            Where the source cannot be opened or has gone; the next call tries again.
+            If the source cannot be opened or is gone; the next call tries again.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Release it and wake a `read` that waits; may be called twice."""
+        """Release the source and wake a waiting `read`; may be called twice."""
 
 
 class Clock:
-    """The time that a `PacedSource` keeps to: the computer's, or one whose seconds pass on request, for tests."""
+    """The clock of a `PacedSource`; tests replace it by one that advances on request."""
 
     def now(self) -> float:
-        """Seconds since some moment."""
+        """Seconds since an arbitrary moment."""
         return perf_counter()
 
     def wait_until(self, due: float, timeout: float, closed: threading.Event) -> bool:
-        """Wait for `due`, `timeout` seconds at most, or until `closed` is set; whether it came within that time."""
+        """Wait for a moment.
+
+        Parameters
+        ----------
+        due : float
+            The moment, as `now` returns it.
+        timeout : float
+            Seconds to wait at most.
+        closed : threading.Event
+            Ends the wait when set.
+
+        Returns
+        -------
+        bool
+            Whether the moment is within the timeout.
+        """
         ahead = due - self.now()
         closed.wait(min(max(ahead, 0.0), timeout))
         return ahead <= timeout
 
 
 class PacedSource(LiveSource):
-    """Something recorded, played by the clock; what came due meanwhile is dropped.
+    """A recorded source, played in real time; late frames are dropped.
 
     Parameters
     ----------
+    name : str
+        Name for messages.
     loop : bool
-        Start over at the end.
+        Whether to start over at the end.
     speed : float
-        1 is as recorded.
+        Playback speed; 1 is the original one.
 
     Attributes
     ----------
     pace : Clock
-        Shared by all sources; may be another one before the first `read`.
+        Shared by all sources; may be replaced before the first `read`.
     """
 
     pace = Clock()
 
     def __init__(self, name: str, *, loop: bool = False, speed: float = 1.0) -> None:
         if not 0.01 <= speed <= 100.0:
-            raise SourceError(f"The speed must lie between 0.01 and 100; got {speed:g}. Take 1 for as recorded.")
+            raise SourceError(f"The speed must be between 0.01 and 100; got {speed:g}. Use 1 for the original speed.")
         self.name = name
         self._loop, self._speed = loop, speed
         self._closed = threading.Event()
@@ -131,15 +148,16 @@ class PacedSource(LiveSource):
 
     @abstractmethod
     def frames(self) -> Iterator[LiveFrame]:
-        """All frames from the first, whose time is 0."""
+        """Iterate over all frames; the time of the first one is 0."""
 
     def read(self, timeout: float) -> LiveFrame | None:
-        """The newest frame that has come due; see `LiveSource.read`."""
+        """Return the newest frame that is due; see `LiveSource.read`."""
         if self._frames is None and not self.ended:
             self._start()
         if self._next is None or not self._wait(timeout):
             return None
         now, shown, dropped = self.pace.now(), self._next, -1
+        # Frames that are later than the limit set the clock back; others are skipped up to the newest one that is due.
         self._began += max(0.0, now - self._due(shown) - _LATEST)
         while self._next is not None and self._due(self._next) <= now:
             shown, dropped = self._next, dropped + 1
@@ -160,7 +178,7 @@ class PacedSource(LiveSource):
             self._began = self.pace.now() - self._next.time / self._speed
 
     def _repeated(self) -> Iterator[LiveFrame]:
-        """The frames, over and over where they loop, in one growing time."""
+        """The frames, repeated if they loop, with increasing times."""
         while True:
             last, step, start = 0.0, 1.0 / 30.0, self._offset
             for frame in self.frames():
@@ -183,14 +201,14 @@ class PacedSource(LiveSource):
         return self._began + frame.time / self._speed
 
     def _wait(self, timeout: float) -> bool:
-        """Whether the next frame came due within `timeout`, and nobody closed the source."""
+        """Wait for the next frame; whether it was due within `timeout` and the source is not closed."""
         assert self._next is not None
         came = self.pace.wait_until(self._due(self._next), timeout, self._closed)
         return came and not self._closed.is_set()
 
 
 class VideoPlayer(PacedSource):
-    """A video file, as `capture.VideoSource` reads it."""
+    """Plays a video file."""
 
     def __init__(self, path: Path, *, loop: bool = False, speed: float = 1.0) -> None:
         super().__init__(Path(path).name, loop=loop, speed=speed)
@@ -204,21 +222,23 @@ class VideoPlayer(PacedSource):
 
 
 class PicturePlayer(PacedSource):
-    """The pictures of a folder in the order of their names, at `rate` frames a second."""
+    """Plays the pictures of a folder, sorted by name, at `rate` frames per second."""
 
     def __init__(self, folder: Path, *, rate: float = 25.0, loop: bool = False, speed: float = 1.0) -> None:
         super().__init__(Path(folder).name, loop=loop, speed=speed)
         if not 0.1 <= rate <= 1000.0:
-            raise SourceError(f"The rate must lie between 0.1 and 1000 frames a second; got {rate:g}.")
+            raise SourceError(
+                f"The rate must be between 0.1 and 1000 frames per second; got {rate:g}. Use 25, for instance."
+            )
         self._folder, self._rate = Path(folder), rate
 
     def frames(self) -> Iterator[LiveFrame]:
-        """All pictures of the folder; one that cannot be read is left out, as a camera's lost frame is."""
+        """Iterate over the pictures of the folder; those that cannot be read are skipped."""
         if not os.path.isdir(self._folder):
-            raise SourceError(f"There is no folder {self._folder}. Choose the folder that holds the pictures.")
+            raise SourceError(f"There is no folder {self._folder}. Choose the folder with the pictures.")
         paths = sorted(path for path in self._folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
         if not paths:
-            raise SourceError(f"There is no picture in {self._folder}. JPEG, PNG, BMP, TIFF and WebP are read.")
+            raise SourceError(f"There is no picture in {self._folder}. Use JPEG, PNG, BMP, TIFF or WebP.")
         unreadable: SourceError | None = None
         shown = 0
         for path in paths:
@@ -234,7 +254,7 @@ class PicturePlayer(PacedSource):
 
 
 class TakePlayer(PacedSource):
-    """A take: what was tracked once is shown again, without an image."""
+    """Plays a take: results of the tracker, without images."""
 
     def __init__(self, take: Take, name: str, *, loop: bool = False, speed: float = 1.0) -> None:
         super().__init__(name, loop=loop, speed=speed)

@@ -1,4 +1,4 @@
-"""How long the steps of a live frame take, and which of them is slow."""
+"""Delays of the stages of a live frame, and which of them is slow."""
 
 from __future__ import annotations
 
@@ -12,33 +12,36 @@ import numpy as np
 from ..arrays import FloatArray
 
 STAGES = ("wait", "track", "drive", "hand over", "write")
-"""Until the worker takes the frame; landmarks; vertices; until Blender's main thread asks; into the mesh."""
+"""Until the worker takes the frame; landmarks; vertices; until Blender's main thread asks; writing to the mesh."""
 _KEPT = 300
+"""Frames over which delays are measured."""
 _RECENT = 2.0
+"""Seconds over which the rate is measured."""
 _NOTABLE = 0.004
+"""Seconds above which a stage is worth naming."""
 
 
 @dataclass(frozen=True)
 class Delays:
-    """Seconds of one frame, from when the camera had it to when it was written, by stage of `STAGES`."""
+    """Seconds that each of `STAGES` of a frame took, from the camera to the mesh."""
 
     stages: tuple[float, ...]
 
     @property
     def total(self) -> float:
-        """Camera to vertices."""
+        """Seconds from the camera to the mesh."""
         return sum(self.stages)
 
 
 class Stopwatch:
-    """The delays of the last frames; one thread adds, any reads."""
+    """Delays of the last frames; written by one thread, read by any."""
 
     def __init__(self) -> None:
         self._delays: deque[tuple[float, ...]] = deque(maxlen=_KEPT)
         self._when: deque[float] = deque(maxlen=_KEPT)
 
     def add(self, delays: Delays) -> None:
-        """Note one frame."""
+        """Add a frame."""
         self._delays.append(delays.stages)
         self._when.append(perf_counter())
 
@@ -47,12 +50,12 @@ class Stopwatch:
 
     @property
     def latency(self) -> float:
-        """Median seconds from the camera to the vertices; NaN before the first frame."""
+        """Median seconds from the camera to the mesh; NaN before the first frame."""
         return float(np.median(self._table().sum(axis=1))) if self._delays else float("nan")
 
     @property
     def rate(self) -> float:
-        """Frames a second that reached the mesh lately."""
+        """Recent frames per second that reached the mesh."""
         since = perf_counter() - _RECENT
         return sum(when > since for when in tuple(self._when)) / _RECENT
 
@@ -67,7 +70,7 @@ class Stopwatch:
         return {name: tuple(row) for name, row in zip((*STAGES, "total"), rows.tolist(), strict=True)}
 
     def slowest(self) -> str:
-        """The stage that takes longest, where it takes long enough to be worth naming; else ""."""
+        """The slowest stage, or "" if all are fast."""
         medians = self.medians()
         name = max(medians, key=lambda stage: medians[stage], default="")
         return name if name and medians[name] > _NOTABLE else ""

@@ -1,12 +1,12 @@
-"""Run as a program of its own: writes the frames that come on its standard input to a video.
+"""A separate process that writes the frames from its standard input to a video.
 
-Usage: python video_process.py FOLDERS PATH FPS. FOLDERS are where cv2 and numpy lie. Each message is `HEADER`: seconds
-since the first frame, height, width; then BGR pixels. At the end of its input, which is also the end of the program
-that started it, whatever became of that, it ends the file properly. Imports nothing of Facemime: that would need its
-package on the path.
+Usage: python video_process.py FOLDERS PATH FPS, where FOLDERS contain cv2 and numpy. A message is `HEADER` (seconds
+since the first frame, height, width) and BGR pixels. At the end of the input, which is also the end of the process that
+started it, even by a crash, the file is ended properly. Nothing of Facemime is imported, as its package is not on the
+path.
 
-A camera gives frames when it can, a video plays them evenly. So a frame goes into the slots of an even grid that its
-time covers, and frame n of the file shows what was seen at n / fps seconds, to the last.
+A camera has frames at uneven times, a video at even ones. Frames are therefore repeated or dropped so that frame n of
+the file shows what was seen at n / fps seconds.
 """
 
 import os
@@ -21,9 +21,9 @@ _CODEC = "mp4v"
 
 
 def main() -> int:
-    """Write until the input ends; the exit status is 1 where the video cannot be written."""
+    """Write until the input ends; the exit status is 1 if the video cannot be written."""
     sys.path[:0] = sys.argv[1].split(os.pathsep)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that started it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that started this one
     import cv2
 
     path, fps = sys.argv[2], float(sys.argv[3])
@@ -39,6 +39,7 @@ def main() -> int:
             shown = seen
         size = (shown.shape[1], shown.shape[0])
         image = seen if seen.shape == shown.shape else cv2.resize(seen, size)
+        # Repeat the last image up to the slot of this one; drop this one if the slot is taken.
         slot = round(time * fps)
         for _ in range(written, slot):
             writer.write(shown)

@@ -1,7 +1,7 @@
-"""The worker of a live session: takes the newest frame, tracks it, drives the heads, and leaves the result to be taken.
+"""The worker of a live session: takes the newest frame, tracks it, drives the heads, and publishes the result.
 
-It runs in a thread of its own and knows nothing of Blender. What the user sets reaches it as whole values, assigned at
-once; what it finds leaves it the same way, so neither side waits for the other.
+It runs in a thread of its own, without Blender. Settings reach it as frozen values that are replaced as a whole, and
+results leave it in the same way, so that neither side waits for the other.
 """
 
 from __future__ import annotations
@@ -30,20 +30,31 @@ from .calibration import NeutralCalibration, Quality, RangeCalibration
 from .sources import LiveFrame, LiveSource
 
 _PATIENCE = 0.1
+"""Seconds to wait for a frame before pending frames are written."""
 _ENDING = 5.0
-"""Seconds to wait for the thread, which may be in the middle of a frame, or stuck in a driver or on a disk."""
+"""Seconds for which `close` waits for the thread, which may be tracking, or stuck in a driver or on a disk."""
 _RECENT = 900
-"""Frames that `recent_take` looks back: half a minute of most cameras."""
+"""Frames of `recent_take`: half a minute with most cameras."""
 
 
 class Recorder(Protocol):
-    """What a recording needs."""
+    """Interface of a recording."""
 
     def append(self, time: float, result: TrackResult, image: NDArray[np.uint8] | None) -> None:
-        """Take in a frame, and what was seen, where that is known."""
+        """Record a frame.
+
+        Parameters
+        ----------
+        time : float
+            Seconds.
+        result : TrackResult
+            Of that frame.
+        image : (H, W, 3) uint8 or None
+            BGR, if there is one.
+        """
 
     def flush(self) -> None:
-        """Bring what came so far into safety."""
+        """Write pending frames to the disk."""
 
     def close(self) -> None:
         """End the recording."""
@@ -51,16 +62,16 @@ class Recorder(Protocol):
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """What may change while a session runs.
+    """Options that may change during a session.
 
     Attributes
     ----------
     smoothing : float
-        Of the one-euro filters behind the tracker: 1 as tuned, 0 for none.
+        Amount for `ResultSmoother`; 0 disables smoothing.
     preview : int
-        Width of the annotated picture in pixels; 0 for none.
+        Width of the preview in pixels; 0 for none.
     face : (float, float) or None
-        Place of the face to follow, as for `FaceTracker.choose`; None for the largest.
+        Position of the face to track, as for `FaceTracker.choose`; None for the largest.
     """
 
     smoothing: float = 1.0
@@ -70,24 +81,24 @@ class LiveOptions:
 
 @dataclass(frozen=True)
 class LiveResult:
-    """What one frame gave.
+    """The result of a frame.
 
     Attributes
     ----------
     number : int
-        Grows by 1 with each frame.
+        Number of the frame, which increases by 1.
     time : float
-        Seconds of the source.
+        Time in the source, in seconds.
     result : TrackResult
-        Smoothed as asked.
+        Smoothed according to the options.
     heads : tuple of HeadFrame
-        In the order of the heads asked for; empty where no face was found.
+        In the order of the heads; empty if there is no face.
     prepared : tuple
-        What `prepare` made of each of them.
+        What `prepare` returned for each of them.
     taken, began, tracked, driven : float
-        `time.perf_counter()` when the frame was there, the worker had it, had the landmarks, had the heads.
+        `time.perf_counter()` when the frame arrived, and when the worker had it, the landmarks, and the heads.
     preview : (H, W, 4) float32 or None
-        RGBA, 0 to 1, the last row first, as graphics cards want it.
+        As `draw_preview` returns it.
     """
 
     number: int
@@ -104,7 +115,7 @@ class LiveResult:
 
 @dataclass
 class Counts:
-    """Frames so far: `tracked` of them `lost`, and `dropped` before they could be tracked."""
+    """Numbers of frames: `tracked`, of which `lost` have no face, and `dropped` without tracking."""
 
     tracked: int = 0
     lost: int = 0
@@ -113,25 +124,29 @@ class Counts:
 
 @dataclass(frozen=True, eq=False)
 class LiveHead:
-    """A head to drive: its rig, and how. A rig that was read anew is another one, and its driver is prepared again."""
+    """A head to drive, with its settings. If its rig is another object, its driver is prepared again."""
 
     rig: HeadRig
     options: DriveSettings = field(default_factory=DriveSettings)
 
 
 class LiveWorker:
-    """Tracks a source in a thread until `close`, the source's end, or an error before the first frame.
+    """Tracks a source in a thread until `close`, the end of the source, or an error before the first frame.
 
     Parameters
     ----------
     source : LiveSource
         Closed with the worker.
     neutral : Neutral, optional
-        The performer's. Without one the first second with a face is taken.
+        The performer's neutral face; by default the first second with a face is used.
+    heads : tuple of LiveHead
+        The heads to drive.
+    options : LiveOptions
+        Initial options.
     prepare : callable, optional
-        Does here, on each head's frame, what whoever shows it would have to wait for.
+        Called in the thread with each `HeadFrame`, to prepare what would delay its display.
     load_tracker : callable
-        Gives the tracker; called in the thread, as that takes a moment.
+        Returns the tracker; called in the thread, as it takes a moment.
 
     Attributes
     ----------
@@ -140,15 +155,15 @@ class LiveWorker:
     latest : LiveResult or None
     counts : Counts
     message : str
-        What keeps frames from coming; "" while all is well.
+        Why no frames are coming; otherwise "".
     error : Exception or None
-        What ended the worker.
+        The error that ended the worker.
     recording_error : OutputError or None
-        What ended a recording; what was written before is safe.
+        The error that ended a recording; what was written before is safe.
     quality : Quality or None
-        Of the last calibration.
+        Quality of the last calibration.
     model : str
-        Checksum of the tracker's model; "" until it is loaded.
+        Identifier of the tracker model; "" until it is loaded.
     """
 
     def __init__(
@@ -187,28 +202,28 @@ class LiveWorker:
         self._thread = threading.Thread(target=self._work, name="facemime-live", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     @property
     def running(self) -> bool:
-        """Whether the thread is still at it."""
+        """Whether the thread is running."""
         return self._thread.is_alive()
 
     @property
     def image_size(self) -> tuple[int, int]:
-        """(width, height) of the frames, pixels; (0, 0) before the first, and where the source is a take."""
+        """Width and height of the frames in pixels; (0, 0) before the first one, and for takes."""
         return (self._size[1], self._size[0]) if self._size else (0, 0)
 
     @property
     def calibrating(self) -> bool:
-        """Whether a calibration that was asked for is under way."""
+        """Whether a requested calibration is in progress."""
         return self._calibration is not None
 
     def close(self) -> None:
-        """End the thread, the source and a recording; may be called twice, and before `start`.
+        """End the thread, the source and any recording; may be called twice, and before `start`.
 
-        If the source or the disk does not answer, it returns after some seconds all the same: `running` stays true, and
+        If the source or the disk does not respond, this returns after some seconds anyway: `running` stays true, and
         the thread ends by itself when it can.
 
         Raises
@@ -223,32 +238,32 @@ class LiveWorker:
         self.stop_recording()
 
     def calibrate(self, *, range_of: Neutral | None = None) -> None:
-        """Take the next second as the performer's neutral, or the next seconds as the range of `range_of`."""
+        """Use the next second as the neutral face, or the next seconds as the range of the neutral face `range_of`."""
         self.quality = None
         self._calibration = NeutralCalibration() if range_of is None else RangeCalibration(range_of)
 
     def follow_next(self) -> None:
-        """Follow another face in view, as `FaceTracker.choose_next`."""
+        """Track another face in view, as `FaceTracker.choose_next` does."""
         self._next_face = True
 
     def recent_take(self) -> Take:
-        """What was tracked in the last half minute; SourceError before the first frame."""
+        """The take of the last half minute; SourceError before the first frame."""
         recorder = TakeRecorder({"source": self.source.name, "clock": self.source.clock})
         for time, result in tuple(self._recent):
             recorder.append(time, result)
         return recorder.finish()
 
     def record(self, recorder: Recorder) -> None:
-        """Write every frame from now on to `recorder`, which is closed with the recording."""
+        """Record all further frames with `recorder`, which is closed at the end."""
         self.stop_recording()
         with self._recording:
             self._recorder, self.recording_error = recorder, None
 
     def stop_recording(self) -> None:
-        """End the recording, if there is one; OutputError where its end cannot be written."""
+        """End the recording, if there is one; OutputError if its end cannot be written."""
         if not self._recording.acquire(timeout=_ENDING):
             raise OutputError(
-                "The disk that the take is recorded to does not answer. What was written before is kept; look for it "
+                "The disk of the recording does not respond. What was written before is safe: restore it "
                 "with Find Takes when the disk is back."
             )
         try:
@@ -266,7 +281,7 @@ class LiveWorker:
                 frame = self._read()
                 if frame is not None:
                     self._frame(tracker, frame)
-        except Exception as error:  # for the thread that asks
+        except Exception as error:  # read by the thread of the user
             self.error = error
 
     def _read(self) -> LiveFrame | None:
@@ -328,7 +343,7 @@ class LiveWorker:
         return self._smoother.smooth(seen, time)
 
     def _record(self, frame: tuple[float, TrackResult, NDArray[np.uint8] | None] | None = None) -> None:
-        """Hand a frame over; without one, as nothing comes, let what came be brought into safety."""
+        """Record a frame; without one, as none is coming, write pending frames."""
         with self._recording:
             if self._recorder is None:
                 return
@@ -342,7 +357,7 @@ class LiveWorker:
                 self.recording_error = error
 
     def _calibrate(self, time: float, result: TrackResult) -> None:
-        """Feed the calibration that was asked for; without a neutral, the first one, from where a face is found."""
+        """Feed the requested calibration or, without a neutral face, the initial one, from the first face on."""
         asked = self._calibration
         if asked is not None and asked.add(time, result):
             quality = asked.quality()
@@ -351,7 +366,7 @@ class LiveWorker:
             except FacemimeError as error:
                 quality = Quality(False, str(error))
             self.quality = quality
-            if self._calibration is asked:  # last, as whoever waits for the end then reads the rest
+            if self._calibration is asked:  # last, as the results are read as soon as it is done
                 self._calibration = None
         if self.neutral is not None:
             self._first = None
@@ -366,7 +381,7 @@ class LiveWorker:
         return tuple(driver.frame(result) for driver in self._drivers)
 
     def _prepare(self, heads: tuple[LiveHead, ...], neutral: Neutral) -> None:
-        """Drivers for `heads`; where one is the same but for its options, its costly parts are taken over."""
+        """Prepare drivers for `heads`; the deformers of unchanged rigs are reused."""
         before = {id(driver.rig): driver for driver in self._drivers}
         self._drivers = [HeadDriver(head.rig, neutral, head.options, reuse=before.get(id(head.rig))) for head in heads]
         self._driven_heads, self._driven_by = heads, neutral

@@ -1,1 +1,1 @@
-"""Takes: what was tracked, on disk and in memory, before any head is chosen."""
+"""Takes: tracked performances, in memory and on disk, independent of any head (docs/method.md, section 8)."""

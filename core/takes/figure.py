@@ -1,4 +1,4 @@
-"""The picture of what mending has changed: a strip a part of the face, before in grey, after in green."""
+"""A picture of what mending changed: one strip per part of the face, before in grey, after in green."""
 
 from __future__ import annotations
 
@@ -15,7 +15,20 @@ _BEFORE, _AFTER, _INK = (170, 170, 170), (80, 130, 30), (60, 60, 60)
 
 
 def draw_before_after(take: Take, mended: Take) -> NDArray[np.uint8]:
-    """(H, W, 3) BGR picture of `before_after` for every part, over the time of both takes together."""
+    """Draw the curves of `before_after` for every part, over the time of both takes.
+
+    Parameters
+    ----------
+    take : Take
+        The take before mending.
+    mended : Take
+        The take after mending.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        BGR.
+    """
     times = np.concatenate([take.times, mended.times])
     start, length = float(times.min()), max(float(np.ptp(times)), 1e-9)
     strips = []
@@ -36,7 +49,7 @@ def draw_before_after(take: Take, mended: Take) -> NDArray[np.uint8]:
 
 
 def _draw(strip: NDArray[np.uint8], x: FloatArray, y: FloatArray, colour: tuple[int, int, int]) -> None:
-    """A line through the points that are known, broken where one is not."""
+    """Draw a line through known points, interrupted at unknown ones."""
     known = np.flatnonzero(np.isfinite(y))
     for run in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
         points = (np.column_stack([x[run], y[run]]) * 16.0).round().astype(np.int32)

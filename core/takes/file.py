@@ -1,4 +1,4 @@
-"""The file of a take, `.facetake`: written while it is recorded, read whatever has happened to it since."""
+"""Reading and writing of `.facetake` files: written during the recording, and readable after any damage."""
 
 from __future__ import annotations
 
@@ -33,33 +33,33 @@ from .format import (
 from .take import FIELDS, Take, TakeRecorder, check_increase, check_take
 
 SUFFIX = ".facetake"
-LONGEST_WAIT = 1.0
-"""Seconds of the take or of the clock, whichever are over sooner, after which frames are handed to the disk."""
-FRAMES_A_CHUNK = 64
-_MOST_FILE = 1 << 30
-_MOST_UNPACKED, _UNPACKED_ANYHOW = 192, 32 << 20
-"""Bytes in memory for each of the file's, and beside these. A take in which no face was found has 127; a face, four."""
+MAX_WAIT = 1.0
+"""Seconds, of the take or of the clock, after which pending frames are written."""
+FRAMES_PER_CHUNK = 64
+_MAX_FILE = 1 << 30
+_MAX_RATIO, _MIN_UNPACKED = 192, 32 << 20
+"""Bytes in memory that are allowed per byte of the file, and in addition. A take has 4 with a face, and 127 without."""
 
 
 class TakeWriter:
-    """Writes a take frame by frame, such that a crash or a pulled plug loses the last second at most.
+    """Writes a take frame by frame, so that a crash or power cut loses no more than a second.
 
-    To be used from one thread, whichever that is; a context manager.
+    A context manager, to be used by one thread at a time.
 
     Parameters
     ----------
     path : Path
-        Must not exist yet: a recording never replaces another one.
+        Must not exist: a recording never replaces another one.
     info : dict
-        As `Take.info`. It may be changed until the end: it is written with the first second and again by `close`.
+        As `Take.info`. It may be changed until `close`: it is written with the first second and again at the end.
     sync : bool
-        Whether every second is forced onto the disk itself. Without, a crash of the computer may lose more.
+        Whether to flush every second to the disk itself. Without, a crash of the computer may lose more.
 
     Raises
     ------
     OutputError
-        Where the file exists or cannot be made; from `append`, `flush` and `close` where it cannot be written, because
-        the disk is full, say. What was written before stays readable, and what was not is kept and tried again.
+        If the file exists or cannot be created; from `append`, `flush` and `close`, if it cannot be written, for
+        instance because the disk is full. What was written before stays readable, and the rest is retried.
     """
 
     def __init__(self, path: Path, info: dict[str, Any], *, sync: bool = True) -> None:
@@ -73,14 +73,22 @@ class TakeWriter:
             self._file = FileIO(self.path, "x")
         except OSError as error:
             raise OutputError(
-                f"Cannot write {path}: {(error.strerror or str(error)).lower()}. Give the take another name or place."
+                f"Cannot write {path}: {(error.strerror or str(error)).lower()}. Choose another name or folder."
             ) from error
 
     def __len__(self) -> int:
         return self._written + len(self._pending)
 
     def append(self, time: float, result: TrackResult) -> None:
-        """Add one frame at `time` seconds; times must increase (ValueError)."""
+        """Add a frame.
+
+        Parameters
+        ----------
+        time : float
+            Seconds; has to increase (ValueError).
+        result : TrackResult
+            Of that frame.
+        """
         check_increase(self._last, time)
         now = clock.monotonic()
         if not self._pending:
@@ -88,12 +96,12 @@ class TakeWriter:
         self._pending.append((time, result))
         self._last = time
         waited = max(time - self._pending[0][0], now - self._waiting_since)
-        if waited >= LONGEST_WAIT or len(self._pending) >= FRAMES_A_CHUNK:
+        if waited >= MAX_WAIT or len(self._pending) >= FRAMES_PER_CHUNK:
             self.flush()
 
     def flush(self) -> None:
-        """Hand all frames that came so far to the disk."""
-        while batch := self._pending[:FRAMES_A_CHUNK]:
+        """Write all pending frames."""
+        while batch := self._pending[:FRAMES_PER_CHUNK]:
             recorder = TakeRecorder({})
             for time, result in batch:
                 recorder.append(time, result)
@@ -105,7 +113,7 @@ class TakeWriter:
             del self._pending[: len(batch)]
 
     def close(self) -> None:
-        """Write what is left and end the file; a recording without a frame leaves none. May be called twice."""
+        """Write pending frames and end the file; without any frame, delete it. May be called twice."""
         if self._file.closed:
             return
         try:
@@ -135,23 +143,30 @@ class TakeWriter:
             if self._sync:
                 os.fsync(self._file.fileno())
         except OSError as error:
-            with contextlib.suppress(OSError):  # what cannot be taken back either, readers skip
+            with contextlib.suppress(OSError):  # if this fails too, readers skip the incomplete chunk
                 self._file.truncate(self._end)
-            kept = f"The {self._written} frames before are kept" if self._written else "Nothing is recorded yet"
+            kept = f"The first {self._written} frames are safe" if self._written else "Nothing has been recorded yet"
             raise OutputError(
-                f"Cannot write {self.path}: {(error.strerror or str(error)).lower()}. {kept}; free some space or "
+                f"Cannot write {self.path}: {(error.strerror or str(error)).lower()}. {kept}. Free some space, or "
                 "record to another disk."
             ) from error
         self._end += len(data)
 
 
 def save_take(take: Take, path: Path) -> None:
-    """Write `take` as a whole; a failure leaves what was there before.
+    """Write a whole take; on failure an existing file stays.
+
+    Parameters
+    ----------
+    take : Take
+        The take.
+    path : Path
+        The file.
 
     Raises
     ------
     OutputError
-        Where `path` cannot be written.
+        If `path` cannot be written.
     """
     with replacing(Path(path)) as temporary:
         temporary.unlink()
@@ -162,37 +177,39 @@ def save_take(take: Take, path: Path) -> None:
         except OutputError as error:
             if not isinstance(error.__cause__, OSError):
                 raise
-            raise error.__cause__ from error  # which `replacing` tells by the name that the user gave
+            raise error.__cause__ from error  # `replacing` reports it with the name that the user gave
 
 
 def load_take(path: Path) -> Take:
-    """Read a take. Where its file was cut or damaged, all that is intact is there and `info["recovered"]` tells, in a
-    sentence, what is lost.
+    """Read a take.
+
+    Of a truncated or damaged file, everything intact is read, and ``info["recovered"]`` says in a sentence what is
+    missing.
 
     Raises
     ------
     SourceError
-        Where the file is missing, foreign, of a later format, or without any intact frame.
+        If the file is missing, not a take, of a newer format, or without any intact frame.
     """
     path = Path(path)
     if not check_readable(path):
-        raise SourceError(f"There is no take {path}. Make one with: facemime track VIDEO -o {path.name}")
+        raise SourceError(f"There is no take {path}. Create one: facemime track VIDEO -o {path.name}")
     try:
-        return take_of(read_bytes(path, _MOST_FILE))
+        return take_of(read_bytes(path, _MAX_FILE))
     except NewerFormatError as error:
         raise SourceError(f"{path} was written by a newer Facemime. Update Facemime to open it.") from error
     except (ValueError, OSError) as error:
         raise SourceError(
-            f"{path} is not a take of Facemime, or it is damaged beyond use ({error}). Track the video again."
+            f"{path} is not a Facemime take, or is too damaged to be read ({error}). Track the video again."
         ) from error
 
 
 def take_of(data: bytes) -> Take:
-    """The take that the bytes of a file hold, as `load_take`; ValueError where they hold none."""
-    reading, most = _Reading(), _MOST_UNPACKED * len(data) + _UNPACKED_ANYHOW
+    """Read a take from the bytes of a file, as `load_take` does; ValueError if there is none."""
+    reading, most = _Reading(), _MAX_RATIO * len(data) + _MIN_UNPACKED
     for chunk in chunks_in(data):
         if isinstance(chunk, Chunk):
-            with contextlib.suppress(ValueError):  # a checksum that is right over content that is not: damage as any
+            with contextlib.suppress(ValueError):  # valid checksum, invalid content: treat it as damage
                 reading.add(chunk)
             if reading.size > most:
                 raise ValueError(f"it unpacks to more than {most >> 20} MB, which no recording of its size does")
@@ -200,7 +217,7 @@ def take_of(data: bytes) -> Take:
 
 
 class _Reading:
-    """Puts intact chunks together and keeps account of what is missing between them; `size` is the bytes they take."""
+    """Assembles intact chunks and records what is missing between them; `size` is their size in memory."""
 
     def __init__(self) -> None:
         self._info: dict[str, Any] | None = None
@@ -208,10 +225,10 @@ class _Reading:
         self._modes = -1
         self._until = -np.inf
         self._frames, self._stated, self.size = 0, -1, 0
-        self._lost: list[str] = []
+        self._missing: list[str] = []
 
     def add(self, chunk: Chunk) -> None:
-        """Take in the next chunk; ValueError where it holds nothing that can be used."""
+        """Add the next chunk; ValueError if it contains nothing usable."""
         if chunk.kind in (START, END):
             self._info, frames = info_of(chunk.content)
             self._stated = frames if chunk.kind == END else self._stated
@@ -221,10 +238,10 @@ class _Reading:
             check_increase(self._until, float(part.times[0]))
             modes = part.shape_params.shape[1]
             if self._modes not in (-1, modes):
-                raise ValueError(f"frames of {modes} modes follow such of {self._modes}")
+                raise ValueError(f"frames with {modes} modes follow others with {self._modes}")
             if missing := chunk.first - self._frames:
                 since = f"between {self._until:.2f} s and" if self._modes >= 0 else "before"
-                self._lost.append(f"{missing} frames {since} {part.times[0]:.2f} s")
+                self._missing.append(f"{missing} frames {since} {part.times[0]:.2f} s")
             for name, arrays in self._parts.items():
                 array = getattr(part, name)
                 arrays.append(array if array.base is None else array.copy())
@@ -233,17 +250,17 @@ class _Reading:
             self._frames = chunk.first + chunk.count
 
     def take(self) -> Take:
-        """All that came, and what is lost in its `info`; to be called once."""
+        """The take, with what is missing in its `info`; to be called once."""
         if self._modes < 0:
             raise ValueError("no frame in it can be read")
         if self._stated < 0:
-            self._lost.append(f"what came after {self._until:.2f} s, a second at most")
+            self._missing.append(f"up to a second after {self._until:.2f} s")
         elif self._stated > self._frames:
-            self._lost.append(f"{self._stated - self._frames} frames after {self._until:.2f} s")
+            self._missing.append(f"{self._stated - self._frames} frames after {self._until:.2f} s")
         if self._info is None:
-            self._lost.append("how it was made")
-        # Array by array, so that no more than one of them is there twice.
+            self._missing.append("the description of the recording")
+        # Array by array, so that no more than one is in memory twice.
         take = Take(**{name: np.concatenate(self._parts.pop(name)) for name in FIELDS}, info=dict(self._info or {}))
-        if self._lost:
-            take.info["recovered"] = f"The file was cut or damaged, and lost are: {'; '.join(self._lost)}."
+        if self._missing:
+            take.info["recovered"] = f"The file was cut or damaged. Missing: {'; '.join(self._missing)}."
         return take

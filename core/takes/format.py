@@ -1,8 +1,8 @@
-"""The bytes of a `.facetake`: chunks that stand for themselves, each with its checksum (docs/takes.md).
+"""The format of `.facetake` files: independent chunks, each with a checksum (docs/takes.md).
 
-Every number is a multiple of a step that is far below the tracker's noise. A chunk holds the differences of those
-multiples from frame to frame, sorted by the significance of their bytes and deflated: no format of floating-point
-numbers is as small, and a value that was stored once is stored again without any further loss.
+Numbers are stored as multiples of a step far below the tracker's noise. A chunk contains the differences of these
+multiples from frame to frame, sorted by the significance of their bytes and deflated. That is smaller than any format
+of floating-point numbers, and saving a stored value again does not change it.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from .take import Take
 FORMAT_VERSION = 1
 MARKER = b"\x8bFTAKE\r\n"
 START, FRAMES, END = b"S", b"F", b"E"
-"""The kinds of chunks: how the take was made, its frames, and the same as the first once more where it ends."""
+"""Kinds of chunks: the description of the take, its frames, and the description again at the end."""
 HEADER = struct.Struct("<8sBcHIIII")
-"""Marker, version, kind, frames in the chunk, frames before it, bytes of content, checksum of content and of header."""
+"""Marker, version, kind, frames in the chunk, frames before it, bytes of content, checksums of content and header."""
 MAX_FRAMES = 256
 MAX_MODES = 512
 MAX_CONTENT = 1 << 22
-_LARGEST_SIDE = 1 << 14
-"""Pixels, of a picture."""
+_MAX_SIDE = 1 << 14
+"""Upper bound of the side of an image in pixels."""
 _UNKNOWN = np.int64(-(2**31))
-_LARGEST = 2**31 - 1
+_MAX_MULTIPLE = 2**31 - 1
 
 _POSE_STEPS = (2.0**-10, 2.0**-16, 2.0**-16, 2.0**-16, 2.0**-7, 2.0**-7)
 LAYOUT: tuple[tuple[str, tuple[int, ...], float | tuple[float, ...]], ...] = (
@@ -49,14 +49,14 @@ LAYOUT: tuple[tuple[str, tuple[int, ...], float | tuple[float, ...]], ...] = (
     ("gaze", (2,), 2.0**-13),
     ("shape_params", (-1,), 2.0**-13),
 )
-"""Name, shape and step of what a frame holds beside its time, in the order of the columns; a number loses half a step
-at most. The shape parameters come last, as their number is the model's."""
+"""Name, shape and step of the columns of a frame, without its time; values change by half a step at most. The shape
+parameters come last, as their number depends on the model."""
 _FIXED = int(sum(np.prod(shape) for _, shape, _ in LAYOUT[:-1]))
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """One intact chunk: `kind`, `count` frames from frame number `first` on, and the content."""
+    """An intact chunk: `kind`, `count` frames from frame number `first` on, and the content."""
 
     kind: bytes
     count: int
@@ -66,36 +66,53 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Damage:
-    """Bytes that are no intact chunk; `end` is whether nothing intact follows them."""
+    """Bytes that are not an intact chunk; `end` is whether nothing intact follows."""
 
     end: bool
 
 
 class NewerFormatError(ValueError):
-    """The file was written by a version of Facemime that knows more than this one."""
+    """The file was written by a newer version of Facemime."""
 
 
 def chunk_bytes(kind: bytes, content: bytes, *, count: int = 0, first: int = 0) -> bytes:
-    """A chunk as it stands in the file."""
+    """Serialise a chunk.
+
+    Parameters
+    ----------
+    kind : bytes
+        `START`, `FRAMES` or `END`.
+    content : bytes
+        From `info_content` or `frames_content`.
+    count : int
+        Frames in the chunk.
+    first : int
+        Number of its first frame.
+
+    Returns
+    -------
+    bytes
+        Header and content.
+    """
     fields = (MARKER, FORMAT_VERSION, kind, count, first, len(content), zlib.crc32(content))
     head = HEADER.pack(*fields, 0)[:-4]
     return head + struct.pack("<I", zlib.crc32(head)) + content
 
 
 def chunks_in(data: bytes) -> Iterator[Chunk | Damage]:
-    """The intact chunks of a file's bytes in their order, with one `Damage` wherever something else stands.
+    """Iterate over the intact chunks of a file, with a `Damage` wherever there is something else.
 
     Raises
     ------
     NewerFormatError
-        Where an intact header states a later version.
+        If an intact header states a later version.
     ValueError
-        Where so many chunks are broken that the file was made to keep a reader busy.
+        If so many chunks are broken that the file must have been made to keep a reader busy.
 
     Notes
     -----
-    After damage the next marker is looked for, within what a broken chunk claims as its content too, so that a length
-    is never trusted further than its checksum. The work is bounded by the file's size.
+    After damage, the next marker is searched, also within the alleged content of a broken chunk, so that a length is
+    not trusted without its checksum. The work is bounded by the size of the file.
     """
     at, patience = 0, 4 * len(data) + MAX_CONTENT
     while 0 <= at < len(data):
@@ -112,7 +129,7 @@ def chunks_in(data: bytes) -> Iterator[Chunk | Damage]:
 
 
 def _next_chunk(data: bytes, at: int) -> int:
-    """Where the next header with a right checksum starts, -1 where none does."""
+    """Start of the next header with a valid checksum, or -1."""
     at = data.find(MARKER, at)
     while at >= 0 and _header_at(data, at) is None:
         at = data.find(MARKER, at + 1)
@@ -128,7 +145,7 @@ def _header_at(data: bytes, at: int) -> tuple[Any, ...] | None:
 
 
 def _chunk_at(data: bytes, at: int) -> tuple[Chunk | None, int]:
-    """The chunk that starts at byte `at`, None where it is broken, and the bytes that were looked at to know it."""
+    """The chunk at byte `at`, None if it is broken, and the number of bytes that were read to find out."""
     if (fields := _header_at(data, at)) is None:
         return None, 0
     _, version, kind, count, first, length, checksum, _ = fields
@@ -142,17 +159,30 @@ def _chunk_at(data: bytes, at: int) -> tuple[Chunk | None, int]:
 
 
 def info_content(info: dict[str, Any], frames: int) -> bytes:
-    """The content of a chunk that tells how the take was made; numbers that are none become null."""
+    """Serialise the description of a take.
+
+    Parameters
+    ----------
+    info : dict
+        `Take.info`; NaN and infinity become null.
+    frames : int
+        Number of frames.
+
+    Returns
+    -------
+    bytes
+        Content of a chunk.
+    """
     return json.dumps({"info": _plain(info), "frames": frames}, allow_nan=False).encode()
 
 
 def info_of(content: bytes) -> tuple[dict[str, Any], int]:
-    """What `info_content` was given, without what cannot be; ValueError where it is something else."""
-    told = parse_json(content)
-    if not isinstance(told, dict) or not isinstance(told.get("info"), dict) or not isinstance(told.get("frames"), int):
-        raise ValueError("it does not tell how it was made")
-    info = {key: value for key, value in told["info"].items() if key not in _KINDS or _KINDS[key](value)}
-    return info, told["frames"]
+    """Parse what `info_content` returned, without invalid entries; ValueError if it is anything else."""
+    data = parse_json(content)
+    if not isinstance(data, dict) or not isinstance(data.get("info"), dict) or not isinstance(data.get("frames"), int):
+        raise ValueError("its description is missing")
+    info = {key: value for key, value in data["info"].items() if key not in _CHECKS or _CHECKS[key](value)}
+    return info, data["frames"]
 
 
 def _is_number(value: Any) -> bool:
@@ -174,10 +204,10 @@ def _is_spans(value: Any) -> bool:
 
 
 def _is_side(value: Any) -> bool:
-    return isinstance(value, int) and 0 < value <= _LARGEST_SIDE
+    return isinstance(value, int) and 0 < value <= _MAX_SIDE
 
 
-_KINDS: dict[str, Callable[[Any], bool]] = {
+_CHECKS: dict[str, Callable[[Any], bool]] = {
     "fps": _is_number,
     "image_size": lambda value: isinstance(value, list) and len(value) == 2 and all(map(_is_side, value)),
     "calibration": lambda value: isinstance(value, dict),
@@ -186,7 +216,7 @@ _KINDS: dict[str, Callable[[Any], bool]] = {
     "offset": _is_time,
     **dict.fromkeys(("source", "model", "clock", "started", "recovered", "reference_video", "sound"), _is_text),
 }
-"""Of what is computed with, what it may be: a file may say anything."""
+"""Checks of entries that are computed with, as a file may contain anything."""
 
 
 def _plain(value: Any) -> Any:
@@ -200,20 +230,38 @@ def _plain(value: Any) -> Any:
 
 
 def frames_content(take: Take) -> bytes:
-    """The content of a chunk of at most `MAX_FRAMES` frames. A frame without numbers is one without a face."""
+    """Serialise at most `MAX_FRAMES` frames. Frames whose pose or shape is not finite are stored as lost."""
     steps = _steps(take.shape_params.shape[1])
     found = take.found & np.isfinite(take.shape).all(axis=(1, 2)) & np.isfinite(take.pose).all(axis=1)
     values = {name: getattr(take, name) for name, _, _ in LAYOUT} | {"found": found}
     table = np.concatenate([values[name].reshape(len(take), -1).astype(np.float64) for name, _, _ in LAYOUT], axis=1)
     known = np.isfinite(table)
-    multiples = np.clip(np.rint(np.where(known, table, 0.0) / steps), -_LARGEST, _LARGEST).astype(np.int64)
-    return take.times.astype("<f8").tobytes() + _packed(np.where(known, multiples, _UNKNOWN))
+    multiples = np.clip(np.rint(np.where(known, table, 0.0) / steps), -_MAX_MULTIPLE, _MAX_MULTIPLE).astype(np.int64)
+    return take.times.astype("<f8").tobytes() + _pack(np.where(known, multiples, _UNKNOWN))
 
 
 def frames_of(content: bytes, count: int) -> Take:
-    """The frames that `frames_content` was given; ValueError where the content is something else."""
+    """Parse what `frames_content` returned.
+
+    Parameters
+    ----------
+    content : bytes
+        Content of a chunk.
+    count : int
+        Number of frames.
+
+    Returns
+    -------
+    Take
+        The frames.
+
+    Raises
+    ------
+    ValueError
+        If the content is anything else.
+    """
     times = np.frombuffer(content[: 8 * count], "<f8")
-    multiples = _unpacked(content[8 * count :], count)
+    multiples = _unpack(content[8 * count :], count)
     table = multiples * _steps(multiples.shape[1] - _FIXED)
     table[multiples == _UNKNOWN] = np.nan
     arrays: dict[str, Any] = {}
@@ -228,20 +276,20 @@ def frames_of(content: bytes, count: int) -> Take:
 
 
 def _steps(modes: int) -> FloatArray:
-    """(columns,) the step of each column where the model has `modes` modes."""
+    """(columns,) step of each column, for a model with `modes` modes."""
     widths = [modes if shape == (-1,) else int(np.prod(shape)) for _, shape, _ in LAYOUT]
     return np.concatenate([np.broadcast_to(step, width) for (_, _, step), width in zip(LAYOUT, widths, strict=True)])
 
 
-def _packed(multiples: NDArray[np.int64]) -> bytes:
-    """(N, D) whole numbers of 32 bits, deflated as docs/takes.md states it."""
-    change = np.diff(multiples, axis=0, prepend=0).astype(np.int32)  # what does not fit wraps, and wraps back
+def _pack(multiples: NDArray[np.int64]) -> bytes:
+    """Deflate (N, D) 32-bit integers, as described in docs/takes.md."""
+    change = np.diff(multiples, axis=0, prepend=0).astype(np.int32)  # overflow wraps, and wraps back when read
     folded = (change << 1) ^ (change >> 31)
     planes = np.ascontiguousarray(folded.T).astype("<i4").view(np.uint8).reshape(-1, 4).T
     return zlib.compress(planes.tobytes(), 6)
 
 
-def _unpacked(deflated: bytes, count: int) -> NDArray[np.int32]:
+def _unpack(deflated: bytes, count: int) -> NDArray[np.int32]:
     limit = 4 * count * (_FIXED + MAX_MODES)
     stream = zlib.decompressobj()
     try:
@@ -250,7 +298,7 @@ def _unpacked(deflated: bytes, count: int) -> NDArray[np.int32]:
         raise ValueError(f"its frames cannot be unpacked: {error}") from error
     columns, rest = divmod(len(raw), 4 * count) if count else (0, 1)
     if rest or not _FIXED <= columns <= _FIXED + MAX_MODES or not stream.eof:
-        raise ValueError(f"{len(raw)} bytes are no {count} frames")
+        raise ValueError(f"{len(raw)} bytes are not {count} frames")
     folded = np.frombuffer(raw, np.uint8).reshape(4, -1).T.copy().view("<u4").reshape(columns, count)
     change = (folded >> 1).astype(np.int32) ^ -(folded & 1).astype(np.int32)
-    return np.ascontiguousarray(np.cumsum(change, axis=1, dtype=np.int32).T)  # it wraps, as what it undoes did
+    return np.ascontiguousarray(np.cumsum(change, axis=1, dtype=np.int32).T)  # wraps as in `_pack`

@@ -1,4 +1,4 @@
-"""From a video to a take: the frames of a source through a tracker, in order, each with the media's own time."""
+"""From a video to a take: tracking of all frames, in order, with their presentation times."""
 
 from __future__ import annotations
 
@@ -22,29 +22,34 @@ def track_video(
     output: Path | None = None,
     face: tuple[float, float] | None = None,
 ) -> TakeRecorder:
-    """Track every frame of the video at `path`.
+    """Track every frame of a video.
 
     Parameters
     ----------
+    path : Path
+        The video.
+    tracker : FaceTracker
+        Reset at the start.
     on_frame : callable, optional
-        Called after each frame with (frames done, frames stated by the file, result); returning False stops.
+        Called after each frame with the frames done, the frames stated by the file, and the result; returning False
+        stops.
     output : Path, optional
-        A take that is written while tracking, so that whatever happens what was tracked is there; must not exist yet.
+        A take to write while tracking, so that nothing is lost by a crash; must not exist.
     face : (float, float), optional
-        Place of the face to follow, as for `FaceTracker.choose`; the largest otherwise.
+        Position of the face to track, as for `FaceTracker.choose`; by default the largest.
 
     Returns
     -------
     TakeRecorder
-        Its `finish` gives the take. On KeyboardInterrupt tracking ends early and what was tracked is kept, with
-        `info["interrupted"]` set.
+        Its `finish` returns the take. On KeyboardInterrupt, tracking ends early, what was tracked is kept, and
+        ``info["interrupted"]`` is set.
 
     Raises
     ------
     SourceError
-        Where the video cannot be read.
+        If the video cannot be read.
     OutputError
-        Where `output` cannot be written.
+        If `output` cannot be written.
     """
     with ExitStack() as stack:
         source = stack.enter_context(VideoSource(path))

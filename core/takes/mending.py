@@ -1,4 +1,4 @@
-"""Mending a take: frames that jump out of line, gaps, the wrong side of the mirror, another neutral; and privacy."""
+"""Mending of takes: outliers, gaps, smoothing, mirroring, another neutral face (docs/method.md, section 8.2)."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ Smoothing = Literal["none", "one-euro", "zero-phase"]
 
 @dataclass(frozen=True)
 class Mending:
-    """What is done to a take, in this order.
+    """What to do to a take, in this order.
 
     Attributes
     ----------
     outliers : bool
-        Drop frames that jump out of line.
+        Remove outliers.
     gaps : {"leave", "bridge", "hold"}
-        What is done where no face was found, as for `bridge_gaps`.
+        What to do where no face was found, as for `bridge_gaps`.
     longest : float
-        Seconds of the longest gap that is filled.
+        Longest gap to fill, in seconds.
     smoothing : {"none", "one-euro", "zero-phase"}
-        As it is done live, or without delay.
+        Not at all, as live, or without delay.
     cutoffs : mapping of str to float
-        For "zero-phase": Hz by part, where they are not as by default.
+        For "zero-phase": cutoffs in Hz by part, if not the default.
     mirror : bool
         Swap left and right.
     neutral : float, optional
-        Seconds at which the face is the neutral one.
+        Time of the neutral face in seconds.
     """
 
     outliers: bool = False
@@ -55,12 +55,24 @@ class Mending:
 
 
 def mend(take: Take, mending: Mending) -> Take:
-    """`take` with everything done to it that `mending` names.
+    """Mend a take.
+
+    Parameters
+    ----------
+    take : Take
+        The take.
+    mending : Mending
+        What to do.
+
+    Returns
+    -------
+    Take
+        The mended take.
 
     Raises
     ------
     SourceError
-        Where a number makes no sense, or no face was found where the neutral one is to be.
+        If a number is out of range, or there is no face at the time of the neutral face.
     """
     if mending.outliers:
         take = remove_outliers(take)
@@ -75,37 +87,49 @@ def mend(take: Take, mending: Mending) -> Take:
     return take if mending.neutral is None else renew_neutral(take, mending.neutral)
 
 
-_LEAST = (0.05, 0.12, 0.2)
-"""What is never an outlier: landmarks' distance in eye distances, turn in radians, move in eye distances."""
-_TIMES_NOISE = 8.0
+_MIN_DEVIATIONS = (0.05, 0.12, 0.2)
+"""Deviations below which a frame is never an outlier: landmarks in eye distances, rotation in radians, position and
+logarithm of the scale in eye distances."""
+_TIMES_MEDIAN = 8.0
+"""Multiple of the median deviation above which a frame is an outlier."""
 _NEIGHBOURS = 2
+"""Frames to either side with which a frame is compared."""
 _NEUTRAL_SPAN = 0.2
+"""Seconds that are averaged for a neutral face that the user chose."""
 
 
 def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: float = 1.0) -> Take:
-    """Fill the gaps in which no face was found, between two frames in which one was.
+    """Fill gaps between two frames with a face.
 
-    A filled frame counts as found, so that everything behind drives it as any other, but its confidence is 0, as
-    nothing was seen; `info["bridged"]` lists the spans. What is before the first face or behind the last stays lost.
+    Filled frames count as found, so that they drive a head as any other, with a confidence of 0, as nothing was seen.
+    ``info["bridged"]`` lists their spans. Frames before the first and after the last face stay lost.
 
     Parameters
     ----------
+    take : Take
+        The take.
     how : {"bridge", "hold"}
-        Move evenly from the last face to the next, or stay as the last was.
+        Interpolate, or hold the last face.
     longest : float
-        Seconds from face to face; longer gaps stay.
+        Longest gap to fill, in seconds from face to face.
+
+    Returns
+    -------
+    Take
+        The filled take.
 
     Raises
     ------
     SourceError
-        Where `longest` is below 0.
+        If `longest` is negative.
     """
     if not longest >= 0.0:
-        raise SourceError(f"No gap is at most {longest} s long. Give 0 or more.")
+        raise SourceError(f"The longest gap cannot be {longest} s. Use 0 or more.")
     seen = np.flatnonzero(take.found)
     if not len(seen):
         return take
     lost = np.flatnonzero(~take.found)
+    # Lost frames between two with a face, and these two.
     place = np.searchsorted(seen, lost)
     inside = (place > 0) & (place < len(seen))
     lost, place = lost[inside], place[inside]
@@ -114,6 +138,7 @@ def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: 
     short = span <= longest
     lost, before, after, span = lost[short], before[short], after[short], span[short]
     share = (take.times[lost] - take.times[before]) / span if how == "bridge" else np.zeros(len(lost))
+    # Interpolate, or hold the frame before; confidence is 0, as nothing was seen.
     filling = mix(take.part(before), take.part(after), share)
     result = mark_lost(take, np.zeros(len(take), bool))
     for name in ("landmarks", "pose", "shape_params", "shape", "pupils", "gaze", "found"):
@@ -124,12 +149,11 @@ def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: 
 
 
 def find_outliers(take: Take) -> NDArray[np.bool_]:
-    """(N,) whether a frame jumps out of line and the next ones are back: a fit gone wrong, not a movement.
+    """(N,) whether a frame is an outlier: a failed fit rather than motion, as the next frames are back in line.
 
-    A frame is held against the median of itself and its two neighbours on either side: the root mean square distance of
-    all 66 landmarks of the shape, the turn of the head, its place and size. An outlier is further than a face moves
-    from one frame to the next, and than eight times what this take's frames usually differ. A blink moves few landmarks
-    and passes.
+    A frame is compared with the median of five frames around it: the landmarks of the shape (root mean square), the
+    rotation, and the position and size. An outlier deviates by more than a face moves between frames, and by more than
+    eight times the median deviation of the take. A blink moves few landmarks and passes.
     """
     outliers = np.zeros(len(take), dtype=np.bool_)
     seen = np.flatnonzero(take.found)
@@ -139,27 +163,44 @@ def find_outliers(take: Take) -> NDArray[np.bool_]:
     unit = np.median(take.pose[seen, 0])
     place = np.column_stack([np.log(take.pose[seen, 0]), take.pose[seen, 4:6] / unit])
     shape = take.shape[seen].reshape(len(seen), -1).astype(np.float64)
-    scales = (np.sqrt(1.0 / take.shape.shape[1]), np.sqrt(0.5), 1.0)  # of a turn's matrix: its norm is sqrt(2) angle
-    for values, scale, least in zip((shape, turns, place), scales, _LEAST, strict=True):
+    scales = (
+        np.sqrt(1.0 / take.shape.shape[1]),
+        np.sqrt(0.5),
+        1.0,
+    )  # a difference of rotation matrices has the norm sqrt(2) angle
+    for values, scale, least in zip((shape, turns, place), scales, _MIN_DEVIATIONS, strict=True):
         away = scale * np.linalg.norm(values - _running_median(values), axis=1)
-        outliers[seen] |= away > max(least, _TIMES_NOISE * float(np.median(away)))
+        outliers[seen] |= away > max(least, _TIMES_MEDIAN * float(np.median(away)))
     return outliers
 
 
 def _running_median(values: FloatArray) -> FloatArray:
-    """(N, D) median over each row and its neighbours; at the ends over those that there are, mirrored."""
+    """(N, D) median of each row and its neighbours, mirrored at the ends."""
     padded = np.pad(values, ((_NEIGHBOURS, _NEIGHBOURS), (0, 0)), mode="reflect")
     shifted = [padded[i : i + len(values)] for i in range(2 * _NEIGHBOURS + 1)]
     return np.asarray(np.median(shifted, axis=0))
 
 
 def remove_outliers(take: Take) -> Take:
-    """The take with no face in the frames that `find_outliers` tells; `bridge_gaps` closes them."""
+    """Mark the frames of `find_outliers` as lost; `bridge_gaps` can fill them."""
     return mark_lost(take, find_outliers(take))
 
 
 def mirror_take(take: Take, mode_signs: FloatArray | None = None) -> Take:
-    """The performance as seen in a mirror; twice is the take again. `mode_signs` as for `mirror_result`."""
+    """Mirror a take left to right. Mirroring twice gives the take again.
+
+    Parameters
+    ----------
+    take : Take
+        The take.
+    mode_signs : (K,) float64, optional
+        As for `mirror_result`.
+
+    Returns
+    -------
+    Take
+        The mirrored take.
+    """
     width = float(take.info.get("image_size", (640, 480))[0])
     info: dict[str, Any] = {**take.info, "mirrored": not take.info.get("mirrored", False)}
     if "calibration" in info:
@@ -172,18 +213,30 @@ def mirror_take(take: Take, mode_signs: FloatArray | None = None) -> Take:
 
 
 def mirror_tracked(take: Take) -> Take:
-    """`mirror_take`, with the coefficients' signs where the take is of the tracker's present model."""
+    """Mirror a take, including its shape parameters if they belong to the current model of the tracker."""
     tracker = FaceTracker.load()
     return mirror_take(take, tracker.pdm.mirror_signs if tracker.model_id == take.info.get("model") else None)
 
 
 def renew_neutral(take: Take, frame_time: float) -> Take:
-    """The take with the face about `frame_time`, seconds, as its neutral: `calibrate` gives that one from then on.
+    """Make the face at a given time the neutral face of a take, which `calibrate` then returns.
+
+    Parameters
+    ----------
+    take : Take
+        The take.
+    frame_time : float
+        Seconds.
+
+    Returns
+    -------
+    Take
+        With a new calibration in `info`.
 
     Raises
     ------
     SourceError
-        Where no face was found there.
+        If there is no face at that time.
     """
     neutral = calibrate(take, frame_time - _NEUTRAL_SPAN / 2.0, _NEUTRAL_SPAN)
     return replace(take, info={**take.info, "calibration": neutral.to_dict()})

@@ -1,4 +1,4 @@
-"""The performer's neutral face, from which expressions are measured: found in a take, and kept (METHOD section 4)."""
+"""The performer's neutral face, from which expressions are measured (docs/method.md, section 4.1)."""
 
 from __future__ import annotations
 
@@ -17,39 +17,43 @@ from ..reading import as_object, parse_json
 from ..rotation import euler_to_matrix
 from .take import Take
 
-_SURELY_SHUT = 0.45
-_HARDLY_OPEN, _WIDE_OPEN, _MOST_GAIN = 0.12, 0.35, 1.4
-"""Of the mouth, outer-eye distances from neutral."""
-_MAY_BE_UNKNOWN = ("gaze", "open_mouth")
-_LARGEST, _LARGEST_NUMBER = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0}, 1e7
-"""Of a stored calibration: outer-eye distances, radians; seconds and pixels."""
-_FLAT, _TURN_ROUNDING = 1e-4, 1e-3
+_MAX_SHUT = 0.45
+"""Largest opening, relative to the neutral one, that can count as shut."""
+_MIN_OPENING, _WIDE_OPENING, _MAX_GAIN = 0.12, 0.35, 1.4
+"""Openings of the mouth from neutral in outer-eye distances: the least that counts, and a wide one; and the largest
+gain (section 4.2)."""
+_OPTIONAL = ("gaze", "open_mouth")
+"""Values that may be NaN."""
+_MAX_VALUES, _MAX_VALUE = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0}, 1e7
+"""Upper bounds of stored values: outer-eye distances and radians; others are seconds and pixels."""
+_MIN_EXTENT, _ROTATION_ERROR = 1e-4, 1e-3
+"""Least extent of a region of a stored shape, and largest error of a stored rotation."""
 MIRROR_WIDTH = 1.0
-"""Pixels: the width of which a mirrored picture has its middle at x = 0, as has a mirrored `Neutral`."""
+"""Width in pixels for which mirroring an image keeps x = 0 in place, as mirroring a `Neutral` does."""
 
 
 @dataclass(frozen=True)
 class Neutral:
-    """The performer at rest.
+    """The performer's neutral face and usual pose.
 
     Attributes
     ----------
     shape : (66, 3) float64
         Mean pose-free shape: head frame, outer-eye distances.
     rotation : (3, 3) float64
-        How the performer held the head, by the median of the take: the avatar looks straight ahead then. Where the
-        camera stands below or beside the screen, that is not the attitude of a head that faces the camera.
+        Median rotation in the take, at which the avatar looks straight ahead. If the camera is below or beside the
+        screen, the performer does not face the camera then.
     position : (3,) float64
-        `(s, tx, ty)`, medians of the take: pixels an outer-eye distance, pixels, pixels.
+        `(s, tx, ty)`, medians of the take: pixels per outer-eye distance, pixels, pixels.
     start, end : float
-        Seconds of the take that were averaged.
+        Span of the take that was averaged, in seconds.
     shut : float
-        Opening of the eyes, as a fraction of the neutral one, at which the performer's eyes are shut: small, but not
-        0, as lashes and blur keep a tracker's lids a little apart. 0 where the take shows no shut eyes.
+        Opening at which the performer's eyes are shut, as a fraction of the neutral one: small, but not 0, as lashes
+        and blur keep tracked lids apart. 0 if the take shows no shut eyes.
     gaze : (2,) float64
-        `(pitch, yaw)`, radians, median of the take: where the performer mostly looks. NaN where the take tells none.
+        `(pitch, yaw)` in radians, median of the take: the usual gaze. NaN if the take has none.
     open_mouth : float
-        Aperture of the mouth when it was opened as wide as it goes, outer-eye distances; NaN where nobody asked.
+        Aperture of the mouth when opened wide, in outer-eye distances; NaN if unknown.
     """
 
     shape: FloatArray
@@ -63,14 +67,14 @@ class Neutral:
 
     @property
     def mouth_gain(self) -> float:
-        """By how much the lower face moves more, so that the widest opening shown opens the avatar's mouth well too."""
+        """Factor of the lower face's vertical motion, by which the performer's widest opening becomes a wide one."""
         opened = self.open_mouth - float(mouth_aperture(self.shape))
-        if not opened > _HARDLY_OPEN:
+        if not opened > _MIN_OPENING:
             return 1.0
-        return float(np.clip(_WIDE_OPEN / opened, 1.0, _MOST_GAIN))
+        return float(np.clip(_WIDE_OPENING / opened, 1.0, _MAX_GAIN))
 
     def mirrored(self) -> Neutral:
-        """The neutral of the performer's mirror image; of a picture `MIRROR_WIDTH` wide, as `mirror_result` has it."""
+        """The neutral face of the mirrored performer, in an image with the width `MIRROR_WIDTH`."""
         flip = np.array([-1.0, 1.0, 1.0])
         return replace(
             self,
@@ -81,12 +85,12 @@ class Neutral:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain lists and numbers, for JSON; what is not known is None."""
+        """Convert to lists and numbers for JSON; unknown values become None."""
         return {f.name: _plain(np.asarray(getattr(self, f.name), dtype=np.float64)) for f in fields(self)}
 
     @classmethod
     def from_json(cls, text: str) -> Neutral:
-        """From the JSON of what `to_dict` gave; SourceError as for `from_dict`."""
+        """Parse the JSON of what `to_dict` returned; SourceError as for `from_dict`."""
         try:
             return cls.from_dict(as_object(parse_json(text), "it"))
         except ValueError as error:
@@ -94,12 +98,12 @@ class Neutral:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Neutral:
-        """From what `to_dict` gave.
+        """Convert from what `to_dict` returned.
 
         Raises
         ------
         SourceError
-            Where something is missing, has another shape, or is not what a calibration can be.
+            If a value is missing, or is impossible.
         """
         shapes = {"shape": (N_LANDMARKS, 3), "rotation": (3, 3), "position": (3,), "gaze": (2,)}
         values: dict[str, Any] = {}
@@ -108,17 +112,17 @@ class Neutral:
                 value = np.array(data[name], dtype=np.float64)
             except (KeyError, TypeError, ValueError, OverflowError) as error:
                 raise SourceError(f"The stored calibration is damaged ({name}). Calibrate again.") from error
-            known = np.isfinite(value) | ((name in _MAY_BE_UNKNOWN) & np.isnan(value))
-            within = np.abs(np.nan_to_num(value)).max(initial=0.0) <= _LARGEST.get(name, _LARGEST_NUMBER)
+            known = np.isfinite(value) | ((name in _OPTIONAL) & np.isnan(value))
+            within = np.abs(np.nan_to_num(value)).max(initial=0.0) <= _MAX_VALUES.get(name, _MAX_VALUE)
             if value.shape != shapes.get(name, ()) or not known.all() or not within:
                 raise SourceError(f"The stored calibration is damaged ({name}). Calibrate again.")
             values[name] = value if name in shapes else float(value)
         neutral = cls(**values)
         turn = neutral.rotation
         sound = {
-            "rotation": np.allclose(turn @ turn.T, np.eye(3), atol=_TURN_ROUNDING) and np.linalg.det(turn) > 0.0,
+            "rotation": np.allclose(turn @ turn.T, np.eye(3), atol=_ROTATION_ERROR) and np.linalg.det(turn) > 0.0,
             "position": neutral.position[0] > 0.0,
-            "shut": 0.0 <= neutral.shut < _SURELY_SHUT,
+            "shut": 0.0 <= neutral.shut < _MAX_SHUT,
             "shape": _is_face(neutral.shape),
         }
         if wrong := [name for name, is_sound in sound.items() if not is_sound]:
@@ -128,7 +132,7 @@ class Neutral:
 
 def _is_face(shape: FloatArray) -> bool:
     """Whether each region of a shape (66, 3) has some width and height."""
-    return all(float(rms_extent(shape[region.landmarks]).min()) > _FLAT for region in REGIONS)
+    return all(float(rms_extent(shape[region.landmarks]).min()) > _MIN_EXTENT for region in REGIONS)
 
 
 def _plain(value: FloatArray) -> Any:
@@ -138,25 +142,32 @@ def _plain(value: FloatArray) -> Any:
 
 
 def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> Neutral:
-    """Average the pose-free shape over about a second in which the performer is neutral.
+    """Average the neutral face over about a second.
 
     Parameters
     ----------
+    take : Take
+        The take.
     start : float, optional
-        Seconds. By default the take's own calibration, if it carries one, or else the second with the least
-        expression: lips closed, mouth not drawn wide, eyes open, brows where they mostly are, head towards the camera.
+        Start in seconds. By default the calibration that the take contains, or else the second with the least
+        expression (equation 4.1).
     duration : float
         Seconds to average.
+
+    Returns
+    -------
+    Neutral
+        The neutral face, with the median pose of the take.
 
     Raises
     ------
     SourceError
-        Where no face was found in the chosen time, or in the whole take.
+        If there is no face in that time, or in the whole take.
 
     Notes
     -----
-    Of the second's frames the calmer half is averaged, so that one into which a smile or a blink has crept still
-    gives a neutral face.
+    The calmer half of the frames is averaged, so that a smile or a blink that begins or ends in that second does not
+    matter.
     """
     if not take.found.any():
         raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")
@@ -170,6 +181,7 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
             f"No face was found between {start:.2f} s and {start + duration:.2f} s. Choose another neutral."
         )
     shapes = take.shape[chosen].astype(np.float64)
+    # The calmer half of the frames, so that a smile or a blink that begins or ends in this time does not count.
     expression = _expression(shapes)
     pitch, yaw, roll = (float(a) for a in np.median(take.pose[take.found, 1:4], axis=0))
     neutral = shapes[expression <= np.median(expression)].mean(axis=0)
@@ -185,30 +197,45 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
 
 
 def shut_level(neutral: FloatArray, shapes: FloatArray) -> float:
-    """`Neutral.shut`: the fraction of the neutral opening left when the eyes of (N, 66, 3) shapes are most closed.
+    """Estimate `Neutral.shut`: the opening that is left when the eyes are most closed.
 
-    The third smallest opening: a blink lasts some frames at any usual rate, a misplaced lid one or two.
+    Parameters
+    ----------
+    neutral : (66, 3) float64
+        Neutral shape.
+    shapes : (N, 66, 3) float64
+        Shapes of the performance.
+
+    Returns
+    -------
+    float
+        As a fraction of the neutral opening; 0 if the eyes never shut.
+
+    Notes
+    -----
+    The third smallest opening is used: a blink lasts some frames at any usual rate, a misplaced lid one or two.
     """
     opening = eye_apertures(shapes).mean(axis=1)
     at_rest = float(eye_apertures(neutral).mean())
     least = np.sort(opening)[min(2, len(opening) - 1)]
     left = float(np.clip(least / max(at_rest, 1e-9), 0.0, 1.0))
-    return left if left < _SURELY_SHUT else 0.0
+    return left if left < _MAX_SHUT else 0.0
 
 
 def _usual_gaze(gaze: FloatArray) -> FloatArray:
-    """(2,) median of the frames (N, 2) that tell a gaze, NaN where none does."""
-    told = gaze[np.isfinite(gaze).all(axis=1)]
-    return np.median(told, axis=0) if len(told) else np.full(2, np.nan)
+    """(2,) median gaze over frames (N, 2), NaN if none has one."""
+    known = gaze[np.isfinite(gaze).all(axis=1)]
+    return np.median(known, axis=0) if len(known) else np.full(2, np.nan)
 
 
 def _restful_second(take: Take, duration: float) -> float:
-    """Start of the window with the least expression, the head as mostly held, and the tracker sure of itself."""
+    """Start of the span with the lowest mean of equation 4.1."""
     found = np.flatnonzero(take.found)
     times = take.times[found]
     turned = np.abs(take.pose[found, 1:4] - np.median(take.pose[found, 1:4], axis=0)).sum(axis=1)
     doubt = 1.0 - take.confidence[found]
     expression = _expression(take.shape[found].astype(np.float64)) + 0.2 * turned + 0.2 * doubt
+    # Means over all spans of the duration, by cumulative sums; spans with many lost frames are skipped.
     ends = np.searchsorted(times, times + duration, side="right")
     full = np.flatnonzero(times + duration <= times[-1] + 1e-9)
     starts = full if len(full) else np.array([0])
@@ -220,10 +247,10 @@ def _restful_second(take: Take, duration: float) -> float:
 
 
 def _expression(shapes: FloatArray) -> FloatArray:
-    """How far each of (N, 66, 3) shapes is from rest, (N,), outer-eye distances.
+    """Amount of expression (N,) of shapes (N, 66, 3), in outer-eye distances: the first terms of equation 4.1.
 
-    A resting face has closed lips, a mouth that is not drawn wide, open eyes, and brows where they mostly are. A plain
-    distance from the median would call a grin neutral in a clip of somebody who grins most of the time.
+    A resting face has closed lips, a mouth that is not wide, open eyes, and brows in their usual place. By the plain
+    distance from the median, a grin would be neutral in a clip of somebody who grins most of the time.
     """
     gap = mouth_aperture(shapes)
     width = np.linalg.norm(shapes[:, MOUTH_CORNERS[1]] - shapes[:, MOUTH_CORNERS[0]], axis=1)

@@ -1,4 +1,4 @@
-"""Smoothing a take, whole: as it is done live, or without any delay, since what comes later is known."""
+"""Smoothing of takes, as live or without delay (docs/method.md, section 8.1)."""
 
 from __future__ import annotations
 
@@ -27,17 +27,32 @@ CUTOFFS: dict[str, float] = {
     "place": 4.0,
     "gaze": 8.0,
 }
-"""Hz at which half of a movement passes, part by part."""
-_LOWEST, _HIGHEST = 1e-3, 1e5
-"""Hz: of a cutoff, and from which on nothing is smoothed."""
-_LONGEST_STEP = 0.25
-_SHORTEST_STEP = 1e-3
-"""Seconds that frames count as apart at least: where a part was punched in, two may be nearly at one time."""
-_FEWEST = 5
+"""Cutoffs in Hz, at which half of the amplitude passes, by part."""
+_MIN_CUTOFF, _NO_CUTOFF = 1e-3, 1e5
+"""Hz: the lowest cutoff, and the one above which nothing is smoothed."""
+_MAX_STEP = 0.25
+"""Seconds between frames above which nothing is smoothed across."""
+_MIN_STEP = 1e-3
+"""Least time between frames in seconds: where a part was punched in, two may nearly coincide."""
+_MIN_FRAMES = 5
+"""Fewest frames that are smoothed."""
 
 
 def smooth_take(take: Take, amount: float = 1.0) -> Take:
-    """`take` with every frame smoothed as `ResultSmoother` does live; a take that is smooth already is given back."""
+    """Smooth a take as `ResultSmoother` does live.
+
+    Parameters
+    ----------
+    take : Take
+        The take; returned unchanged if it was smoothed before.
+    amount : float
+        As for `ResultSmoother`; 0 returns the take unchanged.
+
+    Returns
+    -------
+    Take
+        The smoothed take.
+    """
     if amount <= 0.0 or take.info.get("smoothed"):
         return take
     smoother, recorder = ResultSmoother(amount), TakeRecorder({**take.info, "smoothed": "one-euro"})
@@ -47,25 +62,32 @@ def smooth_take(take: Take, amount: float = 1.0) -> Take:
 
 
 def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) -> Take:
-    """`take` smoothed without delay, each part of the face with its own cutoff.
+    """Smooth a take without delay, with one cutoff per part of the face.
 
-    Pose, shape and gaze are smoothed, and the landmarks follow. Nothing is drawn across a loss of the face.
+    Pose, shape and gaze are smoothed, and landmarks follow. Nothing is smoothed across lost frames.
 
     Parameters
     ----------
-    cutoffs : mapping, optional
-        Hz by part, in place of those in `CUTOFFS`; `inf` leaves a part as it is.
+    take : Take
+        The take.
+    cutoffs : mapping of str to float, optional
+        Hz by part, overriding `CUTOFFS`; `inf` leaves a part unchanged.
+
+    Returns
+    -------
+    Take
+        The smoothed take.
 
     Raises
     ------
     FacemimeError
-        For a part that is none and a cutoff that is too low.
+        If a part does not exist, or a cutoff is too low.
     """
     chosen = {**CUTOFFS, **(cutoffs or {})}
     for part, cutoff in chosen.items():
-        if part not in CUTOFFS or not cutoff >= _LOWEST:
+        if part not in CUTOFFS or not cutoff >= _MIN_CUTOFF:
             raise FacemimeError(
-                f"{part}={cutoff:g} is no cutoff. Give {_LOWEST:g} Hz or more for one of: {', '.join(CUTOFFS)}."
+                f"{part}={cutoff:g} is not a cutoff. Use {_MIN_CUTOFF:g} Hz or more for one of: {', '.join(CUTOFFS)}."
             )
     shape, pose, gaze = take.shape.astype(np.float64), take.pose.copy(), take.gaze.astype(np.float64)
     for run in _runs(take.times, take.found):
@@ -89,31 +111,46 @@ def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) ->
 
 
 def _runs(times: FloatArray, known: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
-    """The rows of each stretch of known frames that follow each other without a gap, if there are enough to smooth."""
+    """Rows of each run of known frames without a gap that is long enough to be smoothed."""
     rows = np.flatnonzero(known)
-    breaks = np.flatnonzero((np.diff(rows) > 1) | (np.diff(times[rows]) > _LONGEST_STEP)) + 1
-    yield from (run for run in np.split(rows, breaks) if len(run) >= _FEWEST)
+    breaks = np.flatnonzero((np.diff(rows) > 1) | (np.diff(times[rows]) > _MAX_STEP)) + 1
+    yield from (run for run in np.split(rows, breaks) if len(run) >= _MIN_FRAMES)
 
 
 def low_pass(times: FloatArray, values: FloatArray, cutoff: float) -> FloatArray:
-    """(N, D) `values` at increasing `times` (N,) without what swings faster than `cutoff`, Hz; nothing is delayed.
+    """Low-pass filter without delay.
+
+    Parameters
+    ----------
+    times : (N,) float64
+        Increasing, in seconds; need not be even.
+    values : (N, D) float64
+        Values at these times.
+    cutoff : float
+        Hz.
+
+    Returns
+    -------
+    (N, D) float64
+        Filtered values.
 
     Notes
     -----
-    The z that minimises `sum_i h_i |z_i - y_i|^2 + integral |z''|^2 / (2 pi f_c)^4`, with h_i the time that a frame
-    stands for (Whittaker 1923; Eilers, Analytical Chemistry 75, 2003). Its gain `1 / (1 + (f / f_c)^4)` is that of a
-    Butterworth filter of second order run forward and backward, without the filter's transients at both ends and
-    without its need of even times. A straight line passes unchanged. Pentadiagonal, so the cost is linear in N.
+    Minimises ``sum_i h_i |z_i - y_i|^2 + integral |z''|^2 / (2 pi f_c)^4``, where h_i is the time for which a frame
+    stands (equation 8.1; Whittaker 1923; Eilers 2003). The gain ``1 / (1 + (f / f_c)^4)`` is that of a second-order
+    Butterworth filter run forwards and backwards, but there are no transients at the ends. Straight lines do not
+    change. The system is pentadiagonal, so the cost is linear in N.
     """
-    if not cutoff < _HIGHEST:
+    if not cutoff < _NO_CUTOFF:
         return values
-    steps = np.maximum(np.diff(times), _SHORTEST_STEP)
+    steps = np.maximum(np.diff(times), _MIN_STEP)
     share = np.convolve(steps, [0.5, 0.5])
     middle = 0.5 * (steps[1:] + steps[:-1])
-    # A row of the second difference: z'' at the middle of three frames, times the root of the time it stands for.
+    # z'' at the middle of three frames as a second difference, times the root of the time for which it stands.
     weight = np.sqrt(middle) / (middle * (2.0 * pi * cutoff) ** 2)
     first, last = weight / steps[:-1], weight / steps[1:]
     rows = np.stack([first, -(first + last), last])
+    # Normal equations of 8.1 as diagonals of a pentadiagonal matrix.
     bands = np.zeros((3, len(times)))
     bands[0] = share
     for i in range(3):
@@ -124,13 +161,13 @@ def low_pass(times: FloatArray, values: FloatArray, cutoff: float) -> FloatArray
 
 
 def _solve_pentadiagonal(bands: FloatArray, right: FloatArray) -> FloatArray:
-    """(N, D) solution for a symmetric positive definite matrix by its factors L D L^T.
+    """(N, D) solution for a symmetric positive definite pentadiagonal matrix, by its factors L D L^T.
 
     `bands[k, i]` (3, N) couples the unknowns i and i + k.
     """
     count = len(right)
     main, near, far = (band.tolist() for band in bands)
-    # Two rows of an identity before the first row, and two of nothing behind the last, so that no end is special.
+    # Padding with two rows of an identity in front, and two of zeros at the end, avoids special cases.
     d, c, e = [1.0, 1.0], [0.0, 0.0], [0.0, 0.0]
     z = np.zeros((count + 4, right.shape[1]))
     for i in range(count):
@@ -147,12 +184,14 @@ def _solve_pentadiagonal(bands: FloatArray, right: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Curves:
-    """How a part moves before and after mending: one number a frame, in eye distances, radians for turns.
+    """Motion of a part before and after mending: one number per frame, in eye distances, or radians for rotations.
 
     Attributes
     ----------
-    times, before : (N,)
-    mended_times, after : (M,)
+    times, before : (N,) float64
+        Times in seconds and values before mending.
+    mended_times, after : (M,) float64
+        The same after mending.
     """
 
     times: FloatArray
@@ -162,7 +201,22 @@ class Curves:
 
 
 def before_after(take: Take, mended: Take, part: str) -> Curves:
-    """The curves of a part of `CUTOFFS` in the direction in which it moves most in `take`; NaN where unknown."""
+    """Curves of a part, before and after, along the direction in which it moves most before.
+
+    Parameters
+    ----------
+    take : Take
+        The take before mending.
+    mended : Take
+        The take after mending.
+    part : str
+        Key in `CUTOFFS`.
+
+    Returns
+    -------
+    Curves
+        NaN where unknown.
+    """
     before, after = _PART_VALUES[part](take), _PART_VALUES[part](mended)
     known = np.isfinite(before).all(axis=1)
     if not known.any():

@@ -1,4 +1,4 @@
-"""A take as a table of comma-separated values, for spreadsheets and scripts; docs/takes.md lists the columns."""
+"""Takes as comma-separated values, for spreadsheets and scripts; docs/takes.md lists the columns."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from .timing import project
 _NOTE = "# facemime take "
 _POSE = ("scale", "pitch", "yaw", "roll", "tx", "ty")
 _SHOWN = ("eye_right_aperture", "eye_left_aperture", "mouth_aperture")
-"""Follow from the shape: written to be looked at, not read."""
+"""Columns that follow from the shape: written for reference, ignored by `from_csv`."""
 
 
 def _columns(modes: int) -> dict[str, list[str]]:
-    """The names of the columns of each of a take's arrays."""
+    """Names of the columns of each array of a take."""
     numbers = IBUG68_INDICES.tolist()
     return {
         "times": ["time"],
@@ -43,12 +43,19 @@ def _columns(modes: int) -> dict[str, list[str]]:
 
 
 def to_csv(take: Take, path: Path) -> None:
-    """Write `take` as a table, a row a frame, that `from_csv` reads back exactly.
+    """Write a take as a table, one row per frame, which `from_csv` reads back exactly.
+
+    Parameters
+    ----------
+    take : Take
+        The take.
+    path : Path
+        The file.
 
     Raises
     ------
     OutputError
-        Where `path` cannot be written.
+        If `path` cannot be written.
     """
     columns = _columns(take.shape_params.shape[1])
     arrays = [getattr(take, name).reshape(len(take), -1) for name in columns]
@@ -62,26 +69,26 @@ def to_csv(take: Take, path: Path) -> None:
 
 
 def _text(value: Any) -> str:
-    """The shortest text that is read back as the same number; nothing for an unknown one."""
+    """The shortest text that reads back as the same number; empty for an unknown one."""
     if isinstance(value, np.bool_):
         return str(int(value))
     return str(value) if np.isfinite(value) else ""
 
 
 def from_csv(path: Path) -> Take:
-    """Read a table such as `to_csv` writes, or one made elsewhere with at least time, pose and shape.
+    """Read a table that `to_csv` wrote, or another one with at least time, pose and shape.
 
-    Columns may stand in any order and others may stand among them. Without `found`, a face is where pose and shape are
-    numbers; without landmarks, these follow from the shape at its pose; what else is missing is unknown.
+    Columns may be in any order, and others are ignored. Without `found`, a frame has a face if its pose and shape are
+    numbers; without landmarks, these are computed from shape and pose; other missing values are unknown.
 
     Raises
     ------
     SourceError
-        Where the file cannot be read, lacks a column, or holds what is no number; the message names it.
+        If the file cannot be read, lacks a column, or contains something that is not a number; the message names it.
     """
     path = Path(path)
     if not check_readable(path):
-        raise SourceError(f"There is no table {path}. Make one with: facemime export TAKE -o {path.name}")
+        raise SourceError(f"There is no table {path}. Create one: facemime export TAKE -o {path.name}")
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:
             take = _read(csv.reader(stream))
@@ -127,7 +134,7 @@ def _read(lines: Iterator[list[str]]) -> Take:
 
 
 def _values(cells: list[list[str]], names: list[str], place: dict[str, int]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """(N, columns) numbers; NaN for an empty cell and a column that is not there."""
+    """(N, columns) numbers; NaN for empty cells and missing columns."""
     values = np.full((len(cells), len(names)), np.nan)
     for column, name in enumerate(names):
         at = place.get(name)
@@ -136,5 +143,5 @@ def _values(cells: list[list[str]], names: list[str], place: dict[str, int]) -> 
             try:
                 values[row, column] = float(text) if text else np.nan
             except ValueError:
-                raise ValueError(f"row {row + 1} has {shown(text)} for {name}, which is no number") from None
+                raise ValueError(f"row {row + 1} has {shown(text)} for {name}, which is not a number") from None
     return values

@@ -1,7 +1,7 @@
-"""The take: everything tracked, with the time of each frame, so that any head can be driven from it later.
+"""The take: everything that was tracked, with the time of each frame, from which any head can be driven later.
 
-It holds the pose-free 3-D landmarks themselves beside the parameters that made them, so that a take stays usable
-when the tracker's model has changed.
+It contains the pose-free 3-D landmarks as well as their parameters, so that it remains usable after the model of the
+tracker has changed.
 """
 
 from __future__ import annotations
@@ -28,28 +28,29 @@ class Take:
     Attributes
     ----------
     times : (N,) float64
-        Seconds, strictly increasing; media time for a video.
+        Seconds, strictly increasing; presentation times for a video.
     landmarks : (N, 66, 2) float32
         Image frame, pixels; NaN where lost.
     pose : (N, 6) float64
         `(s, pitch, yaw, roll, tx, ty)` as in `TrackResult`; NaN where lost.
     shape_params : (N, K) float32
-        Coefficients of the shape model's modes; NaN where lost.
+        Coefficients of the modes of the shape model; NaN where lost.
     shape : (N, 66, 3) float32
-        Landmarks with the pose taken out: head frame, outer-eye distances; NaN where lost.
+        Landmarks without the pose: head frame, outer-eye distances; NaN where lost.
     confidence : (N,) float32
-        0 to 1.
+        Confidence that there is a face, 0 to 1.
     found : (N,) bool
+        Whether there is a face.
     landmark_confidence : (N, 66) float32
-        0 to 1; NaN where not known.
+        Certainty of each landmark, 0 to 1; NaN where unknown.
     pupils : (N, 2, 2) float32
-        Right and left, image frame, pixels; NaN where the eye is shut or the pupil not known.
+        Right and left, image frame, pixels; NaN where the eye is shut or the pupil unknown.
     gaze : (N, 2) float32
-        `(pitch, yaw)` as in `TrackResult`, radians; NaN where not known.
+        `(pitch, yaw)` as in `TrackResult`, radians; NaN where unknown.
     info : dict
-        How it was made, as `describe` begins it. Later steps add `interrupted` (stopped before the source's end),
-        `recovered` (what a damaged or cut file has lost), `calibration` (a neutral that was chosen), `bridged` (spans
-        in seconds that were invented), `smoothed`, and `reference_video` and `sound` (paths relative to the take).
+        Description, initially by `describe`. Later steps add `interrupted` (stopped before the end of the source),
+        `recovered` (what is missing from a damaged file), `calibration` (a chosen neutral face), `bridged` (spans in
+        seconds that were filled in), `smoothed`, and `reference_video` and `sound` (paths relative to the take).
     """
 
     times: FloatArray
@@ -68,7 +69,7 @@ class Take:
         return len(self.times)
 
     def result(self, frame: int) -> TrackResult:
-        """The tracking result of one frame, as the tracker gave it."""
+        """The tracking result of a frame."""
         return TrackResult(
             found=bool(self.found[frame]),
             landmarks=self.landmarks[frame].astype(np.float64),
@@ -82,7 +83,7 @@ class Take:
         )
 
     def part(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Take:
-        """The take of the chosen frames alone."""
+        """The take of the chosen frames."""
         return replace(self, **{name: getattr(self, name)[chosen] for name in FIELDS})
 
 
@@ -90,11 +91,11 @@ FIELDS = (
     *("times", "landmarks", "pose", "shape_params", "shape", "confidence", "found"),
     *("landmark_confidence", "pupils", "gaze"),
 )
-"""The arrays of a take, each with a row a frame."""
+"""Names of the arrays of a take, which have one row per frame."""
 
 
 def describe(source: str, fps: float, image_size: tuple[int, int], model: str, clock: str = "media") -> dict[str, Any]:
-    """What a take's `info` begins with.
+    """Create the initial `info` of a take.
 
     Parameters
     ----------
@@ -102,12 +103,17 @@ def describe(source: str, fps: float, image_size: tuple[int, int], model: str, c
         Name of the file or the camera.
     fps : float
         Nominal rate of the source.
-    image_size : (width, height)
-        Pixels.
+    image_size : (int, int)
+        Width and height in pixels.
     model : str
-        Checksum of the tracker's model.
+        Identifier of the tracker model.
     clock : {"media", "monotonic"}
-        What the times count: the media's own presentation times, or the computer's clock from the first frame on.
+        What times count: presentation times of the media, or the clock of the computer.
+
+    Returns
+    -------
+    dict
+        The description, with the version and the current time.
     """
     return {
         "source": source,
@@ -121,7 +127,7 @@ def describe(source: str, fps: float, image_size: tuple[int, int], model: str, c
 
 
 class TakeRecorder:
-    """Collects results frame by frame; `finish` may be called at any time and gives what has come so far."""
+    """Collects results frame by frame; `finish` may be called at any time."""
 
     def __init__(self, info: dict[str, Any]) -> None:
         self.info = dict(info)
@@ -132,15 +138,23 @@ class TakeRecorder:
         return len(self._times)
 
     def append(self, time: float, result: TrackResult) -> None:
-        """Add one frame at `time` seconds; times must increase."""
+        """Add a frame.
+
+        Parameters
+        ----------
+        time : float
+            Seconds; has to increase (ValueError).
+        result : TrackResult
+            Of that frame.
+        """
         check_increase(self._times[-1] if self._times else -np.inf, time)
         self._times.append(time)
         self._results.append(result)
 
     def finish(self) -> Take:
-        """Return the take recorded so far; raises SourceError where no frame has come."""
+        """Return the take recorded so far; SourceError if there is no frame."""
         if not self._results:
-            raise SourceError("Nothing was tracked: the source gave no frame.")
+            raise SourceError("Nothing was tracked, as the source has no frames. Choose another source.")
 
         def stack(name: str, dtype: type) -> Any:
             return np.array([getattr(result, name) for result in self._results], dtype=dtype)
@@ -161,20 +175,28 @@ class TakeRecorder:
 
 
 def check_increase(last: float, time: float) -> None:
-    """Raise ValueError where the frame at `time` cannot follow the one at `last`, seconds."""
+    """Raise ValueError if a frame cannot follow another one.
+
+    Parameters
+    ----------
+    last : float
+        Time of the earlier frame in seconds.
+    time : float
+        Time of the later frame in seconds.
+    """
     if not last < time < np.inf:
         raise ValueError(f"times must increase; got {time} after {last}")
 
 
 def join(takes: Sequence[Take]) -> Take:
-    """One take of several that follow each other in time, with the first one's info."""
+    """Concatenate takes that follow each other in time; `info` is that of the first."""
     return Take(
         **{name: np.concatenate([getattr(take, name) for take in takes]) for name in FIELDS}, info=dict(takes[0].info)
     )
 
 
 def check_take(take: Take) -> None:
-    """Raise ValueError, saying why, where the arrays of `take` do not belong together."""
+    """Raise ValueError if the arrays of `take` are inconsistent."""
     count = len(take.times)
     shapes = {
         "times": (count,),
@@ -195,4 +217,4 @@ def check_take(take: Take) -> None:
         raise ValueError("its times do not increase")
     found = take.found.astype(bool)
     if not np.isfinite(take.shape[found]).all() or not np.isfinite(take.pose[found]).all():
-        raise ValueError("frames marked as found hold no numbers")
+        raise ValueError("frames marked as found contain no numbers")

@@ -1,8 +1,7 @@
-"""A take at other times: in between its frames, at another rate, shifted, trimmed, or with a part of another put in.
+"""Takes at other times: interpolated, resampled, shifted, trimmed, or punched in (docs/method.md, section 8.3).
 
-Frames in between are interpolated by the media's own time: the rotation by the short way, the size in proportion,
-everything else linearly, and the landmarks follow from the shape at its pose. Nothing is invented: where a face was
-lost, or frames are missing for longer than a few, the take stays without one.
+Rotations are interpolated on the sphere, scale geometrically and everything else linearly; landmarks follow from shape
+and pose. Nothing is interpolated across lost or missing frames.
 """
 
 from __future__ import annotations
@@ -18,19 +17,28 @@ from ..errors import SourceError
 from ..rotation import euler_to_matrix, mix_rotations
 from .take import FIELDS, Take, join
 
-_LONGEST_STEP = 2.5
-"""Typical steps between two frames, above which frames are missing between them."""
-_MOST_FRAMES = 1_000_000
-"""Of a take at an even rate: nine hours at 30 frames a second, and what Blender's timeline holds."""
+_MAX_STEP = 2.5
+"""Time between two frames, in typical steps, above which frames are missing between them."""
+_MAX_FRAMES = 1_000_000
+"""Frames of a resampled take at most: nine hours at 30 frames per second, and the limit of Blender's timeline."""
 
 
 def mix(first: Take, second: Take, share: FloatArray) -> Take:
-    """Frame by frame, what lies between two takes of equally many frames; times and info are the first one's.
+    """Interpolate between two takes, frame by frame.
 
     Parameters
     ----------
-    share : (N,)
-        0 gives the first one's frame and 1 the second's, unchanged; between them a frame is lost where either is.
+    first : Take
+        N frames; the result has its times and info.
+    second : Take
+        N frames.
+    share : (N,) float64
+        0 gives a frame of `first` and 1 of `second`, unchanged; in between, a frame is lost if either is.
+
+    Returns
+    -------
+    Take
+        N frames.
     """
     share = np.asarray(share, dtype=np.float64)
     both = first.found & second.found
@@ -55,7 +63,20 @@ def _between(first: NDArray[Any], second: NDArray[Any], share: FloatArray) -> Fl
 
 
 def project(shape: FloatArray, pose: FloatArray) -> FloatArray:
-    """(N, 66, 2) landmarks of shapes (N, 66, 3) at poses (N, 6), pixels."""
+    """Project shapes to the image.
+
+    Parameters
+    ----------
+    shape : (N, 66, 3) float64
+        Head frame, outer-eye distances.
+    pose : (N, 6) float64
+        As in `TrackResult`.
+
+    Returns
+    -------
+    (N, 66, 2) float64
+        Pixels.
+    """
     if not len(pose):
         return np.empty((0, shape.shape[1], 2))
     turns = np.array([euler_to_matrix(*angles)[:2] for angles in pose[:, 1:4]])
@@ -63,18 +84,34 @@ def project(shape: FloatArray, pose: FloatArray) -> FloatArray:
 
 
 def sample(take: Take, times: FloatArray) -> Take:
-    """The take as of `times` (M,), increasing seconds.
+    """Sample a take at other times.
 
-    Between two frames with a face it is interpolated; beside a lost one, before the first frame and behind the last,
-    the nearest frame counts while it is not further than half a typical step, and else no face was found.
+    Parameters
+    ----------
+    take : Take
+        The take.
+    times : (M,) float64
+        Increasing, in seconds.
+
+    Returns
+    -------
+    Take
+        M frames.
+
+    Notes
+    -----
+    Between two frames with a face, values are interpolated. Next to a lost frame, before the first and after the last,
+    the nearest frame is used if it is within half a typical step; otherwise the frame is lost.
     """
     times = np.asarray(times, dtype=np.float64)
+    # Neighbouring frames, and the share of the way between them.
     typical = _typical_step(take)
     after = np.searchsorted(take.times, times, side="left").clip(0, len(take) - 1)
     before = np.where(take.times[after] > times, np.maximum(after - 1, 0), after)
     step = take.times[after] - take.times[before]
     share = np.divide(times - take.times[before], step, out=np.zeros(len(times)), where=step > 0.0).clip(0.0, 1.0)
-    broken = ~(take.found[before] & take.found[after]) | (step > _LONGEST_STEP * typical)
+    broken = ~(take.found[before] & take.found[after]) | (step > _MAX_STEP * typical)
+    # Across lost or missing frames take the nearest one, unless it is too far away.
     share = np.where(broken, np.round(share), share)
     between = mix(take.part(before), take.part(after), share)
     nearest = np.where(share < 0.5, before, after)
@@ -89,7 +126,20 @@ def _typical_step(take: Take) -> float:
 
 
 def mark_lost(take: Take, lost: NDArray[np.bool_]) -> Take:
-    """The take with no face in the frames `lost` (N,) bool."""
+    """Mark frames as lost.
+
+    Parameters
+    ----------
+    take : Take
+        The take.
+    lost : (N,) bool
+        Frames to mark.
+
+    Returns
+    -------
+    Take
+        A copy without a face in these frames.
+    """
     arrays = {name: getattr(take, name).copy() for name in FIELDS[1:]}
     for name, array in arrays.items():
         array[lost] = 0 if name in ("found", "confidence") else np.nan
@@ -97,90 +147,142 @@ def mark_lost(take: Take, lost: NDArray[np.bool_]) -> Take:
 
 
 def resample(take: Take, fps: float, start: float | None = None) -> Take:
-    """The take at an even rate, by media time: its last frame is where it was, whatever the two rates are.
+    """Resample a take at an even rate; timing is kept, whatever both rates are.
 
     Parameters
     ----------
+    take : Take
+        The take.
     fps : float
-        Frames a second.
+        Frames per second.
     start : float, optional
-        Seconds, of the first frame; by default the take's own first.
+        Time of the first frame in seconds; by default that of the take.
+
+    Returns
+    -------
+    Take
+        The resampled take.
 
     Raises
     ------
     SourceError
-        Where the rate, or how many frames that would be, is out of range, or the take ends before `start`.
+        If the rate or the number of frames is out of range, or the take ends before `start`.
     """
     if not 0.1 <= fps <= 10_000.0:
-        raise SourceError(f"A rate of {fps} frames a second cannot be. Give one between 0.1 and 10000.")
+        raise SourceError(f"The rate cannot be {fps} frames per second. Use one between 0.1 and 10000.")
     start = float(take.times[0]) if start is None else start
     count = int(np.floor((take.times[-1] - start) * fps + 1e-6)) + 1
     if count < 1:
         raise SourceError(f"The take ends at {take.times[-1]:.2f} s, before {start:.2f} s. Choose an earlier start.")
-    if count > _MOST_FRAMES:
+    if count > _MAX_FRAMES:
         raise SourceError(
-            f"From {start:.2f} s to {take.times[-1]:.2f} s these are {count:,} frames, above {_MOST_FRAMES:,}. "
-            "Give a lower rate, or check that the take's times are seconds."
+            f"There are {count:,} frames from {start:.2f} s to {take.times[-1]:.2f} s, more than {_MAX_FRAMES:,}. "
+            "Use a lower rate, or check that the times of the take are in seconds."
         )
     even = sample(take, start + np.arange(count) / fps)
     return replace(even, info={**take.info, "fps": float(fps)})
 
 
 def shift_time(take: Take, seconds: float) -> Take:
-    """The take so many seconds later, earlier with a negative number.
+    """Shift a take in time.
+
+    Parameters
+    ----------
+    take : Take
+        The take.
+    seconds : float
+        Negative values shift it to earlier times.
+
+    Returns
+    -------
+    Take
+        The shifted take.
 
     Raises
     ------
     SourceError
-        Where the times cannot be told apart afterwards.
+        If times could not be distinguished after the shift.
     """
     if not (np.isfinite(seconds) and (np.diff(take.times + seconds) > 0.0).all()):
-        raise SourceError(f"A take cannot be {seconds} s later. Give fewer seconds.")
+        raise SourceError(f"The take cannot be shifted by {seconds} s. Use fewer seconds.")
     return replace(take, times=take.times + seconds)
 
 
 def restart(take: Take) -> Take:
-    """The take with its first frame at 0 s; `offset` tells, as before, when 0 s is in its source."""
+    """Shift a take so that its first frame is at 0 s; ``info["offset"]`` states the time of 0 s in the source."""
     first = float(take.times[0])
     offset = float(take.info.get("offset", 0.0)) + first
     return replace(shift_time(take, -first), info={**take.info, "offset": offset})
 
 
 def trim(take: Take, start: float = -np.inf, end: float = np.inf) -> Take:
-    """The frames from `start` to `end`, seconds, at their own times; SourceError where there are none."""
+    """Cut out a span of a take.
+
+    Parameters
+    ----------
+    take : Take
+        The take.
+    start, end : float
+        Seconds, both included.
+
+    Returns
+    -------
+    Take
+        Frames of that span, at their own times.
+
+    Raises
+    ------
+    SourceError
+        If there are none.
+    """
     inside = (take.times >= start - 1e-9) & (take.times <= end + 1e-9)
     if not inside.any():
         raise SourceError(
-            f"No frame is left between {start:g} s and {end:g} s. The take reaches from {take.times[0]:.2f} s "
+            f"There is no frame between {start:g} s and {end:g} s. Use times from {take.times[0]:.2f} s "
             f"to {take.times[-1]:.2f} s."
         )
     return take.part(inside)
 
 
 def punch_in(take: Take, insert: Take, start: float, end: float, blend: float = 0.2) -> Take:
-    """The take with what `insert` has between `start` and `end`, seconds, both on the same clock (see `shift_time`).
+    """Replace a span of a take by another take on the same clock (see `shift_time`).
 
-    Over `blend` seconds at either side, within the two, one passes into the other.
+    Parameters
+    ----------
+    take : Take
+        The take.
+    insert : Take
+        The take to insert.
+    start, end : float
+        Span in seconds.
+    blend : float
+        Seconds, within the span and at both ends, over which one take blends into the other.
+
+    Returns
+    -------
+    Take
+        The combined take.
 
     Raises
     ------
     SourceError
-        Where `insert` has nothing there, or `blend` is below 0.
+        If `insert` has no frame in the span, or `blend` is negative.
     """
     if not blend >= 0.0:
-        raise SourceError(f"One take cannot pass into another over {blend} s. Give 0 or more.")
-    put_in = trim(insert, start, end)
+        raise SourceError(f"The blend cannot last {blend} s. Use 0 or more.")
+    inserted = trim(insert, start, end)
     if (
         take.info.get("model") != insert.info.get("model")
-        or take.shape_params.shape[1:] != put_in.shape_params.shape[1:]
+        or take.shape_params.shape[1:] != inserted.shape_params.shape[1:]
     ):
-        unknown = np.full((len(put_in), take.shape_params.shape[1]), np.nan, np.float32)
-        put_in = replace(put_in, shape_params=unknown)
-    edge = np.minimum(put_in.times - start, end - put_in.times)
+        unknown = np.full((len(inserted), take.shape_params.shape[1]), np.nan, np.float32)
+        inserted = replace(inserted, shape_params=unknown)
+    # Blend towards both ends, but only where both takes have a face.
+    edge = np.minimum(inserted.times - start, end - inserted.times)
     share = np.clip(edge / max(blend, 1e-9), 0.0, 1.0)
-    under = sample(take, put_in.times)
+    under = sample(take, inserted.times)
     share[~under.found] = 1.0
-    share[~put_in.found & under.found] = 0.0
-    parts = [take.part(take.times < put_in.times[0]), mix(under, put_in, share), take.part(take.times > end)]
+    share[~inserted.found & under.found] = 0.0
+    parts = [take.part(take.times < inserted.times[0]), mix(under, inserted, share), take.part(take.times > end)]
     spans = [*take.info.get("punched_in", []), [float(start), float(end)]]
     return replace(join(parts), info={**take.info, "punched_in": spans})

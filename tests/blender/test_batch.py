@@ -187,4 +187,4 @@ def test_the_open_job_description_processes_every_clip_and_writes_the_report(tmp
     assert json.loads((out / "report.json").read_text())["counts"]["skipped"] == 2
     assert len(records(out)) == 2 and "Chunks run: 3" in done.stdout
     refused = subprocess.run([*line, "-p", "Face=nobody"], env=ENVIRONMENT, capture_output=True, text=True, check=False)
-    assert refused.returncode != 0 and "'nobody' names no face" in refused.stdout
+    assert refused.returncode != 0 and "'nobody' is not a face" in refused.stdout

@@ -159,7 +159,7 @@ def test_landmark_images_never_overwrite_each_other(clip, tmp_path):
     before = {path: path.read_bytes() for path in tmp_path.rglob("*.*g")}
     arguments = ("landmarks", tmp_path / "in", tmp_path / "in" / "more", "-o", tmp_path / "out.npz", "--overlay")
     refused = run(*arguments, tmp_path / "in")
-    assert refused.returncode == 1 and "Give --overlay another folder" in refused.stderr
+    assert refused.returncode == 1 and "Choose another folder for --overlay" in refused.stderr
     assert {path: path.read_bytes() for path in tmp_path.rglob("*.*g")} == before
     done = run(*arguments, tmp_path / "drawn")
     assert done.returncode == 0, done.stderr
@@ -169,7 +169,7 @@ def test_landmark_images_never_overwrite_each_other(clip, tmp_path):
 def test_a_missing_display_library_is_reported_before_tracking(clip, tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), cv2.VideoCapture(str(clip)).read()[1])
     done = run("landmarks", tmp_path / "a.png", "-o", tmp_path / "out.npz", "--overlay", tmp_path / "a.png")
-    assert done.returncode == 1 and "is no folder" in done.stderr and "Finding" not in done.stderr
+    assert done.returncode == 1 and "is not a folder" in done.stderr and "Finding" not in done.stderr
 
 
 def test_the_source_video_is_never_overwritten(clip, tmp_path):

@@ -234,5 +234,5 @@ def test_a_file_name_that_is_not_utf_8_stops_neither_puppet_nor_batch(take, tmp_
         done = run(*line, cwd=options.pop("cwd", None), env=os.environ | options)
         assert done.returncode == 1 and "is not valid UTF-8. Rename it" in done.stderr, done.stderr
     done = run("puppet", take, "-o", tmp_path / "2.blend", "--head", f"{tmp_path / 'out.blend'}:a\udcff")
-    assert done.returncode == 1 and r"out.blend has no object a\xff. It has: " in done.stderr, done.stderr
+    assert done.returncode == 1 and r"out.blend has no object a\xff. Choose one of: " in done.stderr, done.stderr
     assert r"a\\xff.mp4 is not valid UTF-8" in (tmp_path / "out" / "report.json").read_text()

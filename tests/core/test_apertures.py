@@ -16,21 +16,21 @@ def face() -> np.ndarray:
     return FaceTracker.load().pdm.mean_shape
 
 
-def test_the_mean_face_looks_with_open_eyes_and_hardly_parted_lips(face):
+def test_the_mean_face_has_open_eyes_and_almost_closed_lips(face):
     assert (eye_apertures(face) > 0.06).all()
     assert 0.0 < mouth_aperture(face) < 0.1
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(-3.0, 3.0), st.floats(0.1, 500.0), st.floats(-1e3, 1e3))
-def test_apertures_turn_and_move_with_nothing_and_grow_with_the_picture(face, roll, scale, shift):
+def test_apertures_are_invariant_to_rotation_and_translation_and_scale_with_the_image(face, roll, scale, shift):
     turn = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
     seen = scale * face[:, :2] @ turn.T + shift
     np.testing.assert_allclose(eye_apertures(seen), scale * eye_apertures(face), rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(mouth_aperture(seen), scale * mouth_aperture(face), rtol=1e-6, atol=1e-9)
 
 
-def test_rims_that_meet_have_no_aperture_and_rims_that_have_crossed_a_negative_one(face):
+def test_closed_rims_have_aperture_zero_and_crossed_ones_a_negative_one(face):
     for upper, lower, aperture in ((UPPER_LIDS, LOWER_LIDS, eye_apertures), (UPPER_LIPS, LOWER_LIPS, mouth_aperture)):
         shut = face.copy()
         shut[lower] = shut[upper]
@@ -47,7 +47,7 @@ def test_a_mirrored_face_swaps_its_eyes_apertures(face):
     np.testing.assert_allclose(mouth_aperture(mirrored), mouth_aperture(face), rtol=1e-6)
 
 
-def test_many_shapes_are_measured_at_once(face):
+def test_apertures_are_vectorised(face):
     many = np.stack([face, 2.0 * face])[:, None]
     assert eye_apertures(many).shape == (2, 1, 2) and mouth_aperture(many).shape == (2, 1)
     np.testing.assert_allclose(eye_apertures(many)[1, 0], 2.0 * eye_apertures(face))
@@ -61,7 +61,7 @@ def test_a_result_states_degrees_and_apertures_of_its_own_shape(face):
     assert result.mouth_aperture == mouth_aperture(face)
 
 
-def test_where_no_face_is_found_every_array_is_unknown():
+def test_without_a_face_every_array_is_nan():
     nothing = TrackResult.nothing(7)
     assert not nothing.found and nothing.confidence == 0.0 and nothing.shape_params.shape == (7,)
     for name in ("landmarks", "pose", "shape", "landmark_confidence", "pupils", "gaze", "eye_apertures"):

@@ -1,4 +1,4 @@
-"""What a bake computes: bounded least squares, fits of keys, tables, clean curves, caches."""
+"""Computations of bakes: bounded least squares, fits of keys, tables, clean curves, caches."""
 
 import struct
 
@@ -52,7 +52,7 @@ def test_the_coefficients_are_the_built_in_heads_face_units():
     assert load_head().unit_names == COEFFICIENTS
 
 
-def test_the_weights_that_made_a_motion_are_found_again():
+def test_the_weights_of_a_motion_are_recovered():
     units = load_head().units
     names = load_head().unit_names
     told = [names.index(name) for name in ("jawOpen", "mouthSmileLeft", "browInnerUp", "eyeBlinkRight")]
@@ -65,13 +65,13 @@ def test_the_weights_that_made_a_motion_are_found_again():
     assert mix_errors(motion, units, weights) == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
-def test_a_key_is_never_moved_further_than_its_slider_goes():
+def test_keys_stay_within_their_slider_ranges():
     units = load_head().units[:5]
     fit = fit_keys(2.0 * units[:1] - 3.0 * units[1:2], units, np.full(5, -0.5), np.full(5, 0.8))
     assert fit.weights.min() == -0.5 and fit.weights.max() == 0.8 and fit.worst_error > 1e-3
 
 
-def test_the_face_units_of_the_built_in_head_are_told_as_its_coefficients():
+def test_the_face_units_of_the_built_in_head_are_recovered_as_coefficients():
     head = load_head()
     row = head.unit_names.index("jawOpen")
     still = np.tile(np.eye(3), (2, 1, 1))
@@ -85,7 +85,7 @@ def test_the_face_units_of_the_built_in_head_are_told_as_its_coefficients():
     assert looking in ({"eyeLookInLeft", "eyeLookOutRight"}, {"eyeLookOutLeft", "eyeLookInRight"})
 
 
-def test_a_take_in_the_mirror_has_the_other_sides_coefficients():
+def test_a_mirrored_take_has_the_coefficients_of_the_other_side():
     take = performance()
     neutral = calibrate(take)
     plain = arkit_coefficients(take, neutral)
@@ -107,27 +107,27 @@ def test_a_take_in_the_mirror_has_the_other_sides_coefficients():
         ("Jaw Open", "jawOpen"),
     ],
 )
-def test_names_are_one_however_they_are_written(one, other):
+def test_names_are_equal_in_any_spelling(one, other):
     assert normalised(one) == normalised(other)
 
 
-def test_names_that_only_end_in_a_side_s_letter_are_left_alone():
+def test_names_that_merely_end_in_l_or_r_are_unchanged():
     assert normalised("R") == "r" and normalised("Curl") == "curl"
 
 
 @pytest.mark.parametrize("preset", presets(), ids=lambda preset: preset.name)
-def test_each_vocabulary_is_told_from_the_others_by_its_keys(preset):
+def test_each_vocabulary_is_recognised_by_its_keys(preset):
     assert best_preset([*preset.keys, "Nose Length"]).name == preset.name
     assert from_json(preset.to_json()) == preset
 
 
-def test_a_mesh_of_other_keys_has_no_preset_and_all_of_its_keys_count():
+def test_a_mesh_with_other_keys_has_no_preset():
     keys = ["Fat", "Thin", "Old"]
     assert best_preset(keys) is None and expression_keys(keys) == keys
     assert expression_keys(["jaw_open", "Fat"]) == ["jaw_open"]
 
 
-def test_a_table_adds_its_rows_and_stops_at_the_sliders():
+def test_a_table_adds_its_rows_within_slider_ranges():
     names = COEFFICIENTS
     table = KeyMap("mine", (KeyRow("jawOpen", "Open", 2.0, 0.1), KeyRow("mouthFunnel", "Open", 0.5)))
     coefficients = np.zeros((3, 52))
@@ -148,7 +148,7 @@ def test_a_table_adds_its_rows_and_stops_at_the_sliders():
         '{"format": "facemime-key-map", "name": "x", "rows": [{"source": "jawOpen", "key": "a", "gain": NaN}]}',
     ],
 )
-def test_what_is_no_table_is_refused(text, tmp_path):
+def test_invalid_tables_are_refused(text, tmp_path):
     (tmp_path / "table.json").write_text(text)
     with pytest.raises(SourceError, match="not a table"):
         load_map(tmp_path / "table.json")
@@ -156,7 +156,7 @@ def test_what_is_no_table_is_refused(text, tmp_path):
         load_map(tmp_path / "none.json")
 
 
-def test_gains_are_learnt_from_poses_and_what_they_do_not_tell_stays():
+def test_gains_are_learnt_from_poses_and_undetermined_ones_stay():
     rng = np.random.default_rng(1)
     names = COEFFICIENTS
     columns = [names.index("jawOpen"), names.index("mouthPucker")]
@@ -174,7 +174,7 @@ def test_gains_are_learnt_from_poses_and_what_they_do_not_tell_stays():
 
 @settings(deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 200), tolerance=st.floats(0.0, 0.5))
-def test_a_clean_curve_is_nowhere_further_away_than_stated(seed, count, tolerance):
+def test_a_clean_curve_stays_within_the_tolerance(seed, count, tolerance):
     rng = np.random.default_rng(seed)
     times, values = np.cumsum(rng.uniform(0.1, 1.0, count)), np.cumsum(rng.normal(size=count)) * 0.1
     kept = needed_keys(times, values, tolerance)
@@ -182,11 +182,11 @@ def test_a_clean_curve_is_nowhere_further_away_than_stated(seed, count, toleranc
     assert np.abs(np.interp(times, times[kept], values[kept]) - values).max() <= tolerance + 1e-9
 
 
-def test_a_straight_curve_needs_its_ends_alone():
+def test_a_straight_curve_needs_only_its_ends():
     assert needed_keys(np.arange(9.0), 0.25 * np.arange(9.0), 0.0).tolist() == [0, 8]
 
 
-def test_a_point_cache_holds_every_sample(tmp_path):
+def test_a_point_cache_contains_every_sample(tmp_path):
     samples = np.random.default_rng(0).random((4, 7, 3)).astype(np.float32)
     assert write_point_cache(tmp_path / "a.pc2", samples, 7, start=3.0) == 4
     data = (tmp_path / "a.pc2").read_bytes()
@@ -194,7 +194,7 @@ def test_a_point_cache_holds_every_sample(tmp_path):
     assert np.array_equal(np.frombuffer(data[32:], "<f4").reshape(4, 7, 3), samples)
 
 
-def test_a_point_cache_that_cannot_be_written_leaves_the_one_before(tmp_path):
+def test_a_failed_write_keeps_the_existing_point_cache(tmp_path):
     (tmp_path / "a.pc2").write_bytes(b"before")
     with pytest.raises(ValueError, match="shape"):
         write_point_cache(tmp_path / "a.pc2", [np.zeros((3, 3)), np.zeros((4, 3))], 3)
@@ -203,6 +203,6 @@ def test_a_point_cache_that_cannot_be_written_leaves_the_one_before(tmp_path):
         write_point_cache(tmp_path / "a.pc2" / "b.pc2", [], 3)
 
 
-def test_between_two_frames_lies_the_line_and_beyond_them_the_last():
+def test_values_are_interpolated_between_frames_and_held_beyond():
     times, values = np.array([1.0, 2.0, 4.0]), np.array([[0.0], [1.0], [5.0]])
     assert [float(in_between(times, values, at)[0]) for at in (0.0, 1.0, 1.5, 3.0, 4.0, 9.0)] == [0, 0, 0.5, 3, 5, 5]

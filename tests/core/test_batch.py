@@ -1,4 +1,4 @@
-"""Many clips: which there are, what they are called, how their processes end, what is told of them."""
+"""Batches: finding and naming clips, their processes, and the report."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ ROOT = Path(__file__).resolve().parents[2]
 JOB = PuppetJob(Path("a.mp4"), Path("out"))
 
 
-def test_clips_are_found_in_folders_and_in_lists_in_a_fixed_order(tmp_path):
+def test_clips_are_found_in_folders_and_lists_in_a_fixed_order(tmp_path):
     for name in ("b.mp4", "a.MOV", "notes.txt", "deep/c.webm", "._b.mp4", "a folder.mp4/notes.txt"):
         (tmp_path / "clips" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "clips" / name).write_text(name)
@@ -53,7 +53,11 @@ def test_clips_are_found_in_folders_and_in_lists_in_a_fixed_order(tmp_path):
     assert len(find_clips([tmp_path / "clips", tmp_path / "clips" / "b.mp4"])) == 4
     (tmp_path / "empty").mkdir()
     (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
-    for source, words in (("empty", "no clip in"), ("missing", "no list of clips"), ("binary", "no list of clips")):
+    for source, words in (
+        ("empty", "no video in"),
+        ("missing", "nor a list of clips"),
+        ("binary", "nor a list of clips"),
+    ):
         with pytest.raises(SourceError, match=words):
             find_clips([tmp_path / source])
 
@@ -93,7 +97,7 @@ def test_a_clip_keeps_its_name_until_its_content_or_a_setting_changes(tmp_path):
     ],
     ids=["default", "few", "many"],
 )
-def test_a_job_written_as_options_is_read_as_the_same_job(tmp_path, settings):
+def test_a_job_survives_conversion_to_options_and_back(tmp_path, settings):
     files = {"points": tmp_path / "p.json", "map": tmp_path / "m.json" if settings.bake.keys == "mapped" else None}
     job = replace(JOB, settings=settings, face=(320.0, 12.0), head=HeadFile(tmp_path / "a.blend", "Face"), **files)
     parser = Parser()
@@ -114,7 +118,7 @@ def test_the_farm_templates_have_every_option_that_a_clip_has():
     assert (ROOT / "farm" / "facemime.js").read_text() == farm.flamenco(), "run tools/farm.py"
 
 
-def test_a_clip_is_done_when_its_record_and_its_outputs_are_there(tmp_path):
+def test_a_clip_is_done_if_its_record_and_outputs_exist(tmp_path):
     job = Clip(tmp_path / "a.mp4", "a-0")
     assert read_record(job, tmp_path) is None
     outputs = [job.output(tmp_path, suffix) for suffix in (".blend", ".facetake", ".pc2", ".png")]
@@ -132,7 +136,7 @@ def test_a_clip_is_done_when_its_record_and_its_outputs_are_there(tmp_path):
         assert read_record(job, tmp_path) is None
 
 
-def test_the_worst_frames_are_the_least_sure_ones_some_time_apart():
+def test_the_worst_frames_are_the_least_certain_ones_some_time_apart():
     take = performance(100)
     take.confidence[:] = 0.9
     take.confidence[[10, 11, 70]] = (0.1, 0.2, 0.3)
@@ -144,7 +148,7 @@ def test_the_worst_frames_are_the_least_sure_ones_some_time_apart():
 
 @pytest.fixture
 def done(tmp_path) -> tuple[Clip, Path, dict]:
-    """A clip that is done, its record's path, and what stands in it."""
+    """A clip that is done, the path of its record, and its content."""
     job = Clip(tmp_path / "a.mp4", "a-1")
     job.output(tmp_path, ".blend").write_bytes(b"x")
     write_record(job, tmp_path, performance(), 1.0, [b"jpeg"])
@@ -174,13 +178,13 @@ def test_a_clip_whose_record_lacks_a_part_is_not_done(done, key):
         ("clip", ["a"]),
     ],
 )
-def test_a_clip_whose_record_holds_something_else_is_not_done(done, key, value):
+def test_a_clip_with_an_invalid_record_is_not_done(done, key, value):
     job, path, record = done
     path.write_text(json.dumps(record | {key: value}))
     assert read_record(job, path.parent) is None
 
 
-def test_nothing_that_a_clip_is_called_or_has_said_is_markup_in_the_report(tmp_path):
+def test_names_and_messages_are_escaped_in_the_report(tmp_path):
     odd = "<script>alert(1)</script>\udce9"
     record = {"length": 1.0, "found": 1, "frames": 2, "seconds": 1.0, "confidence": [], "worst": [0.5]}
     record["thumbnails"] = ['"><script>alert(2)</script>']
@@ -189,7 +193,7 @@ def test_nothing_that_a_clip_is_called_or_has_said_is_markup_in_the_report(tmp_p
     assert "<script" not in page and "&lt;script&gt;" in page
 
 
-def test_the_report_stands_for_itself_and_names_what_failed_first(tmp_path):
+def test_the_report_is_one_file_and_lists_failures_first(tmp_path):
     write_image(tmp_path / "good-1.png", np.full((60, 90, 3), 128, np.uint8))
     write_record(job := Clip(tmp_path / "good.mp4", "good-1"), tmp_path, performance(), 1.0, [b"jpeg"] * 2)
     record = json.loads(job.output(tmp_path, ".json").read_text())
@@ -210,11 +214,11 @@ def test_the_report_stands_for_itself_and_names_what_failed_first(tmp_path):
 
 @pytest.fixture
 def python_lines(monkeypatch):
-    """Command lines are a piece of Python each."""
+    """Each command line is Python code."""
     monkeypatch.setattr(run, "own_command", lambda: [sys.executable, "-c", "import sys; exec(sys.argv[1])"])
 
 
-def test_a_process_that_crashes_or_fails_stops_no_other(python_lines):
+def test_a_crashed_or_failed_process_does_not_stop_others(python_lines):
     lines = ["import os; os.abort()", "sys.exit('no head')", "pass", "print('so', file=sys.stderr)", "sys.exit(7)"]
     runner = run.LocalRunner(2)
     ended = sorted(runner.run([[line] for line in lines]), key=lambda outcome: outcome.index)
@@ -225,7 +229,7 @@ def test_a_process_that_crashes_or_fails_stops_no_other(python_lines):
     assert run.run_line(["sys.exit('there too')"]) == (1, "there too")
 
 
-def test_closing_a_runner_ends_what_runs_and_forgets_what_waits(python_lines, tmp_path):
+def test_closing_a_runner_ends_running_and_drops_waiting_lines(python_lines, tmp_path):
     script = f"open({str(tmp_path / 'started')!r}, 'w').close(); import time; time.sleep(600)"
     runner = run.LocalRunner(1)
     lines = [[script], [f"open({str(tmp_path / 'second')!r}, 'w').close()"]]
@@ -240,14 +244,14 @@ def test_closing_a_runner_ends_what_runs_and_forgets_what_waits(python_lines, tm
     assert not (tmp_path / "second").exists()
 
 
-def test_it_calls_blender_where_it_runs_inside_blender(monkeypatch):
+def test_inside_blender_processes_are_started_through_blender(monkeypatch):
     monkeypatch.setitem(sys.modules, "bpy", SimpleNamespace(app=SimpleNamespace(binary_path="/opt/blender")))
     assert run.own_command() == ["/opt/blender", "--command", "facemime"]
     monkeypatch.setitem(sys.modules, "bpy", SimpleNamespace(app=SimpleNamespace(binary_path="")))
     assert run.own_command() == [sys.executable, "-m", "facemime.cli"]
 
 
-def test_without_dask_and_without_a_scheduler_that_is_said(monkeypatch):
+def test_missing_dask_or_scheduler_is_a_clear_error(monkeypatch):
     with pytest.raises(FacemimeError, match="There is no Dask scheduler at nowhere"):
         run.DaskRunner("nowhere://")
     monkeypatch.setitem(sys.modules, "distributed", None)
@@ -255,12 +259,12 @@ def test_without_dask_and_without_a_scheduler_that_is_said(monkeypatch):
         run.DaskRunner("tcp://127.0.0.1:1")
 
 
-def test_dask_is_imported_only_when_asked_for():
+def test_dask_is_imported_only_if_requested():
     code = "import sys, facemime.cli.main; sys.exit('distributed' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_a_lock_lets_one_in_at_a_time_and_goes_with_its_process(tmp_path):
+def test_a_lock_is_exclusive_and_ends_with_its_process(tmp_path):
     lock, log = tmp_path / "a.lock", tmp_path / "log"
     script = (
         "import sys, time; from pathlib import Path; from facemime.core.files import locked\n"
@@ -286,19 +290,19 @@ def test_a_lock_lets_one_in_at_a_time_and_goes_with_its_process(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["batch", "{0}", "-o", "{0}/out"], "no clip in"),
-        (["batch", "{0}/a.mp4", "-o", "{0}/out", "--jobs", "0"], "one clip has to run"),
+        (["batch", "{0}", "-o", "{0}/out"], "no video in"),
+        (["batch", "{0}/a.mp4", "-o", "{0}/out", "--jobs", "0"], "must be at least 1"),
         (["batch", "{0}/a.mp4", "-o", "{0}/a.mp4"], "read-only|not a directory|folder"),
         (["clip", "{0}/list", "-o", "{0}/out"], "--number 1 to --number 2"),
         (["clip", "{0}/list", "--number", "3", "-o", "{0}/out"], "--number 1 to --number 2"),
         (["clip", "{0}/list", "--number", "2", "-o", "{0}/out"], "cannot be read"),
     ],
 )
-def test_what_cannot_be_done_is_said_before_anything_is_made(tmp_path, capsys, arguments, words):
+def test_impossible_batches_are_refused_before_anything_is_written(tmp_path, capsys, arguments, words):
     import re
 
     (tmp_path / "list").write_text("a.mp4\nb.mp4\n")
-    if "no clip" not in words:
+    if "no video" not in words:
         (tmp_path / "a.mp4").write_text("x")
     assert cli.main([argument.format(tmp_path) for argument in arguments]) == 1
     assert re.search(words, capsys.readouterr().err) and not (tmp_path / "out").exists()

@@ -25,7 +25,7 @@ def write_clip(path: Path, count: int, fps: float = 20.0, codec: str = "mp4v") -
     return path
 
 
-def test_frames_come_in_order_with_the_medias_times(tmp_path):
+def test_frames_come_in_order_with_presentation_times(tmp_path):
     with VideoSource(write_clip(tmp_path / "clip.mp4", 12)) as source:
         frames = list(source)
     assert [frame.index for frame in frames] == list(range(12))
@@ -35,7 +35,7 @@ def test_frames_come_in_order_with_the_medias_times(tmp_path):
 
 
 @pytest.mark.parametrize(("turn", "bright"), [(0, "top"), (90, "right"), (180, "bottom"), (270, "left")])
-def test_a_video_of_a_telephone_comes_upright_however_it_was_held(tmp_path, turn, bright):
+def test_phone_videos_are_upright_in_any_orientation(tmp_path, turn, bright):
     with VideoSource(turned_clip(tmp_path / "clip.mp4", turn)) as source:
         image = next(iter(source)).image
     assert source.turn == turn and image.shape == ((48, 64, 3) if turn % 180 == 0 else (64, 48, 3))
@@ -43,7 +43,7 @@ def test_a_video_of_a_telephone_comes_upright_however_it_was_held(tmp_path, turn
     assert max(parts, key=lambda side: parts[side].mean()) == bright
 
 
-def test_a_truncated_video_gives_the_frames_that_are_whole(tmp_path):
+def test_a_truncated_video_gives_its_complete_frames(tmp_path):
     path = write_clip(tmp_path / "clip.avi", 40, codec="MJPG")
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with VideoSource(path) as source:
@@ -51,7 +51,7 @@ def test_a_truncated_video_gives_the_frames_that_are_whole(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"not a video at all", b"\x00" * 4096])
-def test_what_is_no_video_is_one_clear_error(tmp_path, content, capfd):
+def test_files_that_are_not_videos_are_clear_errors(tmp_path, content, capfd):
     path = tmp_path / "clip.mp4"
     path.write_bytes(content)
     with pytest.raises(SourceError, match="not a video"):
@@ -59,13 +59,13 @@ def test_what_is_no_video_is_one_clear_error(tmp_path, content, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_container_without_frames_is_one_clear_error(tmp_path):
+def test_a_container_without_frames_is_a_clear_error(tmp_path):
     path = write_clip(tmp_path / "clip.avi", 0, codec="MJPG")
     with pytest.raises(SourceError, match=r"not a video|No frame"), VideoSource(path) as source:
         list(source)
 
 
-def test_missing_files_folders_and_forbidden_files_are_told_apart(tmp_path):
+def test_missing_files_folders_and_unreadable_files_have_different_errors(tmp_path):
     with pytest.raises(SourceError, match="There is no file"):
         VideoSource(tmp_path / "none.mp4")
     with pytest.raises(SourceError, match="not a file"):
@@ -109,18 +109,18 @@ def test_pictures_survive_and_bad_ones_are_refused(tmp_path):
         write_image(tmp_path / "a.xyz", image)
 
 
-def test_frames_that_would_fill_the_memory_are_refused_before_one_is_decoded(tmp_path, monkeypatch):
+def test_oversized_frames_are_refused_before_decoding(tmp_path, monkeypatch):
     path = write_clip(tmp_path / "clip.avi", 2, codec="MJPG")
-    monkeypatch.setattr(capture, "MOST_PIXELS", 64 * 48)
+    monkeypatch.setattr(capture, "MAX_PIXELS", 64 * 48)
     with VideoSource(path) as source:
         assert len(list(source)) == 2
-    monkeypatch.setattr(capture, "MOST_PIXELS", 64 * 48 - 1)
+    monkeypatch.setattr(capture, "MAX_PIXELS", 64 * 48 - 1)
     with pytest.raises(SourceError, match="too large: 64 x 48 pixels"):
         VideoSource(path)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="pipes and devices as POSIX has them")
-def test_pipes_and_devices_are_no_files(tmp_path):
+def test_pipes_and_devices_are_not_files(tmp_path):
     os.mkfifo(tmp_path / "pipe.mp4")
     (tmp_path / "zero.mp4").symlink_to("/dev/zero")
     for name in ("pipe.mp4", "zero.mp4"):
@@ -138,18 +138,18 @@ def test_pipes_and_devices_are_no_files(tmp_path):
     ["http://phone:8080/video", "http:phone/video", "HTTP:x", "rtsp:x", "udp://@:1234", "tcp:x", "concat:a|b", "file:a",
      "async:http:x", "subfile,,start,0,end,0,,:http:x"],
 )  # fmt: skip
-def test_whatever_ffmpeg_takes_for_an_address_is_one(text):
+def test_everything_that_ffmpeg_takes_for_an_address_is_one(text):
     assert is_address(text)
 
 
 @pytest.mark.parametrize(
     "text", ["0", "12:30.mp4", "/dev/video0", "C:\\clips\\a.mp4", "c:/clips/a.mp4", "./http:x", "/a/http://x", "a.mp4"]
 )
-def test_files_and_numbers_are_no_addresses(text):
+def test_files_and_numbers_are_not_addresses(text):
     assert not is_address(text)
 
 
-def test_a_list_of_pieces_on_the_network_is_not_followed(tmp_path):
+def test_playlists_on_the_network_are_not_opened(tmp_path):
     """FFmpeg keeps files from leading it to the network, whatever they are called."""
     asked = []
     with socket.create_server(("127.0.0.1", 0)) as server:

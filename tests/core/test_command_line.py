@@ -1,4 +1,4 @@
-"""The command line, for whatever it is given: one clear error, no traceback, nothing lost."""
+"""The command line gives clear errors on any input, without tracebacks or losses."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def take(tmp_path) -> Path:
 
 @needs_posix
 @pytest.mark.parametrize(("by", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_run_that_is_broken_off_never_replaces_a_whole_take(take, tmp_path, by, status):
+def test_an_interrupted_run_never_replaces_a_complete_take(take, tmp_path, by, status):
     whole = take.read_bytes()
     unfinished = tmp_path / "take.unfinished.facetake"
     for part in ("take.interrupted.facetake", "take.interrupted-2.facetake"):
@@ -70,7 +70,7 @@ def test_a_run_that_is_broken_off_never_replaces_a_whole_take(take, tmp_path, by
     assert set(os.listdir(tmp_path)) == names
 
 
-def test_pictures_that_are_broken_off_never_replace_whole_ones(tmp_path, monkeypatch, capsys):
+def test_an_interrupted_run_never_replaces_complete_landmarks(tmp_path, monkeypatch, capsys):
     image = np.full((60, 60, 3), 90, np.uint8)
     for name in ("a.png", "b.png"):
         write_image(tmp_path / "in" / name, image)
@@ -85,25 +85,25 @@ def test_pictures_that_are_broken_off_never_replace_whole_ones(tmp_path, monkeyp
 
     monkeypatch.setattr(landmarks, "read_image", interrupt)
     assert cli.main(line) == 130
-    assert f"the first 1 pictures are in {tmp_path / 'out.interrupted.npz'}" in capsys.readouterr().err
+    assert f"the results of the first 1 images are in {tmp_path / 'out.interrupted.npz'}" in capsys.readouterr().err
     assert (tmp_path / "out.npz").read_bytes() == whole
     assert np.load(tmp_path / "out.interrupted.npz")["names"].tolist() == ["a.png"]
 
 
 @needs_posix
-def test_nothing_is_drawn_over_a_picture_through_a_link(tmp_path, capsys):
+def test_images_are_not_overwritten_through_links(tmp_path, capsys):
     picture = tmp_path / "in" / "a.png"
     write_image(picture, np.full((60, 60, 3), 90, np.uint8))
     (tmp_path / "drawn").mkdir()
     (tmp_path / "drawn" / "a.png").symlink_to(picture)
     before = picture.read_bytes()
     line = ["landmarks", str(picture), "-o", str(tmp_path / "out.npz"), "--overlay", str(tmp_path / "drawn")]
-    assert cli.main(line) == 1 and "Give --overlay another folder" in capsys.readouterr().err
+    assert cli.main(line) == 1 and "Choose another folder for --overlay" in capsys.readouterr().err
     assert picture.read_bytes() == before
 
 
 @needs_posix
-def test_what_a_killed_run_tracked_is_kept_by_all_later_ones(tmp_path):
+def test_later_runs_keep_what_a_killed_run_tracked(tmp_path):
     output, left = tmp_path / "take.facetake", tmp_path / "take.unfinished.facetake"
     broken_off("track", SAMPLE, "-o", output, when=left, by=signal.SIGKILL)
     tracked = left.read_bytes()
@@ -111,13 +111,13 @@ def test_what_a_killed_run_tracked_is_kept_by_all_later_ones(tmp_path):
     (tmp_path / "junk.mp4").write_text("no video")
     for video, status in ((tmp_path / "junk.mp4", 1), (SAMPLE, 0)):
         done = run("track", video, "-o", output)
-        assert done.returncode == status and f"{left} is what an earlier run tracked" in done.stderr
+        assert done.returncode == status and f"{left} is from an earlier run" in done.stderr
     assert left.read_bytes() == tracked and len(load_take(output)) == 255
     assert set(os.listdir(tmp_path)) == {"take.facetake", "take.unfinished.facetake", "junk.mp4"}
 
 
 @needs_posix
-def test_a_killed_run_loses_a_second_at_most(tmp_path):
+def test_a_killed_run_loses_at_most_a_second(tmp_path):
     output, left = tmp_path / "take.facetake", tmp_path / "take.unfinished.facetake"
     with subprocess.Popen([*START, "track", SAMPLE, "-o", output], stderr=subprocess.DEVNULL) as process:
         while not left.exists() or left.stat().st_size < 50_000:
@@ -125,17 +125,17 @@ def test_a_killed_run_loses_a_second_at_most(tmp_path):
             time.sleep(0.005)
         process.kill()
     take = load_take(left)
-    assert len(take) >= 26 and "a second at most" in take.info["recovered"]
+    assert len(take) >= 26 and "up to a second after" in take.info["recovered"]
 
 
 @needs_posix
-def test_of_two_runs_at_one_output_the_second_is_refused(tmp_path):
+def test_a_second_run_with_the_same_output_is_refused(tmp_path):
     output, unfinished = tmp_path / "take.facetake", tmp_path / "take.unfinished.facetake"
     with subprocess.Popen([*START, "track", SAMPLE, "-o", output], stderr=subprocess.PIPE, text=True) as first:
         while not unfinished.exists():
             assert first.poll() is None
             time.sleep(0.005)
-        first.send_signal(signal.SIGSTOP)  # so that it is not done before the second begins
+        first.send_signal(signal.SIGSTOP)  # so that it does not finish before the second begins
         second = run("track", SAMPLE, "-o", tmp_path / "." / "take.facetake")
         first.send_signal(signal.SIGCONT)
         assert "Traceback" not in first.stderr.read()
@@ -144,7 +144,7 @@ def test_of_two_runs_at_one_output_the_second_is_refused(tmp_path):
 
 
 @needs_posix
-def test_a_take_that_cannot_take_its_place_is_kept_and_said(tmp_path, monkeypatch, capsys):
+def test_a_take_that_cannot_replace_the_output_is_kept_and_reported(tmp_path, monkeypatch, capsys):
     clip, output = tmp_path / "clip.mp4", tmp_path / "take.facetake"
     shutil.copy(SAMPLE, clip)
     output.write_text("old")
@@ -176,7 +176,7 @@ def test_a_take_is_never_mended_onto_itself(take, tmp_path, capsys):
     other = tmp_path / "other.facetake"
     save_take(performance(), other)
     assert cli.main(["mend", str(take), "-o", str(other), "--punch-in", str(other)]) == 1
-    assert "it is the take that is put in" in capsys.readouterr().err and take.read_bytes() == before
+    assert "it is the take that is inserted" in capsys.readouterr().err and take.read_bytes() == before
 
 
 # What is read
@@ -200,7 +200,7 @@ def test_a_take_is_never_mended_onto_itself(take, tmp_path, capsys):
     ],
     ids=" ".join,
 )
-def test_what_has_no_end_is_not_read(take, tmp_path, capsys, line):
+def test_pipes_and_devices_are_not_read(take, tmp_path, capsys, line):
     places = {"take": take, "out": tmp_path / "out", "pipe": tmp_path / "pipe", "zero": tmp_path / "zero.mp4"}
     os.mkfifo(places["pipe"])
     places["zero"].symlink_to("/dev/zero")
@@ -211,8 +211,8 @@ def test_what_has_no_end_is_not_read(take, tmp_path, capsys, line):
 
 
 @needs_posix
-def test_names_that_no_file_can_have_and_folders_that_nobody_may_enter_are_one_clear_error_each(take, tmp_path):
-    """All in one process: what root may always do is taken from it first."""
+def test_invalid_names_and_inaccessible_folders_are_clear_errors(take, tmp_path):
+    """All in one process, which first drops the capabilities of root."""
     (tmp_path / "shut").mkdir()
     (tmp_path / "shut").chmod(0)
     write_image(tmp_path / "a.png", np.zeros((8, 8, 3), np.uint8))
@@ -270,26 +270,26 @@ def test_names_that_no_file_can_have_and_folders_that_nobody_may_enter_are_one_c
     said = done.stderr.splitlines()
     assert len(said) == 2 * len(lines) and all(line.startswith("facemime: ") for line in said[::2]), done.stderr
     assert all(line.startswith("1 ") for line in said[1::2])
-    assert not [line for line in said if "There is no clip in" in line]
+    assert not [line for line in said if "There is no video in" in line]
 
 
-def test_a_list_of_clips_is_a_short_text_in_utf_8(tmp_path, monkeypatch):
+def test_a_list_of_clips_has_to_be_a_short_utf_8_text(tmp_path, monkeypatch):
     for encoding in ("utf-16", "utf-16-le", "utf-16-be"):
         (tmp_path / "list.txt").write_bytes("a.mp4\nb.mp4\n".encode(encoding))
-        with pytest.raises(SourceError, match="a text in UTF-8"):
+        with pytest.raises(SourceError, match="a UTF-8 text"):
             find_clips([tmp_path / "list.txt"])
     from facemime.cli.batch import clips
 
-    monkeypatch.setattr(clips, "_LONGEST_LIST", 10)
+    monkeypatch.setattr(clips, "_MAX_LIST", 10)
     (tmp_path / "film.mpg").write_text("a" * 11)
-    with pytest.raises(SourceError, match="no list of clips"):
+    with pytest.raises(SourceError, match="nor a list of clips"):
         find_clips([tmp_path / "film.mpg"])
     (tmp_path / "list.txt").write_text("b.mp4\n")
     assert find_clips([tmp_path / "list.txt"]) == [tmp_path / "b.mp4"]
 
 
 @needs_posix
-def test_a_clip_whose_name_is_no_utf_8_is_refused(tmp_path):
+def test_a_clip_whose_name_is_not_utf_8_is_refused(tmp_path):
     clip = Path(os.fsdecode(os.fsencode(tmp_path) + b"/a\xff.mp4"))
     try:
         clip.write_bytes(b"x")
@@ -302,7 +302,7 @@ def test_a_clip_whose_name_is_no_utf_8_is_refused(tmp_path):
 
 
 @needs_posix
-def test_a_folder_whose_name_is_no_utf_8_is_refused_also_from_within(tmp_path):
+def test_a_folder_whose_name_is_not_utf_8_is_refused_even_as_working_directory(tmp_path):
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/a\xff"))
     try:
         folder.mkdir()
@@ -314,7 +314,7 @@ def test_a_folder_whose_name_is_no_utf_8_is_refused_also_from_within(tmp_path):
 
 
 @needs_posix
-def test_a_colon_in_a_videos_name_makes_it_no_address(tmp_path):
+def test_a_colon_in_the_name_of_a_video_does_not_make_it_an_address(tmp_path):
     for name in ("12:30.mp4", "http:a.mp4"):
         writer = cv2.VideoWriter(str(tmp_path / name), cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (64, 48))
         for value in range(3):
@@ -348,7 +348,7 @@ def test_a_colon_in_a_videos_name_makes_it_no_address(tmp_path):
     ],
     ids=lambda options: " ".join(options)[:60],
 )
-def test_a_number_that_cannot_be_is_one_clear_error(take, tmp_path, capsys, options):
+def test_an_impossible_number_is_a_clear_error(take, tmp_path, capsys, options):
     line = [part.format(take=take, out=tmp_path / "out") for part in options]
     try:
         status = cli.main(line)
@@ -362,7 +362,7 @@ def test_a_number_that_cannot_be_is_one_clear_error(take, tmp_path, capsys, opti
 # What is said
 
 
-def test_no_name_commands_the_terminal(tmp_path, capsys, monkeypatch):
+def test_names_cannot_control_the_terminal(tmp_path, capsys, monkeypatch):
     name = "a\x1b]0;mine\x07\x9b31m\u202egpj.mp4\nfacemime: done"
     seen = r"a\x1b]0;mine\x07\x9b31m\u202egpj.mp4\nfacemime: done"
     assert printable(name) == seen and printable("Übung \u202f 12:30 é.mp4") == "Übung \u202f 12:30 é.mp4"
@@ -381,7 +381,7 @@ def test_no_name_commands_the_terminal(tmp_path, capsys, monkeypatch):
 
 
 class Full:
-    """A stream on a disk that is full, or whose reader has gone."""
+    """A stream on a full disk, or without a reader."""
 
     def write(self, text: str) -> int:
         raise BrokenPipeError
@@ -393,7 +393,7 @@ class Full:
         return True
 
 
-def test_nobody_who_reads_the_messages_is_no_error(take, tmp_path, monkeypatch):
+def test_closed_message_streams_are_not_errors(take, tmp_path, monkeypatch):
     for stream in (Full(), None):
         monkeypatch.setattr(console.sys, "stderr", stream)
         progress = Progress("Working", 3)
@@ -404,7 +404,7 @@ def test_nobody_who_reads_the_messages_is_no_error(take, tmp_path, monkeypatch):
 
 
 @needs_posix
-def test_messages_and_results_go_where_nobody_reads(take, tmp_path):
+def test_closed_streams_do_not_stop_the_command(take, tmp_path):
     mend = f"{sys.executable} -m facemime.cli mend {take} -o {tmp_path / 'out.facetake'}"
     helped = f"{sys.executable} -m facemime.cli --help"
     for line, status in (
@@ -421,7 +421,7 @@ def test_messages_and_results_go_where_nobody_reads(take, tmp_path):
 
 
 @needs_posix
-def test_a_full_disk_is_told_by_the_name_that_was_given(take, tmp_path):
+def test_a_full_disk_is_reported_with_the_given_name(take, tmp_path):
     import resource
 
     def full() -> None:
@@ -444,8 +444,8 @@ def test_a_full_disk_is_told_by_the_name_that_was_given(take, tmp_path):
 
 @needs_posix
 @pytest.mark.parametrize(("by", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_while_it_starts_ends_it_at_once_and_tidily(tmp_path, by, status):
-    slow = tmp_path / "numpy.py"  # stands for the real one, which takes its time on a slow disk
+def test_a_signal_during_start_up_ends_the_process_at_once_without_a_traceback(tmp_path, by, status):
+    slow = tmp_path / "numpy.py"  # simulates a slow import
     slow.write_text("open('importing', 'w').close()\nimport time\nwhile True: time.sleep(0.01)\n")
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
     with subprocess.Popen([*START, "--version"], stderr=subprocess.PIPE, cwd=tmp_path, env=environment) as process:
@@ -458,13 +458,13 @@ def test_a_signal_while_it_starts_ends_it_at_once_and_tidily(tmp_path, by, statu
 
 
 @needs_posix
-def test_an_interrupt_without_a_reason_is_told_in_a_whole_sentence(take, monkeypatch, capsys):
+def test_an_interrupt_without_a_message_is_reported_in_a_full_sentence(take, monkeypatch, capsys):
     def interrupt(_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("facemime.cli.terminal.takes.load_take", interrupt)
     assert cli.main(["export", str(take), "-o", str(take.with_suffix(".csv"))]) == 130
-    assert capsys.readouterr().err == "facemime: interrupted. Files that were complete before are kept.\n"
+    assert capsys.readouterr().err == "facemime: interrupted. Files that were complete are kept.\n"
 
 
 @needs_posix

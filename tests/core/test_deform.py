@@ -31,7 +31,7 @@ def single_region(vertices: np.ndarray, chosen: np.ndarray, **options: float) ->
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000))
-def test_control_points_arrive_exactly_where_they_are_sent_without_regularisation(seed):
+def test_control_points_are_met_exactly_without_regularisation(seed):
     vertices, chosen = cloud(seed)
     displacements = np.random.default_rng(seed + 1).normal(0.0, 0.1, (len(chosen), 3))
     moved = single_region(vertices, chosen, regularisation=0.0).deform(displacements)
@@ -54,7 +54,7 @@ def test_deformation_is_linear_in_the_displacements(seed, factor):
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000))
-def test_turning_the_rest_mesh_turns_the_result(seed):
+def test_rotating_the_rest_mesh_rotates_the_result(seed):
     vertices, chosen = cloud(seed)
     rng = np.random.default_rng(seed + 1)
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
@@ -90,7 +90,7 @@ def test_a_vertex_of_two_regions_takes_their_weighted_mean():
     np.testing.assert_allclose(moved(3.0, 1.0), expected, atol=1e-5)
 
 
-def test_a_vertex_in_no_region_stays():
+def test_a_vertex_in_no_region_does_not_move():
     vertices, chosen = cloud(5)
     weights = np.ones((1, len(vertices)))
     weights[0, 7] = 0.0
@@ -110,7 +110,7 @@ def test_a_vertex_in_no_region_stays():
         (lambda v, c, w, m: (v, c, -w, m), "not negative"),
     ],
 )
-def test_degenerate_input_is_refused_by_name(spoil, message):
+def test_degenerate_input_is_refused_with_a_message(spoil, message):
     vertices, chosen = cloud(6)
     weights, members = np.ones((1, len(vertices))), np.ones((1, len(chosen)), dtype=bool)
     with pytest.raises(HeadError, match=message):

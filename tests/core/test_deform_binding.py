@@ -1,4 +1,4 @@
-"""Landmarks, regions and checks on meshes that nobody has labelled."""
+"""Landmarks, regions and checks on unlabelled meshes."""
 
 import numpy as np
 import pytest
@@ -84,7 +84,7 @@ def test_eyes_and_mouth_of_a_scan_that_has_no_openings_are_found():
 
 
 def with_a_body() -> tuple[np.ndarray, np.ndarray]:
-    """The head on a trunk with outstretched arms, as tall as a grown-up."""
+    """The head on a body with outstretched arms, as tall as an adult."""
     tall = 5.5 * float(np.ptp(VERTICES[:, 1]))
     neck = VERTICES[:, 1].max()
     around, along = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False), np.linspace(0.0, 1.0, 50))
@@ -110,7 +110,7 @@ def test_the_head_of_a_whole_body_is_found_with_and_without_marks():
 
 
 def with_closed_lips() -> tuple[np.ndarray, np.ndarray]:
-    """The head with a bag behind lips that touch, as heads for animation have them."""
+    """The head with a mouth cavity behind lips that touch, as on heads for animation."""
     places = VERTICES.copy()
     for upper, lower in zip(MOUTH_INNER_UPPER, MOUTH_INNER_LOWER[::-1], strict=True):
         a, b = HEAD.landmarks[[upper, lower]]
@@ -148,7 +148,7 @@ def test_a_body_that_lies_on_its_back_is_turned_upright():
     assert np.abs(binding.rotation @ turn - np.eye(3)).max() < 0.05
 
 
-def test_marks_tell_how_a_mesh_is_turned():
+def test_marks_determine_the_rotation_of_a_mesh():
     turn = euler_to_matrix(1.1, -0.6, 2.0)
     binding = bind_landmarks(VERTICES @ turn.T, HEAD.faces, marks())
     assert mean_error(VERTICES, binding.landmarks) < 0.02
@@ -169,12 +169,12 @@ def test_landmarks_of_a_symmetric_mesh_are_symmetric_and_all_different():
         ({36: 0, 39: 1, 42: 2, 45: 99_999}, "not a vertex of the mesh"),
     ],
 )
-def test_marks_that_do_not_suffice_are_refused(chosen, message):
+def test_insufficient_marks_are_refused(chosen, message):
     with pytest.raises(HeadError, match=message):
         bind_landmarks(VERTICES, HEAD.faces, chosen)
 
 
-def test_proposed_regions_part_lids_and_lips_and_leave_the_skull_alone():
+def test_proposed_regions_separate_lids_and_lips_and_exclude_the_skull():
     regions = propose_regions(VERTICES, HEAD.faces, HEAD.landmarks)
     assert regions.min() >= 0.0 and regions.sum(axis=0).max() <= 1.0 + 1e-6
     of_landmarks = regions[:, HEAD.landmarks]
@@ -189,7 +189,7 @@ def test_proposed_regions_nearly_agree_with_those_of_the_built_in_head():
     assert (regions.argmax(axis=0) == HEAD.regions.argmax(axis=0))[both].mean() > 0.97
 
 
-def test_proposed_regions_part_the_walls_of_the_mouth_up_to_its_corners():
+def test_proposed_regions_separate_the_walls_of_the_mouth_up_to_its_corners():
     lips = POINTS[from_ibug([*range(48, 60), 61, 62, 63, 65, 66, 67])]
     right, left = POINTS[from_ibug((48, 54)), 0]
     beside = (VERTICES[:, 0] > right) & (VERTICES[:, 0] < left) & (np.abs(VERTICES[:, 0]) > 0.7 * left)
@@ -198,7 +198,7 @@ def test_proposed_regions_part_the_walls_of_the_mouth_up_to_its_corners():
     assert np.abs(regions - HEAD.regions)[:, near].max(axis=0).mean() < 0.1
 
 
-def test_a_sound_head_has_no_findings():
+def test_a_valid_head_has_no_findings():
     assert check_head(VERTICES, HEAD.faces, HEAD.landmarks, HEAD.regions) == []
 
 
@@ -214,17 +214,15 @@ def test_the_check_names_what_is_wrong_and_what_to_do():
     assert all(finding.remedy.endswith(".") for finding in findings)
 
 
-def test_lips_joined_into_one_skin_are_found():
+def test_joined_lips_are_found():
     upper, lower = HEAD.landmarks[from_ibug([62, 66])]
     nearest = HEAD.faces[(HEAD.faces == upper).any(axis=1)][0]
     bridge = np.array([[upper, lower, int(nearest[nearest != upper][0]), -1]])
     findings = check_head(VERTICES, np.concatenate([HEAD.faces, bridge]), HEAD.landmarks, HEAD.regions)
-    assert [finding.problem for finding in findings] == [
-        "The lips are joined, so the mouth cannot open."
-    ]
+    assert [finding.problem for finding in findings] == ["The lips are joined, so the mouth cannot open."]
 
 
-def test_ways_along_a_strip_go_round_its_slit():
+def test_paths_along_a_strip_go_around_its_slit():
     # two rows of squares, joined at the left end only
     x = np.arange(6.0)
     top, bottom = np.stack([x, 0 * x, 0 * x], 1), np.stack([x, 0.1 + 0 * x, 0 * x], 1)
@@ -238,7 +236,7 @@ def test_ways_along_a_strip_go_round_its_slit():
     assert np.isinf(graph.path_lengths([11], limit=3.0)[17])
 
 
-def test_a_warp_meets_its_points_and_carries_affine_maps_everywhere():
+def test_a_warp_meets_its_points_and_reproduces_affine_maps():
     rng = np.random.default_rng(0)
     source, elsewhere = rng.normal(size=(20, 3)), rng.normal(size=(50, 3))
     matrix, shift = rng.normal(size=(3, 3)), rng.normal(size=3)
@@ -248,7 +246,7 @@ def test_a_warp_meets_its_points_and_carries_affine_maps_everywhere():
     np.testing.assert_allclose(Warp(source, bent, smoothing=0.0)(source), bent, atol=1e-8)
 
 
-def test_a_warp_between_points_of_one_plane_is_refused():
+def test_a_warp_between_coplanar_points_is_refused():
     flat = np.random.default_rng(0).normal(size=(20, 3)) * [1, 1, 0]
     with pytest.raises(HeadError, match="lie in one plane"):
         Warp(flat, flat, smoothing=0.0)
@@ -256,7 +254,7 @@ def test_a_warp_between_points_of_one_plane_is_refused():
 
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.data())
-def test_a_mesh_that_is_no_face_is_refused_in_a_sentence_or_bound_to_vertices_that_it_has(data):
+def test_a_mesh_without_a_face_is_refused_or_bound_to_its_own_vertices(data):
     count = data.draw(st.integers(1, 300))
     rng = np.random.default_rng(data.draw(st.integers(0, 10**6)))
     points = rng.normal(size=(count, 3)) * [10.0 ** data.draw(st.integers(-6, 6)) for _ in range(3)]

@@ -1,4 +1,4 @@
-"""Landmarks that are no control points."""
+"""Landmarks that are not control points."""
 
 import json
 from dataclasses import replace
@@ -42,7 +42,7 @@ def matrix(members: np.ndarray, covariance: np.ndarray | None) -> np.ndarray:
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 1000), st.integers(0, 60), st.booleans())
-def test_control_points_are_met_and_nothing_hangs_on_the_others(seed, count, learnt):
+def test_control_points_are_met_and_other_landmarks_are_ignored(seed, count, learnt):
     members = some(seed, count)
     known = members.any(axis=0)
     found = matrix(members, landmark_covariance(SEEN) if learnt else None)
@@ -52,7 +52,7 @@ def test_control_points_are_met_and_nothing_hangs_on_the_others(seed, count, lea
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 1000), st.floats(1e-6, 1e6))
-def test_how_large_the_motion_of_the_take_was_changes_nothing(seed, factor):
+def test_the_scale_of_the_motion_does_not_matter(seed, factor):
     members, covariance = some(seed, 20), landmark_covariance(SEEN)
     np.testing.assert_allclose(matrix(members, factor * covariance), matrix(members, covariance), atol=1e-7)
 
@@ -61,7 +61,7 @@ def test_all_landmarks_as_control_points_follow_themselves():
     np.testing.assert_array_equal(matrix(membership(), landmark_covariance(SEEN)), np.eye(66))
 
 
-def test_a_landmark_follows_the_one_that_it_went_against_in_the_take():
+def test_a_landmark_follows_an_opposed_one_as_in_the_take():
     one, other = from_ibug([20, 23])
     motion = np.zeros((40, 66, 3))
     motion[:, one] = np.random.default_rng(0).normal(size=(40, 3))
@@ -72,12 +72,12 @@ def test_a_landmark_follows_the_one_that_it_went_against_in_the_take():
     assert matrix(members, landmark_covariance(motion))[other, one] < -0.5
 
 
-def test_a_take_without_motion_leaves_distance_alone():
+def test_without_motion_distance_alone_decides():
     members = some(3, 20)
     np.testing.assert_array_equal(matrix(members, np.zeros((66, 66))), matrix(members, None))
 
 
-def test_expressions_that_the_take_did_not_have_are_nearer_too():
+def test_other_expressions_improve_too():
     chosen = greedy_select(POINTS, SEEN, tolerance=1e-4, max_points=33)
     off = []
     for covariance in (chosen.covariance, None):
@@ -87,7 +87,7 @@ def test_expressions_that_the_take_did_not_have_are_nearer_too():
 
 
 @pytest.mark.parametrize("kernel", ["gaussian", "informed"])
-def test_half_the_points_and_the_take_bring_the_skin_nearer_to_that_of_all(kernel):
+def test_the_covariance_of_the_take_lowers_the_skin_error(kernel):
     rig = built_in_rig()
     chosen = greedy_select(POINTS, SEEN, tolerance=1e-4, max_points=33)
     half = replace(rig, control_points=chosen.membership)
@@ -98,7 +98,7 @@ def test_half_the_points_and_the_take_bring_the_skin_nearer_to_that_of_all(kerne
     assert np.linalg.norm(learnt - every) < 0.9 * np.linalg.norm(alone - every)
 
 
-def test_what_was_learnt_is_written_and_read_and_older_files_have_none():
+def test_the_covariance_survives_the_file_and_older_files_have_none():
     chosen = greedy_select(POINTS, SEEN, max_points=20)
     again = from_json(to_json(chosen))
     np.testing.assert_allclose(again.covariance, chosen.covariance, rtol=1e-4, atol=1e-15)
@@ -107,7 +107,7 @@ def test_what_was_learnt_is_written_and_read_and_older_files_have_none():
 
 
 @pytest.mark.parametrize("damage", [[1.0, 2.0], [float("nan")] * 2211, "none"])
-def test_a_covariance_that_is_none_is_refused(damage):
+def test_an_invalid_covariance_is_refused(damage):
     text = json.loads(to_json(greedy_select(POINTS, SEEN, max_points=20))) | {"covariance": damage}
     with pytest.raises(SourceError, match="not a control point file"):
         from_json(json.dumps(text))

@@ -30,7 +30,7 @@ def test_a_loose_tolerance_needs_fewer_points_than_a_tight_one():
 
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 1000), st.integers(3, 66))
-def test_never_more_points_than_asked_and_each_region_has_one(seed, count):
+def test_the_number_of_points_is_limited_and_each_region_has_one(seed, count):
     motion = np.random.default_rng(seed).normal(0.0, 0.002, (4, 66, 3))
     selection = greedy_select(POINTS, motion, tolerance=1e-5, max_points=count)
     assert len(selection.landmarks) <= count
@@ -42,7 +42,7 @@ def test_the_same_take_gives_the_same_steps():
     assert greedy_select(POINTS, UNITS, max_points=25).steps == greedy_select(POINTS, UNITS, max_points=25).steps
 
 
-def test_the_last_step_tells_the_true_worst_error_and_where_it_is():
+def test_the_last_step_states_the_true_worst_error_and_its_place():
     selection = greedy_select(POINTS, UNITS, tolerance=0.02)
     last = selection.steps[-1]
     assert 0 <= last.frame < len(UNITS) and last.points == len(selection.landmarks)
@@ -52,13 +52,13 @@ def test_the_last_step_tells_the_true_worst_error_and_where_it_is():
     assert np.linalg.norm(UNITS[last.frame, last.worst]) / width >= last.error / 3.0
 
 
-def test_a_still_take_keeps_no_point_beyond_one_a_region():
+def test_a_motionless_take_keeps_one_point_per_region():
     selection = greedy_select(POINTS, np.zeros((3, 66, 3)))
     assert selection.reached
     np.testing.assert_array_equal(selection.membership.sum(axis=1), [1, 1, 1])
 
 
-def test_points_added_by_hand_stay_and_removed_ones_never_come():
+def test_required_points_stay_and_excluded_ones_never_appear():
     always, never = from_ibug([33, 7]).tolist(), from_ibug([17, 57]).tolist()
     selection = greedy_select(POINTS, UNITS, tolerance=0.01, always=always, never=never)
     assert set(always) <= set(selection.landmarks.tolist())
@@ -82,12 +82,12 @@ def test_a_point_in_the_selection_has_a_reason():
     ("options", "message"),
     [({"max_points": 2}, "At least 3"), ({"never": range(66)}, "no landmarks left")],
 )
-def test_impossible_wishes_are_refused(options, message):
+def test_impossible_options_are_refused(options, message):
     with pytest.raises(HeadError, match=message):
         greedy_select(POINTS, UNITS, **options)
 
 
-def test_a_motion_that_is_no_motion_is_refused():
+def test_invalid_motion_is_refused():
     with pytest.raises(HeadError, match="displacements must be finite"):
         greedy_select(POINTS, np.full((1, 66, 3), np.nan))
 
@@ -106,7 +106,7 @@ def test_a_selection_written_and_read_is_the_same():
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"format": "other"}', "[1, 2]", "[" * 100_000])
-def test_text_that_is_no_selection_is_refused(text):
+def test_invalid_selections_are_refused(text):
     with pytest.raises(SourceError, match="not a control point file"):
         from_json(text)
 
@@ -125,7 +125,7 @@ def difference() -> SkinDifference:
     return SkinDifference(POINTS, kernel, region_sigmas(POINTS, kernel), UNITS, HEAD.vertices, HEAD.regions)
 
 
-def test_the_skin_of_all_landmarks_differs_in_nothing_from_itself_and_that_of_fewer_does():
+def test_the_skin_difference_is_zero_for_all_landmarks_and_positive_for_fewer():
     measure, chosen = difference(), membership()
     nothing = measure(chosen)
     chosen[:, from_ibug([62])] = False
@@ -136,7 +136,7 @@ def test_the_skin_of_all_landmarks_differs_in_nothing_from_itself_and_that_of_fe
     assert measure(chosen) == np.inf
 
 
-def test_where_points_run_out_they_are_exchanged_for_those_that_bring_the_skin_nearest():
+def test_when_points_run_out_they_are_exchanged_for_better_ones():
     measure = difference()
     selection = greedy_select(POINTS, UNITS, tolerance=1e-4, max_points=33, skin=(HEAD.vertices, HEAD.regions))
     assert len(selection.landmarks) == 33 and not selection.reached

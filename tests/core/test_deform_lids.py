@@ -1,4 +1,4 @@
-"""Where the skin over an eye is cut, and whether lids that were cut there shut over it."""
+"""The cut through the skin over an eye, and lids that shut over it."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ def test_a_scans_eyes_are_one_skin_with_their_lids_and_a_modelled_heads_are_not(
     assert eyes_joined(HEAD.vertices, HEAD.faces, HEAD.landmarks) == [False, False]
 
 
-def test_one_eye_that_is_open_is_told_from_one_that_is_not(scan):
+def test_open_and_joined_eyes_are_told_apart(scan):
     places, faces, landmarks = scan
     cut = cut_eye(places, faces, eye_outline(places, landmarks, EYES[1]))
     hole = faces[~np.isin(faces, cut.within).any(axis=1)]
     assert eyes_joined(places, hole, landmarks) == [True, False]
 
 
-def test_landmarks_in_one_place_are_no_eye(scan):
+def test_coincident_landmarks_are_not_an_eye(scan):
     places, faces, landmarks = scan
     nowhere = np.full_like(landmarks, landmarks[0])
     assert eyes_joined(places, faces, nowhere) == [False, False]
@@ -80,7 +80,7 @@ def test_the_outline_of_a_modelled_eye_is_near_its_lids():
 
 @settings(max_examples=60, deadline=None)
 @given(arrays(float, (4, 3), elements=st.floats(-0.4, 0.4)))
-def test_however_the_lids_landmarks_lie_the_outline_is_an_open_eye_between_the_corners(noise):
+def test_for_any_lid_landmarks_the_outline_is_an_open_eye_between_the_corners(noise):
     points = HEAD.vertices[HEAD.landmarks].astype(float)
     width = np.linalg.norm(points[EYES[0][3]] - points[EYES[0][0]])
     points[EYES[0][[1, 2, 4, 5]]] += width * noise
@@ -134,7 +134,7 @@ def test_the_mirror_image_of_a_scan_is_cut_in_the_mirror_image(scan, cuts):
         np.testing.assert_allclose(other.eyeball[:3] * FLIP, cut.eyeball[:3], atol=1e-6 * UNIT)
 
 
-def test_the_cut_does_not_hang_on_the_order_of_vertices_and_faces(scan, cuts):
+def test_the_cut_does_not_depend_on_the_order_of_vertices_and_faces(scan, cuts):
     places, faces, landmarks = scan
     rng = np.random.default_rng(0)
     order = rng.permutation(len(places))
@@ -159,7 +159,7 @@ def test_the_lids_lie_on_a_sphere_and_the_eye_just_behind_it(scan, cuts):
         assert (cut.outline.depth_within(beyond) < -0.02).all()
 
 
-def test_lids_that_were_cut_shut_over_the_eye_and_stay_before_it(scan):
+def test_cut_lids_shut_over_the_eye_and_stay_in_front_of_it(scan):
     points, polygons, landmarks = scan[0], [face.tolist() for face in scan[1]], scan[2].copy()
     outlines = [eye_outline(points, landmarks, eye) for eye in EYES]
     cuts = []
@@ -185,7 +185,7 @@ def test_lids_that_were_cut_shut_over_the_eye_and_stay_before_it(scan):
         assert away.min() > (1.0 - LID_THICKNESS) * cut.eyeball[3]
 
 
-def test_a_mesh_that_is_too_coarse_is_told_so_and_where(scan):
+def test_a_coarse_mesh_is_refused_with_its_long_edges(scan):
     places, faces, landmarks = scan
     outline = eye_outline(places, landmarks, EYES[0])
     assert len(coarse_edges(SurfaceGraph(places, faces), outline)) < 60
@@ -199,7 +199,7 @@ def test_a_mesh_that_is_too_coarse_is_told_so_and_where(scan):
             cut_eye(coarse, faces, outline)
 
 
-def test_a_hole_in_the_eye_is_refused_and_the_error_says_what_to_do(scan, cuts):
+def test_a_hole_in_the_eye_is_refused_with_advice(scan, cuts):
     places, faces, _ = scan
     for vertex in (cuts[0].within[0], cuts[0].edges[0, 0]):
         torn = faces[~(faces == vertex).any(axis=1)]
@@ -209,7 +209,7 @@ def test_a_hole_in_the_eye_is_refused_and_the_error_says_what_to_do(scan, cuts):
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000))
-def test_an_eyes_sphere_is_found_again_from_its_vertices(seed):
+def test_the_sphere_of_an_eye_is_recovered_from_its_vertices(seed):
     rng = np.random.default_rng(seed)
     centre, radius = rng.normal(0.0, 5.0, 3), rng.uniform(0.1, 10.0)
     cap = rng.normal(0.0, 0.4, (30, 3)) - (0.0, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""What any deformer of a face must do, whatever the kernel."""
+"""Properties of deformers with any kernel."""
 
 from dataclasses import replace
 
@@ -47,12 +47,12 @@ def test_control_points_are_met_exactly_without_regularisation(kernel, seed):
     np.testing.assert_allclose(moved, motion(seed)[moving], atol=2e-5)
 
 
-def test_a_still_face_stays_at_rest(deformer):
+def test_a_motionless_face_stays_at_rest(deformer):
     np.testing.assert_array_equal(deformer.deform(np.zeros((66, 3))), deformer.rest)
 
 
 @pytest.mark.parametrize("kernel", ALL_KERNELS)
-def test_a_rigid_motion_of_the_rest_mesh_carries_through(kernel):
+def test_deformation_commutes_with_rigid_motion_of_the_rest_mesh(kernel):
     turn, shift = euler_to_matrix(0.02, -0.03, 0.01), np.array([0.3, -0.2, 1.0])
     displaced = motion(1)
     plain = head_deformer(RIG, kernel).deform(displaced)
@@ -98,7 +98,7 @@ def test_region_weights_scaled_together_change_nothing(factor):
     np.testing.assert_allclose(one, other, atol=1e-5)
 
 
-def test_one_control_point_moves_its_region_as_far_as_itself_at_most():
+def test_one_control_point_moves_its_region_at_most_as_far_as_itself():
     vertices = np.random.default_rng(0).uniform(0.0, 1.0, (50, 3))
     deformer = RBFDeformer(vertices, vertices[:1], np.ones((1, 50)), np.ones((1, 1), bool), regularisation=0.0)
     moved = deformer.deform([[0.1, 0.0, 0.0]]) - deformer.rest
@@ -107,10 +107,10 @@ def test_one_control_point_moves_its_region_as_far_as_itself_at_most():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_displacements_that_are_no_numbers_are_refused(deformer, value):
+def test_displacements_that_are_not_finite_are_refused(deformer, value):
     broken = motion(0)
     broken[5, 1] = value
-    with pytest.raises(Exception, match="displacements must be finite; 1 rows are not, the first is row 5"):
+    with pytest.raises(Exception, match="displacements must be finite; 1 rows are not, first row 5"):
         deformer.deform(broken)
 
 
@@ -125,14 +125,14 @@ def test_the_fit_reports_sigma_and_condition_of_each_region(deformer):
         assert fit.sigma > 0.0 and 1.0 <= fit.condition < 1e10
 
 
-def test_a_region_that_lost_its_control_points_is_refused():
+def test_a_region_without_control_points_is_refused():
     chosen = membership()
     chosen[2] = False
     with pytest.raises(HeadError, match="no control point"):
         head_deformer(replace(RIG, control_points=chosen))
 
 
-def test_the_incremental_way_starts_like_the_rest_based_one_and_depends_on_the_path():
+def test_the_incremental_deformer_starts_equal_and_depends_on_the_path():
     incremental = head_deformer(RIG, "gaussian", incremental=True)
     assert isinstance(incremental, IncrementalDeformer)
     plain = head_deformer(RIG, "gaussian")
@@ -173,13 +173,13 @@ def test_a_mesh_without_faces_stays_between_its_landmarks():
 
 
 @pytest.mark.parametrize("out", [np.empty((1781, 3)), np.empty((3, 1781), np.float32).T, np.empty((5, 3), np.float32)])
-def test_a_result_is_never_written_beside_the_array_that_was_given(deformer, out):
+def test_a_result_is_written_to_the_given_array_or_refused(deformer, out):
     with pytest.raises(ValueError, match="out must be"):
         deformer.deform(motion(0), out)
 
 
 @pytest.mark.parametrize("sigma", [0.0, -1.0, np.nan])
-def test_a_width_that_is_none_is_refused(sigma):
+def test_an_invalid_width_is_refused(sigma):
     points = np.random.default_rng(0).uniform(size=(5, 3))
     with pytest.raises(HeadError, match="sigma must be positive"):
         RBFDeformer(points, points, np.ones((1, 5)), np.ones((1, 5), bool), sigma=sigma)

@@ -1,4 +1,4 @@
-"""Regions mirrored and smoothed."""
+"""Mirroring and smoothing of regions."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ BROW_RIGHT, BROW_LEFT = from_ibug((19, 24))
 @pytest.mark.parametrize(
     ("source", "kept", "overwritten"), [("right", BROW_RIGHT, BROW_LEFT), ("left", BROW_LEFT, BROW_RIGHT)]
 )
-def test_what_was_painted_on_one_half_appears_on_the_other(source, kept, overwritten):
+def test_paint_on_one_half_appears_on_the_other(source, kept, overwritten):
     weights = np.array(HEAD.regions)
     weights[2, HEAD.landmarks[kept]], weights[2, HEAD.landmarks[overwritten]] = 0.7, 0.2
     mirrored = mirror_regions(HEAD.vertices, HEAD.faces, HEAD.landmarks, weights, source)

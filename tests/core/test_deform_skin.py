@@ -1,4 +1,4 @@
-"""What the skin joins moves alike, and what it parts does not; the solver that this hangs on."""
+"""The covariance of the skin, and its solver."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def test_nested_dissection_solves_what_a_dense_solver_solves(seed, count):
     np.testing.assert_allclose(found, np.linalg.solve(dense, right), atol=1e-9)
 
 
-def test_the_covariance_is_one_and_positive_definite_and_the_same_on_both_sides():
+def test_the_covariance_is_positive_definite_symmetric_and_one_on_average():
     among = COVARIANCE.control_points
     np.testing.assert_allclose(among, among.T, atol=1e-9)
     assert np.linalg.eigvalsh(among).min() > 0.0
@@ -49,7 +49,7 @@ def test_lips_that_touch_are_far_apart_along_the_skin():
     assert COVARIANCE.control_points[upper, lower] < 0.5 * COVARIANCE.control_points[upper, beside]
 
 
-def test_what_lies_in_no_region_or_hangs_on_no_landmark_has_none():
+def test_vertices_outside_regions_or_without_landmarks_have_no_covariance():
     still = ~RIG.region_weights.any(axis=0)
     assert not COVARIANCE.vertices[still].any()
     loose = np.vstack([RIG.vertices, np.asarray(RIG.vertices)[:3] + 0.01])
@@ -63,14 +63,14 @@ def test_what_lies_in_no_region_or_hangs_on_no_landmark_has_none():
     assert np.linalg.norm(moved[-3:], axis=1).min() > 0.5 * 0.01 * shares.min()
 
 
-def test_size_and_place_of_the_head_change_nothing():
+def test_scale_and_position_of_the_head_do_not_matter():
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     turned = 30.0 * np.asarray(RIG.vertices, float) @ turn.T + 5.0
     again = skin_covariance(turned, RIG.faces, RIG.landmarks, RIG.region_weights)
     np.testing.assert_allclose(again.vertices, COVARIANCE.vertices, atol=1e-6)
 
 
-def test_polygons_of_any_size_are_taken():
+def test_polygons_of_any_size_are_accepted():
     faces = np.full((len(RIG.faces), 6), -1)
     faces[:, : RIG.faces.shape[1]] = RIG.faces
     faces = np.vstack([faces, [[0, 1, 2, 3, 4, -1]]])

@@ -1,4 +1,4 @@
-"""The line along which lips that are one skin are cut apart."""
+"""The line along which joined lips are cut."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from facemime.core.landmarks import from_ibug
 from facemime.core.mesh.surface import SurfaceGraph, lips_joined
 
 
-def test_the_line_leads_along_edges_from_corner_to_corner_between_the_lips():
+def test_the_line_follows_edges_between_the_lips_from_corner_to_corner():
     places, faces = scanned()
     landmarks = bind_landmarks(places, faces).landmarks
     graph = SurfaceGraph(places, faces)
@@ -32,7 +32,7 @@ def test_the_line_leads_along_edges_from_corner_to_corner_between_the_lips():
     assert abs(places[line[len(line) // 2], 1] - true) < 0.06 * UNIT
 
 
-def test_a_mouth_of_too_few_vertices_is_refused_and_the_error_says_what_to_do():
+def test_a_mouth_with_too_few_vertices_is_refused_with_advice():
     places = np.array([[x, y, 0.0] for y in (0.0, 1.0) for x in range(5)])
     faces = np.array([[i, i + 1, i + 6, i + 5] for i in range(4)])
     landmarks = np.zeros(66, dtype=int)
@@ -43,7 +43,7 @@ def test_a_mouth_of_too_few_vertices_is_refused_and_the_error_says_what_to_do():
 
 
 @given(st.lists(st.floats(0.01, 5.0), min_size=6, max_size=40))
-def test_the_inner_landmarks_of_a_lip_are_three_places_in_order_that_are_no_corners(steps):
+def test_the_inner_landmarks_of_a_lip_are_three_ordered_vertices_between_the_corners(steps):
     points = np.concatenate([[0.0], np.cumsum(steps)])[:, None] * [[1.0, 0.0, 0.0]]
     chosen = rim_landmarks(points)
     assert (np.diff(chosen) > 0).all()

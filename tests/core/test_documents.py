@@ -32,7 +32,7 @@ def test_links_lead_to_files_and_headings(path):
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_files_of_the_source_that_a_document_names_exist(path):
+def test_source_files_named_in_documents_exist(path):
     named = _SOURCE.findall(path.read_text(encoding="utf-8"))
     assert [name for name in named if not (ROOT / name).exists()] == []
 

@@ -1,4 +1,4 @@
-"""FaceGen's files: read as PyFFI reads them, and refused with the place where they are broken."""
+"""FaceGen files are read as PyFFI reads them, and damaged ones are refused with the position."""
 
 import io
 import struct
@@ -92,7 +92,7 @@ def test_pyffi_reads_the_same_from_an_egm(write, pyffi):
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, len(tri()) - 1))
-def test_a_tri_that_ends_early_is_refused_with_the_place(tmp_path_factory, length):
+def test_a_truncated_tri_is_refused_with_the_position(tmp_path_factory, length):
     path = tmp_path_factory.mktemp("cut") / "head.tri"
     path.write_bytes(tri()[:length])
     with pytest.raises(SourceError, match=r"byte \d+"):
@@ -101,7 +101,7 @@ def test_a_tri_that_ends_early_is_refused_with_the_place(tmp_path_factory, lengt
 
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, len(tri()) - 1), st.integers(0, 255))
-def test_a_changed_byte_gives_a_mesh_or_a_plain_refusal(tmp_path_factory, place, value):
+def test_a_changed_byte_gives_a_mesh_or_a_clear_error(tmp_path_factory, place, value):
     content = bytearray(tri())
     content[place] = value
     path = tmp_path_factory.mktemp("changed") / "head.tri"
@@ -123,12 +123,12 @@ def test_a_changed_byte_gives_a_mesh_or_a_plain_refusal(tmp_path_factory, place,
         (tri()[:64] + b"\xff\xff\xff\x7f" + tri()[68:], "not finite"),
     ],
 )
-def test_what_is_no_sound_tri_is_refused(write, content, message):
+def test_invalid_tri_files_are_refused(write, content, message):
     with pytest.raises(SourceError, match=message):
         read_tri(write("head.tri", content))
 
 
-def test_an_egm_of_another_mesh_is_refused(write):
+def test_an_egm_for_another_mesh_is_refused(write):
     mesh = read_tri(write("head.tri", tri()))
     with pytest.raises(SourceError, match="a mesh with 4 vertices; this one has 5"):
         read_egm(write("head.egm", egm(4)), mesh)
@@ -155,7 +155,7 @@ def test_a_broken_obj_is_refused_with_its_line(write, content, message):
         read_obj(write("head.obj", content))
 
 
-def test_a_missing_file_is_told(tmp_path):
+def test_a_missing_file_is_reported(tmp_path):
     for read, name in ((read_tri, "none.tri"), (read_obj, "none.obj")):
         with pytest.raises(SourceError, match="cannot be read"):
             read(tmp_path / name)
@@ -171,7 +171,7 @@ def morphs(vertices: int, differences: int, statistical: int) -> bytes:
 
 
 @pytest.mark.parametrize(("vertices", "differences", "statistical"), [(20_000, 0, 40_000), (15, 5000, 0)])
-def test_more_morphs_than_a_head_has_are_refused_before_memory_is_taken(write, vertices, differences, statistical):
+def test_too_many_morphs_are_refused_before_memory_is_allocated(write, vertices, differences, statistical):
     path = write("head.tri", morphs(vertices, differences, statistical))
     tracemalloc.start()
     with pytest.raises(SourceError, match="more than any head has"):
@@ -185,7 +185,7 @@ def test_as_many_morphs_as_a_head_has_are_read(write):
     assert len(read_tri(write("head.tri", morphs(20_000, 50, 250))).morphs) == 300
 
 
-def test_an_egm_that_claims_more_modes_than_it_has_bytes_is_refused_at_once(write):
+def test_an_egm_that_claims_too_many_modes_is_refused_at_once(write):
     mesh = read_tri(write("head.tri", tri()))
     claim = egm()[:12] + struct.pack("<2i", 50_000_000, 50_000_000) + egm()[20:164]
     tracemalloc.start()
@@ -199,7 +199,7 @@ def test_an_egm_that_claims_more_modes_than_it_has_bytes_is_refused_at_once(writ
 @pytest.mark.parametrize(
     ("number", "what"), [(np.nan, "not finite"), (np.inf, "not finite"), (1e30, "too far"), (-1e12, "too far")]
 )
-def test_a_tri_with_vertices_that_are_nowhere_is_refused(write, number, what):
+def test_a_tri_with_infinite_vertices_is_refused(write, number, what):
     content = tri()[:64] + struct.pack("<f", number) + tri()[68:]
     with pytest.raises(SourceError, match=what):
         read_tri(write("head.tri", content))
@@ -212,19 +212,19 @@ def test_a_morph_that_moves_to_infinity_is_refused(write):
 
 
 @pytest.mark.parametrize("line", ["v nan 0 0", "v inf 0 0", "v 1e39 0 0", "v 0 0", "vt nan 0", "vt 0"])
-def test_an_obj_with_vertices_that_are_nowhere_is_refused_with_its_line(write, line):
+def test_an_obj_with_infinite_vertices_is_refused_with_the_line(write, line):
     with pytest.raises(SourceError, match="line 2"):
         read_obj(write("head.obj", f"# first\n{line}\n{OBJ}"))
 
 
-def test_degenerate_and_duplicate_faces_are_left_out(write):
+def test_degenerate_and_duplicate_faces_are_dropped(write):
     """Blender's Subdivide crashes on the first, and never ends on the second."""
     odd = "f 1 1 1\nf 2 2 3\nf 1 2 1 3\nf 5 5 5 5\nf 2/2 5/1 3/3\n"
     mesh = read_obj(write("head.obj", OBJ + odd))
     np.testing.assert_array_equal(mesh.faces, read_obj(write("head.obj", OBJ)).faces)
 
 
-def test_a_quad_with_a_side_of_no_length_becomes_a_triangle_with_its_texture(write):
+def test_a_quad_with_a_side_of_length_zero_becomes_a_textured_triangle(write):
     lines = OBJ.splitlines()[:9]
     for face in ("f 1/1 1/1 2/2 3/3", "f 1/1 2/2 2/2 3/3", "f 1/1 2/2 3/3 3/3", "f 1/1 2/2 3/3 1/1"):
         mesh = read_obj(write("head.obj", "\n".join([*lines, face])))
@@ -239,13 +239,13 @@ def test_a_mesh_without_any_area_is_refused(write, faces):
         read_obj(write("head.obj", OBJ[: OBJ.index("vt")] + flat + faces))
 
 
-def test_a_label_ends_where_it_says_so(write):
-    """Blender takes no name with a null in it."""
+def test_a_label_ends_at_its_null_character(write):
+    """Blender does not accept names that contain a null character."""
     content = tri().replace(b"Smile", b"Sm\0le")
     assert read_tri(write("head.tri", content)).morphs[0][0] == "Sm"
 
 
-def test_an_index_of_many_digits_is_told_in_few_words(write):
+def test_an_index_of_many_digits_is_shortened_in_the_message(write):
     with pytest.raises(SourceError, match="line 1") as caught:
         read_obj(write("head.obj", "f 1 2 " + "9" * 3000))
     assert len(str(caught.value)) < 300

@@ -1,4 +1,4 @@
-"""Outputs: never half of one, never in place of an input, never two runs at one, never waste that stays."""
+"""Outputs are complete, never replace inputs, belong to one run, and leave no temporary files."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def in_another_process(text: str, *arguments: object) -> subprocess.Popen:
     return subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def test_a_result_that_cannot_take_its_place_is_kept_under_another_name(stuck, tmp_path):
+def test_a_result_that_cannot_replace_the_output_is_kept_under_another_name(stuck, tmp_path):
     (tmp_path / "old.csv").write_text("old")
     for name in ("old-2.csv", "old-3.csv"):
         with pytest.raises(OutputError, match=rf"The result is in .*{name}"), replacing(tmp_path / "old.csv") as path:
@@ -49,7 +49,7 @@ def test_a_result_that_cannot_take_its_place_is_kept_under_another_name(stuck, t
     assert sorted(os.listdir(tmp_path)) == ["old-2.csv", "old-3.csv", "old.csv"]
 
 
-def test_a_take_that_cannot_take_its_place_stays_where_it_is(stuck, tmp_path):
+def test_a_take_that_cannot_be_moved_stays_in_place(stuck, tmp_path):
     finished, old = tmp_path / "old.unfinished.facetake", tmp_path / "old.facetake"
     finished.write_text("new")
     old.write_text("old")
@@ -58,7 +58,7 @@ def test_a_take_that_cannot_take_its_place_stays_where_it_is(stuck, tmp_path):
     assert finished.read_text() == "new" and old.read_text() == "old"
 
 
-def test_a_failure_removes_the_temporary_file_alone(tmp_path):
+def test_a_failure_removes_only_the_temporary_file(tmp_path):
     (tmp_path / "a.csv").write_text("old")
     with pytest.raises(ZeroDivisionError), replacing(tmp_path / "a.csv") as path:
         path.write_text("new")
@@ -67,7 +67,7 @@ def test_a_failure_removes_the_temporary_file_alone(tmp_path):
 
 
 @needs_posix
-def test_what_is_replaced_hands_its_permissions_on_and_a_new_file_has_the_users(tmp_path):
+def test_permissions_are_kept_when_a_file_is_replaced(tmp_path):
     before = os.umask(0o027)
     try:
         (tmp_path / "private.csv").touch()
@@ -84,7 +84,7 @@ def test_what_is_replaced_hands_its_permissions_on_and_a_new_file_has_the_users(
 
 
 @needs_posix
-def test_a_link_stays_a_link_and_what_it_leads_to_is_replaced(tmp_path):
+def test_a_link_stays_a_link_and_its_target_is_replaced(tmp_path):
     (tmp_path / "real").mkdir()
     for name in ("there.csv", "not there.csv"):
         link = tmp_path / name
@@ -101,7 +101,7 @@ def test_a_link_stays_a_link_and_what_it_leads_to_is_replaced(tmp_path):
 
 
 @needs_posix
-def test_an_output_is_refused_where_it_is_an_input_by_any_name(tmp_path):
+def test_an_output_that_is_an_input_is_refused_by_any_name(tmp_path):
     take = tmp_path / "take.facetake"
     take.touch()
     (tmp_path / "link").symlink_to(take)
@@ -114,15 +114,15 @@ def test_an_output_is_refused_where_it_is_an_input_by_any_name(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["x" * 300 + ".csv", "a\0b.csv"])
-def test_a_name_that_no_file_can_have_is_one_clear_error(tmp_path, name):
-    with pytest.raises(OutputError, match=r"Give the output (a shorter|another) name"):
+def test_an_impossible_file_name_is_a_clear_error(tmp_path, name):
+    with pytest.raises(OutputError, match=r"Choose (a shorter|another) name for the output"):
         check_writable(tmp_path / name)
     with pytest.raises(OutputError, match="Cannot write"), replacing(tmp_path / name):
         raise AssertionError
 
 
 @needs_posix
-def test_what_may_not_be_replaced_is_told_before_the_work(tmp_path, monkeypatch):
+def test_files_that_cannot_be_replaced_are_reported_before_the_work(tmp_path, monkeypatch):
     output = tmp_path / "take.facetake"
     output.touch()
     check_writable(output)
@@ -132,8 +132,8 @@ def test_what_may_not_be_replaced_is_told_before_the_work(tmp_path, monkeypatch)
         check_writable(output)
     monkeypatch.undo()
     tmp_path.chmod(0o1777)
-    monkeypatch.setattr(files.os, "geteuid", lambda: 4242)  # somebody who owns neither the file nor the folder
-    with pytest.raises(OutputError, match="belongs to another user"):
+    monkeypatch.setattr(files.os, "geteuid", lambda: 4242)  # a user who owns neither the file nor the folder
+    with pytest.raises(OutputError, match="only its owner"):
         check_writable(output)
     monkeypatch.undo()
     os.mkfifo(tmp_path / "pipe.csv")
@@ -141,7 +141,7 @@ def test_what_may_not_be_replaced_is_told_before_the_work(tmp_path, monkeypatch)
         check_writable(tmp_path / "pipe.csv")
 
 
-def test_an_output_is_one_process_own_until_that_ends_however_it_ends(tmp_path):
+def test_an_output_is_claimed_until_its_process_ends_or_crashes(tmp_path):
     output = tmp_path / "made" / "take.facetake"
     text = (
         "from facemime.core.files import claimed\n"
@@ -164,7 +164,7 @@ def test_an_output_is_one_process_own_until_that_ends_however_it_ends(tmp_path):
         assert not output.parent.exists() or not os.listdir(output.parent)
 
 
-def test_the_next_run_in_a_folder_deletes_what_a_killed_one_left_and_nothing_else(tmp_path):
+def test_the_next_run_deletes_only_what_a_killed_one_left(tmp_path):
     text = (
         "from facemime.core.files import replacing\n"
         "with replacing(Path(sys.argv[1])) as path:\n    print(path.name, flush=True)\n    time.sleep(600)"
@@ -187,7 +187,7 @@ def test_the_next_run_in_a_folder_deletes_what_a_killed_one_left_and_nothing_els
     sweep(tmp_path / "none")
 
 
-def test_the_pictures_of_a_killed_preview_go_with_the_next_one(tmp_path, monkeypatch):
+def test_the_next_run_deletes_the_pictures_of_a_killed_preview(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)
     text = (
@@ -206,7 +206,7 @@ def test_the_pictures_of_a_killed_preview_go_with_the_next_one(tmp_path, monkeyp
         alive.kill()
 
 
-def test_a_file_system_without_locks_is_written_to_all_the_same(tmp_path, monkeypatch):
+def test_outputs_are_written_on_file_systems_without_locks(tmp_path, monkeypatch):
     if sys.platform == "win32":
         pytest.skip("it has them")
     from facemime.core import locks
@@ -220,7 +220,7 @@ def test_a_file_system_without_locks_is_written_to_all_the_same(tmp_path, monkey
     assert (tmp_path / "a.csv").read_text() == "new"
 
 
-def test_a_lock_that_somebody_has_is_waited_for_as_long_as_is_said(tmp_path):
+def test_a_held_lock_is_awaited_for_the_given_time(tmp_path):
     with holding(tmp_path / "lock") as first, holding(tmp_path / "lock", 0.0) as second:
         assert first and not second
     started = time.monotonic()

@@ -225,7 +225,7 @@ def test_a_head_whose_arrays_do_not_fit_is_refused(tmp_path):
         ("tongue.faces", lambda a: a.__setitem__((0, 0), -1), "tongue.faces has a degenerate face"),
     ],
 )
-def test_a_head_whose_values_make_no_head_is_refused(tmp_path, name, change, message):
+def test_a_head_with_impossible_values_is_refused(tmp_path, name, change, message):
     with np.load(HEAD_FILE) as file:
         arrays = {key: file[key] for key in file.files}
     change(arrays[name])

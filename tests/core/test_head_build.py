@@ -1,4 +1,4 @@
-"""The head's build, where its source has been downloaded."""
+"""Building the head, if its source was downloaded."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Pictures on disk: read within bounds, refused in words, and one that is bad leaves the others of its folder."""
+"""Images are read within bounds or refused with a message, and a bad one does not affect the others of its folder."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def encoded(suffix: str, width: int = 53, height: int = 37, *options: int) -> by
 
 
 def claiming(width: int, height: int) -> bytes:
-    """A PNG of 65 bytes that says it is so large."""
+    """A PNG of 65 bytes that states a size."""
 
     def chunk(kind: bytes, content: bytes) -> bytes:
         return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
@@ -48,12 +48,12 @@ def test_the_size_is_known_before_a_picture_is_decoded(suffix, tmp_path):
         (".ppm", (cv2.IMWRITE_PXM_BINARY, 0)),
     ],
 )
-def test_so_is_that_of_other_kinds(suffix, options):
+def test_the_size_of_other_formats_is_known_too(suffix, options):
     assert stated_size(encoded(suffix, 53, 37, *options)) == (53, 37)
 
 
 @pytest.mark.parametrize("suffix", sorted(IMAGE_SUFFIXES))
-def test_a_picture_cut_off_anywhere_is_read_or_refused(suffix, tmp_path):
+def test_a_truncated_picture_is_read_or_refused(suffix, tmp_path):
     data = encoded(suffix)
     for cut in [*range(60), len(data) // 2, len(data) - 1]:
         (tmp_path / "cut").write_bytes(data[:cut])
@@ -64,22 +64,22 @@ def test_a_picture_cut_off_anywhere_is_read_or_refused(suffix, tmp_path):
 
 
 @pytest.mark.parametrize(("width", "height"), [(100_000, 100_000), (16_384, 16_384), (100_000, 10), (2**31 - 1, 1)])
-def test_a_picture_too_large_to_work_with_is_refused_with_its_size(tmp_path, width, height):
+def test_a_picture_that_is_too_large_is_refused_with_its_size(tmp_path, width, height):
     (tmp_path / "large.png").write_bytes(claiming(width, height))
     with pytest.raises(SourceError, match=f"is {width} x {height} pixels; the limit is 100 megapixels"):
         read_image(tmp_path / "large.png")
 
 
-def test_a_real_picture_too_wide_to_work_with_is_refused(tmp_path):
+def test_a_real_picture_that_is_too_wide_is_refused(tmp_path):
     (tmp_path / "wide.png").write_bytes(encoded(".png", 100_000, 2))
-    with pytest.raises(SourceError, match="30000 pixels a side"):
+    with pytest.raises(SourceError, match="30000 pixels per side"):
         read_image(tmp_path / "wide.png")
 
 
 @pytest.mark.parametrize(
     "content", [b"", b"hello", b"GIF89a", b"BM", b"RIFF....WEBPVP8 ", b"P6\n9 9 255\n", b"II*\0\xff\xff\xff\xff"]
 )
-def test_what_is_no_picture_is_refused(tmp_path, content):
+def test_files_that_are_not_pictures_are_refused(tmp_path, content):
     (tmp_path / "odd.png").write_bytes(content)
     with pytest.raises(SourceError, match="not a picture that can be read"):
         read_image(tmp_path / "odd.png")
@@ -98,7 +98,7 @@ def folder(tmp_path) -> Path:
     return pictures
 
 
-def test_bad_pictures_of_a_folder_leave_the_good_ones(folder, tmp_path, capsys):
+def test_unreadable_pictures_of_a_folder_are_reported_and_the_others_processed(folder, tmp_path, capsys):
     assert main(["landmarks", str(folder), "-o", str(tmp_path / "out.npz")]) == 1
     told = capsys.readouterr().err
     assert told.count("facemime: ") >= 3 and "100000 x 100000" in told and "d.png is not a picture" in told
@@ -106,11 +106,11 @@ def test_bad_pictures_of_a_folder_leave_the_good_ones(folder, tmp_path, capsys):
         assert out["names"].tolist() == ["a.png", "b.png", "c.png", "d.png", "z.png"]
 
 
-def test_they_are_left_out_where_the_folder_is_played(folder):
+def test_unreadable_pictures_are_skipped_when_a_folder_is_played(folder):
     assert len(list(PicturePlayer(folder).frames())) == 2
 
 
-def test_a_picture_that_its_format_cannot_hold_is_refused(tmp_path):
-    with pytest.raises(OutputError, match=r"cannot hold 70000 x 1 pixels\. Give it the suffix \.png"):
+def test_a_picture_that_is_too_large_for_its_format_is_refused(tmp_path):
+    with pytest.raises(OutputError, match=r"cannot hold 70000 x 1 pixels\. Use the suffix \.png"):
         write_image(tmp_path / "wide.jpg", np.zeros((1, 70_000, 3), np.uint8))
     assert not list(tmp_path.iterdir())

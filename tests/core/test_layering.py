@@ -1,4 +1,4 @@
-"""Who may know whom: the house has floors, and whoever imports looks down."""
+"""Layers of packages: modules import only from layers below."""
 
 import ast
 import subprocess
@@ -54,13 +54,13 @@ def imports(path: Path) -> list[tuple[int, str]]:
 
 
 def floor_of(module: Path) -> str:
-    """The floor of a module, a path within the repository without its suffix: the longest that it begins with."""
+    """The layer of a module, given by its path in the repository without suffix: the longest matching prefix."""
     names = [module.as_posix(), *(parent.as_posix() for parent in module.parents)]
     return next(name for name in names if name in FLOORS)
 
 
 def known(path: Path) -> set[str]:
-    """The floors that a module imports from."""
+    """The layers from which a module imports."""
     inside = path.relative_to(ROOT)
     return {
         floor_of(Path(*inside.parent.parts[: len(inside.parent.parts) - level + 1], *module.split(".")))
@@ -73,18 +73,18 @@ def ident(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
-def test_every_room_has_its_floor():
+def test_every_package_has_a_layer():
     folders = {path.parent.relative_to(ROOT).as_posix() for path in MODULES}
     assert folders == {floor for floor in FLOORS if (ROOT / floor).is_dir()}
 
 
 @pytest.mark.parametrize("path", MODULES, ids=ident)
-def test_a_module_imports_from_its_own_floor_and_those_below_alone(path):
+def test_modules_import_only_from_their_layer_and_those_below(path):
     own = FLOORS.index(floor_of(path.relative_to(ROOT).with_suffix("")))
     assert not [floor for floor in known(path) if FLOORS.index(floor) > own]
 
 
-def test_no_module_imports_itself_in_a_circle():
+def test_there_are_no_circular_imports():
     edges = {path.relative_to(ROOT).with_suffix(""): _modules(path) for path in MODULES}
     while free := [module for module, below in edges.items() if not below & edges.keys()]:
         for module in free:
@@ -104,7 +104,7 @@ def _modules(path: Path) -> set[Path]:
 
 
 @pytest.mark.parametrize("path", MODULES, ids=ident)
-def test_core_knows_numpy_and_opencv_and_blenders_modules_only_who_needs_them(path):
+def test_core_imports_only_numpy_and_opencv(path):
     room = path.relative_to(ROOT).parts[0]
     roots = {module.split(".")[0] for level, module in imports(path) if not level}
     assert "facemime" not in roots, "inside, imports are relative, so that they work in an extension too"

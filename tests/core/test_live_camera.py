@@ -17,7 +17,14 @@ from clocks import PATIENCE
 import facemime
 from facemime.core.errors import SourceError
 from facemime.core.live import camera as camera_module
-from facemime.core.live.camera import Camera, CameraName, CameraSettings, device_of, explained, python_executable
+from facemime.core.live.camera import (
+    Camera,
+    CameraName,
+    CameraSettings,
+    explain_failure,
+    parse_device,
+    python_executable,
+)
 
 SAMPLE = str(Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4")
 
@@ -47,13 +54,13 @@ def camera():
 
 
 def program(tmp_path: Path, text: str) -> tuple[str, ...]:
-    """A command that runs `text` in place of the camera's process."""
+    """A command that runs `text` instead of the camera's process."""
     path = tmp_path / "driver.py"
     path.write_text(text)
     return (sys.executable, str(path))
 
 
-def test_frames_reach_the_reader_with_a_clock_that_both_processes_share(camera):
+def test_frames_reach_the_reader_with_a_shared_clock(camera):
     source = camera(CameraSettings(SAMPLE))
     first = until(source, lambda frame: True)
     later = until(source, lambda frame: frame.time > 0.2)
@@ -62,8 +69,8 @@ def test_frames_reach_the_reader_with_a_clock_that_both_processes_share(camera):
     assert source.clock == "monotonic"
 
 
-def test_a_stream_that_ends_is_said_and_taken_up_again_when_it_is_back(camera, monkeypatch):
-    monkeypatch.setattr(camera_module, "_AGAIN", 0.1)
+def test_a_stream_that_ends_is_reported_and_resumed_when_it_returns(camera, monkeypatch):
+    monkeypatch.setattr(camera_module, "_RETRY", 0.1)
     source = camera(CameraSettings(SAMPLE))
     before = until(source, lambda frame: True)
     source._process.kill()
@@ -73,11 +80,11 @@ def test_a_stream_that_ends_is_said_and_taken_up_again_when_it_is_back(camera, m
     assert after.time > before.time
 
 
-def test_a_driver_that_hangs_is_ended_and_said(camera, tmp_path):
+def test_a_hanging_driver_is_ended_and_reported(camera, tmp_path):
     source = camera(
         CameraSettings("7"), command=program(tmp_path, "import time; time.sleep(600)"), opening=0.5, silence=0.5
     )
-    with pytest.raises(SourceError, match="does not answer"):
+    with pytest.raises(SourceError, match="does not respond"):
         until(source, lambda frame: True)
     assert source._process is None
 
@@ -94,7 +101,7 @@ time.sleep(600)
 """
     source = camera(CameraSettings("7"), command=program(tmp_path, text), silence=0.5)
     assert until(source, lambda frame: True).image.shape == (2, 3, 3)
-    with pytest.raises(SourceError, match="does not answer"):
+    with pytest.raises(SourceError, match="does not respond"):
         until(source, lambda frame: False)
 
 
@@ -107,20 +114,20 @@ time.sleep(600)
         "pass",
     ],
 )
-def test_a_driver_that_breaks_down_or_writes_rubbish_is_said(camera, tmp_path, text):
+def test_a_driver_that_crashes_or_writes_rubbish_is_reported(camera, tmp_path, text):
     source = camera(CameraSettings("7"), command=program(tmp_path, text))
-    with pytest.raises(SourceError, match=r"broke down|cannot be opened|There is no"):
+    with pytest.raises(SourceError, match=r"crashed|cannot be opened|There is no"):
         until(source, lambda frame: True)
 
 
-def test_a_camera_that_is_not_there_is_said(camera):
+def test_a_missing_camera_is_reported(camera):
     if os.path.exists("/dev/video97"):
         pytest.skip("this machine has a camera 97")
     with pytest.raises(SourceError, match="camera 97"):
         until(camera(CameraSettings("97")), lambda frame: True)
 
 
-def test_the_size_of_frames_may_change_on_the_way(camera, tmp_path):
+def test_the_size_of_frames_may_change(camera, tmp_path):
     """As some cameras do where the light falls: a driver that does is made of the real messages."""
     seen = tmp_path / "seen"
     folder = Path(camera_module.__file__).parent
@@ -151,21 +158,21 @@ def test_the_process_ends_with_the_camera(camera):
     assert source.read(0.1) is None
 
 
-def test_a_camera_is_found_by_its_name_where_its_number_changed():
+def test_a_camera_is_found_by_name_if_its_number_changed():
     cameras = [CameraName("0", "Built-in"), CameraName("4", "Desk: HD")]
-    assert device_of("2: Desk: HD", cameras) == "4"
-    assert device_of("1: Gone", cameras) == "1"
-    assert device_of(" 3 ", cameras) == "3"
-    assert device_of("http://phone:8080/video", cameras) == "http://phone:8080/video"
+    assert parse_device("2: Desk: HD", cameras) == "4"
+    assert parse_device("1: Gone", cameras) == "1"
+    assert parse_device(" 3 ", cameras) == "3"
+    assert parse_device("http://phone:8080/video", cameras) == "http://phone:8080/video"
 
 
 def test_every_failure_is_explained_in_two_sentences():
     for failure in ("closed", "silent", "gone", "hangs", "died", "no python", "something new"):
-        text = explained(failure, "http://phone/video")
+        text = explain_failure(failure, "http://phone/video")
         assert text.endswith(".") and 30 < len(text) < 200
 
 
-def test_no_python_is_started_because_the_path_for_programs_has_one(monkeypatch, tmp_path):
+def test_python_is_not_searched_on_the_path(monkeypatch, tmp_path):
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     (tmp_path / version).touch(mode=0o755)
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -175,11 +182,11 @@ def test_no_python_is_started_because_the_path_for_programs_has_one(monkeypatch,
         monkeypatch.setattr(sys, "executable", executable)
         assert Path(python_executable()).is_relative_to(sys.base_prefix)
     monkeypatch.setattr(sys, "base_prefix", str(tmp_path / "none"))
-    with pytest.raises(SourceError, match="Blender's Python cannot be started"):
+    with pytest.raises(SourceError, match="Blender's Python, which reads the camera, cannot be started"):
         python_executable()
 
 
-def test_a_file_that_is_named_like_an_address_is_opened_as_a_file(tmp_path, monkeypatch, camera):
+def test_a_file_named_like_an_address_is_opened_as_a_file(tmp_path, monkeypatch, camera):
     (tmp_path / "12:30.mp4").symlink_to(SAMPLE)
     monkeypatch.chdir(tmp_path)
     assert until(camera(CameraSettings("12:30.mp4")), lambda frame: True).image.shape == (480, 640, 3)
@@ -190,7 +197,7 @@ def test_the_python_that_is_started_can_import_opencv():
     assert np.__version__ and cv2.__version__
 
 
-def test_a_driver_whose_output_stays_open_after_its_death_does_not_hold_the_reader_up(camera, tmp_path, monkeypatch):
+def test_an_open_pipe_of_a_dead_driver_does_not_block_the_reader(camera, tmp_path, monkeypatch):
     """As one that hangs in the kernel: it cannot be killed, and whoever waits for its end waits for ever."""
     monkeypatch.setattr(camera_module, "_ENDING", 0.2)
     seen = tmp_path / "seen"

@@ -1,4 +1,4 @@
-"""Live sources keep to the clock, drop what is late, and say what is wrong."""
+"""Live sources keep to the clock, drop late frames, and report errors."""
 
 from pathlib import Path
 from time import perf_counter
@@ -52,7 +52,7 @@ def test_a_video_is_played_with_its_own_times_and_pictures():
         np.testing.assert_array_equal(frame.image, other.image)
 
 
-def test_frames_come_no_sooner_than_the_clock_allows_and_all_are_accounted_for():
+def test_frames_come_on_time_and_all_are_delivered_or_counted_as_dropped():
     source = Numbers(speed=0.5)
     clock = source.pace = EagerClock()
     began, frames = clock.now(), []
@@ -63,7 +63,7 @@ def test_frames_come_no_sooner_than_the_clock_allows_and_all_are_accounted_for()
     assert [frame.dropped for frame in frames] == [0] * 10
 
 
-def test_a_reader_waits_for_the_computers_clock_and_no_longer_than_it_says():
+def test_a_reader_waits_until_a_frame_is_due_or_the_timeout():
     """In real time: that the clock which everybody has is waited for cannot be seen on another."""
     source = Numbers(speed=0.1)
     source.read(1.0)
@@ -75,7 +75,7 @@ def test_a_reader_waits_for_the_computers_clock_and_no_longer_than_it_says():
     source.close()
 
 
-def test_what_came_due_while_nobody_looked_is_dropped_and_counted():
+def test_late_frames_are_dropped_and_counted():
     source = Numbers()
     source.pace = EagerClock()
     source.read(1.0)
@@ -84,7 +84,7 @@ def test_what_came_due_while_nobody_looked_is_dropped_and_counted():
     assert late.dropped == 4 and late.image[0, 0, 0] == 5
 
 
-def test_what_is_read_more_slowly_than_it_plays_is_played_slowly_and_not_ever_later():
+def test_a_slow_source_is_played_slowly_without_growing_delay():
     class Slow(Numbers):
         pace = EagerClock()
 
@@ -101,7 +101,7 @@ def test_what_is_read_more_slowly_than_it_plays_is_played_slowly_and_not_ever_la
     assert max(dropped) <= 1
 
 
-def test_a_loop_goes_on_in_one_growing_time():
+def test_a_loop_has_increasing_times():
     source = Numbers(loop=True, speed=5.0)
     frames = played(source, 25)
     assert source.opened >= 3 and not source.ended
@@ -112,7 +112,7 @@ def test_a_loop_goes_on_in_one_growing_time():
     assert [round(time * 100) % 10 for time in times] == shown
 
 
-def test_closing_wakes_a_reader_and_nothing_comes_afterwards():
+def test_closing_wakes_a_reader_and_ends_the_source():
     source = VideoPlayer(SAMPLE, speed=0.05)
     source.read(1.0)
     source.close()
@@ -120,7 +120,7 @@ def test_closing_wakes_a_reader_and_nothing_comes_afterwards():
     source.close()
 
 
-def test_pictures_of_a_folder_are_played_in_the_order_of_their_names(tmp_path):
+def test_pictures_of_a_folder_are_played_by_name(tmp_path):
     for index in (2, 0, 1):
         cv2.imwrite(str(tmp_path / f"face{index}.png"), np.full((4, 4, 3), 50 * index, np.uint8))
     (tmp_path / "notes.txt").write_text("no picture")
@@ -129,7 +129,7 @@ def test_pictures_of_a_folder_are_played_in_the_order_of_their_names(tmp_path):
     assert [frame.time for frame in frames] == pytest.approx([0.0, 0.05, 0.1])
 
 
-def test_a_picture_that_cannot_be_read_is_left_out_and_only_all_of_them_are_an_error(tmp_path):
+def test_unreadable_pictures_are_skipped_unless_all_are(tmp_path):
     (tmp_path / "face1.png").write_text("no picture")
     with pytest.raises(SourceError, match="is not a picture"):
         PicturePlayer(tmp_path).read(1.0)
@@ -158,7 +158,7 @@ def test_a_take_is_played_without_pictures():
         (PicturePlayer, "There is no picture"),
     ],
 )
-def test_what_cannot_be_played_is_said_and_asked_for_again(tmp_path, source, said):
+def test_a_source_that_cannot_be_played_raises_an_error_and_is_retried(tmp_path, source, said):
     (tmp_path / "broken.mp4").write_bytes(b"nothing")
     opened = source(tmp_path)
     for _ in range(2):
@@ -168,6 +168,6 @@ def test_what_cannot_be_played_is_said_and_asked_for_again(tmp_path, source, sai
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), 1e9])
-def test_a_speed_that_makes_no_sense_is_refused(speed):
+def test_an_impossible_speed_is_refused(speed):
     with pytest.raises(SourceError, match="speed"):
         VideoPlayer(SAMPLE, speed=speed)

@@ -1,4 +1,4 @@
-"""The worker tracks the newest frame, drives the heads, and survives what sources and disks do."""
+"""The worker tracks the newest frame, drives heads, and survives failures of sources and disks."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def run(worker: LiveWorker) -> LiveWorker:
     return worker
 
 
-def test_the_heads_are_those_that_the_same_frames_give_without_a_worker():
+def test_heads_equal_those_without_a_worker():
     take, rig = performance(), built_in_rig()
     neutral = calibrate(take)
     options = DriveSettings(strength_middle=0.5, strength_lower=1.2)
@@ -119,14 +119,14 @@ def test_a_real_clip_is_tracked_as_offline():
     assert worker.latest.preview.shape == (120, 160, 4) and worker.latest.preview.dtype == np.float32
 
 
-def test_without_a_neutral_the_first_second_with_a_face_is_taken():
+def test_without_a_neutral_the_first_second_with_a_face_is_used():
     take = performance()
     worker = run(LiveWorker(Listed(frames_of(take)), heads=(LiveHead(built_in_rig()),)))
     assert worker.neutral is not None and len(worker.latest.heads) == 1
     np.testing.assert_allclose(worker.neutral.shape, take.shape[:10].mean(axis=0), atol=1e-3)
 
 
-def test_an_error_before_the_first_frame_ends_the_worker_and_a_later_one_is_waited_out():
+def test_an_error_before_the_first_frame_ends_the_worker_and_later_ones_are_retried():
     first = run(LiveWorker(Listed([SourceError("no camera. Plug one in.")])))
     assert "no camera" in str(first.error)
     frames = frames_of(performance())
@@ -134,7 +134,7 @@ def test_an_error_before_the_first_frame_ends_the_worker_and_a_later_one_is_wait
     assert later.error is None and later.counts.tracked == 6 and later.message == ""
 
 
-def test_a_source_that_is_away_is_named_while_it_is():
+def test_a_missing_source_is_reported_until_it_returns():
     frames = frames_of(performance())
     worker = run(LiveWorker(Listed([*frames[:3], SourceError("gone. Plug it in.")])))
     assert worker.message == "gone. Plug it in."
@@ -149,7 +149,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_puppet():
     assert len(recorded) == 5 and worker.counts.tracked == 60 and worker.error is None
 
 
-def test_what_is_recorded_is_brought_into_safety_when_no_frame_comes():
+def test_pending_frames_are_written_when_no_frame_comes():
     frames, recorded = frames_of(performance())[:8], Recorded()
     worker = LiveWorker(Listed([*frames[:5], None, *frames[5:]]), options=LiveOptions(smoothing=0.0))
     worker.record(recorded)
@@ -159,7 +159,7 @@ def test_what_is_recorded_is_brought_into_safety_when_no_frame_comes():
     assert flushed[0] == 5 and len(recorded) == 8
 
 
-def test_what_is_recorded_is_what_was_tracked_not_what_was_smoothed():
+def test_recordings_contain_unsmoothed_results():
     take, recorded = performance(), Recorded()
     worker = LiveWorker(Listed(frames_of(take)), options=LiveOptions(smoothing=1.0))
     worker.record(recorded)
@@ -167,7 +167,7 @@ def test_what_is_recorded_is_what_was_tracked_not_what_was_smoothed():
     np.testing.assert_array_equal([r.landmarks for _, r in recorded], take.landmarks)
 
 
-def test_options_and_heads_may_change_while_it_runs_and_what_is_costly_is_kept():
+def test_options_and_heads_may_change_and_deformers_are_reused():
     take, rig = performance(), built_in_rig()
     source = TakePlayer(take, "take", loop=True)
     source.pace = EagerClock()
@@ -192,7 +192,7 @@ def wait_for(condition) -> None:
         time.sleep(0.002)
 
 
-def test_calibration_takes_the_next_second_and_is_refused_where_the_performer_moves():
+def test_calibration_uses_the_next_second_and_is_rejected_if_the_performer_moves():
     take = performance(200)
     still = calibrate(take)
     worker = LiveWorker(Listed(frames_of(take)), neutral=still)
@@ -216,7 +216,7 @@ def test_calibration_without_a_face_says_so_and_keeps_the_neutral():
     assert not worker.quality.good and worker.neutral is before
 
 
-def test_the_range_of_eyes_and_mouth_is_learnt_and_what_was_not_shown_is_asked_for():
+def test_the_range_of_eyes_and_mouth_is_learnt_and_missing_parts_are_requested():
     neutral = calibrate(performance(), 0.0)
     shut, opened = neutral.shape.copy(), neutral.shape.copy()
     shut[UPPER_LIDS, 1] += 0.9 * lid_gaps(neutral.shape)
@@ -228,12 +228,12 @@ def test_the_range_of_eyes_and_mouth_is_learnt_and_what_was_not_shown_is_asked_f
         assert [calibration.add(float(t), take.result(i)) for i, t in enumerate(take.times)].count(True) <= 11
         said.append(calibration.quality())
     assert [quality.good for quality in said] == [False, False, True]
-    assert "eyes were not seen" in said[0].message and "mouth was hardly opened" in said[1].message
+    assert "eyes were not shut" in said[0].message and "mouth was hardly opened" in said[1].message
     learnt = calibration.neutral()
     assert learnt.shut == pytest.approx(0.1, abs=0.02) and learnt.mouth_gain > 1.1
 
 
-def test_the_stopwatch_names_what_is_slow_and_only_that():
+def test_the_stopwatch_names_the_slow_stage():
     watch = Stopwatch()
     assert watch.slowest() == "" and np.isnan(watch.latency) and watch.medians() == {}
     for _ in range(5):
@@ -246,7 +246,7 @@ def test_the_stopwatch_names_what_is_slow_and_only_that():
 
 
 class Stuck(Listed):
-    """Does not come back from a read before it is let go, as a driver or a disk that hangs."""
+    """Blocks in `read` until it is released, like a hanging driver or disk."""
 
     def __init__(self):
         super().__init__([])
@@ -258,7 +258,7 @@ class Stuck(Listed):
         return None
 
 
-def test_a_source_that_does_not_answer_is_left_behind(monkeypatch):
+def test_a_source_that_does_not_respond_is_abandoned(monkeypatch):
     monkeypatch.setattr(worker_module, "_ENDING", 0.1)
     source = Stuck()
     worker = LiveWorker(source)
@@ -271,7 +271,7 @@ def test_a_source_that_does_not_answer_is_left_behind(monkeypatch):
     assert worker.error is None
 
 
-def test_a_disk_that_does_not_answer_ends_in_an_error_and_not_in_a_wait_for_ever(monkeypatch):
+def test_a_disk_that_does_not_respond_is_an_error(monkeypatch):
     monkeypatch.setattr(worker_module, "_ENDING", 0.1)
     writing, let_go = threading.Event(), threading.Event()
     recorded = Recorded()
@@ -280,7 +280,7 @@ def test_a_disk_that_does_not_answer_ends_in_an_error_and_not_in_a_wait_for_ever
     worker.record(recorded)
     worker.start()
     assert writing.wait(PATIENCE)
-    with pytest.raises(OutputError, match="does not answer"):
+    with pytest.raises(OutputError, match="does not respond"):
         worker.close()
     let_go.set()
     wait_for(lambda: not worker.running)

@@ -1,4 +1,4 @@
-"""The basis that a motion is baked into, and the choice of its most different frames."""
+"""The basis of a motion, and the selection of its most distinct frames."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -27,13 +27,13 @@ def test_a_motion_at_rest_needs_no_mode():
     assert basis.modes.shape == (0, 5, 3) and basis.weights.shape == (10, 0) and basis.worst_error == 0.0
 
 
-def test_too_few_modes_are_told_by_the_error():
+def test_too_few_modes_show_in_the_error():
     motion = np.random.default_rng(0).normal(size=(20, 30, 3)).astype(np.float32)
     basis = fit_basis(motion, 1e-6, max_modes=3)
     assert len(basis.modes) == 3 and basis.worst_error > 0.1
 
 
-def test_the_most_different_frames_are_one_of_each_expression():
+def test_the_most_distinct_frames_show_each_expression_once():
     poses = np.random.default_rng(1).normal(size=(4, 20, 3))
     vertices = np.repeat(poses, 10, axis=0).astype(np.float32)
     count = len(vertices)

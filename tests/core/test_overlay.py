@@ -1,4 +1,4 @@
-"""What people look at: drawn landmarks, sheets, and the progress line."""
+"""Drawn landmarks, contact sheets, and the progress line."""
 
 import io
 
@@ -22,7 +22,7 @@ def drawn_centre(picture: np.ndarray) -> np.ndarray:
     return np.array([columns.mean(), rows.mean()])
 
 
-def test_landmarks_are_drawn_where_they_are_and_the_picture_given_is_not_touched():
+def test_landmarks_are_drawn_on_a_copy():
     image = np.zeros((480, 640, 3), np.uint8)
     points = face(1200.0, 400.0, 200.0)
     picture = draw_landmarks(image, points)
@@ -32,7 +32,7 @@ def test_landmarks_are_drawn_where_they_are_and_the_picture_given_is_not_touched
     assert low[0] <= columns.min() and columns.max() <= high[0] and low[1] <= rows.min() and rows.max() <= high[1]
 
 
-def test_a_lost_face_is_drawn_as_nothing_and_one_far_outside_does_no_harm():
+def test_lost_faces_are_not_drawn_and_distant_ones_do_no_harm():
     image = np.full((48, 64, 3), 7, np.uint8)
     np.testing.assert_array_equal(draw_landmarks(image, np.full((66, 2), np.nan)), image)
     np.testing.assert_array_equal(draw_landmarks(image, face(100.0, 1e7, -1e7)), image)
@@ -50,7 +50,7 @@ def test_landmarks_stay_on_the_face_when_the_picture_is_scaled_or_cropped():
         assert np.abs(red - middle).max() < 6.0
 
 
-def test_a_sheet_holds_every_pair_once():
+def test_a_sheet_contains_every_pair_once():
     pairs = [
         (np.full((10, 10, 3), 30 + 20 * i, np.uint8), np.full((10, 10, 3), 40 + 20 * i, np.uint8)) for i in range(5)
     ]
@@ -60,12 +60,12 @@ def test_a_sheet_holds_every_pair_once():
         assert (sheet == left[0, 0]).all(axis=2).sum() >= 100 and (sheet == right[0, 0]).all(axis=2).sum() >= 100
 
 
-def test_a_label_is_written_over_a_copy():
+def test_a_label_is_drawn_on_a_copy():
     image = np.zeros((100, 200, 3), np.uint8)
     assert draw_label(image, "1.25 s").any() and not image.any()
 
 
-def test_progress_is_one_line_where_nobody_watches():
+def test_progress_is_one_line_without_a_terminal():
     stream = io.StringIO()
     progress = Progress("Tracking", 10, stream)
     for i in range(10):
@@ -75,7 +75,7 @@ def test_progress_is_one_line_where_nobody_watches():
     assert len(lines) == 1 and lines[0].startswith("Tracking: 10 frames in") and lines[0].endswith("a face in 9 of 10")
 
 
-def test_progress_on_a_terminal_shows_how_far_how_fast_and_how_long():
+def test_progress_on_a_terminal_shows_count_rate_and_time_left():
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
             return True

@@ -1,4 +1,4 @@
-"""Control points as a table, as a curve, and changed by hand."""
+"""Control points as a table and a curve, and changes by hand."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def selection():
     return select_for_take(rig, performance(), max_points=14)
 
 
-def test_every_landmark_has_a_row_and_the_chosen_ones_an_order_a_reason_and_an_error(selection):
+def test_every_landmark_has_a_row_and_chosen_ones_have_order_reason_and_error(selection):
     rows = point_rows(selection)
     chosen = [row for row in rows if row.regions]
     assert [row.landmark for row in rows] == list(range(N_LANDMARKS))
@@ -43,7 +43,7 @@ def test_without_a_selection_all_landmarks_are_control_points():
     assert len(rows) == N_LANDMARKS and all(row.regions and row.order == 0 for row in rows)
 
 
-def test_a_point_added_by_hand_is_dropped_again_and_both_survive_the_file(selection):
+def test_a_point_can_be_added_and_removed_by_hand_and_both_survive_the_file(selection):
     landmark = next(row.landmark for row in point_rows(selection) if not row.regions)
     more = from_json(to_json(add_by_hand(selection, landmark)))
     assert set(more.landmarks) == {*selection.landmarks.tolist(), landmark}
@@ -57,7 +57,7 @@ def test_a_point_added_by_hand_is_dropped_again_and_both_survive_the_file(select
         drop_by_hand(less, landmark)
 
 
-def test_dropping_from_all_landmarks_leaves_the_other_65_and_the_last_of_a_region_stays():
+def test_removing_from_all_landmarks_leaves_65_and_the_last_of_a_region_stays():
     left = drop_by_hand(None, 30)
     assert set(left.landmarks) == set(range(N_LANDMARKS)) - {30}
     with pytest.raises(HeadError, match="last control point of the region"):
@@ -65,7 +65,7 @@ def test_dropping_from_all_landmarks_leaves_the_other_65_and_the_last_of_a_regio
             left = drop_by_hand(left, landmark) if left.membership[:, landmark].any() else left
 
 
-def test_the_curve_falls_and_its_picture_shows_it(selection):
+def test_the_error_curve_falls_and_is_drawn(selection):
     counts, errors = error_curve(selection)
     assert (np.diff(counts) > 0).all() and errors[-1] < errors[0]
     picture = draw_curve(selection)
@@ -79,7 +79,7 @@ def test_the_curve_falls_and_its_picture_shows_it(selection):
     assert draw_curve(drop_by_hand(None, 30))[..., 3].any(), "axes alone where nothing was measured"
 
 
-def test_regions_have_colours_of_their_own_that_mix_where_they_overlap():
+def test_regions_have_distinct_colours_that_mix_where_they_overlap():
     colours = region_colours(np.array([[1.0, 0.5, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.0]]), 0.6)
     np.testing.assert_allclose(colours[:, 3], [0.6, 0.6, 0.0], atol=1e-6)
     assert not np.allclose(colours[0], colours[1])

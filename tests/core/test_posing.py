@@ -1,4 +1,4 @@
-"""Head and eyes follow by a strength and end at a limit."""
+"""Strength and limits of the motion of head and eyes."""
 
 from dataclasses import replace
 from math import inf, pi
@@ -45,7 +45,7 @@ def test_full_strength_without_a_limit_changes_nothing(euler):
     np.testing.assert_array_equal(limit_vector(np.array(euler), 1.0, inf), euler)
 
 
-def test_strength_and_limit_reach_the_head_the_eyes_and_the_place():
+def test_strength_and_limit_apply_to_head_eyes_and_position():
     take, rig = performance(), built_in_rig()
     neutral, result = calibrate(take), take.result(len(take) - 1)
     plain = HeadDriver(rig, neutral).frame(result)
@@ -64,7 +64,7 @@ def test_strength_and_limit_reach_the_head_the_eyes_and_the_place():
     np.testing.assert_array_equal(short.vertices, plain.vertices)
 
 
-def test_a_mirrored_head_does_what_the_head_of_the_mirrored_picture_does():
+def test_a_mirrored_head_moves_as_by_the_mirrored_image():
     take, rig = performance(), built_in_rig()
     neutral = calibrate(take)
     mirrored = HeadDriver(rig, neutral, DriveSettings(mirror=True))
@@ -79,7 +79,7 @@ def test_a_mirrored_head_does_what_the_head_of_the_mirrored_picture_does():
     assert np.sign(turned.rotation[0, 2]) == -np.sign(mirrored.frame(take.result(40)).rotation[0, 2])
 
 
-def test_a_neutral_survives_being_stored_and_a_damaged_one_is_said():
+def test_a_neutral_survives_storage_and_a_damaged_one_is_refused():
     neutral = calibrate(performance())
     stored = neutral.to_dict()
     again = Neutral.from_dict(stored)
@@ -92,7 +92,7 @@ def test_a_neutral_survives_being_stored_and_a_damaged_one_is_said():
         Neutral.from_dict({})
 
 
-def test_a_mouth_that_opens_little_moves_the_lower_face_more():
+def test_a_mouth_that_opens_little_amplifies_the_lower_face():
     neutral = calibrate(performance())
     assert neutral.mouth_gain == 1.0
     wide, small = replace(neutral, open_mouth=0.6), replace(neutral, open_mouth=0.28)

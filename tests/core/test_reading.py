@@ -1,4 +1,4 @@
-"""JSON that others wrote: control points, key maps, presets, calibrations are checked before anything uses them."""
+"""JSON of control points, key maps, presets and calibrations is checked before use."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def changed(data: dict, value: object, *place: object) -> str:
 
 @pytest.mark.parametrize("value", [nan, inf, -inf, 10**400, 10**30, True, "1", None, [], -1, 70, 2.5])
 @pytest.mark.parametrize("field", ["landmark", "region", "points", "frame", "worst"])
-def test_a_step_of_control_points_has_whole_numbers_in_range(field, value):
+def test_a_step_of_a_selection_has_integers_in_range(field, value):
     if field == "frame" and value == 70:
         return
     with pytest.raises(SourceError, match="not a control point file"):
@@ -67,7 +67,7 @@ def test_a_step_of_control_points_has_whole_numbers_in_range(field, value):
         *((value, ("steps",)) for value in (3, {}, [3], [{}], None)),
     ],
 )
-def test_control_points_of_other_kinds_are_refused(value, place):
+def test_control_points_of_the_wrong_type_are_refused(value, place):
     with pytest.raises(SourceError, match="not a control point file"):
         control_points.from_json(changed(POINTS, value, *place))
 
@@ -86,7 +86,7 @@ def test_control_points_changed_by_hand_have_no_error():
         *((value, ("name",)) for value in (3, None)),
     ],
 )
-def test_a_table_of_keys_of_other_kinds_is_refused(value, place):
+def test_a_table_of_keys_with_wrong_types_is_refused(value, place):
     with pytest.raises(SourceError, match="not a table of keys") as caught:
         key_map.from_json(changed(TABLE, value, *place))
     assert len(str(caught.value)) < 300
@@ -103,11 +103,11 @@ def test_a_table_of_keys_of_other_kinds_is_refused(value, place):
     ],
 )
 def test_a_preset_is_checked_as_a_whole(value, place):
-    with pytest.raises(SourceError, match="not a preset"):
+    with pytest.raises(SourceError, match="not a Facemime preset"):
         presets.from_json(changed(PRESET, value, *place), KNOWN)
 
 
-def test_a_preset_gives_what_it_names_and_no_more():
+def test_a_preset_sets_only_what_it_contains():
     assert presets.from_json(changed(PRESET, "x", "settings", "later"), KNOWN) == {
         "settings": {"smoothing": 2.0, "mirror": True},
         "posing": {"eyes_limit": 1.0},
@@ -117,13 +117,13 @@ def test_a_preset_gives_what_it_names_and_no_more():
 @pytest.mark.parametrize(
     "name", ["", " ", ".", "a/b", "a\\b", "a:b", "x\ny", "x\ud800", "CON", "nul.txt", "end.", "x" * 201]
 )
-def test_a_name_that_some_system_cannot_keep_is_refused(name):
+def test_names_that_are_invalid_on_any_system_are_refused(name):
     with pytest.raises(OutputError, match="cannot be the name of a preset") as caught:
         file_name(name)
     assert len(str(caught.value)) < 200
 
 
-def test_names_in_any_script_are_kept():
+def test_names_in_any_script_are_accepted():
     assert [file_name(name) for name in (" Calm ", "静か", "Mk. 2", "console")] == [
         *("Calm.json", "静か.json", "Mk. 2.json", "console.json")
     ]
@@ -134,7 +134,7 @@ def calibration() -> dict:
     return calibrate(performance()).to_dict()
 
 
-def test_a_calibration_is_read_as_it_was_written(calibration):
+def test_a_calibration_survives_storage(calibration):
     again = Neutral.from_json(json.dumps(calibration))
     assert again.to_dict() == calibration
     assert again.mirrored().to_dict() == Neutral.from_dict(again.mirrored().to_dict()).to_dict()
@@ -152,25 +152,25 @@ def test_a_calibration_is_read_as_it_was_written(calibration):
         *((value, ("start",)) for value in (10**400, inf, [], "now")),
     ],
 )
-def test_a_calibration_that_is_none_is_refused(calibration, value, place):
+def test_an_impossible_calibration_is_refused(calibration, value, place):
     with pytest.raises(SourceError, match="stored calibration is damaged"):
         Neutral.from_json(changed(calibration, value, *place))
 
 
 @pytest.mark.parametrize("text", ["", "[]", "3", "null", "[" * 100_000, '{"shape": ', "\x00"])
-def test_what_is_no_calibration_at_all_is_refused(text):
+def test_text_that_is_not_a_calibration_is_refused(text):
     with pytest.raises(SourceError, match="stored calibration is damaged"):
         Neutral.from_json(text)
 
 
-def test_nan_is_read_only_where_it_is_asked_for():
+def test_nan_is_read_only_if_allowed():
     assert np.isnan(parse_json("NaN", nan=True))
     for text in ("NaN", "Infinity", "1e999", "1" * 5000, "[" * 100_000, "{"):
         with pytest.raises(ValueError):
             parse_json(text)
 
 
-def test_a_file_that_is_too_large_or_no_text_is_refused(tmp_path):
+def test_a_file_that_is_too_large_or_not_text_is_refused(tmp_path):
     with open(tmp_path / "large", "wb") as stream:
         stream.truncate(MAX_TEXT + 1)
     with pytest.raises(ValueError, match="larger than"):

@@ -1,4 +1,4 @@
-"""The video beside a take."""
+"""The reference video of a take."""
 
 import os
 import subprocess
@@ -31,7 +31,7 @@ def path(tmp_path):
     return tmp_path / "take.mkv"
 
 
-def test_a_frame_is_shown_when_it_was_seen_however_unevenly_they_came(path):
+def test_frames_are_shown_at_their_times_however_uneven(path):
     video = ReferenceVideo(path, 25.0)
     for seconds, level in ((0.0, 40), (0.041, 80), (0.20, 120), (0.21, 160), (0.32, 200)):
         video.add(seconds, picture(level))
@@ -40,7 +40,7 @@ def test_a_frame_is_shown_when_it_was_seen_however_unevenly_they_came(path):
     assert levels(path) == pytest.approx([40, 80, 80, 80, 80, 120, 160, 160, 200], abs=6)
 
 
-def test_a_size_that_changes_and_grey_pictures_are_taken(path):
+def test_changing_sizes_and_grey_images_are_accepted(path):
     video = ReferenceVideo(path, 25.0)
     video.add(0.0, picture(40))
     video.add(0.04, picture(80, (96, 128)))
@@ -49,20 +49,20 @@ def test_a_size_that_changes_and_grey_pictures_are_taken(path):
     assert levels(path) == pytest.approx([40, 80, 120], abs=6)
 
 
-def test_nothing_seen_leaves_no_file(path):
+def test_without_frames_there_is_no_file(path):
     video = ReferenceVideo(path, 25.0)
     video.close()
     assert not path.exists() and not video.written
 
 
-def test_a_folder_that_is_not_there_is_told(tmp_path):
+def test_a_missing_folder_is_reported(tmp_path):
     video = ReferenceVideo(tmp_path / "none" / "take.mkv", 25.0)
     video.add(0.0, picture(40))
     video.close()
     assert not video.written
 
 
-def test_a_killed_program_loses_less_than_a_second_of_the_video(path):
+def test_a_killed_process_loses_less_than_a_second_of_video(path):
     code = (
         "import os, sys, time, numpy as np\n"
         "from pathlib import Path\n"

@@ -1,4 +1,4 @@
-"""Calibration, retargeting, and the drive behind the tracker."""
+"""Calibration, retargeting, and driving of heads."""
 
 import numpy as np
 import pytest
@@ -35,14 +35,14 @@ def performer(rig: HeadRig) -> np.ndarray:
 
 
 @given(ANGLES, ANGLES, ANGLES)
-def test_euler_angles_survive_the_way_through_a_matrix(pitch, yaw, roll):
+def test_euler_angles_survive_conversion_to_a_matrix_and_back(pitch, yaw, roll):
     rotation = euler_to_matrix(pitch, yaw, roll)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(matrix_to_euler(rotation), (pitch, yaw, roll), atol=1e-9)
 
 
 @given(ANGLES, ANGLES, ANGLES)
-def test_a_rotation_is_recovered_from_the_points_it_turned(pitch, yaw, roll):
+def test_a_rotation_is_recovered_from_rotated_points(pitch, yaw, roll):
     rotation = euler_to_matrix(pitch, yaw, roll)
     points = np.random.default_rng(0).normal(size=(6, 3))
     np.testing.assert_allclose(fit_rotation(points, points @ rotation.T), rotation, atol=1e-9)
@@ -191,7 +191,7 @@ def test_eyes_stay_on_the_viewer_while_the_head_turns_a_little(pitch, yaw):
     assert forward @ np.array([0.0, 0.0, -1.0]) > np.cos(np.radians(4.0))
 
 
-def test_eyes_turn_as_the_performers_do_from_where_they_mostly_look(rig):
+def test_eyes_turn_by_the_gaze_relative_to_the_usual_one(rig):
     face = performer(rig)
     gaze = np.tile([0.05, -0.1], (60, 1))
     gaze[50:] += (0.0, 0.2)
@@ -202,7 +202,7 @@ def test_eyes_turn_as_the_performers_do_from_where_they_mostly_look(rig):
     np.testing.assert_allclose(matrix_to_euler(eyes.rotation(gaze[55], np.eye(3))), (0.0, 0.2, 0.0), atol=1e-9)
 
 
-def test_eyes_turn_no_farther_than_lids_allow_and_stay_where_they_were_while_shut():
+def test_eyes_turn_within_their_limits_and_stay_while_shut():
     eyes = EyeDriver(np.zeros(2))
     far = eyes.rotation(np.array([1.0, -1.0]), np.eye(3))
     np.testing.assert_allclose(matrix_to_euler(far), np.radians([7.0, -22.0, 0.0]), atol=1e-9)
@@ -222,7 +222,7 @@ def test_a_rig_whose_landmarks_do_not_fit_the_mesh_is_refused(rig):
         HeadRig(rig.vertices[:100], rig.landmarks, rig.region_weights[:, :100], rig.jaw_pivot)
 
 
-def test_whether_the_performer_or_the_head_is_flat_is_told_apart():
+def test_flat_performers_and_flat_heads_have_different_errors():
     head = load_head()
     landmarks = head.vertices[head.landmarks].astype(float)
     flat = landmarks * (1.0, 0.0, 1.0)

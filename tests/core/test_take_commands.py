@@ -54,7 +54,7 @@ def test_a_table_is_read_back_exactly(tmp_path_factory, seed):
     assert from_csv(path).info == take.info
 
 
-def test_a_table_from_elsewhere_needs_times_pose_and_shape_only(tmp_path):
+def test_a_foreign_table_needs_only_times_pose_and_shape(tmp_path):
     take = performance()
     to_csv(take, tmp_path / "all.csv")
     with open(tmp_path / "all.csv", newline="") as stream:
@@ -84,7 +84,7 @@ def test_a_table_from_elsewhere_needs_times_pose_and_shape_only(tmp_path):
         ("# facemime take nonsense\ntime\n", "cannot be read as a take"),
     ],
 )
-def test_what_is_no_table_is_refused_by_name(tmp_path, text, words):
+def test_an_invalid_table_is_refused_with_its_problem(tmp_path, text, words):
     (tmp_path / "bad.csv").write_text(text)
     with pytest.raises(SourceError, match=words):
         from_csv(tmp_path / "bad.csv")
@@ -92,7 +92,7 @@ def test_what_is_no_table_is_refused_by_name(tmp_path, text, words):
         from_csv(tmp_path / "none.csv")
 
 
-def test_a_cell_that_is_no_number_is_named_with_its_row(tmp_path):
+def test_a_cell_that_is_not_a_number_is_named_with_its_row(tmp_path):
     to_csv(performance(), tmp_path / "take.csv")
     lines = (tmp_path / "take.csv").read_text().splitlines(keepends=True)
     lines[4] = lines[4].replace("0.08", "soon", 1)
@@ -111,7 +111,7 @@ def test_export_and_import_give_the_same_file_again(saved, tmp_path):
     assert (tmp_path / "again.facetake").read_bytes() == path.read_bytes()
 
 
-def test_mend_does_what_the_functions_do_in_its_order(saved, tmp_path):
+def test_mend_applies_the_functions_in_order(saved, tmp_path):
     take, path = saved
     out = tmp_path / "out.facetake"
     arguments = ["--bridge", "--mirror", "--trim", "0.4:2", "--rate", "30", "--figure", str(tmp_path / "curves.png")]
@@ -137,7 +137,7 @@ def test_mend_does_what_the_functions_do_in_its_order(saved, tmp_path):
         (["--shift", "-0.5"], lambda take: take.times[0] == -0.5),
     ],
 )
-def test_each_option_of_mend_reaches_the_take(saved, tmp_path, arguments, check):
+def test_each_option_of_mend_has_its_effect(saved, tmp_path, arguments, check):
     out = tmp_path / "out.facetake"
     assert cli.main(["mend", str(saved[1]), "-o", str(out), *arguments]) == 0
     assert check(load_take(out))
@@ -149,7 +149,7 @@ def test_a_part_is_punched_in_by_the_command(saved, tmp_path):
     assert load_take(out).info["punched_in"] == [[0.4, 0.8]]
 
 
-def test_every_command_and_each_of_its_arguments_is_told():
+def test_every_command_and_argument_has_a_help_text():
     (commands,) = (action for action in cli._parser()._actions if isinstance(action, argparse._SubParsersAction))
     assert len(commands.choices) == 9
     for name, parser in commands.choices.items():
@@ -161,43 +161,43 @@ def test_every_command_and_each_of_its_arguments_is_told():
 def test_a_blend_below_0_is_refused(saved, tmp_path, capsys):
     out, path = tmp_path / "out.facetake", str(saved[1])
     assert cli.main(["mend", path, "-o", str(out), "--punch-in", path, "--at", "0.4:0.8", "--blend", "-1"]) == 1
-    assert "over -1.0 s" in capsys.readouterr().err and not out.exists()
+    assert "cannot last -1.0 s" in capsys.readouterr().err and not out.exists()
 
 
-def test_times_that_are_no_seconds_are_told_before_they_fill_the_memory(saved, tmp_path, capsys):
+def test_times_in_wrong_units_are_refused_before_memory_is_allocated(saved, tmp_path, capsys):
     save_take(replace(saved[0], times=saved[0].times * 1e9), tmp_path / "long.facetake")
     line = ["mend", str(tmp_path / "long.facetake"), "-o", str(tmp_path / "out.facetake"), "--rate", "30"]
     assert cli.main(line) == 1
-    assert "check that the take's times are seconds" in capsys.readouterr().err
+    assert "check that the times of the take are in seconds" in capsys.readouterr().err
 
 
-def test_a_damaged_take_is_used_and_what_it_lost_is_told(saved, tmp_path, capsys):
+def test_a_damaged_take_is_used_and_its_losses_are_reported(saved, tmp_path, capsys):
     saved[1].write_bytes(saved[1].read_bytes()[:-40])
     assert cli.main(["export", str(saved[1]), "-o", str(tmp_path / "take.csv")]) == 0
-    assert "what came after 2.36 s, a second at most" in capsys.readouterr().err
+    assert "up to a second after 2.36 s" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--trim", "9:10"], "No frame is left"),
-        (["--trim", "2:1"], "no span of time"),
-        (["--trim", "x:1"], "no span of time"),
+        (["--trim", "9:10"], "There is no frame"),
+        (["--trim", "2:1"], "not a time span"),
+        (["--trim", "x:1"], "not a time span"),
         (["--rate", "0"], "cannot be"),
-        (["--shift", "nan"], "cannot be nan s later"),
-        (["--shift", "1e300"], "s later"),
-        (["--hold", "--longest", "-1"], "No gap is at most -1.0 s long"),
+        (["--shift", "nan"], "cannot be shifted by nan s"),
+        (["--shift", "1e300"], "cannot be shifted by"),
+        (["--hold", "--longest", "-1"], "longest gap cannot be -1.0 s"),
         (["--at", "0.4:0.8"], "--punch-in"),
         (["--cutoff", "mouth=2"], "--smooth zero-phase"),
-        (["--smooth", "zero-phase", "--cutoff", "ears=1"], "is no cutoff"),
-        (["--smooth", "zero-phase", "--cutoff", "mouth=fast"], "is no cutoff"),
-        (["--smooth", "zero-phase", "--cutoff", "mouth=1e-200"], "Give 0.001 Hz or more"),
+        (["--smooth", "zero-phase", "--cutoff", "ears=1"], "is not a cutoff"),
+        (["--smooth", "zero-phase", "--cutoff", "mouth=fast"], "is not a cutoff"),
+        (["--smooth", "zero-phase", "--cutoff", "mouth=1e-200"], "Use 0.001 Hz or more"),
         (["--neutral", "50"], "Choose another neutral"),
         (["--figure", "curves.txt"], "suffix"),
         (["--punch-in", "none.facetake"], "There is no take"),
     ],
 )
-def test_what_mend_cannot_do_is_one_sentence_and_leaves_no_file(saved, tmp_path, capsys, arguments, words):
+def test_invalid_options_of_mend_are_clear_errors_and_leave_no_file(saved, tmp_path, capsys, arguments, words):
     out = tmp_path / "out.facetake"
     assert cli.main(["mend", str(saved[1]), "-o", str(out), *arguments]) == 1
     assert words in capsys.readouterr().err and not out.exists()

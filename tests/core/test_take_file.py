@@ -1,4 +1,4 @@
-"""The file of a take: exact enough, small enough, and whatever is intact in it is read."""
+"""The file of a take is exact and small, and everything intact in it is read."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def starts(data: bytes) -> list[int]:
     return places[:-1]
 
 
-def test_what_is_loaded_differs_by_half_a_step_at_most(tracked):
+def test_loaded_values_differ_by_at_most_half_a_step(tracked):
     take, path = tracked
     loaded = load_take(path)
     np.testing.assert_array_equal(loaded.times, take.times)
@@ -93,47 +93,47 @@ def test_a_minute_at_30_frames_a_second_is_smaller_than_a_megabyte(tracked):
     assert path.stat().st_size / len(take) * 1800 < 1e6
 
 
-def test_saved_again_it_is_the_same_file(tracked, tmp_path):
+def test_saving_a_loaded_take_gives_the_same_file(tracked, tmp_path):
     save_take(load_take(tracked[1]), tmp_path / "a.facetake")
     save_take(load_take(tmp_path / "a.facetake"), tmp_path / "b.facetake")
     assert (tmp_path / "a.facetake").read_bytes() == (tmp_path / "b.facetake").read_bytes()
 
 
-def test_cut_at_every_byte_of_the_last_second_all_before_it_is_there_and_the_rest_is_told(written):
+def test_a_take_truncated_at_any_byte_keeps_all_earlier_seconds_and_reports_the_rest(written):
     whole = take_of(written)
     *_, last, end = starts(written)
     for cut in range(last, end + 1):
         part = take_of(written[:cut])
         assert len(part) == (52 if cut < end else 60) and same_rows(part, whole)
-        assert f"lost are: what came after {part.times[-1]:.2f} s, a second at most." in part.info["recovered"]
+        assert f"Missing: up to a second after {part.times[-1]:.2f} s." in part.info["recovered"]
     assert "recovered" not in whole.info
 
 
-def test_what_comes_before_and_after_a_damaged_second_is_kept(written):
+def test_frames_before_and_after_a_damaged_second_are_kept(written):
     first, second = starts(written)[1:3]
     for at in (first, first + 12, first + HEADER.size + 5, second - 1):
         broken = bytearray(written)
         broken[at] ^= 0x10
         part = take_of(bytes(broken))
         assert same_rows(part, take_of(written)) and len(part) == 34
-        assert part.info["recovered"].endswith("lost are: 26 frames before 1.04 s.")
+        assert part.info["recovered"].endswith("Missing: 26 frames before 1.04 s.")
         assert part.info["source"] == "performance.mp4"
     part = take_of(written[:first] + written[first + 7 : second] + written[second:])
     assert len(part) == 34
 
 
-def test_the_middle_second_missing_is_told_with_its_times(written):
+def test_a_missing_second_is_reported_with_its_times(written):
     _, _, second, third, *_ = starts(written)
     part = take_of(written[:second] + written[third:])
-    assert part.info["recovered"].endswith("lost are: 26 frames between 1.00 s and 2.08 s.")
+    assert part.info["recovered"].endswith("Missing: 26 frames between 1.00 s and 2.08 s.")
     twice = take_of(written[:third] + written[second:])
     assert same_rows(twice, take_of(written)) and len(twice) == 60
 
 
-def test_without_the_chunks_that_tell_how_it_was_made_the_frames_are_still_there(written):
+def test_frames_are_read_without_the_description(written):
     _, first, *_, end = starts(written)
     part = take_of(written[first:end])
-    assert len(part) == 60 and "how it was made" in part.info["recovered"]
+    assert len(part) == 60 and "the description" in part.info["recovered"]
 
 
 @settings(max_examples=150, deadline=None)
@@ -152,14 +152,14 @@ def test_flipped_bits_never_change_a_number_that_is_read(written, flips):
 
 @settings(max_examples=100, deadline=None)
 @given(st.binary(max_size=300), st.integers(0, 5))
-def test_anything_else_is_refused_in_one_sentence(tmp_path_factory, data, markers):
+def test_other_files_are_refused_with_a_clear_message(tmp_path_factory, data, markers):
     path = tmp_path_factory.getbasetemp() / "any.facetake"
     path.write_bytes(MARKER * markers + data)
-    with pytest.raises(SourceError, match="is not a take of Facemime"):
+    with pytest.raises(SourceError, match="is not a Facemime take"):
         load_take(path)
 
 
-def test_missing_empty_and_newer_files_are_refused_in_one_sentence(written, tmp_path, monkeypatch):
+def test_missing_empty_and_newer_files_are_refused_with_clear_messages(written, tmp_path, monkeypatch):
     with pytest.raises(SourceError, match="There is no take"):
         load_take(tmp_path / "none.facetake")
     (tmp_path / "empty.facetake").write_bytes(b"")
@@ -178,7 +178,7 @@ def hostile_header(length: int) -> bytes:
     return head + struct.pack("<I", zlib.crc32(head))
 
 
-def test_what_a_file_claims_costs_no_memory(written):
+def test_claims_of_a_file_allocate_no_memory(written):
     first = take_of(written).part(slice(0, 1))
     bomb = frames_content(first)[:8] + zlib.compress(bytes(40_000_000))
     hostile = hostile_header(2**32 - 1) + chunk_bytes(b"F", bomb, count=1) + chunk_bytes(b"F", b"", count=0)
@@ -192,12 +192,12 @@ def test_what_a_file_claims_costs_no_memory(written):
     assert len(take_of(hostile + written)) == 60
 
 
-def test_headers_within_headers_are_given_up():
+def test_nested_headers_are_refused():
     with pytest.raises(ValueError, match="overlap"):
         take_of(hostile_header(4_000_000) * 100 + bytes(4_100_000))
 
 
-def test_content_that_is_none_behind_a_right_checksum_is_left_out(written):
+def test_invalid_content_with_a_valid_checksum_is_skipped(written):
     first = starts(written)[1]
     nonsense = chunk_bytes(b"S", b"[]") + chunk_bytes(b"S", b"\xff") + chunk_bytes(b"F", b"nothing", count=3)
     nonsense += chunk_bytes(b"S", b"[" * 100_000)
@@ -206,21 +206,21 @@ def test_content_that_is_none_behind_a_right_checksum_is_left_out(written):
 
 
 @pytest.mark.parametrize("size", [-1, 0, 0.5, 10**6, "480"])
-def test_what_a_file_tells_is_left_out_where_it_cannot_be(written, size):
+def test_impossible_entries_of_the_description_are_dropped(written, size):
     wrong = {"fps": "fast", "image_size": [640, size], "calibration": 3, "bridged": {}, "source": "x", "my own": [1]}
     end = starts(written)[-1]
     take = take_of(written[:end] + chunk_bytes(b"E", info_content(wrong, 60)))
     assert take.info == {"source": "x", "my own": [1]}
 
 
-def test_times_that_go_back_are_left_out(written):
+def test_chunks_with_decreasing_times_are_skipped(written):
     first, rest = take_of(written).part(slice(0, 10)), take_of(written).part(slice(5, 9))
     data = chunk_bytes(b"S", info_content({}, 0)) + chunk_bytes(b"F", frames_content(first), count=10)
     take = take_of(data + chunk_bytes(b"F", frames_content(rest), count=4, first=10))
     np.testing.assert_array_equal(take.times, first.times)
 
 
-def test_a_face_without_numbers_is_written_as_lost(tmp_path):
+def test_a_face_with_nan_is_written_as_lost(tmp_path):
     take = performance()
     take.shape[3, 5] = np.nan
     save_take(take, tmp_path / "take.facetake")
@@ -229,7 +229,7 @@ def test_a_face_without_numbers_is_written_as_lost(tmp_path):
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 1000), st.floats(1e-3, 1e30))
-def test_numbers_of_any_size_are_kept_or_cut_off_but_never_confused(seed, size):
+def test_numbers_of_any_size_are_kept_or_clipped(seed, size):
     take = performance(8)
     wild = np.random.default_rng(seed).normal(scale=size, size=take.shape.shape).astype(np.float32)
     now = layout.frames_of(frames_content(replace(take, shape=wild)), 8).shape
@@ -237,7 +237,7 @@ def test_numbers_of_any_size_are_kept_or_cut_off_but_never_confused(seed, size):
     np.testing.assert_allclose(now[take.found], np.clip(wild, -limit, limit)[take.found], rtol=1e-6, atol=2.0**-14)
 
 
-def test_a_killed_recording_has_lost_its_last_second_at_most(tmp_path):
+def test_a_killed_recording_loses_at_most_its_last_second(tmp_path):
     path = tmp_path / "take.facetake"
     script = (
         "import sys; from pathlib import Path; from facemime.core.takes.file import TakeWriter\n"
@@ -255,16 +255,16 @@ def test_a_killed_recording_has_lost_its_last_second_at_most(tmp_path):
         process.send_signal(signal.SIGKILL if hasattr(signal, "SIGKILL") else signal.SIGTERM)
     take = load_take(path)
     assert take.times[-1] > 110 / 25.0 - 1.0
-    assert "a second at most" in take.info["recovered"] and take.info["source"] == "performance.mp4"
+    assert "up to a second after" in take.info["recovered"] and take.info["source"] == "performance.mp4"
 
 
-def test_a_full_disk_is_told_and_loses_nothing(tmp_path):
+def test_a_full_disk_is_reported_and_loses_nothing(tmp_path):
     resource = pytest.importorskip("resource")
     take, path = performance(), tmp_path / "take.facetake"
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     writer = TakeWriter(path, take.info)
     try:
-        with pytest.raises(OutputError, match=r"The 26 frames before are kept; free some space"):
+        with pytest.raises(OutputError, match=r"The first 26 frames are safe. Free some space"):
             for frame, time in enumerate(take.times.tolist()):
                 writer.append(time, take.result(frame))
                 if frame == 30:
@@ -291,7 +291,7 @@ def test_a_recording_never_replaces_a_file_and_leaves_none_without_a_frame(tmp_p
     assert path.read_text() == "mine"
 
 
-def test_what_is_told_last_is_what_is_read(tmp_path):
+def test_the_last_description_is_read(tmp_path):
     take = performance()
     with TakeWriter(tmp_path / "take.facetake", {"source": "a", "gaze": np.array([np.nan, 1.0])}) as writer:
         for frame, time in enumerate(take.times.tolist()):
@@ -304,7 +304,7 @@ def test_what_is_told_last_is_what_is_read(tmp_path):
     assert load_take(tmp_path / "take.facetake").info == {"source": "a", "gaze": [None, 1.0], "interrupted": True}
 
 
-def test_the_reader_in_the_document_reads_what_facemime_reads_with_numpy_alone(written, tmp_path):
+def test_the_documented_reader_agrees_with_facemime_and_needs_only_numpy(written, tmp_path):
     document = (Path(facemime.__file__).parent / "docs" / "takes.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(.*?)```", document, flags=re.DOTALL)
     assert set(re.findall(r"\b(?:import|from) (.+)", code)) == {"json, struct, sys, zlib", "numpy as np"}
@@ -320,7 +320,7 @@ def test_the_reader_in_the_document_reads_what_facemime_reads_with_numpy_alone(w
             np.testing.assert_array_equal(read[name], values.reshape(read[name].shape))
 
 
-def test_the_document_states_the_columns_and_steps_that_are_written():
+def test_the_documented_columns_and_steps_are_those_of_the_format():
     document = (Path(facemime.__file__).parent / "docs" / "takes.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"^columns = .*?\n(?=times)", document, flags=re.DOTALL | re.MULTILINE)
     stated: dict = {}
@@ -353,7 +353,7 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused_within_bounds(tmp_pat
     assert peak < 200 * len(out) + (48 << 20)
 
 
-def test_a_take_in_which_no_face_was_ever_found_is_read(tmp_path):
+def test_a_take_without_any_face_is_read(tmp_path):
     """It packs thirty times better than a face does."""
     with TakeWriter(tmp_path / "empty.facetake", {}, sync=False) as writer:
         for frame in range(40_000):
@@ -361,7 +361,7 @@ def test_a_take_in_which_no_face_was_ever_found_is_read(tmp_path):
     assert len(load_take(tmp_path / "empty.facetake")) == 40_000
 
 
-def test_reading_takes_no_more_than_half_as_much_again_as_the_take(written, tmp_path):
+def test_reading_needs_at_most_half_as_much_memory_again_as_the_take(written, tmp_path):
     take = take_of(written)
     times = np.arange(20 * len(take)) / 25.0
     long = replace(take.part(np.tile(np.arange(len(take)), 20)), times=times)
@@ -373,7 +373,7 @@ def test_reading_takes_no_more_than_half_as_much_again_as_the_take(written, tmp_
     assert peak < 1.6 * sum(getattr(loaded, name).nbytes for name in FIELDS) + (2 << 20)
 
 
-def test_frames_of_another_model_behind_the_first_are_damage(written):
+def test_frames_of_another_model_count_as_damage(written):
     *_, end = starts(written)
     content = packed_frames(np.array([90.0]), 7)
     part = take_of(written[:end] + chunk_bytes(layout.FRAMES, content, count=1, first=60) + written[end:])
@@ -394,20 +394,20 @@ def test_frames_of_another_model_behind_the_first_are_damage(written):
         ("sound", {}),
     ],
 )
-def test_what_a_file_tells_in_another_kind_is_left_out(written, key, value):
+def test_entries_of_the_wrong_type_are_dropped(written, key, value):
     end = starts(written)[-1]
     info = {"fps": 25.0, key: value}
     told = take_of(written[:end] + chunk_bytes(layout.END, info_content(info, 60))).info
     assert told == {"fps": 25.0}
 
 
-def test_a_number_without_end_in_what_a_file_tells_is_damage(written):
+def test_an_infinite_number_in_the_description_is_damage(written):
     end = starts(written)[-1]
     content = b'{"info": {"fps": 25.0, "offset": ' + b"9" * 400 + b'}, "frames": 60}'
     assert take_of(written[:end] + chunk_bytes(layout.END, content)).info["source"] == "performance.mp4"
 
 
-def test_a_source_whose_name_is_no_text_is_kept(written, tmp_path):
+def test_a_source_whose_name_is_not_utf_8_is_kept(written, tmp_path):
     """As Linux gives file names that are in another encoding."""
     save_take(replace(take_of(written), info={"source": "caf\udce9.mp4"}), tmp_path / "odd.facetake")
     assert load_take(tmp_path / "odd.facetake").info == {"source": "caf\udce9.mp4"}

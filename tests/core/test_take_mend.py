@@ -1,4 +1,4 @@
-"""Mending changes what is broken and leaves the rest."""
+"""Mending of takes changes what is broken, and nothing else."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def gone(take: Take, *rows: int) -> Take:
     return mark_lost(take, np.isin(np.arange(len(take)), rows))
 
 
-def test_a_bridged_gap_leads_evenly_from_face_to_face_and_says_that_nothing_was_seen():
+def test_a_bridged_gap_is_interpolated_with_confidence_zero():
     take = gone(performance(), *range(40, 45))
     out = bridge_gaps(take)
     check_take(out)
@@ -54,7 +54,7 @@ def test_a_bridged_gap_leads_evenly_from_face_to_face_and_says_that_nothing_was_
     assert not take.found[42]
 
 
-def test_a_held_gap_stays_as_it_was_and_a_long_one_and_the_ends_stay_lost():
+def test_a_held_gap_repeats_the_last_face_and_long_gaps_and_ends_stay_lost():
     take = gone(performance(), 0, 1, *range(10, 14), *range(40, 45), 59)
     out = bridge_gaps(take, "hold", longest=0.21)
     assert np.flatnonzero(~out.found).tolist() == [0, 1, *range(40, 45), 59]
@@ -63,7 +63,7 @@ def test_a_held_gap_stays_as_it_was_and_a_long_one_and_the_ends_stay_lost():
     assert bridge_gaps(nothing) is nothing
 
 
-def test_frames_that_jump_out_of_line_are_found_and_no_others(tracked):
+def test_outliers_are_found_and_no_other_frames(tracked):
     assert not find_outliers(tracked).any()
     broken = replace(tracked, shape=tracked.shape.copy(), pose=tracked.pose.copy())
     broken.shape[50] += np.random.default_rng(0).normal(0, 0.1, (66, 3))
@@ -79,7 +79,7 @@ def test_frames_that_jump_out_of_line_are_found_and_no_others(tracked):
     check_take(mended)
 
 
-def test_too_few_frames_hold_no_outliers():
+def test_too_few_frames_have_no_outliers():
     assert not find_outliers(performance(4)).any()
 
 
@@ -92,7 +92,7 @@ def test_the_smoothing_is_that_of_a_butterworth_filter_run_forward_and_backward(
     np.testing.assert_allclose(out[60:-60], filtered[60:-60], atol=0.02)
 
 
-def test_smoothing_solves_its_equation_at_uneven_times_and_lets_a_line_pass():
+def test_smoothing_solves_its_equation_at_uneven_times_and_keeps_lines():
     rng = np.random.default_rng(0)
     times = np.cumsum(rng.uniform(0.01, 0.08, 40))
     line = np.column_stack([2.0 * times - 1.0, np.full(40, 7.0)])
@@ -107,7 +107,7 @@ def test_smoothing_solves_its_equation_at_uneven_times_and_lets_a_line_pass():
     np.testing.assert_allclose(low_pass(times, values, 2.0), np.linalg.solve(matrix, share @ values), atol=1e-9)
 
 
-def test_smoothed_without_delay_noise_is_more_than_halved_and_losses_stay():
+def test_zero_phase_smoothing_halves_noise_and_keeps_losses():
     take = gone(performance(100), 60)
     noise = np.random.default_rng(1).normal(0, 0.003, take.shape.shape).astype(np.float32)
     noisy = replace(take, shape=take.shape + noise)
@@ -123,7 +123,7 @@ def test_smoothed_without_delay_noise_is_more_than_halved_and_losses_stay():
     )
 
 
-def test_a_part_with_an_endless_cutoff_stays_as_it_is():
+def test_a_part_with_an_infinite_cutoff_does_not_change():
     take = performance()
     out = smooth_zero_phase(take, dict.fromkeys(CUTOFFS, np.inf))
     np.testing.assert_array_equal(out.shape, take.shape)
@@ -131,13 +131,13 @@ def test_a_part_with_an_endless_cutoff_stays_as_it_is():
 
 
 @pytest.mark.parametrize("cutoffs", [{"nose": 0.0}, {"ears": 3.0}, {"jaw": np.nan}])
-def test_cutoffs_that_are_none_are_refused(cutoffs):
-    with pytest.raises(FacemimeError, match="is no cutoff"):
+def test_invalid_cutoffs_are_refused(cutoffs):
+    with pytest.raises(FacemimeError, match="is not a cutoff"):
         smooth_zero_phase(performance(), cutoffs)
 
 
 @pytest.mark.parametrize("part", CUTOFFS)
-def test_the_curves_of_every_part_show_what_mending_took_away(tracked, part):
+def test_the_curves_of_every_part_show_what_mending_removed(tracked, part):
     curves = before_after(tracked, smooth_zero_phase(tracked, dict.fromkeys(CUTOFFS, 1.0)), part)
     known = np.isfinite(curves.before) & np.isfinite(curves.after)
     rough = [np.abs(np.diff(c[known], n=2)).mean() for c in (curves.before, curves.after)]
@@ -146,7 +146,7 @@ def test_the_curves_of_every_part_show_what_mending_took_away(tracked, part):
     assert np.isnan(lost.before).all()
 
 
-def test_mirrored_twice_a_take_is_itself_with_its_neutral(tracked):
+def test_mirroring_a_take_twice_restores_it_with_its_neutral(tracked):
     signs = FaceTracker.load().pdm.mirror_signs
     take = renew_neutral(tracked, 0.5)
     once = mirror_take(take, signs)
@@ -161,7 +161,7 @@ def test_mirrored_twice_a_take_is_itself_with_its_neutral(tracked):
     check_take(once)
 
 
-def test_the_neutral_chosen_is_the_face_at_that_time(tracked):
+def test_the_chosen_neutral_is_the_face_at_that_time(tracked):
     row = int(np.argmax(mouth_aperture(tracked.shape)))
     time = float(tracked.times[row])
     renewed = renew_neutral(tracked, time)
@@ -181,7 +181,7 @@ def test_an_anonymous_take_drives_a_head_as_the_take_does(tracked):
     assert np.linalg.norm(told[1] - told[0], axis=-1).max() < 0.005 * unit
 
 
-def test_an_anonymous_take_has_the_average_face_and_nothing_that_names_anybody(tracked):
+def test_an_anonymous_take_has_the_average_face_and_no_names(tracked):
     personal = {
         "source": "Jane.mp4",
         "started": "2026-01-01T12:00:00+01:00",
@@ -222,7 +222,7 @@ def test_a_take_without_a_face_is_anonymous_too():
 
 
 @pytest.mark.parametrize("apart", [1e-3, 1e-6, 1e-9, 1e-12])
-def test_frames_that_are_nearly_at_one_time_are_smoothed_like_any(apart):
+def test_nearly_coincident_frames_are_smoothed_like_any_others(apart):
     times = np.sort(np.concatenate([np.arange(40) / 25.0, np.arange(5, 30) / 25.0 + apart]))
     wave = np.sin(2.0 * np.pi * 0.5 * times)[:, None]
     for cutoff in (0.5, 6.0, 20.0):

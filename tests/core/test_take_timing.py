@@ -1,4 +1,4 @@
-"""A take at other times stays in step with the media, and invents nothing."""
+"""Takes at other times stay in sync with the media, and nothing is made up."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def equal(a: Take, b: Take) -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(ANGLES, ANGLES, st.floats(0, 1))
-def test_a_rotation_in_between_turns_by_its_share_about_the_same_axis(a, b, share):
+def test_an_interpolated_rotation_has_its_share_of_the_angle(a, b, share):
     middle = mix_rotations(a[None], b[None], np.array([share]))[0]
     r0, r1, r = (euler_to_matrix(*angles) for angles in (a, b, middle))
 
@@ -73,12 +73,12 @@ def test_frames_at_a_variable_rate_are_placed_by_their_times(seed, rate, start):
     assert not even.found[even.times < times[0] - 0.03].any()
 
 
-def test_at_its_own_times_a_take_is_itself():
+def test_sampling_a_take_at_its_own_times_changes_nothing():
     take = performance()
     equal(sample(take, take.times), take)
 
 
-def test_where_a_face_was_lost_it_stays_lost_and_missing_frames_are_not_made_up():
+def test_lost_frames_stay_lost_and_missing_ones_are_not_interpolated():
     take = performance()
     dense = resample(take, 100.0)
     lost = dense.times[~dense.found]
@@ -89,7 +89,7 @@ def test_where_a_face_was_lost_it_stays_lost_and_missing_frames_are_not_made_up(
     np.testing.assert_allclose([lost.min(), lost.max()], [1.6, 2.36])
 
 
-def test_rates_and_starts_that_cannot_be_are_refused():
+def test_impossible_rates_and_starts_are_refused():
     for rate in (0.0, -5.0, np.nan, 1e6):
         with pytest.raises(SourceError, match="cannot be"):
             resample(performance(), rate)
@@ -97,17 +97,17 @@ def test_rates_and_starts_that_cannot_be_are_refused():
         resample(performance(), 25.0, 99.0)
 
 
-def test_shifted_there_and_back_and_trimmed_to_its_length_a_take_is_itself():
+def test_shifting_back_and_forth_and_trimming_to_length_change_nothing():
     take = performance()
     np.testing.assert_allclose(shift_time(shift_time(take, 2.5), -2.5).times, take.times, atol=1e-12)
     equal(trim(take), take)
     part = trim(take, 0.4, 0.8)
     assert (part.times[0], part.times[-1], len(part)) == (0.4, 0.8, 11)
-    with pytest.raises(SourceError, match=r"reaches from 0\.00 s to 2\.36 s"):
+    with pytest.raises(SourceError, match=r"Use times from 0\.00 s to 2\.36 s"):
         trim(take, 5.0, 6.0)
 
 
-def test_a_punched_in_part_replaces_its_span_and_passes_over_at_both_sides():
+def test_a_punched_in_part_replaces_its_span_and_blends_at_both_ends():
     take = moving(np.arange(100) / 25.0)
     other = shift_time(moving(np.arange(50) / 30.0), 1.0)
     other = replace(other, shape=other.shape + np.float32(0.1), landmarks=other.landmarks + 10)
@@ -123,7 +123,7 @@ def test_a_punched_in_part_replaces_its_span_and_passes_over_at_both_sides():
     assert np.isfinite(out.shape_params).all()
 
 
-def test_punched_in_where_either_lost_the_face_the_other_is_taken():
+def test_punching_in_uses_the_take_that_has_a_face():
     take, other = performance(), performance()
     for array in (other.shape, other.pose, other.landmarks):
         array[10] = np.nan
@@ -134,7 +134,7 @@ def test_punched_in_where_either_lost_the_face_the_other_is_taken():
     assert np.isnan(punch_in(take, of_another_model, 0.2, 2.0).shape_params[20]).all()
 
 
-def test_mixed_by_nothing_or_wholly_a_frame_is_unchanged_though_the_other_is_lost():
+def test_mixing_by_zero_or_one_keeps_a_frame_even_if_the_other_is_lost():
     take = performance()
     gone = take.part(np.full(60, 30))
     equal(mix(take, gone, np.zeros(60)), take)

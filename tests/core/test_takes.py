@@ -1,4 +1,4 @@
-"""Takes, and files that are replaced only by whole ones."""
+"""Takes, and atomic writing of files."""
 
 import os
 import stat
@@ -41,24 +41,24 @@ def test_times_must_increase_and_an_empty_recording_is_refused():
     recorder = recording()
     with pytest.raises(ValueError, match="must increase"):
         recorder.append(0.1, recorder._results[0])
-    with pytest.raises(SourceError, match="gave no frame"):
+    with pytest.raises(SourceError, match="has no frames"):
         TakeRecorder({}).finish()
 
 
-def test_a_part_has_the_chosen_frames_and_arrays_that_do_not_belong_together_are_refused():
+def test_a_part_has_the_chosen_frames_and_inconsistent_arrays_are_refused():
     take = recording().finish()
     assert take.part(slice(1, 3)).times.tolist() == [1 / 25.0, 2 / 25.0]
     assert len(take.part(take.found)) == 4
     check_take(take)
     with pytest.raises(ValueError, match="gaze has the shape"):
         check_take(replace(take, gaze=take.gaze[:2]))
-    with pytest.raises(ValueError, match="hold no numbers"):
+    with pytest.raises(ValueError, match="contain no numbers"):
         check_take(replace(take, found=np.ones(5, bool)))
     with pytest.raises(ValueError, match="do not increase"):
         check_take(replace(take, times=take.times[::-1]))
 
 
-def test_a_failure_while_writing_leaves_the_old_file_and_no_other(tmp_path):
+def test_a_failed_write_leaves_only_the_old_file(tmp_path):
     path = tmp_path / "out.facetake"
     path.write_text("good")
     with pytest.raises(RuntimeError), replacing(path) as temporary:
@@ -76,7 +76,7 @@ def test_a_full_disk_is_one_clear_error(tmp_path):
     assert path.read_text() == "good"
 
 
-def test_a_replaced_file_has_the_permissions_of_a_new_one(tmp_path):
+def test_a_new_file_has_default_permissions(tmp_path):
     with replacing(tmp_path / "out.txt") as temporary:
         temporary.write_text("x")
     (tmp_path / "plain.txt").write_text("x")

@@ -1,4 +1,4 @@
-"""Whatever is shown to the tracker: a result or "no face", never an exception, never without end."""
+"""The tracker gives a result or no face for any input, never an exception, and always terminates."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def landmarks(tracker: FaceTracker, face: np.ndarray) -> np.ndarray:
 
 
 def assert_whole(result: TrackResult) -> None:
-    """Found with every number there, or not found with none; an eye that is shut may lack its pupil."""
+    """Check that a result is complete if found, and empty otherwise; shut eyes may lack a pupil."""
     assert result.landmarks.shape == (N_LANDMARKS, 2) and result.landmark_confidence.shape == (N_LANDMARKS,)
     always = (result.landmarks, result.shape, result.pose, result.shape_params, result.landmark_confidence)
     if not result.found:
@@ -53,7 +53,7 @@ def assert_whole(result: TrackResult) -> None:
 
 
 def look(tracker: FaceTracker, image: np.ndarray) -> TrackResult:
-    """By itself, as the first frame of a clip, and as the next one."""
+    """Process an image on its own, as the first frame of a clip, and as the next one."""
     tracker.reset()
     alone = tracker.locate(image)
     for result in (alone, tracker.track(image), tracker.track(image)):
@@ -82,7 +82,7 @@ def test_the_same_face_in_another_kind_of_array_is_the_same_face(tracker, face, 
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_float_image_with_holes_that_are_no_numbers_still_shows_its_face(tracker, face, landmarks, value):
+def test_a_face_is_found_in_a_float_image_with_nan_holes(tracker, face, landmarks, value):
     holed = face.astype(np.float32) / 255.0
     holed[:40], holed[::37, ::41] = value, value
     result = look(tracker, holed)
@@ -103,7 +103,7 @@ def test_a_face_shrunk_to_almost_nothing_gives_a_result_or_none(tracker, face, h
     look(tracker, np.clip(small + noise, 0, 255).astype(np.uint8))
 
 
-def test_sixteen_by_sixteen_pixels_are_no_face(tracker, face):
+def test_a_tiny_image_has_no_face(tracker, face):
     assert not look(tracker, cv2.resize(face, (16, 16))).found
 
 
@@ -133,7 +133,7 @@ def test_a_small_face_in_a_large_picture_is_found_where_it_is(tracker, face, lan
 
 
 @pytest.mark.parametrize(("top", "side"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.1)])
-def test_a_face_that_fills_the_picture_or_is_cut_by_its_rim_is_found(tracker, face, landmarks, top, side):
+def test_close_ups_and_faces_cut_by_the_border_are_found(tracker, face, landmarks, top, side):
     low, high = landmarks.min(axis=0), landmarks.max(axis=0)
     first = (low + (high - low) * (side, top)).astype(int)
     last = (high + 1).astype(int)
@@ -144,7 +144,7 @@ def test_a_face_that_fills_the_picture_or_is_cut_by_its_rim_is_found(tracker, fa
 
 
 @pytest.mark.parametrize("degrees", [-90, -70, -50, 50, 70, 90])
-def test_the_face_of_somebody_who_lies_down_is_found(tracker, face, landmarks, degrees):
+def test_a_face_on_its_side_is_found(tracker, face, landmarks, degrees):
     turn = cv2.getRotationMatrix2D(landmarks.mean(axis=0).tolist(), -degrees, 1.0)
     lying = cv2.warpAffine(face, turn, face.shape[1::-1], borderMode=cv2.BORDER_REPLICATE)
     tracker.reset()
@@ -156,7 +156,7 @@ def test_the_face_of_somebody_who_lies_down_is_found(tracker, face, landmarks, d
 
 
 @pytest.mark.parametrize("level", [0, 1, 127, 254, 255])
-def test_a_picture_of_one_tone_shows_no_face(tracker, level):
+def test_a_uniform_image_has_no_face(tracker, level):
     assert not look(tracker, np.full((480, 640, 3), level, np.uint8)).found
 
 
@@ -175,7 +175,7 @@ def test_a_face_that_leaves_the_picture_gives_a_result_or_none(tracker, face, dx
         assert_whole(result)
 
 
-def test_pictures_that_change_their_size_and_kind_from_frame_to_frame_raise_nothing(tracker, face):
+def test_frames_of_changing_size_and_type_are_accepted(tracker, face):
     tracker.reset()
     for image in (face, face[::2, ::2], face[:200], cv2.cvtColor(face, cv2.COLOR_BGR2GRAY), face[:5, :5], face / 255.0):
         assert_whole(tracker.track(image))
@@ -189,7 +189,7 @@ def test_a_drawing_gives_a_result_or_none(tracker, landmarks):
     look(tracker, drawing)
 
 
-def test_in_a_crowd_one_face_is_told_and_it_is_one_of_the_largest(tracker, face):
+def test_in_a_crowd_one_of_the_largest_faces_is_tracked(tracker, face):
     rng = np.random.default_rng(0)
     crowd = np.full((720, 1280, 3), 128, np.uint8)
     person = face[40:440, 120:520]

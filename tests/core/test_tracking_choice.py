@@ -1,4 +1,4 @@
-"""Several people in view: who is followed, and who else may be."""
+"""Choosing the face to track when several are in view."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def person(result) -> str:
     return "left" if x < 260 else "middle" if x < 700 else "right"
 
 
-def test_the_largest_is_followed_and_the_outermost_when_chosen(tracker: FaceTracker, crowd: np.ndarray) -> None:
+def test_the_largest_face_is_tracked_and_the_outermost_if_chosen(tracker: FaceTracker, crowd: np.ndarray) -> None:
     tracker.reset()
     assert person(tracker.track(crowd)) == "middle"
     tracker.choose(*LEFTMOST)
@@ -53,9 +53,7 @@ def test_the_largest_is_followed_and_the_outermost_when_chosen(tracker: FaceTrac
     assert [person(tracker.track(crowd)) for _ in range(4)] == ["right"] * 4
 
 
-def test_the_next_face_is_the_one_to_the_right_and_after_the_last_the_first(
-    tracker: FaceTracker, crowd: np.ndarray
-) -> None:
+def test_the_next_face_is_to_the_right_and_wraps_around(tracker: FaceTracker, crowd: np.ndarray) -> None:
     tracker.reset()
     seen = [person(tracker.track(crowd))]
     for _ in range(3):
@@ -65,7 +63,7 @@ def test_the_next_face_is_the_one_to_the_right_and_after_the_last_the_first(
     assert seen == ["middle", "right", "left", "middle"]
 
 
-def test_who_is_alone_stays_when_another_face_is_asked_for(tracker: FaceTracker, crowd: np.ndarray) -> None:
+def test_a_single_face_stays_when_another_is_requested(tracker: FaceTracker, crowd: np.ndarray) -> None:
     alone = crowd[:, 260:700]
     tracker.reset()
     before = tracker.track(alone)
@@ -75,7 +73,7 @@ def test_who_is_alone_stays_when_another_face_is_asked_for(tracker: FaceTracker,
     np.testing.assert_allclose(after.landmarks, before.landmarks, atol=3.0)
 
 
-def test_asking_for_another_face_before_the_first_frame_changes_nothing(
+def test_requesting_another_face_before_the_first_frame_changes_nothing(
     tracker: FaceTracker, crowd: np.ndarray
 ) -> None:
     tracker.reset()
@@ -84,7 +82,7 @@ def test_asking_for_another_face_before_the_first_frame_changes_nothing(
 
 
 class Still(LiveSource):
-    """The same picture for ever."""
+    """The same image, endlessly."""
 
     name = "still"
 
@@ -99,11 +97,11 @@ class Still(LiveSource):
         pass
 
 
-def test_a_running_session_follows_whom_it_is_told_to(crowd: np.ndarray) -> None:
+def test_a_running_session_tracks_the_chosen_face(crowd: np.ndarray) -> None:
     worker = LiveWorker(Still(crowd), options=LiveOptions(smoothing=0.0))
 
     def next_person() -> str:
-        """Who is followed two frames from now."""
+        """The face that is tracked two frames later."""
         number = worker.counts.tracked
         while worker.running and worker.counts.tracked < number + 2:
             worker._stop.wait(0.002)
@@ -125,7 +123,7 @@ def test_a_running_session_follows_whom_it_is_told_to(crowd: np.ndarray) -> None
         worker.close()
 
 
-def test_the_command_follows_the_face_that_is_named(crowd: np.ndarray, tmp_path: Path) -> None:
+def test_the_command_tracks_the_chosen_face(crowd: np.ndarray, tmp_path: Path) -> None:
     video = str(tmp_path / "crowd.avi")
     writer = cv2.VideoWriter(video, cv2.VideoWriter_fourcc(*"MJPG"), 25.0, crowd.shape[1::-1])
     for _ in range(3):
@@ -139,11 +137,11 @@ def test_the_command_follows_the_face_that_is_named(crowd: np.ndarray, tmp_path:
 
 
 @pytest.mark.parametrize("text", ["centre", "1", "1,2,3", "a,b", "nan,nan", "1.5,2"])
-def test_what_names_no_face_is_refused_and_the_error_says_how(text: str) -> None:
+def test_invalid_faces_are_refused_with_advice(text: str) -> None:
     with pytest.raises(FacemimeError, match="left, right, or pixels"):
         face_of(text)
 
 
 @pytest.mark.parametrize(("text", "place"), [(None, None), ("", None), ("left", LEFTMOST), ("12,34", (12.0, 34.0))])
-def test_a_face_is_named_by_side_or_place(text: str | None, place: tuple[float, float] | None) -> None:
+def test_a_face_is_chosen_by_side_or_position(text: str | None, place: tuple[float, float] | None) -> None:
     assert face_of(text) == place

@@ -1,4 +1,4 @@
-"""Convolutional experts, the pictures they look at, and the frame in which they answer."""
+"""Convolutional experts, their input pictures, and the frame of their maps."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def maps_of(probability: np.ndarray, corner: tuple[float, float], stride: float)
     return ResponseMaps(np.arange(count), whole, corners, np.full((count, 1), stride, np.float32))
 
 
-def test_the_moments_of_a_map_are_those_of_its_cells_as_weights() -> None:
+def test_the_moments_of_a_map_are_weighted_moments_of_its_cells() -> None:
     maps = maps_of(np.random.default_rng(0).random((4, 7, 5)), (-0.4, 1.5), 0.1)
     mean, variance = maps.moments
     y, x = np.mgrid[0:7, 0:5]
@@ -64,7 +64,7 @@ def test_infinite_variance_goes_to_the_mean_of_the_map() -> None:
     np.testing.assert_allclose(maps.shifts(places, 1e9), maps.moments[0] - places, atol=1e-3)
 
 
-def test_a_landmark_far_outside_its_map_is_drawn_nowhere() -> None:
+def test_a_landmark_far_outside_its_map_does_not_move() -> None:
     maps = maps_of(np.ones((1, 9, 9)), (0.0, 0.0), 1.0)
     np.testing.assert_allclose(maps.shifts(np.array([[500.0, 500.0]]), 1.0), 0.0)
 
@@ -75,7 +75,7 @@ def test_brightness_and_contrast_do_not_change_what_the_experts_see() -> None:
     assert np.abs(standardise(np.full((96, 96), 77, np.uint8), 8.0)).max() == 0.0
 
 
-def test_every_place_is_as_likely_as_it_can_be_somewhere(model: TrackerModel) -> None:
+def test_every_map_has_a_maximum_of_one(model: TrackerModel) -> None:
     pose = np.array([60.0, 0.1, -0.2, 0.3, 210.0, 130.0])
     faces = [experts.respond(picture(4), pose)[0] for experts in (model.face, model.glance)]
     shape = model.pdm.project(np.array([1.0, 0.1, -0.2, 0.0, 0.0, 0.0]), np.zeros(model.pdm.n_modes))
@@ -84,7 +84,7 @@ def test_every_place_is_as_likely_as_it_can_be_somewhere(model: TrackerModel) ->
         assert maps.likelihood.min() >= 0.0
 
 
-def test_a_pair_of_parts_sees_a_mirrored_picture_as_each_other(model: TrackerModel) -> None:
+def test_paired_parts_swap_in_a_mirrored_picture(model: TrackerModel) -> None:
     grey = picture(5)
     eye = next(p for p in model.parts if p.paired)
     shape = model.pdm.mean_shape[:, :2]
@@ -97,13 +97,13 @@ def test_a_pair_of_parts_sees_a_mirrored_picture_as_each_other(model: TrackerMod
     np.testing.assert_allclose(mirrored.moments[0][:count] * (-1.0, 1.0), maps.moments[0][count:], atol=5e-3)
 
 
-def test_what_is_not_a_network_is_a_model_error() -> None:
+def test_an_invalid_network_is_a_model_error() -> None:
     with pytest.raises(ModelError, match="cannot read a network"):
         Network(b"not a network", "maps")
 
 
 @pytest.mark.parametrize("scale", [20.0, 60.0, 250.0])
-def test_a_relative_pose_moves_points_as_the_start_and_then_it(model: TrackerModel, scale: float) -> None:
+def test_a_relative_pose_is_composed_with_the_start(model: TrackerModel, scale: float) -> None:
     start = np.array([scale, 0.1, -0.2, 0.3, 210.0, 130.0])
     relative = np.array([1.1, 0.2, 0.1, -0.05, 0.03, -0.02])
     coefficients = np.zeros(model.pdm.n_modes)
@@ -114,7 +114,7 @@ def test_a_relative_pose_moves_points_as_the_start_and_then_it(model: TrackerMod
 
 
 @pytest.mark.parametrize("scale", [30.0, 90.0, 190.0])
-def test_a_spot_appears_where_the_similarity_says(scale: float) -> None:
+def test_a_spot_appears_where_the_similarity_maps_it(scale: float) -> None:
     grey = np.zeros((480, 640), np.uint8)
     spot = np.array([330.0, 220.0])
     cv2.circle(grey, (330, 220), max(int(scale / 12), 2), 255, -1)
@@ -125,7 +125,7 @@ def test_a_spot_appears_where_the_similarity_says(scale: float) -> None:
     np.testing.assert_allclose(((mass * x).sum(), (mass * y).sum()), frame.linear @ spot + frame.offset, atol=0.25)
 
 
-def test_a_face_beyond_the_image_still_gives_a_frame() -> None:
+def test_a_face_outside_the_image_still_has_a_frame() -> None:
     grey = np.full((60, 80), 90, np.uint8)
     for place in ((-500.0, 20.0), (1e6, 1e6), (40.0, 30.0)):
         frame = warp_to_reference(grey, np.array([50.0, 0, 0, 0.1, *place]), 40.0, (136, 120))

@@ -60,7 +60,7 @@ GAZES = [(0.0, 0.0), (0.0, 0.35), (0.0, -0.35), (0.12, 0.1), (-0.12, -0.2)]
 
 @pytest.mark.parametrize("pose", POSES, ids=lambda p: "-".join(f"{v:.1f}" for v in p[:4]))
 @pytest.mark.parametrize("gaze", GAZES)
-def test_pupils_are_found_where_they_are_and_tell_the_gaze(shape, pose, gaze):
+def test_pupils_are_located_and_give_the_gaze(shape, pose, gaze):
     found = find_gaze(drawn(shape, pose, gaze), pose, project(shape, pose), shape)
     away = np.linalg.norm(found.pupils - true_pupils(shape, pose, gaze), axis=1)
     assert away.max() < 0.025 * pose[0]
@@ -84,7 +84,7 @@ def test_bright_irises_are_found_as_dark_ones_are(shape):
     np.testing.assert_allclose(found.direction, (0.0, 0.25), atol=0.12)
 
 
-def test_a_shut_eye_has_no_pupil_and_the_other_tells_the_gaze(shape):
+def test_a_shut_eye_has_no_pupil_and_the_other_gives_the_gaze(shape):
     pose = pose_of(150)
     winking = shape.copy()
     winking[LOWER_LIDS[:2]] = winking[UPPER_LIDS[:2]]
@@ -93,7 +93,7 @@ def test_a_shut_eye_has_no_pupil_and_the_other_tells_the_gaze(shape):
     np.testing.assert_allclose(found.direction, (0.0, 0.2), atol=0.12)
 
 
-def test_with_both_eyes_shut_no_gaze_is_told(shape):
+def test_with_both_eyes_shut_there_is_no_gaze(shape):
     pose = pose_of(150)
     asleep = shape.copy()
     asleep[LOWER_LIDS] = asleep[UPPER_LIDS]
@@ -102,7 +102,7 @@ def test_with_both_eyes_shut_no_gaze_is_told(shape):
 
 
 @pytest.mark.parametrize("place", [(-400.0, 240.0), (320.0, 900.0), (0.0, 0.0)])
-def test_eyes_beyond_the_picture_raise_nothing(shape, place):
+def test_eyes_outside_the_image_raise_nothing(shape, place):
     pose = np.array([150.0, 0.1, 0.2, 0.3, *place])
     found = find_gaze(np.full(SIZE, 128, np.uint8), pose, project(shape, pose), shape)
     assert found.pupils.shape == (2, 2) and found.direction.shape == (2,)

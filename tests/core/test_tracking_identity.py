@@ -1,4 +1,4 @@
-"""Telling the face that is followed from others that pass before it."""
+"""Telling the tracked face from others that pass in front of it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def sample() -> tuple[np.ndarray, np.ndarray]:
 
 
 def looks(seed: int, count: int) -> list[np.ndarray]:
-    """Portraits of unlike people."""
+    """Descriptors of dissimilar people."""
     made = np.random.default_rng(seed).normal(size=(count, 400)).astype(np.float32)
     return list(made / np.linalg.norm(made, axis=1, keepdims=True))
 
@@ -40,7 +40,7 @@ def at(x: float) -> np.ndarray:
     return np.array([100.0, 0.0, 0.0, 0.0, x, 200.0])
 
 
-def test_a_portrait_has_length_one_and_hardly_depends_on_exposure_size_and_place(
+def test_a_descriptor_has_unit_length_and_hardly_depends_on_exposure_size_and_position(
     sample: tuple[np.ndarray, np.ndarray],
 ) -> None:
     grey, pose = sample
@@ -53,11 +53,11 @@ def test_a_portrait_has_length_one_and_hardly_depends_on_exposure_size_and_place
     assert describe_face(half, moved) @ usual > 0.95
 
 
-def test_a_portrait_of_a_flat_picture_is_finite() -> None:
+def test_a_descriptor_of_a_flat_picture_is_finite() -> None:
     assert np.isfinite(describe_face(np.full((50, 50), 7, np.uint8), at(20.0))).all()
 
 
-def test_the_first_face_seen_is_known_and_an_unlike_one_is_not() -> None:
+def test_the_first_face_is_recognised_and_a_different_one_is_not() -> None:
     identity = Identity()
     one, two = looks(0, 2)
     assert identity.recognises(one)
@@ -65,7 +65,7 @@ def test_the_first_face_seen_is_known_and_an_unlike_one_is_not() -> None:
     assert not identity.recognises(two)
 
 
-def test_nobody_is_somebody_else_before_others_were_met() -> None:
+def test_nobody_is_a_bystander_before_one_was_seen() -> None:
     identity = Identity()
     one, two = looks(1, 2)
     identity.recognises(one)
@@ -75,7 +75,7 @@ def test_nobody_is_somebody_else_before_others_were_met() -> None:
     assert not identity.is_bystander(one)
 
 
-def test_what_lasts_is_got_used_to() -> None:
+def test_a_lasting_change_of_appearance_is_learnt() -> None:
     identity = Identity()
     one, two = looks(2, 2)
     identity.recognises(one)
@@ -84,7 +84,7 @@ def test_what_lasts_is_got_used_to() -> None:
     assert identity.recognises(two)
 
 
-def test_others_are_searched_for_at_once_and_more_rarely_as_an_odd_look_lasts() -> None:
+def test_bystanders_are_searched_at_once_and_less_often_later() -> None:
     identity = Identity()
     own, odd = looks(7, 2)
     identity.recognises(own)
@@ -98,7 +98,7 @@ def test_others_are_searched_for_at_once_and_more_rarely_as_an_odd_look_lasts() 
     assert identity.search_due
 
 
-def test_after_a_loss_the_one_who_was_lost_is_told_from_the_other() -> None:
+def test_after_a_loss_the_performer_is_told_from_the_bystander() -> None:
     identity = Identity()
     own, other = looks(3, 2)
     identity.recognises(own)
@@ -107,7 +107,7 @@ def test_after_a_loss_the_one_who_was_lost_is_told_from_the_other() -> None:
     assert identity.candidates([other, own], [at(297.0), at(330.0)]) == [1]
 
 
-def test_a_face_that_looks_like_either_is_theirs_where_somebody_else_was_a_frame_ago() -> None:
+def test_an_ambiguous_face_is_the_bystanders_where_the_bystander_just_was() -> None:
     identity = Identity()
     own, other = looks(4, 2)
     new = (own + other) / np.linalg.norm(own + other)
@@ -118,7 +118,7 @@ def test_a_face_that_looks_like_either_is_theirs_where_somebody_else_was_a_frame
     assert identity.candidates([new], [at(303.0)]) == []
 
 
-def test_it_is_crowded_only_while_somebody_was_seen_lately() -> None:
+def test_it_is_crowded_only_while_a_bystander_was_seen_recently() -> None:
     identity = Identity()
     one, two = looks(6, 2)
     identity.recognises(one)
@@ -129,7 +129,7 @@ def test_it_is_crowded_only_while_somebody_was_seen_lately() -> None:
     assert not identity.crowded
 
 
-def test_all_are_forgotten_when_another_face_is_followed() -> None:
+def test_everybody_is_forgotten_when_another_face_is_tracked() -> None:
     identity = Identity()
     own, other = looks(5, 2)
     identity.recognises(own)
@@ -157,7 +157,7 @@ def walking(photo_name: str, size: int = 300) -> Clip:
 
 @needs_photos
 @pytest.mark.parametrize(("behind", "before"), [("070", "031"), ("031", "105")])
-def test_who_is_passed_by_another_is_followed_again_and_the_other_never(
+def test_a_face_that_was_hidden_by_a_passer_by_is_tracked_again_and_the_passer_by_never(
     tracker: FaceTracker, behind: str, before: str
 ) -> None:
     run = follow(tracker, *cross(walking(behind), walking(before), speed=3.5))
@@ -167,7 +167,7 @@ def test_who_is_passed_by_another_is_followed_again_and_the_other_never(
 
 
 @needs_photos
-def test_who_passes_before_another_is_followed_all_the_time(tracker: FaceTracker) -> None:
+def test_a_face_that_passes_in_front_of_another_is_never_lost(tracker: FaceTracker) -> None:
     frames, behind, before = cross(walking("070"), walking("031"), speed=3.5)
     run = follow(tracker, frames, before, behind)
     assert run.own == len(frames)

@@ -1,4 +1,4 @@
-"""The mean-shift fit on response maps whose truth is known."""
+"""The mean-shift fit on response maps with known landmarks."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_face_is_recovered_from_peaks_at_its_landmarks(pdm: PointDistributionM
     assert away.mean() < 0.5
 
 
-def test_hidden_landmarks_are_carried_by_the_visible_ones(pdm: PointDistributionModel) -> None:
+def test_hidden_landmarks_follow_the_visible_ones(pdm: PointDistributionModel) -> None:
     truth, start = displaced_face(pdm, 1)
     hidden = np.arange(48, 56)
     lies = truth.copy()
@@ -63,7 +63,7 @@ def test_hidden_landmarks_are_carried_by_the_visible_ones(pdm: PointDistribution
     assert away[hidden].mean() < 2.5
 
 
-def test_two_kinds_of_evidence_count_by_their_weights(pdm: PointDistributionModel) -> None:
+def test_evidence_counts_by_its_weight(pdm: PointDistributionModel) -> None:
     truth, start = displaced_face(pdm, 3)
     centres = pdm.project(start.pose, start.shape_params)
     here, there = peaks_at(truth, centres, 14), peaks_at(truth + (4.0, 0.0), centres, 14)
@@ -82,9 +82,7 @@ def test_without_evidence_the_shape_returns_to_the_mean(pdm: PointDistributionMo
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_landmarks_that_a_hand_draws_away_are_doubted_and_carried_by_the_others(
-    pdm: PointDistributionModel, seed: int
-) -> None:
+def test_occluded_landmarks_are_down_weighted_and_follow_the_others(pdm: PointDistributionModel, seed: int) -> None:
     truth, start = displaced_face(pdm, seed)
     covered = np.r_[3:8, 48:52]
     lies = truth.copy()
@@ -101,7 +99,7 @@ def test_landmarks_that_a_hand_draws_away_are_doubted_and_carried_by_the_others(
     assert away(2.0) < 0.3 * away(np.inf)
 
 
-def test_where_all_maps_agree_doubt_changes_nothing(pdm: PointDistributionModel) -> None:
+def test_the_outlier_scale_has_no_effect_if_all_maps_agree(pdm: PointDistributionModel) -> None:
     truth, start = displaced_face(pdm, 4)
     maps = peaks_at(truth, pdm.project(start.pose, start.shape_params), 14)
     one, other = (

@@ -1,4 +1,4 @@
-"""A mirrored result is what the flipped picture gives."""
+"""A mirrored result equals that of the mirrored image."""
 
 from pathlib import Path
 
@@ -44,7 +44,7 @@ def any_result(pdm: PointDistributionModel, seed: int) -> TrackResult:
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000), st.floats(16, 4096))
-def test_mirrored_twice_it_is_the_same(tracker, seed, width):
+def test_mirroring_twice_restores_the_result(tracker, seed, width):
     result = any_result(tracker.pdm, seed)
     signs = tracker.pdm.mirror_signs
     twice = mirror_result(mirror_result(result, width, signs), width, signs)
@@ -61,7 +61,7 @@ def test_mirrored_pose_and_parameters_still_explain_the_mirrored_landmarks(track
     np.testing.assert_allclose(tracker.pdm.project(mirrored.pose, mirrored.shape_params), mirrored.landmarks, atol=1e-8)
 
 
-def test_each_side_gets_what_the_other_had(tracker):
+def test_mirroring_swaps_the_sides(tracker):
     result = any_result(tracker.pdm, 3)
     mirrored = mirror_result(result, 640)
     right, left = result.eye_apertures
@@ -85,7 +85,7 @@ def test_a_lost_face_stays_lost():
     assert np.isnan(mirror_result(TrackResult.nothing(5), 640).landmarks).all()
 
 
-def test_the_flipped_picture_is_tracked_to_the_mirrored_result(tracker):
+def test_tracking_a_mirrored_image_gives_the_mirrored_result(tracker):
     image = cv2.VideoCapture(str(CLIP)).read()[1]
     flipped = tracker.locate(np.ascontiguousarray(image[:, ::-1]))
     mirrored = mirror_result(tracker.locate(image), image.shape[1], tracker.pdm.mirror_signs)

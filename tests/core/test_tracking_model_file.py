@@ -1,4 +1,4 @@
-"""The model's file: what was written is read, and nothing else is."""
+"""The model file: valid models are read, anything else is refused."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_the_shipped_model_loads_and_is_below_eight_megabytes() -> None:
     assert FaceTracker.load().model_id == model.model_id
 
 
-def test_a_written_model_is_the_model_that_is_read(tmp_path: Path) -> None:
+def test_a_model_survives_saving_and_loading(tmp_path: Path) -> None:
     model = load_model(DEFAULT_MODEL)
     path = tmp_path / "again.tracker"
     name = save_model(model, path)
@@ -61,7 +61,7 @@ def test_a_truncated_file_is_refused(tmp_path: Path, kept: int) -> None:
         load_model(changed(tmp_path, DEFAULT_MODEL.read_bytes()[:kept]))
 
 
-def test_a_single_changed_byte_is_noticed(tmp_path: Path) -> None:
+def test_a_single_changed_byte_is_detected(tmp_path: Path) -> None:
     content = bytearray(DEFAULT_MODEL.read_bytes())
     content[len(content) // 2] ^= 1
     with pytest.raises(ModelError, match="damaged"):
@@ -97,7 +97,7 @@ def test_a_newer_format_is_refused_and_the_message_says_what_to_do(tmp_path: Pat
         ("check_weights", np.zeros(7, np.float32), "check_weights has the shape"),
     ],
 )
-def test_a_model_that_could_not_track_is_refused(tmp_path: Path, name: str, value: np.ndarray, message: str) -> None:
+def test_an_invalid_model_is_refused(tmp_path: Path, name: str, value: np.ndarray, message: str) -> None:
     with np.load(io.BytesIO(DEFAULT_MODEL.read_bytes()[_HEADER.size :])) as file:
         arrays = {key: file[key] for key in file.files} | {name: value}
     stream = io.BytesIO()

@@ -1,4 +1,4 @@
-"""The networks' training; left out where PyTorch is not installed, which only `make model` needs."""
+"""Training of the networks; skipped without PyTorch, which only `make model` needs."""
 
 from __future__ import annotations
 

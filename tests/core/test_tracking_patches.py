@@ -23,7 +23,7 @@ def random_picture(seed: int, size: int = 90) -> np.ndarray:
     return cv2.GaussianBlur(noise, (0, 0), 1.5)
 
 
-def test_the_batched_responses_are_those_of_each_patch_by_itself() -> None:
+def test_batched_responses_equal_those_of_single_patches() -> None:
     experts, pixels = random_experts(0), random_picture(1)
     centres = np.random.default_rng(2).integers(15, 75, (66, 2))
     likely, corner = experts.responses(pixels, centres, 3)
@@ -59,7 +59,7 @@ def test_mirrored_experts_see_a_mirrored_picture_as_the_originals_see_the_pictur
     np.testing.assert_allclose(flipped, likely[MIRROR][:, :, ::-1], atol=1e-4)
 
 
-def test_maps_lie_round_the_landmarks_in_the_face_frame() -> None:
+def test_maps_are_centred_on_the_landmarks_in_the_face_frame() -> None:
     experts = random_experts(6)
     grey = np.random.default_rng(7).integers(0, 255, (200, 240), np.uint8)
     shape = np.random.default_rng(8).uniform(-0.5, 0.5, (66, 2))

@@ -43,7 +43,7 @@ def test_the_mean_has_unit_distance_between_its_outer_eye_corners(pdm: PointDist
     assert right[0] < 0 < left[0]
 
 
-def test_angles_turn_the_way_the_result_says(pdm: PointDistributionModel) -> None:
+def test_angles_have_the_documented_signs(pdm: PointDistributionModel) -> None:
     tip = pdm.mean_shape[from_ibug([30])[0]]
     assert tip[2] < 0
     nose = np.array([0.0, 0.0, -1.0])
@@ -53,7 +53,7 @@ def test_angles_turn_the_way_the_result_says(pdm: PointDistributionModel) -> Non
     assert (euler_to_matrix(0, 0, 0.3) @ right)[1] > 0
 
 
-def test_an_unturned_face_projects_by_dropping_its_depth(pdm: PointDistributionModel) -> None:
+def test_a_face_without_rotation_is_projected_by_dropping_depth(pdm: PointDistributionModel) -> None:
     points = pdm.project(np.array([50.0, 0, 0, 0, 7.0, 9.0]), np.zeros(pdm.n_modes))
     np.testing.assert_allclose(points, 50.0 * pdm.mean_shape[:, :2] + (7.0, 9.0))
 
@@ -68,7 +68,7 @@ def test_fitting_a_projected_face_recovers_its_landmarks_and_pose(pdm: PointDist
     np.testing.assert_allclose(fitted.pose[1:4], pose[1:4], atol=0.12)
 
 
-def test_landmarks_of_weight_zero_do_not_count(pdm: PointDistributionModel) -> None:
+def test_landmarks_of_weight_zero_are_ignored(pdm: PointDistributionModel) -> None:
     pose, shape_params = random_state(pdm, 3)
     landmarks = pdm.project(pose, shape_params)
     weights = np.ones(66)

@@ -1,4 +1,4 @@
-"""The smoothing stage: what rests is held, what moves fast passes, and nothing bridges a loss."""
+"""Live smoothing: rest is held still, fast motion passes, and nothing is smoothed across losses."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_every_landmark_belongs_to_one_part() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.1, 5.0), st.floats(0.0, 100.0), st.floats(0.001, 0.3))
-def test_a_filter_stays_between_the_least_and_the_largest_it_has_seen(seed, at_rest, by_speed, step):
+def test_a_filter_stays_within_the_range_of_its_input(seed, at_rest, by_speed, step):
     seen = np.random.default_rng(seed).normal(size=(30, 4))
     run = OneEuroFilter(Cutoffs(at_rest, by_speed, 2.0))
     out = np.array([run(row, i * step) for i, row in enumerate(seen)])
@@ -67,7 +67,7 @@ def test_a_constant_passes_unchanged(value, at_rest):
         np.testing.assert_allclose(run(np.array([value]), i / FPS), value)
 
 
-def test_a_time_seen_twice_changes_nothing() -> None:
+def test_a_repeated_time_changes_nothing() -> None:
     run = OneEuroFilter(Cutoffs(1.0, 0.0, 1.0))
     run(np.zeros(2), 0.0)
     before = run(np.ones(2), 0.04)
@@ -87,7 +87,7 @@ def test_noise_on_a_resting_face_is_more_than_halved(face):
     [(UPPER_LIDS, LOWER_LIDS, "eye_apertures"), (UPPER_LIPS, LOWER_LIPS, "mouth_aperture")],
     ids=["blink", "lips"],
 )
-def test_rims_that_meet_for_three_frames_meet_within_a_tenth_and_without_a_frames_delay(face, upper, lower, aperture):
+def test_a_three_frame_closure_is_kept_within_a_tenth_and_without_delay(face, upper, lower, aperture):
     share = np.zeros(40)
     share[18:25] = (0.3, 0.8, 1.0, 1.0, 1.0, 0.7, 0.3)
     results = [result_of(closing(face, upper, lower, s)) for s in share]
@@ -126,7 +126,7 @@ def test_after_a_loss_the_next_face_passes_unchanged(face):
     np.testing.assert_array_equal(run[6].shape, far.shape)
 
 
-def test_a_gaze_that_is_not_known_stays_unknown_and_the_next_one_passes(face):
+def test_an_unknown_gaze_stays_unknown_and_the_next_one_passes(face):
     looking, shut = result_of(face, gaze=(0.0, 0.3)), replace(result_of(face), gaze=np.full(2, np.nan))
     run = smoothed([result_of(face), shut, looking])
     assert np.isnan(run[1].gaze).all()

@@ -1,4 +1,4 @@
-"""The tracker as its callers see it: what it promises for good frames, and for bad ones."""
+"""The interface of the tracker, on good and bad frames."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_any_image_gives_a_result(tracker: FaceTracker, image: np.ndarray) -> No
     assert_keeps_its_promises(tracker, tracker.track(image))
 
 
-def test_what_is_not_an_image_is_refused_by_a_user_error(tracker: FaceTracker) -> None:
+def test_invalid_images_are_user_errors(tracker: FaceTracker) -> None:
     for wrong in (np.zeros((3, 4, 7)), np.zeros(5), np.zeros((0, 10), np.uint8), np.zeros((4, 4), np.complex128)):
         with pytest.raises(FacemimeError):
             tracker.track(wrong)
@@ -138,9 +138,7 @@ def test_a_tilted_head_is_found_and_its_roll_reported(
 
 
 @needs_photos
-def test_a_moving_face_is_followed_without_detecting_again(
-    tracker: FaceTracker, photo: tuple[np.ndarray, np.ndarray]
-) -> None:
+def test_a_moving_face_is_tracked_without_detection(tracker: FaceTracker, photo: tuple[np.ndarray, np.ndarray]) -> None:
     image, truth = photo
     tracker.reset()
     for frame in range(6):
@@ -164,7 +162,7 @@ def test_a_face_that_vanishes_is_lost_and_found_again_when_it_returns(
 
 
 @needs_photos
-def test_locating_does_not_disturb_what_is_followed(tracker: FaceTracker, photo: tuple[np.ndarray, np.ndarray]) -> None:
+def test_locating_does_not_affect_tracking(tracker: FaceTracker, photo: tuple[np.ndarray, np.ndarray]) -> None:
     image, _ = photo
     tracker.reset()
     tracker.track(image)
@@ -187,7 +185,7 @@ def two_faces(photo: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndar
 
 
 @needs_photos
-def test_the_face_that_is_chosen_is_followed_although_another_is_larger(
+def test_the_chosen_face_is_tracked_even_if_another_is_larger(
     tracker: FaceTracker, two_faces: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> None:
     both, small, _ = two_faces
@@ -198,7 +196,7 @@ def test_the_face_that_is_chosen_is_followed_although_another_is_larger(
 
 
 @needs_photos
-def test_a_lost_face_is_waited_for_before_another_is_taken(
+def test_a_lost_face_is_awaited_before_another_is_taken(
     tracker: FaceTracker, two_faces: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> None:
     both, small, large = two_faces

@@ -1,4 +1,4 @@
-"""What the training of the tracker must never get wrong."""
+"""Preparation of training data for the tracker."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def photo(source: str, name: str) -> Photo:
     return Photo(source, name, person_of(source, name), Path(name), np.zeros((66, 2)))
 
 
-def test_both_pictures_of_a_person_fall_on_the_same_side_of_the_split() -> None:
+def test_both_photos_of_a_person_are_on_the_same_side_of_the_split() -> None:
     london = [f"{n:03d}" for n in range(1, 180)]
     photos = [photo("london_neutral", f"{n}_03.jpg") for n in london]
     photos += [photo("london_smiling", f"{n}_08.jpg") for n in london]
@@ -32,12 +32,12 @@ def test_twenty_people_of_london_and_seven_of_canada_are_held_out() -> None:
     assert (sources.count("london"), sources.count("canada")) == (20, 7)
 
 
-def test_mirroring_labels_twice_gives_them_back() -> None:
+def test_mirroring_labels_twice_restores_them() -> None:
     landmarks = np.random.default_rng(0).uniform(0, 100, (66, 2))
     np.testing.assert_allclose(mirrored(mirrored(landmarks, 120), 120), landmarks)
 
 
-def test_mirroring_samples_twice_gives_them_back() -> None:
+def test_mirroring_samples_twice_restores_them() -> None:
     rng = np.random.default_rng(1)
     samples = Samples(
         rng.integers(0, 255, (2, SIZE, SIZE), np.uint8),

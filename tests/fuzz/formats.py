@@ -1,4 +1,4 @@
-"""What is fuzzed: for each format an intact file, ways to damage it, and what reads it and then works with it."""
+"""Formats to fuzz: for each an intact file, mutators, and code that reads the file and uses its content."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Format:
 
 
 def _text(read: Callable[[str], None]) -> Callable[[Path], None]:
-    """Reads text as the program does, which refuses what is no UTF-8 before any parser sees it."""
+    """Decode text as the program does, which rejects invalid UTF-8 before parsing."""
     return lambda path: read(path.read_text(encoding="utf-8", errors="replace"))
 
 
@@ -99,7 +99,7 @@ def _json(data: Callable[[], Any], read: Callable[[str], None]) -> Format:
 
 @cache
 def _head_arrays() -> Arrays:
-    """A head of little more than its landmarks."""
+    """A head with little more than its landmarks."""
     with np.load(HEAD_FILE) as file:
         arrays = {name: file[name] for name in file.files}
     chosen = arrays["landmarks"].astype(int)
@@ -156,7 +156,7 @@ def _detector() -> BoxDetector:
 
 def _read_tracker(path: Path) -> None:
     tracker = FaceTracker.load(path)
-    tracker._detector = _detector()  # which reads its own files, and slowly
+    tracker._detector = _detector()  # which would read its own files, slowly
     for _ in range(2):
         tracker.track(_face())
 
@@ -328,7 +328,7 @@ _USES: tuple[Callable[[Take], Any], ...] = (
 
 
 def _use(take: Take) -> None:
-    """One of the things that a take is used for; what cannot be done with it is said in words."""
+    """Use a take in one of several ways; errors have to be FacemimeErrors."""
     check_take(take)
     with contextlib.suppress(FacemimeError):
         _USES[zlib.crc32(take.times.tobytes() + take.shape.tobytes()) % len(_USES)](take)

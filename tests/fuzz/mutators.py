@@ -1,4 +1,4 @@
-"""Ways to damage a file: its bytes, the values of its JSON, its arrays, and the archive that holds them.
+"""Mutators of files: of bytes, of values in JSON, of arrays, and of the archives that contain them.
 
 All draw from a `random.Random`, so that a case's number makes the same case again.
 """
@@ -29,7 +29,7 @@ _VALUES: tuple[Any, ...] = (
 
 
 def mutated_bytes(rng: Random, data: bytes, most: int = 4) -> bytes:
-    """`data` with up to `most` changes: bits, bytes, whole numbers, pieces cut, doubled or moved, an end cut off."""
+    """Change up to `most` bits, bytes or integers, remove, repeat or move pieces, or truncate."""
     out = bytearray(data)
     for _ in range(rng.randint(1, most)):
         if not out:
@@ -57,7 +57,7 @@ def mutated_bytes(rng: Random, data: bytes, most: int = 4) -> bytes:
 
 
 def mutated_json(rng: Random, data: Any) -> bytes:
-    """The JSON of `data` with some values put in place of others, and now and then bytes changed."""
+    """The JSON of `data` with some values replaced and, sometimes, bytes changed."""
     changed = copy.deepcopy(data)
     for _ in range(rng.randint(1, 3)):
         changed = _with_change(rng, changed)
@@ -97,7 +97,7 @@ def _places(data: Any, at: tuple[Any, ...]) -> Any:
 
 
 def mutated_arrays(rng: Random, arrays: Arrays) -> Arrays:
-    """Some arrays with other values, types, shapes or names, or gone."""
+    """Change values, types, shapes or names of some arrays, or remove them."""
     out = dict(arrays)
     for _ in range(rng.randint(1, 2)):
         name = rng.choice(list(out))
@@ -201,7 +201,7 @@ _HEADERS = (
 
 
 def _other_header(rng: Random, content: bytes) -> bytes:
-    """An .npy whose header says something else than what follows."""
+    """An .npy file whose header contradicts its content."""
     if rng.random() < 0.5:
         head = rng.choice(_HEADERS)
         return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head + content[128:]
@@ -212,7 +212,7 @@ _BOMB = npy_bytes(np.zeros(60_000_000, np.uint8))
 
 
 def mutated_archive(rng: Random, arrays: Arrays) -> bytes:
-    """An archive of `arrays` that is damaged in its arrays, in its members or as a whole."""
+    """An archive of `arrays`, damaged in its arrays, its members or as a whole."""
     level = rng.randrange(4)
     if level == 0:
         arrays = mutated_arrays(rng, arrays)
@@ -241,7 +241,7 @@ def mutated_archive(rng: Random, arrays: Arrays) -> bytes:
 
 
 def _damaged_container(rng: Random, data: bytes) -> bytes:
-    """Flags, methods, sizes and places in the archive's own headers, or any bytes."""
+    """Change flags, methods, sizes and offsets in the headers of an archive, or any bytes."""
     out = bytearray(data)
     heads = [(b"PK\x03\x04", (4, 6, 8, 14, 18, 22, 26, 28)), (b"PK\x01\x02", (6, 8, 10, 16, 20, 24, 28, 30, 42))]
     for _ in range(rng.randint(1, 3)):

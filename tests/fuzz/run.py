@@ -1,4 +1,4 @@
-"""Fuzzes one format in a process of its own, whose memory and time for a case are bounded.
+"""Fuzzes a format in a process of its own, with limited memory and time per case.
 
     python -m fuzz.run FORMAT --count 2000 [--first 0] [--case N]
 
@@ -26,11 +26,11 @@ from facemime.core.errors import FacemimeError
 from .formats import FORMATS, Format
 
 SECONDS = 10.0
-"""For one case."""
+"""Limits of a case."""
 
 
 def main() -> None:
-    """Run the cases and print what came of them as JSON."""
+    """Run the cases, and print their results as JSON."""
     parser = argparse.ArgumentParser()
     parser.add_argument("format", choices=sorted(FORMATS))
     parser.add_argument("--count", type=int, default=2000)
@@ -61,7 +61,7 @@ def main() -> None:
 
 
 def _bound_memory(megabytes: int) -> None:
-    """Let the process have so much more than it has now."""
+    """Limit the process to so much more memory than it has now."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * os.sysconf("SC_PAGE_SIZE") + megabytes * 2**20
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -69,7 +69,7 @@ def _bound_memory(megabytes: int) -> None:
 
 def _one(chosen: Format, name: str, case: int, path: Path) -> tuple[str, str]:
     path.write_bytes(chosen.mutated(Random(f"{name} {case}")))
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)  # ends the process, whatever it is in
+    signal.setitimer(signal.ITIMER_REAL, SECONDS)  # ends the process, whatever it is doing
     try:
         chosen.read(path)
     except FacemimeError as error:

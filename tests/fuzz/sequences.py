@@ -1,4 +1,4 @@
-"""Random sequences of steps in Blender: every operator of Facemime mixed with what users do to a scene meanwhile.
+"""Random sequences of steps in Blender: all operators of Facemime, mixed with changes that users make to a scene.
 
 Run as a program in any Blender's Python: sequences.py FIRST COUNT STEPS FOLDER [--bare] [--only N,N,...]
 
@@ -43,7 +43,7 @@ LONG_NAME = "a name of sixty letters, which is more than a file takes öäü/.."
 
 
 class Files:
-    """What the operators are given to read, and where they write."""
+    """Files that operators read, and where they write."""
 
     def __init__(self, folder: Path) -> None:
         self.take, self.blend, self.out = folder / "take.facetake", folder / "scene.blend", folder / "out"
@@ -55,13 +55,13 @@ class Files:
 
 
 class Stage:
-    """The scene that a sequence plays in: what its steps share."""
+    """State that the steps of a sequence share."""
 
     def __init__(self, files: Files, rng: Random) -> None:
         self.files, self.rng = files, rng
 
     def any_of(self, things):
-        """One of them; None of none."""
+        """Choose one item; None if there is none."""
         things = list(things)
         return things[self.rng.integers(len(things))] if things else None
 
@@ -70,13 +70,13 @@ class Stage:
         return bpy.context.active_object
 
     def mesh(self) -> bpy.types.Mesh | None:
-        """The active object's mesh, where it may be changed."""
+        """The mesh of the active object, if it can be changed."""
         obj = self.active()
         return obj.data if obj is not None and obj.type == "MESH" and bpy.context.mode == "OBJECT" else None
 
 
 def press(name: str, /, **options: Callable[[Stage], object]) -> Callable[[Stage], None]:
-    """A step: an operator of Facemime that is not grey."""
+    """A step: an operator of Facemime whose poll succeeds."""
 
     def step(stage: Stage) -> None:
         operator = getattr(bpy.ops.facemime, name)
@@ -89,22 +89,22 @@ def press(name: str, /, **options: Callable[[Stage], object]) -> Callable[[Stage
 
 
 def one_of(*values: object) -> Callable[[Stage], object]:
-    """An option's value."""
+    """Choose the value of an option."""
     return lambda stage: stage.any_of(values)
 
 
 def file(name: str) -> Callable[[Stage], str]:
-    """The path of one of the files."""
+    """Choose the path of a file."""
     return lambda stage: str(getattr(stage.files, name))
 
 
 def new_file(suffix: str) -> Callable[[Stage], str]:
-    """A path to write to."""
+    """Choose a path for output."""
     return lambda stage: str(stage.files.out / f"{stage.rng.integers(4)}{suffix}")
 
 
 def tick(stage: Stage) -> None:
-    """Frames of the source, the timer's ticks, a click or a slider."""
+    """Send frames, ticks of the timer, a click, or the change of a slider."""
     settings, steps = bpy.context.scene.facemime, bpy.context.scene.facemime_steps
     settings.strength_lower = stage.rng.uniform(0.0, 3.0)
     settings.mirror, settings.keep_pose = bool(stage.rng.random() < 0.5), bool(stage.rng.random() < 0.3)
@@ -183,7 +183,7 @@ OURS: dict[str, Callable[[Stage], None]] = {
 
 
 def how_to_bake(stage: Stage) -> None:
-    """What the next bake bakes to."""
+    """Choose the target of the next bake."""
     bake = bpy.context.scene.facemime_takes.bake
     bake.keys = str(stage.any_of(("new", "named", "mapped", "cache")))
     bake.nla, bake.max_keys = bool(stage.rng.random() < 0.4), int(stage.rng.integers(1, 5))
@@ -193,19 +193,19 @@ OURS["how_to_bake"] = how_to_bake
 
 
 def undo(stage: Stage) -> None:
-    """One step back."""
+    """Undo a step."""
     if bpy.ops.ed.undo.poll():
         bpy.ops.ed.undo()
 
 
 def redo(stage: Stage) -> None:
-    """One step forth."""
+    """Redo a step."""
     if bpy.ops.ed.redo.poll():
         bpy.ops.ed.redo()
 
 
 def operator(path: str, /, **options: object) -> Callable[[Stage], None]:
-    """A step: an operator of Blender's, with an undo step as its interface makes one."""
+    """A step: an operator of Blender, with an undo step as from its interface."""
 
     def step(stage: Stage) -> None:
         module, name = path.split(".")
@@ -230,7 +230,7 @@ def pushed(change: Callable[[Stage], object]) -> Callable[[Stage], None]:
 
 @pushed
 def choose(stage: Stage) -> None:
-    """Another active object, and some selected."""
+    """Change the active object and the selection."""
     if bpy.context.mode != "OBJECT":
         return
     for obj in bpy.context.view_layer.objects:
@@ -254,7 +254,7 @@ def rename(stage: Stage) -> None:
 
 @pushed
 def swap_mesh(stage: Stage) -> None:
-    """The active object gets the mesh of another."""
+    """Assign the mesh of another object to the active one."""
     if (mesh := stage.mesh()) is not None:
         stage.active().data = stage.any_of(bpy.data.meshes) or mesh
 
@@ -293,7 +293,7 @@ def clear_animation(stage: Stage) -> None:
 
 @pushed
 def add_modifier(stage: Stage) -> None:
-    """One that changes how many vertices are shown."""
+    """Add a modifier that changes the number of displayed vertices."""
     if stage.mesh() is not None:
         stage.active().modifiers.new("Subdivision", "SUBSURF")
 
@@ -331,7 +331,7 @@ def write_garbage(stage: Stage) -> None:
 
 @pushed
 def garble_selection(stage: Stage) -> None:
-    """The control points that lie with the mesh."""
+    """Change the control points that are stored with the mesh."""
     if (mesh := stage.mesh()) is not None and mesh.library is None:
         mesh["facemime_control_points"] = str(
             stage.any_of(("", "{}", "[1]", '{"format": "facemime-control-points-1"}'))
@@ -340,7 +340,7 @@ def garble_selection(stage: Stage) -> None:
 
 @pushed
 def take_the_pose(stage: Stage) -> None:
-    """Another object, or none, takes the pose."""
+    """Change the pose target to another object or none."""
     posing = bpy.context.scene.facemime.posing
     posing.object = stage.any_of([*bpy.data.objects, None])
     posing.eye_left = stage.any_of([*bpy.data.objects, None, None])
@@ -456,12 +456,12 @@ NAMES = [*OURS, *OFTEN, *BLENDERS, *["undo"] * 5, *["redo"] * 2]
 
 
 def expected(error: RuntimeError) -> bool:
-    """Whether an operator refused in a sentence, as it should; a traceback of Facemime's is none."""
+    """Whether an operator failed with a message, as it should, rather than with a traceback."""
     return "Traceback" not in str(error) or PACKAGE not in str(error)
 
 
 def play(seed: int, count: int, files: Files, bare: bool, only: set[int] | None) -> None:
-    """One sequence; the same seed gives the same steps, with Facemime or without."""
+    """Play a sequence; a seed gives the same steps with and without Facemime."""
     names = [NAMES[i] for i in np.random.default_rng(seed).integers(len(NAMES), size=count)]
     print(f"seed {seed}", flush=True)
     files.blend.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Damaged files of every format are read, or refused by a FacemimeError: within bounds of memory and time."""
+"""Damaged files of every format are read, or refused with a FacemimeError, in limited memory and time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fuzz.formats import FORMATS
 
 COUNT = int(os.environ.get("FACEMIME_FUZZ_CASES", "2000"))
 _MOST_ENDS = 20
-"""Of the process, after which the format is given up."""
+"""Crashes of the process after which a format is given up."""
 
 
 @pytest.mark.thorough
@@ -35,7 +35,7 @@ def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path, capsys: py
 
 
 def fuzzed(name: str, count: int, progress: Path) -> tuple[Counter[str], list[tuple[int, str]]]:
-    """How often each outcome came, and the first cases that are neither read nor refused."""
+    """Number of each outcome, and the first cases that are neither read nor refused."""
     outcomes: Counter[str] = Counter()
     failures: list[tuple[int, str]] = []
     first = 0

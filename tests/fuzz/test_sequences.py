@@ -1,4 +1,4 @@
-"""Random sequences of steps end neither Blender nor in a traceback, in every Blender."""
+"""Random sequences of steps neither crash Blender nor raise, in any version of Blender."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pytestmark = [
 COUNT = int(os.environ.get("FACEMIME_SEQUENCES", "60"))
 STEPS = 30
 BLENDERS_OWN = frozenset({"add cube"})
-"""Steps that end a bare Blender, too, in some sequence; found by playing that again with `--bare`.
+"""Steps that, in some sequence, also crash Blender without Facemime; found by replaying it with `--bare`.
 
 Adding a cube: Blender 5.2 without a window, after it opened a file that was saved in Sculpt Mode.
 """
@@ -30,7 +30,7 @@ Adding a cube: Blender 5.2 without a window, after it opened a file that was sav
 
 @dataclass
 class Outcome:
-    """What sequences came to.
+    """Results of sequences.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Outcome:
 
 
 class Player:
-    """Plays sequences in one Blender, each time Blender ends in a new process."""
+    """Plays sequences in one Blender, which is restarted whenever it ends."""
 
     def __init__(self, version: str, folder: Path) -> None:
         self._python, self._folder = blender_python(version), folder
@@ -87,7 +87,7 @@ class Player:
 
 
 @pytest.mark.parametrize("version", ["4.2", "4.5", "5.2"])
-def test_random_sequences_end_neither_blender_nor_in_a_traceback(version, tmp_path, capsys):
+def test_random_sequences_neither_crash_blender_nor_raise(version, tmp_path, capsys):
     player = Player(version, tmp_path)
     outcome = player.play(0, COUNT)
     ours = [end for end in outcome.ended if not player.play(end[0], 1, "--bare").ended]
