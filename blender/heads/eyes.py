@@ -11,7 +11,8 @@ from mathutils import Vector
 
 from ...core.arrays import FloatArray
 from ...core.errors import HeadError
-from ...core.heads.lids import EYES, EyeCut, EyeOutline, coarse_edges, cut_eye, eye_outline, eyes_joined
+from ...core.heads.eye_outline import EYES, EyeOutline, eye_outline
+from ...core.heads.lids import EyeCut, coarse_edges, cut_eye, eyes_joined
 from ...core.mesh.surface import SurfaceGraph
 from ..frames import from_blender, to_blender
 from ..meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks

@@ -15,23 +15,11 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import EYE_LEFT, EYE_RIGHT
 from ..mesh.surface import JOINED, SurfaceGraph
+from .eye_outline import EYES, EyeOutline, eye_outline
 from .eyeballs import LID_THICKNESS
 from .lips import nearest_at_shares
 
-EYES = EYE_RIGHT, EYE_LEFT[[3, 2, 1, 0, 5, 4]]
-"""Landmarks of the right and left eye: outer corner, upper lid, inner corner, lower lid; mirror images."""
-_LIDS = (1, 2, 4, 5)
-_USUAL = np.array([0.76, -0.48, 0.0])
-"""Usual bows and lean of an `EyeOutline`, about those of labelled scans."""
-_TRUST = 0.03
-"""Ridge towards the usual shape, which then counts about a quarter beside two landmarks of a lid."""
-_SHARE_RANGE, _MIN_BOW, _MAX_LEAN = (0.2, 0.8), 0.5, 0.2
-"""Limits of what misplaced landmarks can do: range of their positions along the eye, least share of the usual bow, and
-largest lean."""
-_MAX_SLOPE = 0.9
-"""Sine of the angle of the line between the corners, beyond which they lie above each other."""
 _MARGIN, _REACH = 0.1, 1.0
 """In eye widths: margin at the corners, and extent, of the part of the mesh in which paths from lid to lid are sought;
 outside of it a path may lead around an open eye."""
@@ -56,46 +44,6 @@ _SPINE = (0.3, 0.7)
 """The part of an eye's middle line from which outward directions are measured."""
 _HALVINGS, _STEPS = 40, 12
 """Bisections of an edge, and Gauss-Newton steps for the sphere."""
-
-
-@dataclass(frozen=True)
-class EyeOutline:
-    """An almond between the corners of an eye (equation 7.2).
-
-    Attributes
-    ----------
-    corner : (3,) float
-        The outer corner.
-    axes : (3, 3) float
-        Rows: unit vectors towards the inner corner, up, and towards the viewer.
-    width : float
-        Distance of the corners.
-    bows : (2,) float
-        Of the upper and the lower lid.
-    lean : float
-        The height of a lid over the line between the corners, in widths, is ``s (1 - s) (bow + lean (2 s - 1))`` at the
-        share s of the way to the inner corner. The common lean, as in people, lets lids meet everywhere when they shut.
-    """
-
-    corner: FloatArray
-    axes: FloatArray
-    width: float
-    bows: FloatArray
-    lean: float
-
-    def to_local(self, points: FloatArray) -> FloatArray:
-        """Convert (..., 3) points to the frame of the eye: widths along to the inner corner, up, and to the viewer."""
-        return np.asarray((points - self.corner) @ self.axes.T / self.width)
-
-    def from_local(self, local: FloatArray) -> FloatArray:
-        """Convert (..., 3) points from the frame of the eye to that of the mesh."""
-        return np.asarray(self.corner + self.width * local @ self.axes)
-
-    def depth_within(self, local: FloatArray) -> FloatArray:
-        """(...) depth of points within the almond, vertically and in widths; negative outside."""
-        along, up = local[..., 0], local[..., 1]
-        upper, lower = (along * (1.0 - along) * (bow + self.lean * (2.0 * along - 1.0)) for bow in self.bows)
-        return np.asarray(np.minimum(upper - up, up - lower))
 
 
 @dataclass(frozen=True)
@@ -179,57 +127,6 @@ class EyeCut:
         across *= np.minimum(1.0, _STEEP * radius / np.maximum(far, 1e-9))
         depth = np.sqrt(radius**2 - np.square(across).sum(axis=1))
         return np.column_stack([centre[:2] + across, centre[2] + depth])
-
-
-def eye_outline(vertices: FloatArray, landmarks: IntArray, eye: IntArray) -> EyeOutline:
-    """Fit an almond to the landmarks of an eye.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array
-        Head frame, any unit.
-    landmarks : (66,) array of int
-        Vertex of each landmark.
-    eye : (6,) array of int
-        One of `EYES`.
-
-    Returns
-    -------
-    EyeOutline
-        Meets both corners; meets the landmarks of the lids, which are imprecise on a mesh without rims, as far as
-        these and the usual shape of eyes agree.
-
-    Raises
-    ------
-    HeadError
-        If the corners coincide, or one lies above the other.
-    """
-    points = np.asarray(vertices, dtype=np.float64)[landmarks[eye]]
-    width = float(np.linalg.norm(points[3] - points[0]))
-    along = (points[3] - points[0]) / max(width, np.finfo(float).tiny)
-    if width == 0.0 or abs(along[1]) > _MAX_SLOPE:
-        raise HeadError("The corners of an eye lie above each other. Bind the landmarks again, or mark the corners.")
-    # Axes of the eye: along its width, the head's up direction made orthogonal to it, and towards the viewer.
-    up = along * along[1] - (0.0, 1.0, 0.0)
-    up /= np.linalg.norm(up)
-    towards = np.cross(along, up)
-    axes = np.stack([along, up, towards if towards[2] < 0.0 else -towards])
-    local = (points - points[0]) @ axes.T / width
-    *bows, lean = _bows(local)
-    return EyeOutline(points[0], axes, width, np.array(bows), float(lean))
-
-
-def _bows(points: FloatArray) -> FloatArray:
-    """(3,) `bows` and `lean` for landmarks (6, 3) in the frame of an eye: least squares with a ridge."""
-    share = np.clip(points[_LIDS, 0], *_SHARE_RANGE)
-    bow = share * (1.0 - share)
-    upper = np.arange(len(_LIDS)) < 2
-    # Equation 7.2 is linear in the bows and the lean.
-    terms = np.column_stack([bow * upper, bow * ~upper, bow * (2.0 * share - 1.0)])
-    pull = _TRUST * np.eye(3)
-    fitted = np.linalg.solve(terms.T @ terms + pull, terms.T @ points[_LIDS, 1] + pull @ _USUAL)
-    upper_bow, lower_bow = _USUAL[:2] * np.maximum(fitted[:2] / _USUAL[:2], _MIN_BOW)
-    return np.array([upper_bow, lower_bow, np.clip(fitted[2], -_MAX_LEAN, _MAX_LEAN)])
 
 
 def eyes_joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[bool]:

@@ -12,8 +12,9 @@ from scans import HEAD, UNIT, cut_apart, padded, scanned
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.errors import HeadError
 from facemime.core.heads.binding import bind_landmarks
+from facemime.core.heads.eye_outline import EYES, eye_outline
 from facemime.core.heads.eyeballs import LID_THICKNESS, EyeballContact, fit_eyeball
-from facemime.core.heads.lids import EYES, coarse_edges, cut_eye, eye_outline, eyes_joined
+from facemime.core.heads.lids import coarse_edges, cut_eye, eyes_joined
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.rig import HeadRig
 from facemime.core.landmarks import LOWER_LIDS, MIRROR, UPPER_LIDS
