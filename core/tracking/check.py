@@ -14,7 +14,7 @@ N_FEATURES = 6
 
 @dataclass(frozen=True)
 class FaceCheck:
-    """Logistic regression over the few numbers that tell a good fit from a bad one.
+    """Logistic regression over a few features of a fit.
 
     Attributes
     ----------
