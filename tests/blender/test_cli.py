@@ -107,7 +107,7 @@ def test_puppet_bakes_to_the_requested_format(options, written, message, tmp_pat
     [
         (("--max-keys", "0"), 2, "is not between 1 and 512"),
         (("--clean", "-1"), 2, "is not between 0 and 10"),
-        (("--keys", "new", "--map", "table.json"), 1, "keys that are mapped"),
+        (("--keys", "new", "--map", "table.json"), 1, "with --keys mapped only"),
         (("--keys", "mapped", "--map", "table.json"), 1, "table.json cannot be read"),
     ],
     ids=str,
@@ -239,9 +239,9 @@ def test_errors_are_one_line_and_keep_the_earlier_output(clip, faceless, tmp_pat
         (("track", faceless, "-o", good), "No face was found"),
         (("track", clip, "-o", "/proc/take.facetake"), "Cannot write"),
         (("landmarks", tmp_path / "none", "-o", tmp_path / "o.npz"), "There is no file"),
-        (("landmarks", tmp_path, "-o", tmp_path / "o.npz"), "no picture"),
+        (("landmarks", tmp_path, "-o", tmp_path / "o.npz"), "no image"),
         (("puppet", clip, "-o", good), "suffix .blend"),
-        (("puppet", tmp_path / "broken.facetake", "-o", tmp_path / "o.blend"), "not a take"),
+        (("puppet", tmp_path / "broken.facetake", "-o", tmp_path / "o.blend"), "not a Facemime take"),
         (("puppet", faceless, "-o", tmp_path / "o.blend"), "No face was found"),
         (("puppet", clip, "-o", tmp_path / "o.blend", "--head", tmp_path / "no.blend"), "There is no file"),
     ):

@@ -133,7 +133,7 @@ def test_a_signal_while_rendering_leaves_no_partial_output(take, tmp_path):
             time.sleep(0.005)
         process.send_signal(signal.SIGTERM)
         said = process.stderr.read()
-    assert process.returncode == 143 and "Files that were complete before are kept." in said, said
+    assert process.returncode == 143 and "Files that were complete are kept." in said, said
     assert set(os.listdir(tmp_path)) == {"take.facetake", "out.blend"}
 
 

@@ -69,7 +69,7 @@ def test_trimming_and_mending_write_new_files_and_keep_the_old_one(imported, tmp
     assert mended.found.all() and not trimmed.found.all() and mended.info["smoothed"] == "zero-phase"
     imported.path = before
     assert len(takes_store.read(imported)) == len(performance())
-    with pytest.raises(RuntimeError, match="No frame is left"):
+    with pytest.raises(RuntimeError, match="There is no frame"):
         bpy.ops.facemime.trim_take(start=8.0, end=9.0)
 
 
