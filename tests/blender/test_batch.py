@@ -78,7 +78,7 @@ def test_ctrl_c_stops_the_batch_and_the_next_run_finishes_it(tmp_path):
         process.send_signal(signal.SIGINT)
         said = process.stderr.read()
     assert process.returncode == 130 and "Traceback" not in said, said
-    assert "The same line again goes on" in said
+    assert "Run the same command again to continue" in said
     counts = json.loads((out / "report.json").read_text())["counts"]
     assert 1 <= counts["done"] < 3 and counts["failed"] <= 1
     assert batch(clips, "-o", out).returncode == 0 and len(records(out)) == 3

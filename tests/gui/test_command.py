@@ -117,6 +117,7 @@ def test_a_signal_quits_blender_and_keeps_the_tracked_part(installed, by, status
     part.unlink()
 
 
+@pytest.mark.thorough
 def test_a_batch_runs_its_clips_in_blender_and_killing_it_ends_them(installed):
     done = installed.run("--command", "facemime", "batch", "clip.mp4", "-o", "batch", timeout=600)
     assert done.returncode == 0, done.stderr
