@@ -127,10 +127,16 @@ def baked_paths(owner: bpy.types.ID) -> set[str]:
 
 
 def remove_bake(owner: bpy.types.ID) -> set[str]:
-    """Remove all curves and tracks of `owner` that a bake wrote, and return their data paths."""
+    """Remove all curves and strips of `owner` that a bake wrote, and return their data paths.
+
+    A strip that the user put onto a bake's track stays, and the track with it.
+    """
     removed, data = baked_paths(owner), owner.animation_data
     for track in _tracks(owner):
-        data.nla_tracks.remove(track)
+        for strip in [strip for strip in track.strips if _owned(strip.action)]:
+            track.strips.remove(strip)
+        if not track.strips:
+            data.nla_tracks.remove(track)
     if data is not None and (owned := _owned(data.action)):
         fcurves = _existing(owner)
         for fcurve in [fcurve for fcurve in fcurves if fcurve.data_path in owned]:
