@@ -226,6 +226,7 @@ def test_a_track_that_holds_another_strip_is_kept_and_the_bake_gets_a_new_one():
     head.animation_data.nla_tracks[TRACK].name = "Kept"
     bake(head, nla=True)
     assert [track.name for track in head.animation_data.nla_tracks] == ["Mine", "Kept", TRACK]
+    bpy.data.actions.remove(action)
 
 
 def test_a_strip_that_the_user_put_onto_a_bakes_track_survives_the_next_bake():
@@ -238,7 +239,6 @@ def test_a_strip_that_the_user_put_onto_a_bakes_track_survives_the_next_bake():
         strips = [strip for track in data.nla_tracks for strip in track.strips]
         assert sorted(strip.name == "Mine" for strip in strips) == [False, True]
     assert data.nla_tracks[TRACK].strips["Mine"].frame_start == 500.0
-    bpy.data.actions.remove(action)
 
 
 def test_an_animated_delta_transform_is_never_replaced():
