@@ -56,7 +56,7 @@ def _bakes(take: Take, level: int) -> list[tuple[str, str, int, float, float]]:
 
 def _head(level: int, bake: BakeSettings) -> bpy.types.Object:
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    return dense_head(level) if level else add_head(bpy.context, units=bake.keys in ("named", "mapped"))
+    return dense_head(level) if level else add_head(bpy.context, units=bake.uses_existing_keys)
 
 
 def _curves() -> tuple[str, float]:

@@ -22,7 +22,7 @@ SIDE, COLUMNS, FRAMES = 240, 8, 48
 
 
 def draw_face(image: np.ndarray, landmarks: np.ndarray, caption: str) -> np.ndarray:
-    """Crop the face, (SIDE, SIDE, 3), with its landmarks; the whole image if there is none."""
+    """Crop an image to its face, (SIDE, SIDE, 3), and draw the landmarks; uncropped if no face was found."""
     if not np.isfinite(landmarks).all():
         out = cv2.resize(image, (SIDE, SIDE))
     else:

@@ -47,7 +47,7 @@ class Templates:
         message : str
             In English.
         lookup : callable
-            Returns the translation of a text or template, or the text itself if there is none.
+            Returns the translation of a text or template, or the text itself if it has not been translated.
 
         Returns
         -------
@@ -66,7 +66,7 @@ class Templates:
         return _PLACEHOLDER.sub(lambda match: texts[match[1]], other)
 
     def _find(self, message: str) -> tuple[str, dict[str, str]] | None:
-        """Return the most specific template that matches a message, and the values in it; None if there is none."""
+        """Return the most specific template that matches a message, with its values, or None if no template matches."""
         for text, pattern in self._patterns:
             if (match := pattern.fullmatch(message)) is not None:
                 return text, match.groupdict()

@@ -8,10 +8,13 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Sequence
-from typing import NoReturn
 
 from .terminal.stopping import STOPPING, open_standard_streams
+
+TYPE_CHECKING = False  # as typing has it, which is imported once signals are heard
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from typing import NoReturn
 
 
 def start(arguments: Sequence[str] | None = None) -> NoReturn:

@@ -118,19 +118,15 @@ def setting(default: Any, label: str, description: str = "", **more: Any) -> Any
 
 def settings_of(group: type) -> Mapping[str, Setting]:
     """Return the settings of a group by field name, without those of nested groups."""
-    return {field.name: field.metadata["setting"] for field in _fields(group) if "setting" in field.metadata}
+    return {field.name: field.metadata["setting"] for field in dataclasses.fields(group) if "setting" in field.metadata}
 
 
 def changed(group: Any) -> Iterator[tuple[str, Setting, Any]]:
     """Yield name, setting and value of all settings that differ from their defaults, including nested groups."""
-    for field in _fields(type(group)):
+    for field in dataclasses.fields(group):
         value = getattr(group, field.name)
         if "setting" in field.metadata:
             if value != field.metadata["setting"].default:
                 yield field.name, field.metadata["setting"], value
         elif dataclasses.is_dataclass(value):
             yield from changed(value)
-
-
-def _fields(group: type) -> tuple[dataclasses.Field[Any], ...]:
-    return dataclasses.fields(group)

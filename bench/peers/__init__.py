@@ -41,7 +41,7 @@ class Peer(Protocol):
     name: str
 
     def locate(self, image: np.ndarray) -> np.ndarray:
-        """Return landmarks (66, 2) of the largest face in a BGR image (H, W, 3); NaN if there is none."""
+        """Return landmarks (66, 2) of the largest face in a BGR image (H, W, 3), or NaN if it finds no face."""
 
     def track(self, image: np.ndarray) -> np.ndarray:
         """Return landmarks (66, 2) in the next frame of a clip; NaN if lost."""

@@ -64,7 +64,7 @@ def read_keys(obj: bpy.types.Object) -> MeshKeys:
     Raises
     ------
     HeadError
-        If there are none, or they are absolute.
+        If the mesh has no shape keys, or absolute ones.
     """
     keys = obj.data.shape_keys
     names = [name for name in key_names(obj) if not keys.key_blocks[name].mute]

@@ -169,7 +169,7 @@ def check_heads(objects: Sequence[bpy.types.Object], bake: BakeSettings, targets
 
 def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) -> HeadRig:
     """Return the rig of a head; raises HeadError if it cannot be driven or baked to."""
-    check_bakeable(obj, targets, new_keys=bake.keys == "new", old_keys=bake.keys in ("named", "mapped"))
+    check_bakeable(obj, targets, new_keys=bake.keys == "new", old_keys=bake.uses_existing_keys)
     return read_rig(obj)
 
 

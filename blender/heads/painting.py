@@ -40,7 +40,7 @@ def paint_region(context: bpy.types.Context, obj: bpy.types.Object, region: int)
 
 
 def ensure_brush(context: bpy.types.Context) -> None:
-    """Activate a weight paint brush if there is none; one is created if Blender comes without brushes."""
+    """Make sure that a weight paint brush is active, creating one if Blender has none."""
     paint = context.tool_settings.weight_paint
     if paint.brush is not None:
         return

@@ -110,7 +110,7 @@ def _settings(job: PuppetJob) -> PuppetSettings:
     if job.map is not None:
         check_readable(job.map)
         table = load_map(job.map)
-    path = job.output if job.settings.bake.keys in ("cache", "alembic") else None
+    path = job.output if job.settings.bake.writes_cache else None
     return replace(job.settings, bake=replace(job.settings.bake, table=table, path=path))
 
 
@@ -125,7 +125,7 @@ def _points(path: Path) -> GreedySelection:
 def _built_in(bake: BakeSettings) -> tuple[bpy.types.Scene, bpy.types.Object]:
     with STOPPING.holding():
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    head = add_head(bpy.context, units=bake.keys in ("named", "mapped"))
+    head = add_head(bpy.context, units=bake.uses_existing_keys)
     return bpy.context.scene, head
 
 

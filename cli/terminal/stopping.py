@@ -9,11 +9,13 @@ import contextlib
 import os
 import signal
 import sys
-import threading
 import time
-from collections.abc import Iterator
-from types import FrameType
-from typing import Any, NoReturn
+
+TYPE_CHECKING = False  # as typing has it, whose import takes longer than all the rest of this module
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from types import FrameType
+    from typing import Any, NoReturn
 
 INTERRUPTED = 130
 _TOGETHER = 1.0
@@ -57,6 +59,8 @@ class Stopping:
     @contextlib.contextmanager
     def starting(self) -> Iterator[None]:
         """Keep threads that libraries start during import from receiving signals; `importing` cannot prevent that."""
+        import threading
+
         over = threading.Event()
         listener = threading.Thread(target=over.wait, name="facemime-signals", daemon=True)
         listener.start()  # receives signals for the main thread, which still handles them

@@ -66,5 +66,15 @@ class BakeSettings:
     table: KeyMap | None = None
     path: Path | None = None
 
+    @property
+    def uses_existing_keys(self) -> bool:
+        """Whether the bake animates shape keys that the mesh has."""
+        return self.keys in ("named", "mapped")
+
+    @property
+    def writes_cache(self) -> bool:
+        """Whether the bake writes a point cache."""
+        return self.keys in ("cache", "alembic")
+
 
 KEYS = tuple(BakeSettings.__dataclass_fields__["keys"].metadata["setting"].values)

@@ -71,7 +71,7 @@ class NeutralCalibration:
         return time - self._since >= self._duration
 
     def neutral(self) -> Neutral:
-        """The neutral face; SourceError if there is none."""
+        """The neutral face; SourceError if none was found."""
         take = self._recorder.finish()
         return calibrate(take, float(take.times[0]), self._duration + 1e-6)
 

@@ -158,7 +158,7 @@ KERNELS: dict[str, Kernel] = {
 
 
 def get_kernel(name: str) -> Kernel:
-    """Return the kernel of that name; HeadError if there is none."""
+    """Return a kernel by its name; HeadError if the name is unknown."""
     if name not in KERNELS:
         raise HeadError(f"There is no kernel {name!r}. Choose one of {', '.join(KERNELS)}.")
     return KERNELS[name]

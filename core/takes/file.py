@@ -205,7 +205,7 @@ def load_take(path: Path) -> Take:
 
 
 def take_of(data: bytes) -> Take:
-    """Read a take from the bytes of a file, as `load_take` does; ValueError if there is none."""
+    """Read a take from the bytes of a file, as `load_take` does; ValueError if they contain none."""
     reading, most = _Reading(), _MAX_RATIO * len(data) + _MIN_UNPACKED
     for chunk in chunks_in(data):
         if isinstance(chunk, Chunk):

@@ -126,9 +126,7 @@ class FaceSearch:
         """
         return list(self._detected(grey, efforts, small))
 
-    def others(
-        self, grey: NDArray[np.uint8], pose: FloatArray, efforts: Sequence[Effort] = _QUICK[:1]
-    ) -> list[Candidate]:
+    def others(self, grey: NDArray[np.uint8], pose: FloatArray, *, small: bool = False) -> list[Candidate]:
         """Find faces other than the one at `pose`; only boxes beside it are fitted.
 
         Parameters
@@ -137,8 +135,8 @@ class FaceSearch:
             Grey image.
         pose : (6,) float64
             Pose of the tracked face, image frame.
-        efforts : sequence of Effort
-            The efforts to make.
+        small : bool
+            Search small faces, too, which takes longer.
 
         Returns
         -------
@@ -149,25 +147,9 @@ class FaceSearch:
         def apart(other: FloatArray) -> bool:
             return float(np.hypot(*(other[4:6] - pose[4:6]))) > _SEPARATION * float(pose[0])
 
+        efforts = _QUICK if small else _QUICK[:1]
         starts = [[start for start in self._starts(grey, effort) if apart(start)] for effort in efforts]
         return [c for poses in starts for c in self._faces_in(grey, poses) if apart(c.pose)]
-
-    def neighbours(self, grey: NDArray[np.uint8], pose: FloatArray) -> list[Candidate]:
-        """Find faces other than the one at `pose`, including small ones.
-
-        Parameters
-        ----------
-        grey : (H, W) uint8
-            Grey image.
-        pose : (6,) float64
-            Pose of the tracked face, image frame.
-
-        Returns
-        -------
-        list of Candidate
-            The accepted faces.
-        """
-        return self.others(grey, pose, _QUICK)
 
     def _detected(self, grey: NDArray[np.uint8], efforts: Sequence[Effort], small: bool) -> Iterator[Candidate]:
         for effort in efforts:

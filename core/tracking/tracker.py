@@ -100,7 +100,7 @@ class FaceTracker:
     def track(self, image: ArrayLike) -> TrackResult:
         """Track the face in the next frame of a video: (H, W) grey, (H, W, 3) BGR or (H, W, 4) BGRA.
 
-        Follows the face of the previous call, and detects one if there is none or it was lost.
+        Follows the face of the previous call, and detects one if no face was tracked or the face was lost.
         """
         grey = self._begin(image)
         self._identity.frame += 1
@@ -160,7 +160,7 @@ class FaceTracker:
         if self._last is None:
             return None
         here = self._last.pose
-        found = self._search.neighbours(grey, here)
+        found = self._search.others(grey, here, small=True)
         return min([c for c in found if c.pose[4] > here[4]] or found, key=lambda c: float(c.pose[4]), default=None)
 
     def _accept(self, grey: NDArray[np.uint8], candidate: Candidate) -> TrackResult:

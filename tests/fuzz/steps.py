@@ -1,0 +1,439 @@
+"""The steps of random sequences: every operator of Facemime, and what users do to a scene in between."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import bpy
+import numpy as np
+
+from facegen_files import tri
+from facemime.core.live.sources import PacedSource
+from facemime.core.takes.file import save_take
+from facemime.operators import punch_in, takes
+from facemime.operators.puppet import FACEMIME_OT_puppet, running
+from takes import performance
+
+Random = np.random.Generator
+TIMER = SimpleNamespace(type="TIMER", value="NOTHING", ctrl=False, oskey=False, mouse_x=0, mouse_y=0)
+CLICK = SimpleNamespace(type="LEFTMOUSE", value="PRESS", ctrl=False, oskey=False, mouse_x=0, mouse_y=0)
+GARBAGE = ("text", 3.5, [1, 2, 3], {"a": 1}, 10**9, [-1] * 66, [10**6] * 66)
+LONG_NAME = "a name of sixty letters, which is more than a file takes öäü/.."
+
+
+class Files:
+    """Files that operators read, and where they write."""
+
+    def __init__(self, folder: Path) -> None:
+        self.take, self.blend, self.out = folder / "take.facetake", folder / "scene.blend", folder / "out"
+        self.facegen = folder / "head.tri"
+        self.out.mkdir(exist_ok=True)
+        if not self.take.exists():
+            save_take(performance(), self.take)
+            self.facegen.write_bytes(tri())
+
+
+class Stage:
+    """State that the steps of a sequence share."""
+
+    def __init__(self, files: Files, rng: Random) -> None:
+        self.files, self.rng = files, rng
+
+    def any_of(self, things):
+        """Choose one item, or None if there are no items."""
+        things = list(things)
+        return things[self.rng.integers(len(things))] if things else None
+
+    def active(self) -> bpy.types.Object | None:
+        """The active object."""
+        return bpy.context.active_object
+
+    def mesh(self) -> bpy.types.Mesh | None:
+        """The mesh of the active object, if it can be changed."""
+        obj = self.active()
+        return obj.data if obj is not None and obj.type == "MESH" and bpy.context.mode == "OBJECT" else None
+
+
+def press(name: str, /, **options: Callable[[Stage], object]) -> Callable[[Stage], None]:
+    """A step: an operator of Facemime whose poll succeeds."""
+
+    def step(stage: Stage) -> None:
+        operator = getattr(bpy.ops.facemime, name)
+        chosen = {key: give(stage) for key, give in options.items()}
+        if operator.poll():
+            operator(**chosen)
+            bpy.ops.ed.undo_push(message=name)
+
+    return step
+
+
+def one_of(*values: object) -> Callable[[Stage], object]:
+    """Choose the value of an option."""
+    return lambda stage: stage.any_of(values)
+
+
+def file(name: str) -> Callable[[Stage], str]:
+    """Choose the path of a file."""
+    return lambda stage: str(getattr(stage.files, name))
+
+
+def new_file(suffix: str) -> Callable[[Stage], str]:
+    """Choose a path for output."""
+    return lambda stage: str(stage.files.out / f"{stage.rng.integers(4)}{suffix}")
+
+
+def tick(stage: Stage) -> None:
+    """Send frames, ticks of the timer, a click, or the change of a slider."""
+    settings, steps = bpy.context.scene.facemime, bpy.context.scene.facemime_steps
+    settings.strength_lower = stage.rng.uniform(0.0, 3.0)
+    settings.mirror, settings.keep_pose = bool(stage.rng.random() < 0.5), bool(stage.rng.random() < 0.3)
+    settings.source.kind = "TAKE"
+    settings.source.take, settings.source.loop = str(stage.files.take), bool(stage.rng.random() < 0.8)
+    steps.landmark = int(stage.rng.integers(-1, 66))
+    steps.show_regions, steps.show_points = bool(stage.rng.random() < 0.5), bool(stage.rng.random() < 0.5)
+    for _ in range(stage.rng.integers(1, 40)):
+        session, operator = running(), FACEMIME_OT_puppet.instance
+        if session is None:
+            break
+        PacedSource.pace.ask(lambda worker=session.worker: worker.running)
+        if operator is None:
+            session.step()
+        else:
+            operator.modal(bpy.context, stage.any_of((TIMER, TIMER, TIMER, CLICK)))
+    punch_in._watch()
+    takes._watch()
+
+
+OURS: dict[str, Callable[[Stage], None]] = {
+    "add_head": press("add_head", units=one_of(False, True)),
+    "bind_landmarks": press("bind_landmarks"),
+    "propose_regions": press("propose_regions"),
+    "check_head": press("check_head"),
+    "clear_marks": press("clear_marks"),
+    "mark_point": press("mark_point"),
+    "set_landmark": press("set_landmark", number=one_of(0, 33, 60, 67)),
+    "open_lips": press("open_lips"),
+    "open_eyes": press("open_eyes"),
+    "puppet": press("puppet"),
+    "stop_puppet": press("stop_puppet"),
+    "next_face": press("next_face"),
+    "puppet_video": press("puppet_video", filepath=file("take")),
+    "paint_region": press("paint_region", region=one_of("UPPER", "MIDDLE", "LOWER")),
+    "leave_painting": press("leave_painting"),
+    "mirror_regions": press("mirror_regions", source=one_of("left", "right")),
+    "smooth_regions": press("smooth_regions", repeat=one_of(1, 3)),
+    "calibrate": press("calibrate", pose=one_of("NEUTRAL", "RANGE"), countdown=one_of(0.0, 5.0)),
+    "add_performer": press("add_performer"),
+    "remove_performer": press("remove_performer"),
+    "save_preset": press("save_preset", name=one_of("A", LONG_NAME)),
+    "load_preset": press("load_preset", name=one_of("A", LONG_NAME)),
+    "remove_preset": press("remove_preset", name=one_of("A", LONG_NAME)),
+    "export_preset": press("export_preset", filepath=new_file(".json")),
+    "import_preset": press("import_preset", filepath=new_file(".json")),
+    "select_control_points": press("select_control_points", filepath=file("take"), max_points=one_of(5, 12)),
+    "select_live_points": press("select_live_points", max_points=one_of(5, 12)),
+    "add_control_point": press("add_control_point"),
+    "drop_control_point": press("drop_control_point"),
+    "use_all_landmarks": press("use_all_landmarks"),
+    "record_take": press("record_take"),
+    "rerecord_take": press("rerecord_take", start=one_of(1, 5), end=one_of(8, 20), lead=one_of(0.0)),
+    "show_take": press("show_take"),
+    "trim_take": press("trim_take", start=one_of(0.0, 0.5), end=one_of(0.4, 9.0)),
+    "mend_take": press("mend_take", mirror=one_of(False, True)),
+    "renew_neutral": press("renew_neutral"),
+    "punch_in_take": press("punch_in_take", other=one_of("take", "Take", "none")),
+    "pack_take": press("pack_take"),
+    "find_takes": press("find_takes"),
+    "remove_take": press("remove_take"),
+    "import_take": press("import_take", filepath=file("take")),
+    "export_take": press("export_take", filepath=new_file(".csv")),
+    "bake_take": press("bake_take"),
+    "detect_key_map": press("detect_key_map"),
+    "add_key_row": press("add_key_row"),
+    "remove_key_row": press("remove_key_row"),
+    "export_key_map": press("export_key_map", filepath=new_file(".json")),
+    "import_key_map": press("import_key_map", filepath=new_file(".json")),
+    "add_key_pose": press("add_key_pose"),
+    "learn_key_map": press("learn_key_map"),
+    "add_reference": press("add_reference"),
+    "import_facegen": press("import_facegen", filepath=file("facegen")),
+    "tick": tick,
+}
+
+
+def how_to_bake(stage: Stage) -> None:
+    """Choose the target of the next bake."""
+    bake = bpy.context.scene.facemime_takes.bake
+    bake.keys = str(stage.any_of(("new", "named", "mapped", "cache")))
+    bake.nla, bake.max_keys = bool(stage.rng.random() < 0.4), int(stage.rng.integers(1, 5))
+
+
+OURS["how_to_bake"] = how_to_bake
+
+
+def undo(stage: Stage) -> None:
+    """Undo a step."""
+    if bpy.ops.ed.undo.poll():
+        bpy.ops.ed.undo()
+
+
+def redo(stage: Stage) -> None:
+    """Redo a step."""
+    if bpy.ops.ed.redo.poll():
+        bpy.ops.ed.redo()
+
+
+def operator(path: str, /, **options: object) -> Callable[[Stage], None]:
+    """A step: an operator of Blender, with an undo step as from its interface."""
+
+    def step(stage: Stage) -> None:
+        module, name = path.split(".")
+        function = getattr(getattr(bpy.ops, module), name)
+        if function.poll():
+            function(**options)
+            bpy.ops.ed.undo_push(message=path)
+
+    return step
+
+
+def pushed(change: Callable[[Stage], object]) -> Callable[[Stage], None]:
+    """A step: a change by a script, with an undo step."""
+
+    def step(stage: Stage) -> None:
+        change(stage)
+        bpy.ops.ed.undo_push(message=change.__name__)
+
+    step.__doc__ = change.__doc__
+    return step
+
+
+@pushed
+def choose(stage: Stage) -> None:
+    """Change the active object and the selection."""
+    if bpy.context.mode != "OBJECT":
+        return
+    for obj in bpy.context.view_layer.objects:
+        obj.select_set(bool(stage.rng.random() < 0.5))
+    bpy.context.view_layer.objects.active = stage.any_of(bpy.context.view_layer.objects)
+
+
+@pushed
+def remove_object(stage: Stage) -> None:
+    """By a script."""
+    if (obj := stage.any_of(bpy.data.objects)) is not None and bpy.context.mode == "OBJECT":
+        bpy.data.objects.remove(obj)
+
+
+@pushed
+def rename(stage: Stage) -> None:
+    """Whatever is active."""
+    if (obj := stage.active()) is not None and obj.library is None:
+        obj.name = f"Renamed {stage.rng.integers(9)}"
+
+
+@pushed
+def swap_mesh(stage: Stage) -> None:
+    """Assign the mesh of another object to the active one."""
+    if (mesh := stage.mesh()) is not None:
+        stage.active().data = stage.any_of(bpy.data.meshes) or mesh
+
+
+@pushed
+def clear_geometry(stage: Stage) -> None:
+    """Of the active mesh."""
+    if (mesh := stage.mesh()) is not None:
+        mesh.clear_geometry()
+
+
+@pushed
+def remove_actions(stage: Stage) -> None:
+    """All of them."""
+    for action in list(bpy.data.actions):
+        bpy.data.actions.remove(action)
+
+
+@pushed
+def remove_tracks(stage: Stage) -> None:
+    """Of the active object."""
+    obj = stage.active()
+    if obj is not None and obj.animation_data is not None:
+        for track in list(obj.animation_data.nla_tracks):
+            obj.animation_data.nla_tracks.remove(track)
+
+
+@pushed
+def clear_animation(stage: Stage) -> None:
+    """Of the active object and its keys."""
+    if (obj := stage.active()) is not None:
+        obj.animation_data_clear()
+        if (keys := getattr(obj.data, "shape_keys", None)) is not None:
+            keys.animation_data_clear()
+
+
+@pushed
+def add_modifier(stage: Stage) -> None:
+    """Add a modifier that changes the number of displayed vertices."""
+    if stage.mesh() is not None:
+        stage.active().modifiers.new("Subdivision", "SUBSURF")
+
+
+@pushed
+def remove_a_group(stage: Stage) -> None:
+    """A vertex group of the active object."""
+    if (obj := stage.active()) is not None and (group := stage.any_of(obj.vertex_groups)) is not None:
+        obj.vertex_groups.remove(group)
+
+
+@pushed
+def remove_a_key(stage: Stage) -> None:
+    """A shape key of the active object."""
+    mesh = stage.mesh()
+    if mesh is not None and mesh.shape_keys is not None:
+        stage.active().shape_key_remove(stage.any_of(mesh.shape_keys.key_blocks))
+
+
+@pushed
+def absolute_keys(stage: Stage) -> None:
+    """Keys that are played one after another."""
+    mesh = stage.mesh()
+    if mesh is not None and mesh.shape_keys is not None:
+        mesh.shape_keys.use_relative = not mesh.shape_keys.use_relative
+
+
+@pushed
+def write_garbage(stage: Stage) -> None:
+    """Into a custom property of ours."""
+    if (mesh := stage.mesh()) is not None:
+        name = str(stage.any_of(("facemime_landmarks", "facemime_vertex_count", "facemime_marks")))
+        mesh[name] = stage.any_of(GARBAGE)
+
+
+@pushed
+def garble_selection(stage: Stage) -> None:
+    """Change the control points that are stored with the mesh."""
+    if (mesh := stage.mesh()) is not None and mesh.library is None:
+        mesh["facemime_control_points"] = str(
+            stage.any_of(("", "{}", "[1]", '{"format": "facemime-control-points-1"}'))
+        )
+
+
+@pushed
+def take_the_pose(stage: Stage) -> None:
+    """Change the pose target to another object or none."""
+    posing = bpy.context.scene.facemime.posing
+    posing.object = stage.any_of([*bpy.data.objects, None])
+    posing.eye_left = stage.any_of([*bpy.data.objects, None, None])
+
+
+@pushed
+def override(stage: Stage) -> None:
+    """Link a head from another file and override it."""
+    path = stage.files.blend
+    if not path.exists() or bpy.context.mode != "OBJECT" or bpy.data.filepath == str(path):
+        return
+    with bpy.data.libraries.load(str(path), link=True) as (there, here):
+        here.objects = there.objects[:2]
+    for linked in here.objects:
+        if linked is not None and linked.library is not None:
+            mine = linked.override_create(remap_local_usages=True)
+            if mine is not None and mine.name not in bpy.context.scene.collection.objects:
+                bpy.context.scene.collection.objects.link(mine)
+
+
+def new_blend(stage: Stage) -> None:
+    """Another file."""
+    bpy.ops.wm.read_homefile(use_empty=bool(stage.rng.random() < 0.5), use_factory_startup=True)
+
+
+def save(stage: Stage) -> None:
+    """Here or as a copy."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(stage.files.blend), copy=bool(stage.rng.random() < 0.5))
+
+
+def open_blend(stage: Stage) -> None:
+    """What was saved."""
+    if stage.files.blend.exists():
+        bpy.ops.wm.open_mainfile(filepath=str(stage.files.blend))
+
+
+def change_frame(stage: Stage) -> None:
+    """Of the scene."""
+    bpy.context.scene.frame_set(int(stage.rng.integers(0, 80)))
+
+
+def change_mode(stage: Stage) -> None:
+    """Of the active object."""
+    if stage.active() is not None and bpy.ops.object.mode_set.poll():
+        kinds = ("OBJECT", "OBJECT", "EDIT", "SCULPT", "WEIGHT_PAINT")
+        bpy.ops.object.mode_set(mode=str(stage.any_of(kinds)) if stage.active().type == "MESH" else "OBJECT")
+
+
+def change_scene(stage: Stage) -> None:
+    """To another one, or a new one."""
+    window = bpy.context.window_manager.windows[0] if len(bpy.context.window_manager.windows) else None
+    if window is not None:
+        window.scene = stage.any_of([*bpy.data.scenes, None]) or bpy.data.scenes.new("Scene")
+
+
+BLENDERS: dict[str, Callable[[Stage], None]] = {
+    "undo": undo,
+    "redo": redo,
+    "choose": choose,
+    "delete": operator("object.delete"),
+    "delete globally": operator("object.delete", use_global=True),
+    "remove object": remove_object,
+    "rename": rename,
+    "duplicate": operator("object.duplicate"),
+    "duplicate linked": operator("object.duplicate", linked=True),
+    "join": operator("object.join"),
+    "join as shapes": operator("object.join_shapes"),
+    "convert to mesh": operator("object.convert", target="MESH"),
+    "convert to curve": operator("object.convert", target="CURVE"),
+    "swap mesh": swap_mesh,
+    "clear geometry": clear_geometry,
+    "subdivide": operator("mesh.subdivide"),
+    "delete vertices": operator("mesh.delete", type="VERT"),
+    "select vertices": operator("mesh.select_all", action="TOGGLE"),
+    "separate": operator("mesh.separate", type="LOOSE"),
+    "purge": operator("outliner.orphans_purge", do_recursive=True),
+    "apply transform": operator("object.transform_apply"),
+    "apply visually": operator("object.visual_transform_apply"),
+    "add modifier": add_modifier,
+    "apply modifiers": operator("object.convert", target="MESH", keep_original=True),
+    "single user": operator("object.make_single_user", object=True, obdata=True),
+    "make local": operator("object.make_local", type="ALL"),
+    "clear parent": operator("object.parent_clear", type="CLEAR"),
+    "clear delta": operator("object.rotation_clear", clear_delta=True),
+    "add cube": operator("mesh.primitive_cube_add"),
+    "add armature": operator("object.armature_add"),
+    "add key": operator("object.shape_key_add", from_mix=False),
+    "delete keys": operator("object.shape_key_remove", all=True),
+    "apply keys": operator("object.shape_key_remove", all=True, apply_mix=True),
+    "remove a key": remove_a_key,
+    "absolute keys": absolute_keys,
+    "remove a group": remove_a_group,
+    "remove all groups": operator("object.vertex_group_remove", all=True),
+    "remove actions": remove_actions,
+    "remove tracks": remove_tracks,
+    "clear animation": clear_animation,
+    "override": override,
+    "frame": change_frame,
+    "mode": change_mode,
+    "scene": change_scene,
+    "delete scene": operator("scene.delete"),
+    "save": save,
+    "open": open_blend,
+    "new file": new_blend,
+}
+OURS |= {"write garbage": write_garbage, "garble selection": garble_selection, "take the pose": take_the_pose}
+OFTEN = (
+    ("puppet",) * 8 + ("tick",) * 14 + ("add_head",) * 3 + ("bake_take", "puppet_video", "show_take", "import_take") * 2
+)
+STEPS = {**OURS, **BLENDERS, "add Suzanne": operator("mesh.primitive_monkey_add")}
+STAND_INS = {"add_head": "add Suzanne"}
+NAMES = [*OURS, *OFTEN, *BLENDERS, *["undo"] * 5, *["redo"] * 2]
