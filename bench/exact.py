@@ -18,9 +18,9 @@ import numpy as np
 from facemime.core.landmarks import JAW
 from facemime.core.tracking.pdm import PointDistributionModel
 from facemime.core.tracking.tracker import FaceTracker
-from training.tracker.heads import IctHead, load_ict
-from training.tracker.reproject import Light, SkinnedHead, render, skin_head
-from training.tracker.sources import HAND_LABELLED, Photo, read_photos, split
+from facemime.training.tracker.heads import IctHead, load_ict
+from facemime.training.tracker.reproject import Light, SkinnedHead, render, skin_head
+from facemime.training.tracker.sources import HAND_LABELLED, Photo, read_photos, split
 
 VERSION = 1
 """Version of the images; raising it renders them again."""

@@ -14,8 +14,8 @@ from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.rig import HeadRig
 from facemime.core.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, MOUTH_OUTER, OUTER_EYE_CORNERS, from_ibug
 from facemime.core.mesh.surface import SurfaceGraph
-from training.expressions.__main__ import ARKIT_EXCEPTIONS
-from training.tracker.heads import FACE, load_ict
+from facemime.training.expressions.__main__ import ARKIT_EXCEPTIONS
+from facemime.training.tracker.heads import FACE, load_ict
 
 Points = NDArray[np.float64]
 AREAS = ("all", "lips", "eyes", "brows", "cheeks", "jaw")

@@ -14,7 +14,7 @@ import numpy as np
 
 from facemime.core.landmarks import EDGES, INNER
 from facemime.core.tracking.tracker import FaceTracker
-from training.tracker.sources import HAND_LABELLED, read_photos, split
+from facemime.training.tracker.sources import HAND_LABELLED, read_photos, split
 
 ROOT = Path(__file__).resolve().parents[1]
 SIDE, COLUMNS, FRAMES = 240, 8, 48

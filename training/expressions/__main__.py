@@ -11,8 +11,9 @@ from scipy.spatial import cKDTree
 
 from facemime.core.deform.expressions import EXPRESSIONS_FILE, FORMAT, ExpressionModel, learn
 from facemime.core.heads.proposal import propose_regions
-from training.head.build import to_bytes
-from training.tracker.heads import FACE, load_ict
+
+from ..head.build import to_bytes
+from ..tracker.heads import FACE, load_ict
 
 ROOT = Path(__file__).resolve().parents[2]
 ARKIT_EXCEPTIONS = ("PupilDilate", "cheekRaiser")

@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.head.build import to_bytes
-from training.head.source import ROOT, open_source
-
+from ..head.build import to_bytes
+from ..head.source import ROOT, open_source
 from .actor import Actor, build_actor
 from .performance import FPS, labels, place_at, pose_at, times, units_at
 

@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 
 from facemime.core.landmarks import from_ibug
 from facemime.core.rotation import euler_to_matrix
-from training.head.anatomy import LOWER_LID_EDGE, UPPER_LID_EDGE, landmark_vertices
-from training.head.build import TO_HEAD, TRAGUS_TO_CENTRE, fit_blink
-from training.head.canvas import FrontView, distance_to_line, fade, mix, noise, rasterise
-from training.head.cut import CAVITY, FACE, NECK, SOCKET, face_charts
-from training.head.hair import brow_strokes, crop, crop_lift
-from training.head.identity import Identity, identity_offsets
-from training.head.occlusion import vertex_normals
-from training.head.parts import Part, build_parts, jaw_hinge
-from training.head.source import BaseMesh, Source
+
+from ..head.anatomy import LOWER_LID_EDGE, UPPER_LID_EDGE, landmark_vertices
+from ..head.build import TO_HEAD, TRAGUS_TO_CENTRE, fit_blink
+from ..head.canvas import FrontView, distance_to_line, fade, mix, noise, rasterise
+from ..head.cut import CAVITY, FACE, NECK, SOCKET, face_charts
+from ..head.hair import brow_strokes, crop, crop_lift
+from ..head.identity import Identity, identity_offsets
+from ..head.occlusion import vertex_normals
+from ..head.parts import Part, build_parts, jaw_hinge
+from ..head.source import BaseMesh, Source
 
 PERFORMER = Identity(
     gender=1.0,
