@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Iterable
 from functools import lru_cache
 
+import bpy
 from bpy.app.translations import pgettext_rpt
 
 from ..core.assets import ASSETS
@@ -89,6 +90,24 @@ def translated(message: str, lookup: Callable[[str], str] | None = None) -> str:
         Blender's function for labels; that for reports by default. They respect the user's preferences.
     """
     return _templates().translate(message, lookup or pgettext_rpt)
+
+
+def displayable(message: str) -> str:
+    """Translate a message for a report, with bytes that are not UTF-8 escaped, as Blender requires."""
+    return translated(message).encode(errors="backslashreplace").decode()
+
+
+def show_error(message: str) -> None:
+    """Show an error, translated, from a timer, where no operator can report it."""
+    text = displayable(message)
+
+    def draw(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+        self.layout.label(text=text, translate=False)
+
+    if bpy.app.background:
+        print(f"facemime: {text}")
+    else:
+        bpy.context.window_manager.popup_menu(draw, title="Facemime", icon="ERROR")
 
 
 @lru_cache(maxsize=1)

@@ -4,13 +4,13 @@ import bpy
 from bpy.props import FloatProperty, IntProperty
 
 from ..blender.animation.bake import seconds_at
+from ..blender.messages import show_error
 from ..blender.registering import watch
 from ..blender.undo import push_undo
 from ..core.errors import FacemimeError
 from ..sessions.punch_in import PunchIn
 from ..settings import takes_store
 from .puppet import running
-from .shared import message_of
 from .takes import OnTake
 
 _WATCH = 0.02
@@ -104,23 +104,11 @@ def _watch() -> float | None:
             return _WATCH
     except FacemimeError as error:
         _Playback.stop()
-        _show_error(message_of(error))
+        show_error(str(error))
         return None
     _Playback.stop()
     push_undo("Re-Record Range")
     return None
-
-
-def _show_error(message: str) -> None:
-    """Show an error from a timer, where no operator can report it."""
-
-    def draw(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-        self.layout.label(text=message, translate=False)
-
-    if bpy.app.background:
-        print(f"facemime: {message}")
-    else:
-        bpy.context.window_manager.popup_menu(draw, title="Facemime", icon="ERROR")
 
 
 CLASSES = (FACEMIME_OT_rerecord_take,)

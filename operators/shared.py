@@ -8,14 +8,9 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..blender.meshes import is_head
-from ..blender.messages import translated
+from ..blender.messages import displayable
 from ..core.capture import check_readable, require_utf8_name
 from ..core.errors import FacemimeError, SourceError
-
-
-def message_of(error: Exception) -> str:
-    """Return the translated message of `error`, with bytes that are not UTF-8 escaped, as Blender requires."""
-    return _escaped(translated(str(error)))
 
 
 def report(operator: bpy.types.Operator, message: str, level: str = "INFO") -> None:
@@ -28,11 +23,7 @@ def report(operator: bpy.types.Operator, message: str, level: str = "INFO") -> N
         In English.
     level : {"INFO", "WARNING", "ERROR"}
     """
-    operator.report({level}, _escaped(translated(message)))
-
-
-def _escaped(text: str) -> str:
-    return text.encode(errors="backslashreplace").decode()
+    operator.report({level}, displayable(message))
 
 
 class ReportsErrors:
