@@ -19,7 +19,6 @@ from .operators import (
     take_edits,
     takes,
 )
-from .sessions import punch_in as punch_in_session
 from .sessions import session, show
 from .settings import panel_properties, preferences, properties, takes_properties, takes_store
 from .ui import calibration as calibration_panel
@@ -68,7 +67,6 @@ _MODULES = (
     point_overlay,
     commands,
     session,
-    punch_in_session,
     show,
 )
 

@@ -47,8 +47,8 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
         scene = context.scene
         line = takes_store.chosen(scene)
         take = takes_store.read(line)
-        if Session.current is not None:
-            Session.current.close()
+        if (session := Session.running()) is not None:
+            session.close()
         heads = heads_in(context)
         settings = puppet_settings(scene.facemime, bake_settings(scene.facemime_takes.bake, line.name))
         targets = pose_targets(scene.facemime.posing, heads[0])

@@ -3,9 +3,8 @@
 import bpy
 
 from ..blender.viewports import redraw, viewport_under
-from ..core.errors import FacemimeError
 from ..sessions.live import LiveSession
-from ..sessions.session import Session, clear_later
+from ..sessions.session import Session
 from ..sessions.start import RigWatch, follow_settings, start_session
 from .shared import ReportsErrors, heads_in, report, require_heads
 
@@ -15,7 +14,7 @@ _STATUS_INTERVAL = 0.25
 
 def running() -> LiveSession | None:
     """Return the running live session, or None."""
-    return Session.current if isinstance(Session.current, LiveSession) else None
+    return LiveSession.running()
 
 
 class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
@@ -24,12 +23,6 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     bl_idname = "facemime.puppet"
     bl_label = "Start Puppet"
     bl_options = {"REGISTER"}
-
-    instance = None
-    """The running operator; Blender itself holds a reference only if there is a window.
-
-    Without an annotation: one that names its own class keeps the class alive, and Blender 4 then hangs on exit.
-    """
 
     _session: LiveSession | None = None
     _rigs: RigWatch | None = None
@@ -41,7 +34,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a selected head outside Edit Mode, and that no session is running."""
-        if Session.current is not None:
+        if Session.running() is not None:
             cls.poll_message_set("A puppet is already running. Stop it first")
             return False
         if context.mode == "EDIT_MESH":
@@ -54,7 +47,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         self._session = start_session(context.scene, heads_in(context))
         self._rigs = RigWatch(self._session)
         self._scene = context.scene.name
-        FACEMIME_OT_puppet.instance = self
+        self._session.operator = self
         manager = context.window_manager
         self._timer = manager.event_timer_add(_TICK, window=context.window)
         manager.modal_handler_add(self)
@@ -62,7 +55,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Handle a tick or the end; pass other events through."""
-        if self._session is None or Session.current is not self._session:
+        if self._session.closed:
             return self.finish(context)
         if (
             event.type == "ESC"
@@ -76,24 +69,13 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         if event.value in ("PRESS", "CLICK"):
             self._clicked = True
         if event.type == "TIMER":
-            return self.reporting(self.tick, context)
+            return self.reporting(self.tick_or_end, context)
         return {"PASS_THROUGH"}
 
-    def reporting(self, work, context: bpy.types.Context) -> set[str]:
-        """Return what `work` returns; an error also ends the session.
-
-        Parameters
-        ----------
-        work : callable
-            Takes the context and returns an operator's result.
-        context : bpy.types.Context
-        """
+    def tick_or_end(self, context: bpy.types.Context) -> set[str]:
+        """Handle a tick; an error ends the session."""
         try:
-            return work(context)
-        except FacemimeError as error:
-            self.finish(context)
-            report(self, str(error), "ERROR")
-            return {"CANCELLED"}
+            return self.tick(context)
         except Exception:
             self.finish(context)
             raise
@@ -117,30 +99,24 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         return {"PASS_THROUGH"}
 
     def finish(self, context: bpy.types.Context) -> set[str]:
-        """End the session and the timer; push an undo step if the heads keep their pose."""
-        session = self._session
-        kept = session is not None and session.keep and Session.current is session
-        if session is not None:
-            session.close()
-        self.cancel(context)
-        if session is not None and session.warning:
-            report(self, session.warning, "WARNING")
-        if kept:
-            bpy.ops.ed.undo_push(message="Puppet")
+        """End the session, and report what went wrong."""
+        self._session.close()
+        if self._session.warning:
+            report(self, self._session.warning, "WARNING")
         redraw(context, "UI")
         return {"FINISHED"}
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """End the session and the timer; may be called twice, also by Blender while it closes a window or a file."""
-        if self._session is not None and Session.current is self._session:
-            # Pushing an undo step here crashes Blender 4.3.
-            self._session.close(blocks=False)
-            clear_later()
-        self._session = None
+        """End the session as Blender closes the window; may be called twice."""
+        self._session.operator = None
+        self.release()
+        self._session.close_later()  # pushing an undo step here crashes Blender 4.3
+
+    def release(self) -> None:
+        """End the timer; called by the session when it is closed."""
         if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
+            bpy.context.window_manager.event_timer_remove(self._timer)
         self._timer = None
-        FACEMIME_OT_puppet.instance = None
 
     def _timer_seconds(self) -> float:
         return float(self._timer.time_duration) if self._timer is not None else 0.0
@@ -162,10 +138,9 @@ class FACEMIME_OT_stop_puppet(bpy.types.Operator):
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """End the session; the modal operator ends at its next tick."""
-        if FACEMIME_OT_puppet.instance is not None:
-            return FACEMIME_OT_puppet.instance.finish(context)
-        Session.current.close()
+        """End the session; the modal operator ends at the next event."""
+        running().close()
+        redraw(context, "UI")
         return {"FINISHED"}
 
 
@@ -200,9 +175,3 @@ def _painting(context: bpy.types.Context) -> bool:
 
 
 CLASSES = (FACEMIME_OT_puppet, FACEMIME_OT_stop_puppet, FACEMIME_OT_next_face)
-
-
-def unregister() -> None:
-    """End a running puppet."""
-    if FACEMIME_OT_puppet.instance is not None:
-        FACEMIME_OT_puppet.instance.finish(bpy.context)

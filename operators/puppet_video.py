@@ -64,7 +64,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
             self._session.stop()
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        if self._session.running:
+        if self._session.tracking:
             done, total = self._session.done, self._session.total
             context.window_manager.progress_update(100 * done / max(total, 1))
             progress = _("Facemime: {done} of {total} frames tracked; Esc to stop and bake them")

@@ -1,23 +1,16 @@
 """Operators on the list of takes: record, show, remove, find, import, export, pack."""
 
-import contextlib
-
 import bpy
 from bpy.props import StringProperty
 
-from ..blender.registering import watch
-from ..blender.undo import push_undo
-from ..core.errors import OutputError, SourceError
+from ..core.errors import SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import from_csv, to_csv
-from ..sessions.recording import Recording, settle, start_recording, stop_recording
 from ..sessions.session import Session
 from ..sessions.show import TakeShow
 from ..settings import takes_store
 from .puppet import running
 from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors, heads_in, report, require_heads
-
-_WATCH = 0.25
 
 
 class OnTake(ReportsErrors):
@@ -44,31 +37,26 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a running puppet or recording."""
-        if running() is None and Recording.current is None:
+        """Require a running puppet."""
+        if running() is None:
             cls.poll_message_set("Start the puppet first, in the Puppet panel")
             return False
         return True
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Start recording, or stop and add the take to the list."""
-        if Recording.current is None:
-            start_recording(running(), context.scene, self.name)
-            watch(_watch, _WATCH)
+        session = running()
+        if session.recording is None:
+            session.start_recording(context.scene, self.name)
             return {"FINISHED"}
-        recording = Recording.current
-        try:
-            stop_recording()
-        finally:
-            listed = settle()
+        recording = session.recording
+        session.stop_recording()
         if recording.video_failed:
             report(
                 self,
                 f"The video of {recording.path.name} could not be written. Check that the disk is not full.",
                 "WARNING",
             )
-        if listed:
-            bpy.ops.ed.undo_push(message="Record Take")
         return {"FINISHED"}
 
 
@@ -82,16 +70,16 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a head and a take, and that no other session is running."""
-        if isinstance(Session.current, TakeShow):
+        if TakeShow.running() is not None:
             return True
-        if Session.current is not None:
+        if Session.running() is not None:
             cls.poll_message_set("A puppet is already running. Stop it first")
             return False
         return require_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
-        if isinstance(Session.current, TakeShow):
-            Session.current.close()
+        if (show := TakeShow.running()) is not None:
+            show.close()
         else:
             TakeShow(context.scene, heads_in(context), takes_store.read(takes_store.chosen(context.scene)))
         return {"FINISHED"}
@@ -192,18 +180,6 @@ class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _watch() -> float | None:
-    """Add a recording to the list once it has ended with its session."""
-    recording = Recording.current
-    if recording is None:
-        return None
-    if recording.running:
-        return _WATCH
-    if settle():
-        push_undo("Record Take")
-    return None
-
-
 CLASSES = (
     FACEMIME_OT_record_take,
     FACEMIME_OT_show_take,
@@ -213,11 +189,3 @@ CLASSES = (
     FACEMIME_OT_export_take,
     FACEMIME_OT_pack_take,
 )
-TIMERS = (_watch,)
-
-
-def unregister() -> None:
-    """Stop a recording."""
-    with contextlib.suppress(OutputError):  # cannot be reported any more, and the frames before it are safe
-        stop_recording()
-    Recording.current = None

@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from time import perf_counter
+from typing import Any
+
+import bpy
 
 from ..blender.animation.live import LiveHeadObject, flatten_for_keys, require_one_left
+from ..blender.messages import show_error
 from ..blender.undo import push_undo
-from ..core.errors import HeadError, OutputError
+from ..core.errors import FacemimeError, HeadError, OutputError
 from ..core.live.sources import LiveSource
 from ..core.live.timing import Delays, Stopwatch
-from ..core.live.worker import LiveHead, LiveOptions, LiveResult, LiveWorker, Recorder
+from ..core.live.worker import LiveHead, LiveOptions, LiveResult, LiveWorker
 from ..core.takes.neutral import Neutral
+from .punch_in import PunchIn
+from .recording import Recording
 from .session import Session
 
 COUNTDOWN = 3.0
@@ -45,6 +51,13 @@ class LiveSession(Session):
         The result on display; the worker may have a newer one.
     warning : str
         What went wrong at the end; "" if nothing.
+    operator : bpy.types.Operator or None
+        The modal operator that calls `step`, which Blender itself keeps only if there is a window. Its `release` is
+        called when the session is closed.
+    recording : Recording or None
+        The running recording, or one that has ended and is not in the list yet.
+    punch_in : PunchIn or None
+        The range that is being re-recorded.
     """
 
     def __init__(
@@ -59,6 +72,9 @@ class LiveSession(Session):
         super().__init__()
         self.stopwatch, self.keep, self.warning = Stopwatch(), False, ""
         self.shown: LiveResult | None = None
+        self.operator: Any = None
+        self.recording: Recording | None = None
+        self.punch_in: PunchIn | None = None
         self._objects = [shown for shown, _ in heads]
         self._on_calibrated = on_calibrated
         self._at: float | None = None
@@ -141,30 +157,66 @@ class LiveSession(Session):
             return None
         return 0.0 if self._at is None else max(0.0, self._at - perf_counter())
 
-    def close(self, *, blocks: bool = True) -> None:
-        """Stop the worker, release the source and restore the heads, unless `keep` is set; sets `warning`."""
-        self._close_worker()
-        removed = [shown.detach(keep=self.keep, blocks=blocks) for shown in self._objects]
-        super().close()
-        if any(removed):
-            push_undo("Stop Puppet")
+    def start_recording(self, scene: bpy.types.Scene, name: str) -> Recording:
+        """Record everything that is tracked from now on.
 
-    def abandon(self) -> None:
-        """Stop the worker and release the source without touching Blender's data."""
-        self._close_worker()
-        super().close()
+        Parameters
+        ----------
+        scene : bpy.types.Scene
+            The take is added to its list.
+        name : str
+            Base of the file name.
 
-    def _close_worker(self) -> None:
+        Raises
+        ------
+        FacemimeError
+            If there is a recording already, or the file cannot be created.
+        """
+        self._require_no_recording()
+        self.recording = Recording(self.worker, scene, name)
+        self.attend_later()
+        return self.recording
+
+    def stop_recording(self) -> None:
+        """Stop the recording, and add the take to the list.
+
+        Raises
+        ------
+        FacemimeError
+            If the end of the file cannot be written, or the file cannot be read.
+        """
         try:
-            self.worker.close()
-        except OutputError as error:
-            self.worker.recording_error = error
-            self.warning = str(error)
-        if self.worker.running:
-            self.warning = (
-                f"{self.worker.source.name} does not respond and was abandoned. If it stays blocked, unplug it or "
-                "restart Blender."
-            )
+            self.recording.stop()
+        finally:
+            self._add_to_list()
+
+    def rerecord(
+        self, scene: bpy.types.Scene, take: str, start: float, end: float, *, lead: float, blend: float
+    ) -> None:
+        """Re-record a range of a take; the parameters are those of `PunchIn`.
+
+        Raises
+        ------
+        FacemimeError
+            If there is a recording already, or the range is empty.
+        """
+        self._require_no_recording()
+        self.punch_in = PunchIn(scene, take, start, end, lead=lead, blend=blend)
+        self.attend_later()
+
+    @property
+    def pending(self) -> bool:
+        """Whether there is a recording that is not in the list yet, or a range to be re-recorded."""
+        return super().pending or self.recording is not None or self.punch_in is not None
+
+    def attend(self) -> None:
+        """Continue with the range that is being re-recorded, and add a recording that has ended to the list."""
+        for step in (self._continue_punch_in, self._add_to_list):
+            try:
+                step()
+            except FacemimeError as error:
+                show_error(str(error))
+        super().attend()
 
     def suspend(self) -> None:
         """Restore the heads while the file is saved."""
@@ -177,9 +229,50 @@ class LiveSession(Session):
             shown.attach()
         self._number = 0
 
-    def record(self, recorder: Recorder) -> None:
-        """Record everything that is tracked from now on."""
-        self.worker.record(recorder)
+    def _stop(self) -> None:
+        try:
+            self.worker.close()
+        except OutputError as error:
+            self.worker.recording_error = error
+            self.warning = str(error)
+        if self.worker.running:
+            self.warning = (
+                f"{self.worker.source.name} does not respond and was abandoned. If it stays blocked, unplug it or "
+                "restart Blender."
+            )
+
+    def _restore(self, *, blocks: bool) -> None:
+        """Restore the heads, unless `keep` is set, and release the operator."""
+        operator, self.operator = self.operator, None
+        if operator is not None:
+            operator.release()
+        removed = [shown.detach(keep=self.keep, blocks=blocks) for shown in self._objects]
+        if any(removed):
+            push_undo("Stop Puppet")
+        elif self.keep and blocks:
+            push_undo("Puppet")
+
+    def _require_no_recording(self) -> None:
+        if self.recording is not None:
+            raise FacemimeError("A take is already being recorded. Stop it first.")
+
+    def _add_to_list(self) -> None:
+        """Add the recording to the list if it has ended."""
+        recording = self.recording
+        if recording is None or recording.running:
+            return
+        self.recording = None
+        if recording.add_to_list():
+            push_undo("Record Take")
+
+    def _continue_punch_in(self) -> None:
+        punch_in, self.punch_in = self.punch_in, None
+        if punch_in is None:
+            return
+        if punch_in.step(self):
+            self.punch_in = punch_in
+        else:
+            push_undo("Re-Record Range")
 
     def _count_down(self) -> None:
         if not self._waiting:

@@ -3,37 +3,35 @@
 from __future__ import annotations
 
 import contextlib
-from pathlib import Path
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import HeadError, OutputError
+from ..core.errors import OutputError
 from ..core.live.reference_video import SUFFIX as VIDEO_SUFFIX
 from ..core.live.reference_video import ReferenceVideo
+from ..core.live.worker import LiveWorker
 from ..core.takes.file import TakeWriter
 from ..core.takes.take import describe
 from ..core.tracking.result import TrackResult
 from ..settings.preferences import preferences
 from ..settings.takes_store import add, new_path
-from .live import LiveSession
 
 
 class Recording:
-    """Recorder for `LiveSession.record`. The first frame is at 0 s, and `offset` is its time in the source.
+    """Recorder of everything that is tracked. The first frame is at 0 s, and `offset` is its time in the source.
 
     If a video is kept beside the take, that becomes the source of the take.
 
     Parameters
     ----------
-    session : LiveSession
-    path : Path
-        File of the take; must not exist yet.
-    scene : str
-        Name of the scene to whose list the take is added.
-    video_fps : float, optional
-        Frame rate of a video to keep beside the take; by default none is kept.
+    worker : LiveWorker
+        Records from now on.
+    scene : bpy.types.Scene
+        The take is added to its list; it also says whether to keep a video.
+    name : str
+        Base of the file name.
 
     Raises
     ------
@@ -41,22 +39,19 @@ class Recording:
         If the file cannot be created.
     """
 
-    current = None
-    """The running instance, or one that has ended and is not in the list yet."""
-
-    def __init__(self, session: LiveSession, path: Path, scene: str, video_fps: float | None = None) -> None:
-        self.path, self.frames, self.closed, self.scene = path, 0, False, scene
-        self._session, self._offset, self._last = session, 0.0, 0.0
+    def __init__(self, worker: LiveWorker, scene: bpy.types.Scene, name: str) -> None:
+        self.path, self.frames, self.closed = new_path(name), 0, False
+        self._worker, self._scene = worker, scene.name
+        self._offset, self._last = 0.0, 0.0
         self._video: ReferenceVideo | None = None
-        self._writer = TakeWriter(path, self._info())
-        if video_fps is not None:
-            self._video = ReferenceVideo(path.with_suffix(VIDEO_SUFFIX), video_fps)
+        self._writer = TakeWriter(self.path, self._info())
+        if scene.facemime_takes.video:
+            self._video = ReferenceVideo(self.path.with_suffix(VIDEO_SUFFIX), preferences().rate)
             self._writer.info = self._info()
-        session.record(self)
-        Recording.current = self
+        worker.record(self)
 
     def append(self, time: float, result: TrackResult, image: NDArray[np.uint8] | None) -> None:
-        """Add a frame. Called in the worker's thread, like everything but `stop`.
+        """Add a frame. Called in the worker's thread, as are `flush` and `close`.
 
         Parameters
         ----------
@@ -92,9 +87,9 @@ class Recording:
         return self.closed and self._video is not None and not self._video.written
 
     def stop(self) -> None:
-        """Stop recording; called in Blender's main thread."""
+        """Stop recording; OutputError if the end cannot be written. Called in Blender's main thread."""
         if not self.closed:
-            self._session.worker.stop_recording()
+            self._worker.stop_recording()
 
     @property
     def length(self) -> float:
@@ -104,11 +99,27 @@ class Recording:
     @property
     def running(self) -> bool:
         """Whether frames can still be added."""
-        return not self.closed and self._session.worker.recording_error is None
+        return not self.closed and self._worker.recording_error is None
+
+    def add_to_list(self) -> bool:
+        """Add a recording that has ended to the list, and return whether there is a file to be added.
+
+        Raises
+        ------
+        SourceError
+            If the file cannot be read.
+        """
+        if not self.closed:
+            with contextlib.suppress(OutputError):  # already reported by the session
+                self.close()
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is None or not self.path.is_file():
+            return False
+        add(scene, self.path)
+        return True
 
     def _info(self) -> dict:
-        worker = self._session.worker
-        source = worker.source
+        worker, source = self._worker, self._worker.source
         fps = (self.frames - 1) / self._last if self._last > 0.0 else 30.0
         width, height = worker.image_size
         size = (width or 640, height or 480)
@@ -118,49 +129,3 @@ class Recording:
         if self._video is not None and (not self.closed or self._video.written):
             info |= {"source": self._video.path.name, "offset": 0.0, "seen_by": source.name}
         return info
-
-
-def start_recording(session: LiveSession | None, scene: bpy.types.Scene, name: str) -> Recording:
-    """Start recording a session.
-
-    Parameters
-    ----------
-    session : LiveSession or None
-    scene : bpy.types.Scene
-        The take is added to its list; it also says whether to keep a video.
-    name : str
-        Base of the file name.
-
-    Raises
-    ------
-    HeadError
-        If there is no session.
-    OutputError
-        If the file cannot be created.
-    """
-    if session is None:
-        raise HeadError("No puppet is running. Start it before recording.")
-    video = preferences().rate if scene.facemime_takes.video else None
-    return Recording(session, new_path(name), scene.name, video)
-
-
-def stop_recording() -> None:
-    """Stop the running recording, but not its session; raises OutputError if its end cannot be written."""
-    if Recording.current is not None:
-        Recording.current.stop()
-
-
-def settle() -> bool:
-    """Add a recording that has ended to the list, and return whether there was one."""
-    recording = Recording.current
-    if recording is None or recording.running:
-        return False
-    Recording.current = None
-    if not recording.closed:
-        with contextlib.suppress(OutputError):  # already reported by the session
-            recording.close()
-    scene = bpy.data.scenes.get(recording.scene)
-    if scene is None or not recording.path.is_file():
-        return False
-    add(scene, recording.path)
-    return True

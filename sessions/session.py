@@ -7,24 +7,41 @@ Blender) goes through `Session.close`.
 from __future__ import annotations
 
 import atexit
+from typing import Self
 
 from bpy.app.handlers import persistent
 
 from ..blender.animation.live import clear_all_live
 from ..blender.registering import watch
-from ..blender.undo import push_undo
 from ..core.errors import HeadError
+
+_INTERVAL = 0.02
 
 
 class Session:
-    """Base class of sessions; `current` is the running one."""
+    """Base class of sessions, which start when they are created.
+
+    Attributes
+    ----------
+    closed : bool
+        Whether the session has ended.
+    """
 
     current: Session | None = None
+    """The running session, or one that is closed but still `pending`."""
 
     def __init__(self) -> None:
-        if Session.current is not None:
-            Session.current.close()
+        if (previous := Session.current) is not None:
+            previous.close()
+            previous.attend()
+        self.closed = self._closing = False
         Session.current = self
+
+    @classmethod
+    def running(cls) -> Self | None:
+        """Return the running session if it is of this class, otherwise None."""
+        session = Session.current
+        return session if isinstance(session, cls) and not session.closed else None
 
     def close(self, *, blocks: bool = True) -> None:
         """End the session; may be called twice.
@@ -34,18 +51,62 @@ class Session:
         blocks : bool
             Whether data-blocks may be removed, for which an undo step is pushed.
         """
-        if Session.current is self:
-            Session.current = None
+        if self.closed:
+            return
+        self.closed = True
+        self._stop()
+        self._restore(blocks=blocks)
+        self._forget()
+        self.attend_later()
+
+    def close_later(self) -> None:
+        """Close the session at the next opportunity, where Blender would crash if an undo step were pushed now."""
+        self._closing = True
+        self.attend_later()
 
     def abandon(self) -> None:
         """End only the threads, when Blender's data has already been freed."""
-        self.close()
+        self.closed = True
+        self._stop()
+        Session.current = None
+
+    @property
+    def pending(self) -> bool:
+        """Whether `attend` has something to do, which may outlast the session."""
+        return self._closing and not self.closed
+
+    def attend(self) -> None:
+        """Do what is due apart from displaying frames; called by a timer as long as the session is `pending`."""
+        if self._closing:
+            self.close()
+        self._forget()
+
+    def attend_later(self) -> None:
+        """Start the timer that calls `attend`, if the session is `pending`."""
+        if self.pending:
+            watch(_attend, _INTERVAL)
 
     def suspend(self) -> None:
         """Restore what the session moves while the file is saved."""
 
     def resume(self) -> None:
         """Display the motion again after `suspend`."""
+
+    def _stop(self) -> None:
+        """End the threads, without touching Blender's data."""
+
+    def _restore(self, *, blocks: bool) -> None:
+        """Restore what the session has moved; `blocks` as for `close`."""
+
+    def _forget(self) -> None:
+        if Session.current is self and self.closed and not self.pending:
+            Session.current = None
+
+
+def _attend() -> float | None:
+    if Session.current is not None:
+        Session.current.attend()
+    return None if Session.current is None or not Session.current.pending else _INTERVAL
 
 
 @persistent
@@ -61,35 +122,29 @@ def _clear_undone(*_: object) -> None:
     clear_all_live(blocks=False)
 
 
-def clear_later() -> None:
-    """Remove the data-blocks that a session left when it ended, at the next opportunity."""
-    watch(_clear_left, 0.05)
-
-
-def _clear_left() -> None:
-    if Session.current is None and clear_all_live(blocks=True):
-        push_undo("Stop Puppet")
-
-
 @persistent
 def _clear_opened(*_: object) -> None:
-    """Remove what a session displayed from a file that was saved during it, or by Blender before a crash."""
+    """Remove what a session displayed from a file that was saved during it, or by Blender before a crash.
+
+    What was pending belonged to the previous file. Its recordings are in its folder, where Find Takes finds them.
+    """
+    Session.current = None
     clear_all_live(blocks=True)
 
 
 @persistent
 def _suspend(*_: object) -> None:
-    if Session.current is not None:
-        Session.current.suspend()
+    if (session := Session.running()) is not None:
+        session.suspend()
 
 
 @persistent
 def _resume(*_: object) -> None:
-    if Session.current is not None:
+    if (session := Session.running()) is not None:
         try:
-            Session.current.resume()
+            session.resume()
         except HeadError:  # the head was changed and can no longer be driven
-            Session.current.close()
+            session.close()
 
 
 def _abandon_current() -> None:
@@ -108,7 +163,7 @@ HANDLERS = {
     "save_post": _resume,
     "save_post_fail": _resume,
 }
-TIMERS = (_clear_left,)
+TIMERS = (_attend,)
 
 
 def register() -> None:
@@ -120,4 +175,5 @@ def unregister() -> None:
     """Close a running session."""
     if Session.current is not None:
         Session.current.close()
+    Session.current = None
     atexit.unregister(_abandon_current)

@@ -65,17 +65,6 @@ class TakeShow(Session):
             if not shown.gone:
                 shown.write(driver.frame(result))
 
-    def close(self, *, blocks: bool = True) -> None:
-        """Restore the heads."""
-        removed = [shown.detach(keep=False, blocks=blocks) for shown, _ in self._heads]
-        super().close()
-        if any(removed):
-            push_undo("Stop Showing Take")
-
-    def abandon(self) -> None:
-        """End the session, which has no threads."""
-        super().close()
-
     def suspend(self) -> None:
         """Restore the heads while the file is saved."""
         for shown, _ in self._heads:
@@ -88,11 +77,16 @@ class TakeShow(Session):
         if (scene := bpy.data.scenes.get(self._scene)) is not None:
             self.show(scene)
 
+    def _restore(self, *, blocks: bool) -> None:
+        removed = [shown.detach(keep=False, blocks=blocks) for shown, _ in self._heads]
+        if any(removed):
+            push_undo("Stop Showing Take")
+
 
 @persistent
 def _show(scene: bpy.types.Scene, *_: object) -> None:
-    session = Session.current
-    if not isinstance(session, TakeShow) or bpy.app.is_job_running("RENDER"):
+    session = TakeShow.running()
+    if session is None or bpy.app.is_job_running("RENDER"):
         return
     try:
         session.show(scene)
@@ -101,9 +95,3 @@ def _show(scene: bpy.types.Scene, *_: object) -> None:
 
 
 HANDLERS = {"frame_change_post": _show}
-
-
-def unregister() -> None:
-    """Stop displaying the take."""
-    if isinstance(Session.current, TakeShow):
-        Session.current.close()

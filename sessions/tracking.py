@@ -35,20 +35,20 @@ class TrackingSession(Session):
         super().__init__()
         self.video, self._face = Path(video), face
         self.done, self.total = 0, 0
-        self._stop = threading.Event()
+        self._stopping = threading.Event()
         self._recorder: TakeRecorder | None = None
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._work, name="facemime-tracking", daemon=True)
         self._thread.start()
 
     @property
-    def running(self) -> bool:
+    def tracking(self) -> bool:
         """Whether the thread is still tracking."""
         return self._thread.is_alive()
 
     def stop(self) -> None:
         """Ask the thread to stop after the current frame."""
-        self._stop.set()
+        self._stopping.set()
 
     def take(self) -> Take:
         """Wait for the thread and return the take.
@@ -65,11 +65,10 @@ class TrackingSession(Session):
             raise FacemimeError("Tracking was stopped before the first frame. Start it again.")
         return self._recorder.finish()
 
-    def close(self, *, blocks: bool = True) -> None:
+    def _stop(self) -> None:
         """Stop the thread and wait a limited time for it; a thread that hangs is abandoned."""
         self.stop()
         self._thread.join(_JOIN_TIMEOUT)
-        super().close()
 
     def _work(self) -> None:
         try:
@@ -79,4 +78,4 @@ class TrackingSession(Session):
 
     def _on_frame(self, done: int, total: int, result: TrackResult) -> bool:
         self.done, self.total = done, total
-        return not self._stop.is_set()
+        return not self._stopping.is_set()

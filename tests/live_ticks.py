@@ -8,7 +8,8 @@ import numpy as np
 from clocks import PATIENCE, AskedClock
 
 from facemime.core.live.sources import PacedSource
-from facemime.operators.puppet import FACEMIME_OT_puppet, running
+from facemime.operators.puppet import running
+from facemime.sessions.session import Session
 
 TIMER = SimpleNamespace(type="TIMER", value="NOTHING", ctrl=False, oskey=False)
 CLICK = SimpleNamespace(type="LEFTMOUSE", value="PRESS", ctrl=False, oskey=False)
@@ -25,7 +26,13 @@ def let_a_frame_come() -> None:
 
 def tick(event=TIMER) -> set[str]:
     """Send an event to the running operator."""
-    return FACEMIME_OT_puppet.instance.modal(bpy.context, event)
+    return running().operator.modal(bpy.context, event)
+
+
+def attend() -> None:
+    """Let the session do what its timer would, if there is one."""
+    if Session.current is not None:
+        Session.current.attend()
 
 
 def ticks_until(condition) -> None:
@@ -34,7 +41,7 @@ def ticks_until(condition) -> None:
     while not condition():
         assert time.monotonic() < end, "waited in vain"
         let_a_frame_come()
-        if FACEMIME_OT_puppet.instance is None or tick() != {"PASS_THROUGH"}:
+        if running() is None or tick() != {"PASS_THROUGH"}:
             assert condition()
             return
 

@@ -237,7 +237,6 @@ def take() -> None:
         studio.start(0.6)
         sidebar.open_panel("FACEMIME_PT_takes")
         sidebar.press("bpy.ops.facemime.record_take")
-        blender.do(f"from {MODULE}.sessions.recording import Recording")
         studio.play(2.76)
         studio.picture("recording")
         studio.play(9.9)

@@ -4,9 +4,6 @@ import bpy
 from bpy.app.translations import pgettext_iface as _
 
 from ..operators.puppet import running
-from ..sessions.punch_in import PunchIn
-from ..sessions.recording import Recording
-from ..sessions.session import Session
 from ..sessions.show import TakeShow
 from .sidebar import Sidebar, labels, place
 
@@ -50,7 +47,8 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, takes = self.layout, context.scene.facemime_takes
-        recording = Recording.current
+        session = running()
+        recording, punch_in = (None, None) if session is None else (session.recording, session.punch_in)
         column = layout.column()
         column.scale_y = 1.4
         idle = recording is None
@@ -62,9 +60,9 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
         row.prop(takes, "video")
         if recording is not None:
             labels(layout, context, _("{count} frames recorded").format(count=recording.frames), "DISK_DRIVE")
-        elif PunchIn.current is not None:
-            labels(layout, context, _("Recording in {seconds:.0f} s").format(seconds=PunchIn.current.time_left), "TIME")
-        elif running() is None and not len(takes.items):
+        elif punch_in is not None:
+            labels(layout, context, _("Recording in {seconds:.0f} s").format(seconds=punch_in.time_left), "TIME")
+        elif session is None and not len(takes.items):
             labels(layout, context, "Start the puppet to record a take, or import one", "INFO")
         if not bpy.data.filepath and len(takes.items):
             labels(layout, context, "Takes are stored in your user folder until you save the .blend file", "INFO")
@@ -79,7 +77,7 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
             return
         take = takes.items[takes.index]
         layout.prop(take, "note", icon="TEXT")
-        layout.operator("facemime.show_take", icon="PLAY", depress=isinstance(Session.current, TakeShow))
+        layout.operator("facemime.show_take", icon="PLAY", depress=TakeShow.running() is not None)
         row = layout.row(align=True)
         row.operator("facemime.add_sound", text="Sound", icon="SOUND")
         row.operator("facemime.add_reference", text="Video", icon="FILE_MOVIE")
@@ -89,7 +87,7 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
         row.operator("facemime.trim_take", text="Trim", icon="ARROW_LEFTRIGHT")
         row.operator("facemime.mend_take", text="Mend", icon="MODIFIER")
         row = layout.row(align=True)
-        row.operator("facemime.rerecord_take", icon="REC", depress=PunchIn.current is not None)
+        row.operator("facemime.rerecord_take", icon="REC", depress=punch_in is not None)
         row.operator("facemime.punch_in_take", icon="PASTEDOWN")
         layout.operator("facemime.renew_neutral", icon="USER")
 

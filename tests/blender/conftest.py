@@ -15,9 +15,6 @@ from facemime.blender.heads.built_in import add_head
 from facemime.core.live.sources import PacedSource
 from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate
-from facemime.operators.puppet import FACEMIME_OT_puppet
-from facemime.sessions.punch_in import PunchIn
-from facemime.sessions.recording import Recording
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
 from facemime.settings.values import write_calibration
@@ -58,8 +55,7 @@ def nothing_left_over():
     yield
     if Session.current is not None:
         Session.current.close()
-    Recording.current = PunchIn.current = None
-    FACEMIME_OT_puppet.instance = None
+    Session.current = None
     gc.collect()
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("facemime")]
 

@@ -13,12 +13,12 @@ from facemime.blender.names import REGION_GROUPS
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.choice import LEFTMOST
-from facemime.operators.puppet import FACEMIME_OT_puppet, running
+from facemime.operators.puppet import running
 from facemime.sessions.live import LiveSession
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
 from facemime.settings.values import drive_settings
-from live_ticks import CLICK, moving, shown, tick, ticks_until
+from live_ticks import CLICK, attend, moving, shown, tick, ticks_until
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
@@ -45,8 +45,9 @@ def test_live_frames_equal_headless_ones_and_the_end_restores_the_head(take):
 def test_the_puppet_stops_at_the_end_of_the_source(take):
     add_head(bpy.context)
     bpy.ops.facemime.puppet()
+    operator = running().operator
     ticks_until(lambda: running() is None)
-    assert FACEMIME_OT_puppet.instance is None
+    assert Session.current is None and operator._timer is None
 
 
 def test_keep_pose_keeps_the_pose_without_changing_the_rest_shape(take):
@@ -99,11 +100,23 @@ def test_every_way_to_stop_joins_the_thread_and_ends_the_operator(take, end):
     bpy.context.scene.facemime.source.loop = True
     bpy.ops.facemime.puppet()
     ticks_until(moving)
-    worker = running().worker
+    session = running()
     end()
-    assert not worker.running and Session.current is None
-    if FACEMIME_OT_puppet.instance is not None:
-        assert tick() == {"FINISHED"}
+    assert not session.worker.running and session.operator is None and Session.current is None
+
+
+def test_a_puppet_whose_window_is_closed_ends_at_the_next_opportunity(take):
+    head = add_head(bpy.context)
+    bpy.context.scene.facemime.source.loop = True
+    bpy.ops.facemime.puppet()
+    ticks_until(moving)
+    session, operator = running(), running().operator
+    for _ in range(2):
+        operator.cancel(bpy.context)
+    assert session.operator is None and head.data.shape_keys is not None
+    attend()
+    assert session.closed and Session.current is None and head.data.shape_keys is None
+    assert bpy.ops.ed.undo() == {"FINISHED"}
 
 
 def test_settings_take_effect_while_the_puppet_is_running(take):

@@ -96,7 +96,7 @@ def test_without_a_mesh_the_button_is_disabled():
 
 def test_a_stopped_session_keeps_the_tracked_frames():
     session = TrackingSession(SAMPLE)
-    while session.running and session.done < 5:
+    while session.tracking and session.done < 5:
         pass
     session.stop()
     take = session.take()
@@ -109,7 +109,7 @@ def test_a_stopped_session_keeps_the_tracked_frames():
 def test_loading_a_file_ends_the_session():
     session = TrackingSession(SAMPLE)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    assert not session.running and Session.current is None
+    assert not session.tracking and Session.current is None
 
 
 def test_a_take_moves_all_selected_heads(tmp_path):

@@ -9,10 +9,10 @@ import pytest
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import is_head, read_vertices
 from facemime.core.takes.file import save_take
-from facemime.operators import punch_in, takes
-from facemime.operators.puppet import FACEMIME_OT_puppet
+from facemime.operators.puppet import running
 from facemime.sessions.session import Session
 from facemime.settings.preferences import preferences
+from live_ticks import attend
 from takes import performance
 
 STEPS = 20
@@ -94,13 +94,12 @@ def tick(rng: np.random.Generator) -> None:
     settings.mirror, settings.keep_pose = rng.random() < 0.5, rng.random() < 0.3
     steps.landmark = int(rng.integers(-1, 66))
     steps.show_regions = steps.show_points = rng.random() < 0.5
-    if (session := Session.current) is not None and FACEMIME_OT_puppet.instance is not None:
-        for _ in range(3):
-            if FACEMIME_OT_puppet.instance is None or session is not Session.current:
-                break
-            FACEMIME_OT_puppet.instance.modal(bpy.context, EVENT)
-    punch_in._watch()
-    takes._watch()
+    session = running()
+    for _ in range(3):
+        if session is None or session.operator is None:
+            break
+        session.operator.modal(bpy.context, EVENT)
+    attend()
 
 
 class EVENT:
@@ -129,8 +128,8 @@ def test_random_sequences_do_not_break_blender(take, first, tmp_path):
             ACTIONS[rng.integers(len(ACTIONS))](rng)
         if Session.current is not None:
             Session.current.close()
-        for watch in (punch_in._watch, takes._watch):
-            assert watch() is None, f"seed {seed}"
+        attend()
+        assert Session.current is None, f"seed {seed}"
         left = [thread.name for thread in threading.enumerate() if thread.name.startswith("facemime")]
         assert left == [], f"seed {seed}"
         go_all_the_way_back(seed, rest)

@@ -25,8 +25,8 @@ from clocks import AskedClock
 
 import facemime
 from facemime.core.live.sources import PacedSource
-from facemime.operators import punch_in, takes
 from facemime.sessions.session import Session
+from live_ticks import attend
 from steps import NAMES, OURS, STAND_INS, STEPS, Files, Stage
 
 PACKAGE = str(Path(facemime.__file__).parent)
@@ -62,9 +62,9 @@ def play(seed: int, count: int, files: Files, bare: bool, only: set[int] | None)
             print(f"fault {name}\n{printed.getvalue()}", flush=True)
     if Session.current is not None:
         Session.current.close()
-    for watch in (punch_in._watch, takes._watch):
-        if watch() is not None:
-            print("fault a timer goes on", flush=True)
+    attend()
+    if Session.current is not None:
+        print("fault a session goes on", flush=True)
     if left := [thread.name for thread in threading.enumerate() if thread.name.startswith("facemime")]:
         print(f"fault threads are left: {left}", flush=True)
 

@@ -15,8 +15,8 @@ import numpy as np
 from facegen_files import tri
 from facemime.core.live.sources import PacedSource
 from facemime.core.takes.file import save_take
-from facemime.operators import punch_in, takes
-from facemime.operators.puppet import FACEMIME_OT_puppet, running
+from facemime.operators.puppet import running
+from live_ticks import attend
 from takes import performance
 
 Random = np.random.Generator
@@ -97,16 +97,15 @@ def tick(stage: Stage) -> None:
     steps.landmark = int(stage.rng.integers(-1, 66))
     steps.show_regions, steps.show_points = bool(stage.rng.random() < 0.5), bool(stage.rng.random() < 0.5)
     for _ in range(stage.rng.integers(1, 40)):
-        session, operator = running(), FACEMIME_OT_puppet.instance
+        session = running()
         if session is None:
             break
         PacedSource.pace.ask(lambda worker=session.worker: worker.running)
-        if operator is None:
+        if session.operator is None:
             session.step()
         else:
-            operator.modal(bpy.context, stage.any_of((TIMER, TIMER, TIMER, CLICK)))
-    punch_in._watch()
-    takes._watch()
+            session.operator.modal(bpy.context, stage.any_of((TIMER, TIMER, TIMER, CLICK)))
+    attend()
 
 
 OURS: dict[str, Callable[[Stage], None]] = {
