@@ -41,7 +41,10 @@ def add_commands(commands: Commands) -> None:
     select.add_argument("--add", default="", metavar="17,19-21", help="landmarks to include, by iBUG number")
     select.add_argument("--remove", default="", metavar="0-3,30", help="landmarks to exclude")
     select.add_argument(
-        "--neutral", type=number, metavar="SECONDS", help="start of the neutral second (found automatically)"
+        "--neutral",
+        type=number,
+        metavar="SECONDS",
+        help="start of a second with a neutral face (found or estimated)",
     )
     select.set_defaults(run=run_select)
 

@@ -84,7 +84,7 @@ class FacemimeSettings(bpy.types.PropertyGroup):
 
     find_neutral: BoolProperty(
         name="Find Neutral",
-        description="Detect the second in which the performer's face is neutral; otherwise set its start",
+        description="Find or estimate the performer's neutral face; otherwise set the start of a second with it",
         default=True,
     )
     neutral: FloatProperty(

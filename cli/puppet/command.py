@@ -48,7 +48,10 @@ def add_commands(commands: Commands) -> None:
     )
     puppet.add_argument("--take", type=Path, metavar="TAKE.facetake", help="also write the take")
     puppet.add_argument(
-        "--neutral", type=number, metavar="SECONDS", help="start of the neutral second (found automatically)"
+        "--neutral",
+        type=number,
+        metavar="SECONDS",
+        help="start of a second with a neutral face (found or estimated)",
     )
     add_puppet_options(puppet)
     puppet.set_defaults(run=lambda a: run_puppet(_job(a)))

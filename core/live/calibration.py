@@ -38,12 +38,14 @@ class NeutralCalibration:
 
     Parameters
     ----------
+    asked : bool
+        Whether the performer was asked to rest. If not, what an expression adds to the face is removed.
     duration : float
         Seconds from the first result with a face.
     """
 
-    def __init__(self, duration: float = DURATION) -> None:
-        self._duration = duration
+    def __init__(self, *, asked: bool = True, duration: float = DURATION) -> None:
+        self._asked, self._duration = asked, duration
         self._recorder = TakeRecorder({})
         self._since = 0.0
 
@@ -73,7 +75,7 @@ class NeutralCalibration:
     def neutral(self) -> Neutral:
         """The neutral face; SourceError if none was found."""
         take = self._recorder.finish()
-        return calibrate(take, float(take.times[0]), self._duration + 1e-6)
+        return calibrate(take, float(take.times[0]), self._duration + 1e-6) if self._asked else calibrate(take)
 
     def quality(self) -> Quality:
         """Assess the calibration."""

@@ -186,7 +186,7 @@ class LiveWorker:
         self.neutral = neutral
         self._load_tracker, self._prepare_to_show = load_tracker, prepare
         self._calibration: NeutralCalibration | RangeCalibration | None = None
-        self._first = None if neutral is not None else NeutralCalibration()
+        self._first = None if neutral is not None else NeutralCalibration(asked=False)
         self._recorder: Recorder | None = None
         self._recording = threading.Lock()
         self._drivers: list[HeadDriver] = []

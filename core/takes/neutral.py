@@ -12,9 +12,10 @@ from ..apertures import eye_apertures, mouth_aperture
 from ..arrays import FloatArray
 from ..errors import SourceError
 from ..heads.regions import REGIONS, rms_extent
-from ..landmarks import BROWS, MIRROR, MOUTH_CORNERS, N_LANDMARKS
+from ..landmarks import MIRROR, N_LANDMARKS
 from ..reading import as_object, parse_json
 from ..rotation import euler_to_matrix
+from .face_space import load_face_space
 from .take import Take
 
 _MAX_SHUT = 0.45
@@ -24,6 +25,17 @@ _MIN_OPENING, _WIDE_OPENING, _MAX_GAIN = 0.12, 0.35, 1.4
 gain (section 4.2)."""
 _OPTIONAL = ("gaze", "open_mouth")
 """Values that may be NaN."""
+_ADDED = {"removed": 0.0}
+"""Values that files of earlier versions lack."""
+_MAX_FRAMES, _MOMENT = 300, 0.3
+"""Frames of a take that are looked at for a neutral face, and seconds that it has to last. A second is too long: strong
+performers seldom rest for one. From 0.15 to 0.5 the bench of expressions hardly changes."""
+_TURNED, _LEAST_TRUST = 0.5, 1e-3
+"""Radians of pitch and yaw at which a frame counts 1/e, and what it counts at least."""
+_DOUBT = 0.2
+"""Amount of expression, in eye distances, that a confidence of 0 counts as."""
+_WEAK, _MUCH_REMOVED = 0.3, 0.35
+"""Activations up to which an expression may be the face of that person, and above which a removed one is reported."""
 _MAX_VALUES, _MAX_VALUE = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0}, 1e7
 """Upper bounds of stored values: outer-eye distances and radians; others are seconds and pixels."""
 _MIN_EXTENT, _ROTATION_ERROR = 1e-4, 1e-3
@@ -41,8 +53,8 @@ class Neutral:
     shape : (66, 3) float64
         Mean pose-free shape: head frame, outer-eye distances.
     rotation : (3, 3) float64
-        Median rotation in the take, at which the avatar looks straight ahead. If the camera is below or beside the
-        screen, the performer does not face the camera then.
+        Rotation at which the avatar looks straight ahead: that of the time that the user chose, as the camera may be
+        below or beside the screen, and otherwise that of a head that faces the camera.
     position : (3,) float64
         `(s, tx, ty)`, medians of the take: pixels per outer-eye distance, pixels, pixels.
     start, end : float
@@ -54,6 +66,9 @@ class Neutral:
         `(pitch, yaw)` in radians, median of the take: the usual gaze. NaN if the take has none.
     open_mouth : float
         Aperture of the mouth when opened wide, in outer-eye distances; NaN if unknown.
+    removed : float
+        Largest activation of an expression that was removed, as no moment of the take was neutral; 0 for none, 1 for a
+        full smile, say.
     """
 
     shape: FloatArray
@@ -64,6 +79,18 @@ class Neutral:
     shut: float = 0.0
     gaze: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     open_mouth: float = np.nan
+    removed: float = 0.0
+
+    @property
+    def is_estimated(self) -> bool:
+        """Whether the performer showed an expression even in the calmest moment, so that this face is an estimate."""
+        return self.removed > _MUCH_REMOVED
+
+    @property
+    def warning(self) -> str:
+        """What the user should know about this neutral face; "" if there is nothing."""
+        warning = "The performer never rests in this take, so the neutral face was estimated. Check the motion."
+        return warning if self.is_estimated else ""
 
     @property
     def mouth_gain(self) -> float:
@@ -109,7 +136,7 @@ class Neutral:
         values: dict[str, Any] = {}
         for name in (f.name for f in fields(cls)):
             try:
-                value = np.array(data[name], dtype=np.float64)
+                value = np.array(data.get(name, _ADDED[name]) if name in _ADDED else data[name], dtype=np.float64)
             except (KeyError, TypeError, ValueError, OverflowError) as error:
                 raise SourceError(f"The stored calibration is damaged ({name}). Calibrate again.") from error
             known = np.isfinite(value) | ((name in _OPTIONAL) & np.isnan(value))
@@ -123,6 +150,7 @@ class Neutral:
             "rotation": np.allclose(turn @ turn.T, np.eye(3), atol=_ROTATION_ERROR) and np.linalg.det(turn) > 0.0,
             "position": neutral.position[0] > 0.0,
             "shut": 0.0 <= neutral.shut < _MAX_SHUT,
+            "removed": neutral.removed >= 0.0,
             "shape": _is_face(neutral.shape),
         }
         if wrong := [name for name, is_sound in sound.items() if not is_sound]:
@@ -142,57 +170,81 @@ def _plain(value: FloatArray) -> Any:
 
 
 def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> Neutral:
-    """Average the neutral face over about a second.
+    """Find the performer's neutral face in a take.
 
     Parameters
     ----------
     take : Take
         The take.
     start : float, optional
-        Start in seconds. By default the calibration that the take contains, or else the second with the least
-        expression (equation 4.1).
+        Start in seconds of the time to average. By default the calibration that the take contains; or else the
+        calmest moment is found, and what it shows of an expression is removed (equation 4.1).
     duration : float
-        Seconds to average.
+        Seconds to average from `start` on.
 
     Returns
     -------
     Neutral
-        The neutral face, with the median pose of the take.
+        The neutral face. If `start` is given, the head looks straight ahead as it does in that time, otherwise when it
+        faces the camera.
 
     Raises
     ------
     SourceError
         If there is no face in that time, or in the whole take.
-
-    Notes
-    -----
-    The calmer half of the frames is averaged, so that a smile or a blink that begins or ends in that second does not
-    matter.
     """
     if not take.found.any():
         raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")
     if start is None and "calibration" in take.info:
         return Neutral.from_dict(take.info["calibration"])
-    if start is None:
-        start = _restful_second(take, duration)
+    return _calmest(take) if start is None else _average(take, start, duration)
+
+
+def _average(take: Take, start: float, duration: float) -> Neutral:
+    """The neutral face of a given time."""
     chosen = take.found & (take.times >= start - 1e-9) & (take.times <= start + duration)
     if not chosen.any():
         raise SourceError(
             f"No face was found between {start:.2f} s and {start + duration:.2f} s. Choose another neutral."
         )
     shapes = take.shape[chosen].astype(np.float64)
-    # The calmer half of the frames, so that a smile or a blink that begins or ends in this time does not count.
-    expression = _expression(shapes)
-    pitch, yaw, roll = (float(a) for a in np.median(take.pose[take.found, 1:4], axis=0))
-    neutral = shapes[expression <= np.median(expression)].mean(axis=0)
+    # The half of the frames nearest to their median, so that a smile or a blink that begins or ends does not count.
+    away = np.linalg.norm(shapes - np.median(shapes, axis=0), axis=2).mean(axis=1)
+    pitch, yaw, roll = (float(a) for a in np.median(take.pose[chosen, 1:4], axis=0))
+    return _neutral(
+        take, shapes[away <= np.median(away)].mean(axis=0), take.times[chosen], euler_to_matrix(pitch, yaw, roll)
+    )
+
+
+def _calmest(take: Take) -> Neutral:
+    """The neutral face of the calmest moment, without what that shows of an expression."""
+    found = np.flatnonzero(take.found)
+    chosen = found[np.unique(np.linspace(0, len(found) - 1, min(_MAX_FRAMES, len(found))).astype(np.intp))]
+    shapes, times = take.shape[chosen].astype(np.float64), take.times[chosen]
+    turned = np.square(take.pose[chosen, 1:3] / _TURNED).sum(axis=1)
+    space = load_face_space()
+    activations = space.explain(shapes, take.confidence[chosen] * np.exp(-turned) + _LEAST_TRUST)
+    amount = space.amount(activations) + _DOUBT * (1.0 - take.confidence[chosen])
+    # The moment whose calmer half shows least.
+    spans = [np.arange(i, end) for i, end in enumerate(np.searchsorted(times, times + _MOMENT, side="right"))]
+    calmer = [span[np.argsort(amount[span])[: (len(span) + 1) // 2]] for span in spans]
+    calm = min(calmer, key=lambda frames: float(amount[frames].mean()))
+    # Weak activations may be the person's own face; strong ones are an expression, which a rested face would not show.
+    strong = np.maximum(activations[calm] - _WEAK, 0.0)
+    shape = (shapes[calm] - np.tensordot(strong, space.units, 1)).mean(axis=0)
+    return replace(_neutral(take, shape, times[np.sort(calm)], np.eye(3)), removed=float(strong.mean(axis=0).max()))
+
+
+def _neutral(take: Take, shape: FloatArray, times: FloatArray, rotation: FloatArray) -> Neutral:
+    found = take.found
     return Neutral(
-        shape=neutral,
-        rotation=euler_to_matrix(pitch, yaw, roll),
-        position=np.median(take.pose[take.found][:, [0, 4, 5]], axis=0),
-        start=float(take.times[chosen][0]),
-        end=float(take.times[chosen][-1]),
-        shut=shut_level(neutral, take.shape[take.found].astype(np.float64)),
-        gaze=_usual_gaze(take.gaze[take.found].astype(np.float64)),
+        shape=shape,
+        rotation=rotation,
+        position=np.median(take.pose[found][:, [0, 4, 5]], axis=0),
+        start=float(times[0]),
+        end=float(times[-1]),
+        shut=shut_level(shape, take.shape[found].astype(np.float64)),
+        gaze=_usual_gaze(take.gaze[found].astype(np.float64)),
     )
 
 
@@ -226,37 +278,3 @@ def _usual_gaze(gaze: FloatArray) -> FloatArray:
     """(2,) median gaze over frames (N, 2), NaN if none has one."""
     known = gaze[np.isfinite(gaze).all(axis=1)]
     return np.median(known, axis=0) if len(known) else np.full(2, np.nan)
-
-
-def _restful_second(take: Take, duration: float) -> float:
-    """Start of the span with the lowest mean of equation 4.1."""
-    found = np.flatnonzero(take.found)
-    times = take.times[found]
-    turned = np.abs(take.pose[found, 1:4] - np.median(take.pose[found, 1:4], axis=0)).sum(axis=1)
-    doubt = 1.0 - take.confidence[found]
-    expression = _expression(take.shape[found].astype(np.float64)) + 0.2 * turned + 0.2 * doubt
-    # Means over all spans of the duration, by cumulative sums; spans with many lost frames are skipped.
-    ends = np.searchsorted(times, times + duration, side="right")
-    full = np.flatnonzero(times + duration <= times[-1] + 1e-9)
-    starts = full if len(full) else np.array([0])
-    sums = np.concatenate([[0.0], np.cumsum(expression)])
-    counts = ends[starts] - starts
-    dense = counts >= 0.5 * counts.max()
-    mean = np.where(dense, (sums[ends[starts]] - sums[starts]) / counts, np.inf)
-    return float(times[starts[np.argmin(mean)]])
-
-
-def _expression(shapes: FloatArray) -> FloatArray:
-    """Amount of expression (N,) of shapes (N, 66, 3), in outer-eye distances: the first terms of equation 4.1.
-
-    A resting face has closed lips, a mouth that is not wide, open eyes, and brows in their usual place. By the plain
-    distance from the median, a grin would be neutral in a clip of somebody who grins most of the time.
-    """
-    gap = mouth_aperture(shapes)
-    width = np.linalg.norm(shapes[:, MOUTH_CORNERS[1]] - shapes[:, MOUTH_CORNERS[0]], axis=1)
-    lids = eye_apertures(shapes).mean(axis=1)
-    brows = shapes[:, BROWS]
-    unusual = np.linalg.norm(brows - np.median(brows, axis=0), axis=2).mean(axis=1)
-    closed, narrow, awake = np.percentile(gap, 5), np.percentile(width, 20), np.percentile(lids, 70)
-    drowsy = 2.0 * np.maximum(awake - lids, 0.0)
-    return np.asarray(np.abs(gap - closed) + 0.5 * np.abs(width - narrow) + drowsy + unusual)

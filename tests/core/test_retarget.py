@@ -94,14 +94,14 @@ def test_lids_that_the_tracker_leaves_a_little_open_still_shut_the_heads_eyes(ri
     upper, lower = from_ibug((37, 38, 43, 44)), from_ibug((41, 40, 47, 46))
     shapes = np.tile(face, (100, 1, 1))
     shapes[60:64, upper, 1] += 0.75 * (face[lower, 1] - face[upper, 1])
-    neutral = calibrate(make_take(shapes))
+    neutral = calibrate(make_take(shapes), start=0.0)
     assert abs(neutral.shut - 0.25) < 0.02
     points = rig.vertices[rig.landmarks]
     driver = HeadDriver(rig, neutral)
     moved = points + driver.retargeter.displacements(shapes[61])
     opening = (points[lower, 1] - points[upper, 1]).mean()
     assert np.abs(moved[lower, 1] - moved[upper, 1]).max() < 0.15 * opening
-    assert calibrate(make_take(shapes[:50])).shut == 0.0
+    assert calibrate(make_take(shapes[:50]), start=0.0).shut == 0.0
 
 
 def test_planar_mode_keeps_depth_and_strength_scales_a_region(rig):
@@ -126,44 +126,6 @@ def test_a_wide_mouth_on_a_narrow_face_opens_as_far_relative_to_the_face(rig):
     twice = Retargeter(face, points * (1.0, 2.0, 1.0)).displacements(other)[lower]
     np.testing.assert_allclose(twice[:, 1], 2 * once[:, 1], rtol=1e-6)
     np.testing.assert_allclose(twice[:, 0], once[:, 0], rtol=1e-6)
-
-
-def test_calibration_finds_the_second_at_rest(rig):
-    face = performer(rig)
-    shapes = np.tile(face, (150, 1, 1))
-    shapes[:50, from_ibug(range(65, 68)), 1] += np.linspace(0.3, 0.1, 50)[:, None]
-    shapes[100:, from_ibug((48, 54)), 0] += (-0.05, 0.05)
-    shapes[100:, from_ibug(range(17, 27)), 1] -= 0.05
-    neutral = calibrate(make_take(shapes))
-    assert neutral.start >= 2.0 and neutral.end <= 4.0
-    np.testing.assert_allclose(neutral.shape, face, atol=1e-6)
-
-
-def test_a_grin_that_lasts_is_not_taken_for_the_neutral_face(rig):
-    shapes = np.tile(performer(rig), (150, 1, 1))
-    shapes[40:, from_ibug((48, 54)), 0] += (-0.1, 0.1)
-    shapes[40:, from_ibug(range(65, 68)), 1] += 0.1
-    neutral = calibrate(make_take(shapes))
-    assert neutral.end <= 1.6
-
-
-def test_a_blink_within_the_neutral_second_does_not_half_close_the_eyes(rig):
-    face = performer(rig)
-    shapes = np.tile(face, (25, 1, 1))
-    shapes[10:15, from_ibug((37, 38, 43, 44)), 1] += 0.06
-    np.testing.assert_allclose(calibrate(make_take(shapes), start=0.0).shape, face, atol=1e-6)
-
-
-def test_calibration_skips_lost_frames_and_refuses_a_take_without_a_face(rig):
-    shapes = np.tile(performer(rig), (60, 1, 1))
-    found = np.ones(60, bool)
-    found[::2] = False
-    shapes[::2] = np.nan
-    assert np.isfinite(calibrate(make_take(shapes, found=found)).shape).all()
-    with pytest.raises(SourceError, match="No face was found"):
-        calibrate(make_take(shapes * np.nan, found=~np.ones(60, bool)))
-    with pytest.raises(SourceError, match="between 90"):
-        calibrate(make_take(shapes, found=found), start=90.0)
 
 
 def test_the_jaw_turns_with_the_chin_and_the_head_with_the_pose(rig):

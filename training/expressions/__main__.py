@@ -1,4 +1,8 @@
-"""`python -m training.expressions` learns which places of ICT-FaceKit's face move alike: assets/expressions/ict.npz."""
+"""`python -m training.expressions` learns from ICT-FaceKit's face: what moves alike, and who somebody is.
+
+It writes assets/expressions/ict.npz for the deformer and assets/expressions/face_space.npz for neutral faces. The
+latter uses the tracker's shape model, so `python -m training.tracker` comes first.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +15,12 @@ from scipy.spatial import cKDTree
 
 from facemime.core.deform.expressions import EXPRESSIONS_FILE, FORMAT, ExpressionModel, learn
 from facemime.core.heads.proposal import propose_regions
+from facemime.core.takes.face_space import FACE_SPACE_FILE
+from facemime.core.tracking.tracker import FaceTracker
 
 from ..head.build import to_bytes
 from ..tracker.heads import FACE, load_ict
+from .face_space import face_space_bytes, learn_face_space
 
 ROOT = Path(__file__).resolve().parents[2]
 ARKIT_EXCEPTIONS = ("PupilDilate", "cheekRaiser")
@@ -26,10 +33,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m training.expressions", description=__doc__)
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
     arguments = parser.parse_args()
-    content = model_bytes(learn_ict(arguments.data))
+    files = {
+        EXPRESSIONS_FILE: model_bytes(learn_ict(arguments.data)),
+        FACE_SPACE_FILE: face_space_bytes(learn_face_space(arguments.data, FaceTracker.load().pdm)),
+    }
     EXPRESSIONS_FILE.parent.mkdir(parents=True, exist_ok=True)
-    EXPRESSIONS_FILE.write_bytes(content)
-    print(f"{EXPRESSIONS_FILE.relative_to(ROOT)}: {len(content) / 1024:.0f} KB")
+    for path, content in files.items():
+        path.write_bytes(content)
+        print(f"{path.relative_to(ROOT)}: {len(content) / 1024:.0f} KB")
     return 0
 
 
