@@ -3,6 +3,7 @@
 import gc
 import signal
 import threading
+from dataclasses import replace
 
 import bpy
 import pytest
@@ -110,8 +111,9 @@ def takes(in_a_project):
 
 @pytest.fixture
 def imported(tmp_path, takes):
-    """A take that was imported into the list."""
-    save_take(performance(), tmp_path / "First.facetake")
+    """A take that was imported into the list, of a face elsewhere in the picture than that of the session."""
+    take = performance()
+    save_take(replace(take, landmarks=take.landmarks + 8.0), tmp_path / "First.facetake")
     assert bpy.ops.facemime.import_take(filepath=str(tmp_path / "First.facetake")) == {"FINISHED"}
     return takes.items[0]
 
