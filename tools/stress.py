@@ -1,6 +1,6 @@
 """Run all live and window tests repeatedly on a busy machine.
 
-Usage: python tools/stress.py [RUNS] [--live | --windows]; 50 runs of both by default. As many runs are started at once
+Usage: python tools/stress.py [RUNS] [--live | --windows] [-k EXPRESSION]; 50 runs of both by default. As many runs are started at once
 as give each two busy processes per core beside it. Prints a line per run, then the number of failed runs, which is also
 the exit status. A test that fails once has a race condition: fix that rather than the load.
 """
@@ -42,9 +42,11 @@ def main() -> int:
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument("--live", action="store_true", help="run only the tests of live sessions")
     chosen.add_argument("--windows", action="store_true", help="run only the tests in windows")
+    parser.add_argument("-k", dest="only", default="", metavar="EXPRESSION", help="run only these tests, as in pytest")
     arguments = parser.parse_args()
     tests = (LIVE if not arguments.windows else []) + (WINDOWS if not arguments.live else [])
     at_once = 2 * (os.cpu_count() or 2) + 1
+    tests += ["-k", arguments.only] if arguments.only else []
     failed = 0
     with ThreadPoolExecutor(at_once) as pool:
         runs = [pool.submit(run, tests) for _ in range(arguments.runs)]
