@@ -36,6 +36,7 @@ EYE_LEFT = from_ibug(range(42, 48))
 MOUTH_OUTER = from_ibug(range(48, 60))
 MOUTH_INNER_UPPER = from_ibug(range(61, 64))
 MOUTH_INNER_LOWER = from_ibug(range(65, 68))
+LIPS = np.concatenate([MOUTH_OUTER, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
 INNER = np.arange(17, N_LANDMARKS)
 """The 49 inner points (all but the jaw line), over which errors are reported."""
 EYE_CORNERS = from_ibug((36, 39, 42, 45))

@@ -10,6 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from time import perf_counter
 from typing import Any, Protocol
 
@@ -35,6 +36,10 @@ _ENDING = 5.0
 """Seconds for which `close` waits for the thread, which may be tracking, or stuck in a driver or on a disk."""
 _RECENT = 900
 """Frames of `recent_take`: half a minute with most cameras."""
+
+
+_LOAD_TRACKER = partial(FaceTracker.load, gradual=True)
+"""A search that takes long in one frame would stall the puppet of whoever returns to the camera."""
 
 
 class Recorder(Protocol):
@@ -174,7 +179,7 @@ class LiveWorker:
         heads: tuple[LiveHead, ...] = (),
         options: LiveOptions = LiveOptions(),
         prepare: Callable[[HeadFrame], Any] = lambda frame: None,
-        load_tracker: Callable[[], FaceTracker] = FaceTracker.load,
+        load_tracker: Callable[[], FaceTracker] = _LOAD_TRACKER,
     ) -> None:
         self.source, self.heads, self.options = source, heads, options
         self.latest: LiveResult | None = None

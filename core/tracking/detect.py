@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import IntEnum
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum, IntEnum
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -52,8 +54,95 @@ _NEAR = 72
 """Smallest box in pixels of the first effort: about a quarter of the picture, which takes a third of the time."""
 _FILLING = 96
 """Smallest box in pixels of a close-up."""
-_TILTS = {Effort.TILTED: (0.5, -0.5), Effort.LYING: (1.05, -1.05, 1.6, -1.6)}
-"""Radians; each covers a quarter of a radian to either side."""
+
+
+class Picture(Enum):
+    """What is done to the image before a cascade sees it."""
+
+    PLAIN = 0
+    EVEN = 1
+    """Its histogram is equalised."""
+    LOCAL = 2
+    """Its histogram is equalised locally, with limited contrast."""
+    FLIPPED = 3
+    """As `EVEN`, and mirrored."""
+    RIMMED = 4
+    """As `EVEN`, and its border is extended."""
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One run of a cascade over an image.
+
+    Attributes
+    ----------
+    detector : int
+        Index into `DETECTORS`.
+    neighbours : int
+        Windows that have to agree.
+    smallest, largest : int
+        Sides of the windows in pixels; a largest of 0 is no limit.
+    growth : float
+        Ratio of successive sides.
+    picture : Picture
+    roll : float
+        Radians by which the image is rotated back.
+    """
+
+    detector: int = 1
+    neighbours: int = 3
+    smallest: int = _SMALLEST
+    largest: int = 0
+    growth: float = 1.12
+    picture: Picture = Picture.EVEN
+    roll: float = 0.0
+
+    def split(self, sides: Sequence[int]) -> list[Scan]:
+        """Split into scans of ranges of sizes, which end at the given sides."""
+        bounds = [self.smallest, *sides, self.largest]
+        return [replace(self, smallest=low, largest=high) for low, high in pairwise(bounds)]
+
+
+_FAR = Scan(neighbours=2, largest=_FARTHEST, growth=1.2)
+SCANS: dict[Effort, tuple[Scan, ...]] = {
+    Effort.NEAR: (Scan(smallest=_NEAR),),
+    Effort.SMALL: (Scan(largest=_NEAR),),
+    Effort.FILLING: (Scan(smallest=_FILLING, picture=Picture.RIMMED),),
+    Effort.FINE: (Scan(0, 2), Scan(1, 1, picture=Picture.LOCAL)),
+    Effort.PROFILE: (Scan(2, 2), Scan(2, 2, picture=Picture.FLIPPED)),
+    # Radians; each covers a quarter of a radian to either side.
+    Effort.TILTED: tuple(Scan(roll=roll) for roll in (0.5, -0.5)),
+    Effort.LYING: tuple(Scan(roll=roll) for roll in (1.05, -1.05, 1.6, -1.6)),
+    Effort.FAR: (_FAR,),
+    Effort.FARTHER: (_FAR,),
+    Effort.ANYTHING: tuple(Scan(d, 0, picture=picture) for d in (0, 1) for picture in (Picture.PLAIN, Picture.LOCAL)),
+}
+"""The scans of each effort."""
+_SPLITS: dict[Effort, tuple[int, ...]] = {
+    Effort.FINE: (36, 60),
+    Effort.FAR: (33, 45),
+    Effort.FARTHER: (33, 45),
+    Effort.ANYTHING: (40,),
+}
+"""Sides in pixels at which the longest scans are split, so that each part takes some 15 ms at most."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """An effort, or one of the short scans that it consists of, which may be made in different frames."""
+
+    effort: Effort
+    scans: tuple[Scan, ...]
+
+    @classmethod
+    def whole(cls, effort: Effort) -> Step:
+        """All of an effort."""
+        return cls(effort, SCANS[effort])
+
+    @classmethod
+    def parts(cls, effort: Effort) -> list[Step]:
+        """An effort, scan by scan."""
+        return [cls(effort, (part,)) for scan in SCANS[effort] for part in scan.split(_SPLITS.get(effort, ()))]
 
 
 @dataclass(frozen=True)
@@ -95,15 +184,15 @@ class BoxDetector:
             )
         return cascades
 
-    def boxes(self, grey: NDArray[np.uint8], effort: Effort) -> list[FaceBox]:
+    def boxes(self, grey: NDArray[np.uint8], step: Step) -> list[FaceBox]:
         """Detect boxes that may contain faces.
 
         Parameters
         ----------
         grey : (H, W) uint8
             Grey image.
-        effort : Effort
-            One of `EFFORTS`.
+        step : Step
+            What to do.
 
         Returns
         -------
@@ -112,68 +201,62 @@ class BoxDetector:
 
         Notes
         -----
-        An effort takes 4 to 100 ms at 640 x 480. The first one finds most faces.
+        A whole effort takes 2 to 110 ms. The first one finds most faces.
         """
-        plain, factor = _shrink(grey, _SIDES.get(effort, _QUICK_SIDE))
-        if min(plain.shape) < _SMALLEST or max(grey.shape) <= _SEARCHED.get(effort, 0):
+        plain, factor = _shrink(grey, _SIDES.get(step.effort, _QUICK_SIDE))
+        if min(plain.shape) < _SMALLEST or max(grey.shape) <= _SEARCHED.get(step.effort, 0):
             return []
-        found = self._found(plain, effort)
+        prepared: dict[Picture, NDArray[np.uint8]] = {}
+        found = []
+        for scan in step.scans:
+            if scan.picture not in prepared:
+                prepared[scan.picture] = _prepared(plain, scan.picture)
+            found += self._scanned(prepared[scan.picture], scan)
         distinct = _distinct([FaceBox(f.box * factor, f.detector, f.roll) for f in found])
         return sorted(distinct, key=lambda f: -f.box[2])
 
-    def _found(self, plain: NDArray[np.uint8], effort: Effort) -> list[FaceBox]:
-        even = cv2.equalizeHist(plain).astype(np.uint8)
-        if effort == Effort.NEAR:
-            return [FaceBox(b, 1) for b in self._run(even, 1, neighbours=3, smallest=_NEAR)]
-        if effort == Effort.SMALL:
-            return [FaceBox(b, 1) for b in self._run(even, 1, neighbours=3, largest=_NEAR)]
-        if effort == Effort.FILLING:
-            drawn = cv2.copyMakeBorder(even, _RIM, _RIM, _RIM, _RIM, cv2.BORDER_REPLICATE).astype(np.uint8)
-            return [FaceBox(b - (_RIM, _RIM, 0, 0), 1) for b in self._run(drawn, 1, neighbours=3, smallest=_FILLING)]
-        if effort in _SEARCHED:
-            return [FaceBox(b, 1) for b in self._run(even, 1, neighbours=2, largest=_FARTHEST, growth=1.2)]
-        if effort == Effort.PROFILE:
-            return self._profiles(even)
-        if effort in _TILTS:
-            return [b for roll in _TILTS[effort] for b in self._tilted(even, roll)]
-        local = cv2.createCLAHE(4.0, (6, 6)).apply(plain).astype(np.uint8)
-        if effort == Effort.FINE:
-            found = [FaceBox(b, 0) for b in self._run(even, 0, neighbours=2)]
-            return found + [FaceBox(b, 1) for b in self._run(local, 1, neighbours=1)]
-        seen = [(d, b) for d in (0, 1) for picture in (plain, local) for b in self._run(picture, d, neighbours=0)]
-        return [FaceBox(b, d) for d, b in seen]
-
-    def _run(
-        self,
-        grey: NDArray[np.uint8],
-        detector: int,
-        neighbours: int,
-        smallest: int = _SMALLEST,
-        largest: int = 0,
-        growth: float = 1.12,
-    ) -> list[FloatArray]:
-        cascade, limits = self._cascades[detector], ((smallest, smallest), (largest, largest))
-        boxes = cascade.detectMultiScale(grey, growth, neighbours, minSize=limits[0], maxSize=limits[1])
-        return [np.array(b, np.float64) for b in boxes]
-
-    def _profiles(self, grey: NDArray[np.uint8]) -> list[FaceBox]:
-        flipped = np.ascontiguousarray(grey[:, ::-1])
-        boxes = [FaceBox(b, 2) for b in self._run(grey, 2, 2)]
-        for b in self._run(flipped, 2, 2):
-            boxes.append(FaceBox(np.array([grey.shape[1] - b[0] - b[2], *b[1:]]), 2))
-        return boxes
-
-    def _tilted(self, grey: NDArray[np.uint8], roll: float) -> list[FaceBox]:
-        height, width = grey.shape
-        middle = ((width - 1) / 2.0, (height - 1) / 2.0)
-        forth = cv2.getRotationMatrix2D(middle, float(np.degrees(roll)), 1.0)
-        turned = cv2.warpAffine(grey, forth, (width, height)).astype(np.uint8)
-        back = cv2.invertAffineTransform(forth)
+    def _scanned(self, picture: NDArray[np.uint8], scan: Scan) -> list[FaceBox]:
+        """Boxes in the pixels of the picture before it was prepared."""
+        turned, back = _turned(picture, scan.roll)
+        cascade, limits = self._cascades[scan.detector], [(side, side) for side in (scan.smallest, scan.largest)]
         out = []
-        for x, y, w, h in self._run(turned, 1, 3):
-            cx, cy = back @ np.array([x + w / 2, y + h / 2, 1.0])
-            out.append(FaceBox(np.array([cx - w / 2, cy - h / 2, w, h]), 1, roll))
+        for found in cascade.detectMultiScale(
+            turned, scan.growth, scan.neighbours, minSize=limits[0], maxSize=limits[1]
+        ):
+            x, y, w, h = (float(v) for v in found)
+            if scan.picture is Picture.FLIPPED:
+                x = picture.shape[1] - x - w
+            elif scan.picture is Picture.RIMMED:
+                x, y = x - _RIM, y - _RIM
+            if scan.roll:
+                cx, cy = back @ np.array([x + w / 2, y + h / 2, 1.0])
+                x, y = cx - w / 2, cy - h / 2
+            out.append(FaceBox(np.array([x, y, w, h]), scan.detector, scan.roll))
         return out
+
+
+def _prepared(plain: NDArray[np.uint8], picture: Picture) -> NDArray[np.uint8]:
+    if picture is Picture.PLAIN:
+        return plain
+    if picture is Picture.LOCAL:
+        return cv2.createCLAHE(4.0, (6, 6)).apply(plain).astype(np.uint8)
+    even = cv2.equalizeHist(plain).astype(np.uint8)
+    if picture is Picture.FLIPPED:
+        return np.ascontiguousarray(even[:, ::-1])
+    if picture is Picture.RIMMED:
+        return cv2.copyMakeBorder(even, _RIM, _RIM, _RIM, _RIM, cv2.BORDER_REPLICATE).astype(np.uint8)
+    return even
+
+
+def _turned(picture: NDArray[np.uint8], roll: float) -> tuple[NDArray[np.uint8], FloatArray]:
+    """The picture rotated about its middle by `roll` radians, and the (2, 3) way back."""
+    if not roll:
+        return picture, np.eye(2, 3)
+    height, width = picture.shape
+    middle = ((width - 1) / 2.0, (height - 1) / 2.0)
+    forth = cv2.getRotationMatrix2D(middle, float(np.degrees(roll)), 1.0)
+    turned = cv2.warpAffine(picture, forth, (width, height)).astype(np.uint8)
+    return turned, np.asarray(cv2.invertAffineTransform(forth))
 
 
 def _shrink(grey: NDArray[np.uint8], side: int) -> tuple[NDArray[np.uint8], float]:

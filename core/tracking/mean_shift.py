@@ -72,7 +72,7 @@ def regularised_mean_shift(
     Returns
     -------
     FittedShape
-        In the frame of the maps; shape parameters are clamped to three standard deviations.
+        In the frame of the maps; shape parameters are clamped to five standard deviations.
 
     Notes
     -----

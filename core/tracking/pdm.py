@@ -135,7 +135,7 @@ class PointDistributionModel:
         out[0, :, 4] = out[1, :, 5] = 1.0
         return out
 
-    def clamp(self, shape_params: FloatArray, limit: float = 3.0) -> FloatArray:
+    def clamp(self, shape_params: FloatArray, limit: float = 5.0) -> FloatArray:
         """Clamp coefficients to a number of standard deviations.
 
         Parameters
@@ -169,7 +169,7 @@ class PointDistributionModel:
         Returns
         -------
         FittedShape
-            With a positive scale, angles from -pi to pi, and coefficients within three standard deviations.
+            With a positive scale, angles from -pi to pi, and coefficients within five standard deviations.
         """
         moved = pose + delta[:N_POSE]
         # A step may at most halve the scale, which keeps it positive.

@@ -10,21 +10,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from .detect import EFFORTS, BoxDetector, Effort
+from .detect import EFFORTS, BoxDetector, Effort, Step
 from .fitter import COARSE, REFINED, FaceFitter, Fit
 from .model_file import TrackerModel
 from .pdm import FittedShape
 
 _MAX_BOXES, _MAX_FACES = 60, 4
 """Boxes per effort that are fitted coarsely, and those of them that are fitted to the end."""
+_MAX_GRADUAL = 6
+"""Boxes per step of a gradual search that are fitted coarsely."""
 _CERTAIN = 0.85
 """Confidence of a detected face above which no further effort is made."""
 _SEPARATION = 0.6
 """Eye distances between the centres of two fits above which they belong to two people."""
-_QUICK = (Effort.NEAR, Effort.SMALL)
+_ALL = tuple(Step.whole(effort) for effort in EFFORTS)
+_QUICK = _ALL[:2]
 """The efforts that search for other people in view."""
-_EVERY_FRAME = (*_QUICK, Effort.FILLING)
+_EVERY_FRAME = _ALL[:3]
 """The efforts that are made in every frame without a face, in addition to one of the others in turn."""
+_GRADUAL = (Step.whole(Effort.NEAR), Step.whole(Effort.FILLING))
+"""The same for a gradual search."""
+_IN_TURN = tuple(
+    step
+    for i, part in enumerate(part for effort in EFFORTS[len(_EVERY_FRAME) :] for part in Step.parts(effort))
+    for step in ([Step.whole(Effort.SMALL), part] if i % 3 == 0 else [part])
+)
+"""Of what remains, one in each frame of a gradual search; small faces, which are common, come often."""
 STAGES = ("detect", "experts", "fit", "check", "gaze")
 
 
@@ -65,6 +76,8 @@ class FaceSearch:
 
     Attributes
     ----------
+    gradual : bool
+        Whether the search spreads over many frames, so that none takes long.
     timings : dict of str to float
         Seconds that each stage has taken since `begin`: "detect", "experts", "fit", "check", "gaze".
     """
@@ -73,6 +86,7 @@ class FaceSearch:
     """Confidence from which on a detected face counts."""
 
     def __init__(self, model: TrackerModel) -> None:
+        self.gradual = False
         self._model = model
         self._detector = BoxDetector()
         self.timings: dict[str, float] = dict.fromkeys(STAGES, 0.0)
@@ -99,22 +113,25 @@ class FaceSearch:
         """
         return self._judge(self.fitter.follow(grey, last))
 
-    def efforts(self, misses: int) -> tuple[Effort, ...]:
-        """Efforts to make after `misses` frames without a face: all at first, then the quick ones and one in turn."""
-        others = EFFORTS[len(_EVERY_FRAME) :]
-        return EFFORTS if misses == 0 else (*_EVERY_FRAME, others[misses % len(others)])
+    def steps(self, misses: int) -> tuple[Step, ...]:
+        """What to do after `misses` frames without a face: all at first, then what is quick, and one more in turn.
 
-    def detect(
-        self, grey: NDArray[np.uint8], efforts: Sequence[Effort] = EFFORTS, *, small: bool = False
-    ) -> list[Candidate]:
-        """Detect faces, effort by effort, until one of these finds a certain one.
+        A gradual search does not begin with all, and what it does in turn is short.
+        """
+        if self.gradual:
+            return (*_GRADUAL, _IN_TURN[misses % len(_IN_TURN)])
+        others = _ALL[len(_EVERY_FRAME) :]
+        return _ALL if misses == 0 else (*_EVERY_FRAME, others[misses % len(others)])
+
+    def detect(self, grey: NDArray[np.uint8], steps: Sequence[Step] = _ALL, *, small: bool = False) -> list[Candidate]:
+        """Detect faces, step by step, until one of these finds a certain one.
 
         Parameters
         ----------
         grey : (H, W) uint8
             Grey image.
-        efforts : sequence of Effort
-            The efforts to make, in order.
+        steps : sequence of Step
+            In order.
         small : bool
             Search small faces even if the first effort finds a certain one, as a particular face is awaited that
             may be small.
@@ -124,7 +141,7 @@ class FaceSearch:
         list of Candidate
             The accepted faces.
         """
-        return list(self._detected(grey, efforts, small))
+        return list(self._detected(grey, steps, small))
 
     def others(self, grey: NDArray[np.uint8], pose: FloatArray, *, small: bool = False) -> list[Candidate]:
         """Find faces other than the one at `pose`; only boxes beside it are fitted.
@@ -147,22 +164,22 @@ class FaceSearch:
         def apart(other: FloatArray) -> bool:
             return float(np.hypot(*(other[4:6] - pose[4:6]))) > _SEPARATION * float(pose[0])
 
-        efforts = _QUICK if small else _QUICK[:1]
-        starts = [[start for start in self._starts(grey, effort) if apart(start)] for effort in efforts]
+        steps = _QUICK if small else _QUICK[:1]
+        starts = [[start for start in self._starts(grey, step) if apart(start)] for step in steps]
         return [c for poses in starts for c in self._faces_in(grey, poses) if apart(c.pose)]
 
-    def _detected(self, grey: NDArray[np.uint8], efforts: Sequence[Effort], small: bool) -> Iterator[Candidate]:
-        for effort in efforts:
-            found = self._faces_in(grey, self._starts(grey, effort))
+    def _detected(self, grey: NDArray[np.uint8], steps: Sequence[Step], small: bool) -> Iterator[Candidate]:
+        for step in steps:
+            found = self._faces_in(grey, self._starts(grey, step))
             yield from found
             certain = any(c.confidence >= _CERTAIN for c in found)
-            if certain and not (effort == Effort.NEAR and small):
+            if certain and not (step.effort == Effort.NEAR and small):
                 return
 
-    def _starts(self, grey: NDArray[np.uint8], effort: Effort) -> list[FloatArray]:
+    def _starts(self, grey: NDArray[np.uint8], step: Step) -> list[FloatArray]:
         """Frontal poses (6,) of the boxes that the detector finds."""
         began = perf_counter()
-        boxes = self._detector.boxes(grey, effort)[:_MAX_BOXES]
+        boxes = self._detector.boxes(grey, step)[: _MAX_GRADUAL if self.gradual else _MAX_BOXES]
         self.timings["detect"] += perf_counter() - began
         return [box.start_pose(self._model.box_offset) for box in boxes]
 

@@ -38,23 +38,27 @@ class FaceTracker:
     Parameters
     ----------
     model : TrackerModel
+    gradual : bool
+        Whether to spread the search for a face over up to 40 frames, so that none takes long, as is needed live. By
+        default all of the first frame without a face is searched.
     """
 
     lost_below = 0.3
     """Confidence below which a tracked face counts as lost; lower than for a new face, as a hand may cover it."""
 
-    def __init__(self, model: TrackerModel) -> None:
+    def __init__(self, model: TrackerModel, *, gradual: bool = False) -> None:
         self._model = model
         self._search = FaceSearch(model)
+        self._search.gradual = gradual
         self._identity = Identity()
         self._choice = FaceChoice()
         self._last: FittedShape | None = None
         self._switch_requested = False
 
     @classmethod
-    def load(cls, path: Path | None = None) -> FaceTracker:
+    def load(cls, path: Path | None = None, *, gradual: bool = False) -> FaceTracker:
         """Load the model file at `path`, by default the one that is shipped; ModelError if it is invalid."""
-        return cls(load_model(DEFAULT_MODEL if path is None else Path(path)))
+        return cls(load_model(DEFAULT_MODEL if path is None else Path(path)), gradual=gradual)
 
     @property
     def pdm(self) -> PointDistributionModel:
@@ -115,8 +119,8 @@ class FaceTracker:
                 return self._accept(grey, followed)
             self._choice.wait_for(self._last)
         # 3. Detect all faces in view (3.2), and choose the performer's among them.
-        efforts = self._search.efforts(self._choice.misses)
-        found = self._search.detect(grey, efforts, small=self._choice.waiting)
+        steps = self._search.steps(self._choice.misses)
+        found = self._search.detect(grey, steps, small=self._choice.waiting)
         chosen = self._choice.pick(grey, found, self._identity)
         if chosen is None:
             self._last = None

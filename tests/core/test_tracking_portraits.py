@@ -11,6 +11,7 @@ import pytest
 
 from facemime.core.images import read_image
 from facemime.core.landmarks import MIRROR, from_ibug, outer_eye_distance
+from facemime.core.tracking.detect import BoxDetector
 from facemime.core.tracking.tracker import FaceTracker
 
 PORTRAITS = Path(__file__).resolve().parents[1] / "data" / "portraits"
@@ -46,3 +47,43 @@ def test_the_size_of_a_photograph_makes_little_difference(tracker, scale):
     scaled = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     other = (tracker.locate(scaled).landmarks + 0.5) / scale - 0.5
     assert np.linalg.norm(one - other, axis=1).mean() < 0.03 * outer_eye_distance(one)
+
+
+def lying(image: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(np.rot90(image))
+
+
+def far(image: np.ndarray) -> np.ndarray:
+    """The photograph in the corner of a large grey picture."""
+    out = np.full((1080, 1920, 3), 120, np.uint8)
+    small = cv2.resize(image, None, fx=320 / image.shape[0], fy=320 / image.shape[0], interpolation=cv2.INTER_AREA)
+    out[-small.shape[0] :, -small.shape[1] :] = small
+    return out
+
+
+@pytest.mark.parametrize("shown", [np.asarray, lying, far])
+def test_a_gradual_search_finds_a_face_within_its_turn_where_a_whole_one_does_at_once(tracker, shown):
+    image = shown(read_image(PORTRAITS / "collins.jpg"))
+    at_once = tracker.locate(image)
+    assert at_once.found
+    gradual = FaceTracker.load(gradual=True)
+    results = (gradual.track(image) for _ in range(40))
+    found = next(result for result in results if result.found)
+    assert np.linalg.norm(found.landmarks - at_once.landmarks, axis=1).mean() < 0.05 * outer_eye_distance(
+        at_once.landmarks
+    )
+
+
+def test_no_frame_of_a_gradual_search_makes_more_than_three_scans(monkeypatch):
+    made = []
+    scanned = BoxDetector._scanned
+    monkeypatch.setattr(
+        BoxDetector, "_scanned", lambda self, picture, scan: made.append(scan) or scanned(self, picture, scan)
+    )
+    gradual, nobody = FaceTracker.load(gradual=True), np.full((480, 640), 128, np.uint8)
+    counts = []
+    for _ in range(40):
+        made.clear()
+        assert not gradual.track(nobody).found
+        counts.append(len(made))
+    assert max(counts) == 3

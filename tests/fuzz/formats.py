@@ -156,7 +156,7 @@ def _detector() -> BoxDetector:
 
 def _read_tracker(path: Path) -> None:
     tracker = FaceTracker.load(path)
-    tracker._detector = _detector()  # which would read its own files, slowly
+    tracker._search._detector = _detector()  # which would read its own files, slowly
     for _ in range(2):
         tracker.track(_face())
 

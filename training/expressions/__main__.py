@@ -7,8 +7,11 @@ latter uses the tracker's shape model, so `python -m training.tracker` comes fir
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy loads: sums in another order give other bytes
 
 import numpy as np
 from scipy.spatial import cKDTree

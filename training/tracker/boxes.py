@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from facemime.core.tracking.detect import DETECTORS, EFFORTS, BoxDetector
+from facemime.core.tracking.detect import DETECTORS, EFFORTS, BoxDetector, Step
 
 
 def fit_box_offsets(pictures: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
@@ -12,7 +12,7 @@ def fit_box_offsets(pictures: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray
     detector = BoxDetector()
     seen: list[list[tuple[float, float, float]]] = [[] for _ in DETECTORS]
     for grey, pose in pictures:
-        for face in (f for effort in EFFORTS for f in detector.boxes(grey, effort)):
+        for face in (f for effort in EFFORTS for f in detector.boxes(grey, Step.whole(effort))):
             x, y, width, height = face.box
             away = pose[4:6] - (x + width / 2, y + height / 2)
             if face.roll == 0.0 and np.abs(away).max() < 0.35 * width and 0.25 < pose[0] / width < 0.8:

@@ -78,7 +78,7 @@ class Crops:
             pose = sample.pose.copy()
             pose[4:6] = sample.landmarks.mean(0)
             loose = rng.random() < 0.3
-            growth, turn, move = (0.1, 0.12, 0.08) if loose else (0.04, 0.04, 0.03)
+            growth, turn, move = (0.1, 0.12, 0.09) if loose else (0.04, 0.04, 0.04)
             pose[0] *= np.exp(rng.normal(0, growth))
             pose[3] += rng.normal(0, turn)
             pose[4:6] += rng.normal(0, move, 2) * SCALE

@@ -71,22 +71,23 @@ def load_ict(data: Path) -> IctHead:
 
 
 # How often a sampled face shows an action, and the shapes that make it. Every action that users look at
-# (blink, jaw, pucker, smile, brows) is frequent, although rare in photographs.
+# (blink, jaw, pucker, smile, brows) is frequent, although rare in photographs. Strengths above 1 are those of people
+# who pull faces: with 1 at most, brows raised by more than a tenth of an eye distance were taken for the lids below.
 _ACTIONS: tuple[tuple[float, tuple[str, ...], float], ...] = (
     (0.40, ("eyeBlink_L", "eyeBlink_R"), 1.0),
-    (0.40, ("jawOpen",), 1.0),
-    (0.30, ("mouthSmile_L", "mouthSmile_R"), 1.0),
-    (0.15, ("mouthPucker",), 1.0),
-    (0.12, ("mouthFunnel",), 1.0),
-    (0.12, ("mouthFrown_L", "mouthFrown_R"), 1.0),
-    (0.25, ("browDown_L", "browDown_R"), 1.0),
-    (0.25, ("browInnerUp_L", "browInnerUp_R"), 1.0),
-    (0.25, ("browOuterUp_L", "browOuterUp_R"), 1.0),
+    (0.40, ("jawOpen",), 1.3),
+    (0.30, ("mouthSmile_L", "mouthSmile_R"), 1.25),
+    (0.15, ("mouthPucker",), 1.25),
+    (0.12, ("mouthFunnel",), 1.25),
+    (0.12, ("mouthFrown_L", "mouthFrown_R"), 1.25),
+    (0.25, ("browDown_L", "browDown_R"), 1.4),
+    (0.25, ("browInnerUp_L", "browInnerUp_R"), 1.7),
+    (0.25, ("browOuterUp_L", "browOuterUp_R"), 1.7),
     (0.12, ("eyeSquint_L", "eyeSquint_R"), 1.0),
-    (0.12, ("eyeWide_L", "eyeWide_R"), 1.0),
+    (0.15, ("eyeWide_L", "eyeWide_R"), 1.8),
     (0.12, ("eyeLookDown_L", "eyeLookDown_R"), 1.0),
     (0.05, ("eyeLookUp_L", "eyeLookUp_R"), 1.0),
-    (0.10, ("mouthStretch_L", "mouthStretch_R"), 0.9),
+    (0.14, ("mouthStretch_L", "mouthStretch_R"), 1.2),
     (0.12, ("mouthUpperUp_L", "mouthUpperUp_R"), 0.9),
     (0.12, ("mouthLowerDown_L", "mouthLowerDown_R"), 0.9),
     (0.08, ("mouthRollLower",), 0.8),
@@ -98,11 +99,11 @@ _ACTIONS: tuple[tuple[float, tuple[str, ...], float], ...] = (
     (0.08, ("noseSneer_L", "noseSneer_R"), 0.8),
     (0.08, ("cheekSquint_L", "cheekSquint_R"), 0.8),
     (0.06, ("cheekPuff_L", "cheekPuff_R"), 0.8),
-    (0.06, ("jawLeft",), 0.7),
-    (0.06, ("jawRight",), 0.7),
+    (0.08, ("jawLeft",), 1.2),
+    (0.08, ("jawRight",), 1.2),
     (0.06, ("jawForward",), 0.7),
-    (0.10, ("mouthLeft",), 0.8),
-    (0.10, ("mouthRight",), 0.8),
+    (0.10, ("mouthLeft",), 1.8),
+    (0.10, ("mouthRight",), 1.8),
 )
 
 _GRIN = {
@@ -112,14 +113,20 @@ _GRIN = {
     "cheekSquint": (0.0, 0.8),
     "eyeSquint": (0.0, 0.8),
 }
-"""A smile that shows the teeth needs several actions at once, which chance alone would seldom bring together."""
+_SURPRISE = {
+    "browInnerUp": (0.5, 1.8),
+    "browOuterUp": (0.5, 1.8),
+    "eyeWide": (0.2, 1.8),
+}
+"""A smile that shows the teeth, and surprise, need several actions at once, which chance alone would seldom bring
+together."""
 
 
 def sample_speech(head: IctHead, rng: np.random.Generator) -> np.ndarray:
     """(E,) random coefficients of a mouth that is open, as in speaking or singing, with the rest of the face acting."""
     weights = sample_expression(head, rng)
     weights[head.index("mouthClose")] = 0.0
-    weights[head.index("jawOpen")] = rng.uniform(0.08, 0.9)
+    weights[head.index("jawOpen")] = rng.uniform(0.08, 1.3)
     for name, probability in (("mouthLowerDown", 0.4), ("mouthUpperUp", 0.3), ("mouthStretch", 0.2)):
         if rng.random() < probability:
             weights[[head.index(f"{name}_{side}") for side in "LR"]] = rng.random()
@@ -137,6 +144,7 @@ def sample_expression(head: IctHead, rng: np.random.Generator) -> np.ndarray:
         weights[head.index("jawOpen")] = rng.uniform(0.0, 0.35)
         if rng.random() < 0.6:
             return weights
+    surprised = rng.random() < 0.15
     for probability, shapes, strength in _ACTIONS:
         if rng.random() >= probability:
             continue
@@ -149,6 +157,9 @@ def sample_expression(head: IctHead, rng: np.random.Generator) -> np.ndarray:
             sides -= 0.25 * rng.random(2)
         for side, name in zip(sides, shapes, strict=True):
             weights[head.index(name)] = amount * side
+    if surprised:
+        for name, (low, high) in _SURPRISE.items():
+            weights[[head.index(f"{name}_{side}") for side in "LR"]] = rng.uniform(low, high) * rng.uniform(0.8, 1.0, 2)
     # "mouthClose" is the lips' way back to each other over an open jaw; alone it would push them through each other.
     if rng.random() < 0.2:
         weights[head.index("mouthClose")] = weights[head.index("jawOpen")] * rng.random()

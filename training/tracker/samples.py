@@ -14,6 +14,7 @@ import numpy as np
 
 from facemime.core.tracking.pdm import PointDistributionModel
 
+from .dress import dress
 from .heads import IctHead, sample_expression, sample_speech
 from .reproject import Light, SkinnedHead, render, skin_head
 from .sources import Photo, mirrored
@@ -201,12 +202,14 @@ def render_samples(
         pose = random_pose(rng)
         lamp = rng.normal(0, 1, 3) * (1.0, 0.6, 0.4) + (0, -0.2, -0.7)
         light = Light(rng.uniform(0.45, 1.0), rng.uniform(0.0, 0.8), lamp / np.linalg.norm(lamp))
-        gaze = tuple(rng.normal(0, 0.02, 2) * (1.0, 0.5))
+        # Most look about ahead; some into a corner of the eye, whose white then is no lid.
+        gaze = tuple(rng.normal(0, 0.02 if rng.random() < 0.6 else 0.06, 2) * (1.0, 0.5))
         picture = render(head, skinned, expression, pose, SIZE, light, rng, rng.uniform(0, 0.12), gaze, tongue)
         other = backgrounds[rng.integers(len(backgrounds))].grey()
         behind = _background(skinned, picture.landmarks, head, other, rng)
         soft = cv2.GaussianBlur(picture.covered.astype(np.float32), (0, 0), 0.8)
         image = np.where(picture.covered, picture.image * soft + behind * (1 - soft), behind).astype(np.uint8)
+        image = dress(image, picture.landmarks, SCALE, rng)
         visible = picture.visible
         if rng.random() < 0.2:
             image, hidden = occlude(image, picture.landmarks, rng)

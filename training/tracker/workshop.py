@@ -42,8 +42,8 @@ FACES = {"face": (36.0, 96, 0.4), "glance": (20.0, 48, 0.15)}
 """Pixels an outer-eye distance, side of the picture, and the share of pictures at poses as wrong as a detector's. The
 second looks from where a face was a frame ago, at a fourth of the cost."""
 PARTS = {
-    "eye": (np.r_[17:22, 36:42], 60.0, (48, 32), True),
-    "mouth": (np.r_[31:36, 48:66], 44.0, (40, 40), False),
+    "eye": (np.r_[17:22, 36:42], 60.0, (48, 40), True),
+    "mouth": (np.r_[31:36, 48:66], 44.0, (40, 48), False),
 }
 """Landmarks, pixels an outer-eye distance, size of the picture, whether the other half of the face has it too."""
 
