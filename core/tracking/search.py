@@ -119,7 +119,8 @@ class FaceSearch:
         A gradual search does not begin with all, and what it does in turn is short.
         """
         if self.gradual:
-            return (*_GRADUAL, _IN_TURN[misses % len(_IN_TURN)])
+            near, filling = _GRADUAL
+            return near, _IN_TURN[misses % len(_IN_TURN)], filling
         others = _ALL[len(_EVERY_FRAME) :]
         return _ALL if misses == 0 else (*_EVERY_FRAME, others[misses % len(others)])
 

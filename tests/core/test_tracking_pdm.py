@@ -79,14 +79,14 @@ def test_landmarks_of_weight_zero_are_ignored(pdm: PointDistributionModel) -> No
     np.testing.assert_allclose(a.pose, b.pose, atol=1e-6)
 
 
-def test_a_step_keeps_coefficients_within_three_deviations_and_the_scale_positive(pdm: PointDistributionModel) -> None:
+def test_a_step_keeps_coefficients_within_five_deviations_and_the_scale_positive(pdm: PointDistributionModel) -> None:
     pose, shape_params = random_state(pdm, 5)
     delta = np.full(6 + pdm.n_modes, 1e3)
     delta[0] = -1e6
     moved = pdm.step(pose, shape_params, delta)
     assert moved.pose[0] > 0
     assert (np.abs(moved.pose[1:4]) <= np.pi).all()
-    assert (np.abs(moved.shape_params) <= 3.0 * np.sqrt(pdm.eigenvalues) + 1e-9).all()
+    assert (np.abs(moved.shape_params) <= 5.0 * np.sqrt(pdm.eigenvalues) + 1e-9).all()
 
 
 def test_a_head_turn_alone_leaves_the_fitted_expression_alone(pdm: PointDistributionModel) -> None:
