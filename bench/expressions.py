@@ -5,7 +5,8 @@ the built-in head that the clip drives, end to end, with the neutral face that F
 measured from the labelled neutral frames, stand beside them where it is installed.
 
 Order is the share of pairs of a clip's frames with different labels that come in the right order (0.5 by chance); sign
-is the share of labelled frames on the right side of rest, so that a wrong neutral face counts.
+is the share of labelled frames on the right side of rest, so that a wrong neutral face counts. Slopes say how far the
+avatar's mouth opens and widens for the performer's, both in eye distances, by MediaPipe's landmarks.
 """
 
 from __future__ import annotations
@@ -90,6 +91,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments.takes.mkdir(parents=True, exist_ok=True)
     scores: dict[str, dict[str, Score]] = {"avatar": {}, "MediaPipe": {}}
     rows: list[tuple[object, ...]] = []
+    mouths: list[tuple[object, ...]] = []
     for clip in clips:
         take = _take_of(clip.path, tracker, arguments.takes)
         fps = float(take.info.get("fps", 25.0))
@@ -99,21 +101,35 @@ def main(argv: Sequence[str] | None = None) -> int:
         rest = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
         shown = np.full((len(take), *rest.shape), np.nan)
         shown[take.found] = rest + motion.vertices[:, rig.landmarks]
-        wrong = score(clip, features(shown, rest), scores["avatar"])
+        avatar = features(shown, rest)
+        wrong = score(clip, avatar, scores["avatar"])
         rows.append(
             (clip.path.stem, performance.neutral.start, _labelled(clip, fps), *_turn(clip, take, motion.rotation))
         )
         if mesh is not None and clip.neutral is not None:
             points, neutral = mesh.pose_free(clip.path, clip.neutral)
-            score(clip, features(points, neutral), scores["MediaPipe"])
+            performer = features(points, neutral)
+            score(clip, performer, scores["MediaPipe"])
+            mouths.append((clip.path.stem, *(slope(avatar[name], performer[name]) for name in ("jaw", "width"))))
         if arguments.wrong:
             print(*(f"{clip.path.stem} {line}" for line in wrong), sep="\n", file=sys.stderr)
     measured = {name: _shares(by) for name, by in scores.items() if by}
     columns = ("dimension", *(f"{name}, {what}" for name in measured for what in ("order", "sign")))
     table = [(key, *(share for by in measured.values() for share in by[key])) for key in (*THRESHOLDS, "all")]
     neutrals = Table("Neutral", ("clip", "found at, s", "labelled, s", "turned at the frontal frame, degrees"), rows)
-    finish(arguments, [Table("Expressions", columns, table), neutrals], {"shares": measured})
+    tables = [Table("Expressions", columns, table), neutrals]
+    if mouths:
+        mouths.append(("median", *np.median([row[1:] for row in mouths], axis=0).tolist()))
+        tables.append(Table("Mouth", ("clip", "opening, avatar over performer", "width"), mouths))
+    finish(arguments, tables, {"shares": measured})
     return 0
+
+
+def slope(avatar: np.ndarray, performer: np.ndarray) -> float:
+    """How far the avatar's feature moves for each unit of the performer's, (N,) each, by least squares."""
+    both = np.isfinite(avatar) & np.isfinite(performer)
+    moved, wanted = (x[both] - np.median(x[both]) for x in (avatar, performer))
+    return float(moved @ wanted / (wanted @ wanted))
 
 
 def read_clips(labels: Path, neutral: Path, folder: Path) -> list[Clip]:

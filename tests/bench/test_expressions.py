@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.expressions import THRESHOLDS, Clip, Score, features, read_clips, score
+from bench.expressions import THRESHOLDS, Clip, Score, features, read_clips, score, slope
 from facemime.core.heads.rig import built_in_rig
 from facemime.core.landmarks import BROWS, LOWER_LIDS, MOUTH_CORNERS, UPPER_LIDS, from_ibug, outer_eye_distance
 
@@ -64,3 +64,9 @@ def test_clips_that_are_not_there_are_left_out(tmp_path, capsys):
     (clip,) = read_clips(tmp_path / "labels.csv", tmp_path / "neutral.csv", tmp_path)
     assert clip.neutral == (2, 4) and clip.frontal is None and clip.labels[3]["brow_l"] == "1"
     assert "b is left out" in capsys.readouterr().err
+
+
+def test_a_mouth_that_opens_half_as_far_from_any_rest_has_half_the_slope() -> None:
+    performer = np.array([0.0, 0.1, 0.4, np.nan, 0.2])
+    avatar = np.array([0.05, 0.1, 0.25, 0.3, 0.15])
+    assert abs(slope(avatar, performer) - 0.5) < 1e-12
