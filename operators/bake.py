@@ -36,7 +36,6 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
 
     bl_idname = "facemime.bake_take"
     bl_label = "Bake Take"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -65,7 +64,6 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
 
     bl_idname = "facemime.detect_key_map"
     bl_label = "Detect Table"
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         table = best_preset(key_names(context.active_object))
@@ -85,7 +83,6 @@ class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
 
     bl_idname = "facemime.add_key_row"
     bl_label = "Add Row"
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Add a row and select it."""
@@ -100,7 +97,6 @@ class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
 
     bl_idname = "facemime.remove_key_row"
     bl_label = "Remove Row"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -121,7 +117,6 @@ class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
 
     bl_idname = "facemime.import_key_map"
     bl_label = "Import Table"
-    bl_options = {"REGISTER", "UNDO"}
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
@@ -136,7 +131,6 @@ class FACEMIME_OT_export_key_map(AsksForFileToWrite, bpy.types.Operator):
 
     bl_idname = "facemime.export_key_map"
     bl_label = "Export Table"
-    bl_options = {"REGISTER"}
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
@@ -152,7 +146,6 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
 
     bl_idname = "facemime.add_key_pose"
     bl_label = "Add Pose"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -179,7 +172,6 @@ class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
 
     bl_idname = "facemime.learn_key_map"
     bl_label = "Learn from Poses"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -5,7 +5,7 @@ from bpy.props import EnumProperty, FloatProperty, StringProperty
 
 from ..sessions.live import COUNTDOWN
 from ..settings.values import add_performer, remove_performer
-from .puppet import running
+from .puppet import require_puppet, running
 from .shared import ReportsErrors
 
 
@@ -32,10 +32,7 @@ class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a running puppet."""
-        if running() is None:
-            cls.poll_message_set("Start the puppet first, in the Puppet panel")
-            return False
-        return True
+        return require_puppet(cls)
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
@@ -70,7 +67,6 @@ class FACEMIME_OT_remove_performer(ReportsErrors, bpy.types.Operator):
 
     bl_idname = "facemime.remove_performer"
     bl_label = "Remove Performer"
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Remove the performer."""

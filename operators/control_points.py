@@ -16,7 +16,7 @@ from ..core.takes.file import load_take
 from ..core.takes.neutral import Neutral, calibrate
 from ..core.takes.take import Take
 from ..settings.values import puppet_settings
-from .puppet import running
+from .puppet import require_puppet, running
 from .shared import AsksForFile, OnHead, OnMesh, report
 
 
@@ -68,7 +68,6 @@ class FACEMIME_OT_select_control_points(AsksForFile, SelectsPoints, bpy.types.Op
 
     bl_idname = "facemime.select_control_points"
     bl_label = "Select Control Points"
-    bl_options = {"REGISTER", "UNDO"}
 
     filepath: StringProperty(name="Take", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.facetake", options={"HIDDEN"})
@@ -84,15 +83,11 @@ class FACEMIME_OT_select_live_points(SelectsPoints, bpy.types.Operator):
 
     bl_idname = "facemime.select_live_points"
     bl_label = "Select from Live"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a running puppet and a mesh."""
-        if running() is None:
-            cls.poll_message_set("Start the puppet first, in the Puppet panel")
-            return False
-        return super().poll(context)
+        return require_puppet(cls) and super().poll(context)
 
     def performance(self, context: bpy.types.Context) -> tuple[Take, Neutral]:
         """Return the last seconds of the session and its neutral face."""
@@ -121,7 +116,6 @@ class FACEMIME_OT_add_control_point(OnLandmark, bpy.types.Operator):
 
     bl_idname = "facemime.add_control_point"
     bl_label = "Add Control Point"
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         mesh = context.active_object.data
@@ -137,7 +131,6 @@ class FACEMIME_OT_drop_control_point(OnLandmark, bpy.types.Operator):
 
     bl_idname = "facemime.drop_control_point"
     bl_label = "Remove Control Point"
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         mesh = context.active_object.data
@@ -202,7 +195,6 @@ class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
 
     bl_idname = "facemime.use_all_landmarks"
     bl_label = "Use All Landmarks"
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         write_selection(context.active_object.data, None)

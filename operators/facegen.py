@@ -12,7 +12,6 @@ class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
 
     bl_idname = "facemime.import_facegen"
     bl_label = "FaceGen Head (.tri, .obj)"
-    bl_options = {"REGISTER", "UNDO"}
 
     filter_glob: StringProperty(default="*.tri;*.obj", options={"HIDDEN"})
     scale: FloatProperty(name="Scale", description="Metres per unit of the file", default=MILLIMETRE, min=1e-6)

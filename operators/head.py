@@ -12,7 +12,6 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
 
     bl_idname = "facemime.add_head"
     bl_label = "Facemime Head"
-    bl_options = {"REGISTER", "UNDO"}
 
     units: BoolProperty(
         name="Face Units",

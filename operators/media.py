@@ -42,7 +42,6 @@ class FACEMIME_OT_add_sound(OnTakesVideo, bpy.types.Operator):
 
     bl_idname = "facemime.add_sound"
     bl_label = "Add Sound"
-    bl_options = {"REGISTER", "UNDO"}
 
     filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi;*.wav;*.flac;*.mp3;*.ogg", options={"HIDDEN"})
 
@@ -59,7 +58,6 @@ class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):
 
     bl_idname = "facemime.add_reference"
     bl_label = "Add Reference"
-    bl_options = {"REGISTER", "UNDO"}
 
     filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi", options={"HIDDEN"})
 

@@ -45,7 +45,6 @@ class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
 
     bl_idname = "facemime.mark_point"
     bl_label = "Mark Point"
-    bl_options = {"REGISTER", "UNDO"}
 
     point: EnumProperty(
         name="Point",
@@ -63,7 +62,6 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
 
     bl_idname = "facemime.clear_marks"
     bl_label = "Clear Marks"
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         clear_marks(context.active_object.data)
@@ -75,7 +73,6 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
 
     bl_idname = "facemime.bind_landmarks"
     bl_label = "Bind Landmarks"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -108,7 +105,6 @@ class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
 
     bl_idname = "facemime.set_landmark"
     bl_label = "Set Landmark"
-    bl_options = {"REGISTER", "UNDO"}
 
     number: IntProperty(name="Landmark", description="iBUG number of the landmark, except 60 and 64", min=0, max=67)
 
@@ -126,7 +122,6 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
 
     bl_idname = "facemime.propose_regions"
     bl_label = "Propose Regions"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -159,7 +154,6 @@ class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
 
     bl_idname = "facemime.open_lips"
     bl_label = "Open Lips"
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         count = open_lips(context.active_object)
@@ -173,7 +167,6 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
 
     bl_idname = "facemime.open_eyes"
     bl_label = "Open Eyes"
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         count = open_eyes(context.active_object)

@@ -31,7 +31,6 @@ class FACEMIME_OT_load_preset(ReportsErrors, bpy.types.Operator):
 
     bl_idname = "facemime.load_preset"
     bl_label = "Load Preset"
-    bl_options = {"REGISTER", "UNDO"}
 
     name: StringProperty(name="Name")
 
@@ -65,7 +64,6 @@ class FACEMIME_OT_import_preset(AsksForFile, bpy.types.Operator):
 
     bl_idname = "facemime.import_preset"
     bl_label = "Import Preset"
-    bl_options = {"REGISTER", "UNDO"}
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
@@ -83,7 +81,6 @@ class FACEMIME_OT_export_preset(AsksForFileToWrite, bpy.types.Operator):
 
     bl_idname = "facemime.export_preset"
     bl_label = "Export Preset"
-    bl_options = {"REGISTER"}
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 

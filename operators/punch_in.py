@@ -5,7 +5,8 @@ from bpy.props import FloatProperty, IntProperty
 
 from ..blender.animation.bake import seconds_at
 from ..settings import takes_store
-from .puppet import running
+from .puppet import require_puppet, running
+from .take_edits import BLEND
 from .takes import OnTake
 
 
@@ -26,19 +27,12 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
         min=0.0,
         max=30.0,
     )
-    blend: FloatProperty(
-        name="Blend",
-        description="Duration of the transition at each end",
-        subtype="TIME_ABSOLUTE",
-        default=0.2,
-        min=0.0,
-    )
+    blend: BLEND
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a running puppet and a take, and that no range is being re-recorded."""
-        if running() is None:
-            cls.poll_message_set("Start the puppet first, in the Puppet panel")
+        if not require_puppet(cls):
             return False
         if running().punch_in is not None:
             cls.poll_message_set("A range is already being re-recorded")

@@ -17,6 +17,14 @@ def running() -> LiveSession | None:
     return LiveSession.running()
 
 
+def require_puppet(operator: type[bpy.types.Operator]) -> bool:
+    """Return for `poll` whether a puppet is running; otherwise set the poll message of `operator`."""
+    if running() is not None:
+        return True
+    operator.poll_message_set("Start the puppet first, in the Puppet panel")
+    return False
+
+
 class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     """Drive the active head and all other selected heads by the face in the source; Esc in the viewport stops"""
 

@@ -22,7 +22,6 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
 
     bl_idname = "facemime.puppet_video"
     bl_label = "Puppet from Video"
-    bl_options = {"REGISTER", "UNDO"}
 
     filepath: StringProperty(name="Video", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.mp4;*.mov;*.avi;*.mkv;*.webm;*.m4v;*.facetake", options={"HIDDEN"})

@@ -12,7 +12,6 @@ class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
 
     bl_idname = "facemime.paint_region"
     bl_label = "Paint Region"
-    bl_options = {"REGISTER", "UNDO"}
 
     region: EnumProperty(
         name="Region",
@@ -33,7 +32,6 @@ class FACEMIME_OT_leave_painting(ReportsErrors, bpy.types.Operator):
 
     bl_idname = "facemime.leave_painting"
     bl_label = "Finish Painting"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -54,7 +52,6 @@ class FACEMIME_OT_mirror_regions(OnHead, bpy.types.Operator):
 
     bl_idname = "facemime.mirror_regions"
     bl_label = "Mirror Regions"
-    bl_options = {"REGISTER", "UNDO"}
 
     source: EnumProperty(
         name="Direction",
@@ -72,7 +69,6 @@ class FACEMIME_OT_smooth_regions(OnHead, bpy.types.Operator):
 
     bl_idname = "facemime.smooth_regions"
     bl_label = "Smooth Borders"
-    bl_options = {"REGISTER", "UNDO"}
 
     repeat: IntProperty(name="Repeat", default=3, min=1, max=50)
 

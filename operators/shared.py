@@ -29,6 +29,9 @@ def report(operator: bpy.types.Operator, message: str, level: str = "INFO") -> N
 class ReportsErrors:
     """Mixin: runs the operator's `work`, and reports a `FacemimeError` as an error; other exceptions are not caught."""
 
+    bl_options = {"REGISTER", "UNDO"}
+    """What most operators change is data of the file; those that do not leave UNDO out."""
+
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Run `work`."""
         return self.reporting(self.work, context)
@@ -107,6 +110,7 @@ class AsksForFile(ReportsErrors):
 class AsksForFileToWrite(AsksForFile):
     """Mixin: asks for a file to write; the file browser warns before it replaces one."""
 
+    bl_options = {"REGISTER"}
     check_existing: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
 
     def path_ending(self, suffix: str) -> Path:

@@ -14,6 +14,11 @@ from ..settings import takes_store
 from .shared import report
 from .takes import OnTake
 
+BLEND = FloatProperty(
+    name="Blend", description="Duration of the transition at each end", subtype="TIME_ABSOLUTE", default=0.2, min=0.0
+)
+"""Property of the operators that insert a range into a take."""
+
 
 class ChangesTake(OnTake):
     """Mixin: shows a dialog, and replaces the selected take by the result of `changed`."""
@@ -33,7 +38,6 @@ class FACEMIME_OT_trim_take(ChangesTake, bpy.types.Operator):
 
     bl_idname = "facemime.trim_take"
     bl_label = "Trim Take"
-    bl_options = {"REGISTER", "UNDO"}
 
     start: FloatProperty(name="Start", subtype="TIME_ABSOLUTE", min=0.0)
     end: FloatProperty(name="End", subtype="TIME_ABSOLUTE", min=0.0)
@@ -54,7 +58,6 @@ class FACEMIME_OT_mend_take(ChangesTake, bpy.types.Operator):
 
     bl_idname = "facemime.mend_take"
     bl_label = "Mend Take"
-    bl_options = {"REGISTER", "UNDO"}
 
     outliers: BoolProperty(
         name="Remove Outliers", description="Remove frames that jump away from their neighbours", default=True
@@ -90,7 +93,6 @@ class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
 
     bl_idname = "facemime.renew_neutral"
     bl_label = "Neutral Here"
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         line = takes_store.chosen(context.scene)
@@ -103,17 +105,10 @@ class FACEMIME_OT_punch_in_take(ChangesTake, bpy.types.Operator):
 
     bl_idname = "facemime.punch_in_take"
     bl_label = "Punch In"
-    bl_options = {"REGISTER", "UNDO"}
 
     other: StringProperty(name="Take", description="Take to insert")
     start: FloatProperty(name="Start", description="Time at which it is inserted", subtype="TIME_ABSOLUTE", min=0.0)
-    blend: FloatProperty(
-        name="Blend",
-        description="Duration of the transition at each end",
-        subtype="TIME_ABSOLUTE",
-        default=0.2,
-        min=0.0,
-    )
+    blend: BLEND
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Show the dialog; by default the take is inserted at the current frame."""

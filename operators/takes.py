@@ -9,7 +9,7 @@ from ..core.takes.spreadsheet import from_csv, to_csv
 from ..sessions.session import Session
 from ..sessions.show import TakeShow
 from ..settings import takes_store
-from .puppet import running
+from .puppet import require_puppet, running
 from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors, heads_in, report, require_heads
 
 
@@ -38,10 +38,7 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a running puppet."""
-        if running() is None:
-            cls.poll_message_set("Start the puppet first, in the Puppet panel")
-            return False
-        return True
+        return require_puppet(cls)
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Start recording, or stop and add the take to the list."""
@@ -90,7 +87,6 @@ class FACEMIME_OT_remove_take(OnTake, bpy.types.Operator):
 
     bl_idname = "facemime.remove_take"
     bl_label = "Remove Take"
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         takes = context.scene.facemime_takes
@@ -104,7 +100,6 @@ class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
 
     bl_idname = "facemime.find_takes"
     bl_label = "Find Takes"
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Add the takes to the list."""
@@ -129,7 +124,6 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
 
     bl_idname = "facemime.import_take"
     bl_label = "Import Take"
-    bl_options = {"REGISTER", "UNDO"}
 
     filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
 
@@ -151,7 +145,6 @@ class FACEMIME_OT_export_take(AsksForFileToWrite, OnTake, bpy.types.Operator):
 
     bl_idname = "facemime.export_take"
     bl_label = "Export Take"
-    bl_options = {"REGISTER"}
 
     filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
 
@@ -169,7 +162,6 @@ class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
 
     bl_idname = "facemime.pack_take"
     bl_label = "Pack Take"
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context: bpy.types.Context) -> set[str]:
         line = takes_store.chosen(context.scene)
