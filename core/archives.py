@@ -84,42 +84,14 @@ class Archive:
         return out
 
     def wholes(self, name: str, shape: Shape, low: int, high: int) -> NDArray[np.intp]:
-        """Read integers within a range.
-
-        Parameters
-        ----------
-        name : str
-            Name of the array.
-        shape : tuple of int or None
-            Expected shape.
-        low, high : int
-            Range, both included.
-
-        Returns
-        -------
-        ndarray of intp
-            The array.
-        """
+        """As `reals`, for integers from `low` to `high`."""
         array = self._of(name, shape, "iu")
         if array.size and (int(array.min()) < low or int(array.max()) > high):
             raise ValueError(f"{name} is not within {low} to {high}")
         return array.astype(np.intp)
 
     def flags(self, name: str, shape: Shape) -> NDArray[np.bool_]:
-        """Read booleans.
-
-        Parameters
-        ----------
-        name : str
-            Name of the array.
-        shape : tuple of int or None
-            Expected shape.
-
-        Returns
-        -------
-        ndarray of bool
-            The array.
-        """
+        """As `reals`, for booleans."""
         return self._of(name, shape, "b").astype(np.bool_)
 
     def data(self, name: str) -> bytes:

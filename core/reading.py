@@ -114,54 +114,14 @@ def as_number(value: Any, name: str, low: float, high: float) -> float:
 
 
 def as_whole(value: Any, name: str, low: int, high: int) -> int:
-    """Check that a value is an integer within a range.
-
-    Parameters
-    ----------
-    value : object
-        The value.
-    name : str
-        Its name, for messages.
-    low, high : int
-        Range, both included.
-
-    Returns
-    -------
-    int
-        The integer.
-
-    Raises
-    ------
-    ValueError
-        If it is anything else.
-    """
+    """As `as_number`, for an integer."""
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
         raise ValueError(f"{name} is {shown(value)}, not a whole number from {low} to {high}")
     return value
 
 
 def as_text(value: Any, name: str, most: int = 200) -> str:
-    """Check that a value is a text of limited length.
-
-    Parameters
-    ----------
-    value : object
-        The value.
-    name : str
-        Its name, for messages.
-    most : int
-        Largest number of characters.
-
-    Returns
-    -------
-    str
-        The text.
-
-    Raises
-    ------
-    ValueError
-        If it is anything else.
-    """
+    """As `as_number`, for a text of at most `most` characters."""
     if not isinstance(value, str) or len(value) > most:
         raise ValueError(f"{name} is {shown(value)}, not a text of at most {most} letters")
     if any("\ud800" <= letter <= "\udfff" for letter in value):  # valid in JSON, but not in files or in Blender
@@ -170,52 +130,14 @@ def as_text(value: Any, name: str, most: int = 200) -> str:
 
 
 def as_list(value: Any, name: str, most: int) -> list[Any]:
-    """Check that a value is a list of limited length.
-
-    Parameters
-    ----------
-    value : object
-        The value.
-    name : str
-        Its name, for messages.
-    most : int
-        Largest number of items.
-
-    Returns
-    -------
-    list
-        The list.
-
-    Raises
-    ------
-    ValueError
-        If it is anything else.
-    """
+    """As `as_number`, for a list of at most `most` items."""
     if not isinstance(value, list) or len(value) > most:
         raise ValueError(f"{name} is {shown(value)}, not a list of at most {most} items")
     return value
 
 
 def as_object(value: Any, name: str) -> dict[str, Any]:
-    """Check that a value is a JSON object.
-
-    Parameters
-    ----------
-    value : object
-        The value.
-    name : str
-        Its name, for messages.
-
-    Returns
-    -------
-    dict
-        The object.
-
-    Raises
-    ------
-    ValueError
-        If it is anything else.
-    """
+    """As `as_number`, for a JSON object."""
     if not isinstance(value, dict):
         raise ValueError(f"{name} is {shown(value)}, not an object")
     return value

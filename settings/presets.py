@@ -45,12 +45,7 @@ def path_of(name: str) -> Path:
 
 
 def save(settings: FacemimeSettings, path: Path) -> None:
-    """Write the settings to `path`.
-
-    Parameters
-    ----------
-    settings : FacemimeSettings
-    path : Path
+    """Write `settings` to the file `path`.
 
     Raises
     ------
@@ -64,12 +59,7 @@ def save(settings: FacemimeSettings, path: Path) -> None:
 
 
 def load(settings: FacemimeSettings, path: Path) -> None:
-    """Apply the preset at `path`; settings that it does not contain are left unchanged.
-
-    Parameters
-    ----------
-    settings : FacemimeSettings
-    path : Path
+    """Apply the preset at `path` to `settings`; those that it does not contain are left unchanged.
 
     Raises
     ------

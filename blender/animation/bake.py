@@ -174,12 +174,7 @@ def bake_pose(
 def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
     """Remove what an earlier bake added to `obj` and `targets`: shape keys, cache, curves and pose.
 
-    Parameters
-    ----------
-    obj : bpy.types.Object
-        The head.
-    targets : mapping
-        Objects or bones that take the pose.
+    Parameters are as for `check_bakeable`.
     """
     remove_baked_keys(obj)
     remove_cache(obj)

@@ -92,15 +92,7 @@ def move(work: bmesh.types.BMesh, vertex: bmesh.types.BMVert, by: Vector) -> Non
 
 
 def copy_moved(work: bmesh.types.BMesh, vertex: bmesh.types.BMVert, by: Vector) -> bmesh.types.BMVert:
-    """Copy a vertex with its weights, moved by an offset in every shape key.
-
-    Parameters
-    ----------
-    work : bmesh.types.BMesh
-    vertex : bmesh.types.BMVert
-    by : Vector
-        Blender's axes.
-    """
+    """Copy a vertex with its weights, moved by an offset in every shape key; parameters as for `move`."""
     copy = work.verts.new(vertex.co, vertex)
     for key in work.verts.layers.shape.values():
         copy[key] = vertex[key]

@@ -70,10 +70,8 @@ def mix_errors(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tup
 
     Parameters
     ----------
-    motion : (N, V, 3) array
-        Displacements from rest.
-    keys : (K, V, 3) array
-        Displacements at weight 1.
+    motion, keys : (N, V, 3), (K, V, 3) array
+        As for `fit_keys`.
     weights : (N, K) array
         Weights of the keys.
 

@@ -90,19 +90,7 @@ def add_by_hand(selection: GreedySelection, landmark: int) -> GreedySelection:
 
 
 def drop_by_hand(selection: GreedySelection | None, landmark: int) -> GreedySelection:
-    """Remove a landmark from the control points.
-
-    Parameters
-    ----------
-    selection : GreedySelection or None
-        The selection; None stands for all landmarks.
-    landmark : int
-        Position in the 66.
-
-    Returns
-    -------
-    GreedySelection
-        The new selection.
+    """Remove a landmark from the control points; parameters as for `add_by_hand`, where None stands for all landmarks.
 
     Raises
     ------

@@ -70,12 +70,8 @@ class ExpressionModel:
 
         Parameters
         ----------
-        vertices : (V, 3) array
-            Head frame, any unit.
-        landmarks : (66,) array of int
-            Vertex of each landmark.
-        region_weights : (3, V) array
-            Weights of the regions.
+        vertices, landmarks, region_weights : (V, 3), (66,), (3, V) array
+            As in `HeadRig`.
 
         Returns
         -------
@@ -108,12 +104,8 @@ def learn(
 
     Parameters
     ----------
-    vertices : (V, 3) array
-        Head frame, any unit.
-    landmarks : (66,) array of int
-        Vertex of each landmark.
-    region_weights : (3, V) array
-        Weights of the regions.
+    vertices, landmarks, region_weights : (V, 3), (66,), (3, V) array
+        As in `HeadRig`.
     motions : (E, V, 3) array
         Displacements under each expression, unit of `vertices`.
     kept : (S,) array of int, optional
@@ -164,14 +156,8 @@ def learnt_covariance(
     ----------
     models : tuple of ExpressionModel
         Known heads.
-    vertices : (V, 3) array
-        Head frame, any unit.
-    faces : (F, K) array of int
-        Vertices of each face, padded with -1.
-    landmarks : (66,) array of int
-        Vertex of each landmark.
-    region_weights : (3, V) array
-        Weights of the regions.
+    vertices, faces, landmarks, region_weights : (V, 3), (F, K), (66,), (3, V) array
+        As in `HeadRig`.
 
     Returns
     -------

@@ -217,20 +217,7 @@ class IncrementalDeformer:
         self._moved = np.zeros_like(self._points)
 
     def deform(self, displacements: ArrayLike, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """Deform the mesh from the coordinates of the previous frame; depends on all frames since `reset`.
-
-        Parameters
-        ----------
-        displacements : (P, 3) array_like
-            Of the control points from their rest positions, frame and unit of `vertices`.
-        out : (V, 3) float32, optional
-            C-contiguous array for the result.
-
-        Returns
-        -------
-        (V, 3) float32
-            The deformed vertices; `out` if given.
-        """
+        """As `RBFDeformer.deform`, from the coordinates of the previous frame; depends on all frames since `reset`."""
         moved = as_points(displacements, "displacements", count=self.n_control_points)
         step = RBFDeformer(self._vertices, self._points + self._moved, *self._regions, **self._options)
         result = step.deform(moved - self._moved, out)

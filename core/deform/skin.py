@@ -50,14 +50,8 @@ def skin_covariance(
 
     Parameters
     ----------
-    vertices : (V, 3) array
-        Any frame and unit.
-    faces : (F, K) array of int
-        Vertices of each face, padded with -1.
-    landmarks : (66,) array of int
-        Vertex of each landmark.
-    region_weights : (3, V) array
-        Weights of the regions.
+    vertices, faces, landmarks, region_weights : (V, 3), (F, K), (66,), (3, V) array
+        As in `HeadRig`.
 
     Returns
     -------

@@ -69,10 +69,8 @@ def eye_outline(vertices: FloatArray, landmarks: IntArray, eye: IntArray) -> Eye
 
     Parameters
     ----------
-    vertices : (V, 3) array
-        Head frame, any unit.
-    landmarks : (66,) array of int
-        Vertex of each landmark.
+    vertices, landmarks : (V, 3), (66,) array
+        As in `HeadRig`.
     eye : (6,) array of int
         One of `EYES`.
 

@@ -134,12 +134,8 @@ def eyes_joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> l
 
     Parameters
     ----------
-    vertices : (V, 3) array
-        Head frame, any unit.
-    faces : (F, K) array of int
-        Vertices of each face, padded with -1.
-    landmarks : (66,) array of int
-        Vertex of each landmark.
+    vertices, faces, landmarks : (V, 3), (F, K), (66,) array
+        As in `HeadRig`.
 
     Returns
     -------
@@ -199,10 +195,8 @@ def cut_eye(vertices: FloatArray, faces: IntArray, outline: EyeOutline) -> EyeCu
 
     Parameters
     ----------
-    vertices : (V, 3) array
-        Head frame, any unit.
-    faces : (F, K) array of int
-        Vertices of each face, padded with -1.
+    vertices, faces : (V, 3), (F, K) array
+        As in `HeadRig`.
     outline : EyeOutline
         Of the eye.
 

@@ -58,12 +58,8 @@ def propose_regions(vertices: FloatArray, faces: IntArray, landmarks: IntArray) 
 
     Parameters
     ----------
-    vertices : (V, 3) array
-        Head frame, any unit.
-    faces : (F, K) array of int
-        Vertices of each face, padded with -1.
-    landmarks : (66,) array of int
-        Vertex of each landmark.
+    vertices, faces, landmarks : (V, 3), (F, K), (66,) array
+        As in `HeadRig`.
 
     Returns
     -------

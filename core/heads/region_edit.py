@@ -29,14 +29,8 @@ def mirror_regions(
 
     Parameters
     ----------
-    vertices : (V, 3) array
-        Head frame, any unit.
-    faces : (F, K) array of int
-        Vertices of each face, padded with -1.
-    landmarks : (66,) array of int
-        Vertex of each landmark.
-    weights : (3, V) array
-        Weights of the regions.
+    vertices, faces, landmarks, weights : (V, 3), (F, K), (66,), (3, V) array
+        As in `HeadRig`.
     source : {"left", "right"}
         The half that stays, from the head's own point of view.
 
@@ -70,12 +64,8 @@ def smooth_regions(vertices: FloatArray, faces: IntArray, weights: FloatArray, r
 
     Parameters
     ----------
-    vertices : (V, 3) array
-        Any frame and unit.
-    faces : (F, K) array of int
-        Vertices of each face, padded with -1.
-    weights : (3, V) array
-        Weights of the regions.
+    vertices, faces, weights : (V, 3), (F, K), (3, V) array
+        As in `HeadRig`.
     repeat : int
         Number of passes.
 

@@ -113,20 +113,7 @@ class RangeCalibration:
         self._since: float | None = None
 
     def add(self, time: float, result: TrackResult) -> bool:
-        """Add a result.
-
-        Parameters
-        ----------
-        time : float
-            Seconds.
-        result : TrackResult
-            Of that time.
-
-        Returns
-        -------
-        bool
-            Whether that is enough.
-        """
+        """As `NeutralCalibration.add`."""
         self._since = time if self._since is None else self._since
         if result.found:
             self._shapes.append(result.shape)

@@ -84,17 +84,7 @@ def gaussian(distance: FloatArray, sigma: float) -> FloatArray:
 def multiscale(distance: FloatArray, sigma: float) -> FloatArray:
     """A Gaussian and one three times as wide: detail near the landmarks, no gap where these are far apart.
 
-    Parameters
-    ----------
-    distance : ndarray
-        Distances.
-    sigma : float
-        Width of the narrow Gaussian, same unit.
-
-    Returns
-    -------
-    ndarray
-        Values of the shape of `distance`.
+    Parameters and result are as for `gaussian`, with `sigma` the width of the narrow one.
 
     Notes
     -----
@@ -108,21 +98,7 @@ def multiscale(distance: FloatArray, sigma: float) -> FloatArray:
 def wendland(distance: FloatArray, sigma: float) -> FloatArray:
     """``(1 - r / R)^4 (4 r / R + 1)`` below ``R = 4 sigma`` and 0 beyond, which is C2 with compact support.
 
-    Parameters
-    ----------
-    distance : ndarray
-        Distances r.
-    sigma : float
-        Width, same unit.
-
-    Returns
-    -------
-    ndarray
-        Values of the shape of `distance`.
-
-    Notes
-    -----
-    Wendland 1995.
+    Parameters and result are as for `gaussian`. The kernel is that of Wendland 1995.
     """
     r = np.minimum(distance / (4.0 * sigma), 1.0)
     return np.asarray((1.0 - r) ** 4 * (4.0 * r + 1.0))
@@ -131,17 +107,8 @@ def wendland(distance: FloatArray, sigma: float) -> FloatArray:
 def biharmonic(distance: FloatArray, sigma: float) -> FloatArray:
     """``1 - r / sigma``: the biharmonic kernel -r of three dimensions, shifted so that it is positive definite.
 
-    Parameters
-    ----------
-    distance : ndarray
-        Distances r.
-    sigma : float
-        Has to exceed the extent of the control points (Micchelli 1986).
-
-    Returns
-    -------
-    ndarray
-        Values of the shape of `distance`.
+    Parameters and result are as for `gaussian`; `sigma` has to exceed the extent of the control points (Micchelli
+    1986).
     """
     return np.asarray(1.0 - distance / sigma)
 

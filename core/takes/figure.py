@@ -19,10 +19,8 @@ def draw_before_after(take: Take, mended: Take) -> NDArray[np.uint8]:
 
     Parameters
     ----------
-    take : Take
-        The take before mending.
-    mended : Take
-        The take after mending.
+    take, mended : Take
+        Before and after mending.
 
     Returns
     -------

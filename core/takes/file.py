@@ -80,15 +80,7 @@ class TakeWriter:
         return self._written + len(self._pending)
 
     def append(self, time: float, result: TrackResult) -> None:
-        """Add a frame.
-
-        Parameters
-        ----------
-        time : float
-            Seconds; has to increase (ValueError).
-        result : TrackResult
-            Of that frame.
-        """
+        """As `TakeRecorder.append`; OutputError if the file cannot be written."""
         check_increase(self._last, time)
         now = clock.monotonic()
         if not self._pending:

@@ -205,10 +205,8 @@ def before_after(take: Take, mended: Take, part: str) -> Curves:
 
     Parameters
     ----------
-    take : Take
-        The take before mending.
-    mended : Take
-        The take after mending.
+    take, mended : Take
+        Before and after mending.
     part : str
         Key in `CUTOFFS`.
 

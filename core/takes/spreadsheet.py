@@ -45,17 +45,7 @@ def _columns(modes: int) -> dict[str, list[str]]:
 def to_csv(take: Take, path: Path) -> None:
     """Write a take as a table, one row per frame, which `from_csv` reads back exactly.
 
-    Parameters
-    ----------
-    take : Take
-        The take.
-    path : Path
-        The file.
-
-    Raises
-    ------
-    OutputError
-        If `path` cannot be written.
+    Parameters and errors are as for `save_take`.
     """
     columns = _columns(take.shape_params.shape[1])
     arrays = [getattr(take, name).reshape(len(take), -1) for name in columns]
