@@ -17,7 +17,7 @@ from ..core.control_points.table import PointRow, draw_curve, point_rows
 from ..core.errors import FacemimeError
 from ..core.heads.regions import REGIONS
 from ..core.landmarks import IBUG68_INDICES
-from .sidebar import Sidebar, is_narrow, labels, place, side_by_side
+from .sidebar import OnHead, is_narrow, labels, place, side_by_side, split_labels
 
 _CURVE = "curve"
 
@@ -72,17 +72,11 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
         return flags, [places[n] for n in range(len(rows))]
 
 
-class FACEMIME_PT_control_points(Sidebar, bpy.types.Panel):
+class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
     """Selection of control points, the curve of the error, and the list of landmarks."""
 
     bl_label = "Control Points"
     bl_order = place(__name__)
-    bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require an active head."""
-        return context.active_object is not None and is_head(context.active_object)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -107,8 +101,7 @@ class FACEMIME_PT_control_points(Sidebar, bpy.types.Panel):
 
 def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) -> None:
     column = layout.column()
-    column.use_property_split = True
-    column.use_property_decorate = False
+    split_labels(column)
     column.prop(steps, "tolerance")
     column.prop(steps, "max_points")
     buttons = layout.column(align=True)

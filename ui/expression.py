@@ -3,7 +3,7 @@
 import bpy
 
 from ..settings import presets
-from .sidebar import Sidebar, place
+from .sidebar import Sidebar, place, split_labels
 
 
 class FACEMIME_MT_presets(bpy.types.Menu):
@@ -50,8 +50,7 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        split_labels(layout)
         settings = context.scene.facemime
         column = layout.column(align=True)
         column.prop(settings, "strength_upper", text="Strength Upper")

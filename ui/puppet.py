@@ -3,7 +3,7 @@
 import bpy
 
 from ..operators.puppet import running
-from .sidebar import Sidebar, labels, place, side_by_side
+from .sidebar import Sidebar, labels, place, side_by_side, split_labels
 from .status import status_lines
 
 
@@ -40,8 +40,7 @@ class FACEMIME_PT_pose(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, settings = self.layout, context.scene.facemime
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        split_labels(layout)
         posing = settings.posing
         for switch, prefix in (("rotation", "rotation"), ("translation", "location")):
             layout.prop(settings, switch)
@@ -70,8 +69,7 @@ class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, settings = self.layout, context.scene.facemime
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        split_labels(layout)
         layout.operator("facemime.puppet_video", icon="FILE_MOVIE")
         column = layout.column(align=True, heading="Neutral")
         column.prop(settings, "find_neutral", text="Find")

@@ -2,24 +2,17 @@
 
 import bpy
 
-from ..blender.meshes import is_head
 from ..blender.names import REGION_GROUPS
-from .sidebar import Sidebar, draw_findings, place, side_by_side
+from .sidebar import OnHead, draw_findings, place, side_by_side
 
 _BUTTONS = (("UPPER", "Upper"), ("MIDDLE", "Middle"), ("LOWER", "Lower"))
 
 
-class FACEMIME_PT_regions(Sidebar, bpy.types.Panel):
+class FACEMIME_PT_regions(OnHead, bpy.types.Panel):
     """Buttons that edit the regions, and the findings of the last check."""
 
     bl_label = "Regions"
     bl_order = place(__name__)
-    bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require an active head."""
-        return context.active_object is not None and is_head(context.active_object)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""

@@ -4,6 +4,7 @@ import blf
 import bpy
 from bpy.app.translations import pgettext_iface
 
+from ..blender.meshes import is_head
 from ..blender.messages import translated
 
 ORDER = ("head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
@@ -24,6 +25,17 @@ class Sidebar:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "Facemime"
+
+
+class OnHead(Sidebar):
+    """Mixin: a panel that is shown while the active object is a head, and closed at first."""
+
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require an active head."""
+        return context.active_object is not None and is_head(context.active_object)
 
 
 def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
@@ -63,6 +75,12 @@ def draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
         labels(layout, context, finding.remedy, "BLANK1")
         if finding.step:
             layout.operator(f"facemime.{finding.step}")
+
+
+def split_labels(layout: bpy.types.UILayout) -> None:
+    """Draw settings with their labels in a column of their own, and without dots for keyframes."""
+    layout.use_property_split = True
+    layout.use_property_decorate = False
 
 
 def side_by_side(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:

@@ -8,7 +8,7 @@ from ..core.live.camera import list_cameras
 from ..operators.puppet import running
 from ..settings.preferences import draw_camera, draw_preview, preferences
 from .preview import panel_icon
-from .sidebar import Sidebar, labels, place
+from .sidebar import Sidebar, labels, place, split_labels
 
 _NUMBERED_CAMERAS = 4
 
@@ -22,8 +22,7 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        split_labels(layout)
         source, chosen = context.scene.facemime.source, preferences()
         layout.prop(source, "kind", text="")
         column = layout.column()

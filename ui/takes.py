@@ -5,7 +5,7 @@ from bpy.app.translations import pgettext_iface as _
 
 from ..operators.puppet import running
 from ..sessions.show import TakeShow
-from .sidebar import Sidebar, labels, place
+from .sidebar import Sidebar, labels, place, split_labels
 
 _MAPPED = "mapped"
 
@@ -101,8 +101,7 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, bake = self.layout, context.scene.facemime_takes.bake
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        split_labels(layout)
         layout.prop(bake, "keys")
         column = layout.column()
         column.active = bake.keys == "new"
