@@ -42,7 +42,7 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
         """Require Object Mode, a head and a take."""
         return require_object_mode(cls, context) and require_heads(cls, context) and super().poll(context)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         scene = context.scene
         line = takes_store.chosen(scene)
         take = takes_store.read(line)
@@ -56,7 +56,6 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
         report(self, f"{frames} frames, {summary}")
         if bake.neutral.warning:
             report(self, bake.neutral.warning, "WARNING")
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
@@ -65,7 +64,7 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
     bl_idname = "facemime.detect_key_map"
     bl_label = "Detect Table"
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         table = best_preset(key_names(context.active_object))
         if table is None:
             names = ", ".join(preset.name for preset in presets())
@@ -75,7 +74,6 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
             )
         write_table(context.scene.facemime_takes.bake, table)
         report(self, f"{table.name}: {len(table.keys)} shape keys")
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
@@ -84,12 +82,11 @@ class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
     bl_idname = "facemime.add_key_row"
     bl_label = "Add Row"
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Add a row and select it."""
         bake = context.scene.facemime_takes.bake
         bake.rows.add()
         bake.row = len(bake.rows) - 1
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
@@ -104,12 +101,11 @@ class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
         bake = context.scene.facemime_takes.bake
         return 0 <= bake.row < len(bake.rows)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Remove the row and select its neighbour."""
         bake = context.scene.facemime_takes.bake
         bake.rows.remove(bake.row)
         bake.row = max(0, min(bake.row, len(bake.rows) - 1))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
@@ -120,10 +116,9 @@ class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Read the file into the table."""
         write_table(context.scene.facemime_takes.bake, load_map(self.path))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_export_key_map(AsksForFileToWrite, bpy.types.Operator):
@@ -134,11 +129,10 @@ class FACEMIME_OT_export_key_map(AsksForFileToWrite, bpy.types.Operator):
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Write the file."""
         with replacing(self.path_ending(".json")) as temporary:
             temporary.write_text(read_table(context.scene.facemime_takes.bake).to_json() + "\n", encoding="utf-8")
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
@@ -156,7 +150,7 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
             return False
         return super().poll(context)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         scene, blocks = context.scene, context.active_object.data.shape_keys.key_blocks
         take = takes_store.read(takes_store.chosen(scene))
         frames = frames_of(scene, take.times[take.found])
@@ -164,7 +158,6 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
         current = coefficients[int(np.abs(frames - scene.frame_current_final).argmin())]
         values = {name: blocks[name].value for name in key_names(context.active_object)}
         scene.facemime_takes.bake.poses.add().data = KeyPose(current, values).to_json()
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
@@ -181,7 +174,7 @@ class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
             return False
         return True
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Learn the table and clear the poses."""
         bake = context.scene.facemime_takes.bake
         poses = _poses(bake)
@@ -196,7 +189,6 @@ class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
         start = read_table(bake) if len(bake.rows) else KeyMap("Table", ())
         write_table(bake, learn_map(coefficients, values, keys, start))
         bake.poses.clear()
-        return {"FINISHED"}
 
 
 def _poses(bake: FacemimeBake) -> list[KeyPose]:

@@ -41,10 +41,9 @@ class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
         item = pose.get(properties.pose)
         return cls.__doc__ if item is None else item.description
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Start the countdown."""
         running().calibrate(range_of=self.pose == "RANGE", countdown=self.countdown)
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_add_performer(bpy.types.Operator):
@@ -68,10 +67,9 @@ class FACEMIME_OT_remove_performer(ReportsErrors, bpy.types.Operator):
     bl_idname = "facemime.remove_performer"
     bl_label = "Remove Performer"
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Remove the performer."""
         remove_performer(context.scene.facemime)
-        return {"FINISHED"}
 
 
 CLASSES = (FACEMIME_OT_calibrate, FACEMIME_OT_add_performer, FACEMIME_OT_remove_performer)

@@ -38,7 +38,7 @@ class SelectsPoints(OnMesh):
     add: StringProperty(name="Add", description="Landmarks to select in any case, by iBUG number: 17,19-21")
     remove: StringProperty(name="Remove", description="Landmarks never to select, by iBUG number: 0-3,30")
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         obj = context.active_object
         take, neutral = self.performance(context)
         selection = select_for_take(
@@ -60,7 +60,6 @@ class SelectsPoints(OnMesh):
             else f"{count} control points, largest error {percent} % of the face's width at frame {worst.frame}, "
             "above the tolerance",
         )
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_select_control_points(AsksForFile, SelectsPoints, bpy.types.Operator):
@@ -117,13 +116,12 @@ class FACEMIME_OT_add_control_point(OnLandmark, bpy.types.Operator):
     bl_idname = "facemime.add_control_point"
     bl_label = "Add Control Point"
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         mesh = context.active_object.data
         selection = read_selection(mesh)
         if selection is None:
             raise HeadError("All landmarks are control points already. Remove some first, or select from a take.")
         write_selection(mesh, add_by_hand(selection, context.scene.facemime_steps.landmark))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_drop_control_point(OnLandmark, bpy.types.Operator):
@@ -132,10 +130,9 @@ class FACEMIME_OT_drop_control_point(OnLandmark, bpy.types.Operator):
     bl_idname = "facemime.drop_control_point"
     bl_label = "Remove Control Point"
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         mesh = context.active_object.data
         write_selection(mesh, drop_by_hand(read_selection(mesh), context.scene.facemime_steps.landmark))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
@@ -196,9 +193,8 @@ class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
     bl_idname = "facemime.use_all_landmarks"
     bl_label = "Use All Landmarks"
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         write_selection(context.active_object.data, None)
-        return {"FINISHED"}
 
 
 CLASSES = (

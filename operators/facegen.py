@@ -21,12 +21,11 @@ class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
         """Require Object Mode."""
         return require_object_mode(cls, context)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Import the head."""
         obj = import_facegen(context, self.path, self.scale)
         keys = 0 if obj.data.shape_keys is None else len(obj.data.shape_keys.key_blocks) - 1
         report(self, f"{len(obj.data.vertices)} vertices, {keys} morphs")
-        return {"FINISHED"}
 
 
 CLASSES = (FACEMIME_OT_import_facegen,)

@@ -35,7 +35,7 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
         """Require Object Mode."""
         return require_object_mode(cls, context)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Add the head at the 3D cursor."""
         head = add_head(context, units=self.units)
         head.location = context.scene.cursor.location
@@ -45,7 +45,6 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
                 space.shading.color_type = "TEXTURE"
             if self.frame_view:
                 _frame_selected(context)
-        return {"FINISHED"}
 
 
 def _frame_selected(context: bpy.types.Context) -> None:

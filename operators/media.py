@@ -45,12 +45,11 @@ class FACEMIME_OT_add_sound(OnTakesVideo, bpy.types.Operator):
 
     filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi;*.wav;*.flac;*.mp3;*.ogg", options={"HIDDEN"})
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         scene = context.scene
         path, offset = self.video(scene)
         sound = path if self.filepath else takes_store.sound_beside(path)
         add_sound(scene, sound, 1.0 - offset * scene.render.fps / scene.render.fps_base)
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):
@@ -66,9 +65,8 @@ class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):
         """Require a head and a take."""
         return require_heads(cls, context) and super().poll(context)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         add_reference(context.scene, *self.video(context.scene), heads_in(context)[0])
-        return {"FINISHED"}
 
 
 CLASSES = (FACEMIME_OT_add_sound, FACEMIME_OT_add_reference)

@@ -15,6 +15,7 @@ from ..blender.heads.binding import (
 from ..blender.heads.eyes import open_eyes
 from ..blender.heads.lips import open_lips
 from ..blender.messages import translated
+from ..core.errors import HeadError
 from ..core.heads.binding import MARKS
 from ..core.landmarks import from_ibug
 from ..settings.panel_properties import keep_findings
@@ -52,9 +53,8 @@ class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
         items=[(str(number), name.capitalize(), "") for number, name in MARKS.items()],
     )
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         write_mark(context.active_object.data, int(self.point), selected_vertex(context.active_object))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
@@ -63,9 +63,8 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
     bl_idname = "facemime.clear_marks"
     bl_label = "Clear Marks"
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         clear_marks(context.active_object.data)
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
@@ -79,7 +78,7 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
         """Require an active mesh in Object Mode."""
         return require_object_mode(cls, context) and super().poll(context)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         binding = bind_head(context.active_object)
         residual = f"{100 * binding.residual:.1f}"
         report(
@@ -97,7 +96,6 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
         if binding.body:
             report(self, "The whole body would turn with the head. Set a bone as pose object in Puppet > Head and Eyes")
         report_findings(self, context)
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
@@ -108,13 +106,11 @@ class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
 
     number: IntProperty(name="Landmark", description="iBUG number of the landmark, except 60 and 64", min=0, max=67)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         if self.number in (60, 64):
-            report(self, "Landmarks 60 and 64 are not used. Choose another number.", "ERROR")
-            return {"CANCELLED"}
+            raise HeadError("Landmarks 60 and 64 are not used. Choose another number.")
         obj = context.active_object
         move_landmark(obj, int(from_ibug([self.number])[0]), selected_vertex(obj))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
@@ -131,9 +127,8 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
             return False
         return super().poll(context)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         propose_head_regions(context.active_object)
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
@@ -143,10 +138,9 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
     bl_label = "Check Head"
     bl_options = {"REGISTER"}
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         if not report_findings(self, context):
             report(self, f"{context.active_object.name} is ready to be puppeted")
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
@@ -155,11 +149,10 @@ class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
     bl_idname = "facemime.open_lips"
     bl_label = "Open Lips"
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         count = open_lips(context.active_object)
         report(self, f"{count} edges cut between the lips, and a dark pocket added behind them")
         report_findings(self, context)
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
@@ -168,7 +161,7 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
     bl_idname = "facemime.open_eyes"
     bl_label = "Open Eyes"
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         count = open_eyes(context.active_object)
         report(
             self,
@@ -176,7 +169,6 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
             "and bind again",
         )
         report_findings(self, context)
-        return {"FINISHED"}
 
 
 CLASSES = (

@@ -20,10 +20,9 @@ class FACEMIME_OT_save_preset(ReportsErrors, bpy.types.Operator):
         """Ask for the name."""
         return context.window_manager.invoke_props_dialog(self)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Save the preset, replacing one of the same name."""
         presets.save(context.scene.facemime, presets.path_of(self.name))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_load_preset(ReportsErrors, bpy.types.Operator):
@@ -34,10 +33,9 @@ class FACEMIME_OT_load_preset(ReportsErrors, bpy.types.Operator):
 
     name: StringProperty(name="Name")
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Load the preset."""
         presets.load(context.scene.facemime, presets.path_of(self.name))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_remove_preset(ReportsErrors, bpy.types.Operator):
@@ -53,10 +51,9 @@ class FACEMIME_OT_remove_preset(ReportsErrors, bpy.types.Operator):
         """Ask first, as removing a file cannot be undone."""
         return context.window_manager.invoke_confirm(self, event)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Remove the file."""
         presets.remove(self.name)
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_import_preset(AsksForFile, bpy.types.Operator):
@@ -67,13 +64,12 @@ class FACEMIME_OT_import_preset(AsksForFile, bpy.types.Operator):
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Load the file, and save it as a preset."""
         path = self.path
         kept = presets.path_of(path.stem)
         presets.load(context.scene.facemime, path)
         presets.save(context.scene.facemime, kept)
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_export_preset(AsksForFileToWrite, bpy.types.Operator):
@@ -84,10 +80,9 @@ class FACEMIME_OT_export_preset(AsksForFileToWrite, bpy.types.Operator):
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Write the file."""
         presets.save(context.scene.facemime, self.path_ending(presets.SUFFIX))
-        return {"FINISHED"}
 
 
 CLASSES = (

@@ -47,11 +47,10 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
             self.start, self.end = scene.frame_preview_start, scene.frame_preview_end
         return context.window_manager.invoke_props_dialog(self)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         scene = context.scene
         start, end = (seconds_at(scene, frame) for frame in (self.start, self.end))
         running().rerecord(scene, takes_store.chosen(scene).path, start, end, lead=self.lead, blend=self.blend)
-        return {"FINISHED"}
 
 
 CLASSES = (FACEMIME_OT_rerecord_take,)

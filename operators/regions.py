@@ -22,9 +22,8 @@ class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
         ),
     )
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         paint_region(context, context.active_object, ("UPPER", "MIDDLE", "LOWER").index(self.region))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_leave_painting(ReportsErrors, bpy.types.Operator):
@@ -41,10 +40,9 @@ class FACEMIME_OT_leave_painting(ReportsErrors, bpy.types.Operator):
             return False
         return True
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Switch to Object Mode."""
         bpy.ops.object.mode_set(mode="OBJECT")
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_mirror_regions(OnHead, bpy.types.Operator):
@@ -59,9 +57,8 @@ class FACEMIME_OT_mirror_regions(OnHead, bpy.types.Operator):
         items=(("left", "Left to Right", ""), ("right", "Right to Left", "")),
     )
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         mirror_painted(context.active_object, self.source)
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_smooth_regions(OnHead, bpy.types.Operator):
@@ -72,9 +69,8 @@ class FACEMIME_OT_smooth_regions(OnHead, bpy.types.Operator):
 
     repeat: IntProperty(name="Repeat", default=3, min=1, max=50)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         smooth_painted(context.active_object, self.repeat)
-        return {"FINISHED"}
 
 
 CLASSES = (

@@ -27,7 +27,10 @@ def report(operator: bpy.types.Operator, message: str, level: str = "INFO") -> N
 
 
 class ReportsErrors:
-    """Mixin: runs the operator's `work`, and reports a `FacemimeError` as an error; other exceptions are not caught."""
+    """Mixin: runs the operator's `work`, and reports a `FacemimeError` as an error; other exceptions are not caught.
+
+    `work` returns None if the operator has finished, and otherwise its result, such as RUNNING_MODAL.
+    """
 
     bl_options = {"REGISTER", "UNDO"}
     """What most operators change is data of the file; those that do not leave UNDO out."""
@@ -36,17 +39,17 @@ class ReportsErrors:
         """Run `work`."""
         return self.reporting(self.work, context)
 
-    def reporting(self, work: Callable[[bpy.types.Context], set[str]], context: bpy.types.Context) -> set[str]:
+    def reporting(self, work: Callable[[bpy.types.Context], set[str] | None], context: bpy.types.Context) -> set[str]:
         """Return the result of `work(context)`, or CANCELLED if it raised an error, which is reported.
 
         Parameters
         ----------
         work : callable
-            Takes the context and returns an operator's result.
+            Takes the context and returns an operator's result; None stands for FINISHED.
         context : bpy.types.Context
         """
         try:
-            return work(context)
+            return work(context) or {"FINISHED"}
         except FacemimeError as error:
             report(self, str(error), "ERROR")
             return {"CANCELLED"}

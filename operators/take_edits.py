@@ -27,10 +27,9 @@ class ChangesTake(OnTake):
         """Show the dialog."""
         return context.window_manager.invoke_props_dialog(self)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         line = takes_store.chosen(context.scene)
         takes_store.change(line, self.changed(context, takes_store.read(line)))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_trim_take(ChangesTake, bpy.types.Operator):
@@ -94,10 +93,9 @@ class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
     bl_idname = "facemime.renew_neutral"
     bl_label = "Neutral Here"
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         line = takes_store.chosen(context.scene)
         takes_store.change(line, renew_neutral(takes_store.read(line), seconds_of(context.scene)))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_punch_in_take(ChangesTake, bpy.types.Operator):

@@ -40,12 +40,12 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
         """Require a running puppet."""
         return require_puppet(cls)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Start recording, or stop and add the take to the list."""
         session = running()
         if session.recording is None:
             session.start_recording(context.scene, self.name)
-            return {"FINISHED"}
+            return
         recording = session.recording
         session.stop_recording()
         if recording.video_failed:
@@ -54,7 +54,6 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
                 f"The video of {recording.path.name} could not be written. Check that the disk is not full.",
                 "WARNING",
             )
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
@@ -74,12 +73,11 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
             return False
         return require_heads(cls, context) and super().poll(context)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         if (show := TakeShow.running()) is not None:
             show.close()
         else:
             TakeShow(context.scene, heads_in(context), takes_store.read(takes_store.chosen(context.scene)))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_remove_take(OnTake, bpy.types.Operator):
@@ -88,11 +86,10 @@ class FACEMIME_OT_remove_take(OnTake, bpy.types.Operator):
     bl_idname = "facemime.remove_take"
     bl_label = "Remove Take"
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         takes = context.scene.facemime_takes
         takes.items.remove(takes.index)
         takes.index = max(0, min(takes.index, len(takes.items) - 1))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
@@ -101,7 +98,7 @@ class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
     bl_idname = "facemime.find_takes"
     bl_label = "Find Takes"
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Add the takes to the list."""
         found, unreadable = 0, []
         for path in takes_store.unlisted(context.scene):
@@ -116,7 +113,6 @@ class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
         report(self, f"{found} takes found in {folder}")
         if unreadable:
             report(self, f"Files that cannot be read: {', '.join(unreadable)}. Delete or ignore them.", "WARNING")
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
@@ -127,17 +123,16 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
 
     filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         """Read the file and add it to the list."""
         path = self.path
         if path.suffix.lower() == ".csv":
             takes_store.keep(context.scene, from_csv(path), path.stem)
-            return {"FINISHED"}
+            return
         take = load_take(path)
         takes_store.add(context.scene, path, take)
         if warning := take.info.get("recovered"):
             report(self, str(warning), "WARNING")
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_export_take(AsksForFileToWrite, OnTake, bpy.types.Operator):
@@ -148,13 +143,12 @@ class FACEMIME_OT_export_take(AsksForFileToWrite, OnTake, bpy.types.Operator):
 
     filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         take = takes_store.read(takes_store.chosen(context.scene))
         if self.path.suffix.lower() == ".csv":
             to_csv(take, self.path)
         else:
             save_take(take, self.path_ending(SUFFIX))
-        return {"FINISHED"}
 
 
 class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
@@ -163,13 +157,12 @@ class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
     bl_idname = "facemime.pack_take"
     bl_label = "Pack Take"
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> None:
         line = takes_store.chosen(context.scene)
         if line.packed is None:
             takes_store.pack(line)
         else:
             report(self, f"Written to {takes_store.unpack(line)}")
-        return {"FINISHED"}
 
 
 CLASSES = (
