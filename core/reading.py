@@ -15,19 +15,13 @@ _PIECE = 1 << 20
 
 
 def read_bytes(path: Path, most: int) -> bytes:
-    """Read a file of limited size.
+    """Return the content of a file of limited size.
 
     Parameters
     ----------
     path : Path
-        The file.
     most : int
         Largest size in bytes.
-
-    Returns
-    -------
-    bytes
-        The content.
 
     Raises
     ------

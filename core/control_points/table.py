@@ -65,19 +65,13 @@ def point_rows(selection: GreedySelection | None) -> list[PointRow]:
 
 
 def add_by_hand(selection: GreedySelection, landmark: int) -> GreedySelection:
-    """Make a landmark a control point of all its regions.
+    """Return a selection with a landmark as a control point of all its regions.
 
     Parameters
     ----------
     selection : GreedySelection
-        The selection.
     landmark : int
         Position in the 66.
-
-    Returns
-    -------
-    GreedySelection
-        The new selection.
 
     Raises
     ------
@@ -90,7 +84,7 @@ def add_by_hand(selection: GreedySelection, landmark: int) -> GreedySelection:
 
 
 def drop_by_hand(selection: GreedySelection | None, landmark: int) -> GreedySelection:
-    """Remove a landmark from the control points; parameters as for `add_by_hand`, where None stands for all landmarks.
+    """Return a selection without a landmark; parameters as for `add_by_hand`, where None stands for all landmarks.
 
     Raises
     ------

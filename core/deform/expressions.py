@@ -156,13 +156,8 @@ def learnt_covariance(
     ----------
     models : tuple of ExpressionModel
         Known heads.
-    vertices, faces, landmarks, region_weights : (V, 3), (F, K), (66,), (3, V) array
-        As in `HeadRig`.
-
-    Returns
-    -------
-    SkinCovariance
-        Between vertices and landmarks, and among landmarks.
+    vertices, faces, landmarks, region_weights
+        As for `skin_covariance`.
 
     Notes
     -----

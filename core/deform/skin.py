@@ -51,7 +51,7 @@ def skin_covariance(
     Parameters
     ----------
     vertices, faces, landmarks, region_weights : (V, 3), (F, K), (66,), (3, V) array
-        As in `HeadRig`.
+        As in `HeadRig`, but in any frame.
 
     Returns
     -------

@@ -35,11 +35,8 @@ class HeadPart:
     ----------
     name : str
         One of `PART_NAMES`; left and right are the performer's own.
-    vertices : (n, 3) float32
-    faces : (f, 4) int32
-        Vertices of each face, triangles padded with -1.
-    uv : (f, 4, 2) float32
-        Texture coordinates of the corners of each face, v up.
+    vertices, faces, uv : (n, 3) float32, (f, 4) int32, (f, 4, 2) float32
+        As in `Head`.
     pivot : (3,) float32
         Centre of rotation: the centre of the eyeball, or the hinge of the jaw.
     units : (U, n, 3) float32

@@ -26,17 +26,12 @@ class Finding:
 
 
 def check_head(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> list[Finding]:
-    """Check what would keep a head from being driven well.
+    """Check what would keep a head from being driven well; returns a finding per problem.
 
     Parameters
     ----------
     vertices, faces, landmarks, region_weights : (V, 3), (F, K), (66,), (3, V) array
         As in `HeadRig`.
-
-    Returns
-    -------
-    list of Finding
-        Empty if there is no problem.
     """
     findings = []
     unique, counts = np.unique(landmarks, return_counts=True)

@@ -34,11 +34,8 @@ class FaceGenMesh:
 
     Attributes
     ----------
-    vertices : (V, 3) float32
-    faces : (F, 4) int32
-        Vertices of each face, triangles padded with -1.
-    uv : (F, 4, 2) float32 or None
-        Texture coordinates of the corners of each face, v up.
+    vertices, faces, uv : (V, 3) float32, (F, 4) int32, (F, 4, 2) float32
+        As in `built_in.Head`; `uv` may be None.
     morphs : tuple of (str, (V, 3) float32)
         Name and displacement of each difference and statistical morph.
     labels : dict of str to int

@@ -136,11 +136,6 @@ def eyes_joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> l
     ----------
     vertices, faces, landmarks : (V, 3), (F, K), (66,) array
         As in `HeadRig`.
-
-    Returns
-    -------
-    list of bool
-        For each of `EYES`.
     """
     return [_joined(np.asarray(vertices, dtype=np.float64), np.asarray(faces), landmarks, eye) for eye in EYES]
 

@@ -65,7 +65,7 @@ def smooth_regions(vertices: FloatArray, faces: IntArray, weights: FloatArray, r
     Parameters
     ----------
     vertices, faces, weights : (V, 3), (F, K), (3, V) array
-        As in `HeadRig`.
+        As in `HeadRig`, but in any frame.
     repeat : int
         Number of passes.
 

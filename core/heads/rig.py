@@ -20,7 +20,7 @@ class HeadRig:
     Attributes
     ----------
     vertices : (V, 3) float
-        Rest positions, in any unit.
+        Rest positions.
     landmarks : (66,) int
         Vertex of each landmark.
     region_weights : (3, V) float

@@ -146,14 +146,12 @@ class TakeWriter:
 
 
 def save_take(take: Take, path: Path) -> None:
-    """Write a whole take; on failure an existing file stays.
+    """Write a whole take to a file; on failure an existing file stays.
 
     Parameters
     ----------
     take : Take
-        The take.
     path : Path
-        The file.
 
     Raises
     ------

@@ -55,19 +55,7 @@ class Mending:
 
 
 def mend(take: Take, mending: Mending) -> Take:
-    """Mend a take.
-
-    Parameters
-    ----------
-    take : Take
-        The take.
-    mending : Mending
-        What to do.
-
-    Returns
-    -------
-    Take
-        The mended take.
+    """Return `take`, mended as `mending` says.
 
     Raises
     ------
@@ -219,19 +207,13 @@ def mirror_tracked(take: Take) -> Take:
 
 
 def renew_neutral(take: Take, frame_time: float) -> Take:
-    """Make the face at a given time the neutral face of a take, which `calibrate` then returns.
+    """Return a take with the face at a given time as its neutral face, which `calibrate` then returns.
 
     Parameters
     ----------
     take : Take
-        The take.
     frame_time : float
         Seconds.
-
-    Returns
-    -------
-    Take
-        With a new calibration in `info`.
 
     Raises
     ------

@@ -184,19 +184,13 @@ def resample(take: Take, fps: float, start: float | None = None) -> Take:
 
 
 def shift_time(take: Take, seconds: float) -> Take:
-    """Shift a take in time.
+    """Return a take, shifted in time.
 
     Parameters
     ----------
     take : Take
-        The take.
     seconds : float
         Negative values shift it to earlier times.
-
-    Returns
-    -------
-    Take
-        The shifted take.
 
     Raises
     ------
