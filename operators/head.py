@@ -13,21 +13,12 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
     bl_idname = "facemime.add_head"
     bl_label = "Facemime Head"
 
-    units: BoolProperty(
-        name="Face Units",
-        description="Add the 52 ARKit face units as shape keys",
-        default=False,
-    )
+    units: BoolProperty(name="Face Units", description="Add the 52 ARKit face units as shape keys")
     show_textures: BoolProperty(
-        name="Show Textures",
-        description="Show the textures of skin and eyes in Solid shading",
-        default=True,
+        name="Show Textures", description="Show the textures of skin and eyes in Solid shading", default=True
     )
-
     frame_view: BoolProperty(
-        name="Frame in View",
-        description="View the head, which is life-size, close-up from the front",
-        default=True,
+        name="Frame in View", description="View the head, which is life-size, close-up from the front", default=True
     )
 
     @classmethod

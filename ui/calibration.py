@@ -5,7 +5,7 @@ from bpy.app.translations import pgettext_iface as _
 
 from ..operators.puppet import running
 from ..sessions.live import COUNTDOWN
-from .sidebar import Sidebar, labels, place
+from .sidebar import Sidebar, draw_list, labels, place
 
 
 class FACEMIME_UL_performers(bpy.types.UIList):
@@ -25,13 +25,8 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, settings, session = self.layout, context.scene.facemime, running()
-        row = layout.row()
-        row.template_list(
-            "FACEMIME_UL_performers", "", settings, "performers", settings, "performer", rows=2, maxrows=5
-        )
-        buttons = row.column(align=True)
-        buttons.operator("facemime.add_performer", text="", icon="ADD")
-        buttons.operator("facemime.remove_performer", text="", icon="REMOVE")
+        buttons = {"add_performer": "ADD", "remove_performer": "REMOVE"}
+        draw_list(layout, "FACEMIME_UL_performers", settings, ("performers", "performer"), 2, buttons)
         column = layout.column(align=True)
         column.operator("facemime.calibrate", text="Neutral Face", icon="USER").pose = "NEUTRAL"
         column.operator("facemime.calibrate", text="Eyes and Mouth", icon="HIDE_OFF").pose = "RANGE"

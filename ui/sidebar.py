@@ -83,6 +83,36 @@ def split_labels(layout: bpy.types.UILayout) -> None:
     layout.use_property_decorate = False
 
 
+def draw_list(
+    layout: bpy.types.UILayout,
+    kind: str,
+    owner: bpy.types.PropertyGroup,
+    fields: tuple[str, str],
+    rows: int,
+    buttons: dict[str, str],
+) -> None:
+    """Draw a list with buttons beside it.
+
+    Parameters
+    ----------
+    layout : bpy.types.UILayout
+    kind : str
+        Name of the UIList.
+    owner : bpy.types.PropertyGroup
+    fields : (str, str)
+        Its collection, and the index of the selected item.
+    rows : int
+        Number of rows at least.
+    buttons : dict of str to str
+        Icon of each operator.
+    """
+    row = layout.row()
+    row.template_list(kind, "", owner, fields[0], owner, fields[1], rows=rows)
+    column = row.column(align=True)
+    for operator, icon in buttons.items():
+        column.operator(f"facemime.{operator}", text="", icon=icon)
+
+
 def side_by_side(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
     """Return a row for related buttons, or a column if the sidebar is too narrow for a row.
 

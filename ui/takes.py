@@ -5,7 +5,7 @@ from bpy.app.translations import pgettext_iface as _
 
 from ..operators.puppet import running
 from ..sessions.show import TakeShow
-from .sidebar import Sidebar, labels, place, split_labels
+from .sidebar import Sidebar, draw_list, labels, place, split_labels
 
 _MAPPED = "mapped"
 
@@ -66,13 +66,8 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
             labels(layout, context, "Start the puppet to record a take, or import one", "INFO")
         if not bpy.data.filepath and len(takes.items):
             labels(layout, context, "Takes are stored in your user folder until you save the .blend file", "INFO")
-        row = layout.row()
-        row.template_list("FACEMIME_UL_takes", "", takes, "items", takes, "index", rows=4)
-        column = row.column(align=True)
-        column.operator("facemime.import_take", text="", icon="IMPORT")
-        column.operator("facemime.export_take", text="", icon="EXPORT")
-        column.operator("facemime.remove_take", text="", icon="REMOVE")
-        column.operator("facemime.find_takes", text="", icon="VIEWZOOM")
+        buttons = {"import_take": "IMPORT", "export_take": "EXPORT", "remove_take": "REMOVE", "find_takes": "VIEWZOOM"}
+        draw_list(layout, "FACEMIME_UL_takes", takes, ("items", "index"), 4, buttons)
         if not 0 <= takes.index < len(takes.items):
             return
         take = takes.items[takes.index]
@@ -125,13 +120,13 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
         layout, bake = self.layout, context.scene.facemime_takes.bake
         layout.active = bake.keys == _MAPPED
         layout.prop(bake, "table")
-        row = layout.row()
-        row.template_list("FACEMIME_UL_key_rows", "", bake, "rows", bake, "row", rows=5)
-        column = row.column(align=True)
-        column.operator("facemime.add_key_row", text="", icon="ADD")
-        column.operator("facemime.remove_key_row", text="", icon="REMOVE")
-        column.operator("facemime.import_key_map", text="", icon="IMPORT")
-        column.operator("facemime.export_key_map", text="", icon="EXPORT")
+        buttons = {
+            "add_key_row": "ADD",
+            "remove_key_row": "REMOVE",
+            "import_key_map": "IMPORT",
+            "export_key_map": "EXPORT",
+        }
+        draw_list(layout, "FACEMIME_UL_key_rows", bake, ("rows", "row"), 5, buttons)
         if 0 <= bake.row < len(bake.rows):
             obj, line = context.active_object, bake.rows[bake.row]
             column = layout.column(align=True)
