@@ -71,6 +71,18 @@ def moving() -> bool:
     return session is not None and session.shown is not None and session._number > 30 and bool(session.shown.heads)
 
 
+def start() -> None:
+    """Start the puppet, and wait until the selected heads move."""
+    assert bpy.ops.facemime.puppet() == {"RUNNING_MODAL"}
+    ticks_until(moving)
+
+
+def some_frames() -> None:
+    """Continue for three frames."""
+    number = running()._number
+    ticks_until(lambda: running() is None or running()._number >= number + 3)
+
+
 def wait_for(condition) -> None:
     """Send frames until the worker has reached a number."""
     end = time.monotonic() + PATIENCE

@@ -20,8 +20,7 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests" / "gui"), str(ROOT / "tests")]
 
-from scans import scanned  # noqa: E402
-from test_walk import _TOOLS, HEAD, MODULE  # noqa: E402
+from test_walk import _TOOLS, HEAD, MODULE, import_scan  # noqa: E402
 
 from conftest import install  # noqa: E402
 from sidebar import Sidebar  # noqa: E402
@@ -195,12 +194,7 @@ def own_head() -> None:
     """Make the pictures of the second tutorial: from a scan to a head."""
     with Studio("own_head") as studio:
         blender, sidebar = studio.blender, studio.sidebar
-        vertices, faces = scanned()
-        lines = [f"v {x:.6f} {-y:.6f} {-z:.6f}" for x, y, z in vertices]
-        lines += ["f " + " ".join(str(v + 1) for v in face) for face in faces.tolist()]
-        (blender.folder / "scan.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        blender.do(f"bpy.ops.wm.obj_import(filepath={str(blender.inside / 'scan.obj')!r})")
-        blender.do("bpy.context.view_layer.objects.active = bpy.data.objects['scan']")
+        count = import_scan(blender)
         blender.do(_IN_VIEW + "    bpy.ops.object.shade_smooth()")
         studio.look()
         sidebar.open_panel("FACEMIME_PT_head")
@@ -214,7 +208,7 @@ def own_head() -> None:
         sidebar.press("show_points")
         sidebar.open_panel("FACEMIME_PT_head")
         sidebar.press("bpy.ops.facemime.open_lips")
-        blender.wait_for(f"len(bpy.data.objects['scan'].data.vertices) > {len(vertices)}")
+        blender.wait_for(f"len(bpy.data.objects['scan'].data.vertices) > {count}")
         sidebar.press("bpy.ops.facemime.open_eyes")
         blender.wait_for("'Facemime Eyes' in bpy.data.objects['scan'].vertex_groups")
         sidebar.open_panel("FACEMIME_PT_regions")

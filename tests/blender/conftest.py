@@ -97,6 +97,12 @@ def take(tmp_path):
 
 
 @pytest.fixture
+def looping(take):
+    """A take as the source, looped."""
+    bpy.context.scene.facemime.source.loop = True
+
+
+@pytest.fixture
 def in_a_project(_empty_file, nothing_left_over, tmp_path):
     """Save the .blend file."""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "project.blend"))

@@ -18,7 +18,7 @@ from facemime.sessions.live import LiveSession
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
 from facemime.settings.values import drive_settings
-from live_ticks import CLICK, attend, moving, shown, tick, ticks_until
+from live_ticks import CLICK, attend, shown, start, tick, ticks_until
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
@@ -50,9 +50,8 @@ def test_the_puppet_stops_at_the_end_of_the_source(take):
     assert Session.current is None and operator._timer is None
 
 
-def test_keep_pose_keeps_the_pose_without_changing_the_rest_shape(take):
+def test_keep_pose_keeps_the_pose_without_changing_the_rest_shape(looping):
     head = add_head(bpy.context)
-    bpy.context.scene.facemime.source.loop = True
     rest = shown(head)
     bpy.context.scene.facemime.keep_pose = True
     bpy.ops.facemime.puppet()
@@ -61,23 +60,20 @@ def test_keep_pose_keeps_the_pose_without_changing_the_rest_shape(take):
     assert np.abs(shown(head) - rest).max() > 1e-4
     np.testing.assert_array_equal(read_rig(head).vertices[:, 0], rest[:, 0])
     bpy.context.scene.facemime.keep_pose = False
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     bpy.ops.facemime.stop_puppet()
     assert LIVE_KEY not in head.data.shape_keys.key_blocks
     np.testing.assert_allclose(shown(head), rest, atol=1e-7)
 
 
-def test_existing_shape_keys_and_animation_are_kept(take):
+def test_existing_shape_keys_and_animation_are_kept(looping):
     head = add_head(bpy.context, units=True)
-    bpy.context.scene.facemime.source.loop = True
     head.data.shape_keys.key_blocks["jawOpen"].value = 0.4
     head.active_shape_key_index = 3
     bpy.ops.facemime.puppet_video(filepath=bpy.context.scene.facemime.source.take)
     names = [key.name for key in head.data.shape_keys.key_blocks]
     before = shown(head)
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     bpy.ops.facemime.stop_puppet()
     assert [key.name for key in head.data.shape_keys.key_blocks] == names
     assert not any(key.mute for key in head.data.shape_keys.key_blocks)
@@ -95,21 +91,17 @@ def test_existing_shape_keys_and_animation_are_kept(take):
         lambda: (facemime.unregister(), facemime.register()),
     ],
 )
-def test_every_way_to_stop_joins_the_thread_and_ends_the_operator(take, end):
+def test_every_way_to_stop_joins_the_thread_and_ends_the_operator(looping, end):
     add_head(bpy.context)
-    bpy.context.scene.facemime.source.loop = True
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     session = running()
     end()
     assert not session.worker.running and session.operator is None and Session.current is None
 
 
-def test_a_puppet_whose_window_is_closed_ends_at_the_next_opportunity(take):
+def test_a_puppet_whose_window_is_closed_ends_at_the_next_opportunity(looping):
     head = add_head(bpy.context)
-    bpy.context.scene.facemime.source.loop = True
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     session, operator = running(), running().operator
     for _ in range(2):
         operator.cancel(bpy.context)
@@ -124,8 +116,7 @@ def test_settings_take_effect_while_the_puppet_is_running(take):
     rest = shown(head)
     settings = bpy.context.scene.facemime
     settings.source.loop = True
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     settings.strength_upper = settings.strength_middle = settings.strength_lower = 0.0
     settings.posing.rotation_strength = 0.0
     tick()
@@ -133,12 +124,10 @@ def test_settings_take_effect_while_the_puppet_is_running(take):
     assert np.abs(np.array(head.delta_rotation_euler)).max() < 1e-6
 
 
-def test_painted_regions_take_effect_after_the_next_click(take):
+def test_painted_regions_take_effect_after_the_next_click(looping):
     head = add_head(bpy.context)
     rest = shown(head)
-    bpy.context.scene.facemime.source.loop = True
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     upper = head.vertex_groups[REGION_GROUPS[0]]
     untouched = [v.index for v in head.data.vertices if v.co.z < -0.08]
     for name in REGION_GROUPS[1:]:
@@ -148,11 +137,9 @@ def test_painted_regions_take_effect_after_the_next_click(take):
     ticks_until(lambda: np.abs(shown(head) - rest)[untouched].max() < 1e-7)
 
 
-def test_flipped_faces_take_effect_after_the_next_click_and_a_click_alone_does_nothing(take):
+def test_flipped_faces_take_effect_after_the_next_click_and_a_click_alone_does_nothing(looping):
     head = add_head(bpy.context)
-    bpy.context.scene.facemime.source.loop = True
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     before = running().worker.heads
     tick(CLICK)
     for _ in range(5):
@@ -164,9 +151,8 @@ def test_flipped_faces_take_effect_after_the_next_click_and_a_click_alone_does_n
     np.testing.assert_array_equal(running().worker.heads[0].rig.faces, read_faces(head.data))
 
 
-def test_a_new_session_closes_the_previous_one(take):
+def test_a_new_session_closes_the_previous_one(looping):
     head = add_head(bpy.context)
-    bpy.context.scene.facemime.source.loop = True
     first = start_session(bpy.context.scene, [head])
     second = start_session(bpy.context.scene, [head])
     assert not first.worker.running and Session.current is second
@@ -176,12 +162,10 @@ def test_a_new_session_closes_the_previous_one(take):
     assert head.data.shape_keys is None
 
 
-def test_control_points_selected_from_live_take_effect_at_once(take):
+def test_control_points_selected_from_live_take_effect_at_once(looping):
     head = add_head(bpy.context)
     assert not bpy.ops.facemime.select_live_points.poll()
-    bpy.context.scene.facemime.source.loop = True
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     assert bpy.ops.facemime.select_live_points(max_points=20) == {"FINISHED"}
     chosen = read_selection(head.data)
     assert len(chosen.landmarks) <= 20
@@ -207,8 +191,7 @@ def test_next_face_requires_a_source_of_images(take):
     assert not bpy.ops.facemime.next_face.poll()
     source = bpy.context.scene.facemime.source
     source.loop = True
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     assert not bpy.ops.facemime.next_face.poll()
     bpy.ops.facemime.stop_puppet()
     source.kind = "SAMPLE"

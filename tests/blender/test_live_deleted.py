@@ -13,27 +13,9 @@ from facemime.blender.animation.live import LIVE_KEY
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, LIVE_PROPERTY, MARKS_PROPERTY, PART_PROPERTY
 from facemime.operators.puppet import running
-from live_ticks import CLICK, moving, outcome_of_ticks, shown, tick, ticks_until
+from live_ticks import CLICK, outcome_of_ticks, shown, some_frames, start, tick, ticks_until
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
-
-
-@pytest.fixture
-def looping(take):
-    """A take as the source, looped."""
-    bpy.context.scene.facemime.source.loop = True
-
-
-def start() -> None:
-    """Start the puppet, and wait until the selected heads move."""
-    assert bpy.ops.facemime.puppet() == {"RUNNING_MODAL"}
-    ticks_until(moving)
-
-
-def some_frames() -> None:
-    """Continue for three frames."""
-    number = running()._number
-    ticks_until(lambda: running() is None or running()._number >= number + 3)
 
 
 def two_heads() -> tuple[bpy.types.Object, bpy.types.Object]:
@@ -118,12 +100,24 @@ def test_a_shared_mesh_returns_to_rest_after_its_head_is_deleted(looping):
     np.testing.assert_array_equal(shown(sibling), rest)
 
 
+def delete_all_keys(head: bpy.types.Object) -> None:
+    """Delete all shape keys."""
+    bpy.ops.object.shape_key_remove(all=True)
+
+
+def delete_all_but_the_live_key(head: bpy.types.Object) -> None:
+    """Delete the basis and what the user has added."""
+    for key in [key for key in head.data.shape_keys.key_blocks if key.name != LIVE_KEY]:
+        head.shape_key_remove(key)
+
+
+@pytest.mark.parametrize("delete", [delete_all_keys, delete_all_but_the_live_key])
 @pytest.mark.parametrize("units", [False, True])
-def test_deleting_all_shape_keys_stops_the_puppet_with_the_head_at_rest(looping, units):
+def test_deleting_shape_keys_stops_the_puppet_with_the_head_at_rest(looping, units, delete):
     head = add_head(bpy.context, units=units)
     rest = shown(head)
     start()
-    bpy.ops.object.shape_key_remove(all=True)
+    delete(head)
     assert outcome_of_ticks() == {"CANCELLED"} and running() is None
     assert head.data.shape_keys is None and LIVE_PROPERTY not in head.data
     np.testing.assert_allclose(shown(head), rest, atol=1e-7)
@@ -181,19 +175,6 @@ def test_opening_a_file_saved_in_a_crash_removes_the_live_key(looping, tmp_path)
     assert again.data.shape_keys is None and LIVE_PROPERTY not in again.data
     bpy.context.window.scene = scene
     np.testing.assert_array_equal(shown(again), rest)
-
-
-@pytest.mark.parametrize("units", [False, True])
-def test_deleting_the_basis_stops_the_puppet_and_restores_the_head(looping, units):
-    head = add_head(bpy.context, units=units)
-    rest = shown(head)
-    start()
-    keys = head.data.shape_keys
-    for key in [key for key in keys.key_blocks if key.name != LIVE_KEY]:
-        head.shape_key_remove(key)
-    assert outcome_of_ticks() == {"CANCELLED"}
-    assert head.data.shape_keys is None
-    np.testing.assert_allclose(shown(head), rest, atol=1e-7)
 
 
 def test_saving_in_edit_mode_continues_the_session_and_saves_the_head_at_rest(looping, tmp_path):

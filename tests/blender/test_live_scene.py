@@ -9,17 +9,15 @@ from facemime.blender.animation.live import LIVE_KEY, LiveHeadObject
 from facemime.blender.heads.built_in import add_head
 from facemime.core.errors import HeadError
 from facemime.operators.puppet import running
-from live_ticks import moving, outcome_of_ticks, shown, ticks_until
+from live_ticks import outcome_of_ticks, shown, some_frames, start, ticks_until
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
 
-def test_saving_during_a_session_writes_the_head_at_rest(take, tmp_path):
+def test_saving_during_a_session_writes_the_head_at_rest(looping, tmp_path):
     head = add_head(bpy.context)
     rest = shown(head)
-    bpy.context.scene.facemime.source.loop = True
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "head.blend"))
     before = running()._number
     ticks_until(lambda: running()._number > before)
@@ -31,40 +29,21 @@ def test_saving_during_a_session_writes_the_head_at_rest(take, tmp_path):
     np.testing.assert_array_equal(shown(again), rest)
 
 
-def test_deleting_one_of_two_heads_continues_and_deleting_both_stops(take):
-    first, second = add_head(bpy.context), add_head(bpy.context)
-    first.select_set(True)
-    bpy.context.scene.facemime.source.loop = True
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
-    bpy.data.objects.remove(second)
-    number = running()._number
-    ticks_until(lambda: running()._number > number + 3)
-    bpy.data.objects.remove(first)
-    assert outcome_of_ticks() == {"CANCELLED"} and running() is None
-
-
-def test_renaming_the_head_or_changing_the_active_object_has_no_effect(take):
+def test_renaming_the_head_or_changing_the_active_object_has_no_effect(looping):
     head = add_head(bpy.context)
-    bpy.context.scene.facemime.source.loop = True
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     head.name = "Somebody"
     bpy.ops.mesh.primitive_cube_add()
     cube = bpy.context.active_object
-    number = running()._number
-    ticks_until(lambda: running()._number > number + 3)
+    some_frames()
     assert cube.data.shape_keys is None and LIVE_KEY in head.data.shape_keys.key_blocks
 
 
-def test_a_head_pauses_in_edit_mode_and_a_changed_mesh_is_reported(take):
+def test_a_head_pauses_in_edit_mode_and_a_changed_mesh_is_reported(looping):
     head = add_head(bpy.context)
-    bpy.context.scene.facemime.source.loop = True
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     bpy.ops.object.mode_set(mode="EDIT")
-    number = running()._number
-    ticks_until(lambda: running()._number > number + 3)
+    some_frames()
     bpy.ops.mesh.select_all(action="DESELECT")
     bpy.ops.object.mode_set(mode="OBJECT")
     head.data.vertices[5].select = True
@@ -74,19 +53,16 @@ def test_a_head_pauses_in_edit_mode_and_a_changed_mesh_is_reported(take):
     assert outcome_of_ticks() == {"CANCELLED"} and running() is None
 
 
-def test_hiding_copying_and_changing_the_scene_have_no_effect(take):
+def test_hiding_copying_and_changing_the_scene_have_no_effect(looping):
     head = add_head(bpy.context)
-    bpy.context.scene.facemime.source.loop = True
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     bpy.ops.object.duplicate()
     copy = bpy.context.active_object
     snapshot = shown(copy)
     head.hide_set(True)
     first = bpy.context.scene
     bpy.context.window.scene = bpy.data.scenes.new("Other")
-    number = running()._number
-    ticks_until(lambda: running()._number > number + 3)
+    some_frames()
     bpy.context.window.scene = first
     head.hide_set(False)
     np.testing.assert_allclose(shown(copy), snapshot, atol=1e-6)
@@ -104,13 +80,11 @@ def test_linked_heads_are_rejected_with_a_remedy(take, tmp_path):
         LiveHeadObject(loaded.objects[0], {})
 
 
-def test_solo_active_shape_key_and_a_disabled_cache_are_restored(take):
+def test_solo_active_shape_key_and_a_disabled_cache_are_restored(looping):
     head = add_head(bpy.context, units=True)
     cache = head.modifiers.new(MODIFIER, "MESH_CACHE")
     head.show_only_shape_key, head.active_shape_key_index, cache.show_render = True, 3, False
-    bpy.context.scene.facemime.source.loop = True
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     rest = shown(add_head(bpy.context))
     assert np.abs(shown(head) - rest).max() > 1e-3
     bpy.ops.facemime.stop_puppet()

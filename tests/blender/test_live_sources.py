@@ -8,7 +8,7 @@ from facemime.blender.heads.built_in import add_head
 from facemime.operators.puppet import FACEMIME_OT_puppet, running
 from facemime.settings.preferences import preferences
 from facemime.settings.values import read_calibration
-from live_ticks import moving, tick, ticks_until, wait_for
+from live_ticks import start, tick, ticks_until, wait_for
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
@@ -22,8 +22,7 @@ def test_calibrations_are_stored_in_the_scene_by_performer(take):
         bpy.ops.facemime.calibrate()
     bpy.ops.facemime.add_performer(name="Ada")
     assert read_calibration(settings) is None
-    bpy.ops.facemime.puppet()
-    ticks_until(moving)
+    start()
     assert bpy.ops.facemime.calibrate(countdown=0.05) == {"FINISHED"}
     assert running().countdown is not None
     ticks_until(lambda: settings.performers[1].calibration)
@@ -78,12 +77,11 @@ def test_a_missing_source_is_reported_and_leaves_the_head_unchanged(tmp_path, pr
     assert running() is None and head.data.shape_keys is None
 
 
-def test_buttons_are_enabled_only_when_they_can_run(take):
+def test_buttons_are_enabled_only_when_they_can_run(looping):
     assert not FACEMIME_OT_puppet.poll(bpy.context)
     add_head(bpy.context)
     assert FACEMIME_OT_puppet.poll(bpy.context)
     assert not bpy.ops.facemime.stop_puppet.poll() and not bpy.ops.facemime.calibrate.poll()
-    bpy.context.scene.facemime.source.loop = True
     bpy.ops.facemime.puppet()
     assert not FACEMIME_OT_puppet.poll(bpy.context) and bpy.ops.facemime.stop_puppet.poll()
 

@@ -13,7 +13,7 @@ from live_ticks import outcome_of_ticks, ticks_until
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
 
-def test_the_pose_of_the_head_goes_to_a_bone_and_that_of_the_eyes_to_objects(take):
+def test_the_pose_of_the_head_goes_to_a_bone_and_that_of_the_eyes_to_objects(looping):
     head = add_head(bpy.context)
     bpy.ops.object.armature_add()
     armature = bpy.context.active_object
@@ -22,7 +22,6 @@ def test_the_pose_of_the_head_goes_to_a_bone_and_that_of_the_eyes_to_objects(tak
     posing = bpy.context.scene.facemime.posing
     posing.object, posing.bone, posing.eye_left = armature, "Bone", empty
     bpy.context.view_layer.objects.active = head
-    bpy.context.scene.facemime.source.loop = True
     assert bpy.ops.facemime.puppet() == {"RUNNING_MODAL"}
     bone = armature.pose.bones["Bone"]
     ticks_until(lambda: bone.rotation_quaternion.angle > 0.05)

@@ -403,20 +403,26 @@ def test_regions_are_shown_edited_and_checked_by_clicks(blender, sidebar):
     blender.wait_for("bpy.context.mode == 'OBJECT'")
 
 
-@pytest.mark.thorough
-def test_an_imported_scan_becomes_a_head_with_open_mouth_and_eyes_by_clicks(blender, sidebar):
+def import_scan(blender: Blender) -> int:
+    """Import a scan as an OBJ file and make it active; returns the number of its vertices."""
     places, faces = scanned()
     lines = [f"v {x:.6f} {-y:.6f} {-z:.6f}" for x, y, z in places]
     lines += ["f " + " ".join(str(v + 1) for v in face) for face in faces.tolist()]
     (blender.folder / "scan.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
     blender.do(f"bpy.ops.wm.obj_import(filepath={str(blender.inside / 'scan.obj')!r})")
     blender.do("bpy.context.view_layer.objects.active = bpy.data.objects['scan']")
+    return len(places)
+
+
+@pytest.mark.thorough
+def test_an_imported_scan_becomes_a_head_with_open_mouth_and_eyes_by_clicks(blender, sidebar):
+    count = import_scan(blender)
     blender.redraw()
     sidebar.open_panel("FACEMIME_PT_head")
     sidebar.press("bpy.ops.facemime.bind_landmarks")
     blender.wait_for("'facemime_landmarks' in bpy.data.objects['scan'].data")
     sidebar.press("bpy.ops.facemime.open_lips")
-    blender.wait_for(f"len(bpy.data.objects['scan'].data.vertices) > {len(places)}")
+    blender.wait_for(f"len(bpy.data.objects['scan'].data.vertices) > {count}")
     sidebar.press("bpy.ops.facemime.open_eyes")
     blender.wait_for("'Facemime Eyes' in bpy.data.objects['scan'].vertex_groups")
     blender.wait_for("len(bpy.context.window_manager.facemime.findings) == 0")
