@@ -86,7 +86,7 @@ class Setting:
         if self.kind is int:
             return as_whole(value, name, *(int(end) for end in self._range()))
         if type(value) is not self.kind or (self.choices and value not in self.values):
-            raise ValueError(f"{name} is {shown(value)}")
+            raise ValueError(f"{name} cannot be {shown(value)}")
         return value
 
     @property

@@ -23,6 +23,14 @@ _CALLS = {"_", "pgettext_iface", "pgettext_rpt", "labels", "label", "poll_messag
 _SETTINGS = {"setting", "Choice"}
 """Their first argument is a value."""
 _ERRORS = {"FacemimeError", "SourceError", "ModelError", "HeadError", "OutputError", "MisnamedError"}
+_READERS = (
+    "core/*.py",
+    "core/takes/*.py",
+    "core/heads/facegen.py",
+    "core/bake/key_map.py",
+    "core/control_points/select.py",
+)
+"""Modules that read files of users: their ValueErrors become reasons within messages."""
 _MESSAGES = {"report", "Finding", "Quality", "_chosen"}
 _FUNCTIONS = {"explained", "missing_parts", "summary"}
 """Functions that return messages."""
@@ -43,6 +51,11 @@ def sources() -> list[Path]:
 def message_sources() -> list[Path]:
     """Return the modules with messages."""
     return _modules(*(f"{room}/**/*.py" for room in ("core", "blender", "settings", "sessions", "operators", "ui")))
+
+
+def reader_sources() -> list[Path]:
+    """Return the modules with reasons why a file of a user cannot be read."""
+    return _modules(*_READERS)
 
 
 def _modules(*patterns: str) -> list[Path]:
@@ -94,6 +107,16 @@ def _texts(node: ast.expr) -> Iterator[str]:
     elif isinstance(node, ast.IfExp):
         yield from _texts(node.body)
         yield from _texts(node.orelse)
+
+
+def reasons(path: Path) -> Iterator[str]:
+    """Yield the messages of the ValueErrors of a module, and the templates of those that contain values."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    constants = dict(_constants(tree))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and _name(node.func) == "ValueError":
+            for part in node.args:
+                yield from _templates(part, constants)
 
 
 def messages(path: Path) -> Iterator[str]:
@@ -197,6 +220,7 @@ def wanted() -> list[str]:
     """Return all texts and templates, each once, in the order of the sources."""
     texts = [text for path in sources() for text in strings(path)]
     texts += [text for path in message_sources() for text in messages(path)]
+    texts += [text for path in reader_sources() for text in reasons(path)]
     return list(dict.fromkeys(texts))
 
 

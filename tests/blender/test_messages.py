@@ -38,6 +38,15 @@ def test_texts_within_messages_are_translated_and_names_are_not():
     assert shown == "Head 被隐藏。请显示。"
 
 
+def test_reasons_within_messages_are_translated():
+    reason = CHINESE["its frames cannot be unpacked: {error}"].format(error=CHINESE["its archive is damaged"])
+    message = (
+        "The packed take Take is damaged (its frames cannot be unpacked: its archive is damaged). Import it again."
+    )
+    template = CHINESE["The packed take {name} is damaged ({error}). Import it again."]
+    assert Templates(CHINESE).translate(message, lookup) == template.format(name="Take", error=reason)
+
+
 def test_an_unknown_message_is_left_unchanged():
     assert translated("No template matches this.") == "No template matches this."
 
