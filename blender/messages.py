@@ -55,8 +55,10 @@ class Templates:
         str
             The message itself if there is no translation.
         """
-        if (constant := lookup(message)) != message or (found := self.find(message)) is None:
+        if (constant := lookup(message)) != message or self._is_english(lookup):
             return constant
+        if (found := self.find(message)) is None:
+            return message
         template, values = found
         if (other := lookup(template)) == template:
             return message
@@ -65,6 +67,10 @@ class Templates:
             for name, value in values.items()
         }
         return _PLACEHOLDER.sub(lambda match: texts[match[1]], other)
+
+    def _is_english(self, lookup: Callable[[str], str]) -> bool:
+        """Return whether not even the first template is translated, so that none has to be compared."""
+        return all(lookup(text) == text for text, _ in self._patterns[:1])
 
     def _find(self, message: str) -> tuple[str, dict[str, str]] | None:
         """Return the most specific template that matches a message, with its values, or None if no template matches."""
