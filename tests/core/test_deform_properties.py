@@ -53,12 +53,12 @@ def test_a_motionless_face_stays_at_rest(deformer):
 
 @pytest.mark.parametrize("kernel", ALL_KERNELS)
 def test_deformation_commutes_with_rigid_motion_of_the_rest_mesh(kernel):
-    turn, shift = euler_to_matrix(0.02, -0.03, 0.01), np.array([0.3, -0.2, 1.0])
+    turn, shift = euler_to_matrix(2.0, 1.0, -2.5), np.array([0.3, -0.2, 1.0])
     displaced = motion(1)
     plain = head_deformer(RIG, kernel).deform(displaced)
     moved_rig = replace(RIG, vertices=np.asarray(RIG.vertices, float) @ turn.T + shift)
     moved = head_deformer(moved_rig, kernel).deform(displaced @ turn.T)
-    np.testing.assert_allclose(moved, plain @ turn.T + shift, atol=1e-5)
+    np.testing.assert_allclose(moved, plain @ turn.T + shift, atol=2e-5)
 
 
 @pytest.mark.parametrize("kernel", ALL_KERNELS)
@@ -89,15 +89,6 @@ def test_another_control_point_never_worsens_the_error_at_the_control_points(see
     assert error(slice(0, count + 1)) <= error(used) + 1e-4
 
 
-@settings(max_examples=10, deadline=None)
-@given(st.floats(1.0, 50.0))
-def test_region_weights_scaled_together_change_nothing(factor):
-    borders = np.maximum(RIG.region_weights, 0.0) / np.maximum(RIG.region_weights.sum(axis=0), 1e-9)
-    one = head_deformer(replace(RIG, region_weights=borders), "multiscale").deform(motion(3))
-    other = head_deformer(replace(RIG, region_weights=factor * borders), "multiscale").deform(motion(3))
-    np.testing.assert_allclose(one, other, atol=1e-5)
-
-
 def test_one_control_point_moves_its_region_at_most_as_far_as_itself():
     vertices = np.random.default_rng(0).uniform(0.0, 1.0, (50, 3))
     deformer = RBFDeformer(vertices, vertices[:1], np.ones((1, 50)), np.ones((1, 1), bool), regularisation=0.0)
@@ -123,13 +114,6 @@ def test_the_fit_reports_sigma_and_condition_of_each_region(deformer):
     assert len(deformer.fits) == 3
     for fit in deformer.fits:
         assert fit.sigma > 0.0 and 1.0 <= fit.condition < 1e10
-
-
-def test_a_region_without_control_points_is_refused():
-    chosen = membership()
-    chosen[2] = False
-    with pytest.raises(HeadError, match="no control point"):
-        head_deformer(replace(RIG, control_points=chosen))
 
 
 def test_the_incremental_deformer_starts_equal_and_depends_on_the_path():
