@@ -31,6 +31,8 @@ _READERS = (
     "core/control_points/select.py",
 )
 """Modules that read files of users: their ValueErrors become reasons within messages."""
+_REASONS = {"ValueError", "fail", "count", "vectors", "array", "indices", "_need"}
+"""Their arguments are reasons, or name what one is about: the latter are methods that read FaceGen's files."""
 _MESSAGES = {"report", "Finding", "Quality", "_chosen"}
 _FUNCTIONS = {"explained", "missing_parts", "summary"}
 """Functions that return messages."""
@@ -114,7 +116,7 @@ def reasons(path: Path) -> Iterator[str]:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     constants = dict(_constants(tree))
     for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and _name(node.func) == "ValueError":
+        if isinstance(node, ast.Call) and _name(node.func) in _REASONS:
             for part in node.args:
                 yield from _templates(part, constants)
 

@@ -62,10 +62,10 @@ def read_tri(path: Path) -> FaceGenMesh:
     count = dict(zip(names, (reader.count(name) for name in names), strict=True))
     reader.skip(16)
     reader.check_morphs(count["Md"] + count["Ms"], count["V"])
-    vertices = reader.vectors(count["V"], "vertices")
+    vertices = reader.vectors(count["V"], "the vertices")
     targets = reader.vectors(count["K"], "vertices of the statistical morphs")
-    triangles = reader.indices((count["T"], 3), count["V"], "triangles")
-    quads = reader.indices((count["Q"], 4), count["V"], "quads")
+    triangles = reader.indices((count["T"], 3), count["V"], "the triangles")
+    quads = reader.indices((count["Q"], 4), count["V"], "the quads")
     wide = bool(count["ext"] & 2)
     labels = {}
     for _ in range(count["LV"]):
@@ -112,7 +112,8 @@ def read_egm(path: Path, mesh: FaceGenMesh) -> tuple[tuple[str, NDArray[np.float
         As for `read_tri`, and if the file has fewer vertices than the mesh.
     """
     reader = _Reader(path, b"FREGM", b"002")
-    vertices, symmetric, asymmetric = (reader.count(name) for name in ("vertices", "symmetric", "asymmetric modes"))
+    vertices, symmetric = reader.count("the vertices"), reader.count("the symmetric modes")
+    asymmetric = reader.count("the asymmetric modes")
     reader.skip(44)
     if vertices < len(mesh.vertices):
         raise SourceError(
@@ -315,7 +316,7 @@ class _Reader:
         values = self.array("<i4", shape, what)
         if values.size and (values.min() < 0 or values.max() >= limit):
             self._at = start
-            self.fail(f"{what} outside 0 to {limit - 1}")
+            self.fail(f"{what} with an index outside 0 to {limit - 1}")
         return values.astype(np.int32)
 
     def differences(self, count: int) -> NDArray[np.float32]:
