@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import bpy
 
@@ -14,8 +14,15 @@ from ..core.takes.timing import punch_in, shift_time
 from ..settings import takes_store
 from .recording import Recording
 
-if TYPE_CHECKING:
-    from .live import LiveSession
+
+class Recordable(Protocol):
+    """What is recorded: a live session."""
+
+    closed: bool
+    recording: Recording | None
+
+    def start_recording(self, scene: bpy.types.Scene, name: str) -> Recording:
+        """Start a recording for the list of `scene`."""
 
 
 class PunchIn:
@@ -58,12 +65,12 @@ class PunchIn:
         """Seconds until the recording starts; 0 while it is running."""
         return max(0.0, self._begin - perf_counter())
 
-    def step(self, session: LiveSession) -> bool:
+    def step(self, session: Recordable) -> bool:
         """Continue, and return whether there is more to do; otherwise, and after an error, the playback is stopped.
 
         Parameters
         ----------
-        session : LiveSession
+        session : Recordable
             Session to record.
 
         Raises
@@ -79,7 +86,7 @@ class PunchIn:
                 self._stop_playback()
         return more
 
-    def _step(self, session: LiveSession) -> bool:
+    def _step(self, session: Recordable) -> bool:
         if session.closed or (self._recording is not None and not self._recording.running):
             raise FacemimeError(
                 "The puppet was stopped before the end of the range. The part that was recorded is in the list."
