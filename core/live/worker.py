@@ -36,10 +36,8 @@ _ENDING = 5.0
 """Seconds for which `close` waits for the thread, which may be tracking, or stuck in a driver or on a disk."""
 _RECENT = 900
 """Frames of `recent_take`: half a minute with most cameras."""
-
-
 _LOAD_TRACKER = partial(FaceTracker.load, gradual=True)
-"""A search that takes long in one frame would stall the puppet of whoever returns to the camera."""
+"""Loads a tracker whose search is gradual, as a long one would stall the puppet when somebody returns to the camera."""
 
 
 class Recorder(Protocol):

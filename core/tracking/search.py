@@ -28,14 +28,13 @@ _QUICK = _ALL[:2]
 """The efforts that search for other people in view."""
 _EVERY_FRAME = _ALL[:3]
 """The efforts that are made in every frame without a face, in addition to one of the others in turn."""
-_GRADUAL = (Step.whole(Effort.NEAR), Step.whole(Effort.FILLING))
-"""The same for a gradual search."""
 _IN_TURN = tuple(
     step
     for i, part in enumerate(part for effort in EFFORTS[len(_EVERY_FRAME) :] for part in Step.parts(effort))
     for step in ([Step.whole(Effort.SMALL), part] if i % 3 == 0 else [part])
 )
-"""Of what remains, one in each frame of a gradual search; small faces, which are common, come often."""
+"""The steps of which a gradual search makes one in each frame, beside those for near faces and for close-ups. Small
+faces, which are common, come often."""
 STAGES = ("detect", "experts", "fit", "check", "gaze")
 
 
@@ -119,7 +118,7 @@ class FaceSearch:
         A gradual search does not begin with all, and what it does in turn is short.
         """
         if self.gradual:
-            near, filling = _GRADUAL
+            near, _, filling = _EVERY_FRAME
             return near, _IN_TURN[misses % len(_IN_TURN)], filling
         others = _ALL[len(_EVERY_FRAME) :]
         return _ALL if misses == 0 else (*_EVERY_FRAME, others[misses % len(others)])
