@@ -12,13 +12,18 @@ import struct
 import sys
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from math import prod
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .arrays import FloatArray
+from .errors import ModelError
+from .reading import read_bytes
 
 MAX_BYTES = 16 << 20
 """Upper bound of the file, and of all members unpacked: several times the largest that is shipped."""
@@ -144,6 +149,33 @@ def read_archive(data: bytes, most: int = MAX_BYTES) -> Archive:
             return Archive({m.filename.removesuffix(".npy"): _array(m, archive) for m in members})
     except _DAMAGE as error:
         raise ValueError("its archive is damaged") from error
+
+
+@contextmanager
+def shipped(path: Path, form: str) -> Iterator[Archive]:
+    """Open an archive that is shipped, and turn what is wrong with it, or is found while it is read, into a ModelError.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    form : str
+        What its array "format" has to say.
+
+    Yields
+    ------
+    Archive
+        To be read within the context.
+    """
+    try:
+        archive = read_archive(read_bytes(path, MAX_BYTES))
+        if archive.text("format") != form:
+            raise ValueError("it has another version")
+        yield archive
+    except FileNotFoundError as error:
+        raise ModelError(f"The model {path} is missing. Reinstall Facemime.") from error
+    except (OSError, ValueError) as error:
+        raise ModelError(f"The model {path} is damaged ({error}). Reinstall Facemime.") from error
 
 
 def _check_members(members: list[zipfile.ZipInfo], most: int) -> None:

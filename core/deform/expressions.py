@@ -15,16 +15,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..archives import MAX_BYTES, read_archive
+from ..archives import shipped
 from ..arrays import FloatArray, IntArray
 from ..assets import ASSETS
-from ..errors import ModelError
 from ..heads.built_in import load_head
 from ..landmarks import N_LANDMARKS, outer_eye_distance
 from ..mesh.kernels import distances
 from ..mesh.nearest import NearestPoints
 from ..mesh.warp import Warp
-from ..reading import read_bytes
 from .skin import SkinCovariance, skin_covariance
 
 FORMAT = "facemime-expressions-1"
@@ -190,22 +188,14 @@ def load_expressions(path: Path = EXPRESSIONS_FILE) -> ExpressionModel:
     ModelError
         If the file is missing, damaged, or of another version.
     """
-    try:
-        archive = read_archive(read_bytes(path, MAX_BYTES))
-        if archive.text("format") != FORMAT:
-            raise ValueError("it has another version")
+    with shipped(path, FORMAT) as archive:
         places = archive.reals("places", (None, 3), np.float32)
-        model = ExpressionModel(
+        return ExpressionModel(
             places=places,
             sides=archive.reals("sides", (len(places), 3), np.float32),
             features=archive.reals("features", (len(places), None), np.float32),
             landmarks=archive.reals("landmarks", (N_LANDMARKS, 3), np.float32),
         )
-    except FileNotFoundError as error:
-        raise ModelError(f"The expression model {path} is missing. Reinstall Facemime.") from error
-    except (OSError, ValueError) as error:
-        raise ModelError(f"The expression model {path} is damaged ({error}). Reinstall Facemime.") from error
-    return model
 
 
 @lru_cache(maxsize=1)

@@ -8,12 +8,10 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ..archives import MAX_BYTES, read_archive
+from ..archives import shipped
 from ..arrays import FloatArray
 from ..assets import ASSETS
-from ..errors import ModelError
 from ..landmarks import JAW, N_LANDMARKS
-from ..reading import read_bytes
 
 FORMAT = "facemime-face-space-1"
 FACE_SPACE_FILE = ASSETS / "expressions" / "face_space.npz"
@@ -155,16 +153,9 @@ def load_face_space() -> FaceSpace:
     ModelError
         If the file is missing, damaged, or of another version.
     """
-    try:
-        archive = read_archive(read_bytes(FACE_SPACE_FILE, MAX_BYTES))
-        if archive.text("format") != FORMAT:
-            raise ValueError("it has another version")
+    with shipped(FACE_SPACE_FILE, FORMAT) as archive:
         return FaceSpace(
             mean=archive.reals("mean", (N_LANDMARKS, 3)),
             identity=archive.reals("identity", (None, N_LANDMARKS, 3)),
             units=archive.reals("units", (None, N_LANDMARKS, 3)),
         )
-    except FileNotFoundError as error:
-        raise ModelError(f"The face model {FACE_SPACE_FILE} is missing. Reinstall Facemime.") from error
-    except (OSError, ValueError) as error:
-        raise ModelError(f"The face model {FACE_SPACE_FILE} is damaged ({error}). Reinstall Facemime.") from error

@@ -47,7 +47,7 @@ def test_deformation_is_linear_in_the_displacements(seed, factor):
     a, b = rng.normal(0.0, 0.1, (2, len(chosen), 3))
     together = deformer.deform(a + factor * b) - deformer.rest
     apart = (deformer.deform(a) - deformer.rest) + factor * (deformer.deform(b) - deformer.rest)
-    np.testing.assert_allclose(together, apart, atol=2e-5)
+    np.testing.assert_allclose(together, apart, atol=1e-5)
 
 
 def test_a_region_does_not_move_the_vertices_of_another():

@@ -93,6 +93,13 @@ def test_a_smile_that_lasts_for_the_whole_take_is_removed_and_reported(space: Fa
     assert width(neutral.shape) - width(face) < 0.75 * (width(face + smile) - width(face))
 
 
+def test_a_grin_that_lasts_is_not_taken_for_the_neutral_face(space: FaceSpace) -> None:
+    shapes = np.tile(somebody(space, 7), (150, 1, 1))
+    shapes[40:, MOUTH_CORNERS, 0] += (-0.1, 0.1)
+    shapes[40:, LOWER_INNER, 1] += 0.1
+    assert calibrate(make_take(shapes)).end <= 1.6
+
+
 def test_an_open_mouth_raised_brows_and_shut_eyes_are_not_the_neutral_face(space: FaceSpace) -> None:
     face = somebody(space, 1)
     shapes = np.tile(face, (200, 1, 1))
