@@ -9,18 +9,22 @@ What was rendered is kept below build/.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from facemime.core.actions import ACTIONS
 from facemime.core.landmarks import JAW
 from facemime.core.tracking.pdm import PointDistributionModel
 from facemime.core.tracking.tracker import FaceTracker
+from facemime.training.tracker.acting import posed
 from facemime.training.tracker.heads import IctHead, load_ict
-from facemime.training.tracker.reproject import Light, SkinnedHead, render, skin_head
+from facemime.training.tracker.organs import random_eyes
+from facemime.training.tracker.reproject import Light, Scene, SkinnedHead, render, skin_head
 from facemime.training.tracker.sources import HAND_LABELLED, Photo, read_photos, split
+from facemime.training.tracker.wrinkles import crease
 
 VERSION = 1
 """Version of the images; raising it renders them again."""
@@ -33,6 +37,8 @@ _CENTRE = (SIZE - 1) / 2.0
 _WINDOW_LIGHT = Light(0.7, 0.4, np.array([0.4, -0.3, -0.866]))
 LIMITS = (25.0, 45.0, 40.0)
 """Limits of pitch, yaw and roll in degrees within which a face should never be lost."""
+_ACT = 18
+"""Frames of each action in an acting clip."""
 _TURNS_A_SECOND = np.array([0.31, 0.23, 0.17])
 
 _EXPRESSIONS: dict[str, dict[str, float]] = {
@@ -89,6 +95,15 @@ class Clip:
     times: np.ndarray
 
 
+@dataclass(frozen=True)
+class ActingClip:
+    """Frames, and the exact activations (T, 15) of `ACTIONS` and vergence (T,) in radians that they show."""
+
+    frames: list[np.ndarray]
+    actions: np.ndarray
+    vergence: np.ndarray
+
+
 class ExactFaces:
     """Renders images, and caches them in `folder`."""
 
@@ -112,6 +127,18 @@ class ExactFaces:
         """Eight seconds in which a person turns, nods and tilts the head to the limits."""
         kept = self._kept(f"turning-{person}", lambda: zip(*self._turns(person), strict=True))
         return Clip(f"turning {person}", kept.images, kept.landmarks, np.arange(len(kept.images)) / FPS)
+
+    def acting(self, person: int) -> ActingClip:
+        """A person who rests, then shows one action after the other, and crosses the eyes at the end."""
+        path = self.folder / f"acting-{person}-{self.people}.npz"
+        if not path.exists():
+            images, actions, vergence = zip(*self._acts(person), strict=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            unfinished = path.with_suffix(".part.npz")
+            np.savez(unfinished, images=np.stack(images), actions=np.stack(actions), vergence=np.array(vergence))
+            unfinished.replace(path)
+        with np.load(path, allow_pickle=False) as kept:
+            return ActingClip(list(kept["images"]), kept["actions"], kept["vergence"])
 
     def _kept(self, name: str, make: Callable[[], Iterator[tuple]]) -> Stills:
         path = self.folder / f"{name.replace(' ', '_')}-{self.people}.npz"
@@ -166,9 +193,15 @@ class ExactFaces:
         self, person: int, actions: dict[str, float], pose: np.ndarray, light: Light
     ) -> tuple[np.ndarray, np.ndarray]:
         """An image of a person in front of the background of the same photo."""
-        head, skinned = self.head, self.cast[person]
+        weights = self._weights(self.cast[person], actions)
+        return self._staged(person, weights, pose, Scene(light, 0.06))
+
+    def _staged(
+        self, person: int, weights: np.ndarray, pose: np.ndarray, scene: Scene
+    ) -> tuple[np.ndarray, np.ndarray]:
+        head, skinned, light = self.head, self.cast[person], scene.light
         rng = np.random.default_rng(person)
-        drawn = render(head, skinned, self._weights(skinned, actions), pose, SIZE, light, rng, perspective=0.06)
+        drawn = render(head, skinned, weights, pose, SIZE, scene, rng)
         source = skinned.uv[head.landmarks]
         matrix, _ = cv2.estimateAffinePartial2D(source[JAW], drawn.landmarks[JAW].astype(np.float32), method=cv2.LMEDS)
         shrink = float(np.hypot(*matrix[:, 0]))
@@ -201,6 +234,32 @@ class ExactFaces:
             pose = np.array([EYES, *angles, *place])
             image, landmarks = self._shown(person, actions, pose, _WINDOW_LIGHT)
             yield _noisy(image, landmarks, 3.0, person, rng)
+
+    def _acts(self, person: int) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+        rng = np.random.default_rng((person, 103))
+        head = self.head
+        paired = [name.removesuffix("Right") for name in ACTIONS if name.endswith("Right")]
+        shows = [[name] for name in ACTIONS] + [[name + side for side in ("Right", "Left")] for name in paired]
+        ahead = random_eyes(rng)
+        for turn, names in enumerate([*[[]] * 2, *(shows[i] for i in rng.permutation(len(shows))), ["crossed"]]):
+            for frame in range(_ACT):
+                t = (turn * _ACT + frame) / FPS
+                amount = _pulse(frame / _ACT, 0.5, 0.9)
+                actions = np.zeros(len(ACTIONS))
+                actions[[ACTIONS.index(name) for name in names if name in ACTIONS]] = amount
+                inwards = 0.3 * amount * ("crossed" in names)
+                gaze = np.array([[0.0, -inwards], [0.0, inwards]]) + [0.05 * np.sin(t), 0.15 * np.sin(0.8 * t)]
+                weights, tongue = posed(head, actions)
+                blink = _pulse(t % 2.3, 1.5, 0.24)
+                for side in "RL":
+                    weights[head.index(f"eyeBlink_{side}")] = blink * self.cast[person].blink[side]
+                angles = np.radians([4 * np.sin(1.3 * t), 14 * np.sin(1.05 * t + person), 4 * np.sin(0.7 * t)])
+                pose = np.array([EYES, *angles, *(_CENTRE + np.array([9 * np.sin(0.9 * t), 6 * np.sin(1.7 * t)]))])
+                scene = Scene(_WINDOW_LIGHT, 0.06, tongue=(0.8, 0.8), tongue_out=tongue, eyes=replace(ahead, gaze=gaze))
+                image, points = self._staged(person, weights, pose, scene)
+                shown = dict(zip(head.names, weights, strict=True))
+                image = crease(image, points, EYES, shown, np.random.default_rng((person, turn)))
+                yield _noisy(image, points, 3.0, person, rng)[0], actions, 2.0 * inwards
 
     def _turns(self, person: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         rng = np.random.default_rng((person, 91))

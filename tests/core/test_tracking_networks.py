@@ -11,9 +11,15 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed; `make mod
 pytest.importorskip("onnx", reason="ONNX is not installed; `make model` does it")
 
 from facemime.core.tracking.network import Network  # noqa: E402
-from facemime.training.tracker.crops import Batch  # noqa: E402
-from facemime.training.tracker.learn import train  # noqa: E402
-from facemime.training.tracker.networks import FaceNetwork, MapLoss, PartNetwork, to_onnx  # noqa: E402
+from facemime.training.tracker.crops import ActionBatch, Batch  # noqa: E402
+from facemime.training.tracker.learn import Course, train_actions, train_maps  # noqa: E402
+from facemime.training.tracker.networks import (  # noqa: E402
+    ActionNetwork,
+    FaceNetwork,
+    MapLoss,
+    PartNetwork,
+    to_onnx,
+)
 
 
 def test_the_loss_has_the_gradient_of_its_definition() -> None:
@@ -56,12 +62,31 @@ def test_training_resumes_from_its_checkpoint_and_learns_a_spot(tmp_path: Path) 
 
     checkpoint = tmp_path / "spot.pt"
     torch.manual_seed(3)
-    train(PartNetwork(1), draw, 120, 0.5, checkpoint, "spot")
+    course = Course(120, checkpoint, "spot")
+    train_maps(PartNetwork(1), draw, 0.5, course)
     done = torch.load(checkpoint, weights_only=True)["done"]
     assert done == 120
-    network = train(PartNetwork(1), draw, 120, 0.5, checkpoint, "spot").eval()
+    network = train_maps(PartNetwork(1), draw, 0.5, course).eval()
     batch = draw()
     with torch.no_grad():
         scores = network(torch.from_numpy(batch.pictures))
     away = MapLoss.apply(scores, torch.from_numpy(batch.cells), torch.from_numpy(batch.weights), 0.5)[1]
     assert float(away) < 1.0
+
+
+def test_the_expert_of_actions_learns_which_side_is_bright_and_opencv_runs_it_alike(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+
+    def draw() -> ActionBatch:
+        sides = rng.random((32, 2)).astype(np.float32)
+        pictures = np.repeat(sides[:, None, None, :], 16, axis=3).repeat(32, axis=2)
+        return ActionBatch(pictures + rng.normal(0, 0.05, pictures.shape).astype(np.float32), sides)
+
+    torch.manual_seed(5)
+    network = train_actions(ActionNetwork(2, 32, 32), draw, Course(150, tmp_path / "sides.pt", "sides")).eval()
+    batch = draw()
+    with torch.no_grad():
+        told = network(torch.from_numpy(batch.pictures)).numpy()
+    assert np.abs(told - batch.actions).mean() < 0.12
+    (shown,) = Network(to_onnx(network, 32, 32), "actions")(batch.pictures[:, 0])
+    np.testing.assert_allclose(shown, told, atol=1e-4)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from facemime.core.landmarks import LIPS, LOWER_LIPS, UPPER_LIPS
+from facemime.core.rotation import euler_to_matrix
+from facemime.core.tracking.tracker import FaceTracker
+from facemime.training.tracker.organs import random_eyes, tongue_out
 from facemime.training.tracker.patches import mirror_samples
 from facemime.training.tracker.raster import rasterise
 from facemime.training.tracker.samples import SIZE, Samples, degrade
 from facemime.training.tracker.sources import Photo, held_out_people, mirrored, person_of, split
+from facemime.training.tracker.wrinkles import crease
 
 
 def photo(source: str, name: str) -> Photo:
@@ -81,3 +87,50 @@ def test_degrading_keeps_the_size_and_kind_of_a_picture(seed: int) -> None:
     out = degrade(rng.integers(0, 255, (SIZE, SIZE), np.uint8), rng)
     assert out.shape == (SIZE, SIZE)
     assert out.dtype == np.uint8
+
+
+def lips() -> np.ndarray:
+    landmarks = FaceTracker.load().pdm.mean_shape.copy()
+    landmarks[LOWER_LIPS, 1] += 0.12
+    return landmarks
+
+
+@pytest.mark.parametrize("amount", [0.2, 0.6, 1.0])
+def test_a_tongue_reaches_out_between_the_lips_the_further_the_more_it_is_out(amount: float) -> None:
+    landmarks = lips()
+    tongue = tongue_out(landmarks, amount, np.random.default_rng(3))
+    reach = np.ptp(tongue.vertices[:, 1:], axis=0).max()
+    assert reach > 0.2 + 0.2 * amount
+    foremost = tongue.vertices[np.argmin(tongue.vertices[:, 2])]
+    assert foremost[2] < landmarks[LIPS, 2].min()
+    assert tongue.vertices[:, 1].max() > landmarks[UPPER_LIPS, 1].max()
+
+
+def test_the_surface_of_a_tongue_faces_outwards() -> None:
+    tongue = tongue_out(lips(), 0.7, np.random.default_rng(1))
+    a, b, c = (tongue.vertices[tongue.triangles[:, i]].astype(float) for i in range(3))
+    middle = tongue.vertices.mean(axis=0)
+    # Triangles of a face in the head frame are clockwise seen from outside, as y points down.
+    assert np.einsum("td,td->", np.cross(b - a, c - a), (a + b + c) / 3 - middle) > 0.0
+
+
+def test_a_painted_eye_is_dark_where_it_looks() -> None:
+    rng = np.random.default_rng(0)
+    ball = rng.normal(0, 1, (4000, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    eyes = replace(random_eyes(rng), gaze=np.array([[0.1, -0.4], [0.1, 0.4]]), white=1.2, iris=60.0, shadow=0.0)
+    for side, (pitch, yaw) in enumerate(eyes.gaze):
+        grey = eyes.paint(side, ball, ball, 150.0)
+        darkest = ball[grey < 50.0].mean(axis=0)
+        looking = euler_to_matrix(pitch, yaw, 0.0) @ (0.0, 0.0, -1.0)
+        assert darkest @ looking / np.linalg.norm(darkest) > np.cos(np.radians(8.0))
+
+
+def test_creases_are_drawn_where_an_action_is_and_only_on_the_face() -> None:
+    landmarks = FaceTracker.load().pdm.mean_shape[:, :2] * 80.0 + 135.5
+    plain = np.full((SIZE, SIZE), 128, np.uint8)
+    drawn = crease(plain, landmarks, 80.0, {"noseSneer_R": 1.0, "noseSneer_L": 1.0}, np.random.default_rng(4))
+    changed = np.argwhere(drawn != plain)[:, ::-1]
+    assert len(changed) > 50
+    low, high = landmarks.min(axis=0) - 40.0, landmarks.max(axis=0) + 5.0
+    assert ((changed > low) & (changed < high)).all()

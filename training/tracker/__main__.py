@@ -14,7 +14,7 @@ from time import perf_counter
 from facemime.core.tracking.model_file import save_model
 from facemime.core.tracking.tracker import DEFAULT_MODEL
 
-from .workshop import FACES, PARTS, Job, Workshop, run_job
+from .workshop import ACTING, ACTION_PARTS, FACES, PARTS, Job, Workshop, run_job
 
 ROOT = Path(__file__).parents[2]
 _PHOTOS_A_PART = 12
@@ -43,8 +43,12 @@ def main() -> None:
         photos = workshop.photos(held_out)
         parts = [photos[i : i + _PHOTOS_A_PART] for i in range(0, len(photos), _PHOTOS_A_PART)]
         jobs += [Job(*where, "part", (i, part, held_out)) for i, part in enumerate(parts)]
+        acting = [photo for photo in photos if photo.source in ACTING]
+        parts = [acting[i : i + _PHOTOS_A_PART] for i in range(0, len(acting), _PHOTOS_A_PART)]
+        jobs += [Job(*where, "acting_part", (i, part, held_out)) for i, part in enumerate(parts)]
     _run_all(jobs, options.jobs)
-    _run_all([Job(*where, "network", (name,)) for name in (*FACES, *PARTS)], options.jobs)
+    jobs = [Job(*where, "network", (name,)) for name in (*FACES, *PARTS)]
+    _run_all(jobs + [Job(*where, "actions", (name,)) for name in ACTION_PARTS], options.jobs)
     _run_all([Job(*where, "patches", (view,)) for view in ("frontal", "side")], options.jobs)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     name = save_model(workshop.assemble(workshop.check()), options.output)

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from facemime.core.actions import ACTION_MIRROR
 from facemime.core.landmarks import MIRROR
 from facemime.core.tracking.experts import FACE_STRIDE, PART_STRIDE, face_picture, first_cell, part_picture
 
+from .acting import ActionSamples
 from .samples import SCALE, Samples
+from .sources import mirrored
 
 SHARE = {1.0: 0.47, 0.6: 0.12, 0.3: 0.41}
 """How much of what is shown comes from samples of each weight: labelled by hand, smiling, portraits."""
@@ -22,6 +25,9 @@ _CLUTTER, _MISPLACED = 0.06, 0.12
 """Pictures below the first draw show no face, up to the second a face far off its place."""
 _ROTATED = 0.25
 _NEAR = 0.2
+_SPOILT = 0.3
+"""Share of the pictures for the expert of actions that are spoilt once more, and of those with something before them.
+Much of what they show is fine."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +40,46 @@ class Batch:
     cells: np.ndarray
     weights: np.ndarray
     face: np.ndarray
+
+
+@dataclass(frozen=True)
+class ActionBatch:
+    """Pictures (B, 1, H, W) and activations (B, n), float32."""
+
+    pictures: np.ndarray
+    actions: np.ndarray
+
+
+@dataclass(frozen=True)
+class ActionPart:
+    """What the expert of a part's actions sees and tells; the fields are those of `ActionExperts`."""
+
+    actions: np.ndarray
+    landmarks: np.ndarray
+    scale: float
+    size: tuple[int, int]
+    paired: bool
+
+
+def draw_actions(samples: ActionSamples, part: ActionPart, count: int, rng: np.random.Generator) -> ActionBatch:
+    """A part of faces, mirrored or not, about where the tracker finds it."""
+    pictures = np.empty((count, 1, *part.size[::-1]), np.float32)
+    actions = np.empty((count, len(part.actions)), np.float32)
+    for row, i in enumerate(rng.integers(len(samples), size=count)):
+        image, pose, shown = samples.images[i], samples.poses[i].astype(np.float64), samples.actions[i]
+        points = samples.landmarks[i].astype(np.float64)
+        if rng.random() < 0.5:
+            points, shown = mirrored(points, image.shape[1]), shown[ACTION_MIRROR]
+            image = np.ascontiguousarray(image[:, ::-1])
+        pose[0] *= np.exp(rng.normal(0, 0.03))
+        pose[3] += rng.normal(0, 0.03)
+        pose[4:6] = points[part.landmarks].mean(axis=0) + rng.normal(0, 0.02, 2) * SCALE
+        if rng.random() < _SPOILT:
+            image = _spoilt_source(image, rng)
+        picture = part_picture(image, pose, part.scale, part.size)
+        pictures[row, 0] = _covered(picture, rng) if rng.random() < _SPOILT else picture
+        actions[row] = shown[part.actions]
+    return ActionBatch(pictures, actions)
 
 
 class Crops:

@@ -11,6 +11,8 @@ from facemime.core.landmarks import IBUG68_INDICES, OUTER_EYE_CORNERS
 
 FACE = slice(0, 9409)
 """Vertices of the face's skin; skull and neck, sockets, gums, teeth and eyes follow (ICT-FaceKit's order)."""
+EYEBALLS = (slice(23021, 24591), slice(21451, 23021))
+"""Vertices of the performer's right and left eyeball, of `IctHead`."""
 
 
 @dataclass(frozen=True)

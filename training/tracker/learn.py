@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
@@ -10,28 +11,45 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from .crops import Batch
-from .networks import FaceNetwork, MapLoss, PartNetwork
+from .crops import ActionBatch, Batch
+from .networks import ActionNetwork, FaceNetwork, MapLoss, PartNetwork
 
 RATE = 3e-3
 _AVERAGE = 0.005
 """Share of the newest weights in the average that is kept in the end."""
+_RARE = 2.0
+"""Weight of an action that is shown, relative to one that is not."""
 _REPORT, _CHECKPOINT = 100, 250
 
 
-def train(
-    network: FaceNetwork | PartNetwork,
-    draw: Callable[[], Batch],
-    steps: int,
-    variance: float,
-    checkpoint: Path,
-    name: str,
-) -> nn.Module:
-    """The network after `steps` batches, resumed from `checkpoint` where that exists.
+@dataclass(frozen=True)
+class Course:
+    """How a network is trained: the steps, where it goes on from, and what it is called in reports."""
 
-    `variance` is that of the maps' Gaussians, in cells. A sixth of the face network's loss is about whether there is a
-    face.
+    steps: int
+    checkpoint: Path
+    name: str
+
+
+def train_maps(
+    network: FaceNetwork | PartNetwork, draw: Callable[[], Batch], variance: float, course: Course
+) -> nn.Module:
+    """A network of maps, whose Gaussians have that variance in cells. A sixth of the face network's loss is about
+    whether there is a face.
     """
+    return _train(network, lambda: _map_loss(network, draw(), variance), course, "cells")
+
+
+def train_actions(network: ActionNetwork, draw: Callable[[], ActionBatch], course: Course) -> nn.Module:
+    """The network of the expert of actions."""
+    return _train(network, lambda: _action_loss(network, draw()), course, "off")
+
+
+def _train(
+    network: nn.Module, loss_of_batch: Callable[[], tuple[Tensor, float]], course: Course, unit: str
+) -> nn.Module:
+    """The network after all steps, each with the loss of another batch, which also gives a figure to report."""
+    steps, checkpoint, name = course.steps, course.checkpoint, course.name
     network.to(memory_format=torch.channels_last)
     decayed = [p for p in network.parameters() if p.ndim > 1]
     free = [p for p in network.parameters() if p.ndim <= 1]
@@ -47,7 +65,12 @@ def train(
         average, done = state["average"], state["done"]
     began, away = perf_counter(), 0.0
     while done < steps:
-        away += _step(network, draw(), optimiser, variance)
+        loss, error = loss_of_batch()
+        away += error
+        optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
+        optimiser.step()
         schedule.step()
         share = max(_AVERAGE, 2.0 / (done + 2.0))  # what there was before the first steps soon counts nothing
         with torch.no_grad():
@@ -55,7 +78,7 @@ def train(
                 average[key].lerp_(value, share) if value.dtype.is_floating_point else average[key].copy_(value)
         done += 1
         if done % _REPORT == 0:
-            print(f"{name}: {done} of {steps}, {away / _REPORT:.3f} cells, {perf_counter() - began:.0f} s", flush=True)
+            print(f"{name}: {done} of {steps}, {away / _REPORT:.3f} {unit}, {perf_counter() - began:.0f} s", flush=True)
             away = 0.0
         if done % _CHECKPOINT == 0 or done == steps:
             state = {"network": network.state_dict(), "optimiser": optimiser.state_dict(), "average": average}
@@ -66,8 +89,8 @@ def train(
     return network
 
 
-def _step(network: FaceNetwork | PartNetwork, batch: Batch, optimiser: torch.optim.Optimizer, variance: float) -> float:
-    """One step; returns the mean distance in cells."""
+def _map_loss(network: FaceNetwork | PartNetwork, batch: Batch, variance: float) -> tuple[Tensor, float]:
+    """Loss, and the mean distance in cells."""
     pictures = torch.from_numpy(batch.pictures).to(memory_format=torch.channels_last)
     with torch.autocast("cpu", dtype=torch.bfloat16):
         out = network(pictures)
@@ -75,11 +98,17 @@ def _step(network: FaceNetwork | PartNetwork, batch: Batch, optimiser: torch.opt
     loss, away = MapLoss.apply(maps, torch.from_numpy(batch.cells), torch.from_numpy(batch.weights), variance)
     if face is not None:
         loss = loss + 0.5 * _face_loss(face, torch.from_numpy(batch.face))
-    optimiser.zero_grad()
-    loss.backward()
-    torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
-    optimiser.step()
-    return float(away.detach())
+    return loss, float(away.detach())
+
+
+def _action_loss(network: ActionNetwork, batch: ActionBatch) -> tuple[Tensor, float]:
+    """Loss, and the mean absolute error of the activations."""
+    pictures = torch.from_numpy(batch.pictures).to(memory_format=torch.channels_last)
+    out = network(pictures)
+    wanted = torch.from_numpy(batch.actions).clamp(0.0, 1.0)
+    # Cross-entropy, as what is rare and hard to see would be left out by a loss that asks for the median.
+    loss = F.binary_cross_entropy_with_logits(out, wanted, pos_weight=torch.tensor(_RARE))
+    return 2.0 * loss, float((torch.sigmoid(out.detach()) - wanted).abs().mean())
 
 
 def _face_loss(log_odds: Tensor, face: Tensor) -> Tensor:

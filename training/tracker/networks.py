@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 FACE_CHANNELS, PART_CHANNELS = (16, 32, 64, 96), (32, 32, 48, 72)
+ACTION_CHANNELS = (16, 32, 48, 72, 16)
 
 
 def _convolution(inputs: int, outputs: int, kernel: int, stride: int) -> nn.Sequential:
@@ -93,6 +94,30 @@ class PartNetwork(nn.Module):
         return self.maps(self.to_half(self.to_quarter(self.at_eighth(quarter), quarter), half))
 
 
+class ActionNetwork(nn.Module):
+    """(B, 1, H, W) to activations (B, n)."""
+
+    outputs = ("actions",)
+
+    def __init__(self, actions: int, width: int, height: int) -> None:
+        super().__init__()
+        a, b, c, d, e = ACTION_CHANNELS
+        self.seen = nn.Sequential(
+            *(_convolution(1, a, 5, 2), _Separable(a, b), _Separable(b, c, 2), _Separable(c, c)),
+            *(_Separable(c, d, 2), _Separable(d, d), _Separable(d, d), nn.Conv2d(d, e, 1), nn.ReLU(inplace=True)),
+        )
+        # Every place has its own weights: what lies above the lip is no tongue.
+        self.told = nn.Sequential(
+            *(nn.Flatten(), nn.Dropout(0.1), nn.Linear(e * (width // 8) * (height // 8), 96)),
+            *(nn.ReLU(inplace=True), nn.Linear(96, actions)),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Activations from 0 to 1, and in training their log odds."""
+        told: Tensor = self.told(self.seen(x))
+        return told if self.training else torch.sigmoid(told)
+
+
 class MapLoss(torch.autograd.Function):
     """How far maps are from their landmarks: cross-entropy to a Gaussian round each, plus `PULL` times the distance
     of the map's mean (integral regression: Sun et al. 2018). One pass over the maps, and one back.
@@ -142,7 +167,7 @@ class MapLoss(torch.autograd.Function):
         return out.to(ctx.kind), None, None, None
 
 
-def to_onnx(network: FaceNetwork | PartNetwork, width: int, height: int) -> bytes:
+def to_onnx(network: FaceNetwork | PartNetwork | ActionNetwork, width: int, height: int) -> bytes:
     """The network for pictures of that size, as OpenCV reads it."""
     buffer = io.BytesIO()
     torch.onnx.export(

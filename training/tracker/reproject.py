@@ -15,7 +15,8 @@ from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT
 from facemime.core.rotation import euler_to_matrix
 from facemime.core.tracking.pdm import PointDistributionModel
 
-from .heads import FACE, IctHead
+from .heads import EYEBALLS, FACE, IctHead
+from .organs import Eyes, tongue_out
 from .raster import rasterise
 
 _LIDS = {"R": ((37, 41), (38, 40)), "L": ((43, 47), (44, 46))}
@@ -150,6 +151,33 @@ class Light:
 
 
 @dataclass(frozen=True)
+class Scene:
+    """What a head is drawn with, besides its shape and pose.
+
+    Attributes
+    ----------
+    light : Light
+    perspective : float
+        Strength k of a magnification 1 / (1 + k z).
+    gaze : (float, float)
+        Shift of the texture of the eyes, eye distances.
+    tongue : (float, float)
+        Range of the brightness of tongue and gums relative to the skin.
+    tongue_out : float
+        How far the tongue is out, 0 to 1; 0 draws none before the teeth.
+    eyes : Eyes, optional
+        Eyes that are painted; by default they are those of the photo.
+    """
+
+    light: Light
+    perspective: float = 0.0
+    gaze: tuple[float, float] = (0.0, 0.0)
+    tongue: tuple[float, float] = (0.35, 0.75)
+    tongue_out: float = 0.0
+    eyes: Eyes | None = None
+
+
+@dataclass(frozen=True)
 class Rendering:
     """A new picture of a known face: grey (S, S) uint8, where the face covers it, landmarks and their visibility."""
 
@@ -161,7 +189,10 @@ class Rendering:
 
 @dataclass(frozen=True)
 class _Seen:
-    """The nearest surface in each covered pixel, (F,) each: where it is, and what of the head it shows."""
+    """The nearest surface in each covered pixel, (F,) each: where it is, and what of the head it shows.
+
+    `place` (F, 3) is in the head frame.
+    """
 
     pixel: np.ndarray
     size: int
@@ -169,6 +200,7 @@ class _Seen:
     material: np.ndarray
     uv: np.ndarray
     depth: np.ndarray
+    place: np.ndarray
 
 
 def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -191,34 +223,38 @@ def _plain_colours(
     return colour
 
 
-def _facing_triangles(head: IctHead, screen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (T, 3) that are drawn and face the viewer (counter-clockwise with y down), and their material (T,)."""
+def _facing_triangles(
+    head: IctHead, screen: np.ndarray, triangles: np.ndarray, material: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Those that are drawn and face the viewer (counter-clockwise with y down), and their material."""
     hidden = [head.materials.index(m) for m in _HIDDEN]
-    drawn = ~np.isin(head.material, hidden)
-    a, b, c = (screen[head.triangles[:, i]] for i in range(3))
+    drawn = ~np.isin(material, hidden)
+    a, b, c = (screen[triangles[:, i]] for i in range(3))
     drawn &= np.cross(b - a, c - a) < 0
-    return head.triangles[drawn], head.material[drawn]
+    return triangles[drawn], material[drawn]
 
 
 def _grey_of_surfaces(
-    head: IctHead,
-    skinned: SkinnedHead,
-    seen: _Seen,
-    gaze: tuple[float, float],
-    tongue: tuple[float, float],
-    rim: float,
-    rng: np.random.Generator,
+    head: IctHead, skinned: SkinnedHead, seen: _Seen, scene: Scene, rim: float, rng: np.random.Generator
 ) -> np.ndarray:
     """(F,) unlit grey of every fragment: photo, eyes, or the plain colours of the mouth, darker behind `rim`."""
     grey = _look_up(skinned.skin, seen.uv, seen.pixel, seen.size)
-    is_eye = np.isin(seen.material, [i for i, m in enumerate(head.materials) if m.startswith(("M_Sclera", "M_Iris"))])
-    shift = np.float32(np.array(gaze) * np.ptp(skinned.uv[FACE, 0]) / 2.0)
-    grey = np.where(is_eye, _look_up(skinned.eyes, seen.uv - shift, seen.pixel, seen.size), grey)
+    sides = [
+        [i for i, m in enumerate(head.materials) if m in (f"M_Sclera{s}", f"M_Iris{s}")] for s in ("Right", "Left")
+    ]
     level = float(np.median(grey[seen.material == head.materials.index("M_Face")]))
-    plain = _plain_colours(head, level, tongue, rng)[seen.material]
+    if scene.eyes is None:
+        shift = np.float32(np.array(scene.gaze) * np.ptp(skinned.uv[FACE, 0]) / 2.0)
+        moved = _look_up(skinned.eyes, seen.uv - shift, seen.pixel, seen.size)
+        grey = np.where(np.isin(seen.material, np.concatenate(sides)), moved, grey)
+    else:
+        for side, materials in enumerate(sides):
+            shown = np.isin(seen.material, materials)
+            grey[shown] = scene.eyes.paint(side, seen.place[shown], skinned.neutral[EYEBALLS[side]], level)
+    plain = _plain_colours(head, level, scene.tongue, rng)[seen.material]
     socket = (seen.vertex >= _SOCKETS.start) & (seen.vertex < _SOCKETS.stop)
     plain = np.where(socket, level * rng.uniform(0.08, 0.4), plain)
-    steepness = 3.5 if tongue[1] <= 1.0 else 1.5  # a tongue that is seen well lies in the light
+    steepness = 3.5 if scene.tongue[1] <= 1.0 else 1.5  # a tongue that is seen well lies in the light
     falloff = np.exp(-rng.uniform(0.5, steepness) * np.maximum(seen.depth - rim, 0.0))
     return np.where(np.isnan(plain), grey, plain * falloff)
 
@@ -229,29 +265,31 @@ def render(
     expression: np.ndarray,
     pose: np.ndarray,
     size: int,
-    light: Light,
+    scene: Scene,
     rng: np.random.Generator,
-    perspective: float = 0.0,
-    gaze: tuple[float, float] = (0.0, 0.0),
-    tongue: tuple[float, float] = (0.35, 0.75),
 ) -> Rendering:
-    """Draw the head with expression (E,) and pose (6,) into a size x size picture.
-
-    `perspective` is the strength k in a magnification 1 / (1 + k z); `gaze` shifts the eyes' texture, eye distances;
-    `tongue` is the range of its brightness relative to the skin.
-    """
+    """Draw the head with expression (E,) and pose (6,) into a size x size picture."""
     vertices = skinned.neutral + np.tensordot(expression, head.expression, 1)
+    every, materials, uv_of = head.triangles, head.material, skinned.uv
+    if scene.tongue_out > 0.0:
+        tongue = tongue_out(vertices[head.landmarks], scene.tongue_out, rng)
+        every = np.concatenate([every, len(vertices) + tongue.triangles])
+        gums = head.materials.index("M_GumsTongue")
+        materials = np.concatenate([materials, np.full(len(tongue.triangles), gums, materials.dtype)])
+        vertices = np.concatenate([vertices, tongue.vertices])
+        uv_of = np.concatenate([uv_of, np.zeros((len(tongue.vertices), 2), np.float32)])
     turned = vertices @ euler_to_matrix(*pose[1:4]).T
-    screen = pose[0] * turned[:, :2] / (1.0 + perspective * turned[:, 2:]) + pose[4:6]
-    triangles, material = _facing_triangles(head, screen)
+    screen = pose[0] * turned[:, :2] / (1.0 + scene.perspective * turned[:, 2:]) + pose[4:6]
+    triangles, material = _facing_triangles(head, screen, every, materials)
     drawn = rasterise(screen, turned[:, 2], triangles, size)
     owner, weights = triangles[drawn.triangle], drawn.barycentric
-    lit = light.ambient + light.strength * np.maximum(_vertex_normals(turned, head.triangles) @ light.direction, 0.0)
-    uv = np.einsum("fk,fkd->fd", weights, skinned.uv[owner]).astype(np.float32)
+    light = scene.light
+    lit = light.ambient + light.strength * np.maximum(_vertex_normals(turned, every) @ light.direction, 0.0)
+    uv, place = (np.einsum("fk,fkd->fd", weights, of[owner]).astype(np.float32) for of in (uv_of, vertices))
     depth = drawn.depth.ravel()[drawn.pixel]
-    seen = _Seen(drawn.pixel, size, owner[:, 0], material[drawn.triangle], uv, depth)
+    seen = _Seen(drawn.pixel, size, owner[:, 0], material[drawn.triangle], uv, depth, place)
     # Light hardly reaches the mouth's depth; the lips' own depth is its rim.
-    grey = _grey_of_surfaces(head, skinned, seen, gaze, tongue, turned[head.landmarks[60:], 2].min(), rng)
+    grey = _grey_of_surfaces(head, skinned, seen, scene, turned[head.landmarks[60:], 2].min(), rng)
     image = np.zeros(size * size, np.float32)
     image[drawn.pixel] = grey * (weights * lit[owner]).sum(1)
     landmarks = screen[head.landmarks]

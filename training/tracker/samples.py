@@ -16,7 +16,7 @@ from facemime.core.tracking.pdm import PointDistributionModel
 
 from .dress import dress
 from .heads import IctHead, sample_expression, sample_speech
-from .reproject import Light, SkinnedHead, render, skin_head
+from .reproject import Light, Scene, SkinnedHead, render, skin_head
 from .sources import Photo, mirrored
 
 SIZE = 272
@@ -141,7 +141,7 @@ def degrade(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return out8
 
 
-def _background(
+def backdrop(
     skinned: SkinnedHead, shown: np.ndarray, head: IctHead, other: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """A picture to stand behind the face: its own photo moved along with the head, or a piece of another photo."""
@@ -198,15 +198,16 @@ def render_samples(
     tongue = (0.4, 1.3) if speaking else (0.35, 0.75)
     rows = []
     for _ in range(count):
-        expression = _personal_expression(head, skinned, rng, sample_speech if speaking else sample_expression)
+        expression = personal_expression(head, skinned, rng, sample_speech if speaking else sample_expression)
         pose = random_pose(rng)
         lamp = rng.normal(0, 1, 3) * (1.0, 0.6, 0.4) + (0, -0.2, -0.7)
         light = Light(rng.uniform(0.45, 1.0), rng.uniform(0.0, 0.8), lamp / np.linalg.norm(lamp))
         # Most look about ahead; some into a corner of the eye, whose white then is no lid.
         gaze = tuple(rng.normal(0, 0.02 if rng.random() < 0.6 else 0.06, 2) * (1.0, 0.5))
-        picture = render(head, skinned, expression, pose, SIZE, light, rng, rng.uniform(0, 0.12), gaze, tongue)
+        scene = Scene(light, rng.uniform(0, 0.12), gaze, tongue)
+        picture = render(head, skinned, expression, pose, SIZE, scene, rng)
         other = backgrounds[rng.integers(len(backgrounds))].grey()
-        behind = _background(skinned, picture.landmarks, head, other, rng)
+        behind = backdrop(skinned, picture.landmarks, head, other, rng)
         soft = cv2.GaussianBlur(picture.covered.astype(np.float32), (0, 0), 0.8)
         image = np.where(picture.covered, picture.image * soft + behind * (1 - soft), behind).astype(np.uint8)
         image = dress(image, picture.landmarks, SCALE, rng)
@@ -218,7 +219,7 @@ def render_samples(
     return _stack(model, rows)
 
 
-def _personal_expression(
+def personal_expression(
     head: IctHead,
     skinned: SkinnedHead,
     rng: np.random.Generator,

@@ -9,7 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from facemime.core.actions import ACTIONS, action_indices
 from facemime.core.landmarks import MIRROR
+from facemime.core.tracking.action_experts import ActionExperts
 from facemime.core.tracking.check import N_FEATURES, FaceCheck
 from facemime.core.tracking.experts import FaceExperts, PartExperts
 from facemime.core.tracking.model_file import TrackerModel
@@ -18,8 +20,10 @@ from facemime.core.tracking.patch_experts import PatchExperts
 from facemime.core.tracking.pdm import PointDistributionModel
 from facemime.core.tracking.tracker import FaceTracker
 
+from .acting import ActionSamples, action_samples
 from .boxes import fit_box_offsets
 from .checks import clutter, collect_features, train_check
+from .crops import ActionPart, Crops, draw_actions
 from .definition import definition_offset
 from .heads import load_ict
 from .patches import mirror_samples, reference_set, train_experts
@@ -46,6 +50,14 @@ PARTS = {
     "mouth": (np.r_[31:36, 48:66], 44.0, (40, 48), False),
 }
 """Landmarks, pixels an outer-eye distance, size of the picture, whether the other half of the face has it too."""
+_UPPER = ("browInnerUpRight", "browDownRight", "noseSneerRight", "cheekSquintRight")
+_LOWER = [name for name in ACTIONS if name.startswith(("tongue", "mouth", "cheekPuff"))]
+ACTION_PARTS = {
+    "eye": ActionPart(action_indices(_UPPER), np.array([31, 36, 39]), 48.0, (48, 56), True),
+    "mouth": ActionPart(action_indices(_LOWER), np.array([48, 54, 57]), 44.0, (64, 56), False),
+}
+"""The eye's picture reaches from above the brow to the wing of the nose, that of the mouth over both cheeks."""
+ACTION_BATCH, ACTION_STEPS = 64, 9000
 
 
 @dataclass(frozen=True)
@@ -67,6 +79,9 @@ RECIPES = {
     "london_smiling": Recipe(18, 4, 10, 0.6),
     "congress": Recipe(10, 4, 3, 0.3),
 }
+ACTING = {"london_neutral": 48, "canada": 48, "congress": 8}
+"""Renders of a photo for the expert of actions, and of a held-out one, the first of which show a face at rest."""
+_HELD_OUT_ACTING, _RESTING = 60, 10
 _RENDERS_A_SKIN = 24
 """Renders of a photo until it is mirrored or not anew."""
 
@@ -119,6 +134,24 @@ class Workshop:
         Samples.join(parts).save(path)
         return path
 
+    def acting_part(self, number: int, photos: list[Photo], held_out: bool = False) -> Path:
+        """One file of training pictures for the expert of actions."""
+        path = self.work / ("held_out_actions" if held_out else "actions") / f"{number:03d}.npz"
+        if path.exists():
+            return path
+        head, model = load_ict(self.data), self.shape()
+        backgrounds = split(read_photos(self.data, "congress"))[0]
+        rng = np.random.default_rng((SEED, 31, number, held_out))
+        parts = []
+        for i, photo in enumerate(photos):
+            count = _HELD_OUT_ACTING if held_out else ACTING[photo.source]
+            for first in range(0, count, _RENDERS_A_SKIN if not held_out else count):
+                size = count if held_out else min(_RENDERS_A_SKIN, count - first)
+                resting = _RESTING if held_out else 1
+                parts.append(action_samples(head, model, photo, 1000 * number + i, backgrounds, size, rng, resting))
+        ActionSamples.join(parts).save(path)
+        return path
+
     def samples(self) -> Samples:
         """Every training picture."""
         return Samples.join([Samples.load(p) for p in sorted((self.work / "samples").glob("*[0-9].npz"))])
@@ -128,24 +161,39 @@ class Workshop:
         path = self.work / f"{name}.onnx"
         if not path.exists():
             # Only the training needs PyTorch; the steps before it and the measuring do not.
-            from .crops import Crops
-            from .learn import train
+            from .learn import Course, train_maps
             from .networks import FaceNetwork, PartNetwork, to_onnx
 
             rng = np.random.default_rng((SEED, len(name)))
             crops = Crops(self.samples(), rng)
-            checkpoint, how = self.work / f"{name}.pt", (STEPS[name], VARIANCE[name])
+            how = VARIANCE[name], Course(STEPS[name], self.work / f"{name}.pt", name)
             if name in FACES:
                 pictures = np.stack(clutter(self.photos(), N_CLUTTER, rng))
                 draw = partial(crops.face, BATCH[name], pictures, *FACES[name])
-                face = train(FaceNetwork(), draw, *how, checkpoint, name)
+                face = train_maps(FaceNetwork(), draw, *how)
                 onnx = to_onnx(face, FACES[name][1], FACES[name][1])
             else:
                 landmarks, scale, size, _ = PARTS[name]
                 part = PartNetwork(len(landmarks))
-                part = train(part, lambda: crops.part(BATCH[name], landmarks, scale, size), *how, checkpoint, name)
+                part = train_maps(part, lambda: crops.part(BATCH[name], landmarks, scale, size), *how)
                 onnx = to_onnx(part, *size)
             path.write_bytes(onnx)
+        return path.read_bytes()
+
+    def actions(self, name: str) -> bytes:
+        """The network of one of `ACTION_PARTS`, in ONNX."""
+        path = self.work / f"actions_{name}.onnx"
+        if not path.exists():
+            from .learn import Course, train_actions
+            from .networks import ActionNetwork, to_onnx
+
+            files = sorted((self.work / "actions").glob("*[0-9].npz"))
+            samples, part = ActionSamples.join([ActionSamples.load(p) for p in files]), ACTION_PARTS[name]
+            rng = np.random.default_rng((SEED, 32, len(name)))
+            draw = partial(draw_actions, samples, part, ACTION_BATCH, rng)
+            course = Course(ACTION_STEPS, path.with_suffix(".pt"), path.stem)
+            network = train_actions(ActionNetwork(len(part.actions), *part.size), draw, course)
+            path.write_bytes(to_onnx(network, *part.size))
         return path.read_bytes()
 
     def patches(self, view: str) -> PatchExperts:
@@ -199,11 +247,14 @@ class Workshop:
             for name, (scale, size, _) in FACES.items()
         )
         parts = [PartExperts(Network(self.network(name), "maps"), *what) for name, what in PARTS.items()]
+        actions = tuple(
+            ActionExperts(Network(self.actions(name), "actions"), **vars(part)) for name, part in ACTION_PARTS.items()
+        )
         patches = (self.patches("frontal"), self.patches("side"))
         taught, definition = self.shape(), definition_offset()
         reported = PointDistributionModel(taught.mean_shape + definition, taught.basis, taught.eigenvalues)
         return TrackerModel(
-            reported, face, glance, tuple(parts), patches, definition, self.visibility(), self.boxes(), check
+            reported, face, glance, tuple(parts), actions, patches, definition, self.visibility(), self.boxes(), check
         )
 
     def check(self) -> FaceCheck:
