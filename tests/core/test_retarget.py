@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.eyes import EyeDriver, gaze_at_viewer
-from facemime.core.drive.retarget import Retargeter
+from facemime.core.drive.eyes import _LASTING, _PARALLEL, EyeDriver, gaze_at_viewer
+from facemime.core.drive.retarget import _WIDENING_GAIN, Retargeter
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import EyeballContact
 from facemime.core.heads.rig import HeadRig
-from facemime.core.landmarks import from_ibug
+from facemime.core.landmarks import LOWER_LIDS, UPPER_LIDS, from_ibug
 from facemime.core.rotation import euler_to_matrix, fit_rotation, matrix_to_euler
 from facemime.core.takes.neutral import Neutral, calibrate
 from takes import make_take
@@ -104,6 +104,17 @@ def test_lids_that_the_tracker_leaves_a_little_open_still_shut_the_heads_eyes(ri
     assert calibrate(make_take(shapes[:50]), start=0.0).shut == 0.0
 
 
+def test_eyes_that_open_wider_than_at_rest_are_made_up_for_and_shut_ones_are_not(rig):
+    face, points = performer(rig), rig.vertices[rig.landmarks]
+    wide, shut = face.copy(), face.copy()
+    wide[UPPER_LIDS, 1] -= 0.03
+    shut[UPPER_LIDS, 1] = face[LOWER_LIDS, 1]
+    plain, more = (Retargeter(face, points, compensate=compensate) for compensate in (False, True))
+    lifted = more.displacements(wide)[UPPER_LIDS, 1] / plain.displacements(wide)[UPPER_LIDS, 1]
+    np.testing.assert_allclose(lifted, _WIDENING_GAIN, atol=0.02)
+    np.testing.assert_allclose(more.displacements(shut)[UPPER_LIDS], plain.displacements(shut)[UPPER_LIDS])
+
+
 def test_planar_mode_keeps_depth_and_strength_scales_a_region(rig):
     face, points = performer(rig), rig.vertices[rig.landmarks]
     other = face + np.random.default_rng(1).normal(0.0, 0.05, face.shape)
@@ -160,15 +171,34 @@ def test_eyes_turn_by_the_gaze_relative_to_the_usual_one(rig):
     neutral = calibrate(make_take(np.tile(face, (60, 1, 1)), gaze=gaze))
     np.testing.assert_allclose(neutral.gaze, (0.05, -0.1))
     eyes = EyeDriver(neutral.gaze)
-    np.testing.assert_allclose(eyes.rotation(gaze[0], np.eye(3)), np.eye(3), atol=1e-9)
-    np.testing.assert_allclose(matrix_to_euler(eyes.rotation(gaze[55], np.eye(3))), (0.0, 0.2, 0.0), atol=1e-9)
+    for eye in eyes.rotations(gaze[0], np.nan, np.eye(3)):
+        np.testing.assert_allclose(eye, np.eye(3), atol=1e-9)
+    for eye in eyes.rotations(gaze[55], np.nan, np.eye(3)):
+        np.testing.assert_allclose(matrix_to_euler(eye), (0.0, 0.2, 0.0), atol=1e-9)
+
+
+def test_eyes_cross_by_what_their_vergence_exceeds_a_usual_one():
+    eyes = EyeDriver(np.zeros(2), 0.1)
+    for vergence, turned in ((0.1, 0.0), (0.12, 0.0), (0.1 + _PARALLEL + 0.2, 0.1), (0.1 - _PARALLEL - 0.2, -0.1)):
+        for _ in range(_LASTING):
+            right, left = eyes.rotations(np.zeros(2), vergence, np.eye(3))
+        np.testing.assert_allclose(matrix_to_euler(right), (0.0, -turned, 0.0), atol=1e-9)
+        np.testing.assert_allclose(matrix_to_euler(left), (0.0, turned, 0.0), atol=1e-9)
+
+
+def test_a_pupil_that_is_misplaced_in_one_frame_does_not_cross_the_eyes():
+    eyes = EyeDriver(np.zeros(2), 0.0)
+    for vergence in (0.0, 0.6, 0.0, -0.6, 0.6):
+        for eye in eyes.rotations(np.zeros(2), vergence, np.eye(3)):
+            np.testing.assert_array_equal(eye, np.eye(3))
 
 
 def test_eyes_turn_within_their_limits_and_stay_while_shut():
     eyes = EyeDriver(np.zeros(2))
-    far = eyes.rotation(np.array([1.0, -1.0]), np.eye(3))
-    np.testing.assert_allclose(matrix_to_euler(far), np.radians([7.0, -22.0, 0.0]), atol=1e-9)
-    np.testing.assert_allclose(eyes.rotation(np.full(2, np.nan), np.eye(3)), far)
+    far = eyes.rotations(np.array([1.0, -1.0]), np.nan, np.eye(3))
+    for eye in far:
+        np.testing.assert_allclose(matrix_to_euler(eye), np.radians([7.0, -22.0, 0.0]), atol=1e-9)
+    np.testing.assert_allclose(eyes.rotations(np.full(2, np.nan), np.nan, np.eye(3)), far)
 
 
 def test_without_a_known_gaze_eyes_stay_on_the_viewer(rig):
@@ -176,7 +206,8 @@ def test_without_a_known_gaze_eyes_stay_on_the_viewer(rig):
     neutral = calibrate(make_take(np.tile(face, (60, 1, 1))))
     assert np.isnan(neutral.gaze).all()
     head = euler_to_matrix(0.05, 0.2, 0.0)
-    np.testing.assert_allclose(EyeDriver(neutral.gaze).rotation(np.full(2, np.nan), head), gaze_at_viewer(head))
+    for eye in EyeDriver(neutral.gaze).rotations(np.full(2, np.nan), np.nan, head):
+        np.testing.assert_allclose(eye, gaze_at_viewer(head))
 
 
 def test_a_rig_whose_landmarks_do_not_fit_the_mesh_is_refused(rig):
