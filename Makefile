@@ -6,7 +6,7 @@ BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
 
-.PHONY: setup check test test-all test-core test-gui stress soak demo build bench bench-deformation bench-tracking bench-expressions model expressions head sample try lock clean blenders windows docs
+.PHONY: setup check test test-all test-core test-gui stress soak demo build bench bench-deformation bench-tracking bench-expressions bench-actions model expressions head sample try lock clean blenders windows docs
 
 setup: $(STAMP)
 
@@ -87,6 +87,11 @@ bench-deformation: setup
 CLIPS ?= ../shared/data/expressions
 bench-expressions: build/peers/.ready
 	build/peers/bin/python -m bench.expressions $(CLIPS)/labels.csv $(CLIPS)/neutral.csv $(CLIPS)/clips --json build/bench/expressions.json
+
+# Rendered clips of held-out people; needs ../shared/data.
+bench-actions: setup
+	mkdir -p build/bench
+	$(BIN)/python -m bench.actions --json build/bench/actions.json --sheet build/bench/actions.png
 
 # With the peers from PyPI, which live in an environment of their own; needs ../shared/data.
 bench-tracking: build/peers/.ready

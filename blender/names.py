@@ -33,4 +33,7 @@ PART_OBJECTS = {
 }
 """Object name of each part. Left and right are the head's own."""
 
+TONGUE_KEY = "tongueOut"
+"""Shape key of the tongue, by which it comes out."""
+
 UV_MAP = "UVMap"

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from facemime.core.actions import N_ACTIONS
 from facemime.core.heads.built_in import load_head
 from facemime.core.landmarks import OUTER_EYE_CORNERS, from_ibug
 from facemime.core.takes.take import Take
@@ -31,6 +32,8 @@ def make_take(
         landmark_confidence=np.full((count, 66), np.nan, np.float32),
         pupils=np.full((count, 2, 2), np.nan, np.float32),
         gaze=np.full((count, 2), np.nan, np.float32) if gaze is None else gaze,
+        vergence=np.full(count, np.nan, np.float32),
+        actions=np.full((count, N_ACTIONS), np.nan, np.float32),
         info={"source": "performance.mp4", "fps": fps, "image_size": [640, 480]},
     )
 

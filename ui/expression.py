@@ -59,6 +59,7 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
         layout.prop(settings, "smoothing")
         layout.prop(settings, "mode")
         layout.prop(settings, "kernel")
+        layout.prop(settings, "only_landmarks")
 
 
 CLASSES = (FACEMIME_MT_remove_preset, FACEMIME_MT_presets, FACEMIME_PT_expression)

@@ -8,18 +8,22 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.drive.actions import TONGUE
 from ...core.drive.motion import HeadMotion
 from ...core.errors import HeadError, SourceError
 from ...core.takes.take import Take
-from ..actions import check_curves, remove_bake, write_curves
-from ..names import PART_PROPERTY
+from ..actions import Curve, check_curves, remove_bake, write_curves
+from ..names import PART_PROPERTY, TONGUE_KEY
 from .bake_cache import remove_cache
-from .bake_keys import remove_baked_keys, require_relative
+from .bake_keys import remove_baked_keys, require_relative, value_path
 from .targets import PoseTarget
 
 JAW_PARTS = frozenset({"teeth_lower", "tongue"})
-EYE_PARTS = frozenset({"eye_left", "eye_right"})
+EYE_PARTS = ("eye_right", "eye_left")
+"""In the order of `HeadFrame.gaze`."""
 Targets = Mapping[str, PoseTarget]
+_TONGUE_ERROR = 0.01
+"""Error of the tongue's key that is allowed when removing keyframes."""
 _LAST_FRAME = 1_048_574
 """Last frame of Blender's timeline."""
 
@@ -164,11 +168,14 @@ def bake_pose(
     if translation:
         curves[head.obj] += head.translation_curves(motion.translation, length)
     for part, target in _part_targets(obj, targets):
-        turns = motion.jaw if part in JAW_PARTS else motion.gaze
+        turns = motion.jaw if part in JAW_PARTS else motion.gaze[:, EYE_PARTS.index(part)]
         curves.setdefault(target.obj, []).extend(target.rotation_curves(turns, angle))
     for owner, owned in curves.items():
         name = f"{owner.name} {'Pose' if owner == head.obj else 'Motion'}"
         write_curves(owner, name, frames, owned, nla=nla)
+    for child in filter(has_tongue, obj.children):
+        curve = Curve(value_path(TONGUE_KEY), 0, motion.actions[:, TONGUE], _TONGUE_ERROR if clean else None)
+        write_curves(child.data.shape_keys, f"{child.name} Expression", frames, [curve], nla=nla)
 
 
 def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
@@ -177,6 +184,8 @@ def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
     Parameters are as for `check_bakeable`.
     """
     remove_baked_keys(obj)
+    for child in filter(has_tongue, obj.children):
+        remove_baked_keys(child)
     remove_cache(obj)
     places = _all_targets(obj, targets)
     ours = {owner: remove_bake(owner) for owner in {target.obj for target in places}}
@@ -197,7 +206,30 @@ def _part_targets(obj: bpy.types.Object, targets: Targets) -> Iterator[tuple[str
         part = str(child.get(PART_PROPERTY, ""))
         if part in JAW_PARTS or (part in EYE_PARTS and part not in targets):
             yield part, PoseTarget(child)
-    yield from ((eye, targets[eye]) for eye in sorted(EYE_PARTS) if eye in targets)
+    yield from ((eye, targets[eye]) for eye in EYE_PARTS if eye in targets)
+
+
+def has_tongue(part: bpy.types.Object) -> bool:
+    """Return whether an object is a tongue that can be put out, by its shape key."""
+    return (
+        part.get(PART_PROPERTY) == "tongue"
+        and part.data.shape_keys is not None
+        and TONGUE_KEY in part.data.shape_keys.key_blocks
+    )
+
+
+def show_tongue(part: bpy.types.Object, amount: float) -> None:
+    """Put out a tongue.
+
+    Parameters
+    ----------
+    part : bpy.types.Object
+        Any part of a head; others stay as they are.
+    amount : float
+        0 to 1.
+    """
+    if has_tongue(part):
+        part.data.shape_keys.key_blocks[TONGUE_KEY].value = amount
 
 
 def set_range(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> None:

@@ -21,7 +21,7 @@ from ..actions import Muted, baked_paths, mute_bake, mute_curves
 from ..frames import flat_in_blender
 from ..meshes import exists, mesh_of, read_vertices, write_vertices
 from ..names import LIVE_PROPERTY, PART_PROPERTY
-from .bake import EYE_PARTS, JAW_PARTS
+from .bake import EYE_PARTS, JAW_PARTS, show_tongue
 from .bake_cache import MODIFIER
 from .bake_keys import BAKED_KEY_PREFIX, require_relative, value_path
 from .targets import PoseTarget
@@ -161,10 +161,11 @@ class LiveHeadObject:
         )
         for child, kind in self._living_parts():
             if kind not in self.targets:
-                PoseTarget(child).apply(frame.jaw if kind == "jaw" else frame.gaze, None)
-        for eye in ("eye_left", "eye_right"):
+                PoseTarget(child).apply(frame.jaw if kind == "jaw" else frame.gaze[EYE_PARTS.index(kind)], None)
+            show_tongue(child, frame.tongue)
+        for side, eye in enumerate(EYE_PARTS):
             if eye in self.targets:
-                self.targets[eye].apply(frame.gaze, None)
+                self.targets[eye].apply(frame.gaze[side], None)
 
     def detach(self, *, keep: bool, blocks: bool = True) -> bool:
         """Stop displaying frames.
@@ -203,6 +204,8 @@ class LiveHeadObject:
         for target in (*self.targets.values(), *(PoseTarget(child) for child, _ in self._parts)):
             if target.exists:
                 target.rest()
+        for child, _ in self._living_parts():
+            show_tongue(child, 0.0)
         return removed
 
     def _require_same_mesh(self) -> None:

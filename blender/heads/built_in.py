@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ...core.heads.built_in import HeadPart, load_head
 from ..frames import to_blender
 from ..meshes import write_landmarks, write_regions
-from ..names import PART_OBJECTS, PART_PROPERTY, UV_MAP
+from ..names import PART_OBJECTS, PART_PROPERTY, TONGUE_KEY, UV_MAP
 from .materials import head_materials
 
 
@@ -43,6 +43,11 @@ def add_head(context: bpy.types.Context, *, units: bool = False, name: str = "Fa
         _add_units(skin, head.vertices, head.unit_names, head.units)
         for obj, part in zip(parts, head.parts, strict=True):
             _add_units(obj, part.vertices - part.pivot, head.unit_names, part.units)
+    else:
+        out = head.unit_names.index(TONGUE_KEY)
+        for obj, part in zip(parts, head.parts, strict=True):
+            if part.name == "tongue":
+                _add_units(obj, part.vertices - part.pivot, (TONGUE_KEY,), part.units[out : out + 1])
     for other in context.selected_objects:
         other.select_set(False)
     skin.select_set(True)

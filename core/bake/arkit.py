@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..actions import ACTIONS, action_indices
 from ..arrays import FloatArray
 from ..drive.driver import HeadDriver
 from ..drive.motion import HeadMotion, drive_take
@@ -35,6 +36,12 @@ _SINGLE = (
 COEFFICIENTS = tuple(sorted([*_SINGLE, *(name + side for name in _SIDED for side in ("Left", "Right"))]))
 """Names of the 52 coefficients, alphabetically; left and right are the performer's own."""
 _DEFAULTS = DriveSettings()
+_ACTED = {
+    "tongueOut": action_indices(["tongueOut"]),
+    "cheekPuff": action_indices(["cheekPuffRight", "cheekPuffLeft"]),
+    **{name: action_indices([name]) for name in ACTIONS if name.startswith(("mouth", "nose", "cheekSquint"))},
+}
+"""Coefficients that the tracker measures itself, and the actions whose mean each is."""
 _LOOKS = ("In", "Out", "Up", "Down")
 
 
@@ -69,14 +76,17 @@ def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _D
 def coefficients_of(motion: HeadMotion) -> FloatArray:
     """(N, 52) coefficients of a motion of the built-in head."""
     head = load_head()
-    looks = _look_columns()
-    others = [i for i in range(len(head.unit_names)) if i not in looks]
-    coefficients = np.zeros((len(motion.times), len(head.unit_names)))
-    coefficients[:, looks] = _looks(motion.gaze)
-    # The gaze decides the coefficients of the eyes' direction; what these do to the lids is not fitted again.
-    lids = np.tensordot(coefficients[:, looks].astype(np.float32), head.units[looks], axes=1)
+    known, coefficients = _look_columns(), np.zeros((len(motion.times), len(head.unit_names)))
+    coefficients[:, known] = _looks(motion.gaze)
+    if motion.actions.any():
+        for name, columns in _ACTED.items():
+            coefficients[:, COEFFICIENTS.index(name)] = motion.actions[:, columns].mean(axis=1).clip(0.0, 1.0)
+        known = [*known, *(COEFFICIENTS.index(name) for name in _ACTED)]
+    others = [i for i in range(len(head.unit_names)) if i not in known]
+    # Gaze and actions decide their coefficients; what these do to the skin is not fitted again.
+    explained = np.tensordot(coefficients[:, known].astype(np.float32), head.units[known], axes=1)
     bounds = np.zeros(len(others)), np.ones(len(others))
-    coefficients[:, others] = fit_keys(motion.vertices - lids, head.units[others], *bounds).weights
+    coefficients[:, others] = fit_keys(motion.vertices - explained, head.units[others], *bounds).weights
     return coefficients
 
 
@@ -85,21 +95,23 @@ def _look_columns() -> list[int]:
 
 
 def _looks(gaze: FloatArray) -> FloatArray:
-    """(N, 8) coefficients of `_look_columns` for rotations (N, 3, 3) of both eyeballs, as shares of each unit's own."""
-    forward = -gaze[:, :, 2]
+    """(N, 8) coefficients of `_look_columns` for rotations (N, 2, 3, 3) of the eyeballs, as shares of each unit's."""
+    forward = -gaze[..., 2]
     turned = {
-        "x": np.arctan2(forward[:, 0], -forward[:, 2]),
-        "y": np.arctan2(forward[:, 1], -forward[:, 2]),
+        "x": np.arctan2(forward[..., 0], -forward[..., 2]),
+        "y": np.arctan2(forward[..., 1], -forward[..., 2]),
     }
     columns = []
-    for axis, reach in _look_reaches():
-        columns.append(np.clip(turned[axis] / reach, 0.0, 1.0))
+    for side, axis, reach in _look_reaches():
+        columns.append(np.clip(turned[axis][:, side] / reach, 0.0, 1.0))
     return np.column_stack(columns)
 
 
 @lru_cache(maxsize=1)
-def _look_reaches() -> list[tuple[str, float]]:
-    """For each of `_look_columns`, the axis along which the eye looks, and its signed angle at coefficient 1."""
+def _look_reaches() -> list[tuple[int, str, float]]:
+    """For each of `_look_columns`, 0 for the right eye and 1 for the left, the axis along which it looks, and its
+    signed angle at coefficient 1.
+    """
     head = load_head()
     reaches = []
     for column in _look_columns():
@@ -108,5 +120,5 @@ def _look_reaches() -> list[tuple[str, float]]:
         rest: NDArray[np.float64] = (eye.vertices - eye.pivot).astype(np.float64)
         forward = -fit_rotation(rest, rest + eye.units[column])[:, 2]
         axis = 0 if "In" in name or "Out" in name else 1
-        reaches.append(("xy"[axis], float(np.arctan2(forward[axis], -forward[2]))))
+        reaches.append((int("Left" in name), "xy"[axis], float(np.arctan2(forward[axis], -forward[2]))))
     return reaches

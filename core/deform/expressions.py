@@ -204,6 +204,39 @@ def _built_in() -> ExpressionModel:
     return learn(head.vertices, head.landmarks, head.regions, head.units)
 
 
+def transferred(
+    motions: FloatArray, vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray
+) -> NDArray[np.float32]:
+    """Transfer displacements of the built-in head to another head.
+
+    Parameters
+    ----------
+    motions : (E, B, 3) array
+        Displacements of the vertices of the built-in head, metres.
+    vertices, landmarks, region_weights : (V, 3), (66,), (3, V) array
+        As in `HeadRig`.
+
+    Returns
+    -------
+    (E, V, 3) float32
+        Displacements in the unit of `vertices`; 0 where no region moves the vertex.
+    """
+    known = load_head()
+    moving = np.flatnonzero(known.regions.any(axis=0))
+    places = _normalised(known.vertices, known.landmarks)
+    flat = motions[:, moving].transpose(1, 0, 2).reshape(len(moving), -1)
+    flat = flat / outer_eye_distance(known.vertices[known.landmarks])
+    model = ExpressionModel(
+        places=places[moving].astype(np.float32),
+        sides=_sides(known.regions)[moving].astype(np.float32),
+        features=flat.astype(np.float32),
+        landmarks=places[known.landmarks].astype(np.float32),
+    )
+    out = model.transfer(vertices, landmarks, region_weights).reshape(len(vertices), -1, 3).transpose(1, 0, 2)
+    unit = outer_eye_distance(np.asarray(vertices, dtype=np.float64)[landmarks])
+    return np.ascontiguousarray(out * np.float32(unit))
+
+
 def _normalised(vertices: FloatArray, landmarks: IntArray) -> FloatArray:
     places = np.asarray(vertices, dtype=np.float64)
     points = places[landmarks]

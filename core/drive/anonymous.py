@@ -28,7 +28,8 @@ def anonymise(take: Take) -> Take:
     info = {key: take.info[key] for key in _KEPT_INFO if key in take.info}
     result = replace(mark_lost(take, np.ones(len(take), bool)), found=take.found.copy(), info=info)
     result.confidence[:] = take.confidence
-    result.pose[:], result.gaze[:] = take.pose, take.gaze
+    for name in ("pose", "gaze", "vergence", "actions"):
+        getattr(result, name)[:] = getattr(take, name)
     if not take.found.any():
         return result
     neutral, mean = calibrate(take), FaceTracker.load().pdm.mean_shape

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..actions import N_ACTIONS
 from ..arrays import FloatArray
-from ..deform.head_deformer import head_deformer
+from ..deform.action_modes import action_modes
+from ..deform.head_deformer import INFORMED, head_deformer
 from ..deform.rbf import IncrementalDeformer, RBFDeformer
 from ..heads.eyeballs import EyeballContact
 from ..heads.rig import HeadRig
@@ -17,6 +19,7 @@ from ..rotation import euler_to_matrix, fit_rotation
 from ..takes.neutral import MIRROR_WIDTH, Neutral
 from ..tracking.mirror import mirror_result
 from ..tracking.result import TrackResult
+from .actions import TONGUE, ActionDriver
 from .eyes import EyeDriver
 from .posing import limit_rotation, limit_vector
 from .retarget import retargeter_for
@@ -41,8 +44,10 @@ class HeadFrame:
         Translation of the head from neutral, unit of the mesh.
     jaw : (3, 3) float64
         Rotation of lower teeth and tongue about the pivot of the jaw.
-    gaze : (3, 3) float64
-        Rotation of both eyeballs about their centres, within the head.
+    gaze : (2, 3, 3) float64
+        Rotations of the right and left eyeball about their centres, within the head.
+    actions : (15,) float64
+        Activations of `actions.ACTIONS`; `vertices` contain all but that of the tongue.
     """
 
     vertices: NDArray[np.float32]
@@ -50,6 +55,12 @@ class HeadFrame:
     translation: FloatArray
     jaw: FloatArray
     gaze: FloatArray
+    actions: FloatArray
+
+    @property
+    def tongue(self) -> float:
+        """How far the tongue is out, 0 to about 1."""
+        return float(self.actions[TONGUE])
 
 
 class HeadDriver:
@@ -82,12 +93,15 @@ class HeadDriver:
         self.retargeter = retargeter_for(self.neutral, landmarks, mode=options.mode, strength=options.strength)
         self.deformer: RBFDeformer | IncrementalDeformer
         self.contact: EyeballContact
+        self.modes: NDArray[np.float32] | None
         if reuse is not None and reuse.rig is rig and _same_deformer(reuse.options, options):
-            self.deformer, self.contact = reuse.deformer, reuse.contact
+            self.deformer, self.contact, self.modes = reuse.deformer, reuse.contact, reuse.modes
         else:
             self.deformer = head_deformer(rig, options.kernel, incremental=options.incremental)
+            self.modes = _modes(rig, self.deformer, options)
             self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
-        self.eyes = EyeDriver(self.neutral.gaze)
+        self.eyes = EyeDriver(self.neutral.gaze, self.neutral.vergence)
+        self.actions = ActionDriver(self.neutral.actions, options.strength)
         self._chin = landmarks[CHIN] - rig.jaw_pivot
         self._unit = outer_eye_distance(landmarks)
 
@@ -99,16 +113,22 @@ class HeadDriver:
         displacements = self.retargeter.displacements(result.shape)
         turned = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
         rotation = limit_rotation(turned, posing.rotation_strength, posing.rotation_limit)
-        # Section 5: the skin, and lids that slide over the eyeballs (5.8).
+        # Section 5: the skin, what no landmark shows (5.9), and lids that slide over the eyeballs (5.8).
         vertices = self.deformer.deform(displacements)
+        actions = np.zeros(N_ACTIONS) if self.options.only_landmarks else self.actions.activations(result.actions)
+        if self.modes is not None:
+            for k in np.flatnonzero(actions):
+                vertices += np.float32(actions[k]) * self.modes[k]
         self.contact.resolve(vertices)
+        gaze = self.eyes.rotations(result.gaze, result.vergence, rotation)
         return HeadFrame(
             vertices=vertices,
             rotation=rotation,
             translation=self._unit
             * limit_vector(self._translation(result.pose), posing.location_strength, posing.location_limit),
             jaw=fit_rotation(self._chin, self._chin + displacements[CHIN]),
-            gaze=limit_rotation(self.eyes.rotation(result.gaze, rotation), posing.eyes_strength, posing.eyes_limit),
+            gaze=np.stack([limit_rotation(eye, posing.eyes_strength, posing.eyes_limit) for eye in gaze]),
+            actions=actions,
         )
 
     def _translation(self, pose: FloatArray) -> FloatArray:
@@ -117,6 +137,15 @@ class HeadDriver:
         s = float(pose[0])
         sideways = np.array([pose[4] - tx, pose[5] - ty]) / np.sqrt(s * scale)
         return np.array([*sideways, _CAMERA_DISTANCE * (scale / s - 1.0)])
+
+
+def _modes(
+    rig: HeadRig, deformer: RBFDeformer | IncrementalDeformer, options: DriveSettings
+) -> NDArray[np.float32] | None:
+    """The modes of the actions, for a deformer that knows how faces move."""
+    if options.kernel != INFORMED or rig.faces is None or not isinstance(deformer, RBFDeformer):
+        return None
+    return action_modes(rig, deformer)
 
 
 def _same_deformer(one: DriveSettings, other: DriveSettings) -> bool:

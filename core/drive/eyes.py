@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
+from math import nan
+
 import numpy as np
 
 from ..arrays import FloatArray
 from ..rotation import euler_to_matrix, matrix_to_euler
 
+_PARALLEL, _CROSSED, _LASTING = *np.radians((8.0, 40.0)), 5
+"""Vergence, from that at rest, up to which eyes count as parallel, its limit, and the frames for which eyes have to
+be crossed: a misplaced pupil comes and goes."""
 _LIMIT = np.radians((7.0, 22.0))
 """Limits of pitch and yaw. Pitch is small, as the lids, which follow the performer's, would hide the iris."""
 
@@ -21,32 +27,43 @@ class EyeDriver:
     straight : (2,) array
         The performer's usual gaze, `Neutral.gaze`, at which the avatar looks straight ahead. NaN if a take has no gaze;
         the eyes then stay on the viewer.
+    parallel : float
+        The performer's vergence at rest, `Neutral.vergence`; NaN if it is unknown, and the eyes then stay parallel.
     """
 
-    def __init__(self, straight: FloatArray) -> None:
+    def __init__(self, straight: FloatArray, parallel: float = nan) -> None:
         self._straight = np.asarray(straight, dtype=np.float64)
+        self._parallel = parallel
         self._last = np.zeros(2)
+        self._crossed: deque[float] = deque([0.0] * _LASTING, _LASTING)
 
-    def rotation(self, gaze: FloatArray, head: FloatArray) -> FloatArray:
-        """Rotation of both eyeballs within the head.
+    def rotations(self, gaze: FloatArray, vergence: float, head: FloatArray) -> FloatArray:
+        """Rotations of the eyeballs within the head.
 
         Parameters
         ----------
         gaze : (2,) float64
             `TrackResult.gaze`.
+        vergence : float
+            `TrackResult.vergence`.
         head : (3, 3) float64
             Rotation of the avatar's head, against which eyes turn that stay on the viewer.
 
         Returns
         -------
-        (3, 3) float64
-            The rotation, within the limits.
+        (2, 3, 3) float64
+            Rotations of the right and left eyeball, within the limits.
         """
         if not np.isfinite(self._straight).all():
-            return gaze_at_viewer(head)
+            return np.tile(gaze_at_viewer(head), (2, 1, 1))
         if np.isfinite(gaze).all():
             self._last = gaze - self._straight
-        return _rotation_within_limits(self._last)
+        if np.isfinite(vergence - self._parallel):
+            crossed = vergence - self._parallel
+            self._crossed.append(float(np.sign(crossed) * np.clip(abs(crossed) - _PARALLEL, 0.0, _CROSSED)))
+        least, most = min(self._crossed), max(self._crossed)
+        aside = np.array([0.0, 0.5 * (max(least, 0.0) + min(most, 0.0))])
+        return np.stack([_rotation_within_limits(self._last - aside), _rotation_within_limits(self._last + aside)])
 
 
 def gaze_at_viewer(head: FloatArray) -> FloatArray:

@@ -24,8 +24,10 @@ class HeadMotion:
         Seconds from the first frame of the take. Lost frames are omitted; animation curves bridge them.
     vertices : (N, V, 3) float32
         Displacements from rest, head frame, unit of the mesh.
-    rotation, jaw, gaze : (N, 3, 3) float64
+    rotation, jaw : (N, 3, 3) float64
+    gaze : (N, 2, 3, 3) float64
     translation : (N, 3) float64
+    actions : (N, 15) float64
         As in `HeadFrame`.
     """
 
@@ -35,6 +37,7 @@ class HeadMotion:
     translation: FloatArray
     jaw: FloatArray
     gaze: FloatArray
+    actions: FloatArray
 
 
 def drive_take(driver: HeadDriver, take: Take, on_frame: Callable[[int], None] | None = None) -> HeadMotion:
@@ -78,6 +81,7 @@ def drive_take(driver: HeadDriver, take: Take, on_frame: Callable[[int], None] |
         translation=np.array([frame.translation for frame in frames]),
         jaw=np.array([frame.jaw for frame in frames]),
         gaze=np.array([frame.gaze for frame in frames]),
+        actions=np.array([frame.actions for frame in frames]),
     )
 
 

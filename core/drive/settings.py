@@ -61,6 +61,8 @@ class DriveSettings:
         Gains of the regions.
     mirror : bool
         Whether the head moves like the performer's mirror image.
+    only_landmarks : bool
+        Ignore what no landmark shows, as the paper does.
     incremental : bool
         Fit each frame starting from the previous one, as the paper does.
     posing : PosingSettings
@@ -110,6 +112,11 @@ class DriveSettings:
         1.0, "Lower Lip and Chin", "Strength of the motion of the lower lip and chin", low=0.0, high=5.0, soft_high=2.0
     )
     mirror: bool = setting(False, "Mirror", "Move the head like the performer's mirror image")
+    only_landmarks: bool = setting(
+        False,
+        "Only Landmarks",
+        "Ignore what no landmark shows: the tongue, puffed cheeks, pressed lips, and wrinkles of the nose",
+    )
     incremental: bool = False
     posing: PosingSettings = field(default_factory=PosingSettings)
 

@@ -223,7 +223,7 @@ class _Reading:
             self._info, frames = info_of(chunk.content)
             self._stated = frames if chunk.kind == END else self._stated
         elif chunk.kind == FRAMES and chunk.first >= self._frames:
-            part = frames_of(chunk.content, chunk.count)
+            part = frames_of(chunk.content, chunk.count, chunk.version)
             check_take(part)
             check_increase(self._until, float(part.times[0]))
             modes = part.shape_params.shape[1]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..actions import N_ACTIONS
 from ..arrays import FloatArray
 from ..landmarks import N_LANDMARKS
 from ..reading import parse_json
 from .take import Take
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 MARKER = b"\x8bFTAKE\r\n"
 START, FRAMES, END = b"S", b"F", b"E"
 """Kinds of chunks: the description of the take, its frames, and the description again at the end."""
@@ -38,7 +39,8 @@ _UNKNOWN = np.int64(-(2**31))
 _MAX_MULTIPLE = 2**31 - 1
 
 _POSE_STEPS = (2.0**-10, 2.0**-16, 2.0**-16, 2.0**-16, 2.0**-7, 2.0**-7)
-LAYOUT: tuple[tuple[str, tuple[int, ...], float | tuple[float, ...]], ...] = (
+Column = tuple[str, tuple[int, ...], float | tuple[float, ...]]
+LAYOUT: tuple[Column, ...] = (
     ("found", (), 1.0),
     ("confidence", (), 2.0**-10),
     ("pose", (6,), _POSE_STEPS),
@@ -47,21 +49,25 @@ LAYOUT: tuple[tuple[str, tuple[int, ...], float | tuple[float, ...]], ...] = (
     ("landmark_confidence", (N_LANDMARKS,), 2.0**-8),
     ("pupils", (2, 2), 2.0**-6),
     ("gaze", (2,), 2.0**-13),
+    ("vergence", (), 2.0**-13),
+    ("actions", (N_ACTIONS,), 2.0**-8),
     ("shape_params", (-1,), 2.0**-13),
 )
 """Name, shape and step of the columns of a frame, without its time; values change by half a step at most. The shape
 parameters come last, as their number depends on the model."""
-_FIXED = int(sum(np.prod(shape) for _, shape, _ in LAYOUT[:-1]))
+_SINCE = {"vergence": 2, "actions": 2}
+"""Version of the format that introduced a column; others are in all."""
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """An intact chunk: `kind`, `count` frames from frame number `first` on, and the content."""
+    """An intact chunk: `kind`, `count` frames from frame number `first` on, the content, and the format's version."""
 
     kind: bytes
     count: int
     first: int
     content: bytes
+    version: int = FORMAT_VERSION
 
 
 @dataclass(frozen=True)
@@ -155,7 +161,7 @@ def _chunk_at(data: bytes, at: int) -> tuple[Chunk | None, int]:
     if length > min(MAX_CONTENT, len(data) - start) or count > MAX_FRAMES:
         return None, 0
     content = data[start : start + length]
-    return (Chunk(kind, count, first, content) if zlib.crc32(content) == checksum else None), length
+    return (Chunk(kind, count, first, content, version) if zlib.crc32(content) == checksum else None), length
 
 
 def info_content(info: dict[str, Any], frames: int) -> bytes:
@@ -231,7 +237,7 @@ def _plain(value: Any) -> Any:
 
 def frames_content(take: Take) -> bytes:
     """Serialise at most `MAX_FRAMES` frames. Frames whose pose or shape is not finite are stored as lost."""
-    steps = _steps(take.shape_params.shape[1])
+    steps = _steps(LAYOUT, take.shape_params.shape[1])
     found = take.found & np.isfinite(take.shape).all(axis=(1, 2)) & np.isfinite(take.pose).all(axis=1)
     values = {name: getattr(take, name) for name, _, _ in LAYOUT} | {"found": found}
     table = np.concatenate([values[name].reshape(len(take), -1).astype(np.float64) for name, _, _ in LAYOUT], axis=1)
@@ -240,7 +246,7 @@ def frames_content(take: Take) -> bytes:
     return take.times.astype("<f8").tobytes() + _pack(np.where(known, multiples, _UNKNOWN))
 
 
-def frames_of(content: bytes, count: int) -> Take:
+def frames_of(content: bytes, count: int, version: int = FORMAT_VERSION) -> Take:
     """Parse what `frames_content` returned.
 
     Parameters
@@ -249,6 +255,8 @@ def frames_of(content: bytes, count: int) -> Take:
         Content of a chunk.
     count : int
         Number of frames.
+    version : int
+        Version of the format; what earlier ones lack is unknown.
 
     Returns
     -------
@@ -261,12 +269,16 @@ def frames_of(content: bytes, count: int) -> Take:
         If the content is anything else.
     """
     times = np.frombuffer(content[: 8 * count], "<f8")
-    multiples = _unpack(content[8 * count :], count)
-    table = multiples * _steps(multiples.shape[1] - _FIXED)
+    layout = [column for column in LAYOUT if _SINCE.get(column[0], 1) <= version]
+    fixed = int(sum(np.prod(shape) for _, shape, _ in layout[:-1]))
+    multiples = _unpack(content[8 * count :], count, fixed)
+    table = multiples * _steps(layout, multiples.shape[1] - fixed)
     table[multiples == _UNKNOWN] = np.nan
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, Any] = {
+        name: np.full((count, *shape), np.nan) for name, shape, _ in LAYOUT if _SINCE.get(name, 1) > version
+    }
     column = 0
-    for name, shape, _ in LAYOUT:
+    for name, shape, _ in layout:
         width = multiples.shape[1] - column if shape == (-1,) else int(np.prod(shape))
         arrays[name] = table[:, column : column + width].reshape(count, *(shape if width else (0,)))
         column += width
@@ -275,10 +287,10 @@ def frames_of(content: bytes, count: int) -> Take:
     return Take(times=times.astype(np.float64), **arrays)
 
 
-def _steps(modes: int) -> FloatArray:
+def _steps(layout: Sequence[Column], modes: int) -> FloatArray:
     """(columns,) step of each column, for a model with `modes` modes."""
-    widths = [modes if shape == (-1,) else int(np.prod(shape)) for _, shape, _ in LAYOUT]
-    return np.concatenate([np.broadcast_to(step, width) for (_, _, step), width in zip(LAYOUT, widths, strict=True)])
+    widths = [modes if shape == (-1,) else int(np.prod(shape)) for _, shape, _ in layout]
+    return np.concatenate([np.broadcast_to(step, width) for (_, _, step), width in zip(layout, widths, strict=True)])
 
 
 def _pack(multiples: NDArray[np.int64]) -> bytes:
@@ -289,15 +301,16 @@ def _pack(multiples: NDArray[np.int64]) -> bytes:
     return zlib.compress(planes.tobytes(), 6)
 
 
-def _unpack(deflated: bytes, count: int) -> NDArray[np.int32]:
-    limit = 4 * count * (_FIXED + MAX_MODES)
+def _unpack(deflated: bytes, count: int, fixed: int) -> NDArray[np.int32]:
+    """What `_pack` packed, with `fixed` columns besides the modes."""
+    limit = 4 * count * (fixed + MAX_MODES)
     stream = zlib.decompressobj()
     try:
         raw = stream.decompress(deflated, limit + 1)
     except zlib.error as error:
         raise ValueError(f"its frames cannot be unpacked: {error}") from error
     columns, rest = divmod(len(raw), 4 * count) if count else (0, 1)
-    if rest or not _FIXED <= columns <= _FIXED + MAX_MODES or not stream.eof:
+    if rest or not fixed <= columns <= fixed + MAX_MODES or not stream.eof:
         raise ValueError(f"{len(raw)} bytes are not {count} frames")
     folded = np.frombuffer(raw, np.uint8).reshape(4, -1).T.copy().view("<u4").reshape(columns, count)
     change = (folded >> 1).astype(np.int32) ^ -(folded & 1).astype(np.int32)

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ..actions import ACTION_MIRROR, N_ACTIONS
 from ..apertures import eye_apertures, mouth_aperture
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..errors import SourceError
 from ..heads.regions import REGIONS, rms_extent
 from ..landmarks import MIRROR, N_LANDMARKS
@@ -23,9 +24,9 @@ _MAX_SHUT = 0.45
 _MIN_OPENING, _WIDE_OPENING, _MAX_GAIN = 0.12, 0.35, 1.4
 """Openings of the mouth from neutral in outer-eye distances: the least that counts, and a wide one; and the largest
 gain (section 4.2)."""
-_OPTIONAL = ("gaze", "open_mouth")
+_OPTIONAL = ("gaze", "open_mouth", "vergence", "actions")
 """Values that may be NaN."""
-_ADDED = {"removed": 0.0}
+_ADDED = {"removed": 0.0, "vergence": np.nan, "actions": [np.nan] * N_ACTIONS}
 """Values that files of earlier versions lack."""
 _MAX_FRAMES, _MOMENT = 300, 0.3
 """Frames of a take that are looked at for a neutral face, and seconds that it has to last. A second is too long: strong
@@ -36,7 +37,7 @@ _DOUBT = 0.2
 """Amount of expression, in eye distances, that a confidence of 0 counts as."""
 _WEAK, _MUCH_REMOVED = 0.3, 0.35
 """Activations up to which an expression may be the face of that person, and above which a removed one is reported."""
-_MAX_VALUES, _MAX_VALUE = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0}, 1e7
+_MAX_VALUES, _MAX_VALUE = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0, "vergence": 10.0, "actions": 100.0}, 1e7
 """Upper bounds of stored values: outer-eye distances and radians; others are seconds and pixels."""
 _MIN_EXTENT, _ROTATION_ERROR = 1e-4, 1e-3
 """Least extent of a region of a stored shape, and largest error of a stored rotation."""
@@ -69,6 +70,10 @@ class Neutral:
     removed : float
         Largest activation of an expression that was removed, as no moment of the take was neutral; 0 for none, 1 for a
         full smile, say.
+    vergence : float
+        That of the face at rest, radians; NaN if unknown. Unlike a usual gaze, crossed eyes may last.
+    actions : (15,) float64
+        Activations of the face at rest, before they are subtracted; NaN if unknown.
     """
 
     shape: FloatArray
@@ -80,6 +85,8 @@ class Neutral:
     gaze: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     open_mouth: float = np.nan
     removed: float = 0.0
+    vergence: float = np.nan
+    actions: FloatArray = field(default_factory=lambda: np.full(N_ACTIONS, np.nan))
 
     @property
     def is_estimated(self) -> bool:
@@ -109,6 +116,7 @@ class Neutral:
             rotation=self.rotation * np.outer(flip, flip),
             position=self.position * (1.0, -1.0, 1.0),
             gaze=self.gaze * (1.0, -1.0),
+            actions=self.actions[ACTION_MIRROR],
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -132,7 +140,13 @@ class Neutral:
         SourceError
             If a value is missing, or is impossible.
         """
-        shapes = {"shape": (N_LANDMARKS, 3), "rotation": (3, 3), "position": (3,), "gaze": (2,)}
+        shapes = {
+            "shape": (N_LANDMARKS, 3),
+            "rotation": (3, 3),
+            "position": (3,),
+            "gaze": (2,),
+            "actions": (N_ACTIONS,),
+        }
         values: dict[str, Any] = {}
         for name in (f.name for f in fields(cls)):
             try:
@@ -211,9 +225,9 @@ def _average(take: Take, start: float, duration: float) -> Neutral:
     # The half of the frames nearest to their median, so that a smile or a blink that begins or ends does not count.
     away = np.linalg.norm(shapes - np.median(shapes, axis=0), axis=2).mean(axis=1)
     pitch, yaw, roll = (float(a) for a in np.median(take.pose[chosen, 1:4], axis=0))
-    return _neutral(
-        take, shapes[away <= np.median(away)].mean(axis=0), take.times[chosen], euler_to_matrix(pitch, yaw, roll)
-    )
+    rested = np.flatnonzero(chosen)[away <= np.median(away)]
+    neutral = _neutral(take, shapes[away <= np.median(away)].mean(axis=0), rested, euler_to_matrix(pitch, yaw, roll))
+    return replace(neutral, start=float(take.times[chosen][0]), end=float(take.times[chosen][-1]))
 
 
 def _calmest(take: Take) -> Neutral:
@@ -232,19 +246,23 @@ def _calmest(take: Take) -> Neutral:
     # Weak activations may be the person's own face; strong ones are an expression, which a rested face would not show.
     strong = np.maximum(activations[calm] - _WEAK, 0.0)
     shape = (shapes[calm] - np.tensordot(strong, space.units, 1)).mean(axis=0)
-    return replace(_neutral(take, shape, times[np.sort(calm)], np.eye(3)), removed=float(strong.mean(axis=0).max()))
+    neutral = _neutral(take, shape, chosen[np.sort(calm)], np.eye(3))
+    return replace(neutral, removed=float(strong.mean(axis=0).max()))
 
 
-def _neutral(take: Take, shape: FloatArray, times: FloatArray, rotation: FloatArray) -> Neutral:
+def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArray) -> Neutral:
+    """The neutral face with the given shape and rotation, of the frames `rested`."""
     found = take.found
     return Neutral(
         shape=shape,
         rotation=rotation,
         position=np.median(take.pose[found][:, [0, 4, 5]], axis=0),
-        start=float(times[0]),
-        end=float(times[-1]),
+        start=float(take.times[rested[0]]),
+        end=float(take.times[rested[-1]]),
         shut=shut_level(shape, take.shape[found].astype(np.float64)),
-        gaze=_usual_gaze(take.gaze[found].astype(np.float64)),
+        gaze=_usual(take.gaze[found]),
+        vergence=float(_usual(take.vergence[rested, None])[0]),
+        actions=_usual(take.actions[rested]),
     )
 
 
@@ -274,7 +292,7 @@ def shut_level(neutral: FloatArray, shapes: FloatArray) -> float:
     return left if left < _MAX_SHUT else 0.0
 
 
-def _usual_gaze(gaze: FloatArray) -> FloatArray:
-    """(2,) median gaze over frames (N, 2), NaN if none has one."""
-    known = gaze[np.isfinite(gaze).all(axis=1)]
-    return np.median(known, axis=0) if len(known) else np.full(2, np.nan)
+def _usual(values: FloatArray) -> FloatArray:
+    """(D,) median over frames (N, D), NaN if none is known."""
+    known = values[np.isfinite(values).all(axis=1)].astype(np.float64)
+    return np.median(known, axis=0) if len(known) else np.full(values.shape[1], np.nan)

@@ -26,6 +26,7 @@ CUTOFFS: dict[str, float] = {
     "rotation": 4.0,
     "place": 4.0,
     "gaze": 8.0,
+    "actions": 6.0,
 }
 """Cutoffs in Hz, at which half of the amplitude passes, by part."""
 _MIN_CUTOFF, _NO_CUTOFF = 1e-3, 1e5
@@ -64,7 +65,7 @@ def smooth_take(take: Take, amount: float = 1.0) -> Take:
 def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) -> Take:
     """Smooth a take without delay, with one cutoff per part of the face.
 
-    Pose, shape and gaze are smoothed, and landmarks follow. Nothing is smoothed across lost frames.
+    Pose, shape, gaze and actions are smoothed, and landmarks follow. Nothing is smoothed across lost frames.
 
     Parameters
     ----------
@@ -100,11 +101,17 @@ def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) ->
         pose[run, 0], pose[run, 4:6] = np.exp(place[:, 0]), place[:, 1:]
     for run in _runs(take.times, np.isfinite(take.gaze).all(axis=1)):
         gaze[run] = low_pass(take.times[run], gaze[run], chosen["gaze"])
+    vergence, actions = take.vergence[:, None].astype(np.float64), take.actions.astype(np.float64)
+    for values, part in ((vergence, "gaze"), (actions, "actions")):
+        for run in _runs(take.times, np.isfinite(values).all(axis=1)):
+            values[run] = low_pass(take.times[run], values[run], chosen[part])
     landmarks = take.landmarks.copy()
     landmarks[take.found] = project(shape[take.found], pose[take.found])
     changed: dict[str, Any] = {
         "shape": shape.astype(np.float32),
         "gaze": gaze.astype(np.float32),
+        "vergence": vergence[:, 0].astype(np.float32),
+        "actions": actions.astype(np.float32),
         "landmarks": landmarks,
     }
     return replace(take, pose=pose, **changed, info={**take.info, "smoothed": "zero-phase"})
@@ -233,4 +240,5 @@ _PART_VALUES: dict[str, Callable[[Take], FloatArray]] = {
     "rotation": lambda take: take.pose[:, 1:4],
     "place": lambda take: take.pose[:, 4:6] / (np.median(take.pose[take.found, 0]) if take.found.any() else 1.0),
     "gaze": lambda take: take.gaze.astype(np.float64),
+    "actions": lambda take: take.actions.astype(np.float64),
 }

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..actions import ACTIONS
 from ..apertures import eye_apertures, mouth_aperture
 from ..capture import check_readable
 from ..errors import SourceError
@@ -34,6 +35,8 @@ def _columns(modes: int) -> dict[str, list[str]]:
         "confidence": ["confidence"],
         "pose": list(_POSE),
         "gaze": ["gaze_pitch", "gaze_yaw"],
+        "vergence": ["vergence"],
+        "actions": [f"action_{name}" for name in ACTIONS],
         "pupils": [f"pupil_{side}_{axis}" for side in ("right", "left") for axis in "xy"],
         "shape": [f"shape_{n}_{axis}" for n in numbers for axis in "xyz"],
         "landmarks": [f"landmark_{n}_{axis}" for n in numbers for axis in "xy"],
@@ -119,6 +122,8 @@ def _read(lines: Iterator[list[str]]) -> Take:
         landmark_confidence=arrays["landmark_confidence"].astype(np.float32),
         pupils=arrays["pupils"].reshape(-1, 2, 2).astype(np.float32),
         gaze=arrays["gaze"].astype(np.float32),
+        vergence=arrays["vergence"][:, 0].astype(np.float32),
+        actions=arrays["actions"].astype(np.float32),
         info=info,
     )
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..actions import N_ACTIONS
 from ..arrays import FloatArray
 from ..errors import SourceError
 from ..landmarks import N_LANDMARKS
@@ -47,6 +48,10 @@ class Take:
         Right and left, image frame, pixels; NaN where the eye is shut or the pupil unknown.
     gaze : (N, 2) float32
         `(pitch, yaw)` as in `TrackResult`, radians; NaN where unknown.
+    vergence : (N,) float32
+        As in `TrackResult`, radians; NaN where unknown.
+    actions : (N, 15) float32
+        As in `TrackResult`; NaN where unknown, as in takes of earlier versions.
     info : dict
         Description, initially by `describe`. Later steps add `interrupted` (stopped before the end of the source),
         `recovered` (what is missing from a damaged file), `calibration` (a chosen neutral face), `bridged` (spans in
@@ -63,6 +68,8 @@ class Take:
     landmark_confidence: FloatArray
     pupils: FloatArray
     gaze: FloatArray
+    vergence: FloatArray
+    actions: FloatArray
     info: dict[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -80,6 +87,8 @@ class Take:
             landmark_confidence=self.landmark_confidence[frame].astype(np.float64),
             pupils=self.pupils[frame].astype(np.float64),
             gaze=self.gaze[frame].astype(np.float64),
+            vergence=float(self.vergence[frame]),
+            actions=self.actions[frame].astype(np.float64),
         )
 
     def part(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Take:
@@ -89,7 +98,7 @@ class Take:
 
 FIELDS = (
     *("times", "landmarks", "pose", "shape_params", "shape", "confidence", "found"),
-    *("landmark_confidence", "pupils", "gaze"),
+    *("landmark_confidence", "pupils", "gaze", "vergence", "actions"),
 )
 """Names of the arrays of a take, which have one row per frame."""
 
@@ -170,6 +179,8 @@ class TakeRecorder:
             landmark_confidence=stack("landmark_confidence", np.float32),
             pupils=stack("pupils", np.float32),
             gaze=stack("gaze", np.float32),
+            vergence=stack("vergence", np.float32),
+            actions=stack("actions", np.float32),
             info=dict(self.info),
         )
 
@@ -209,6 +220,8 @@ def check_take(take: Take) -> None:
         "landmark_confidence": (count, N_LANDMARKS),
         "pupils": (count, 2, 2),
         "gaze": (count, 2),
+        "vergence": (count,),
+        "actions": (count, N_ACTIONS),
     }
     for name, expected in shapes.items():
         if (shape := getattr(take, name).shape) != expected:

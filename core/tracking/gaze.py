@@ -9,7 +9,7 @@ spots on dark ground get negative votes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, hypot, sqrt
+from math import atan2, hypot, nan
 
 import cv2
 import numpy as np
@@ -30,6 +30,8 @@ _IRIS = 0.066 * _SCALE
 """Radius of the iris in that picture: 5.9 mm at an outer-eye distance of 89 mm."""
 _OPEN_ABOVE = 0.16
 """Aperture of an eye, as a share of its width, below which it counts as shut."""
+_CLEAR_ABOVE, _FRONTAL_BELOW = 0.2, 0.5
+"""Apertures, and radians of yaw, between which both pupils are seen well enough to tell crossed eyes."""
 _BALL = np.array([0.0, -0.02, 0.075])
 """Centre of an eyeball, relative to the middle between the corners of the eye: head frame, outer-eye distances."""
 _BALL_RADIUS = 0.13
@@ -38,10 +40,11 @@ _BALL_RADIUS = 0.13
 
 @dataclass(frozen=True)
 class Gaze:
-    """Pupil centres (2, 2) in pixels and direction (2,) in radians, as in `TrackResult`."""
+    """Pupil centres (2, 2) in pixels, direction (2,) and vergence in radians, as in `TrackResult`."""
 
     pupils: FloatArray
     direction: FloatArray
+    vergence: float
 
 
 def find_gaze(grey: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, shape: FloatArray) -> Gaze:
@@ -76,15 +79,20 @@ def find_gaze(grey: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, 
     shares = np.where(aperture > _OPEN_ABOVE * width, aperture * width, 0.0)
     looking = np.flatnonzero(shares)
     if len(looking) == 0:
-        return Gaze(pupils, np.full(2, np.nan))
+        return Gaze(pupils, np.full(2, np.nan), nan)
     # The eyeball lies at a fixed place behind the middle between the corners of the eye.
     pupils[looking] = _pupils(grey, pose, outlines[looking])
     middles = 0.5 * (shape[_EYES[looking, 0]] + shape[_EYES[looking, 3]])
-    return Gaze(pupils, _direction(pupils[looking], pose, middles, shares[looking]))
+    sights = _lines_of_sight(pupils[looking], pose, middles)
+    x, y, z = (shares[looking] @ sights).tolist()
+    together = np.array([atan2(y, hypot(x, z)), atan2(-x, -z)])
+    clear = bool((aperture > _CLEAR_ABOVE * width).all()) and abs(pose[2]) < _FRONTAL_BELOW
+    right, left = (atan2(-x, -z) for x, _, z in sights.tolist()) if clear else (nan, nan)
+    return Gaze(pupils, together, left - right)
 
 
-def _direction(pupils: FloatArray, pose: FloatArray, middles: FloatArray, shares: FloatArray) -> FloatArray:
-    """(2,) mean pitch and yaw, head frame, from the centres of the eyeballs to their pupils (E, 2) in the image.
+def _lines_of_sight(pupils: FloatArray, pose: FloatArray, middles: FloatArray) -> FloatArray:
+    """(E, 3) unit vectors, head frame, from the centres of the eyeballs to their pupils (E, 2) in the image.
 
     Under weak perspective the pupil is where the line of sight through its image meets the front of the eyeball. If the
     line misses the eyeball, the nearest point of its outline is used.
@@ -92,16 +100,12 @@ def _direction(pupils: FloatArray, pose: FloatArray, middles: FloatArray, shares
     rotation = euler_to_matrix(*pose[1:4].tolist())
     centres = (middles + _BALL) @ rotation[:2].T
     aside = ((pupils - pose[4:6]) / pose[0] - centres) / _BALL_RADIUS
-    seen = [0.0, 0.0, 0.0]
-    for (x, y), share in zip(aside.tolist(), shares.tolist(), strict=True):
-        # On a unit ball: (x, y) aside, and the rest of the unit vector towards the viewer, -z.
-        off = hypot(x, y)
-        inwards = share / max(off, 1.0)
-        towards = share * sqrt(max(1.0 - off * off, 0.0))
-        seen = [seen[0] + inwards * x, seen[1] + inwards * y, seen[2] - towards]
+    # On a unit ball: (x, y) aside, and the rest of the unit vector towards the viewer, -z.
+    off = np.hypot(aside[:, 0], aside[:, 1])
+    inwards = aside / np.maximum(off, 1.0)[:, None]
+    towards = np.sqrt(np.maximum(1.0 - off * off, 0.0))
     # From the axes of the image back to the head frame.
-    x, y, z = (seen @ rotation).tolist()
-    return np.array([atan2(y, hypot(x, z)), atan2(-x, -z)])
+    return np.asarray(np.column_stack([inwards, -towards]) @ rotation)
 
 
 def _pupils(grey: NDArray[np.uint8], pose: FloatArray, outlines: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..actions import ACTION_MIRROR
 from ..arrays import FloatArray
 from ..landmarks import MIRROR
 from .result import TrackResult
@@ -50,6 +51,7 @@ def mirror_result(result: TrackResult, width: float, mode_signs: FloatArray | No
         landmark_confidence=result.landmark_confidence[MIRROR],
         pupils=pupils,
         gaze=result.gaze * _GAZE,
+        actions=result.actions[ACTION_MIRROR],
     )
 
 

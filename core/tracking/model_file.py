@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..actions import N_ACTIONS
 from ..archives import MAX_BYTES, Archive, read_archive
 from ..arrays import FloatArray
 from ..errors import ModelError, OutputError
 from ..landmarks import N_LANDMARKS, outer_eye_distance
 from ..reading import read_bytes
+from .action_experts import ActionExperts
 from .check import N_FEATURES, FaceCheck
 from .detect import DETECTORS
 from .experts import FACE_STRIDE, PART_STRIDE, FaceExperts, PartExperts
@@ -24,7 +26,7 @@ from .patch_experts import PATCH, PatchExperts
 from .pdm import PointDistributionModel
 
 MAGIC = b"FACEMIME TRACKER"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 _VIEWS = ("frontal", "side")
 _HEADER = struct.Struct("<16sIQ32s")
 _LARGEST_SIDE = 512
@@ -48,6 +50,8 @@ class TrackerModel:
         For a face that is being followed.
     parts : tuple of PartExperts
         An eye with its brow, and the mouth with the base of the nose.
+    actions : tuple of ActionExperts
+        For what no landmark shows: an eye with its brow and its side of the nose, and the mouth with the cheeks.
     patches : (PatchExperts, PatchExperts)
         Frontal, and with the nose to the viewer's left; the latter, mirrored, serve the other side.
     definition : (66, 3) float64
@@ -65,6 +69,7 @@ class TrackerModel:
     face: FaceExperts
     glance: FaceExperts
     parts: tuple[PartExperts, ...]
+    actions: tuple[ActionExperts, ...]
     patches: tuple[PatchExperts, PatchExperts]
     definition: FloatArray
     visibility: FloatArray
@@ -87,6 +92,17 @@ def _pack_parts(parts: tuple[PartExperts, ...]) -> dict[str, NDArray[np.generic]
     for i, part in enumerate(parts):
         arrays[f"part_{i}_landmarks"] = part.landmarks.astype(np.int16)
         arrays[f"part_{i}_network"] = _packed(part.network)
+    return arrays
+
+
+def _pack_actions(parts: tuple[ActionExperts, ...]) -> dict[str, NDArray[np.generic]]:
+    arrays: dict[str, NDArray[np.generic]] = {"action_scales": np.array([p.scale for p in parts])}
+    arrays["action_sizes"] = np.array([p.size for p in parts], np.int32)
+    arrays["action_paired"] = np.array([p.paired for p in parts])
+    for i, part in enumerate(parts):
+        arrays[f"action_{i}_landmarks"] = part.landmarks.astype(np.int16)
+        arrays[f"action_{i}_actions"] = part.actions.astype(np.int16)
+        arrays[f"action_{i}_network"] = _packed(part.network)
     return arrays
 
 
@@ -160,6 +176,7 @@ def save_model(model: TrackerModel, path: Path) -> str:
         "check_weights": model.check.weights.astype(np.float32),
         **_pack_faces(model),
         **_pack_parts(model.parts),
+        **_pack_actions(model.actions),
         **_pack_patches(model.patches),
     }
     buffer = io.BytesIO()
@@ -230,6 +247,7 @@ def _assemble(archive: Archive, model_id: str) -> TrackerModel:
         face=face,
         glance=glance,
         parts=_parts(archive),
+        actions=_actions(archive),
         patches=(_unpack_patches(_VIEWS[0], archive), _unpack_patches(_VIEWS[1], archive)),
         definition=_places("definition", archive),
         visibility=visibility,
@@ -288,4 +306,22 @@ def _parts(archive: Archive) -> tuple[PartExperts, ...]:
             raise ValueError(f"part {i} has no landmarks, or one twice, or its size is not a multiple of 8")
         network.check((width, height), (1, len(landmarks), height // PART_STRIDE, width // PART_STRIDE))
         parts.append(PartExperts(network, landmarks, scales[i], (width, height), paired[i]))
+    return tuple(parts)
+
+
+def _actions(archive: Archive) -> tuple[ActionExperts, ...]:
+    scales = _scales("action_scales", None, archive)
+    if not 1 <= len(scales) <= _MOST_PARTS:
+        raise ValueError(f"there are {len(scales)} parts with actions, not 1 to {_MOST_PARTS}")
+    sizes = archive.wholes("action_sizes", (len(scales), 2), 8, _LARGEST_SIDE)
+    paired = archive.flags("action_paired", (len(scales),)).tolist()
+    parts = []
+    for i, (width, height) in enumerate(sizes.tolist()):
+        landmarks = archive.wholes(f"action_{i}_landmarks", (None,), 0, N_LANDMARKS - 1)
+        actions = archive.wholes(f"action_{i}_actions", (None,), 0, N_ACTIONS - 1)
+        network = Network(archive.data(f"action_{i}_network"), "actions")
+        if not len(landmarks) or not len(actions):
+            raise ValueError(f"part {i} has no landmarks or no actions")
+        network.check((width, height), (1, len(actions)))
+        parts.append(ActionExperts(network, actions, landmarks, scales[i], (width, height), paired[i]))
     return tuple(parts)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import nan
 
 import numpy as np
 
+from ..actions import N_ACTIONS
 from ..apertures import eye_apertures, mouth_aperture
 from ..arrays import FloatArray
 from ..landmarks import N_LANDMARKS
@@ -45,6 +47,11 @@ class TrackResult:
         `(pitch, yaw)`, radians: direction of both eyes relative to the head, with the signs of the pose. They look
         along ``Ry(yaw) Rx(pitch) (0, 0, -1)`` in the head frame: (0, 0) is straight ahead, positive pitch down,
         positive yaw to the viewer's left. NaN if both eyes are shut.
+    vergence : float
+        Yaw of the left eye less that of the right one, radians: positive for crossed eyes. NaN unless both are open.
+    actions : (15,) float64
+        Activations of `actions.ACTIONS`, which no landmark shows, before what the performer's face has at rest is
+        subtracted; NaN if unknown.
     """
 
     found: bool
@@ -56,6 +63,8 @@ class TrackResult:
     landmark_confidence: FloatArray = field(default_factory=lambda: _unknown(N_LANDMARKS))
     pupils: FloatArray = field(default_factory=lambda: _unknown(2, 2))
     gaze: FloatArray = field(default_factory=lambda: _unknown(2))
+    vergence: float = nan
+    actions: FloatArray = field(default_factory=lambda: _unknown(N_ACTIONS))
 
     @classmethod
     def nothing(cls, n_modes: int) -> TrackResult:

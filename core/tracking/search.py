@@ -35,7 +35,7 @@ _IN_TURN = tuple(
 )
 """The steps of which a gradual search makes one in each frame, beside those for near faces and for close-ups. Small
 faces, which are common, come often."""
-STAGES = ("detect", "experts", "fit", "check", "gaze")
+STAGES = ("detect", "experts", "fit", "check", "gaze", "actions")
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class FaceSearch:
     gradual : bool
         Whether the search spreads over many frames, so that none takes long.
     timings : dict of str to float
-        Seconds that each stage has taken since `begin`: "detect", "experts", "fit", "check", "gaze".
+        Seconds that each stage has taken since `begin`: "detect", "experts", "fit", "check", "gaze", "actions".
     """
 
     found_above = 0.5

@@ -54,10 +54,14 @@ SHAPE_PARTS: dict[str, tuple[NDArray[np.intp], Cutoffs]] = {
 ROTATION = Cutoffs(1.5, 30.0, 4.0)
 PLACE = Cutoffs(1.5, 60.0, 4.0)
 GAZE = Cutoffs(1.5, 8.0, 8.0)
+ACTION = Cutoffs(1.0, 6.0, 4.0)
+"""Of the vergence of the eyes, in radians, and of the actions, each by itself."""
 
 
 class OneEuroFilter:
-    """One-euro filter of a vector (D,) that is sampled at increasing times; its components share one cutoff.
+    """One-euro filter of a vector (D,) that is sampled at increasing times.
+
+    Its components share one cutoff, unless `dims` is 0, which gives each its own.
 
     Notes
     -----
@@ -88,21 +92,23 @@ class OneEuroFilter:
             step = time - self._time
             towards = _share(self.cutoffs.speed, step)
             self._velocity = self._velocity + towards * ((seen - self._seen) / step - self._velocity)
-            speed = float(np.sqrt(np.square(self._velocity).mean() * self._dims))
+            speed = np.abs(self._velocity)
+            if self._dims:
+                speed = np.sqrt(np.square(speed).mean() * self._dims)
             share = _share(self.cutoffs.at_rest + self.cutoffs.by_speed * speed, step)
             self._value = self._value + share * (seen - self._value)
         self._seen, self._time = seen, time
         return self._value
 
 
-def _share(cutoff: float, step: float) -> float:
+def _share(cutoff: FloatArray | float, step: float) -> FloatArray | float:
     return 1.0 / (1.0 + 1.0 / (2.0 * pi * cutoff * step))
 
 
 class ResultSmoother:
     """Smooths the results of one performance, frame by frame.
 
-    Pose, shape and gaze are smoothed, and landmarks follow from pose and shape. Shape parameters, pupils and
+    Pose, shape, gaze and actions are smoothed, and landmarks follow from pose and shape. Shape parameters, pupils and
     confidences remain as tracked. If tracking is lost, the filters are reset, so that nothing is smoothed across the
     gap.
 
@@ -116,11 +122,13 @@ class ResultSmoother:
         self.amount = amount
         self._shape = [(rows, OneEuroFilter(cutoffs.softer(amount), 3)) for rows, cutoffs in SHAPE_PARTS.values()]
         self._rotation, self._place, self._gaze = (OneEuroFilter(c.softer(amount)) for c in (ROTATION, PLACE, GAZE))
+        self._vergence, self._actions = (OneEuroFilter(ACTION.softer(amount), dims=0) for _ in range(2))
         self._unit = 0.0
 
     def reset(self) -> None:
         """Forget the past."""
-        for each in (self._rotation, self._place, self._gaze, *(part for _, part in self._shape)):
+        others = (self._rotation, self._place, self._gaze, self._vergence, self._actions)
+        for each in (*others, *(part for _, part in self._shape)):
             each.reset()
         self._unit = 0.0
 
@@ -151,7 +159,9 @@ class ResultSmoother:
             landmarks=pose[0] * shape @ euler_to_matrix(*pose[1:4])[:2].T + pose[4:6],
             pose=pose,
             shape=shape,
-            gaze=self._smooth_gaze(result.gaze, time),
+            gaze=_smoothed(self._gaze, result.gaze, time),
+            vergence=float(_smoothed(self._vergence, np.array([result.vergence]), time)[0]),
+            actions=_smoothed(self._actions, result.actions, time),
         )
 
     def _smooth_pose(self, pose: FloatArray, time: float) -> FloatArray:
@@ -161,8 +171,10 @@ class ResultSmoother:
         size, x, y = self._place(np.array([np.log(pose[0]), pose[4] / self._unit, pose[5] / self._unit]), time)
         return np.array([np.exp(size), *rotation, x * self._unit, y * self._unit])
 
-    def _smooth_gaze(self, gaze: FloatArray, time: float) -> FloatArray:
-        if not np.isfinite(gaze).all():
-            self._gaze.reset()
-            return gaze
-        return self._gaze(gaze, time)
+
+def _smoothed(low_pass: OneEuroFilter, seen: FloatArray, time: float) -> FloatArray:
+    """The smoothed value, or an unknown one, after which the filter begins anew."""
+    if not np.isfinite(seen).all():
+        low_pass.reset()
+        return seen
+    return low_pass(seen, time)

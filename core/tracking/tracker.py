@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import as_image
 from ..assets import ASSETS
+from .action_experts import measure_actions
 from .choice import FaceChoice
 from .fitter import FaceFitter
 from .gaze import find_gaze
@@ -77,7 +78,7 @@ class FaceTracker:
 
     @property
     def timings(self) -> dict[str, float]:
-        """Seconds that each stage of the last call took: "detect", "experts", "fit", "check", "gaze"."""
+        """Seconds that each stage of the last call took: "detect", "experts", "fit", "check", "gaze", "actions"."""
         return self._search.timings
 
     def reset(self) -> None:
@@ -177,7 +178,10 @@ class FaceTracker:
         landmarks, shape = self.pdm.project(pose, shape_params), self.pdm.shape(shape_params)
         began = perf_counter()
         gaze = find_gaze(grey, pose, landmarks, shape)
-        self.timings["gaze"] += perf_counter() - began
+        looked = perf_counter()
+        actions = measure_actions(self._model.actions, grey, pose, landmarks)
+        self.timings["gaze"] += looked - began
+        self.timings["actions"] += perf_counter() - looked
         return TrackResult(
             found=True,
             landmarks=landmarks,
@@ -188,4 +192,6 @@ class FaceTracker:
             landmark_confidence=candidate.fit.certainty,
             pupils=gaze.pupils,
             gaze=gaze.direction,
+            vergence=gaze.vergence,
+            actions=actions,
         )

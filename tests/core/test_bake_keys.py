@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
+from facemime.core.actions import N_ACTIONS
 from facemime.core.bake.arkit import COEFFICIENTS, arkit_coefficients, coefficients_of
 from facemime.core.bake.clean import needed_keys
 from facemime.core.bake.fit import fit_keys, mix_errors
@@ -75,9 +76,9 @@ def test_the_face_units_of_the_built_in_head_are_recovered_as_coefficients():
     head = load_head()
     row = head.unit_names.index("jawOpen")
     still = np.tile(np.eye(3), (2, 1, 1))
-    gaze = np.array([np.eye(3), euler_to_matrix(0.0, 0.2, 0.0)])
+    gaze = np.array([[np.eye(3)] * 2, [euler_to_matrix(0.0, 0.2, 0.0)] * 2])
     opened = np.stack([0.6 * head.units[row]] * 2)
-    motion = HeadMotion(np.arange(2.0), opened, still, np.zeros((2, 3)), still, gaze)
+    motion = HeadMotion(np.arange(2.0), opened, still, np.zeros((2, 3)), still, gaze, np.zeros((2, N_ACTIONS)))
     told = dict(zip(COEFFICIENTS, coefficients_of(motion).T, strict=True))
     assert told["jawOpen"][0] == pytest.approx(0.6, abs=0.03)
     assert max(values[0] for name, values in told.items() if name != "jawOpen") < 0.05

@@ -4,6 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from facemime.core.actions import N_ACTIONS
 from facemime.core.bake.basis import fit_basis
 from facemime.core.drive.motion import HeadMotion, select_distinct_frames
 
@@ -38,6 +39,6 @@ def test_the_most_distinct_frames_show_each_expression_once():
     vertices = np.repeat(poses, 10, axis=0).astype(np.float32)
     count = len(vertices)
     eye = np.tile(np.eye(3), (count, 1, 1))
-    motion = HeadMotion(np.arange(count) / 25.0, vertices, eye, np.zeros((count, 3)), eye, eye)
+    motion = HeadMotion(np.arange(count) / 25.0, vertices, eye, np.zeros((count, 3)), eye, eye, np.zeros((count, N_ACTIONS)))
     assert (select_distinct_frames(motion, 4) // 10).tolist() == [0, 1, 2, 3]
     assert len(select_distinct_frames(motion, 100)) == count

@@ -19,6 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import facemime
+from facemime.core.actions import N_ACTIONS
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
 from facemime.core.errors import OutputError, SourceError
@@ -166,10 +167,19 @@ def test_missing_empty_and_newer_files_are_refused_with_clear_messages(written, 
     with pytest.raises(SourceError, match="no frame in it can be read"):
         load_take(tmp_path / "empty.facetake")
     with monkeypatch.context() as patch:
-        patch.setattr(layout, "FORMAT_VERSION", 2)
+        patch.setattr(layout, "FORMAT_VERSION", layout.FORMAT_VERSION + 1)
         save_take(performance(), tmp_path / "new.facetake")
     with pytest.raises(SourceError, match="newer Facemime"):
         load_take(tmp_path / "new.facetake")
+
+
+def test_a_take_of_the_first_format_opens_without_actions_and_keeps_everything_else():
+    take = load_take(Path(__file__).parents[1] / "data" / "before_floors" / "take.facetake")
+    assert np.isnan(take.actions).all() and np.isnan(take.vergence).all()
+    assert take.actions.shape == (len(take), N_ACTIONS)
+    assert np.isfinite(take.shape[take.found]).all()
+    again = layout.frames_of(frames_content(take), len(take))
+    np.testing.assert_array_equal(again.shape, take.shape)
 
 
 def hostile_header(length: int) -> bytes:
@@ -326,8 +336,8 @@ def test_the_documented_columns_and_steps_are_those_of_the_format():
     stated: dict = {}
     exec(code, stated)
     assert list(stated["columns"]) == [name for name, _, _ in LAYOUT]
-    np.testing.assert_array_equal(stated["steps"], layout._steps(0)[: len(stated["steps"])])
-    assert (layout._steps(9)[len(stated["steps"]) :] == 2.0**-13).all()
+    np.testing.assert_array_equal(stated["steps"], layout._steps(LAYOUT, 0)[: len(stated["steps"])])
+    assert (layout._steps(LAYOUT, 9)[len(stated["steps"]) :] == 2.0**-13).all()
 
 
 def packed_frames(times: np.ndarray, modes: int) -> bytes:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
+from facemime.core.actions import ACTION_MIRROR, N_ACTIONS
 from facemime.core.errors import ModelError
+from facemime.core.images import read_image
 from facemime.core.landmarks import MIRROR
 from facemime.core.tracking.experts import ResponseMaps, standardise
 from facemime.core.tracking.model_file import TrackerModel, load_model
 from facemime.core.tracking.network import Network
 from facemime.core.tracking.reference import pose_in_image, warp_to_reference
-from facemime.core.tracking.tracker import DEFAULT_MODEL
+from facemime.core.tracking.tracker import DEFAULT_MODEL, FaceTracker
+
+PORTRAITS = Path(__file__).resolve().parents[1] / "data" / "portraits"
 
 
 @pytest.fixture(scope="module")
@@ -131,3 +137,24 @@ def test_a_face_outside_the_image_still_has_a_frame() -> None:
         frame = warp_to_reference(grey, np.array([50.0, 0, 0, 0.1, *place]), 40.0, (136, 120))
         assert frame.pixels.shape == (120, 136)
         assert np.isfinite(frame.pixels).all()
+
+
+def test_the_experts_of_actions_measure_each_action_once(model) -> None:
+    measured = np.concatenate([part.measured for part in model.actions])
+    assert sorted(measured.tolist()) == list(range(N_ACTIONS))
+
+
+@pytest.mark.parametrize("name", ["collins.jpg", "hopper.jpg"])
+def test_actions_of_both_sides_are_measured_alike(model, name) -> None:
+    image = read_image(PORTRAITS / name)
+    grey = np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image)
+    found = FaceTracker.load().locate(grey)
+    flipped = np.ascontiguousarray(grey[:, ::-1])
+    points = found.landmarks[MIRROR].copy()
+    points[:, 0] = grey.shape[1] - 1.0 - points[:, 0]
+    pose = found.pose * (1.0, 1.0, -1.0, -1.0, 1.0, 1.0)
+    (eye,) = (part for part in model.actions if part.paired)
+    one, other = np.zeros(N_ACTIONS), np.zeros(N_ACTIONS)
+    one[eye.measured] = eye.respond(grey, found.pose, found.landmarks)
+    other[eye.measured] = eye.respond(flipped, pose, points)
+    np.testing.assert_allclose(one, other[ACTION_MIRROR], atol=0.05)

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT, LOWER_LIDS, UPPER_LIDS
 from facemime.core.rotation import euler_to_matrix
@@ -30,12 +31,14 @@ def project(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
     return pose[0] * points @ euler_to_matrix(*pose[1:4])[:2].T + pose[4:6]
 
 
-def true_pupils(shape: np.ndarray, pose: np.ndarray, gaze: tuple[float, float]) -> np.ndarray:
+def true_pupils(shape: np.ndarray, pose: np.ndarray, gaze: ArrayLike) -> np.ndarray:
+    """Pupils (2, 2) of eyes with one gaze (2,), or one each (2, 2)."""
     centres = np.array([shape[eye[[0, 3]]].mean(axis=0) for eye in (EYE_RIGHT, EYE_LEFT)]) + _BALL
-    return project(centres + _BALL_RADIUS * euler_to_matrix(*gaze, 0.0) @ (0.0, 0.0, -1.0), pose)
+    ahead = [euler_to_matrix(*each, 0.0) @ (0.0, 0.0, -1.0) for each in np.broadcast_to(gaze, (2, 2))]
+    return project(centres + _BALL_RADIUS * np.array(ahead), pose)
 
 
-def drawn(shape: np.ndarray, pose: np.ndarray, gaze: tuple[float, float], iris: int = 60) -> np.ndarray:
+def drawn(shape: np.ndarray, pose: np.ndarray, gaze: ArrayLike, iris: int = 60) -> np.ndarray:
     """Grey picture of skin, whites, irises and pupils, with a little noise."""
     landmarks, pupils = project(shape, pose), true_pupils(shape, pose, gaze)
     skin = np.full(SIZE, 150, np.uint8)
@@ -75,6 +78,22 @@ def test_eyes_that_turn_down_and_to_the_viewers_left_have_positive_angles(shape)
     aside = find_gaze(drawn(shape, pose, (0.15, 0.3)), pose, landmarks, shape)
     assert (aside.direction > straight).all()
     assert (aside.pupils[:, 0] < true_pupils(shape, pose, (0.0, 0.0))[:, 0]).all()
+
+
+@pytest.mark.parametrize("pose", POSES[:3], ids=lambda p: f"{p[0]:.0f}")
+def test_crossed_eyes_have_a_positive_vergence_and_parallel_ones_none(shape, pose):
+    for right, left in ((-0.2, 0.3), (0.1, 0.1), (0.15, -0.05)):
+        grey = drawn(shape, pose, ((0.0, right), (0.0, left)))
+        found = find_gaze(grey, pose, project(shape, pose), shape)
+        assert found.vergence == pytest.approx(left - right, abs=0.12)
+        assert found.direction[1] == pytest.approx((left + right) / 2, abs=0.1)
+
+
+def test_the_vergence_of_one_eye_is_unknown(shape):
+    pose, winking = pose_of(150), shape.copy()
+    winking[LOWER_LIDS[:2]] = winking[UPPER_LIDS[:2]]
+    found = find_gaze(drawn(winking, pose, (0.0, 0.2)), pose, project(winking, pose), winking)
+    assert np.isnan(found.vergence)
 
 
 def test_bright_irises_are_found_as_dark_ones_are(shape):

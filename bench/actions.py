@@ -1,0 +1,120 @@
+"""Are actions seen that no landmark shows? `python -m bench.actions`, on rendered clips of held-out people.
+
+Each person rests, then shows one action after the other while the head moves a little: the tongue, puffed cheeks,
+pressed lips and so on, each side by itself where it has two, and crossed eyes. The tracker follows the clip end to end,
+and what the avatar would show, with the neutral face that Facemime finds, is compared with the exact truth. The area
+under the curve (AUC) is the share of pairs of frames, one with the action at more than half and one without it, of
+which the first is measured to show more.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from bench.exact import FPS, ExactFaces
+from bench.report import Table, finish, parser
+from facemime.core.actions import ACTIONS, N_ACTIONS
+from facemime.core.drive.actions import ActionDriver
+from facemime.core.takes.neutral import calibrate
+from facemime.core.takes.take import TakeRecorder, describe
+from facemime.core.tracking.tracker import FaceTracker
+
+PEOPLE = 12
+_ON, _OFF = 0.5, 0.1
+_CROSSED, _PARALLEL = np.radians((15.0, 3.0))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was shown and measured, over the frames of all people: activations (F, 15), vergence (F,) in radians."""
+
+    truth: np.ndarray
+    measured: np.ndarray
+    true_vergence: np.ndarray
+    vergence: np.ndarray
+
+
+def auc(measured: np.ndarray, shown: np.ndarray, absent: np.ndarray) -> float:
+    """Share of pairs of a frame in `shown` (F,) and one in `absent` (F,) that are in order; ties count half."""
+    on, off = np.sort(measured[shown]), measured[absent]
+    below, upto = np.searchsorted(on, off, "left"), np.searchsorted(on, off, "right")
+    return float(1.0 - (0.5 * (below + upto)).mean() / len(on))
+
+
+def track(faces: ExactFaces) -> Seen:
+    """Track the acting clips of all people."""
+    tracker, parts = FaceTracker.load(), []
+    for person in range(faces.people):
+        tracker.reset()
+        clip, recorder = faces.acting(person), TakeRecorder(describe("acting", FPS, (1, 1), tracker.model_id))
+        for frame, image in enumerate(clip.frames):
+            recorder.append(frame / FPS, tracker.track(image))
+        take = recorder.finish()
+        neutral = calibrate(take)
+        driver = ActionDriver(neutral.actions)
+        shown = np.array([driver.activations(seen.astype(np.float64)) for seen in take.actions])
+        raw = take.actions - neutral.actions
+        parts.append(
+            (
+                clip.actions,
+                np.where(shown > 0.0, shown, np.minimum(raw, 0.0)),
+                clip.vergence,
+                take.vergence - neutral.vergence,
+            )
+        )
+    return Seen(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def rows_of(seen: Seen) -> list[list[object]]:
+    """A row per action, and one for crossed eyes."""
+    rows: list[list[object]] = []
+    for k, name in enumerate(ACTIONS):
+        truth, measured = seen.truth[:, k], seen.measured[:, k]
+        on, off = truth > _ON, truth < _OFF
+        shown = np.maximum(measured, 0.0)
+        rows.append(
+            [name, int(on.sum()), auc(measured, on, off), float(shown[truth > 0.95].mean()), float(shown[off].mean())]
+        )
+    known = np.isfinite(seen.vergence)
+    on, off = known & (seen.true_vergence > _CROSSED), known & (np.abs(seen.true_vergence) < _PARALLEL)
+    angles = np.degrees(seen.vergence)
+    rows.append(
+        [
+            "crossed eyes",
+            int(on.sum()),
+            auc(seen.vergence, on, off),
+            f"{angles[on].mean():.0f}°",
+            f"{angles[off].mean():.0f}°",
+        ]
+    )
+    return rows
+
+
+def main() -> None:
+    """Render, track, and print."""
+    arguments = parser(__doc__.split("\n")[0])
+    root = Path(__file__).parents[1]
+    arguments.add_argument("--data", type=Path, default=root.parent / "shared" / "data")
+    arguments.add_argument("--people", type=int, default=PEOPLE, help=f"number of people ({PEOPLE})")
+    arguments.add_argument("--sheet", type=Path, metavar="FILE.png", help="write a frame of each action")
+    options = arguments.parse_args()
+    cv2.setNumThreads(1)
+    faces = ExactFaces(options.data, root / "build" / "bench" / "exact", options.people)
+    rows = rows_of(track(faces))
+    columns = ["action", "frames", "AUC", "shown at 1", "shown at 0"]
+    numbers = {str(row[0]): row[2] for row in rows}
+    if options.sheet is not None:
+        clip = faces.acting(0)
+        best = [clip.frames[int(np.argmax(clip.actions[:, k]))] for k in range(N_ACTIONS)]
+        best.append(clip.frames[int(np.argmax(clip.vergence))])
+        cv2.imwrite(str(options.sheet), np.vstack([np.hstack(best[i : i + 8]) for i in (0, 8)]))
+    finish(options, [Table("Actions", columns, rows)], numbers)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

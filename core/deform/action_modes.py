@@ -1,0 +1,60 @@
+"""How the skin moves under actions that no landmark shows (docs/method.md, section 5.9)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..actions import ACTIONS
+from ..arrays import FloatArray
+from ..heads.built_in import load_head
+from ..heads.rig import HeadRig
+from ..landmarks import outer_eye_distance
+from .expressions import transferred
+from .rbf import RBFDeformer
+
+_BLEND = 0.1
+"""Half the width, in outer-eye distances, of the middle of the face where the sides of a unit overlap."""
+
+
+def action_modes(rig: HeadRig, deformer: RBFDeformer) -> NDArray[np.float32]:
+    """Displacements by which each action adds to what the landmarks do.
+
+    Parameters
+    ----------
+    rig : HeadRig
+        The head.
+    deformer : RBFDeformer
+        The deformer of that head.
+
+    Returns
+    -------
+    (15, V, 3) float32
+        Head frame, unit of the mesh, at activation 1; those of the tongue, which is no part of the skin, are 0.
+
+    Notes
+    -----
+    Equation 5.8: ``B_k = U_k - D(U_k)``, where U_k is the face unit of the built-in head, carried over to this head,
+    and D(U_k) what the deformer makes of its displacements at the landmarks. Landmarks therefore stay where they were
+    tracked.
+    """
+    modes = transferred(_units(), rig.vertices, rig.landmarks, rig.region_weights)
+    for _ in range(2):  # the deformer meets its landmarks only nearly
+        modes -= np.stack([deformer.deform(mode[rig.landmarks]) for mode in modes]) - deformer.rest
+    return modes
+
+
+def _units() -> FloatArray:
+    """(15, B, 3) displacements of the built-in head's skin; of a unit with both sides each half by itself."""
+    head = load_head()
+    unit = outer_eye_distance(head.vertices[head.landmarks])
+    left = np.clip(0.5 + 0.5 * head.vertices[:, 0] / (_BLEND * unit), 0.0, 1.0)
+    shares = {"Left": left, "Right": 1.0 - left}
+    motions = np.zeros((len(ACTIONS), len(head.vertices), 3))
+    for motion, name in zip(motions, ACTIONS, strict=True):
+        if name in head.unit_names:
+            motion[...] = head.units[head.unit_names.index(name)]
+        else:
+            side = "Left" if name.endswith("Left") else "Right"
+            motion[...] = shares[side][:, None] * head.units[head.unit_names.index(name.removesuffix(side))]
+    return motions
