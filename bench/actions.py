@@ -56,8 +56,13 @@ def track(faces: ExactFaces) -> Seen:
             recorder.append(frame / FPS, tracker.track(image))
         take = recorder.finish()
         neutral = calibrate(take)
-        driver = ActionDriver(neutral.actions)
-        shown = np.array([driver.activations(seen.astype(np.float64)) for seen in take.actions])
+        driver = ActionDriver(neutral.actions, neutral.shape)
+        shown = np.array(
+            [
+                driver.activations(seen.astype(np.float64), shape)
+                for seen, shape in zip(take.actions, take.shape, strict=True)
+            ]
+        )
         raw = take.actions - neutral.actions
         parts.append(
             (

@@ -101,7 +101,7 @@ class HeadDriver:
             self.modes = _modes(rig, self.deformer, options)
             self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
         self.eyes = EyeDriver(self.neutral.gaze, self.neutral.vergence)
-        self.actions = ActionDriver(self.neutral.actions, options.strength)
+        self.actions = ActionDriver(self.neutral.actions, self.neutral.shape, options.strength)
         self._chin = landmarks[CHIN] - rig.jaw_pivot
         self._unit = outer_eye_distance(landmarks)
 
@@ -115,7 +115,9 @@ class HeadDriver:
         rotation = limit_rotation(turned, posing.rotation_strength, posing.rotation_limit)
         # Section 5: the skin, what no landmark shows (5.9), and lids that slide over the eyeballs (5.8).
         vertices = self.deformer.deform(displacements)
-        actions = np.zeros(N_ACTIONS) if self.options.only_landmarks else self.actions.activations(result.actions)
+        actions = np.zeros(N_ACTIONS)
+        if not self.options.only_landmarks:
+            actions = self.actions.activations(result.actions, result.shape)
         if self.modes is not None:
             for k in np.flatnonzero(actions):
                 vertices += np.float32(actions[k]) * self.modes[k]

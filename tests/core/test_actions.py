@@ -17,11 +17,14 @@ from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.heads.rig import built_in_rig
-from facemime.core.landmarks import outer_eye_distance
+from facemime.core.landmarks import from_ibug, outer_eye_distance
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
 from takes import performance
 
+HEAD = built_in_rig()
+FACE = HEAD.vertices[HEAD.landmarks].astype(np.float64) / HEAD.eye_distance
+TOLD_BY_PICTURE = np.array([not name.startswith("brow") for name in ACTIONS])
 measured = arrays(np.float64, N_ACTIONS, elements=st.floats(-1.0, 2.0))
 
 
@@ -48,26 +51,40 @@ def test_mirroring_actions_swaps_their_sides_and_twice_restores_them():
 
 @given(measured, measured)
 def test_activations_are_0_at_rest_grow_with_what_is_measured_and_have_a_limit(rest, seen):
-    driver = ActionDriver(rest)
-    assert not driver.activations(rest.clip(0.0, 0.6)).any()
-    shown = driver.activations(seen)
+    driver = ActionDriver(rest, FACE)
+    assert not driver.activations(rest.clip(0.0, 0.6), FACE).any()
+    shown = driver.activations(seen, FACE)
     assert (shown >= 0.0).all() and (shown <= 1.2 + 1e-9).all()
-    assert (driver.activations(seen + 0.1) >= shown).all()
+    assert (driver.activations(seen + 0.1, FACE) >= shown).all()
 
 
 def test_a_full_action_is_shown_in_full_whatever_the_face_has_at_rest():
     for rest in (0.0, 0.3, 0.5):
-        np.testing.assert_allclose(ActionDriver(np.full(N_ACTIONS, rest)).activations(np.ones(N_ACTIONS)), 1.0)
+        shown = ActionDriver(np.full(N_ACTIONS, rest), FACE).activations(np.ones(N_ACTIONS), FACE)
+        np.testing.assert_allclose(shown[TOLD_BY_PICTURE], 1.0)
 
 
 def test_unknown_actions_show_nothing_and_an_unknown_rest_counts_as_none():
     unknown = np.full(N_ACTIONS, np.nan)
-    assert not ActionDriver(np.zeros(N_ACTIONS)).activations(unknown).any()
-    np.testing.assert_allclose(ActionDriver(unknown).activations(np.ones(N_ACTIONS)), 1.0)
+    assert not ActionDriver(np.zeros(N_ACTIONS), FACE).activations(unknown, FACE).any()
+    shown = ActionDriver(unknown, FACE).activations(np.ones(N_ACTIONS), FACE)
+    np.testing.assert_allclose(shown[TOLD_BY_PICTURE], 1.0)
+
+
+def test_a_brow_moves_in_full_when_picture_and_landmarks_agree_and_half_when_only_one_says_so():
+    raised, still = FACE.copy(), FACE.copy()
+    raised[from_ibug((20, 21)), 1] -= 0.06
+    driver, seen = ActionDriver(np.zeros(N_ACTIONS), FACE), np.zeros(N_ACTIONS)
+    seen[ACTIONS.index("browInnerUpRight")] = 1.0
+    row = ACTIONS.index("browInnerUpRight")
+    assert driver.activations(seen, raised)[row] == pytest.approx(1.0)
+    half = driver.activations(seen, still)[row]
+    assert half == pytest.approx(driver.activations(np.zeros(N_ACTIONS), raised)[row]) and 0.3 < half < 0.5
+    assert not driver.activations(seen, still)[ACTIONS.index("browInnerUpLeft")]
 
 
 def test_the_strength_of_a_region_multiplies_its_actions():
-    shown = ActionDriver(np.zeros(N_ACTIONS), (0.0, 1.0, 2.0)).activations(np.full(N_ACTIONS, 0.5))
+    shown = ActionDriver(np.zeros(N_ACTIONS), FACE, (0.0, 1.0, 2.0)).activations(np.full(N_ACTIONS, 0.5), FACE)
     brow, nose, lips = (ACTIONS.index(name) for name in ("browDownLeft", "noseSneerLeft", "mouthRollUpper"))
     assert shown[brow] == 0.0
     assert shown[lips] == pytest.approx(2.0 * shown[nose])
@@ -98,7 +115,7 @@ def test_a_take_that_shows_actions_puts_out_the_tongue_and_puffs_the_cheek():
     still = performance()
     take = showing(still, tongueOut=0.8, cheekPuffLeft=0.9)
     motion, plain = (drive_take(driver_of(t), t) for t in (take, still))
-    assert not motion.actions[: len(motion.times) // 2 - 1].any()
+    assert not motion.actions[: len(motion.times) // 2 - 1, TOLD_BY_PICTURE].any()
     assert motion.actions[-1, TONGUE] > 0.7
     added = np.linalg.norm(motion.vertices[-1] - plain.vertices[-1], axis=1)
     assert added.max() > 0.02 * outer_eye_distance(built_in_rig().vertices[built_in_rig().landmarks])

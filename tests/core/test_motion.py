@@ -39,6 +39,8 @@ def test_the_most_distinct_frames_show_each_expression_once():
     vertices = np.repeat(poses, 10, axis=0).astype(np.float32)
     count = len(vertices)
     eye = np.tile(np.eye(3), (count, 1, 1))
-    motion = HeadMotion(np.arange(count) / 25.0, vertices, eye, np.zeros((count, 3)), eye, eye, np.zeros((count, N_ACTIONS)))
+    motion = HeadMotion(
+        np.arange(count) / 25.0, vertices, eye, np.zeros((count, 3)), eye, eye, np.zeros((count, N_ACTIONS))
+    )
     assert (select_distinct_frames(motion, 4) // 10).tolist() == [0, 1, 2, 3]
     assert len(select_distinct_frames(motion, 100)) == count
