@@ -31,10 +31,13 @@ _CROSSED, _PARALLEL = np.radians((15.0, 3.0))
 
 @dataclass(frozen=True)
 class Seen:
-    """What was shown and measured, over the frames of all people: activations (F, 15), vergence (F,) in radians."""
+    """What was done, measured above rest, and shown by the avatar, over the frames of all people: activations (F, 15),
+    vergence (F,) in radians.
+    """
 
     truth: np.ndarray
     measured: np.ndarray
+    shown: np.ndarray
     true_vergence: np.ndarray
     vergence: np.ndarray
 
@@ -57,21 +60,12 @@ def track(faces: ExactFaces) -> Seen:
         take = recorder.finish()
         neutral = calibrate(take)
         driver = ActionDriver(neutral.actions, neutral.shape)
-        shown = np.array(
-            [
-                driver.activations(seen.astype(np.float64), shape)
-                for seen, shape in zip(take.actions, take.shape, strict=True)
-            ]
+        results = [take.result(frame) for frame in range(len(take))]
+        above, shown = (
+            np.array([measure(result.actions, result.shape) for result in results])
+            for measure in (driver.above_rest, driver.activations)
         )
-        raw = take.actions - neutral.actions
-        parts.append(
-            (
-                clip.actions,
-                np.where(shown > 0.0, shown, np.minimum(raw, 0.0)),
-                clip.vergence,
-                take.vergence - neutral.vergence,
-            )
-        )
+        parts.append((clip.actions, above, shown, clip.vergence, take.vergence - neutral.vergence))
     return Seen(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
@@ -79,9 +73,8 @@ def rows_of(seen: Seen) -> list[list[object]]:
     """A row per action, and one for crossed eyes."""
     rows: list[list[object]] = []
     for k, name in enumerate(ACTIONS):
-        truth, measured = seen.truth[:, k], seen.measured[:, k]
+        truth, measured, shown = seen.truth[:, k], seen.measured[:, k], seen.shown[:, k]
         on, off = truth > _ON, truth < _OFF
-        shown = np.maximum(measured, 0.0)
         rows.append(
             [name, int(on.sum()), auc(measured, on, off), float(shown[truth > 0.95].mean()), float(shown[off].mean())]
         )

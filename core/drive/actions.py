@@ -17,8 +17,14 @@ _BROWS = {
 }
 """What landmarks say of the brows: those that move down (y) by that many eye distances for a full action."""
 _BROW_ACTIONS = action_indices(_BROWS)
-_FLOOR = np.full(N_ACTIONS, 0.15)
-"""Activation above the one at rest up to which nothing is shown: the noise of a face that does nothing."""
+_RANGES = {
+    **{"tongueOut": (0.5, 0.9), "mouthRollLower": (0.3, 0.75), "mouthRollUpper": (0.3, 0.75)},
+    **{"cheekPuff": (0.45, 0.8), "mouthPress": (0.35, 0.7), "browInnerUp": (0.2, 0.75), "browDown": (0.2, 0.6)},
+    **{"noseSneer": (0.2, 0.85), "cheekSquint": (0.3, 0.9)},
+}
+"""What is measured above rest where an action begins to be shown and where it is shown
+in full. Below lies what faces that do not act reach in real clips, such as a tongue that is seen behind the teeth;
+networks that are unsure of an action measure less than 1 of a full one."""
 _MOST_AT_REST, _MOST = 0.6, 1.2
 _UPPER = action_indices(name for name in ACTIONS if name.startswith("brow"))
 _MIDDLE = action_indices(name for name in ACTIONS if name.startswith(("nose", "cheekSquint")))
@@ -42,11 +48,35 @@ class ActionDriver:
     ) -> None:
         self._rest = np.clip(np.nan_to_num(rest), 0.0, _MOST_AT_REST)
         self._heights = _brow_heights(shape)
-        self._from = self._rest + _FLOOR
-        gains = np.full(N_ACTIONS, strength[2])
-        gains[_UPPER], gains[_MIDDLE] = strength[0], strength[1]
-        self._gain = gains / (1.0 - self._from)
-        self._most = _MOST * gains
+        self._gains = np.full(N_ACTIONS, strength[2])
+        self._gains[_UPPER], self._gains[_MIDDLE] = strength[0], strength[1]
+        ranges = [_RANGES[name.removesuffix("Right").removesuffix("Left")] for name in ACTIONS]
+        self._begin, self._full = np.array(ranges).T
+
+    def above_rest(self, actions: FloatArray, shape: FloatArray) -> FloatArray:
+        """What is measured above rest.
+
+        Parameters
+        ----------
+        actions : (15,) float64
+            `TrackResult.actions`.
+        shape : (66, 3) float64
+            `TrackResult.shape`.
+
+        Returns
+        -------
+        (15,) float64
+            0 at rest; NaN if `actions` is unknown.
+
+        Notes
+        -----
+        ``u = a - a_0``, where a_0 is the activation at rest. Of the brows, which have landmarks, too, it is the mean of
+        both.
+        """
+        above = actions - self._rest
+        moved = _brow_heights(shape) - self._heights
+        above[_BROW_ACTIONS] = 0.5 * (above[_BROW_ACTIONS] + moved)
+        return np.asarray(above)
 
     def activations(self, actions: FloatArray, shape: FloatArray) -> FloatArray:
         """Activations of the avatar.
@@ -61,19 +91,17 @@ class ActionDriver:
         Returns
         -------
         (15,) float64
-            0 at rest, about 1 for a full action; all 0 if `actions` is unknown.
+            0 at rest, about 1 for a full action, times the strength of its region; all 0 if `actions` is unknown.
 
         Notes
         -----
-        Equation 4.5: ``min(max(a - a_0 - f, 0) / (1 - a_0 - f), 1.2)``, where a_0 is the activation at rest and f is
-        the floor, 0.15. Of the brows, whose landmarks say something, too, ``a - a_0`` is the mean of both.
+        Equation 4.5: ``min(max(u - f, 0) / (c - f), 1.2)``, where u is `above_rest`, f where the action begins to be
+        shown and c where it is shown in full.
         """
         if not np.isfinite(actions).all():
             return np.zeros(N_ACTIONS)
-        seen = actions.copy()
-        moved = _brow_heights(shape) - self._heights
-        seen[_BROW_ACTIONS] = 0.5 * (actions + self._rest)[_BROW_ACTIONS] + 0.5 * moved
-        return np.asarray(np.minimum(np.maximum(seen - self._from, 0.0) * self._gain, self._most))
+        shown = (self.above_rest(actions, shape) - self._begin) / (self._full - self._begin)
+        return np.asarray(np.clip(shown, 0.0, _MOST) * self._gains)
 
 
 def _brow_heights(shape: FloatArray) -> FloatArray:

@@ -84,7 +84,11 @@ class ActionExperts:
 
 
 def measure_actions(
-    experts: Sequence[ActionExperts], grey: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray
+    experts: Sequence[ActionExperts],
+    grey: NDArray[np.uint8],
+    pose: FloatArray,
+    landmarks: FloatArray,
+    before: FloatArray | None = None,
 ) -> FloatArray:
     """Estimate the activations of all actions.
 
@@ -94,13 +98,15 @@ def measure_actions(
         Of the parts of the face.
     grey, pose, landmarks
         As for `ActionExperts.respond`.
+    before : (15,) float64, optional
+        Activations of parts that `experts` lacks, from an earlier frame.
 
     Returns
     -------
     (15,) float64
         About 0 at rest and 1 for a full action. A face at rest may have other values, as people look different.
     """
-    activations = np.zeros(N_ACTIONS)
+    activations = np.zeros(N_ACTIONS) if before is None else before.copy()
     for part in experts:
         activations[part.measured] = part.respond(grey, pose, landmarks)
     return activations

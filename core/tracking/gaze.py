@@ -30,8 +30,9 @@ _IRIS = 0.066 * _SCALE
 """Radius of the iris in that picture: 5.9 mm at an outer-eye distance of 89 mm."""
 _OPEN_ABOVE = 0.16
 """Aperture of an eye, as a share of its width, below which it counts as shut."""
-_CLEAR_ABOVE, _FRONTAL_BELOW = 0.2, 0.5
-"""Apertures, and radians of yaw, between which both pupils are seen well enough to tell crossed eyes."""
+_CLEAR_ABOVE, _FRONTAL_BELOW = 0.2, 0.4
+"""Apertures, as a share of the width, and radians of yaw of the head and the gaze, between which both pupils are seen
+well enough to tell crossed eyes."""
 _BALL = np.array([0.0, -0.02, 0.075])
 """Centre of an eyeball, relative to the middle between the corners of the eye: head frame, outer-eye distances."""
 _BALL_RADIUS = 0.13
@@ -86,7 +87,7 @@ def find_gaze(grey: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, 
     sights = _lines_of_sight(pupils[looking], pose, middles)
     x, y, z = (shares[looking] @ sights).tolist()
     together = np.array([atan2(y, hypot(x, z)), atan2(-x, -z)])
-    clear = bool((aperture > _CLEAR_ABOVE * width).all()) and abs(pose[2]) < _FRONTAL_BELOW
+    clear = bool((aperture > _CLEAR_ABOVE * width).all()) and max(abs(pose[2]), abs(together[1])) < _FRONTAL_BELOW
     right, left = (atan2(-x, -z) for x, _, z in sights.tolist()) if clear else (nan, nan)
     return Gaze(pupils, together, left - right)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
 
@@ -9,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..arrays import as_image
+from ..arrays import FloatArray, as_image
 from ..assets import ASSETS
-from .action_experts import measure_actions
+from .action_experts import ActionExperts, measure_actions
 from .choice import FaceChoice
 from .fitter import FaceFitter
 from .gaze import find_gaze
@@ -40,8 +41,9 @@ class FaceTracker:
     ----------
     model : TrackerModel
     gradual : bool
-        Whether to spread the search for a face over up to 40 frames, so that none takes long, as is needed live. By
-        default all of the first frame without a face is searched.
+        Whether to spread work over frames, so that none takes long, as is needed live: the search for a face over up
+        to 40, and the actions of eyes and mouth over two. By default all of the first frame without a face is
+        searched, and all actions are measured in each.
     """
 
     lost_below = 0.3
@@ -55,6 +57,7 @@ class FaceTracker:
         self._choice = FaceChoice()
         self._last: FittedShape | None = None
         self._switch_requested = False
+        self._actions: FloatArray | None = None
 
     @classmethod
     def load(cls, path: Path | None = None, *, gradual: bool = False) -> FaceTracker:
@@ -83,7 +86,7 @@ class FaceTracker:
 
     def reset(self) -> None:
         """Forget the tracked face and any choice; the next `track` detects a face."""
-        self._last, self._switch_requested = None, False
+        self._last, self._actions, self._switch_requested = None, None, False
         self._choice = FaceChoice()
         self._identity.reset()
 
@@ -124,7 +127,7 @@ class FaceTracker:
         found = self._search.detect(grey, steps, small=self._choice.waiting)
         chosen = self._choice.pick(grey, found, self._identity)
         if chosen is None:
-            self._last = None
+            self._last = self._actions = None
             self._choice.misses += 1
             return TrackResult.nothing(self.pdm.n_modes)
         return self._accept(grey, chosen)
@@ -133,7 +136,9 @@ class FaceTracker:
         """Find the largest face in a single image; does not affect `track`."""
         grey = self._begin(image)
         found = largest(self._search.detect(grey, small=self._choice.waiting))
-        return TrackResult.nothing(self.pdm.n_modes) if found is None else self._result(grey, found)
+        return (
+            TrackResult.nothing(self.pdm.n_modes) if found is None else self._result(grey, found, self._model.actions)
+        )
 
     def _begin(self, image: ArrayLike) -> NDArray[np.uint8]:
         self._search.begin()
@@ -171,15 +176,29 @@ class FaceTracker:
     def _accept(self, grey: NDArray[np.uint8], candidate: Candidate) -> TrackResult:
         self._last = candidate.fit.fitted
         self._choice.settle()
-        return self._result(grey, candidate)
+        # A gradual tracker measures the actions of one part in a frame, after those of all in the first.
+        parts, before = self._model.actions, self._actions
+        if self._search.gradual and before is not None:
+            turn = self._identity.frame % len(parts)
+            parts = parts[turn : turn + 1]
+        result = self._result(grey, candidate, parts, before)
+        self._actions = result.actions
+        return result
 
-    def _result(self, grey: NDArray[np.uint8], candidate: Candidate) -> TrackResult:
+    def _result(
+        self,
+        grey: NDArray[np.uint8],
+        candidate: Candidate,
+        parts: Sequence[ActionExperts],
+        before: FloatArray | None = None,
+    ) -> TrackResult:
+        """The result for a face, with the actions of `parts`, and those of others as `before`."""
         pose, shape_params = candidate.fit.fitted.pose, candidate.fit.fitted.shape_params
         landmarks, shape = self.pdm.project(pose, shape_params), self.pdm.shape(shape_params)
         began = perf_counter()
         gaze = find_gaze(grey, pose, landmarks, shape)
         looked = perf_counter()
-        actions = measure_actions(self._model.actions, grey, pose, landmarks)
+        actions = measure_actions(parts, grey, pose, landmarks, before)
         self.timings["gaze"] += looked - began
         self.timings["actions"] += perf_counter() - looked
         return TrackResult(

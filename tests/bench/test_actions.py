@@ -24,7 +24,7 @@ def test_each_action_and_crossed_eyes_have_a_row_and_unknown_frames_count_nowher
     truth[20:] = 1.0
     crossed = np.where(np.arange(40) < 20, 0.0, 0.6)
     vergence = np.where(np.arange(40) % 2, crossed, np.nan)
-    rows = rows_of(Seen(truth, 0.5 * truth, crossed, vergence))
+    rows = rows_of(Seen(truth, truth - 0.2, 0.5 * truth, crossed, vergence))
     assert [row[0] for row in rows] == [*ACTIONS, "crossed eyes"]
     assert all(row[2] == 1.0 for row in rows)
     assert rows[0][1:] == [20, 1.0, 0.5, 0.0]

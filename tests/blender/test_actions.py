@@ -30,7 +30,7 @@ def showing() -> Take:
     take = performance()
     actions = np.full((len(take), N_ACTIONS), 0.1, np.float32)
     for name in ("tongueOut", "cheekPuffLeft"):
-        actions[len(take) // 2 :, ACTIONS.index(name)] = 0.9
+        actions[len(take) // 2 :, ACTIONS.index(name)] = 1.0
     actions[~take.found] = np.nan
     return replace(take, actions=actions)
 
@@ -44,9 +44,9 @@ def tongue_of(head: bpy.types.Object) -> bpy.types.ShapeKey:
 def test_a_bake_puts_the_tongue_out_and_a_new_one_without_it_takes_it_back(units):
     head, scene = add_head(bpy.context, units=units), bpy.context.scene
     report = puppet_head(scene, head, showing())
-    for frame, out in ((0, 0.0), (-1, 0.86)):
+    for frame, out in ((0, 0.0), (-1, 1.0)):
         scene.frame_set(round(float(frames_of(scene, report.motion.times[frame]))))
-        assert tongue_of(head).value == pytest.approx(out, abs=0.05)
+        assert tongue_of(head).value == pytest.approx(out, abs=0.1)
     puppet_head(scene, head, showing(), PuppetSettings(drive=DriveSettings(only_landmarks=True)))
     scene.frame_set(50)
     assert tongue_of(head).value == pytest.approx(0.0, abs=1e-6)
@@ -68,7 +68,7 @@ def test_keys_with_arkits_names_get_the_measured_actions():
     puppet_head(scene, head, showing(), PuppetSettings(bake=BakeSettings(keys="mapped")))
     scene.frame_set(55)
     keys = head.data.shape_keys.key_blocks
-    assert 0.35 < keys["cheekPuff"].value < 0.5  # of one cheek, where ARKit has one key for both
+    assert 0.4 < keys["cheekPuff"].value < 0.65  # of one cheek, where ARKit has one key for both
     assert keys["mouthPressLeft"].value == pytest.approx(0.0, abs=1e-4)
 
 

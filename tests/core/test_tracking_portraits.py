@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from facemime.core.actions import N_ACTIONS
 from facemime.core.images import read_image
 from facemime.core.landmarks import MIRROR, from_ibug, outer_eye_distance
 from facemime.core.tracking.detect import BoxDetector
@@ -87,3 +88,22 @@ def test_no_frame_of_a_gradual_search_makes_more_than_three_scans(monkeypatch):
         assert not gradual.track(nobody).found
         counts.append(len(made))
     assert max(counts) == 3
+
+
+def test_live_the_actions_of_eyes_and_mouth_are_measured_in_turn_and_in_files_all_in_each_frame(tracker):
+    image = read_image(PORTRAITS / "hopper.jpg")
+    gradual, whole = FaceTracker.load(gradual=True), FaceTracker.load()
+    (eye,) = (part for part in tracker._model.actions if part.paired)
+    of_eye = np.isin(np.arange(N_ACTIONS), eye.measured)
+    while not (last := gradual.track(image)).found:
+        pass
+    assert np.isfinite(last.actions).all()
+    noise = np.random.default_rng(0)
+    for _ in range(6):
+        spoilt = np.clip(image + noise.normal(0, 20, image.shape), 0, 255).astype(np.uint8)
+        now = gradual.track(spoilt)
+        changed = now.actions != last.actions
+        assert changed[of_eye].all() != changed[~of_eye].all()
+        last = now
+        before, after = (whole.track(picture).actions for picture in (image, spoilt))
+        assert (before != after).all()
