@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from facemime.core.errors import ModelError
 from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, Head, load_head
-from facemime.core.landmarks import MIRROR, from_ibug
+from facemime.core.landmarks import LIPS, MIRROR, from_ibug
 
 SIDED = ["browDown", "browOuterUp", "cheekSquint", "eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp"]
 SIDED += ["eyeSquint", "eyeWide", "mouthDimple", "mouthFrown", "mouthLowerDown", "mouthPress", "mouthSmile"]
@@ -155,6 +155,16 @@ def test_a_blink_closes_the_lids_of_its_own_eye_only(head):
     points = posed(head, eyeBlinkLeft=1.0)
     assert abs(gap(points, [43, 44], [47, 46])) < 0.1 * rest
     assert gap(points, [37, 38], [41, 40]) == pytest.approx(rest, rel=0.02)
+
+
+def test_a_tongue_that_is_out_lies_before_the_lips_and_above_the_lower_one(head):
+    tongue, unit = head.parts[-1], head.unit_names.index("tongueOut")
+    lips = head.vertices[head.landmarks[LIPS]]
+    out = tongue.vertices + tongue.units[unit]
+    tip = out[np.argmin(out[:, 2])]
+    assert tongue.vertices[:, 2].min() > lips[:, 2].max() - 0.01
+    assert tip[2] < lips[:, 2].min() - 0.01
+    assert lips[:, 1].min() < tip[1] < lips[:, 1].max()
 
 
 def test_an_open_jaw_opens_the_mouth_and_lowers_chin_teeth_and_tongue(head):

@@ -95,7 +95,7 @@ def sculpt(source: Source) -> Sculpture:
         "units": np.stack([surface.positions(unit) for unit in units]).astype(np.float16),
         "jaw_pivot": hinge.astype(np.float32),
     }
-    for part in build_parts(base, points, units, hinge):
+    for part in build_parts(base, points, units, names.index("tongueOut"), hinge):
         arrays[f"{part.name}.vertices"] = part.vertices.astype(np.float32)
         arrays[f"{part.name}.faces"] = part.faces.astype(np.int16)
         arrays[f"{part.name}.uv"] = part.uv.astype(np.float32)

@@ -26,6 +26,9 @@ TEETH = 14
 _STILL = 2e-5
 _TONGUE_LOWERED = np.array([0.0, 0.0065, 0.0065])
 """The helper's tongue lies before the teeth's edges; ours rests behind the lower teeth."""
+_TONGUE_REACH, _TONGUE_ARCH = 0.018, 0.008
+"""Metres by which a tongue that is out reaches further than the helper's, which hardly leaves the mouth, and by which
+it rises over the lower lip."""
 
 Points = NDArray[np.float64]
 
@@ -49,14 +52,18 @@ def jaw_hinge(base: BaseMesh, points: Points, jaw_open: Points) -> Points:
     return np.asarray(np.linalg.lstsq(np.eye(3) - rotation, shift, rcond=None)[0])
 
 
-def build_parts(base: BaseMesh, points: Points, units: list[Points], hinge: Points) -> tuple[Part, ...]:
-    """All parts of the head with base vertices `points` and face units `units`, each (N, 3) offsets."""
+def build_parts(
+    base: BaseMesh, points: Points, units: list[Points], tongue_out: int, hinge: Points
+) -> tuple[Part, ...]:
+    """All parts of the head with base vertices `points` and face units `units`, each (N, 3) offsets; number
+    `tongue_out` puts the tongue out.
+    """
     parts = [_eye(base, points, units, side) for side in ("left", "right")]
     lip_line = float(points[UPPER_LIP_LINE[0], 1])
     upper, lower = _group(base, "helper-upper-teeth"), _group(base, "helper-lower-teeth")
     parts.append(_teeth("teeth_upper", points[upper], +1.0, lip_line, hinge, _rigid_units(points, units, upper)))
     parts.append(_teeth("teeth_lower", points[lower], -1.0, lip_line, hinge, _rigid_units(points, units, lower)))
-    parts.append(_tongue(base, points, units, hinge))
+    parts.append(_tongue(base, points, units, tongue_out, hinge))
     return tuple(parts)
 
 
@@ -180,7 +187,7 @@ def _grid(rows: int, columns: int, *, flip: bool) -> tuple[NDArray[np.int64], ND
     return faces, np.stack([faces % columns / (columns - 1), 1.0 - faces // columns / (rows - 1)], axis=-1)
 
 
-def _tongue(base: BaseMesh, points: Points, units: list[Points], hinge: Points) -> Part:
+def _tongue(base: BaseMesh, points: Points, units: list[Points], tongue_out: int, hinge: Points) -> Part:
     chosen = base.face_group == "helper-tongue"
     rows = np.unique(base.faces[chosen])
     number = np.full(len(points), -1)
@@ -188,6 +195,11 @@ def _tongue(base: BaseMesh, points: Points, units: list[Points], hinge: Points) 
     uv = base.uv[base.face_uv[chosen]]
     low, high = uv.reshape(-1, 2).min(axis=0), uv.reshape(-1, 2).max(axis=0)
     moved = np.stack([unit[rows] for unit in units])
+    # From the root, 0, to the tip, 1: out of its rest, further out, and over the lower lip.
+    depth = points[rows, 2]
+    along = ((depth.max() - depth) / np.ptp(depth))[:, None]
+    moved[tongue_out] -= along * _TONGUE_LOWERED
+    moved[tongue_out] -= along**2 * (0.0, 0.0, _TONGUE_REACH) + along * (0.0, _TONGUE_ARCH, 0.0)
     return Part(
         "tongue", points[rows] + _TONGUE_LOWERED, number[base.faces[chosen]], (uv - low) / (high - low), hinge, moved
     )
