@@ -131,7 +131,7 @@ def _other_shape(rng: Random, array: np.ndarray) -> np.ndarray:
         lambda: array.reshape(-1),
         lambda: array[None],
         lambda: array[..., None],
-        lambda: array[:0],
+        lambda: np.atleast_1d(array)[:0],
         lambda: array[:-1] if array.ndim else np.repeat(array, 2),
         lambda: np.concatenate([array, array]) if array.ndim else np.repeat(array, 66),
         lambda: array.T,
