@@ -110,6 +110,8 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
         )
     for target in _all_targets(obj, targets):
         check_curves(target.obj, target.data_paths)
+    for child in filter(has_tongue, obj.children):
+        check_curves(child.data.shape_keys, [value_path(TONGUE_KEY)])
 
 
 def check_range(take: Take, frames: NDArray[np.floating]) -> None:
@@ -213,6 +215,7 @@ def has_tongue(part: bpy.types.Object) -> bool:
     """Return whether an object is a tongue that can be put out, by its shape key."""
     return (
         part.get(PART_PROPERTY) == "tongue"
+        and part.type == "MESH"
         and part.data.shape_keys is not None
         and TONGUE_KEY in part.data.shape_keys.key_blocks
     )

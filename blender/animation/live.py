@@ -21,7 +21,7 @@ from ..actions import Muted, baked_paths, mute_bake, mute_curves
 from ..frames import flat_in_blender
 from ..meshes import exists, mesh_of, read_vertices, write_vertices
 from ..names import LIVE_PROPERTY, PART_PROPERTY
-from .bake import EYE_PARTS, JAW_PARTS, show_tongue
+from .bake import EYE_PARTS, JAW_PARTS, has_tongue, show_tongue
 from .bake_cache import MODIFIER
 from .bake_keys import BAKED_KEY_PREFIX, require_relative, value_path
 from .targets import PoseTarget
@@ -113,6 +113,8 @@ class LiveHeadObject:
         targets = [target.obj for target in self.targets.values() if target.exists]
         for owner in dict.fromkeys([self.obj, *(child for child, _ in self._living_parts()), *targets]):
             self._muted += mute_curves(owner, "delta_") + mute_bake(owner)
+        for tongue in filter(has_tongue, (child for child, _ in self._living_parts())):
+            self._muted += mute_bake(tongue.data.shape_keys)
         keys = self._mesh.shape_keys
         baked = baked_paths(keys)
         names = [

@@ -22,9 +22,9 @@ _RANGES = {
     **{"cheekPuff": (0.45, 0.8), "mouthPress": (0.35, 0.7), "browInnerUp": (0.2, 0.75), "browDown": (0.2, 0.6)},
     **{"noseSneer": (0.2, 0.85), "cheekSquint": (0.3, 0.9)},
 }
-"""What is measured above rest where an action begins to be shown and where it is shown
-in full. Below lies what faces that do not act reach in real clips, such as a tongue that is seen behind the teeth;
-networks that are unsure of an action measure less than 1 of a full one."""
+"""Activations above rest at which an action begins to be shown, and at which it is shown in full. Faces reach the first
+without acting, as with a tongue that is seen behind the teeth. The second is less than 1, as uncertain networks are
+cautious."""
 _MOST_AT_REST, _MOST = 0.6, 1.2
 _UPPER = action_indices(name for name in ACTIONS if name.startswith("brow"))
 _MIDDLE = action_indices(name for name in ACTIONS if name.startswith(("nose", "cheekSquint")))

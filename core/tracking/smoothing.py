@@ -173,7 +173,7 @@ class ResultSmoother:
 
 
 def _smoothed(low_pass: OneEuroFilter, seen: FloatArray, time: float) -> FloatArray:
-    """The smoothed value, or an unknown one, after which the filter begins anew."""
+    """Return the smoothed value. An unknown one is returned as it is, and the filter starts again after it."""
     if not np.isfinite(seen).all():
         low_pass.reset()
         return seen

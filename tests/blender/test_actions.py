@@ -19,6 +19,7 @@ from facemime.core.actions import ACTIONS, N_ACTIONS
 from facemime.core.bake.settings import BakeSettings
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.settings import DriveSettings
+from facemime.core.errors import HeadError
 from facemime.core.puppet.settings import PuppetSettings
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
@@ -78,3 +79,31 @@ def test_a_head_of_an_earlier_version_without_the_key_is_driven_as_before():
     tongue.shape_key_clear()
     puppet_head(bpy.context.scene, head, showing())
     assert tongue.data.shape_keys is None
+
+
+def test_live_the_tongues_baked_curve_is_muted_and_plays_again_at_the_end():
+    head, take = add_head(bpy.context), showing()
+    puppet_head(bpy.context.scene, head, take)
+    shown = LiveHeadObject(head, {"head": PoseTarget.of(head)})
+    shown.attach()
+    bpy.context.scene.frame_set(55)
+    assert tongue_of(head).value == 0.0
+    shown.detach(keep=False)
+    bpy.context.scene.frame_set(1)
+    bpy.context.scene.frame_set(55)
+    assert tongue_of(head).value > 0.9
+
+
+def test_a_bake_stops_before_it_replaces_the_users_animation_of_the_tongue():
+    head = add_head(bpy.context)
+    tongue_of(head).keyframe_insert("value", frame=1)
+    with pytest.raises(HeadError):
+        puppet_head(bpy.context.scene, head, showing())
+
+
+def test_a_tongue_that_became_something_else_than_a_mesh_is_left_alone():
+    head = add_head(bpy.context)
+    empty = bpy.data.objects.new("Tongue", None)
+    bpy.context.collection.objects.link(empty)
+    empty.parent, empty[PART_PROPERTY] = head, "tongue"
+    assert puppet_head(bpy.context.scene, head, showing()).keys > 0
