@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -15,7 +14,7 @@ from .dress import dress
 from .heads import IctHead, sample_expression, sample_speech
 from .organs import random_eyes
 from .reproject import Light, Scene, SkinnedHead, render, skin_head
-from .samples import SCALE, SIZE, backdrop, degrade, occlude, personal_expression, random_pose
+from .samples import SCALE, SIZE, Stack, backdrop, degrade, occlude, personal_expression, random_pose
 from .sources import Photo, mirrored
 from .wrinkles import crease
 
@@ -47,7 +46,7 @@ _LOOKS = 0.55
 
 
 @dataclass
-class ActionSamples:
+class ActionSamples(Stack):
     """Training pictures, stacked.
 
     Attributes
@@ -69,28 +68,6 @@ class ActionSamples:
     actions: np.ndarray
     gaze: np.ndarray
     people: np.ndarray
-
-    def __len__(self) -> int:
-        """Number of pictures."""
-        return len(self.images)
-
-    def save(self, path: Path) -> None:
-        """Write to an uncompressed npz, complete or not at all."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = path.with_suffix(".part.npz")
-        np.savez(unfinished, **{f.name: getattr(self, f.name) for f in fields(self)})
-        unfinished.replace(path)
-
-    @classmethod
-    def load(cls, path: Path) -> ActionSamples:
-        """Read what `save` wrote."""
-        raw = np.load(path, allow_pickle=False)
-        return cls(**{f.name: raw[f.name] for f in fields(cls)})
-
-    @classmethod
-    def join(cls, parts: list[ActionSamples]) -> ActionSamples:
-        """All parts one after the other."""
-        return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})
 
 
 def action_samples(

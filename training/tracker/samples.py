@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Self
 
 import cv2
 import numpy as np
@@ -25,7 +26,34 @@ CENTRE = (SIZE - 1) / 2.0
 
 
 @dataclass
-class Samples:
+class Stack:
+    """Arrays with a row per picture."""
+
+    def __len__(self) -> int:
+        """Number of pictures."""
+        return len(getattr(self, fields(self)[0].name))
+
+    def save(self, path: Path) -> None:
+        """Write to an uncompressed npz, complete or not at all."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        unfinished = path.with_suffix(".part.npz")
+        np.savez(unfinished, **{f.name: getattr(self, f.name) for f in fields(self)})
+        unfinished.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read what `save` wrote."""
+        raw = np.load(path, allow_pickle=False)
+        return cls(**{f.name: raw[f.name] for f in fields(cls)})
+
+    @classmethod
+    def join(cls, parts: list[Self]) -> Self:
+        """All parts one after the other."""
+        return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})
+
+
+@dataclass
+class Samples(Stack):
     """Training pictures, stacked.
 
     Attributes
@@ -45,28 +73,6 @@ class Samples:
     poses: np.ndarray
     shapes: np.ndarray
     weights: np.ndarray
-
-    def __len__(self) -> int:
-        """Number of pictures."""
-        return len(self.images)
-
-    def save(self, path: Path) -> None:
-        """Write to an uncompressed npz, complete or not at all."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = path.with_suffix(".part.npz")
-        np.savez(unfinished, **{f.name: getattr(self, f.name) for f in fields(self)})
-        unfinished.replace(path)
-
-    @classmethod
-    def load(cls, path: Path) -> Samples:
-        """Read what `save` wrote."""
-        raw = np.load(path, allow_pickle=False)
-        return cls(**{f.name: raw[f.name] for f in fields(cls)})
-
-    @classmethod
-    def join(cls, parts: list[Samples]) -> Samples:
-        """All parts one after the other."""
-        return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})
 
     def take(self, rows: np.ndarray) -> Samples:
         """The chosen rows."""
