@@ -25,7 +25,9 @@ _RANGES = {
 """Activations above rest at which an action begins to be shown, and at which it is shown in full. Faces reach the first
 without acting, as with a tongue that is seen behind the teeth. The second is less than 1, as uncertain networks are
 cautious."""
-_MOST_AT_REST, _MOST = 0.6, 1.2
+_MOST_AT_REST = 0.6
+_MOST = np.array([0.6 if name.startswith("mouthRoll") else 1.0 for name in ACTIONS])
+"""Limits of what is shown. A lip that is rolled in further lets the teeth through the skin below it."""
 _UPPER = action_indices(name for name in ACTIONS if name.startswith("brow"))
 _MIDDLE = action_indices(name for name in ACTIONS if name.startswith(("nose", "cheekSquint")))
 
@@ -95,7 +97,8 @@ class ActionDriver:
 
         Notes
         -----
-        Equation 4.5: ``min(max(u - f, 0) / (c - f), 1.2)``, where u is `above_rest`, f where the action begins to be
+        Equation 4.5: ``min(max(u - f, 0) / (c - f), 1)``, and at most 0.6 for rolled lips, where u is `above_rest`, f
+        where the action begins to be
         shown and c where it is shown in full.
         """
         if not np.isfinite(actions).all():
