@@ -16,7 +16,8 @@ import numpy as np
 
 from bench.report import Table, bars, finish, parser
 from facemime.blender.heads.built_in import add_head
-from facemime.blender.meshes import read_rig, write_vertices
+from facemime.blender.meshes import write_vertices
+from facemime.blender.rigs import read_rig
 from facemime.core.capture import VideoSource
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.takes.from_video import track_video

@@ -1,8 +1,6 @@
-"""Conversion of meshes to and from numpy, and of the rig (landmarks, regions) that is stored with a mesh."""
+"""Conversion of meshes to and from numpy, and of the landmarks and regions that are stored with a mesh."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
 
 import bpy
 import numpy as np
@@ -11,14 +9,9 @@ from numpy.typing import NDArray
 from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import from_json, to_json
 from ..core.errors import HeadError
-from ..core.heads.eyeballs import fit_eyeball
-from ..core.heads.rig import HeadRig
-from ..core.landmarks import N_LANDMARKS, OUTER_EYE_CORNERS
+from ..core.landmarks import N_LANDMARKS
 from .frames import flat_in_blender, from_blender
-from .names import COUNT_PROPERTY, EYES_GROUP, LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
-
-_JAW_SIDES = (2, 14)
-_VERTICES_PER_CHECK = 2048
+from .names import COUNT_PROPERTY, EYES_GROUP, LANDMARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 
 
 def exists(block: bpy.types.ID) -> bool:
@@ -191,73 +184,6 @@ def write_selection(mesh: bpy.types.Mesh, selection: GreedySelection | None) -> 
         del mesh[SELECTION_PROPERTY]
 
 
-def read_rig(obj: bpy.types.Object | None) -> HeadRig:
-    """Read the rig of `obj` from its mesh, custom properties and vertex groups.
-
-    Raises
-    ------
-    HeadError
-        If the object is not a mesh, or its landmarks or regions are missing or do not fit the mesh any more.
-    """
-    mesh_of(obj)
-    parts = _read_quick_parts(obj)
-    return HeadRig(**parts, region_weights=read_regions(obj), faces=read_faces(obj.data))
-
-
-def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
-    """Compare an object with its rig in slices that are fast enough to run between two frames.
-
-    Reading all weights of a dense mesh takes about 0.1 s, as Blender returns them one by one; a slice takes about 2 ms.
-    Faces count as unchanged if their corners are.
-
-    Parameters
-    ----------
-    obj : bpy.types.Object
-    rig : HeadRig
-
-    Yields
-    ------
-    bool
-        Whether a slice of the object is unchanged.
-
-    Raises
-    ------
-    HeadError
-        As `read_rig`.
-    """
-    mesh_of(obj)
-    parts = _read_quick_parts(obj)
-    # The size of eyes that have turned differs by rounding.
-    yield all(
-        np.allclose(value, getattr(rig, name), rtol=1e-5, atol=1e-9)
-        if name == "eyeballs" and len(value) == len(rig.eyeballs)
-        else np.array_equal(value, getattr(rig, name))
-        for name, value in parts.items()
-    )
-    if rig.faces is not None:
-        faces = mesh_of(obj).polygons
-        yield len(rig.faces) == len(faces) and np.array_equal(read_corners(obj.data), rig.faces[rig.faces >= 0])
-    for first in range(0, len(rig.vertices), _VERTICES_PER_CHECK):
-        mesh_of(obj)
-        part = slice(first, first + _VERTICES_PER_CHECK)
-        yield np.array_equal(read_weights(obj, part), rig.region_weights[:, part])
-
-
-def _read_quick_parts(obj: bpy.types.Object) -> dict[str, NDArray | None]:
-    """Read everything of a rig except regions and faces, which take long."""
-    landmarks = read_landmarks(obj)
-    selection = read_selection(obj.data)
-    vertices = read_vertices(obj.data)
-    return {
-        "vertices": vertices,
-        "landmarks": landmarks,
-        "jaw_pivot": _jaw_pivot(obj, vertices[landmarks]),
-        "eyeballs": read_eyeballs(obj, vertices[landmarks]),
-        "control_points": None if selection is None else selection.membership,
-        "covariance": None if selection is None else selection.covariance,
-    }
-
-
 def eye_vertices(obj: bpy.types.Object) -> NDArray[np.intp]:
     """Return (N,) indices of the vertices of eyes that were cut out of the skin of `obj`; empty on most heads."""
     group = obj.vertex_groups.get(EYES_GROUP)
@@ -266,40 +192,6 @@ def eye_vertices(obj: bpy.types.Object) -> NDArray[np.intp]:
     number = group.index
     within = [v.index for v in obj.data.vertices if any(element.group == number for element in v.groups)]
     return np.array(within, dtype=np.intp)
-
-
-def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the eyeballs of a head, which are its children or parts of its mesh.
-
-    Parameters
-    ----------
-    obj : bpy.types.Object
-    landmarks : (66, 3) array
-        Positions in the head frame; they tell the left eye of a mesh from the right one.
-
-    Returns
-    -------
-    (E, 4) array
-        Centre and radius of each, in the head frame of `obj`.
-    """
-    points = read_vertices(obj.data)[eye_vertices(obj)].astype(np.float64)
-    right, left = landmarks[OUTER_EYE_CORNERS].astype(np.float64)
-    side = (points - (right + left) / 2.0) @ (left - right)
-    eyeballs = [fit_eyeball(eye).tolist() for eye in (points[side < 0], points[side >= 0]) if len(eye) > 3]
-    for child in obj.children:
-        if str(child.get(PART_PROPERTY, "")).startswith("eye") and isinstance(child.data, bpy.types.Mesh):
-            within = child.matrix_parent_inverse @ child.matrix_basis
-            radius = float(np.linalg.norm(read_vertices(child.data), axis=1).max(initial=0.0))
-            eyeballs.append([*from_blender(np.array(within.translation)), radius * within.median_scale])
-    return np.array(eyeballs).reshape(-1, 4)
-
-
-def _jaw_pivot(obj: bpy.types.Object, landmarks: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the pivot of the jaw, (3,): the origin of the lower teeth, or the middle between the sides of the jaw."""
-    for child in obj.children:
-        if child.get(PART_PROPERTY) == "teeth_lower":
-            return from_blender(np.array((child.matrix_parent_inverse @ child.matrix_basis).translation))
-    return landmarks[list(_JAW_SIDES)].astype(np.float64).mean(axis=0)
 
 
 def read_regions(obj: bpy.types.Object) -> NDArray[np.float32]:

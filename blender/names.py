@@ -18,6 +18,18 @@ LIVE_PROPERTY = "facemime_live"
 PART_PROPERTY = "facemime_part"
 """Custom property of a child object: which part of the head it is, a key of `PART_OBJECTS`."""
 
+PART_ATTRIBUTE = "facemime_part"
+"""Attribute of the vertices of a mesh: the part of the face to which each belongs, a `core.heads.parts.Part`."""
+
+HEAD_PROPERTY = "facemime_head"
+"""Custom property of another mesh of a face: the head to which it belongs."""
+
+ARMATURE_PROPERTY, BONES_PROPERTY = "facemime_armature", "facemime_bones"
+"""Custom properties of a head: the armature that takes its pose, and the names of its bones by part of the face."""
+
+PIVOT_PROPERTY = "facemime_pivot"
+"""Custom property of a head: the point about which it turns, in the axes of the object; its origin if missing."""
+
 REGION_GROUPS = ("Facemime Upper", "Facemime Middle", "Facemime Lower")
 """Vertex groups of the three regions, in the order of `core.heads.regions.REGIONS`."""
 

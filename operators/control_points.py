@@ -6,7 +6,8 @@ from bpy.app.translations import pgettext_rpt as _
 from bpy.props import FloatProperty, IntProperty, StringProperty
 
 from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
-from ..blender.meshes import is_head, read_rig, read_selection, write_selection
+from ..blender.meshes import is_head, read_selection, write_selection
+from ..blender.rigs import read_rig
 from ..blender.viewports import redraw, viewport_under
 from ..core.control_points.select import parse_landmarks, select_for_take
 from ..core.control_points.table import add_by_hand, drop_by_hand

@@ -4,7 +4,7 @@ import bpy
 from bpy.props import EnumProperty, IntProperty
 
 from ..blender.heads.binding import (
-    bind_head,
+    bind_character,
     check_object,
     clear_marks,
     move_landmark,
@@ -79,7 +79,11 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
         return require_object_mode(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
-        binding = bind_head(context.active_object)
+        head, binding = bind_character(context.active_object)
+        if head != context.active_object:
+            context.active_object.select_set(False)
+            head.select_set(True)
+            context.view_layer.objects.active = head
         residual = f"{100 * binding.residual:.1f}"
         report(
             self,

@@ -9,7 +9,7 @@ from typing import Any
 
 import bpy
 
-from ..blender.animation.live import LiveHeadObject, flatten_for_keys, require_one_left
+from ..blender.animation.live import LiveHeadObject, require_one_left
 from ..blender.messages import show_error
 from ..blender.undo import push_undo
 from ..core.errors import FacemimeError, HeadError, OutputError
@@ -81,9 +81,7 @@ class LiveSession(Session):
         self._range = False
         self._waiting = False
         self._number = 0
-        self.worker = LiveWorker(
-            source, neutral=neutral, heads=tuple(head for _, head in heads), options=options, prepare=flatten_for_keys
-        )
+        self.worker = LiveWorker(source, neutral=neutral, heads=tuple(head for _, head in heads), options=options)
         try:
             for shown in self._objects:
                 shown.attach()

@@ -11,7 +11,7 @@ from typing import Self
 
 from bpy.app.handlers import persistent
 
-from ..blender.animation.live import clear_all_live
+from ..blender.animation.live_mesh import clear_all_live
 from ..blender.registering import watch
 from ..core.errors import HeadError
 

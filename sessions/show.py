@@ -10,7 +10,7 @@ from bpy.app.handlers import persistent
 
 from ..blender.animation.bake import seconds_of
 from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
-from ..blender.meshes import read_rig
+from ..blender.rigs import read_rig
 from ..blender.undo import push_undo
 from ..core.errors import HeadError
 from ..core.puppet.performance import Performance

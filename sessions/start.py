@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import bpy
 
 from ..blender.animation.live import Follow, LiveHeadObject
-from ..blender.meshes import read_rig, rig_checks
+from ..blender.rigs import read_rig, rig_checks
 from ..core.errors import HeadError
 from ..core.live.worker import LiveHead, LiveOptions
 from ..settings.preferences import preferences
@@ -38,10 +39,8 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
             "One pose object cannot take the pose of several heads. Clear Pose Object, or select a single head."
         )
     options = drive_settings(settings)
-    heads = [
-        (LiveHeadObject(obj, pose_targets(settings.posing, obj), _follow(settings)), LiveHead(read_rig(obj), options))
-        for obj in objects
-    ]
+    shown = [LiveHeadObject(obj, pose_targets(settings.posing, obj), _follow(settings)) for obj in objects]
+    heads = [(head, LiveHead(read_rig(head.obj), options, head.prepare)) for head in shown]
     name = scene.name
 
     def keep_calibration(neutral) -> None:
@@ -82,7 +81,7 @@ def follow_settings(session: LiveSession, settings: FacemimeSettings) -> None:
     if worker.options != (wanted := live_options(settings)):
         worker.options = wanted
     if any(head.options != options for head in worker.heads):
-        session.update([LiveHead(head.rig, options) for head in worker.heads])
+        session.update([replace(head, options=options) for head in worker.heads])
     for shown in session.objects:
         shown.follow = _follow(settings)
 
@@ -117,7 +116,7 @@ class RigWatch:
             del self._checks[number]
         if unchanged is False:
             heads = list(self._session.worker.heads)
-            heads[number] = LiveHead(read_rig(shown.obj), heads[number].options)
+            heads[number] = replace(heads[number], rig=read_rig(shown.obj))
             self._session.update(heads)
 
 

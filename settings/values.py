@@ -11,7 +11,7 @@ from pathlib import Path
 
 import bpy
 
-from ..blender.animation.targets import PoseTarget
+from ..blender.animation.targets import PoseTarget, own_targets
 from ..core.assets import ASSETS
 from ..core.bake.settings import BakeSettings
 from ..core.capture import is_address
@@ -126,7 +126,7 @@ def pose_targets(posing: FacemimePosing, head: bpy.types.Object) -> dict[str, Po
     ----------
     posing : FacemimePosing
     head : bpy.types.Object
-        Takes the pose itself if no pose object is set.
+        Its bones, or it itself, take the pose if no pose object is set.
 
     Returns
     -------
@@ -138,10 +138,12 @@ def pose_targets(posing: FacemimePosing, head: bpy.types.Object) -> dict[str, Po
     HeadError
         If the armature does not have the bone.
     """
-    targets = {"head": PoseTarget.of(posing.object or head, posing.bone if posing.object else "")}
+    targets = own_targets(head)
+    if posing.object is not None:
+        targets["head"] = PoseTarget.of(posing.object, posing.bone, head)
     for eye in ("eye_left", "eye_right"):
         if (obj := getattr(posing, eye)) is not None:
-            targets[eye] = PoseTarget.of(obj, getattr(posing, f"{eye}_bone"))
+            targets[eye] = PoseTarget.of(obj, getattr(posing, f"{eye}_bone"), head)
     return targets
 
 

@@ -13,10 +13,11 @@ from ...core.drive.motion import HeadMotion
 from ...core.errors import HeadError, SourceError
 from ...core.takes.take import Take
 from ..actions import Curve, check_curves, remove_bake, write_curves
+from ..characters import members_of
 from ..names import PART_PROPERTY, TONGUE_KEY
 from .bake_cache import remove_cache
 from .bake_keys import remove_baked_keys, require_relative, value_path
-from .targets import PoseTarget
+from .targets import PoseTarget, carried_targets
 
 JAW_PARTS = frozenset({"teeth_lower", "tongue"})
 EYE_PARTS = ("eye_right", "eye_left")
@@ -95,23 +96,28 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
                 f"{owner.name} is linked from another file and cannot be animated here. Make a library override of it "
                 "(Object > Library Override > Make), or make it local."
             )
-    mesh = obj.data
-    if new_keys and (mesh.library is not None or mesh.override_library is not None):
-        raise HeadError(
-            f"The mesh of {obj.name} is linked from another file, so that no shape keys can be added. "
-            "Bake to a cache or to existing shape keys, or make it local."
-        )
-    if new_keys:
-        require_relative(obj)
-    if old_keys and mesh.shape_keys is not None and mesh.shape_keys.library is not None:
-        raise HeadError(
-            f"The shape keys of {obj.name} are linked from another file and cannot be animated here. "
-            "Bake to a cache, or make them local."
-        )
+    for member in members_of(obj):
+        _check_keys(member.obj, new=new_keys, old=old_keys)
     for target in _all_targets(obj, targets):
         check_curves(target.obj, target.data_paths)
     for child in filter(has_tongue, obj.children):
         check_curves(child.data.shape_keys, [value_path(TONGUE_KEY)])
+
+
+def _check_keys(obj: bpy.types.Object, *, new: bool, old: bool) -> None:
+    mesh = obj.data
+    if new and (mesh.library is not None or mesh.override_library is not None):
+        raise HeadError(
+            f"The mesh of {obj.name} is linked from another file, so that no shape keys can be added. "
+            "Bake to a cache or to existing shape keys, or make it local."
+        )
+    if new:
+        require_relative(obj)
+    if old and mesh.shape_keys is not None and mesh.shape_keys.library is not None:
+        raise HeadError(
+            f"The shape keys of {obj.name} are linked from another file and cannot be animated here. "
+            "Bake to a cache, or make them local."
+        )
 
 
 def check_range(take: Take, frames: NDArray[np.floating]) -> None:
@@ -165,15 +171,14 @@ def bake_pose(
         Whether to use an NLA track.
     """
     angle, length = clean or (None, None)
-    head = targets["head"]
-    curves = {head.obj: head.rotation_curves(motion.rotation, angle) if rotation else []}
-    if translation:
-        curves[head.obj] += head.translation_curves(motion.translation, length)
+    turns, moves = motion.rotation if rotation else None, motion.translation if translation else None
+    carried = carried_targets(obj, targets["head"])
+    curves = {target.obj: target.curves(turns, moves, angle, length) for target in carried}
     for part, target in _part_targets(obj, targets):
         turns = motion.jaw if part in JAW_PARTS else motion.gaze[:, EYE_PARTS.index(part)]
-        curves.setdefault(target.obj, []).extend(target.rotation_curves(turns, angle))
+        curves.setdefault(target.obj, []).extend(target.curves(turns, None, angle))
     for owner, owned in curves.items():
-        name = f"{owner.name} {'Pose' if owner == head.obj else 'Motion'}"
+        name = f"{owner.name} {'Pose' if any(owner == target.obj for target in carried) else 'Motion'}"
         write_curves(owner, name, frames, owned, nla=nla)
     for child in filter(has_tongue, obj.children):
         curve = Curve(value_path(TONGUE_KEY), 0, motion.actions[:, TONGUE], _TONGUE_ERROR if clean else None)
@@ -185,10 +190,11 @@ def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
 
     Parameters are as for `check_bakeable`.
     """
-    remove_baked_keys(obj)
+    for member in members_of(obj):
+        remove_baked_keys(member.obj)
+        remove_cache(member.obj)
     for child in filter(has_tongue, obj.children):
         remove_baked_keys(child)
-    remove_cache(obj)
     places = _all_targets(obj, targets)
     ours = {owner: remove_bake(owner) for owner in {target.obj for target in places}}
     for target in places:
@@ -199,7 +205,11 @@ def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
 
 def _all_targets(obj: bpy.types.Object, targets: Targets) -> list[PoseTarget]:
     """Return everything that a bake of `obj` may pose, including `obj` itself, which an earlier bake may have posed."""
-    return [PoseTarget(obj), targets["head"], *(target for _, target in _part_targets(obj, targets))]
+    return [
+        PoseTarget(obj),
+        *carried_targets(obj, targets["head"]),
+        *(target for _, target in _part_targets(obj, targets)),
+    ]
 
 
 def _part_targets(obj: bpy.types.Object, targets: Targets) -> Iterator[tuple[str, PoseTarget]]:

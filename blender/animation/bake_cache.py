@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import bpy
@@ -15,6 +15,7 @@ from ...core.bake.point_cache import in_between, write_point_cache
 from ...core.drive.motion import HeadMotion
 from ...core.errors import OutputError
 from ...core.files import replacing
+from ..characters import Member
 from ..frames import to_blender
 from ..media.rendering import quiet
 from ..meshes import read_vertices
@@ -24,31 +25,44 @@ _ALEMBIC_BYTES = 24
 """Maximum size of a vertex in a frame: its position and normal."""
 
 
-def bake_cache(obj: bpy.types.Object, motion: HeadMotion, frames: NDArray[np.floating], path: Path) -> None:
-    """Write every whole frame of a motion to a point cache, and add a Mesh Cache modifier that plays it.
+def bake_cache(members: Sequence[Member], motion: HeadMotion, frames: NDArray[np.floating], path: Path) -> None:
+    """Write every whole frame of a motion to a point cache for each mesh, and add Mesh Cache modifiers that play them.
 
-    The modifier is the first in the stack, so that the user's modifiers act on its result; it overrides shape keys.
+    A modifier is the first in the stack, so that the user's modifiers act on its result; it overrides shape keys.
 
     Parameters
     ----------
-    obj : bpy.types.Object
+    members : sequence of Member
+        Meshes of the head.
     motion : HeadMotion
     frames : (N,) array
         Frames of the motion in the scene, which may be fractional.
     path : Path
-        File to write.
+        File to write for the head; those of other meshes also have their names.
 
     Raises
     ------
     OutputError
         If the file cannot be written.
     """
-    rest = read_vertices(obj.data)
+    for member in members:
+        own = path if member is members[0] else with_name_of(path, member.obj)
+        _bake_mesh(member, motion, frames, own)
+
+
+def with_name_of(path: Path, obj: bpy.types.Object) -> Path:
+    """Return `path` with the name of `obj` added to the file's, for one of several objects."""
+    return path.with_name(f"{path.stem} {bpy.path.clean_name(obj.name)}{path.suffix}")
+
+
+def _bake_mesh(member: Member, motion: HeadMotion, frames: NDArray[np.floating], path: Path) -> None:
+    obj = member.obj
+    rest = to_blender(read_vertices(obj.data))
     first, last = int(np.floor(frames[0] + 1e-3)), int(np.ceil(frames[-1] - 1e-3))
 
     def samples() -> Iterator[NDArray[np.floating]]:
         for frame in range(first, last + 1):
-            yield to_blender(rest + in_between(frames, motion.vertices, frame))
+            yield rest + member.local_offsets(in_between(frames, motion.vertices, frame))
 
     write_point_cache(path, samples(), len(rest), first)
     modifier = obj.modifiers.get(MODIFIER) or obj.modifiers.new(MODIFIER, "MESH_CACHE")
@@ -84,14 +98,15 @@ def caches_beside(path: Path) -> Iterator[None]:
             modifier.filepath = filepath
 
 
-def export_alembic(scene: bpy.types.Scene, obj: bpy.types.Object, path: Path) -> None:
-    """Export a head with its children as Alembic.
+def export_alembic(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], path: Path) -> None:
+    """Export a head with its parts as Alembic.
 
     Parameters
     ----------
     scene : bpy.types.Scene
         Its frame range is exported.
-    obj : bpy.types.Object
+    objects : sequence of bpy.types.Object
+        The head and its parts.
     path : Path
         File to write.
 
@@ -102,11 +117,11 @@ def export_alembic(scene: bpy.types.Scene, obj: bpy.types.Object, path: Path) ->
     """
     if not getattr(bpy.app.build_options, "alembic", False):
         raise OutputError("This Blender was built without Alembic. Bake to a mesh cache instead.")
-    vertices = sum(len(part.data.vertices) for part in (obj, *obj.children) if part.type == "MESH")
+    vertices = sum(len(part.data.vertices) for part in objects if part.type == "MESH")
     needed = _ALEMBIC_BYTES * vertices * (scene.frame_end - scene.frame_start + 1)
     if shutil.disk_usage(path.parent).free < needed:  # Blender crashes when the disk is full
         raise OutputError(f"Cannot write {path}: up to {needed / 1e6:.0f} MB are needed. Free some disk space.")
-    with replacing(path) as temporary, _only_selected([obj, *obj.children]):
+    with replacing(path) as temporary, _only_selected(list(objects)):
         try:
             with quiet():
                 bpy.ops.wm.alembic_export(

@@ -12,20 +12,21 @@ from numpy.typing import NDArray
 from ...core.bake.basis import MotionBasis
 from ...core.errors import HeadError
 from ..actions import Curve, remove_bake, remove_curves, write_curves
-from ..frames import from_blender, to_blender
+from ..characters import Member
 
 BAKED_KEY_PREFIX = "Facemime "
 
 
 @dataclass(frozen=True)
 class MeshKeys:
-    """Existing shape keys of a mesh.
+    """Existing shape keys of a head, each on one or several of its meshes.
 
     Attributes
     ----------
     names : (K,) tuple of str
-    offsets : (K, V, 3) float32
-        Displacements at value 1, multiplied by the weights of the keys' vertex groups; head frame, the mesh's unit.
+    offsets : (K, A, 3) float32
+        Displacements of all meshes of the head at value 1, multiplied by the weights of the keys' vertex groups; head
+        frame, the unit of the head.
     lower, upper : (K,) float64
         Range Min and Range Max of the keys.
     """
@@ -58,28 +59,39 @@ def key_names(obj: bpy.types.Object) -> list[str]:
     ]
 
 
-def read_keys(obj: bpy.types.Object) -> MeshKeys:
-    """Read the user's shape keys of `obj` that are not muted.
+def read_keys(members: Sequence[Member]) -> MeshKeys:
+    """Read the user's shape keys of a head that are not muted.
+
+    Parameters
+    ----------
+    members : sequence of Member
+        Meshes of the head. Keys of one name on several of them are one.
 
     Raises
     ------
     HeadError
-        If the mesh has no shape keys, or absolute ones.
+        If no mesh has shape keys, or one has absolute ones.
     """
-    keys = obj.data.shape_keys
-    names = [name for name in key_names(obj) if not keys.key_blocks[name].mute]
-    if not names:
-        raise HeadError(
-            f"{obj.name} has no shape keys. Bake to new shape keys, or add the built-in head with Face Units."
-        )
-    require_relative(obj)
-    blocks = [keys.key_blocks[name] for name in names]
-    offsets = np.stack([_weights(obj, block) * (_points(block) - _points(block.relative_key)) for block in blocks])
+    blocks: dict[str, list[tuple[Member, bpy.types.ShapeKey]]] = {}
+    for member in members:
+        for name in key_names(member.obj):
+            if not (block := member.obj.data.shape_keys.key_blocks[name]).mute:
+                require_relative(member.obj)
+                blocks.setdefault(name, []).append((member, block))
+    if not blocks:
+        name = members[0].obj.name
+        raise HeadError(f"{name} has no shape keys. Bake to new shape keys, or add the built-in head with Face Units.")
+    offsets = np.zeros((len(blocks), members[-1].part.stop, 3), dtype=np.float32)
+    for row, found in zip(offsets, blocks.values(), strict=True):
+        for member, block in found:
+            moved = _weights(member.obj, block) * (_points(block) - _points(block.relative_key))
+            row[member.part] = member.head_offsets(moved)
+    first = [found[0][1] for found in blocks.values()]
     return MeshKeys(
-        names=tuple(names),
-        offsets=np.ascontiguousarray(from_blender(offsets)),
-        lower=np.array([block.slider_min for block in blocks]),
-        upper=np.array([block.slider_max for block in blocks]),
+        names=tuple(blocks),
+        offsets=offsets,
+        lower=np.array([block.slider_min for block in first]),
+        upper=np.array([block.slider_max for block in first]),
     )
 
 
@@ -96,13 +108,18 @@ def value_path(name: str) -> str:
 
 
 def bake_new_keys(
-    obj: bpy.types.Object, basis: MotionBasis, frames: NDArray[np.floating], *, clean: float = 0.0, nla: bool = False
+    members: Sequence[Member],
+    basis: MotionBasis,
+    frames: NDArray[np.floating],
+    *,
+    clean: float = 0.0,
+    nla: bool = False,
 ) -> None:
-    """Add shape keys to a head and animate them.
+    """Add shape keys to the meshes of a head and animate them; those of one name move together.
 
     Parameters
     ----------
-    obj : bpy.types.Object
+    members : sequence of Member
     basis : MotionBasis
         Displacements of the keys, and their values.
     frames : (N,) array
@@ -112,21 +129,21 @@ def bake_new_keys(
     nla : bool
         Whether to use an NLA track.
     """
-    if obj.data.shape_keys is None:
-        obj.shape_key_add(name="Basis", from_mix=False)
-    rest = _points(obj.data.shape_keys.reference_key)
-    values = {}
-    for i, mode in enumerate(basis.modes):
-        key = obj.shape_key_add(name=f"{BAKED_KEY_PREFIX}{i + 1:02d}", from_mix=False)
-        key.points.foreach_set("co", (rest + to_blender(mode)).astype(np.float32).reshape(-1))
-        key.slider_min, key.slider_max = -1.0, 1.0
-        key.value = 0.0
-        values[key.name] = basis.weights[:, i]
-    bake_values(obj, values, frames, basis.modes, clean=clean, nla=nla)
+    names = [f"{BAKED_KEY_PREFIX}{i + 1:02d}" for i in range(len(basis.modes))]
+    for obj, offsets in ((member.obj, member.local_offsets(basis.modes)) for member in members):
+        if obj.data.shape_keys is None:
+            obj.shape_key_add(name="Basis", from_mix=False)
+        rest = _points(obj.data.shape_keys.reference_key)
+        for name, mode in zip(names, offsets, strict=True):
+            key = obj.shape_key_add(name=name, from_mix=False)
+            key.points.foreach_set("co", (rest + mode).reshape(-1))
+            key.slider_min, key.slider_max = -1.0, 1.0
+            key.value = 0.0
+    bake_values(members, dict(zip(names, basis.weights.T, strict=True)), frames, basis.modes, clean=clean, nla=nla)
 
 
 def bake_values(
-    obj: bpy.types.Object,
+    members: Sequence[Member],
     values: Mapping[str, NDArray[np.floating]],
     frames: NDArray[np.floating],
     offsets: NDArray[np.floating],
@@ -134,29 +151,32 @@ def bake_values(
     clean: float = 0.0,
     nla: bool = False,
 ) -> None:
-    """Animate existing shape keys of a head.
+    """Animate existing shape keys of a head on each of its meshes that has them.
 
     Parameters
     ----------
-    obj : bpy.types.Object
+    members : sequence of Member
     values : mapping
         Values of each key by its name, (N,).
     frames : (N,) array
         Frames of the keyframes.
-    offsets : (K, V, 3) array
+    offsets : (K, A, 3) array
         Displacements of the keys at value 1.
     clean : float
-        Error of a vertex allowed when removing keyframes, the mesh's unit; 0 keeps all keyframes.
+        Error of a vertex allowed when removing keyframes, the unit of the head; 0 keeps all keyframes.
     nla : bool
         Whether to use an NLA track.
     """
     peaks = np.sqrt(np.square(offsets).sum(axis=2).max(axis=1, initial=0.0))
-    curves = []
+    curves = {}
     for (name, curve), peak in zip(values.items(), peaks, strict=True):
         tolerance = clean / (len(peaks) * max(float(peak), 1e-9)) if clean > 0.0 else None
-        curves.append(Curve(value_path(name), 0, curve, tolerance))
-    obj.show_only_shape_key = False
-    write_curves(obj.data.shape_keys, f"{obj.name} Expression", frames, curves, nla=nla)
+        curves[name] = Curve(value_path(name), 0, curve, tolerance)
+    for obj in (member.obj for member in members):
+        if (keys := obj.data.shape_keys) is not None:
+            obj.show_only_shape_key = False
+            own = [curve for name, curve in curves.items() if name in keys.key_blocks]
+            write_curves(keys, f"{obj.name} Expression", frames, own, nla=nla)
 
 
 def remove_baked_keys(obj: bpy.types.Object) -> None:

@@ -23,11 +23,13 @@ from ...core.puppet.settings import PuppetSettings
 from ...core.takes.neutral import Neutral
 from ...core.takes.take import Take
 from ..actions import check_curves
-from ..meshes import mesh_of, read_rig
+from ..characters import members_of, objects_of
+from ..meshes import mesh_of
+from ..rigs import read_rig
 from .bake import Targets, bake_pose, check_bakeable, check_range, frames_of, remove_baked, set_range
-from .bake_cache import bake_cache, export_alembic
+from .bake_cache import bake_cache, export_alembic, with_name_of
 from .bake_keys import MeshKeys, bake_new_keys, bake_values, key_names, read_keys, value_path
-from .targets import PoseTarget
+from .targets import own_targets
 
 TOLERANCE = 0.009
 """Error allowed of a basis of new shape keys, in eye distances."""
@@ -90,7 +92,7 @@ def puppet_head(
         in that case.
     """
     mesh_of(obj)
-    bake, targets = settings.bake, targets or {"head": PoseTarget.of(obj)}
+    bake, targets = settings.bake, targets or own_targets(obj)
     rig = _checked_rig(obj, targets, bake)
     performance = Performance.of(take, settings)
     take, neutral = performance.take, performance.neutral
@@ -108,7 +110,7 @@ def puppet_head(
     bake_pose(obj, targets, motion, frames, **follow, clean=clean, nla=bake.nla)
     set_range(scene, frames_of(scene, take.times))
     if bake.keys == "alembic":
-        export_alembic(scene, obj, bake.path.with_suffix(".abc"))
+        export_alembic(scene, [obj, *obj.children, *objects_of(obj)], bake.path.with_suffix(".abc"))
     return PuppetReport(plan.keys, plan.error / unit + (bake.clean if plan.keys else 0.0), neutral, motion)
 
 
@@ -164,7 +166,7 @@ def check_heads(objects: Sequence[bpy.types.Object], bake: BakeSettings, targets
     """
     for number, obj in enumerate(objects):
         mesh_of(obj)
-        _checked_rig(obj, {"head": PoseTarget.of(obj)} if number or targets is None else targets, bake)
+        _checked_rig(obj, own_targets(obj) if number or targets is None else targets, bake)
 
 
 def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) -> HeadRig:
@@ -186,12 +188,14 @@ def _new(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: fl
     basis = fit_basis(motion.vertices, TOLERANCE * unit, bake.max_keys)
     clean = bake.clean * unit
     return _Plan(
-        len(basis.modes), basis.worst_error, lambda: bake_new_keys(obj, basis, frames, clean=clean, nla=bake.nla)
+        len(basis.modes),
+        basis.worst_error,
+        lambda: bake_new_keys(members_of(obj), basis, frames, clean=clean, nla=bake.nla),
     )
 
 
 def _named(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:
-    keys = read_keys(obj)
+    keys = read_keys(members_of(obj))
     keys = keys.chosen(expression_keys(keys.names))
     fit = fit_keys(motion.vertices, keys.offsets, keys.lower, keys.upper)
     values = dict(zip(keys.names, fit.weights.T, strict=True))
@@ -206,7 +210,7 @@ def _mapped(
     bake: BakeSettings,
     coefficients: FloatArray,
 ) -> _Plan:
-    keys = read_keys(obj)
+    keys = read_keys(members_of(obj))
     values = table_for(obj, bake.table).apply(coefficients, keys.ranges)
     if not values:
         raise HeadError(
@@ -236,7 +240,7 @@ def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
     HeadError
         If it matches none of them.
     """
-    names = key_names(obj)
+    names = list(dict.fromkeys(name for member in members_of(obj) for name in key_names(member.obj)))
     if table is None and (preset := best_preset(names)) is not None:
         return preset
     if table is None:
@@ -261,16 +265,20 @@ def _values_plan(
     unit: float,
     bake: BakeSettings,
 ) -> _Plan:
-    check_curves(obj.data.shape_keys, [value_path(name) for name in keys.names])
+    members = members_of(obj)
+    for shape_keys in filter(None, (member.obj.data.shape_keys for member in members)):
+        check_curves(shape_keys, [value_path(name) for name in keys.names if name in shape_keys.key_blocks])
     clean = bake.clean * unit
-    return _Plan(len(values), error, lambda: bake_values(obj, values, frames, keys.offsets, clean=clean, nla=bake.nla))
+    return _Plan(
+        len(values), error, lambda: bake_values(members, values, frames, keys.offsets, clean=clean, nla=bake.nla)
+    )
 
 
 def _cache(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:
     if bake.path is None:
         raise OutputError("The cache has no file name. Give it a path.")
     path = bake.path.with_suffix(SUFFIX)
-    return _Plan(0, 0.0, lambda: bake_cache(obj, motion, frames, path))
+    return _Plan(0, 0.0, lambda: bake_cache(members_of(obj), motion, frames, path))
 
 
 _PLANS = {"new": _new, "named": _named, "cache": _cache, "alembic": _cache}
@@ -279,5 +287,4 @@ _PLANS = {"new": _new, "named": _named, "cache": _cache, "alembic": _cache}
 def _with_path(settings: PuppetSettings, obj: bpy.types.Object) -> PuppetSettings:
     if (path := settings.bake.path) is None:
         return settings
-    named = path.with_name(f"{path.stem} {bpy.path.clean_name(obj.name)}{path.suffix}")
-    return replace(settings, bake=replace(settings.bake, path=named))
+    return replace(settings, bake=replace(settings.bake, path=with_name_of(path, obj)))

@@ -9,13 +9,23 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
-from mathutils import Euler, Matrix
+from mathutils import Euler, Matrix, Vector
 from numpy.typing import NDArray
 
 from ...core.errors import HeadError
 from ..actions import Curve
+from ..characters import (
+    objects_of,
+    own_rotation,
+    parent_matrix,
+    parent_rotation,
+    read_bones,
+    rest_matrix,
+    rest_rotation,
+)
 from ..frames import rotation_to_blender, to_blender
 from ..meshes import exists
+from ..names import PIVOT_PROPERTY
 
 FloatArray = NDArray[np.floating]
 
@@ -29,13 +39,20 @@ class PoseTarget:
     obj : bpy.types.Object
     bone : str
         Name of the bone; "" for the object itself.
+    head : bpy.types.Object, optional
+        The head in whose axes the pose is given; the object itself by default.
+    pivot : (float, float, float), optional
+        Point about which an object turns, in the axes of the head; its own origin by default. A bone turns about its
+        head.
     """
 
     obj: bpy.types.Object
     bone: str = ""
+    head: bpy.types.Object | None = None
+    pivot: tuple[float, float, float] | None = None
 
     @classmethod
-    def of(cls, obj: bpy.types.Object, bone: str = "") -> PoseTarget:
+    def of(cls, obj: bpy.types.Object, bone: str = "", head: bpy.types.Object | None = None) -> PoseTarget:
         """Return the target for an object.
 
         Parameters
@@ -43,6 +60,8 @@ class PoseTarget:
         obj : bpy.types.Object
         bone : str
             Required for an armature, ignored for other objects.
+        head : bpy.types.Object, optional
+            As the attribute.
 
         Raises
         ------
@@ -53,12 +72,14 @@ class PoseTarget:
             raise HeadError(f"No bone of the armature {obj.name} is selected. Choose the bone that takes the pose.")
         if obj.type == "ARMATURE" and bone not in obj.pose.bones:
             raise HeadError(f"The armature {obj.name} has no bone {bone}. Choose one of its bones.")
-        return cls(obj, bone if obj.type == "ARMATURE" else "")
+        return cls(obj, bone if obj.type == "ARMATURE" else "", head)
 
     @property
     def exists(self) -> bool:
-        """Whether the object and its bone still exist."""
-        return exists(self.obj) and (not self.bone or (self.obj.pose is not None and self.bone in self.obj.pose.bones))
+        """Whether the object and its bone still exist, and the head."""
+        if not exists(self.obj) or (self.head is not None and not exists(self.head)):
+            return False
+        return not self.bone or (self.obj.pose is not None and self.bone in self.obj.pose.bones)
 
     @property
     def owner(self) -> bpy.types.Object | bpy.types.PoseBone:
@@ -82,8 +103,7 @@ class PoseTarget:
 
     def moved(self, translation: FloatArray) -> FloatArray:
         """Convert (..., 3) translations from the head frame, in the unit of the head, to the target's channels."""
-        scale = 1.0 if self.bone else np.abs(self.obj.scale)
-        return np.asarray((to_blender(translation) * scale) @ self._axes().T)
+        return np.asarray((to_blender(translation) * self._scale()) @ self._axes().T)
 
     def apply(self, rotation: FloatArray | None, translation: FloatArray | None) -> None:
         """Set the pose.
@@ -97,8 +117,8 @@ class PoseTarget:
         """
         if rotation is not None:
             self._rotate(Matrix(self.turned(rotation).tolist()))
-        if translation is not None:
-            setattr(self.owner, f"{self.prefix}location", self.moved(translation).tolist())
+        if (location := self._location(rotation, translation)) is not None:
+            setattr(self.owner, f"{self.prefix}location", location.tolist())
 
     @property
     def data_paths(self) -> list[str]:
@@ -106,16 +126,31 @@ class PoseTarget:
         channels = ("rotation_quaternion", "rotation_euler", "location")
         return [f"{self.path}{self.prefix}{channel}" for channel in channels]
 
-    def rotation_curves(self, rotations: FloatArray, tolerance: float | None = None) -> list[Curve]:
-        """Return curves of rotations, without jumps between equivalent angles.
+    def curves(
+        self,
+        rotations: FloatArray | None,
+        translations: FloatArray | None,
+        angle: float | None = None,
+        length: float | None = None,
+    ) -> list[Curve]:
+        """Return the curves of a motion.
 
         Parameters
         ----------
-        rotations : (N, 3, 3) array
+        rotations : (N, 3, 3) array or None
             Head frame.
-        tolerance : float, optional
-            As for `Curve`, radians.
+        translations : (N, 3) array or None
+            Head frame, the unit of the head.
+        angle, length : float, optional
+            As the tolerance of `Curve`: radians, and the unit of the head.
         """
+        curves = [] if rotations is None else self._rotation_curves(rotations, angle)
+        if (locations := self._location(rotations, translations)) is not None:
+            curves += self._curves("location", locations, length)
+        return curves
+
+    def _rotation_curves(self, rotations: FloatArray, tolerance: float | None) -> list[Curve]:
+        """Return curves of (N, 3, 3) rotations, without jumps between equivalent angles."""
         owner = self.owner
         if owner.rotation_mode == "AXIS_ANGLE":
             owner.rotation_mode = "XYZ"
@@ -131,29 +166,46 @@ class PoseTarget:
                 row[:] = previous
         return self._curves(channel, values, tolerance)
 
-    def translation_curves(self, translations: FloatArray, tolerance: float | None = None) -> list[Curve]:
-        """Return curves of translations.
-
-        Parameters
-        ----------
-        translations : (N, 3) array
-            Head frame, the unit of the head.
-        tolerance : float, optional
-            As for `Curve`.
-        """
-        return self._curves("location", self.moved(translations), tolerance)
-
     def rest(self) -> None:
         """Reset the pose that `apply` set."""
         self._rotate(Matrix.Identity(3))
         setattr(self.owner, f"{self.prefix}location", (0.0, 0.0, 0.0))
 
+    def _location(self, rotation: FloatArray | None, translation: FloatArray | None) -> FloatArray | None:
+        """Return (..., 3) of the location's channels; None if they stay as they are."""
+        location = None if translation is None else self.moved(translation)
+        if rotation is None or self.bone or self.pivot is None:
+            return location
+        about = self._about()
+        around = about - self.turned(rotation) @ about
+        return around if location is None else location + around
+
+    def _about(self) -> FloatArray:
+        """Return (3,) from the location of the object to the pivot, in the space of its parent."""
+        in_world = rest_matrix(self.head or self.obj) @ Vector(self.pivot or (0.0, 0.0, 0.0))
+        return np.array(parent_matrix(self.obj).inverted_safe() @ in_world - self.obj.location)
+
     def _axes(self) -> FloatArray:
         """Return (3, 3) from the head's axes in Blender to those of the target's channels, with negative scales."""
+        head = self.head or self.obj
+        mirrored = np.where(np.array(head.scale) < 0.0, -1.0, 1.0)
         if self.bone:
-            return np.array(self.obj.data.bones[self.bone].matrix_local.to_3x3()).T
-        mirrored = np.where(np.array(self.obj.scale) < 0.0, -1.0, 1.0)
-        return np.array(own_rotation(self.obj)) * mirrored
+            bone = np.array(self.obj.data.bones[self.bone].matrix_local.to_3x3().normalized())
+            return np.asarray((rest_rotation(self.obj) @ bone).T @ rest_rotation(head) * mirrored)
+        if head == self.obj:
+            return np.array(own_rotation(self.obj)) * mirrored
+        return np.asarray(parent_rotation(self.obj).T @ rest_rotation(head) * mirrored)
+
+    def _scale(self) -> FloatArray:
+        """Return (3,) the length of the head's units along its axes, in units of the target's channels."""
+        head = self.head or self.obj
+        if self.bone:
+            space = rest_matrix(self.obj)
+        elif head == self.obj:
+            return np.abs(head.scale)
+        else:
+            space = parent_matrix(self.obj)
+        return np.full(3, rest_matrix(head).median_scale / max(space.median_scale, 1e-12))
 
     def _curves(self, channel: str, values: FloatArray, tolerance: float | None) -> list[Curve]:
         path = f"{self.path}{self.prefix}{channel}"
@@ -170,11 +222,49 @@ class PoseTarget:
             setattr(owner, f"{prefix}rotation_euler", matrix.to_euler(owner.rotation_mode, before))
 
 
-def own_rotation(obj: bpy.types.Object) -> Matrix:
-    """Return the (3, 3) rotation of `obj` relative to its parent, without its delta rotation."""
-    if obj.rotation_mode == "QUATERNION":
-        return obj.rotation_quaternion.normalized().to_matrix()
-    if obj.rotation_mode == "AXIS_ANGLE":
-        angle, *axis = obj.rotation_axis_angle
-        return Matrix.Rotation(angle, 3, axis)
-    return obj.rotation_euler.to_matrix()
+def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
+    """Return what takes the pose of a head by itself: the bones that were found when it was bound, or the head.
+
+    Parameters
+    ----------
+    head : bpy.types.Object
+
+    Returns
+    -------
+    dict
+        "head", and "eye_left" and "eye_right" if bones turn the eyes.
+    """
+    armature, bones = read_bones(head)
+    if armature is None or not bones.head:
+        pivot = head.get(PIVOT_PROPERTY)
+        targets = {"head": PoseTarget(head, head=head, pivot=None if pivot is None else tuple(pivot))}
+    else:
+        targets = {"head": PoseTarget(armature, bones.head, head)}
+    for eye in ("eye_left", "eye_right"):
+        if armature is not None and (bone := getattr(bones, eye)):
+            targets[eye] = PoseTarget(armature, bone, head)
+    return targets
+
+
+def carried_targets(head: bpy.types.Object, target: PoseTarget) -> list[PoseTarget]:
+    """Return what takes the pose of the head: `target` and, if that is the head itself, also its other objects.
+
+    Parameters
+    ----------
+    head : bpy.types.Object
+    target : PoseTarget
+        Of the head.
+    """
+    if target.obj != head:
+        return [target]
+    objects = set(objects_of(head))
+    loose = [obj for obj in objects_of(head) if not objects.union({head}).intersection(_ancestors(obj))]
+    return [target, *(PoseTarget(obj, head=head, pivot=target.pivot or (0.0, 0.0, 0.0)) for obj in loose)]
+
+
+def _ancestors(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    found = []
+    while obj.parent is not None:
+        obj = obj.parent
+        found.append(obj)
+    return found

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from ...core.errors import HeadError
 from ...core.heads.binding import Binding, bind_landmarks
 from ...core.heads.checks import Finding, check_head
+from ...core.heads.parts import Part, Skin
 from ...core.heads.proposal import propose_regions
+from ..characters import read_kinds
 from ..frames import HEAD_TO_BLENDER
 from ..meshes import (
     eye_vertices,
     mesh_of,
-    read_faces,
     read_landmarks,
     read_regions,
     read_vertices,
@@ -23,21 +24,63 @@ from ..meshes import (
     write_landmarks,
     write_regions,
 )
-from ..names import COUNT_PROPERTY, LANDMARKS_PROPERTY, MARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
+from ..names import (
+    COUNT_PROPERTY,
+    LANDMARKS_PROPERTY,
+    MARKS_PROPERTY,
+    PART_PROPERTY,
+    REGION_GROUPS,
+    SELECTION_PROPERTY,
+)
+from .parts import face_candidates, is_sorted, named_others, skin_of_object, sort_character
 
 _HUMAN_STRAIN = 0.04
 """Largest bending of the template that fits a human head, in eye distances."""
+_MAX_CANDIDATES = 3
+"""Meshes of a character in which a face is sought."""
 _UPRIGHT = np.cos(np.radians(20.0))
 """Cosine of the angle to -Y above which a mesh is rotated; a smaller one is the pose of the head."""
 
 
+def bind_character(obj: bpy.types.Object | None) -> tuple[bpy.types.Object, Binding]:
+    """Find the face of the character to which `obj` belongs, and bind its landmarks as `bind_head` does.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object or None
+        Any mesh of the character. One with marked points or landmarks is bound itself.
+
+    Returns
+    -------
+    obj : bpy.types.Object
+        The mesh with the skin of the face.
+    binding : Binding
+
+    Raises
+    ------
+    HeadError
+        As `bind_head`, of the most likely mesh.
+    """
+    mesh = mesh_of(obj)
+    if read_marks(mesh) or LANDMARKS_PROPERTY in mesh:
+        return obj, bind_head(obj)
+    failure: HeadError | None = None
+    for candidate in face_candidates(obj)[:_MAX_CANDIDATES]:
+        try:
+            return candidate, bind_head(candidate)
+        except HeadError as error:
+            failure = failure or error
+    assert failure is not None
+    raise failure
+
+
 def bind_head(obj: bpy.types.Object | None) -> Binding:
-    """Find the landmarks of `obj`, with or without marked points, and propose its regions.
+    """Find the landmarks of `obj`, with or without marked points, propose its regions, and sort the parts of its face.
 
     Without marks the face is searched along the axes of the scene, first upright towards -Y, as importers rotate the
     object rather than its vertices. Then it is searched along the object's own axes, as the object may be rotated by
     any angle. If the vertices are not upright, they are rotated, and the object is rotated back, so that nothing moves
-    in the scene.
+    in the scene. Parts that were sorted before stay as they are.
 
     Raises
     ------
@@ -45,18 +88,26 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
         If no face is found, or a mesh that several objects share would have to be rotated.
     """
     mesh = mesh_of(obj)
-    marks = read_marks(mesh)
     scene_axes = HEAD_TO_BLENDER.T @ np.array(obj.matrix_world.to_quaternion().to_matrix()) @ HEAD_TO_BLENDER
-    skin, faces = _skin(obj)
-    number = {vertex: place for place, vertex in enumerate(skin.tolist())}
-    marks = {landmark: number[vertex] for landmark, vertex in marks.items() if vertex in number}
+    others = read_kinds(mesh) != Part.SKIN if is_sorted(obj) else named_others(obj)
+    others[eye_vertices(obj)] = True
+    skin = skin_of_object(obj, others)
+    marks = read_marks(mesh)
     aligned = np.allclose(scene_axes, np.eye(3), atol=1e-3)
     axes = [scene_axes] if marks or aligned else [scene_axes, np.eye(3)]
-    binding, along = _bound(read_vertices(mesh)[skin], faces, marks, axes)
+    binding, along = _bound(read_vertices(mesh), skin, marks, axes)
     upright = along if _is_small(binding.rotation) else binding.rotation @ along
     if not _is_small(upright):
         _turn(obj, HEAD_TO_BLENDER @ upright @ HEAD_TO_BLENDER.T)
-    write_landmarks(mesh, skin[binding.landmarks])
+    landmarks = skin.kept[binding.landmarks]
+    if not is_sorted(obj) and not any(PART_PROPERTY in child for child in obj.children):
+        weights = propose_regions(read_vertices(mesh)[skin.kept], skin.faces, binding.landmarks)
+        sort_character(obj, landmarks, weights, skin)
+    others |= read_kinds(mesh) != Part.SKIN
+    if len((final := skin_of_object(obj, others, landmarks)).kept) != len(skin.kept):
+        binding, _ = _bound(read_vertices(mesh), final, marks, [np.eye(3)])
+        landmarks = final.kept[binding.landmarks]
+    write_landmarks(mesh, landmarks)
     if SELECTION_PROPERTY in mesh:
         del mesh[SELECTION_PROPERTY]
     propose_head_regions(obj)
@@ -66,13 +117,22 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
 def propose_head_regions(obj: bpy.types.Object) -> None:
     """Replace the weights of the regions of `obj` by a proposal from its landmarks."""
     landmarks = read_landmarks(obj)
-    write_regions(obj, propose_regions(read_vertices(obj.data), read_faces(obj.data), landmarks))
+    skin = skin_of_object(obj, read_kinds(obj.data) != Part.SKIN, landmarks)
+    weights = np.zeros((len(REGION_GROUPS), len(skin.number)))
+    own = skin.number >= 0
+    known = propose_regions(read_vertices(obj.data)[skin.kept], skin.faces, skin.number[landmarks])
+    weights[:, own] = known[:, skin.number[own]]
+    write_regions(obj, weights)
 
 
 def check_object(obj: bpy.types.Object | None) -> list[Finding]:
     """Check `obj` for problems; raises HeadError if it has no landmarks or regions."""
     mesh = mesh_of(obj)
-    return check_head(read_vertices(mesh), read_faces(mesh), read_landmarks(obj), read_regions(obj))
+    landmarks, weights = read_landmarks(obj), read_regions(obj)
+    skin = skin_of_object(obj, read_kinds(mesh) != Part.SKIN, landmarks)
+    if (skin.number[landmarks] < 0).any():
+        return [Finding("Landmarks lie on other parts than the skin.", "Set these parts to Skin, or bind again.")]
+    return check_head(read_vertices(mesh)[skin.kept], skin.faces, skin.number[landmarks], weights[:, skin.kept])
 
 
 def missing_parts(obj: bpy.types.Object) -> list[tuple[str, str]]:
@@ -154,10 +214,10 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
 
 
 def _bound(
-    vertices: NDArray[np.floating], faces: NDArray[np.intp], marks: dict[int, int], axes: list[NDArray[np.floating]]
+    vertices: NDArray[np.floating], skin: Skin, marks: dict[int, int], axes: list[NDArray[np.floating]]
 ) -> tuple[Binding, NDArray[np.floating]]:
-    """Return the binding, and the one of `axes`, (3, 3) rotations, along which it was found: the first along which
-    there is a human face, or otherwise that along which the template was bent least.
+    """Return the binding of a skin, and the one of `axes`, (3, 3) rotations, along which it was found: the first along
+    which there is a human face, or otherwise that along which the template was bent least.
 
     Raises
     ------
@@ -166,9 +226,11 @@ def _bound(
     """
     found: list[tuple[Binding, NDArray[np.floating]]] = []
     failure: HeadError | None = None
+    marked = {landmark: int(skin.number[vertex]) for landmark, vertex in marks.items() if vertex < len(skin.number)}
+    marked = {landmark: vertex for landmark, vertex in marked.items() if vertex >= 0}
     for rotation in axes:
         try:
-            binding = bind_landmarks(vertices @ rotation.T, faces, marks)
+            binding = bind_landmarks(vertices[skin.kept] @ rotation.T, skin.faces, marked)
         except HeadError as error:
             failure = error
             continue
@@ -179,19 +241,6 @@ def _bound(
         assert failure is not None
         raise failure
     return min(found, key=lambda pair: pair[0].strain)
-
-
-def _skin(obj: bpy.types.Object) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return (N,) vertex indices of `obj` without eyes that were cut out, whose border could be mistaken for that of
-    the lids, and the (F, K) faces between them, as indices into these.
-    """
-    count = len(obj.data.vertices)
-    skin = np.setdiff1d(np.arange(count), eye_vertices(obj))
-    number = np.full(count + 1, -1)
-    number[skin] = np.arange(len(skin))
-    faces = read_faces(obj.data)
-    whole = ((number[faces] >= 0) | (faces < 0)).all(axis=1)
-    return skin, number[faces[whole]]
 
 
 def _is_small(rotation: NDArray[np.floating]) -> bool:

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import bpy
 import numpy as np
+from mathutils import Matrix
 from numpy.typing import NDArray
+
+from ...core.heads.built_in import load_head
+from ...core.landmarks import outer_eye_distance
+from ...core.rotation import fit_rotation
+from ..frames import to_blender
+from ..meshes import is_head, read_landmarks
 
 _LENS, _SENSOR = 85.0, 36.0
 _MARGIN = 1.08
@@ -12,10 +21,53 @@ _STUDIO_LIGHT = "paint.sl"
 _FOLD_SHARE = 0.05
 """Size of the folds that are shaded, relative to the head; even light alone would hide the motion of a face."""
 
+_HEAD_REACH, _DEPTH = 2.3, 0.5
+"""Outer-eye distances around the middle of a head, and of that middle behind the landmarks, that are in view."""
 _BACKGROUND = (0.16, 0.17, 0.19)
 
 
-def setup_preview(scene: bpy.types.Scene, head_object: bpy.types.Object, size: tuple[int, int] = (512, 512)) -> None:
+@dataclass(frozen=True)
+class FaceView:
+    """What a picture of a head shows.
+
+    Attributes
+    ----------
+    points : (N, 3) float64
+        Points in the world that have to be in view.
+    axes : (3, 3) float64
+        Rotation of the face from upright towards -Y; its columns point to the viewer's right, away and up.
+    """
+
+    points: NDArray[np.float64]
+    axes: NDArray[np.float64]
+
+
+def face_view(obj: bpy.types.Object) -> FaceView:
+    """Return the view of a head from the front of its face, as its armature poses it at the current frame.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Any mesh; one without landmarks is shown as a whole, from the front of the scene.
+    """
+    points = _vertices(obj)
+    if not is_head(obj):
+        return FaceView(points, np.eye(3))
+    landmarks, head = read_landmarks(obj), load_head()
+    face = points[landmarks]
+    known = to_blender(head.vertices[head.landmarks]).astype(np.float64)
+    axes = fit_rotation(known - known.mean(axis=0), face - face.mean(axis=0))
+    unit = outer_eye_distance(face)
+    middle = face.mean(axis=0) + _DEPTH * unit * axes[:, 1]
+    return FaceView(points[np.linalg.norm(points - middle, axis=1) < _HEAD_REACH * unit], axes)
+
+
+def setup_preview(
+    scene: bpy.types.Scene,
+    head_object: bpy.types.Object,
+    size: tuple[int, int] = (512, 512),
+    view: FaceView | None = None,
+) -> None:
     """Set up a camera in front of a head, and Workbench.
 
     Parameters
@@ -25,9 +77,12 @@ def setup_preview(scene: bpy.types.Scene, head_object: bpy.types.Object, size: t
         Any mesh.
     size : (int, int)
         Width and height of the render, pixels.
+    view : FaceView, optional
+        What is in view; by default the head as it is now.
     """
-    points = _vertices(head_object)
-    _aim_camera(scene, points, size)
+    view = face_view(head_object) if view is None else view
+    points = view.points
+    _aim_camera(scene, view, size)
     render = scene.render
     render.engine = "BLENDER_WORKBENCH"
     render.resolution_x, render.resolution_y = size
@@ -56,20 +111,23 @@ def _set_shading(scene: bpy.types.Scene, extent: float) -> None:
 
 
 def _vertices(obj: bpy.types.Object) -> NDArray[np.float64]:
-    """Return (V, 3) vertices at rest of the mesh `obj` in world space."""
-    bpy.context.view_layer.update()
-    flat = np.empty(3 * len(obj.data.vertices), dtype=np.float32)
-    obj.data.vertices.foreach_get("co", flat)
-    world = np.array(obj.matrix_world)
+    """Return (V, 3) vertices of the mesh `obj` in world space, with its modifiers unless these change their number."""
+    graph = bpy.context.evaluated_depsgraph_get()
+    shown = obj.evaluated_get(graph)
+    mesh = shown.data if len(shown.data.vertices) == len(obj.data.vertices) else obj.data
+    flat = np.empty(3 * len(mesh.vertices), dtype=np.float32)
+    mesh.vertices.foreach_get("co", flat)
+    world = np.array(shown.matrix_world)
     return np.asarray(flat.reshape(-1, 3) @ world[:3, :3].T + world[:3, 3])
 
 
-def _aim_camera(scene: bpy.types.Scene, points: NDArray[np.float64], size: tuple[int, int]) -> None:
-    """Add a camera straight in front of the points, as near as possible with all of them and a margin in view."""
+def _aim_camera(scene: bpy.types.Scene, view: FaceView, size: tuple[int, int]) -> None:
+    """Add a camera straight in front of the face, as near as possible with all points and a margin in view."""
     data = bpy.data.cameras.new("Facemime Preview")
     camera = bpy.data.objects.new("Facemime Preview", data)
     scene.collection.objects.link(camera)
     data.lens, data.sensor_width, data.sensor_fit = _LENS, _SENSOR, "HORIZONTAL"
+    points = view.points @ view.axes
     low, high = points.min(axis=0), points.max(axis=0)
     centre = (low + high) / 2.0
     across = _SENSOR / (2.0 * _LENS * _MARGIN)
@@ -77,7 +135,8 @@ def _aim_camera(scene: bpy.types.Scene, points: NDArray[np.float64], size: tuple
     beside = np.abs(points - centre)
     nearest = (points[:, 1] - np.maximum(beside[:, 0] / across, beside[:, 2] / upwards)).min()
     distance = centre[1] - nearest
-    camera.location = (centre[0], nearest, centre[2])
-    camera.rotation_euler = (np.pi / 2.0, 0.0, 0.0)
+    camera.location = view.axes @ (centre[0], nearest, centre[2])
+    facing = Matrix(view.axes.tolist()) @ Matrix.Rotation(np.pi / 2.0, 3, "X")
+    camera.rotation_euler = facing.to_euler()
     data.clip_start, data.clip_end = distance / 100.0, distance * 10.0
     scene.camera = camera

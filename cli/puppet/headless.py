@@ -17,7 +17,7 @@ from ...blender.animation.bake import frames_of
 from ...blender.animation.bake_cache import caches_beside
 from ...blender.animation.puppet import PuppetReport, check_heads, puppet_head
 from ...blender.heads.built_in import add_head
-from ...blender.media.preview_scene import setup_preview
+from ...blender.media.preview_scene import face_view, setup_preview
 from ...blender.media.rendering import quiet, render_frames, set_rate, write_video
 from ...blender.meshes import write_selection
 from ...blender.names import LANDMARKS_PROPERTY
@@ -82,6 +82,7 @@ def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> Pupp
     if not own:
         set_rate(scene, float(take.info.get("fps", 25.0)))
     STOPPING.check()
+    view = face_view(head)
     report = puppet_head(scene, head, take, stage.settings)
     STOPPING.check()
     neutral = report.neutral
@@ -93,7 +94,7 @@ def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> Pupp
         tell(neutral.warning)
     if own:  # a file of the user keeps its camera and render settings
         save_blend(job.output)
-    setup_preview(scene, head, (AVATAR_SIDE, AVATAR_SIDE))
+    setup_preview(scene, head, (AVATAR_SIDE, AVATAR_SIDE), view)
     if not own:
         look_through_camera()
         save_blend(job.output)

@@ -21,6 +21,7 @@ from ..tracking.mirror import mirror_result
 from ..tracking.result import TrackResult
 from .actions import TONGUE, ActionDriver
 from .eyes import EyeDriver
+from .parts import PartDriver
 from .posing import limit_rotation, limit_vector
 from .retarget import retargeter_for
 from .settings import DriveSettings
@@ -36,8 +37,8 @@ class HeadFrame:
 
     Attributes
     ----------
-    vertices : (V, 3) float32
-        Head frame, unit of the mesh, without the pose of the head.
+    vertices : (A, 3) float32
+        As in `HeadRig.all_vertices`: head frame, unit of the mesh, without the pose of the head.
     rotation : (3, 3) float64
         Rotation of the head from neutral.
     translation : (3,) float64
@@ -94,16 +95,25 @@ class HeadDriver:
         self.deformer: RBFDeformer | IncrementalDeformer
         self.contact: EyeballContact
         self.modes: NDArray[np.float32] | None
+        self.parts: PartDriver | None
         if reuse is not None and reuse.rig is rig and _same_deformer(reuse.options, options):
-            self.deformer, self.contact, self.modes = reuse.deformer, reuse.contact, reuse.modes
+            self.deformer, self.contact = reuse.deformer, reuse.contact
+            self.modes, self.parts = reuse.modes, reuse.parts
         else:
-            self.deformer = head_deformer(rig, options.kernel, incremental=options.incremental)
-            self.modes = _modes(rig, self.deformer, options)
-            self.contact = EyeballContact(rig.vertices, rig.region_weights.sum(axis=0), rig.eyeballs)
+            alone, skin = rig.skin()
+            self.deformer = head_deformer(alone, options.kernel, incremental=options.incremental)
+            self.modes = _modes(alone, self.deformer, options)
+            self.contact = EyeballContact(alone.vertices, alone.region_weights.sum(axis=0), rig.eyeballs)
+            self.parts = None if skin is None else PartDriver(rig, skin, alone)
         self.eyes = EyeDriver(self.neutral.gaze, self.neutral.vergence)
         self.actions = ActionDriver(self.neutral.actions, self.neutral.shape, options.strength)
         self._chin = landmarks[CHIN] - rig.jaw_pivot
         self._unit = outer_eye_distance(landmarks)
+
+    @property
+    def rest(self) -> NDArray[np.float32]:
+        """(A, 3) vertices at rest, as in `HeadFrame`."""
+        return np.asarray(self.deformer.rest if self.parts is None else self.parts.rest)
 
     def frame(self, result: TrackResult) -> HeadFrame:
         """Compute the head for a tracking result with a face."""
@@ -123,13 +133,15 @@ class HeadDriver:
                 vertices += np.float32(actions[k]) * self.modes[k]
         self.contact.resolve(vertices)
         gaze = self.eyes.rotations(result.gaze, result.vergence, rotation)
+        jaw = fit_rotation(self._chin, self._chin + displacements[CHIN])
+        eyes = np.stack([limit_rotation(eye, posing.eyes_strength, posing.eyes_limit) for eye in gaze])
         return HeadFrame(
-            vertices=vertices,
+            vertices=vertices if self.parts is None else self.parts.pose(vertices, jaw, eyes),
             rotation=rotation,
             translation=self._unit
             * limit_vector(self._translation(result.pose), posing.location_strength, posing.location_limit),
-            jaw=fit_rotation(self._chin, self._chin + displacements[CHIN]),
-            gaze=np.stack([limit_rotation(eye, posing.eyes_strength, posing.eyes_limit) for eye in gaze]),
+            jaw=jaw,
+            gaze=eyes,
             actions=actions,
         )
 

@@ -22,8 +22,8 @@ class HeadMotion:
     ----------
     times : (N,) float64
         Seconds from the first frame of the take. Lost frames are omitted; animation curves bridge them.
-    vertices : (N, V, 3) float32
-        Displacements from rest, head frame, unit of the mesh.
+    vertices : (N, A, 3) float32
+        Displacements from rest, as in `HeadFrame`, head frame, unit of the mesh.
     rotation, jaw : (N, 3, 3) float64
     gaze : (N, 2, 3, 3) float64
     translation : (N, 3) float64
@@ -65,7 +65,7 @@ def drive_take(driver: HeadDriver, take: Take, on_frame: Callable[[int], None] |
     found = np.flatnonzero(take.found)
     if len(found) == 0:
         raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")
-    rest = driver.deformer.rest
+    rest = driver.rest
     vertices = np.empty((len(found), *rest.shape), dtype=np.float32)
     frames = []
     for row, index in enumerate(found):

@@ -15,6 +15,8 @@ LID_THICKNESS = 0.03
 """Distance of an eye that was cut out of the skin from the sphere of its lids, as a share of the radius."""
 _REACH = 1.8
 """Distance from the centre of an eyeball, in radii, within which vertices are kept outside of it."""
+_ROBUST_STEPS, _ROBUST_SHARE = 4, 0.8
+"""Fits of an eyeball, each to this share of the vertices, those nearest to the last sphere: a cornea bulges."""
 _SLACK = 1e-5
 """Share of the squared distance that a vertex may lose to rounding without having moved."""
 
@@ -29,6 +31,35 @@ def fit_eyeball(points: FloatArray) -> FloatArray:
     *half, rest = np.linalg.lstsq(np.column_stack([about, np.ones(len(about))]), (about**2).sum(axis=1), rcond=None)[0]
     centre = np.array(half) / 2.0
     return np.array([*(middle + centre), np.sqrt(rest + centre @ centre) / (1.0 - LID_THICKNESS)])
+
+
+def part_eyeball(points: FloatArray) -> tuple[FloatArray, bool]:
+    """Centre and radius of a separate eye, and whether it is round.
+
+    Parameters
+    ----------
+    points : (N, 3) array
+        Vertices of an eyeball, or of its front, possibly with a bulging cornea and an iris inside: head frame.
+
+    Returns
+    -------
+    sphere : (4,) float64
+        Centre and radius; for a flat eye, as cartoon figures have, of a sphere behind it.
+    round : bool
+        Whether the vertices lie on a sphere, on which lids can slide.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = float((high - low)[:2].max()) / 2.0
+    sphere = fit_eyeball(points) * np.array([1.0, 1.0, 1.0, 1.0 - LID_THICKNESS])
+    for _ in range(_ROBUST_STEPS):
+        off = np.abs(np.linalg.norm(points - sphere[:3], axis=1) - sphere[3])
+        sphere = fit_eyeball(points[off <= np.quantile(off, _ROBUST_SHARE)])
+        sphere[3] *= 1.0 - LID_THICKNESS
+    if 0.8 * half < sphere[3] < 1.6 * half:
+        return sphere, True
+    middle = (low + high) / 2.0
+    return np.array([middle[0], middle[1], low[2] + half, half]), False
 
 
 class EyeballContact:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
 from ..landmarks import N_LANDMARKS, outer_eye_distance
+from ..rotation import fit_rotation
 from .built_in import load_head
+from .parts import FaceParts, Part, Skin, skin_of
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,8 @@ class HeadRig:
         Covariance of the landmarks in the take for which these were chosen, by which the others follow.
     faces : (F, K) int, optional
         Vertices of each face, padded with -1, for the informed kernel, which otherwise uses distance in space alone.
+    parts : FaceParts, optional
+        Eyes, teeth, lashes and others, of this mesh and of others; without it all vertices are skin.
     """
 
     vertices: FloatArray
@@ -45,11 +49,58 @@ class HeadRig:
     control_points: NDArray[np.bool_] | None = None
     covariance: FloatArray | None = None
     faces: IntArray | None = None
+    parts: FaceParts | None = None
 
     @property
     def eye_distance(self) -> float:
         """Distance between the outer corners of the eyes, in the unit of the mesh."""
         return outer_eye_distance(self.vertices[self.landmarks])
+
+    @property
+    def kinds(self) -> NDArray[np.int8]:
+        """(A,) `Part` of each of `all_vertices`."""
+        return np.zeros(len(self.vertices), dtype=np.int8) if self.parts is None else self.parts.kinds
+
+    @property
+    def all_vertices(self) -> NDArray[np.float32]:
+        """(A, 3) rest positions of the vertices of this mesh, then of those of other meshes."""
+        own = np.asarray(self.vertices, dtype=np.float32)
+        return own if self.parts is None else np.concatenate([own, self.parts.others])
+
+    @property
+    def all_faces(self) -> IntArray:
+        """(F + G, K) faces of all meshes."""
+        own = np.empty((0, 3), dtype=np.intp) if self.faces is None else np.asarray(self.faces, dtype=np.intp)
+        others = own[:0] if self.parts is None else np.asarray(self.parts.faces, dtype=np.intp)
+        width = max(own.shape[1], others.shape[1])
+        return np.concatenate([_widened(own, width), _widened(others, width)])
+
+    def skin(self) -> tuple[HeadRig, Skin | None]:
+        """The rig of the skin alone with its seams closed, and which vertices it has; None if it is the whole mesh.
+
+        Raises
+        ------
+        HeadError
+            If a landmark lies on another part.
+        """
+        if self.faces is None:
+            return self, None
+        others = self.kinds[: len(self.vertices)] != Part.SKIN
+        skin = skin_of(self.vertices, self.faces, others, self.landmarks)
+        if skin.is_whole and self.parts is None:
+            return self, None
+        landmarks = skin.number[self.landmarks]
+        if (landmarks < 0).any():
+            raise HeadError("Landmarks lie on other parts than the skin. Set these parts to Skin, or bind again.")
+        alone = replace(
+            self,
+            vertices=np.asarray(self.vertices)[skin.kept],
+            landmarks=landmarks,
+            region_weights=np.asarray(self.region_weights)[:, skin.kept],
+            faces=skin.faces,
+            parts=None,
+        )
+        return alone, skin
 
     def __post_init__(self) -> None:
         landmarks = np.asarray(self.landmarks)
@@ -59,6 +110,19 @@ class HeadRig:
             )
         if landmarks.min() < 0 or landmarks.max() >= len(self.vertices):
             raise HeadError("The mesh no longer has the vertices of the landmarks. Bind them again.")
+
+
+def neck_of(points: FloatArray) -> FloatArray:
+    """Point about which a head with landmarks `points`, (66, 3), turns: the built-in head's origin, carried over."""
+    head = load_head()
+    source, target = head.vertices[head.landmarks].astype(np.float64), np.asarray(points, dtype=np.float64)
+    turn = fit_rotation(source - source.mean(axis=0), target - target.mean(axis=0))
+    size = outer_eye_distance(target) / outer_eye_distance(source)
+    return np.asarray(target.mean(axis=0) - size * turn @ source.mean(axis=0))
+
+
+def _widened(faces: IntArray, width: int) -> IntArray:
+    return np.pad(faces, ((0, 0), (0, width - faces.shape[1])), constant_values=-1)
 
 
 def built_in_rig() -> HeadRig:

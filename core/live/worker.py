@@ -127,10 +127,21 @@ class Counts:
 
 @dataclass(frozen=True, eq=False)
 class LiveHead:
-    """A head to drive, with its settings. If its rig is another object, its driver is prepared again."""
+    """A head to drive.
+
+    Attributes
+    ----------
+    rig : HeadRig
+        If it is another object, the driver is prepared again.
+    options : DriveSettings
+        Its settings.
+    prepare : callable
+        Called in the thread with each `HeadFrame`, to prepare what would delay its display.
+    """
 
     rig: HeadRig
     options: DriveSettings = field(default_factory=DriveSettings)
+    prepare: Callable[[HeadFrame], Any] = lambda frame: None
 
 
 class LiveWorker:
@@ -146,8 +157,6 @@ class LiveWorker:
         The heads to drive.
     options : LiveOptions
         Initial options.
-    prepare : callable, optional
-        Called in the thread with each `HeadFrame`, to prepare what would delay its display.
     load_tracker : callable
         Returns the tracker; called in the thread, as it takes a moment.
 
@@ -176,7 +185,6 @@ class LiveWorker:
         neutral: Neutral | None = None,
         heads: tuple[LiveHead, ...] = (),
         options: LiveOptions = LiveOptions(),
-        prepare: Callable[[HeadFrame], Any] = lambda frame: None,
         load_tracker: Callable[[], FaceTracker] = _LOAD_TRACKER,
     ) -> None:
         self.source, self.heads, self.options = source, heads, options
@@ -187,7 +195,7 @@ class LiveWorker:
         self.recording_error: OutputError | None = None
         self.quality: Quality | None = None
         self.neutral = neutral
-        self._load_tracker, self._prepare_to_show = load_tracker, prepare
+        self._load_tracker = load_tracker
         self._calibration: NeutralCalibration | RangeCalibration | None = None
         self._first = None if neutral is not None else NeutralCalibration(asked=False)
         self._recorder: Recorder | None = None
@@ -314,7 +322,7 @@ class LiveWorker:
         self._recent.append((frame.time, seen))
         self._calibrate(frame.time, result)
         heads = self._driven(result)
-        prepared = tuple(self._prepare_to_show(head) for head in heads)
+        prepared = tuple(head.prepare(shown) for head, shown in zip(self._driven_heads, heads, strict=False))
         driven = perf_counter()
         preview = draw_preview(frame.image, result, options.preview) if options.preview else None
         self.counts.tracked += 1

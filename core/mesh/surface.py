@@ -68,6 +68,24 @@ class SurfaceGraph:
             way[vertex] = length
         return way
 
+    def nearest_seeds(self, seeds: Iterable[int]) -> NDArray[np.intp]:
+        """The seed that is nearest along edges to each vertex.
+
+        Parameters
+        ----------
+        seeds : iterable of int
+            Vertices.
+
+        Returns
+        -------
+        (V,) intp
+            -1 for vertices that are connected to no seed.
+        """
+        nearest = np.full(len(self.vertices), -1)
+        for vertex, (_, before) in self._search(seeds, np.inf).items():  # in order of distance
+            nearest[vertex] = vertex if before == vertex else nearest[before]
+        return nearest
+
     def path(self, start: int, end: int) -> list[int]:
         """Shortest path along edges.
 

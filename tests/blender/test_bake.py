@@ -10,8 +10,9 @@ from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.targets import PoseTarget
 from facemime.blender.frames import from_blender, rotation_to_blender
 from facemime.blender.heads.built_in import add_head
-from facemime.blender.meshes import read_rig, write_vertices
+from facemime.blender.meshes import write_vertices
 from facemime.blender.names import LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS
+from facemime.blender.rigs import read_rig
 from facemime.core.errors import HeadError
 from facemime.core.landmarks import OUTER_EYE_CORNERS
 from facemime.core.puppet.settings import PuppetSettings

@@ -14,9 +14,10 @@ from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX, read_keys
 from facemime.blender.animation.live import Follow, LiveHeadObject
 from facemime.blender.animation.puppet import PuppetReport, puppet_head, puppet_heads
 from facemime.blender.animation.targets import PoseTarget
+from facemime.blender.characters import members_of
 from facemime.blender.frames import from_blender, rotation_to_blender
 from facemime.blender.heads.built_in import add_head
-from facemime.blender.meshes import read_rig
+from facemime.blender.rigs import read_rig
 from facemime.core.bake.key_map import KeyMap, KeyRow
 from facemime.core.bake.settings import BakeSettings
 from facemime.core.drive.driver import HeadDriver
@@ -335,7 +336,7 @@ def test_unmatched_and_absolute_shape_keys_are_rejected():
         bake(head, keys="mapped", table=KeyMap("mine", (KeyRow("jawOpen", "Open"),)))
     head.data.shape_keys.use_relative = False
     with pytest.raises(HeadError, match="absolute"):
-        read_keys(head)
+        read_keys(members_of(head))
     with pytest.raises(HeadError, match="absolute"):
         bake(head)
 

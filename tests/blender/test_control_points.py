@@ -8,7 +8,8 @@ import pytest
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.heads.landmark_places import landmark_places, nearest_landmark
-from facemime.blender.meshes import read_landmarks, read_rig, read_selection, write_selection
+from facemime.blender.meshes import read_landmarks, read_selection, write_selection
+from facemime.blender.rigs import read_rig
 from facemime.core.control_points.select import select_for_take
 from facemime.core.landmarks import from_ibug
 from facemime.settings.panel_properties import list_landmarks

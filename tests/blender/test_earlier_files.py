@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.meshes import read_rig
+from facemime.blender.rigs import read_rig
 from facemime.core.drive import retarget
 from facemime.core.puppet.performance import Performance
 from facemime.core.takes.file import load_take

@@ -9,7 +9,8 @@ from seen import seen
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.binding import check_object
 from facemime.blender.heads.built_in import add_head
-from facemime.blender.meshes import eye_vertices, read_faces, read_landmarks, read_regions, read_rig, read_vertices
+from facemime.blender.meshes import eye_vertices, read_faces, read_landmarks, read_regions, read_vertices
+from facemime.blender.rigs import read_rig
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT, LOWER_LIDS, MIRROR, UPPER_LIDS
 from facemime.core.mesh.surface import SurfaceGraph

@@ -11,8 +11,9 @@ from mathutils import Vector
 from facemime.blender.frames import HEAD_TO_BLENDER, flat_in_blender, from_blender, rotation_to_blender, to_blender
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.media.preview_scene import setup_preview
-from facemime.blender.meshes import read_rig, read_vertices
+from facemime.blender.meshes import read_vertices
 from facemime.blender.names import LANDMARKS_PROPERTY, PART_OBJECTS, PART_PROPERTY, REGION_GROUPS
+from facemime.blender.rigs import read_rig
 from facemime.core.heads.built_in import load_head
 from facemime.core.landmarks import from_ibug
 from facemime.core.rotation import euler_to_matrix

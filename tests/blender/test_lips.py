@@ -7,7 +7,8 @@ from scans import UNIT
 
 from facemime.blender.heads.binding import check_object
 from facemime.blender.heads.built_in import add_head
-from facemime.blender.meshes import read_faces, read_landmarks, read_regions, read_rig, read_vertices
+from facemime.blender.meshes import read_faces, read_landmarks, read_regions, read_vertices
+from facemime.blender.rigs import read_rig
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
 from facemime.core.mesh.surface import SurfaceGraph

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 import facemime
-from facemime.blender.animation.live import LIVE_KEY
+from facemime.blender.animation.live_mesh import LIVE_KEY
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.built_in import add_head
-from facemime.blender.meshes import read_faces, read_rig, read_selection
+from facemime.blender.meshes import read_faces, read_selection
 from facemime.blender.names import REGION_GROUPS
+from facemime.blender.rigs import read_rig
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.choice import LEFTMOST

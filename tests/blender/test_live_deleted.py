@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.animation.live import LIVE_KEY
+from facemime.blender.animation.live_mesh import LIVE_KEY
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, LIVE_PROPERTY, MARKS_PROPERTY, PART_PROPERTY
 from facemime.operators.puppet import running

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from facemime.blender.animation.bake_cache import MODIFIER
-from facemime.blender.animation.live import LIVE_KEY, LiveHeadObject
+from facemime.blender.animation.live import LiveHeadObject
+from facemime.blender.animation.live_mesh import LIVE_KEY
 from facemime.blender.heads.built_in import add_head
 from facemime.core.errors import HeadError
 from facemime.operators.puppet import running

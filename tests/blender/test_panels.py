@@ -7,8 +7,9 @@ import pytest
 
 from facemime.blender.heads.binding import write_mark
 from facemime.blender.heads.built_in import add_head
-from facemime.blender.meshes import read_rig, write_selection
+from facemime.blender.meshes import write_selection
 from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
+from facemime.blender.rigs import read_rig
 from facemime.core.control_points.select import select_for_take
 from facemime.core.heads.regions import REGIONS
 from facemime.core.landmarks import IBUG68_INDICES

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX
-from facemime.blender.animation.live import LIVE_KEY
+from facemime.blender.animation.live_mesh import LIVE_KEY
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.built_in import add_head
-from facemime.blender.meshes import read_rig
+from facemime.blender.rigs import read_rig
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate

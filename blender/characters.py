@@ -1,0 +1,246 @@
+"""Characters: a head whose face has several meshes, what each vertex belongs to, and the bones that take its pose.
+
+Everything is stored with the head and its parts, so that any program that opens the file obeys it: the part of each
+vertex as an attribute of its mesh, the head in a custom property of each other object, and the bones in custom
+properties of the head.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import cv2
+import numpy as np
+from mathutils import Matrix
+from numpy.typing import NDArray
+
+from ..core.errors import HeadError
+from ..core.heads.bones import FaceBones
+from ..core.heads.eyeballs import part_eyeball
+from ..core.heads.parts import FaceParts, Part
+from .frames import HEAD_TO_BLENDER, from_blender, to_blender
+from .meshes import read_faces, read_vertices
+from .names import ARMATURE_PROPERTY, BONES_PROPERTY, HEAD_PROPERTY, PART_ATTRIBUTE
+
+_MOVED = (Part.ON_SKIN, Part.EYE_RIGHT, Part.EYE_LEFT, Part.TEETH_LOWER)
+"""Parts whose vertices move within the head."""
+_MIN_EYE = 8
+"""Fewest vertices of an eye to which a sphere is fitted."""
+_EYE_BONES = {Part.EYE_RIGHT: "eye_right", Part.EYE_LEFT: "eye_left"}
+
+
+@dataclass(frozen=True)
+class Member:
+    """A mesh whose vertices a performance moves.
+
+    Attributes
+    ----------
+    obj : bpy.types.Object
+    part : slice
+        Its vertices in `HeadRig.all_vertices`.
+    to_mesh : (3, 4) float64
+        Affine map from the head frame to the axes of the mesh in Blender.
+    """
+
+    obj: bpy.types.Object
+    part: slice
+    to_mesh: NDArray[np.float64]
+
+    def local(self, vertices: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Convert the member's share of (A, 3) vertices to its mesh, as the flat array that `foreach_set` takes."""
+        own = np.ascontiguousarray(vertices[self.part], dtype=np.float32)
+        return cv2.transform(own.reshape(1, -1, 3), self.to_mesh).reshape(-1)
+
+    def local_offsets(self, offsets: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Convert the member's share of (..., A, 3) displacements to its mesh."""
+        return np.asarray(offsets[..., self.part, :] @ self.to_mesh[:, :3].T, dtype=np.float32)
+
+    def head_offsets(self, offsets: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Convert (..., n, 3) displacements of its mesh to the head frame."""
+        return np.asarray(offsets @ np.linalg.inv(self.to_mesh[:, :3]).T, dtype=np.float32)
+
+
+def members_of(head: bpy.types.Object) -> list[Member]:
+    """Return the meshes that a performance moves: the head, and those that have vertices of moving parts.
+
+    Parameters
+    ----------
+    head : bpy.types.Object
+        A mesh with landmarks.
+    """
+    start = len(head.data.vertices)
+    members = [Member(head, slice(0, start), np.column_stack([HEAD_TO_BLENDER, np.zeros(3)]))]
+    to_head = rest_matrix(head).inverted_safe()
+    for obj in objects_of(head):
+        if not np.isin(_rigid(head, read_kinds(obj.data)), _MOVED).any():
+            continue
+        to_mesh = np.array((to_head @ rest_matrix(obj)).inverted_safe())[:3]
+        to_mesh[:, :3] = to_mesh[:, :3] @ HEAD_TO_BLENDER
+        stop = start + len(obj.data.vertices)
+        members.append(Member(obj, slice(start, stop), to_mesh))
+        start = stop
+    return members
+
+
+def objects_of(head: bpy.types.Object) -> list[bpy.types.Object]:
+    """Return the other meshes of the face of `head`, by name."""
+    found = (obj for obj in bpy.data.objects if obj.type == "MESH" and obj.get(HEAD_PROPERTY) == head and obj != head)
+    return sorted(found, key=lambda obj: obj.name)
+
+
+def read_parts(head: bpy.types.Object) -> FaceParts | None:
+    """Return the parts of the face of `head` beside its skin; None if all of it is skin.
+
+    Eyes that bones turn count as part of the head, which they do not leave otherwise.
+    """
+    members = members_of(head)
+    kinds = np.concatenate([_rigid(head, read_kinds(member.obj.data)) for member in members])
+    if not kinds.any():
+        return None
+    others, faces = [np.empty((0, 3), dtype=np.float32)], [np.empty((0, 3), dtype=np.int32)]
+    for member in members[1:]:
+        back = np.linalg.inv(np.vstack([member.to_mesh, [0.0, 0.0, 0.0, 1.0]]))[:3]
+        others.append(cv2.transform(to_blender(read_vertices(member.obj.data)).reshape(1, -1, 3), back).reshape(-1, 3))
+        own = read_faces(member.obj.data)
+        faces.append(np.where(own >= 0, own + member.part.start, -1))
+    return FaceParts(kinds, np.concatenate(others), _stacked(faces))
+
+
+def part_eyeballs(head: bpy.types.Object) -> NDArray[np.float64]:
+    """Return (E, 4) centre and radius, in the head frame, of each round eye among the parts of a face, over which the
+    lids slide, whether its vertices or a bone turn it.
+    """
+    places: dict[int, list[NDArray[np.floating]]] = {kind: [] for kind in _EYE_BONES}
+    to_head = rest_matrix(head).inverted_safe()
+    for obj in (head, *objects_of(head)):
+        kinds = read_kinds(obj.data)
+        if np.isin(kinds, list(_EYE_BONES)).any():
+            move = np.array(to_head @ rest_matrix(obj))
+            points = from_blender(to_blender(read_vertices(obj.data)) @ move[:3, :3].T + move[:3, 3])
+            for kind, found in places.items():
+                found.append(points[kinds == kind])
+    eyes = [np.concatenate(found) for found in places.values() if found]
+    spheres = [part_eyeball(eye) for eye in eyes if len(eye) > _MIN_EYE]
+    return np.array([sphere for sphere, is_round in spheres if is_round]).reshape(-1, 4)
+
+
+def read_kinds(mesh: bpy.types.Mesh) -> NDArray[np.int8]:
+    """Return (V,) `Part` of each vertex of a mesh; skin if nothing is stored.
+
+    Raises
+    ------
+    HeadError
+        If the mesh is in Edit Mode, where Blender keeps its attributes elsewhere.
+    """
+    kinds = np.zeros(len(mesh.vertices), dtype=np.int8)
+    attribute = mesh.attributes.get(PART_ATTRIBUTE)
+    if attribute is None or attribute.data_type != "INT8" or attribute.domain != "POINT":
+        return kinds
+    if mesh.is_editmode:
+        raise HeadError(f"{mesh.name} is in Edit Mode. Leave Edit Mode first.")
+    attribute.data.foreach_get("value", kinds)
+    return np.where(np.isin(kinds, list(Part)), kinds, np.int8(Part.ON_HEAD))
+
+
+def write_kinds(mesh: bpy.types.Mesh, kinds: NDArray[np.integer]) -> None:
+    """Store the part of each vertex of a mesh.
+
+    Parameters
+    ----------
+    mesh : bpy.types.Mesh
+    kinds : (V,) array of int
+        `Part` of each vertex. If all are skin, nothing is stored.
+    """
+    attribute = mesh.attributes.get(PART_ATTRIBUTE)
+    if attribute is not None and (not np.any(kinds) or attribute.data_type != "INT8" or attribute.domain != "POINT"):
+        mesh.attributes.remove(attribute)
+        attribute = None
+    if np.any(kinds):
+        attribute = attribute or mesh.attributes.new(PART_ATTRIBUTE, "INT8", "POINT")
+        attribute.data.foreach_set("value", np.ascontiguousarray(kinds, dtype=np.int8))
+
+
+def read_bones(head: bpy.types.Object) -> tuple[bpy.types.Object | None, FaceBones]:
+    """Return the armature that takes the pose of `head`, and its bones; those that no longer exist are ""."""
+    armature, stored = head.get(ARMATURE_PROPERTY), head.get(BONES_PROPERTY)
+    if not isinstance(armature, bpy.types.Object) or armature.type != "ARMATURE" or not hasattr(stored, "to_dict"):
+        return None, FaceBones()
+    names = {key: str(name) for key, name in stored.to_dict().items() if str(name) in armature.pose.bones}
+    return armature, FaceBones(**{key: names.get(key, "") for key in FaceBones.__dataclass_fields__})
+
+
+def write_bones(head: bpy.types.Object, armature: bpy.types.Object | None, bones: FaceBones) -> None:
+    """Store the bones that take the pose of a head.
+
+    Parameters
+    ----------
+    head : bpy.types.Object
+    armature : bpy.types.Object or None
+    bones : FaceBones
+    """
+    for name in (ARMATURE_PROPERTY, BONES_PROPERTY):
+        if name in head:
+            del head[name]
+    if armature is not None:
+        head[ARMATURE_PROPERTY] = armature
+        head[BONES_PROPERTY] = {key: getattr(bones, key) for key in FaceBones.__dataclass_fields__}
+
+
+def rest_rotation(obj: bpy.types.Object) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation of `obj` in the world, without scales, delta transforms and poses of bones."""
+    return np.asarray(parent_rotation(obj) @ np.array(own_rotation(obj)))
+
+
+def parent_rotation(obj: bpy.types.Object) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation from the space of the parent of `obj` to the world, as `rest_rotation`."""
+    if obj.parent is None:
+        return np.eye(3)
+    carried = rest_rotation(obj.parent)
+    if (bone := _parent_bone(obj)) is not None:
+        carried = carried @ np.array(bone.matrix_local.to_3x3().normalized())
+    return np.asarray(carried @ np.array(obj.matrix_parent_inverse.to_quaternion().to_matrix()))
+
+
+def rest_matrix(obj: bpy.types.Object) -> Matrix:
+    """Return the (4, 4) transform of `obj` in the world, without delta transforms and poses of bones."""
+    return parent_matrix(obj) @ Matrix.LocRotScale(obj.location, own_rotation(obj), obj.scale)
+
+
+def parent_matrix(obj: bpy.types.Object) -> Matrix:
+    """Return the (4, 4) transform from the space of the parent of `obj` to the world, as `rest_matrix`."""
+    if obj.parent is None:
+        return Matrix.Identity(4)
+    carried = rest_matrix(obj.parent)
+    if (bone := _parent_bone(obj)) is not None:
+        carried = carried @ bone.matrix_local @ Matrix.Translation((0.0, bone.length, 0.0))
+    return carried @ obj.matrix_parent_inverse
+
+
+def own_rotation(obj: bpy.types.Object) -> Matrix:
+    """Return the (3, 3) rotation of `obj` relative to its parent, without its delta rotation."""
+    if obj.rotation_mode == "QUATERNION":
+        return obj.rotation_quaternion.normalized().to_matrix()
+    if obj.rotation_mode == "AXIS_ANGLE":
+        angle, *axis = obj.rotation_axis_angle
+        return Matrix.Rotation(angle, 3, axis)
+    return obj.rotation_euler.to_matrix()
+
+
+def _parent_bone(obj: bpy.types.Object) -> bpy.types.Bone | None:
+    parent = obj.parent
+    if obj.parent_type == "BONE" and parent is not None and parent.type == "ARMATURE":
+        return parent.data.bones.get(obj.parent_bone)
+    return None
+
+
+def _rigid(head: bpy.types.Object, kinds: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Return `kinds` with the eyes that a bone of `head` turns as parts that ride on the head."""
+    _, bones = read_bones(head)
+    turned = [kind for kind, key in _EYE_BONES.items() if getattr(bones, key)]
+    return np.where(np.isin(kinds, turned), np.int8(Part.ON_HEAD), kinds)
+
+
+def _stacked(faces: list[NDArray[np.int32]]) -> NDArray[np.int32]:
+    width = max(part.shape[1] for part in faces)
+    return np.concatenate([np.pad(part, ((0, 0), (0, width - part.shape[1])), constant_values=-1) for part in faces])

@@ -1,0 +1,309 @@
+"""Search for the parts of a character: which meshes belong to a face, what each of their vertices is, and its bones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import bpy
+import numpy as np
+from mathutils import Vector
+from numpy.typing import NDArray
+
+from ...core.arrays import FloatArray, IntArray
+from ...core.bake.key_map import best_preset
+from ...core.heads.bones import FaceBones, find_bones
+from ...core.heads.parts import Part, Skin, skin_of
+from ...core.heads.rig import neck_of
+from ...core.heads.sorting import Piece, lower_row, named_part, names_body, names_skin, sort_pieces
+from ...core.landmarks import JAW, NOSE, outer_eye_distance
+from ...core.mesh.nearest import NearestPoints
+from ...core.mesh.pieces import border_twins, islands
+from ..characters import objects_of, rest_matrix, write_bones, write_kinds
+from ..frames import from_blender, to_blender
+from ..meshes import is_head, read_faces, read_vertices
+from ..names import HEAD_PROPERTY, PART_PROPERTY, PIVOT_PROPERTY
+
+_FACE_LANDMARKS = np.concatenate([JAW, NOSE])
+"""Landmarks that lie on the skin of any face."""
+_MIN_ON_SKIN = 3
+"""Fewest of them on a piece that is skin."""
+_STILL = 0.05
+"""Sum of the region weights below which skin counts as still."""
+_REACH = 1.5
+"""Outer-eye distances from the skin beyond which an object is no part of a head."""
+_OWN_SHARE = 0.5
+"""Share of the weights of a piece that a bone has to have to be its own."""
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """Pieces of an object: number of the piece of each vertex (V,), and each piece."""
+
+    obj: bpy.types.Object
+    number: NDArray[np.intp]
+    pieces: list[Piece]
+
+
+def family_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    """Return the meshes of a character, with `obj` first: those of its armature, its root or its collection.
+
+    Of a collection only meshes count that are named after a part of a face, as it may hold the whole scene.
+    """
+    armature = armature_of(obj)
+    root = _root_of(obj)
+    found = []
+    for other in bpy.context.scene.objects:
+        if other == obj or other.type != "MESH" or other.get(PART_PROPERTY) is not None or is_head(other):
+            continue
+        same = armature is not None and armature_of(other) == armature
+        if same or (root != obj and _root_of(other) == root) or _root_of(other) == obj or _is_beside(other, obj):
+            found.append(other)
+    return [obj, *sorted(found, key=lambda other: other.name)]
+
+
+def face_candidates(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    """Return the meshes of the character of `obj` that may have the skin of its face, the most likely first."""
+    family = family_of(obj)
+    scores = {other: _face_score(other) + 0.5 * (other == obj) for other in family}
+    return sorted((other for other in family if scores[other] > 0.0), key=lambda other: -scores[other]) or [obj]
+
+
+def armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
+    """Return the armature that deforms or carries `obj`, if there is one."""
+    if (armature := obj.find_armature()) is not None:
+        return armature
+    parent = obj.parent
+    while parent is not None and parent.type != "ARMATURE":
+        parent = parent.parent
+    return parent
+
+
+def named_others(obj: bpy.types.Object) -> NDArray[np.bool_]:
+    """Return (V,) whether the name of a vertex's material says that it is no skin, before landmarks are known."""
+    faces = read_faces(obj.data)
+    materials = _materials(obj)
+    others = np.array([named_part([name]) is not None for name in materials] or [False])
+    kinds = np.zeros(len(obj.data.vertices), dtype=bool)
+    chosen = others[np.minimum(_material_numbers(obj.data), len(others) - 1)]
+    kinds[np.unique(faces[chosen][faces[chosen] >= 0])] = True
+    return kinds if not kinds.all() else np.zeros_like(kinds)
+
+
+def skin_of_object(obj: bpy.types.Object, others: NDArray[np.bool_], landmarks: IntArray | None = None) -> Skin:
+    """Return the skin of `obj` without the vertices `others` (V,); see `core.heads.parts.skin_of`."""
+    return skin_of(read_vertices(obj.data), read_faces(obj.data), others, landmarks)
+
+
+def sort_character(head: bpy.types.Object, landmarks: IntArray, weights: NDArray[np.floating], skin: Skin) -> None:
+    """Sort the meshes of the character of `head` into parts, find its bones, and store both.
+
+    Parameters
+    ----------
+    head : bpy.types.Object
+        The mesh with the skin of the face.
+    landmarks : (66,) array of int
+        Vertices of its landmarks.
+    weights : (3, U) array
+        Weights of the regions of the skin.
+    skin : Skin
+        The skin, as far as it is known.
+    """
+    vertices = read_vertices(head.data)
+    points = vertices[landmarks].astype(np.float64)
+    armature = armature_of(head)
+    bones = _bones(head, armature, landmarks)
+    nearest = _SkinDistance(vertices[skin.kept], weights, outer_eye_distance(points))
+    groups = [
+        _pieces_of(obj, head, landmarks if obj == head else None, nearest)
+        for obj in family_of(head)
+        if obj == head or not names_body(obj.name)
+    ]
+    everything = [piece for group in groups for piece in group.pieces]
+    parts = sort_pieces(everything, points)
+    owners = [bone for group in groups for bone in _owners(group, armature, bones)]
+    parts = [_by_bone(part, owner, bones) for part, owner in zip(parts, owners, strict=True)]
+    turned = {part for part, owner in zip(parts, owners, strict=True) if owner and owner == _eye_bone(part, bones)}
+    start = 0
+    for group in groups:
+        if group.obj == head or min(piece.away for piece in group.pieces) < _REACH:
+            _store(group, parts[start : start + len(group.pieces)], head, points)
+        start += len(group.pieces)
+    bones = replace(
+        bones,
+        eye_right=bones.eye_right if Part.EYE_RIGHT in turned else "",
+        eye_left=bones.eye_left if Part.EYE_LEFT in turned else "",
+    )
+    write_bones(head, armature if bones.head else None, bones)
+    head[PIVOT_PROPERTY] = to_blender(neck_of(points)).tolist()
+
+
+def is_sorted(head: bpy.types.Object) -> bool:
+    """Return whether the parts of `head` were sorted, or changed by the user, before."""
+    return PIVOT_PROPERTY in head
+
+
+def forget_parts(head: bpy.types.Object) -> None:
+    """Forget the parts and bones of `head`, so that binding finds them anew."""
+    for obj in objects_of(head):
+        write_kinds(obj.data, np.zeros(len(obj.data.vertices), dtype=np.int8))
+        del obj[HEAD_PROPERTY]
+    write_kinds(head.data, np.zeros(len(head.data.vertices), dtype=np.int8))
+    write_bones(head, None, FaceBones())
+    if PIVOT_PROPERTY in head:
+        del head[PIVOT_PROPERTY]
+
+
+class _SkinDistance:
+    """Distance of pieces from the skin of the face, and whether that moves."""
+
+    def __init__(self, skin: FloatArray, weights: NDArray[np.floating], unit: float) -> None:
+        self._nearest, self._moving, self._unit = NearestPoints(skin), weights.sum(axis=0) > _STILL, unit
+
+    def of(self, points: FloatArray) -> tuple[float, bool]:
+        """Return the distance of 9 in 10 of the points, in outer-eye distances, and whether most skin there moves."""
+        found, squared = self._nearest.query(points)
+        away = np.sqrt(np.maximum(squared[:, 0], 0.0)) / self._unit
+        return float(np.quantile(away, 0.9)), bool(self._moving[found[:, 0]].mean() > 0.5)
+
+
+def _pieces_of(
+    obj: bpy.types.Object, head: bpy.types.Object, landmarks: IntArray | None, nearest: _SkinDistance
+) -> _Pieces:
+    """Return the pieces of an object in the frame of `head`; those with landmarks are skin."""
+    faces = read_faces(obj.data)
+    local = to_blender(read_vertices(obj.data))
+    move = np.array(rest_matrix(head).inverted_safe() @ rest_matrix(obj))
+    places = from_blender(local @ move[:3, :3].T + move[:3, 3]).astype(np.float64)
+    others = named_others(obj)
+    number = islands(len(places), faces, border_twins(places, faces, np.flatnonzero(others)))
+    on_skin = np.zeros(number.max(initial=0) + 1, dtype=np.intp)
+    if landmarks is not None:
+        on_skin = np.bincount(number[landmarks[_FACE_LANDMARKS]], minlength=len(on_skin))
+    materials = _material_of_pieces(obj, faces, number)
+    order = np.argsort(number, kind="stable")
+    borders = np.searchsorted(number[order], np.arange(len(on_skin) + 1))
+    pieces = []
+    for i, material in enumerate(materials):
+        own = places[order[borders[i] : borders[i + 1]]]
+        away, moving = nearest.of(own)
+        skin = bool(on_skin[i] >= _MIN_ON_SKIN) and named_part([material]) is None
+        pieces.append(Piece(own, (material, obj.name), skin, away, moving))
+    return _Pieces(obj, number, pieces)
+
+
+def _store(group: _Pieces, parts: Sequence[Part | None], head: bpy.types.Object, points: FloatArray) -> None:
+    """Store the part of each vertex of an object, and that it belongs to `head`."""
+    kinds = np.array([Part.TEETH_UPPER if part is None else part for part in parts], dtype=np.int8)[group.number]
+    for i in (i for i, part in enumerate(parts) if part is None):
+        within = np.flatnonzero(group.number == i)
+        kinds[within[lower_row(group.pieces[i].vertices, points)]] = Part.TEETH_LOWER
+    write_kinds(group.obj.data, kinds)
+    if group.obj != head:
+        group.obj[HEAD_PROPERTY] = head
+
+
+def _by_bone(part: Part | None, owner: str, bones: FaceBones) -> Part | None:
+    """Return the part of a piece, given the bone that moves most of it: what the bone of an eye moves is an eye."""
+    if owner and owner in (bones.eye_right, bones.eye_left):
+        return Part.EYE_RIGHT if owner == bones.eye_right else Part.EYE_LEFT
+    return part
+
+
+def _eye_bone(part: Part | None, bones: FaceBones) -> str:
+    return {Part.EYE_RIGHT: bones.eye_right, Part.EYE_LEFT: bones.eye_left}.get(part, "")
+
+
+def _owners(group: _Pieces, armature: bpy.types.Object | None, bones: FaceBones) -> list[str]:
+    """Return the bone that moves most of each piece; "" if there is none. Only bones of eyes are looked at."""
+    names = [name for name in (bones.eye_right, bones.eye_left) if name]
+    if armature is None or not names:
+        return [""] * len(group.pieces)
+    if group.obj.parent_type == "BONE" and group.obj.parent_bone in names:
+        return [group.obj.parent_bone] * len(group.pieces)
+    shares = {name: group_weights(group.obj, name) for name in names}
+    owners = []
+    for i in range(len(group.pieces)):
+        means = {name: float(share[group.number == i].mean()) for name, share in shares.items()}
+        best = max(means, key=lambda name: means[name])
+        owners.append(best if means[best] > _OWN_SHARE else "")
+    return owners
+
+
+def group_weights(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
+    """Return (V,) weights of the vertex group `name` of `obj`; 0 if there is none."""
+    weights = np.zeros(len(obj.data.vertices), dtype=np.float32)
+    if (group := obj.vertex_groups.get(name)) is not None:
+        for vertex in obj.data.vertices:
+            for element in vertex.groups:
+                if element.group == group.index:
+                    weights[vertex.index] = element.weight
+    return weights
+
+
+def _bones(head: bpy.types.Object, armature: bpy.types.Object | None, landmarks: IntArray) -> FaceBones:
+    """Return the bones of the armature for head, eyes and jaw; those that something else moves do not count."""
+    if armature is None:
+        return FaceBones()
+    free = [bone.name for bone in armature.pose.bones if not bone.constraints]
+    weights: dict[str, float] = {}
+    for vertex in (head.data.vertices[i] for i in landmarks.tolist()):
+        for element in vertex.groups:
+            name = head.vertex_groups[element.group].name
+            if name in free:
+                weights[name] = weights.get(name, 0.0) + element.weight
+    if head.parent_type == "BONE" and head.parent_bone in free:
+        weights.setdefault(head.parent_bone, 1.0)
+    return find_bones(free, weights)
+
+
+def _face_score(obj: bpy.types.Object) -> float:
+    """Return how likely a mesh has the skin of the face, by names and shape keys; 0 or less is unlikely."""
+    names = [obj.name, *_materials(obj)]
+    keys = obj.data.shape_keys
+    known = keys is not None and best_preset([key.name for key in keys.key_blocks]) is not None
+    score = 1.0 + 2.0 * any(map(names_skin, names)) + 1.0 * known
+    if all(named_part([name]) is not None for name in names) or named_part([obj.name]) is not None:
+        score -= 4.0
+    return score - 2.0 * names_body(obj.name)
+
+
+def _is_beside(other: bpy.types.Object, obj: bpy.types.Object) -> bool:
+    """Return whether a loose object is named after a part of a face, and lies in the same collection near `obj`."""
+    if other.parent is not None or named_part([other.name]) is None:
+        return False
+    if not set(other.users_collection) & set(obj.users_collection):
+        return False
+    (low, high), (other_low, other_high) = _box(obj), _box(other)
+    return bool((other_low < high).all() and (other_high > low).all())
+
+
+def _box(obj: bpy.types.Object) -> tuple[FloatArray, FloatArray]:
+    corners = np.array([rest_matrix(obj) @ Vector(corner) for corner in obj.bound_box])
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def _root_of(obj: bpy.types.Object) -> bpy.types.Object:
+    while obj.parent is not None:
+        obj = obj.parent
+    return obj
+
+
+def _materials(obj: bpy.types.Object) -> list[str]:
+    return ["" if slot.material is None else slot.material.name for slot in obj.material_slots]
+
+
+def _material_numbers(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
+    """Return (F,) the number of each face's material."""
+    numbers = np.zeros(len(mesh.polygons), dtype=np.int32)
+    mesh.polygons.foreach_get("material_index", numbers)
+    return numbers
+
+
+def _material_of_pieces(obj: bpy.types.Object, faces: IntArray, number: IntArray) -> list[str]:
+    """Return the name of the material of most faces of each piece; "" if it has none."""
+    names = _materials(obj) or [""]
+    materials = np.minimum(_material_numbers(obj.data), len(names) - 1)
+    counts = np.zeros((int(number.max(initial=0)) + 1, len(names)), dtype=np.intp)
+    np.add.at(counts, (number[faces[:, 0]], materials), 1)
+    return [names[row] for row in counts.argmax(axis=1)]

@@ -1,0 +1,133 @@
+"""The rig of a head, read from what is stored with its meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.heads.eyeballs import fit_eyeball
+from ..core.heads.parts import same_parts
+from ..core.heads.rig import HeadRig
+from ..core.landmarks import OUTER_EYE_CORNERS
+from .characters import part_eyeballs, read_parts
+from .frames import from_blender
+from .meshes import (
+    eye_vertices,
+    mesh_of,
+    read_corners,
+    read_faces,
+    read_landmarks,
+    read_regions,
+    read_selection,
+    read_vertices,
+    read_weights,
+)
+from .names import PART_PROPERTY
+
+_JAW_SIDES = (2, 14)
+_VERTICES_PER_CHECK = 2048
+
+
+def read_rig(obj: bpy.types.Object | None) -> HeadRig:
+    """Read the rig of `obj` from its meshes, their custom properties, attributes and vertex groups.
+
+    Raises
+    ------
+    HeadError
+        If the object is not a mesh, or its landmarks or regions are missing or do not fit the mesh any more.
+    """
+    mesh_of(obj)
+    parts = read_parts(obj)
+    return HeadRig(**_read_quick_parts(obj), region_weights=read_regions(obj), faces=read_faces(obj.data), parts=parts)
+
+
+def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
+    """Compare an object with its rig in slices that are fast enough to run between two frames.
+
+    Reading all weights of a dense mesh takes about 0.1 s, as Blender returns them one by one; a slice takes about 2 ms.
+    Faces count as unchanged if their corners are.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    rig : HeadRig
+
+    Yields
+    ------
+    bool
+        Whether a slice of the object is unchanged.
+
+    Raises
+    ------
+    HeadError
+        As `read_rig`.
+    """
+    mesh_of(obj)
+    parts = read_parts(obj)
+    yield same_parts(parts, rig.parts)
+    # The size of eyes that have turned differs by rounding.
+    yield all(
+        np.allclose(value, getattr(rig, name), rtol=1e-5, atol=1e-9)
+        if name == "eyeballs" and len(value) == len(rig.eyeballs)
+        else np.array_equal(value, getattr(rig, name))
+        for name, value in _read_quick_parts(obj).items()
+    )
+    if rig.faces is not None:
+        faces = mesh_of(obj).polygons
+        yield len(rig.faces) == len(faces) and np.array_equal(read_corners(obj.data), rig.faces[rig.faces >= 0])
+    for first in range(0, len(rig.vertices), _VERTICES_PER_CHECK):
+        mesh_of(obj)
+        part = slice(first, first + _VERTICES_PER_CHECK)
+        yield np.array_equal(read_weights(obj, part), rig.region_weights[:, part])
+
+
+def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the eyeballs of a head, which are its children or parts of its mesh.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    landmarks : (66, 3) array
+        Positions in the head frame; they tell the left eye of a mesh from the right one.
+
+    Returns
+    -------
+    (E, 4) array
+        Centre and radius of each, in the head frame of `obj`.
+    """
+    points = read_vertices(obj.data)[eye_vertices(obj)].astype(np.float64)
+    right, left = landmarks[OUTER_EYE_CORNERS].astype(np.float64)
+    side = (points - (right + left) / 2.0) @ (left - right)
+    eyeballs = [fit_eyeball(eye).tolist() for eye in (points[side < 0], points[side >= 0]) if len(eye) > 3]
+    for child in obj.children:
+        if str(child.get(PART_PROPERTY, "")).startswith("eye") and isinstance(child.data, bpy.types.Mesh):
+            within = child.matrix_parent_inverse @ child.matrix_basis
+            radius = float(np.linalg.norm(read_vertices(child.data), axis=1).max(initial=0.0))
+            eyeballs.append([*from_blender(np.array(within.translation)), radius * within.median_scale])
+    return np.array(eyeballs).reshape(-1, 4)
+
+
+def _jaw_pivot(obj: bpy.types.Object, landmarks: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the pivot of the jaw, (3,): the origin of the lower teeth, or the middle between the sides of the jaw."""
+    for child in obj.children:
+        if child.get(PART_PROPERTY) == "teeth_lower":
+            return from_blender(np.array((child.matrix_parent_inverse @ child.matrix_basis).translation))
+    return landmarks[list(_JAW_SIDES)].astype(np.float64).mean(axis=0)
+
+
+def _read_quick_parts(obj: bpy.types.Object) -> dict[str, NDArray | None]:
+    """Read everything of a rig except regions, faces and other parts, which take long."""
+    landmarks = read_landmarks(obj)
+    selection = read_selection(obj.data)
+    vertices = read_vertices(obj.data)
+    return {
+        "vertices": vertices,
+        "landmarks": landmarks,
+        "jaw_pivot": _jaw_pivot(obj, vertices[landmarks]),
+        "eyeballs": np.concatenate([read_eyeballs(obj, vertices[landmarks]), part_eyeballs(obj)]),
+        "control_points": None if selection is None else selection.membership,
+        "covariance": None if selection is None else selection.covariance,
+    }

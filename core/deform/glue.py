@@ -1,0 +1,103 @@
+"""What rides on the skin: lashes, brows, a beard, the wall of the mouth (docs/method.md, section 5.10)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray
+from ..mesh.nearest import NearestPoints
+
+_NEIGHBOURS = 10
+_BREADTH = 0.02
+"""Outer-eye distances by which the neighbourhood of a root is wider than its distance from the skin."""
+_STIFFNESS = 1e-3
+"""Share of its inertia by which a neighbourhood resists turns that it does not determine, such as one about a line."""
+
+
+class Glue:
+    """Moves points with the skin below them, as rigidly as a lash turns with its lid.
+
+    Parameters
+    ----------
+    points : (N, 3) array
+        Points at rest.
+    roots : (N,) array of int
+        The point at which each is rooted in the skin: of a lash, its end at the lid; itself if it lies on the skin.
+    skin : (U, 3) array
+        Vertices of the skin at rest.
+    sides : (U,) array of int
+        A root is held by the side of the skin that is nearest: an upper lash not by the lower lid.
+    unit : float
+        Outer-eye distance.
+
+    Notes
+    -----
+    With the displacements d_i of the nearest vertices of the skin, r_i their positions from the weighted mean, and
+    weights w_i, the point turns by the rotation vector that fits them best (equation 5.9),
+    ``omega = (sum w_i (|r_i|^2 - r_i r_i^T))^-1 sum w_i r_i x d_i``, about the mean, and moves with it.
+    """
+
+    def __init__(self, points: FloatArray, roots: IntArray, skin: FloatArray, sides: IntArray, unit: float) -> None:
+        places = np.asarray(points, dtype=np.float64)
+        self._roots, self._places = np.unique(roots, return_inverse=True)
+        at = places[self._roots]
+        self._rows, weights = _neighbours(at, np.asarray(skin, dtype=np.float64), sides, unit)
+        near = np.asarray(skin, dtype=np.float64)[self._rows]
+        middle = np.einsum("nk,nkc->nc", weights, near)
+        arms = near - middle[:, None]
+        squares = np.einsum("nk,nkc,nkd->ncd", weights, arms, arms)
+        size = np.trace(squares, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        inertia = size - squares + _STIFFNESS * size + 1e-30 * np.eye(3)
+        turns = np.einsum("nab,nk,nkbc->nkac", np.linalg.inv(inertia), weights, _cross(arms))
+        self._weights, self._turns = weights.astype(np.float32), turns.astype(np.float32)
+        self._middle = middle[self._places].astype(np.float32)
+        self._arms = (places - middle[self._places]).astype(np.float32)
+
+    def move(self, displacements: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Move the points.
+
+        Parameters
+        ----------
+        displacements : (U, 3) float32
+            Displacements of the skin.
+
+        Returns
+        -------
+        (N, 3) float32
+            Positions.
+        """
+        near = displacements[self._rows]
+        shift = np.einsum("nk,nkc->nc", self._weights, near)
+        turn = np.einsum("nkac,nkc->na", self._turns, near)
+        return self._middle + shift[self._places] + _rotated(self._arms, turn[self._places])
+
+
+def _neighbours(
+    roots: FloatArray, skin: FloatArray, sides: IntArray, unit: float
+) -> tuple[NDArray[np.intp], FloatArray]:
+    """(R, K) vertices of the skin near each root and on its side, and their weights, whose sum is 1."""
+    count = min(4 * _NEIGHBOURS, len(skin))
+    rows, squared = NearestPoints(skin).query(roots, count)
+    distance = np.sqrt(np.maximum(squared, 0.0)).astype(np.float64)
+    other = np.asarray(sides)[rows] != np.asarray(sides)[rows[:, :1]]
+    order = np.argsort(np.where(other, np.inf, distance), axis=1, kind="stable")[:, :_NEIGHBOURS]
+    rows, distance = np.take_along_axis(rows, order, axis=1), np.take_along_axis(distance, order, axis=1)
+    breadth = distance[:, :1] + _BREADTH * unit
+    weights = np.exp(-np.square(distance / breadth)) * ~np.take_along_axis(other, order, axis=1)
+    return rows, weights / weights.sum(axis=1, keepdims=True)
+
+
+def _cross(arms: FloatArray) -> FloatArray:
+    """(..., 3, 3) matrices [r]x with ``[r]x d = r x d``."""
+    x, y, z = np.moveaxis(arms, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+
+
+def _rotated(arms: NDArray[np.float32], turns: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Rotate (N, 3) vectors by (N, 3) rotation vectors (Rodrigues' formula)."""
+    angle = np.linalg.norm(turns, axis=1, keepdims=True)
+    axis = turns / np.maximum(angle, np.float32(1e-12))
+    along = (axis * arms).sum(axis=1, keepdims=True) * axis
+    return np.asarray(along + np.cos(angle) * (arms - along) + np.sin(angle) * np.cross(axis, arms), dtype=np.float32)

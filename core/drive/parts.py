@@ -1,0 +1,118 @@
+"""Motion of a character's parts: eyes turn, lower teeth follow the jaw, lashes ride on the skin, the rest stays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray
+from ..deform.glue import Glue
+from ..heads.eyeballs import part_eyeball
+from ..heads.parts import Part, Skin
+from ..heads.rig import HeadRig
+from ..mesh.nearest import NearestPoints
+from ..mesh.pieces import islands
+from ..mesh.surface import SurfaceGraph
+
+_ON_SKIN = 0.03
+"""Outer-eye distances from the skin below which a vertex rides on the skin right below it. Others, such as the end of
+a lash, follow the nearest such vertex of their piece."""
+
+
+_MIN_EYE = 8
+"""Fewest vertices of an eye that turns."""
+
+
+class PartDriver:
+    """Poses all vertices of a head: those of its skin are given, the others follow.
+
+    Parameters
+    ----------
+    rig : HeadRig
+        The head.
+    skin : Skin
+        Its skin.
+    deformed : HeadRig
+        The rig of the skin alone.
+    """
+
+    def __init__(self, rig: HeadRig, skin: Skin, deformed: HeadRig) -> None:
+        self.rest = rig.all_vertices
+        self._skin_rest = np.ascontiguousarray(deformed.vertices, dtype=np.float32)
+        self._skin_rows = np.flatnonzero(skin.number >= 0)
+        self._copies = skin.number[self._skin_rows]
+        kinds = rig.kinds
+        self._eyes = []
+        for side, kind in enumerate((Part.EYE_RIGHT, Part.EYE_LEFT)):
+            rows = np.flatnonzero(kinds == kind)
+            if len(rows) > _MIN_EYE:
+                sphere, _ = part_eyeball(self.rest[rows])
+                self._eyes.append((side, rows, sphere[:3].astype(np.float32)))
+        self._teeth = np.flatnonzero(kinds == Part.TEETH_LOWER)
+        self._hinge = np.asarray(rig.jaw_pivot, dtype=np.float32)
+        self._riding = np.flatnonzero(kinds == Part.ON_SKIN)
+        self._glue = self._glued(rig, deformed) if len(self._riding) else None
+
+    def pose(self, skin: NDArray[np.float32], jaw: FloatArray, gaze: FloatArray) -> NDArray[np.float32]:
+        """Pose all vertices.
+
+        Parameters
+        ----------
+        skin : (U, 3) float32
+            Vertices of the skin.
+        jaw : (3, 3) float64
+            Rotation of the lower teeth about the hinge of the jaw.
+        gaze : (2, 3, 3) float64
+            Rotations of the right and left eye about their centres.
+
+        Returns
+        -------
+        (A, 3) float32
+            Vertices as in `HeadRig.all_vertices`.
+        """
+        out = self.rest.copy()
+        out[self._skin_rows] = skin[self._copies]
+        for side, rows, centre in self._eyes:
+            out[rows] = _turned(self.rest[rows], centre, gaze[side])
+        out[self._teeth] = _turned(self.rest[self._teeth], self._hinge, jaw)
+        if self._glue is not None:
+            out[self._riding] = self._glue.move(skin - self._skin_rest)
+        return out
+
+    def _glued(self, rig: HeadRig, deformed: HeadRig) -> Glue:
+        points = self.rest[self._riding]
+        sides = np.asarray(deformed.region_weights).argmax(axis=0)
+        return Glue(points, self._roots(rig, points), deformed.vertices, sides, rig.eye_distance)
+
+    def _roots(self, rig: HeadRig, points: FloatArray) -> NDArray[np.intp]:
+        """(N,) the vertex among `points` at which each is rooted: itself on the skin, else the nearest of its piece."""
+        _, squared = NearestPoints(self._skin_rest).query(points)
+        away = np.sqrt(np.maximum(squared[:, 0], 0.0))
+        roots = np.arange(len(points))
+        faces = _faces_within(rig, self._riding)
+        piece = islands(len(points), faces)
+        graph = SurfaceGraph(points, faces)
+        for number in np.unique(piece[away > _ON_SKIN * rig.eye_distance]):
+            within = np.flatnonzero(piece == number)
+            near = within[away[within] <= max(_ON_SKIN * rig.eye_distance, 1.5 * float(away[within].min()))]
+            roots[within] = _nearest_along(graph, within, near)
+        return roots
+
+
+def _nearest_along(graph: SurfaceGraph, piece: IntArray, seeds: IntArray) -> NDArray[np.intp]:
+    """For each vertex of a piece the seed that is nearest along its edges."""
+    reached = graph.nearest_seeds(seeds)
+    return np.where(reached[piece] >= 0, reached[piece], seeds[0])
+
+
+def _faces_within(rig: HeadRig, rows: IntArray) -> NDArray[np.intp]:
+    """(F, K) faces between the vertices `rows`, as indices into these."""
+    faces = rig.all_faces
+    number = np.full(len(rig.kinds) + 1, -1)
+    number[rows] = np.arange(len(rows))
+    within = ((number[faces] >= 0) | (faces < 0)).all(axis=1)
+    return np.asarray(number[faces[within]], dtype=np.intp)
+
+
+def _turned(points: NDArray[np.float32], centre: NDArray[np.float32], rotation: FloatArray) -> NDArray[np.float32]:
+    return centre + (points - centre) @ rotation.T.astype(np.float32)

@@ -1,0 +1,126 @@
+"""Parts of a character's face, of one mesh or of several, and the skin among them (docs/method.md, section 7.5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray
+from ..landmarks import EYE_LEFT, EYE_RIGHT, LIPS, outer_eye_distance
+from ..mesh.pieces import border_twins
+from ..mesh.surface import SurfaceGraph
+
+_SLIT_REACH = 0.15
+"""Outer-eye distances from the landmarks of an eye or the mouth within which a closed border is its slit."""
+
+
+class Part(IntEnum):
+    """What a vertex belongs to, and thereby what it follows. Left and right are the character's own."""
+
+    SKIN = 0
+    ON_HEAD = 1
+    ON_SKIN = 2
+    EYE_RIGHT = 3
+    EYE_LEFT = 4
+    TEETH_UPPER = 5
+    TEETH_LOWER = 6
+
+
+@dataclass(frozen=True, eq=False)
+class FaceParts:
+    """Parts of a face beside its skin.
+
+    Attributes
+    ----------
+    kinds : (A,) int8
+        `Part` of each vertex: those of the head's own mesh, then those of other meshes.
+    others : (A - V, 3) float32
+        Rest positions of the vertices of other meshes, in the frame of the head.
+    faces : (G, K) int
+        Faces of these, padded with -1, as indices into all A vertices.
+    """
+
+    kinds: NDArray[np.int8]
+    others: NDArray[np.float32]
+    faces: IntArray
+
+
+def same_parts(one: FaceParts | None, other: FaceParts | None) -> bool:
+    """Whether two faces have the same parts."""
+    if one is None or other is None:
+        return one is other
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ("kinds", "others", "faces"))
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """The skin of a mesh, with seams closed.
+
+    Attributes
+    ----------
+    kept : (U,) intp
+        Vertex of the mesh of each vertex of the skin.
+    number : (V,) intp
+        Vertex of the skin of each vertex of the mesh; twins at a seam share one, and other parts have -1.
+    faces : (F, K) intp
+        Faces of the skin.
+    """
+
+    kept: NDArray[np.intp]
+    number: NDArray[np.intp]
+    faces: NDArray[np.intp]
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the skin is the mesh as it is."""
+        return len(self.kept) == len(self.number)
+
+
+def skin_of(
+    vertices: FloatArray, faces: IntArray, others: NDArray[np.bool_] | None = None, landmarks: IntArray | None = None
+) -> Skin:
+    """Find the skin of a mesh.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Any unit.
+    faces : (F, K) array of int
+        Vertices of each face, padded with -1.
+    others : (V,) bool, optional
+        Vertices of other parts.
+    landmarks : (66,) array of int, optional
+        Vertices of the landmarks. Slits that were cut along lids and lips then stay open.
+
+    Returns
+    -------
+    Skin
+        Its vertices and faces.
+    """
+    faces = np.asarray(faces)
+    skin = np.ones(len(vertices), dtype=bool) if others is None else ~np.asarray(others)
+    slits = np.empty(0, dtype=np.intp) if landmarks is None else _slits(vertices, faces, landmarks)
+    first = border_twins(vertices, faces, np.concatenate([slits, np.flatnonzero(~skin)]))
+    kept = np.flatnonzero(skin & (first == np.arange(len(first))))
+    number = np.full(len(first) + 1, -1)
+    number[kept] = np.arange(len(kept))
+    number[:-1][skin] = number[first[skin]]
+    within = ((number[faces] >= 0) | (faces < 0)).all(axis=1)
+    return Skin(kept, number[:-1], number[faces[within]])
+
+
+def _slits(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> NDArray[np.intp]:
+    """Vertices of closed borders along the lids or the lips, where skin was cut apart without a gap."""
+    graph = SurfaceGraph(vertices, faces)
+    points = graph.vertices[landmarks]
+    reach = _SLIT_REACH * outer_eye_distance(points)
+    found = [np.empty(0, dtype=np.intp)]
+    for border in graph.openings():
+        for organ in (EYE_RIGHT, EYE_LEFT, LIPS):
+            away = np.linalg.norm(graph.vertices[border][:, None] - points[organ], axis=2).min(axis=1)
+            if away.max() < reach:
+                found.append(border)
+    return np.concatenate(found)

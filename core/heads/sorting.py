@@ -1,0 +1,226 @@
+"""Sorting of the pieces of a character's face into parts, by name and by place (docs/method.md, section 7.5)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..landmarks import (
+    BROWS,
+    EYE_LEFT,
+    EYE_RIGHT,
+    MOUTH_CORNERS,
+    MOUTH_INNER_LOWER,
+    MOUTH_INNER_UPPER,
+    outer_eye_distance,
+)
+from .parts import Part
+
+_ON_SKIN = (
+    r"lash|brow|beard|mou?stache|whisker|stubble|eye_?line|eye_?shadow|occlusion|tear_?line|caruncle|face_?mouth|"
+    r"mouth_?(wall|bag|cavity)"
+)
+_ON_HEAD = (
+    r"hair|fringe|pony|helm|glass|goggle|spectac|ear_?ring|head_?(phone|band|set|wear)|mask|horn|antler|crown|"
+    r"_(bun|bangs?|hats?|caps?|hood|halo|veil)_"
+)
+_EYE = r"eye(?!_?(lid|socket|patch))|iris|pupil|cornea|sclera|conjunctiva"
+_TEETH = r"teeth|tooth|_gums?_|dent(al|ure)|incisor|molar|fang"
+_TONGUE = r"tongue"
+_LOWER, _UPPER = r"lower|bottom|_low_|jaw|mandib|_bot_", r"upper|_up_|_top_|maxill"
+_BODY = (
+    r"body|cloth|outfit|shirt|dress|pants|trouser|shoe|boot|sock|foot|feet|hand|glove|skirt|jacket|coat|armou?r|"
+    r"sleeve|belt|scarf|torso|_(tops?|bottoms?|suit|tie|legs?|arms?)_"
+)
+_SKIN = r"face|head|skin"
+_NAMED = tuple(
+    (re.compile(pattern), part)
+    for pattern, part in (
+        (_ON_SKIN, Part.ON_SKIN),
+        (_TONGUE, Part.TEETH_LOWER),
+        (_TEETH, Part.TEETH_UPPER),
+        (_ON_HEAD, Part.ON_HEAD),
+        (_EYE, Part.EYE_LEFT),
+    )
+)
+_NEAR_EYE = 0.6
+"""Widths of an eye from its middle, seen from the front, within which the middle of a piece is for it to be an eye."""
+_EYE_SIZE = (0.15, 1.5)
+"""Range of the width of an eye's pieces, in widths of the opening between the lids."""
+_MOUTH = (0.75, 0.45)
+"""Half widths of the mouth, and outer-eye distances above and below it, within which pieces are teeth."""
+_CLOSE = 0.12
+"""Outer-eye distances from the skin of the face within which a piece rides on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A piece of a mesh that hangs together.
+
+    Attributes
+    ----------
+    vertices : (N, 3) float
+        Positions, frame of the head.
+    names : tuple of str
+        Names that describe it, the most specific first: of its material and of its object.
+    skin : bool
+        Whether it is known to be skin, as landmarks lie on it.
+    away : float
+        Largest distance of 9 in 10 of its vertices from the skin, in outer-eye distances.
+    moving : bool
+        Whether the nearest skin moves, as the face does, and skull and neck don't.
+    """
+
+    vertices: FloatArray
+    names: tuple[str, ...]
+    skin: bool = False
+    away: float = 0.0
+    moving: bool = True
+
+
+def named_part(names: Sequence[str]) -> Part | None:
+    """The part that names describe; None if they describe none. Teeth count as upper, eyes as left.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The most specific first.
+    """
+    for name in names:
+        text = _plain(name)
+        for pattern, part in _NAMED:
+            if pattern.search(text):
+                return Part.TEETH_LOWER if part == Part.TEETH_UPPER and re.search(_LOWER, text) else part
+    return None
+
+
+def names_skin(name: str) -> bool:
+    """Whether a name is that of the skin of a face or head."""
+    text = _plain(name)
+    return bool(re.search(_SKIN, text)) and not any(pattern.search(text) for pattern, _ in _NAMED)
+
+
+def names_body(name: str) -> bool:
+    """Whether a name is that of a body or its clothes."""
+    text = _plain(name)
+    return bool(re.search(_BODY, text)) and not re.search(_SKIN, text)
+
+
+def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None]:
+    """Sort the pieces of a character's face.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        All pieces of the meshes around the face.
+    points : (66, 3) array
+        Landmarks, frame of the head.
+
+    Returns
+    -------
+    list of Part or None
+        The part of each piece; None for teeth whose piece has both rows, which `lower_row` divides.
+
+    Notes
+    -----
+    A name decides first, as the maker of a character has given it. Without one the place does: an eye lies behind the
+    lids, teeth lie behind the lips, and what is close to moving skin rides on it. All else rides on the head.
+    """
+    unit = outer_eye_distance(points)
+    middle = np.asarray(points, dtype=np.float64)[MOUTH_CORNERS].mean(axis=0)
+    parts: list[Part | None] = []
+    for piece in pieces:
+        named = named_part(piece.names)
+        if piece.skin:
+            parts.append(Part.SKIN)
+        elif named in (Part.TEETH_UPPER, Part.TEETH_LOWER) or (named is None and _is_in_mouth(piece, points, unit)):
+            parts.append(named if named == Part.TEETH_LOWER else Part.TEETH_UPPER)
+        elif named == Part.EYE_LEFT or (named is None and _is_eye(piece, points)):
+            parts.append(Part.EYE_LEFT if piece.vertices[:, 0].mean() > middle[0] else Part.EYE_RIGHT)
+        elif named is not None:
+            parts.append(named)
+        else:
+            parts.append(Part.ON_SKIN if piece.away < _CLOSE and piece.moving else Part.ON_HEAD)
+    _divide_teeth(pieces, parts, points, unit)
+    return parts
+
+
+def lower_row(vertices: FloatArray, points: FloatArray) -> np.ndarray:
+    """Which vertices (N, 3) of a piece with both rows of teeth belong to the lower one, (N,) bool.
+
+    The rows meet where fewest vertices are, near the slit of the mouth.
+    """
+    unit = outer_eye_distance(points)
+    height = np.asarray(vertices)[:, 1]
+    slit = float(np.asarray(points)[np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])].mean(axis=0)[1])
+    levels = slit + unit * np.linspace(-0.08, 0.08, 17)
+    counts = [np.count_nonzero(np.abs(height - level) < 0.01 * unit) for level in levels]
+    fewest = np.flatnonzero(np.array(counts) == min(counts))
+    return np.asarray(height > levels[fewest[len(fewest) // 2]])
+
+
+def _divide_teeth(pieces: Sequence[Piece], parts: list[Part | None], points: FloatArray, unit: float) -> None:
+    """Tell the rows of teeth whose names do not: by the larger gap between the heights of their middles."""
+    unsure = [
+        i
+        for i, (piece, part) in enumerate(zip(pieces, parts, strict=True))
+        if part == Part.TEETH_UPPER and not any(re.search(_UPPER, _plain(name)) for name in piece.names)
+    ]
+    if not unsure:
+        return
+    heights = np.array([float((p.min() + p.max()) / 2.0) for p in (pieces[i].vertices[:, 1] for i in unsure)])
+    slit = float(np.asarray(points)[np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])].mean(axis=0)[1])
+    order = np.sort(heights)
+    gaps = np.diff(order)
+    border = slit
+    if len(gaps) and gaps.max() > 0.03 * unit:
+        at = int(np.argmax(gaps))
+        border = float(order[at] + order[at + 1]) / 2.0
+    for i, height in zip(unsure, heights, strict=True):
+        y = pieces[i].vertices[:, 1]
+        if len(unsure) == 1 and np.ptp(y) > 0.12 * unit:
+            parts[i] = None
+        elif height > border:
+            parts[i] = Part.TEETH_LOWER
+
+
+def _is_eye(piece: Piece, points: FloatArray) -> bool:
+    """Whether a piece covers the middle of an eye's opening and is about as large."""
+    low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
+    for lids in (EYE_RIGHT, EYE_LEFT):
+        rim = np.asarray(points)[lids]
+        middle, width = rim.mean(axis=0), float(np.ptp(rim[:, 0]))
+        size = float((high - low)[:2].max()) / width
+        near = np.linalg.norm(((low + high) / 2.0 - middle)[:2]) < _NEAR_EYE * width
+        covers = (low[:2] < middle[:2]).all() and (high[:2] > middle[:2]).all()
+        behind = -0.4 * width < low[2] - middle[2] < 1.2 * width
+        if near and covers and behind and _EYE_SIZE[0] < size < _EYE_SIZE[1] * 1.6:
+            return True
+    return False
+
+
+def _is_in_mouth(piece: Piece, points: FloatArray, unit: float) -> bool:
+    """Whether a piece lies behind the lips, and is narrower than the face there."""
+    lips = np.asarray(points)[np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])].mean(axis=0)
+    width = float(np.ptp(np.asarray(points)[MOUTH_CORNERS][:, 0]))
+    low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
+    middle = (low + high) / 2.0
+    brow = float(np.asarray(points)[BROWS][:, 1].mean())
+    return bool(
+        abs(middle[0] - lips[0]) < _MOUTH[0] * width
+        and abs(middle[1] - lips[1]) < _MOUTH[1] * unit
+        and middle[2] > lips[2] + 0.03 * unit
+        and low[1] > brow
+        and (high - low)[0] < 1.5 * width
+        and (high - low)[1] < 0.5 * unit
+    )
+
+
+def _plain(name: str) -> str:
+    """A name in lower case, with words set apart by underscores: `EyeLeft` becomes `_eye_left_`."""
+    apart = re.sub(r"(?<=[a-z])(?=[A-Z0-9])", "_", name)
+    return "_" + re.sub(r"[^a-z]+", "_", apart.lower()) + "_"
