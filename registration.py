@@ -11,6 +11,7 @@ from .operators import (
     head,
     media,
     own_head,
+    parts,
     presets,
     punch_in,
     puppet,
@@ -26,6 +27,7 @@ from .ui import control_points as control_points_panel
 from .ui import expression as expression_panel
 from .ui import head as head_panels
 from .ui import menus, point_overlay, preview, region_overlay, translations
+from .ui import parts as parts_panel
 from .ui import puppet as puppet_panel
 from .ui import regions as regions_panel
 from .ui import source as source_panel
@@ -41,6 +43,7 @@ _MODULES = (
     head,
     facegen,
     own_head,
+    parts,
     regions,
     control_points,
     puppet_video,
@@ -55,6 +58,7 @@ _MODULES = (
     bake,
     menus,
     head_panels,
+    parts_panel,
     source_panel,
     calibration_panel,
     regions_panel,

@@ -89,6 +89,30 @@ def objects_of(head: bpy.types.Object) -> list[bpy.types.Object]:
     return sorted(found, key=lambda obj: obj.name)
 
 
+def part_table(head: bpy.types.Object) -> list[tuple[bpy.types.Object, Part, int]]:
+    """Return the parts of each mesh of the face of `head`, and how many vertices each has; the head comes first."""
+    table = []
+    for obj in (head, *objects_of(head)):
+        counts = np.bincount(read_kinds(obj.data), minlength=len(Part))
+        table += [(obj, part, int(counts[part])) for part in Part if counts[part]]
+    return table
+
+
+def set_part(obj: bpy.types.Object, part: Part, of: NDArray[np.bool_]) -> None:
+    """Change the part of some vertices of a mesh.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    part : Part
+    of : (V,) bool
+        The vertices.
+    """
+    kinds = read_kinds(obj.data)
+    kinds[of] = part
+    write_kinds(obj.data, kinds)
+
+
 def read_parts(head: bpy.types.Object) -> FaceParts | None:
     """Return the parts of the face of `head` beside its skin; None if all of it is skin.
 

@@ -1,7 +1,7 @@
 """The command `facemime`, which does what the operators do without Blender's window.
 
-`puppet`, `clip` and `batch` need `bpy`: either the module, or Blender itself, as in `blender --command facemime puppet
-...`. The other commands run without it.
+`bind`, `puppet`, `clip` and `batch` need `bpy`: either the module, or Blender itself, as in `blender --command facemime
+puppet ...`. The other commands run without it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from ..core.errors import FacemimeError
 from ..core.version import version
-from . import landmarks, select, takes
+from . import bind, landmarks, select, takes
 from .batch import command as batch
 from .puppet import command as puppeting
 from .terminal.console import tell
@@ -51,6 +51,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"facemime {version()}")
     commands = parser.add_subparsers(dest="command", required=True)
 
-    for module in (landmarks, puppeting, select, takes, batch):
+    for module in (landmarks, bind, puppeting, select, takes, batch):
         module.add_commands(commands)
     return parser

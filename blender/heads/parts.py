@@ -14,6 +14,7 @@ from ...core.arrays import FloatArray, IntArray
 from ...core.bake.key_map import best_preset
 from ...core.heads.bones import FaceBones, find_bones
 from ...core.heads.parts import Part, Skin, skin_of
+from ...core.heads.proposal import propose_regions
 from ...core.heads.rig import neck_of
 from ...core.heads.sorting import Piece, lower_row, named_part, names_body, names_skin, sort_pieces
 from ...core.landmarks import JAW, NOSE, outer_eye_distance
@@ -21,7 +22,7 @@ from ...core.mesh.nearest import NearestPoints
 from ...core.mesh.pieces import border_twins, islands
 from ..characters import objects_of, rest_matrix, write_bones, write_kinds
 from ..frames import from_blender, to_blender
-from ..meshes import is_head, read_faces, read_vertices
+from ..meshes import is_head, read_faces, read_landmarks, read_vertices
 from ..names import HEAD_PROPERTY, PART_PROPERTY, PIVOT_PROPERTY
 
 _FACE_LANDMARKS = np.concatenate([JAW, NOSE])
@@ -136,6 +137,16 @@ def sort_character(head: bpy.types.Object, landmarks: IntArray, weights: NDArray
     )
     write_bones(head, armature if bones.head else None, bones)
     head[PIVOT_PROPERTY] = to_blender(neck_of(points)).tolist()
+
+
+def sort_again(head: bpy.types.Object) -> None:
+    """Sort the parts of a head whose landmarks are bound; raises HeadError if they are not."""
+    landmarks = read_landmarks(head)
+    skin = skin_of_object(head, named_others(head), landmarks)
+    if (skin.number[landmarks] < 0).any():
+        skin = skin_of_object(head, np.zeros(len(head.data.vertices), dtype=bool), landmarks)
+    places = read_vertices(head.data)[skin.kept]
+    sort_character(head, landmarks, propose_regions(places, skin.faces, skin.number[landmarks]), skin)
 
 
 def is_sorted(head: bpy.types.Object) -> bool:

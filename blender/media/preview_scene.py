@@ -50,7 +50,7 @@ def face_view(obj: bpy.types.Object) -> FaceView:
     obj : bpy.types.Object
         Any mesh; one without landmarks is shown as a whole, from the front of the scene.
     """
-    points = _vertices(obj)
+    points = face_points(obj)
     if not is_head(obj):
         return FaceView(points, np.eye(3))
     landmarks, head = read_landmarks(obj), load_head()
@@ -110,7 +110,7 @@ def _set_shading(scene: bpy.types.Scene, extent: float) -> None:
     shading.show_specular_highlight = True
 
 
-def _vertices(obj: bpy.types.Object) -> NDArray[np.float64]:
+def face_points(obj: bpy.types.Object) -> NDArray[np.float64]:
     """Return (V, 3) vertices of the mesh `obj` in world space, with its modifiers unless these change their number."""
     graph = bpy.context.evaluated_depsgraph_get()
     shown = obj.evaluated_get(graph)

@@ -132,8 +132,8 @@ def _built_in(bake: BakeSettings) -> tuple[bpy.types.Scene, bpy.types.Object]:
     return bpy.context.scene, head
 
 
-def _opened(file: HeadFile) -> tuple[bpy.types.Scene, bpy.types.Object]:
-    path, name = file.path, file.name
+def open_blend(path: Path) -> None:
+    """Open a .blend file without running its scripts; raises SourceError if that is not possible."""
     if not check_readable(path):
         raise SourceError(f"There is no file {path}. Check --head, which is FILE.blend:OBJECT.")
     place = os.path.realpath(path)
@@ -146,14 +146,26 @@ def _opened(file: HeadFile) -> tuple[bpy.types.Scene, bpy.types.Object]:
         raise SourceError(
             f"{path} cannot be opened by this version of Blender. Check that it is a .blend file."
         ) from error
-    bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and LANDMARKS_PROPERTY in obj.data]
+
+
+def object_named(path: Path, name: str) -> bpy.types.Object:
+    """Return the object `name` of the open file, which was read from `path`; raises HeadError if there is none."""
+    # `get` raises on names that are not UTF-8.
+    found = next((obj for obj in bpy.data.objects if obj.name == name), None)
+    if found is None:
+        names = ", ".join(obj.name for obj in bpy.data.objects if obj.type == "MESH") or "no mesh"
+        raise HeadError(f"{path} has no object {name}. Choose one of: {names}.")
+    return found
+
+
+def _opened(file: HeadFile) -> tuple[bpy.types.Scene, bpy.types.Object]:
+    path, name = file.path, file.name
+    open_blend(path)
     if name:
-        # `get` raises on names that are not UTF-8.
-        head = next((obj for obj in bpy.data.objects if obj.name == name), None)
-        if head is None:
-            names = ", ".join(obj.name for obj in bpy.data.objects if obj.type == "MESH") or "no mesh"
-            raise HeadError(f"{path} has no object {name}. Choose one of: {names}.")
-        return bpy.context.scene, head
+        return bpy.context.scene, object_named(path, name)
+    bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and LANDMARKS_PROPERTY in obj.data]
+    if not bound:
+        raise HeadError(f"{path} has no mesh with landmarks. Bind it first: facemime bind {path} -o HEAD.blend")
     if len(bound) != 1:
         raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Choose one: --head {path}:OBJECT.")
     return bpy.context.scene, bound[0]

@@ -114,7 +114,9 @@ def face_of(text: str | None) -> tuple[float, float] | None:
 def add_puppet_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `puppet_job` reads: the face, the head, how it moves, and what it is baked to."""
     add_face_option(parser)
-    parser.add_argument("--head", type=_head, metavar="FILE.blend[:OBJECT]", help="your own head (the built-in head)")
+    parser.add_argument(
+        "--head", type=head_file, metavar="FILE.blend[:OBJECT]", help="your own head (the built-in head)"
+    )
     parser.add_argument("--points", type=_path, metavar="POINTS.json", help="control points, from select")
     how = parser.add_argument_group("motion of the head")
     how.add_argument(
@@ -236,7 +238,7 @@ def _path(text: str) -> Path | None:
     return Path(text) if text else None
 
 
-def _head(text: str) -> HeadFile | None:
+def head_file(text: str) -> HeadFile | None:
     if not text:
         return None
     file, found, name = text.rpartition(".blend:")

@@ -35,7 +35,8 @@ class Glue:
     -----
     With the displacements d_i of the nearest vertices of the skin, r_i their positions from the weighted mean, and
     weights w_i, the point turns by the rotation vector that fits them best (equation 5.9),
-    ``omega = (sum w_i (|r_i|^2 - r_i r_i^T))^-1 sum w_i r_i x d_i``, about the mean, and moves with it.
+    ``omega = (sum w_i (|r_i|^2 - r_i r_i^T))^-1 sum w_i r_i x d_i``, about the mean, and moves with it. The length of
+    omega is the sine of the angle, up to a right angle.
     """
 
     def __init__(self, points: FloatArray, roots: IntArray, skin: FloatArray, sides: IntArray, unit: float) -> None:
@@ -96,8 +97,10 @@ def _cross(arms: FloatArray) -> FloatArray:
 
 
 def _rotated(arms: NDArray[np.float32], turns: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Rotate (N, 3) vectors by (N, 3) rotation vectors (Rodrigues' formula)."""
-    angle = np.linalg.norm(turns, axis=1, keepdims=True)
-    axis = turns / np.maximum(angle, np.float32(1e-12))
+    """Rotate (N, 3) vectors about those of `turns`, whose length is the sine of the angle (Rodrigues)."""
+    length = np.linalg.norm(turns, axis=1, keepdims=True)
+    sine = np.minimum(length, np.float32(1.0))
+    axis = turns / np.maximum(length, np.float32(1e-12))
     along = (axis * arms).sum(axis=1, keepdims=True) * axis
-    return np.asarray(along + np.cos(angle) * (arms - along) + np.sin(angle) * np.cross(axis, arms), dtype=np.float32)
+    cosine = np.sqrt(1.0 - np.square(sine))
+    return np.asarray(along + cosine * (arms - along) + sine * np.cross(axis, arms), dtype=np.float32)

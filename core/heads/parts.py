@@ -17,6 +17,10 @@ _SLIT_REACH = 0.15
 """Outer-eye distances from the landmarks of an eye or the mouth within which a closed border is its slit."""
 
 
+_SLIT_LENGTH = 0.5
+"""Length of a slit, in sizes of the eye or mouth, below which it is a piece of a seam."""
+
+
 class Part(IntEnum):
     """What a vertex belongs to, and thereby what it follows. Left and right are the character's own."""
 
@@ -27,6 +31,18 @@ class Part(IntEnum):
     EYE_LEFT = 4
     TEETH_UPPER = 5
     TEETH_LOWER = 6
+
+
+PART_NAMES = {
+    Part.SKIN: "Skin",
+    Part.ON_HEAD: "On Head",
+    Part.ON_SKIN: "On Skin",
+    Part.EYE_RIGHT: "Right Eye",
+    Part.EYE_LEFT: "Left Eye",
+    Part.TEETH_UPPER: "Upper Teeth",
+    Part.TEETH_LOWER: "Lower Teeth",
+}
+"""Names of the parts, as users see them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +128,10 @@ def skin_of(
     return Skin(kept, number[:-1], number[faces[within]])
 
 
+def _size(points: FloatArray) -> float:
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
 def _slits(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> NDArray[np.intp]:
     """Vertices of closed borders along the lids or the lips, where skin was cut apart without a gap."""
     graph = SurfaceGraph(vertices, faces)
@@ -121,6 +141,7 @@ def _slits(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> NDArra
     for border in graph.openings():
         for organ in (EYE_RIGHT, EYE_LEFT, LIPS):
             away = np.linalg.norm(graph.vertices[border][:, None] - points[organ], axis=2).min(axis=1)
-            if away.max() < reach:
+            long = _size(graph.vertices[border]) > _SLIT_LENGTH * _size(points[organ])
+            if long and away.max() < reach:
                 found.append(border)
     return np.concatenate(found)

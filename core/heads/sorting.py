@@ -53,6 +53,8 @@ _EYE_SIZE = (0.15, 1.5)
 """Range of the width of an eye's pieces, in widths of the opening between the lids."""
 _MOUTH = (0.75, 0.45)
 """Half widths of the mouth, and outer-eye distances above and below it, within which pieces are teeth."""
+_ROW_GAP = 0.01
+"""Outer-eye distances between heights that count as a gap between the rows of teeth."""
 _CLOSE = 0.12
 """Outer-eye distances from the skin of the face within which a piece rides on it."""
 
@@ -152,15 +154,18 @@ def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None
 def lower_row(vertices: FloatArray, points: FloatArray) -> np.ndarray:
     """Which vertices (N, 3) of a piece with both rows of teeth belong to the lower one, (N,) bool.
 
-    The rows meet where fewest vertices are, near the slit of the mouth.
+    The rows meet in the gap between heights that is nearest to the slit of the mouth.
     """
     unit = outer_eye_distance(points)
     height = np.asarray(vertices)[:, 1]
     slit = float(np.asarray(points)[np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])].mean(axis=0)[1])
-    levels = slit + unit * np.linspace(-0.08, 0.08, 17)
-    counts = [np.count_nonzero(np.abs(height - level) < 0.01 * unit) for level in levels]
-    fewest = np.flatnonzero(np.array(counts) == min(counts))
-    return np.asarray(height > levels[fewest[len(fewest) // 2]])
+    order = np.sort(height)
+    wide = np.flatnonzero(np.diff(order) > _ROW_GAP * unit)
+    if not len(wide):
+        return np.asarray(height > slit)
+    off = np.maximum(np.maximum(order[wide] - slit, slit - order[wide + 1]), 0.0)
+    gap = wide[np.argmin(off)]
+    return np.asarray(height > (order[gap] + order[gap + 1]) / 2.0)
 
 
 def _divide_teeth(pieces: Sequence[Piece], parts: list[Part | None], points: FloatArray, unit: float) -> None:

@@ -1,0 +1,46 @@
+"""The command `bind`: prepare a character as a head, and say what was made of its parts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..core.errors import FacemimeError
+from ..core.puppet.job import HeadFile
+from .terminal.console import say, tell
+from .terminal.options import Commands, add_command, add_output, head_file
+from .terminal.outputs import outputs_of
+from .terminal.stopping import STOPPING
+
+
+def add_commands(commands: Commands) -> None:
+    """Add the command to the parser."""
+    bind = add_command(commands, "bind", "prepare a character as a head: landmarks, regions, parts and bones")
+    bind.add_argument(
+        "character",
+        type=head_file,
+        metavar="FILE[:OBJECT]",
+        help="a .blend, .glb, .gltf, .fbx or .obj file, and any mesh of the character (the most likely face)",
+    )
+    add_output(bind, "OUT.blend", "the file with the head, for puppet --head")
+    bind.add_argument("--picture", type=Path, metavar="OUT.png", help="also write a picture of the face with landmarks")
+    bind.set_defaults(run=lambda a: run_bind(a.character, a.output, a.picture))
+
+
+def run_bind(character: HeadFile, output: Path, picture: Path | None) -> int:
+    """Run `facemime bind`: bind a character, and print a line for each of its parts; returns the exit status."""
+    try:
+        with STOPPING.importing():
+            from .puppet import character as headless
+    except ImportError as error:
+        raise FacemimeError(
+            f"bind needs Blender ({error}). Run: blender --command facemime bind ..., or install bpy."
+        ) from error
+    with outputs_of(((output, {".blend"}), (picture, {".png"})), {"the character": character.path}):
+        bound = headless.bind(character)
+        headless.save(bound, output)
+        if picture is not None:
+            headless.write_picture(bound, picture)
+    say(bound.table())
+    for problem in bound.problems:
+        tell(f"facemime: {problem}")
+    return 0

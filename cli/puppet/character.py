@@ -1,0 +1,114 @@
+"""`facemime bind` inside Blender: open or import a character, bind it, and save it with a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...blender.characters import part_table, read_bones
+from ...blender.heads.binding import bind_character, check_object
+from ...blender.heads.landmark_pictures import draw_landmarks
+from ...core.capture import check_readable
+from ...core.errors import HeadError, SourceError
+from ...core.heads.binding import Binding
+from ...core.heads.parts import PART_NAMES
+from ...core.images import write_image
+from ...core.puppet.job import HeadFile
+from ..terminal.stopping import STOPPING
+from .headless import AVATAR_SIDE, object_named, open_blend, save_blend
+
+_IMPORTERS: Mapping[str, Callable[..., object]] = {
+    ".glb": lambda path: bpy.ops.import_scene.gltf(filepath=path),
+    ".gltf": lambda path: bpy.ops.import_scene.gltf(filepath=path),
+    ".fbx": lambda path: bpy.ops.import_scene.fbx(filepath=path),
+    ".obj": lambda path: bpy.ops.wm.obj_import(filepath=path),
+}
+
+
+@dataclass(frozen=True)
+class BoundCharacter:
+    """A character that was bound, in the open file.
+
+    Attributes
+    ----------
+    head : bpy.types.Object
+        The mesh with the skin of its face.
+    binding : Binding
+    problems : list of str
+        What keeps it from being driven well.
+    """
+
+    head: bpy.types.Object
+    binding: Binding
+    problems: list[str]
+
+    def table(self) -> str:
+        """Return a line for each part of each object, and for each bone."""
+        rows = [("object", "part", "vertices")]
+        rows += [(obj.name, PART_NAMES[part], str(count)) for obj, part, count in part_table(self.head)]
+        widths = [max(len(row[i]) for row in rows) for i in range(2)]
+        lines = [f"{name:{widths[0]}}  {part:{widths[1]}}  {count:>8}" for name, part, count in rows]
+        armature, bones = read_bones(self.head)
+        if armature is not None:
+            chosen = {"head": bones.head, "right eye": bones.eye_right, "left eye": bones.eye_left}
+            lines += [f"bone of the {name}: {bone}" for name, bone in chosen.items() if bone]
+        return "\n".join([*lines, f"head: {self.head.name}, 66 landmarks"])
+
+
+def bind(character: HeadFile) -> BoundCharacter:
+    """Open or import a character and bind it.
+
+    Raises
+    ------
+    FacemimeError
+        If the file cannot be read, has no such object, or no face is found.
+    """
+    _open(character.path)
+    chosen = object_named(character.path, character.name) if character.name else _likely(character.path)
+    head, binding = bind_character(chosen)
+    problems = [f"{finding.problem} {finding.remedy}" for finding in check_object(head)]
+    return BoundCharacter(head, binding, problems)
+
+
+def save(bound: BoundCharacter, output: Path) -> None:
+    """Save the file with the character, whose head is active."""
+    for obj in bpy.context.scene.objects:
+        obj.select_set(obj == bound.head)
+    bpy.context.view_layer.objects.active = bound.head
+    save_blend(output)
+
+
+def write_picture(bound: BoundCharacter, path: Path) -> None:
+    """Write a picture of the face with its landmarks."""
+    write_image(path, draw_landmarks(bpy.context.scene, bound.head, 2 * AVATAR_SIDE))
+
+
+def _open(path: Path) -> None:
+    suffix = path.suffix.lower()
+    if suffix == ".blend":
+        open_blend(path)
+        return
+    if suffix not in _IMPORTERS:
+        raise SourceError(f"{path} is not a file of a character. Use .blend, {', '.join(_IMPORTERS)}.")
+    if not check_readable(path):
+        raise SourceError(f"There is no file {path}. Check its name.")
+    with STOPPING.holding():
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    try:
+        with STOPPING.holding():
+            _IMPORTERS[suffix](str(path.resolve()))
+    except (RuntimeError, AttributeError) as error:
+        raise SourceError(f"{path} cannot be imported by this version of Blender ({str(error).strip()}).") from error
+
+
+def _likely(path: Path) -> bpy.types.Object:
+    """The largest mesh that something carries, or otherwise the largest: any mesh of a character leads to its face."""
+    meshes = [obj for obj in bpy.context.scene.objects if obj.type == "MESH" and len(obj.data.polygons)]
+    if not meshes:
+        raise HeadError(f"{path} has no mesh. Choose another file.")
+    carried = [obj for obj in meshes if obj.find_armature() is not None or obj.parent is not None]
+    return max(carried or meshes, key=lambda obj: float(np.prod(obj.dimensions)) + len(obj.data.vertices) * 1e-12)

@@ -1,0 +1,158 @@
+"""Operators that change what the parts of a character are, and which bones take the pose of its head and eyes."""
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+from bpy.props import EnumProperty, StringProperty
+
+from ..blender.characters import read_bones, read_kinds, set_part, write_bones
+from ..blender.heads.binding import propose_head_regions
+from ..blender.heads.parts import armature_of, forget_parts, sort_again
+from ..blender.meshes import is_head
+from ..blender.names import HEAD_PROPERTY
+from ..core.errors import HeadError
+from ..core.heads.parts import PART_NAMES, Part
+from .shared import OnHead, ReportsErrors, report
+
+_DESCRIPTIONS = {
+    Part.SKIN: "Skin of the face, which the landmarks move",
+    Part.ON_HEAD: "Rides on the head, such as hair, glasses and a hat",
+    Part.ON_SKIN: "Rides on the skin, such as lashes, brows and a beard",
+    Part.EYE_RIGHT: "The character's right eye, which turns",
+    Part.EYE_LEFT: "The character's left eye, which turns",
+    Part.TEETH_UPPER: "Upper teeth, which stay with the head",
+    Part.TEETH_LOWER: "Lower teeth and the tongue, which follow the jaw",
+}
+_ITEMS = [(part.name, PART_NAMES[part], _DESCRIPTIONS[part]) for part in Part]
+BONES = {"head": "Head Bone", "eye_right": "Right Eye Bone", "eye_left": "Left Eye Bone"}
+"""Labels of the bones that take the pose."""
+_NO_BONE = "NONE"
+_bone_items: list[tuple[str, str, str]] = []
+"""Blender keeps no copy of the items of a dynamic enumeration."""
+
+
+class FACEMIME_OT_set_part(ReportsErrors, bpy.types.Operator):
+    """Change what a part of the character is: that of an object, or the selected vertices in Edit Mode"""
+
+    bl_idname = "facemime.set_part"
+    bl_label = "Set Part"
+
+    part: EnumProperty(name="Part", items=_ITEMS)
+    name: StringProperty(name="Object", description="Object to change; the active one if empty", options={"SKIP_SAVE"})
+    before: StringProperty(
+        name="Before", description="Part of the vertices to change; all of the object if empty", options={"SKIP_SAVE"}
+    )
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Change the part of the vertices."""
+        obj = bpy.data.objects.get(self.name) if self.name else context.active_object
+        if obj is None or obj.type != "MESH":
+            raise HeadError("There is no such mesh. Select a mesh of the character.")
+        editing = obj.mode == "EDIT"
+        if editing:
+            bpy.ops.object.mode_set(mode="OBJECT")
+        try:
+            chosen = np.ones(len(obj.data.vertices), dtype=bool)
+            if editing:
+                obj.data.vertices.foreach_get("select", chosen)
+            elif self.before:
+                chosen = read_kinds(obj.data) == Part[self.before]
+            if not chosen.any():
+                raise HeadError("No vertex is selected. Select those of the part.")
+            set_part(obj, Part[self.part], chosen)
+        finally:
+            if editing:
+                bpy.ops.object.mode_set(mode="EDIT")
+        report(self, f"{int(chosen.sum())} vertices changed")
+
+
+class FACEMIME_OT_add_part(OnHead, bpy.types.Operator):
+    """Add the other selected meshes to the character of the active head"""
+
+    bl_idname = "facemime.add_part"
+    bl_label = "Add Selected"
+
+    part: EnumProperty(name="Part", items=_ITEMS[1:])
+
+    def work(self, context: bpy.types.Context) -> None:
+        head = context.active_object
+        others = [obj for obj in context.selected_objects if obj != head and obj.type == "MESH" and not is_head(obj)]
+        if not others:
+            raise HeadError("No other mesh is selected. Select the parts, then the head.")
+        for obj in others:
+            obj[HEAD_PROPERTY] = head
+            set_part(obj, Part[self.part], np.ones(len(obj.data.vertices), dtype=bool))
+        report(self, f"{len(others)} meshes added")
+
+
+class FACEMIME_OT_remove_part(ReportsErrors, bpy.types.Operator):
+    """Remove an object from the character, so that the performance leaves it alone"""
+
+    bl_idname = "facemime.remove_part"
+    bl_label = "Remove from Character"
+
+    name: StringProperty(name="Object", options={"SKIP_SAVE"})
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Remove the object."""
+        obj = bpy.data.objects.get(self.name)
+        if obj is None or HEAD_PROPERTY not in obj:
+            raise HeadError("There is no such mesh. Select a mesh of the character.")
+        set_part(obj, Part.SKIN, np.ones(len(obj.data.vertices), dtype=bool))
+        del obj[HEAD_PROPERTY]
+
+
+class FACEMIME_OT_find_parts(OnHead, bpy.types.Operator):
+    """Sort the meshes of the character into parts again, find its bones, and propose its regions"""
+
+    bl_idname = "facemime.find_parts"
+    bl_label = "Find Parts"
+
+    def work(self, context: bpy.types.Context) -> None:
+        head = context.active_object
+        forget_parts(head)
+        sort_again(head)
+        propose_head_regions(head)
+
+
+def _items_of_bones(operator: bpy.types.Operator, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
+    head = None if context is None else context.active_object
+    armature = None if head is None else read_bones(head)[0] or armature_of(head)
+    names = [] if armature is None else [bone.name for bone in armature.pose.bones]
+    _bone_items[:] = [(_NO_BONE, "None", "No bone"), *((name, name, "") for name in names)]
+    return _bone_items
+
+
+class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
+    """Choose the bone that takes the pose of the head, or the gaze of an eye"""
+
+    bl_idname = "facemime.set_bone"
+    bl_label = "Set Bone"
+    bl_property = "bone"
+
+    target: EnumProperty(name="Target", items=[(key, label, "") for key, label in BONES.items()])
+    bone: EnumProperty(name="Bone", items=_items_of_bones)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Open a list of the bones to search in."""
+        context.window_manager.invoke_search_popup(self)
+        return {"RUNNING_MODAL"}
+
+    def work(self, context: bpy.types.Context) -> None:
+        head = context.active_object
+        stored, bones = read_bones(head)
+        armature = stored or armature_of(head)
+        if armature is None:
+            raise HeadError(f"{head.name} has no armature. Parent it to one, or use an Armature modifier.")
+        name = "" if self.bone == _NO_BONE else self.bone
+        write_bones(head, armature, replace(bones, **{self.target: name}))
+
+
+CLASSES = (
+    FACEMIME_OT_set_part,
+    FACEMIME_OT_add_part,
+    FACEMIME_OT_remove_part,
+    FACEMIME_OT_find_parts,
+    FACEMIME_OT_set_bone,
+)

@@ -1,0 +1,68 @@
+"""Panel Character: the parts of the face, and the bones that take its pose."""
+
+import bpy
+
+from ..blender.characters import objects_of, part_table, read_bones
+from ..blender.meshes import is_head
+from ..blender.names import HEAD_PROPERTY
+from ..core.heads.parts import PART_NAMES
+from ..operators.parts import BONES
+from .sidebar import Sidebar
+
+
+class FACEMIME_PT_parts(Sidebar, bpy.types.Panel):
+    """What each part of the character is, to be changed by a click."""
+
+    bl_label = "Character"
+    bl_parent_id = "FACEMIME_PT_head"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require an active head, or one of its parts."""
+        obj = context.active_object
+        return obj is not None and obj.type == "MESH" and (is_head(obj) or HEAD_PROPERTY in obj)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, obj = self.layout, context.active_object
+        if context.mode == "EDIT_MESH":
+            layout.operator_menu_enum("facemime.set_part", "part", text="Set Part of Selected Vertices")
+            return
+        head = obj if is_head(obj) else obj[HEAD_PROPERTY]
+        if head is None:
+            return
+        _draw_parts(layout, head)
+        column = layout.column(align=True)
+        column.operator("facemime.find_parts", icon="FILE_REFRESH")
+        column.operator_menu_enum("facemime.add_part", "part", text="Add Selected")
+        _draw_bones(layout, head)
+
+
+def _draw_parts(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
+    column = layout.column(align=True)
+    others, last = set(objects_of(head)), None
+    for obj, part, _ in part_table(head):
+        row = column.row(align=True)
+        row.label(text=obj.name if obj != last else "", translate=False, icon="MESH_DATA" if obj != last else "BLANK1")
+        menu = row.operator_menu_enum("facemime.set_part", "part", text=PART_NAMES[part])
+        menu.name, menu.before = obj.name, part.name
+        if obj in others and obj != last:
+            row.operator("facemime.remove_part", text="", icon="X").name = obj.name
+        last = obj
+
+
+def _draw_bones(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
+    armature, bones = read_bones(head)
+    if armature is None:
+        return
+    column = layout.column(align=True)
+    column.label(text=armature.name, icon="ARMATURE_DATA", translate=False)
+    for target, label in BONES.items():
+        row = column.split(factor=0.45)
+        row.label(text=label)
+        bone = getattr(bones, target)
+        row.operator("facemime.set_bone", text=bone or "None", translate=not bone, icon="BONE_DATA").target = target
+
+
+CLASSES = (FACEMIME_PT_parts,)
