@@ -71,7 +71,7 @@ class Glue:
         near = displacements[self._rows]
         shift = np.einsum("nk,nkc->nc", self._weights, near)
         turn = np.einsum("nkac,nkc->na", self._turns, near)
-        return self._middle + shift[self._places] + _rotated(self._arms, turn[self._places])
+        return np.asarray(self._middle + shift[self._places] + _rotated(self._arms, turn[self._places]))
 
 
 def _neighbours(
@@ -93,7 +93,7 @@ def _cross(arms: FloatArray) -> FloatArray:
     """(..., 3, 3) matrices [r]x with ``[r]x d = r x d``."""
     x, y, z = np.moveaxis(arms, -1, 0)
     zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+    return np.asarray(np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3))
 
 
 def _rotated(arms: NDArray[np.float32], turns: NDArray[np.float32]) -> NDArray[np.float32]:

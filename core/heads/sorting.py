@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..landmarks import (
@@ -151,7 +152,7 @@ def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None
     return parts
 
 
-def lower_row(vertices: FloatArray, points: FloatArray) -> np.ndarray:
+def lower_row(vertices: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
     """Which vertices (N, 3) of a piece with both rows of teeth belong to the lower one, (N,) bool.
 
     The rows meet in the gap between heights that is nearest to the slit of the mouth.

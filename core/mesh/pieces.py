@@ -72,4 +72,4 @@ def islands(count: int, faces: IntArray, twins: IntArray | None = None) -> NDArr
         if np.array_equal(new, root):
             break
         root = new
-    return np.unique(root, return_inverse=True)[1].reshape(-1)
+    return np.asarray(np.unique(root, return_inverse=True)[1].reshape(-1), dtype=np.intp)

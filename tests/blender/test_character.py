@@ -1,0 +1,277 @@
+"""Characters of several meshes on an armature, as people have them: bound by one click, driven live and baked."""
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix, Vector
+
+from commands import run
+from facemime.blender.animation.bake import frames_of
+from facemime.blender.animation.live import LiveHeadObject
+from facemime.blender.animation.puppet import puppet_head
+from facemime.blender.animation.targets import own_targets
+from facemime.blender.characters import members_of, objects_of, part_table, read_bones, read_kinds, rest_matrix
+from facemime.blender.frames import rotation_to_blender
+from facemime.blender.heads.binding import bind_character, check_object
+from facemime.blender.heads.built_in import add_head
+from facemime.blender.meshes import read_landmarks, read_vertices
+from facemime.blender.names import HEAD_PROPERTY, PART_PROPERTY
+from facemime.blender.rigs import read_rig
+from facemime.core.bake.settings import BakeSettings
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.heads.parts import Part
+from facemime.core.landmarks import outer_eye_distance
+from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.takes.file import save_take
+from facemime.core.takes.neutral import calibrate
+from takes import performance
+
+TRUTH = {
+    "eye_left": {Part.EYE_LEFT},
+    "eye_right": {Part.EYE_RIGHT},
+    "teeth_upper": {Part.TEETH_UPPER},
+    "teeth_lower": {Part.TEETH_LOWER},
+    "tongue": {Part.TEETH_LOWER},
+}
+
+
+def _ours(key: str) -> bool:
+    return key.startswith("facemime")
+
+
+def strangers(*, rig: bool, y_up: bool = False) -> dict[str, bpy.types.Object]:
+    """Make a stranger's character of the built-in head: meshes without useful names, with a body, in world axes."""
+    head = add_head(bpy.context)
+    objects = {"head": head, **{child[PART_PROPERTY]: child for child in head.children}}
+    bpy.context.view_layer.update()
+    bpy.ops.mesh.primitive_cylinder_add(radius=0.12, depth=0.6, location=(0.0, 0.05, -0.6))
+    objects["body"] = bpy.context.active_object
+    for number, obj in enumerate(objects.values()):
+        world = obj.matrix_world.copy()
+        obj.parent, obj.matrix_world = None, Matrix.Identity(4)
+        obj.data.transform(world)
+        obj.name = f"Object_{number}"
+        obj.data.materials.clear()
+        obj.shape_key_clear()
+        obj.vertex_groups.clear()
+        for key in filter(_ours, list(dict(obj))):
+            del obj[key]
+    for key in filter(_ours, list(dict(head.data))):
+        del head.data[key]
+    if rig:
+        _put_on_armature(objects, y_up=y_up)
+    bpy.context.view_layer.update()
+    return objects
+
+
+def _put_on_armature(objects: dict[str, bpy.types.Object], *, y_up: bool) -> None:
+    """Put all on an armature with a head bone, turned and scaled as FBX files come, if `y_up`."""
+    bpy.ops.object.armature_add()
+    armature = bpy.context.active_object
+    bpy.ops.object.mode_set(mode="EDIT")
+    bones = armature.data.edit_bones
+    bones.remove(bones[0])
+    for name, low, high in (("Spine", (0, 0.05, -0.9), (0, 0.05, -0.2)), ("Head", (0, 0.03, -0.2), (0, 0.01, 0.1))):
+        bone = bones.new(name)
+        bone.head, bone.tail, bone.roll = low, high, 0.7
+    bones["Head"].parent = bones["Spine"]
+    bpy.ops.object.mode_set(mode="OBJECT")
+    if y_up:
+        up = Matrix.Rotation(np.pi / 2.0, 4, "X") @ Matrix.Scale(0.01, 4)
+        for block in [obj.data for obj in (armature, *objects.values())]:
+            block.transform(up.inverted())
+        armature.matrix_world = up
+    for obj in objects.values():
+        obj.parent = armature
+        obj.modifiers.new("Armature", "ARMATURE").object = armature
+        bone = "Spine" if obj == objects["body"] else "Head"
+        obj.vertex_groups.new(name=bone).add(range(len(obj.data.vertices)), 1.0, "REPLACE")
+
+
+def shown(obj: bpy.types.Object) -> np.ndarray:
+    """Return (V, 3) vertices in the world, as they are displayed."""
+    bpy.context.view_layer.update()
+    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    world = np.array(evaluated.matrix_world)
+    flat = np.empty(3 * len(evaluated.data.vertices), dtype=np.float32)
+    evaluated.data.vertices.foreach_get("co", flat)
+    return flat.reshape(-1, 3) @ world[:3, :3].T + world[:3, 3]
+
+
+def turn_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the (3, 3) rotation that best takes points (N, 3) to others."""
+    u, _, vt = np.linalg.svd((after - after.mean(axis=0)).T @ (before - before.mean(axis=0)))
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+
+
+@pytest.mark.parametrize("start", ["body", "eye_left", "head"])
+@pytest.mark.parametrize("y_up", [False, True])
+def test_any_mesh_of_a_character_leads_to_its_face_its_parts_and_its_bones(start, y_up):
+    objects = strangers(rig=True, y_up=y_up)
+    before = {name: shown(obj) for name, obj in objects.items()}
+    bpy.context.view_layer.objects.active = objects[start]
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    head = bpy.context.active_object
+    assert head == objects["head"] and check_object(head) == []
+    found = {name: set(map(Part, read_kinds(objects[name].data).tolist())) for name in TRUTH}
+    assert found == TRUTH
+    assert set(objects_of(head)) == {objects[name] for name in TRUTH}
+    armature, bones = read_bones(head)
+    assert armature == head.parent and bones.head == "Head" and bones.eye_left == ""
+    for name, obj in objects.items():
+        np.testing.assert_allclose(shown(obj), before[name], atol=1e-5)
+
+
+@pytest.mark.parametrize("y_up", [False, True])
+def test_a_bake_turns_the_head_bone_in_world_axes_and_moves_all_parts(y_up):
+    objects = strangers(rig=True, y_up=y_up)
+    head, _ = bind_character(objects["body"])
+    rest = {name: shown(obj) for name, obj in objects.items()}
+    report = puppet_head(bpy.context.scene, head, performance())
+    row = int(np.argmax(np.abs(report.motion.rotation[:, 0, 2])))
+    bpy.context.scene.frame_set(round(float(frames_of(bpy.context.scene, report.motion.times[row]))))
+    upper = turn_between(rest["teeth_upper"], shown(objects["teeth_upper"]))
+    np.testing.assert_allclose(upper, rotation_to_blender(report.motion.rotation[row]), atol=5e-3)
+    np.testing.assert_allclose(shown(objects["body"]), rest["body"], atol=1e-6)
+    eye = turn_between(rest["eye_left"], shown(objects["eye_left"]))
+    expected = report.motion.rotation[row] @ report.motion.gaze[row, 1]
+    np.testing.assert_allclose(eye, rotation_to_blender(expected), atol=0.06)
+    assert np.abs(upper - np.eye(3)).max() > 0.1
+
+
+def test_baked_keys_of_one_name_are_on_all_meshes_that_move_and_have_one_value():
+    objects = strangers(rig=True)
+    head, _ = bind_character(objects["head"])
+    report = puppet_head(bpy.context.scene, head, performance())
+    moving = [objects[name] for name in ("head", "eye_left", "eye_right", "teeth_lower", "tongue")]
+    assert {member.obj for member in members_of(head)} == set(moving)
+    bpy.context.scene.frame_set(30)
+    values = [{key.name: key.value for key in obj.data.shape_keys.key_blocks[1:]} for obj in moving]
+    assert len(values[0]) == report.keys and all(value == values[0] for value in values)
+    assert objects["teeth_upper"].data.shape_keys is None
+    again = puppet_head(bpy.context.scene, head, performance())
+    assert len(objects["tongue"].data.shape_keys.key_blocks) == again.keys + 1
+
+
+def test_a_cache_is_written_for_each_mesh_that_moves(tmp_path):
+    objects = strangers(rig=True)
+    head, _ = bind_character(objects["head"])
+    bake = BakeSettings(keys="cache", path=tmp_path / "face")
+    report = puppet_head(bpy.context.scene, head, performance(), PuppetSettings(bake=bake))
+    assert len(list(tmp_path.glob("*.pc2"))) == 5
+    row = int(np.argmax(np.abs(report.motion.jaw[:, 1, 2])))
+    bpy.context.scene.frame_set(round(float(frames_of(bpy.context.scene, report.motion.times[row]))))
+    teeth = objects["teeth_lower"]
+    member = next(member for member in members_of(head) if member.obj == teeth)
+    moved = report.motion.vertices[row][member.part]
+    bone = np.array(head.parent.pose.bones["Head"].matrix @ head.parent.data.bones["Head"].matrix_local.inverted())
+    expected = np.array([Vector(point) for point in shown(teeth)])
+    local = (np.linalg.inv(bone) @ np.c_[expected, np.ones(len(expected))].T).T[:, :3]
+    in_head = np.c_[local[:, 0], -local[:, 2], local[:, 1]]
+    rest = np.array([vertex.co for vertex in teeth.data.vertices])
+    np.testing.assert_allclose(in_head - np.c_[rest[:, 0], -rest[:, 2], rest[:, 1]], moved, atol=1e-5)
+    assert np.abs(moved).max() > 1e-4
+
+
+def test_live_all_meshes_follow_and_are_as_before_at_the_end():
+    objects = strangers(rig=True)
+    head, _ = bind_character(objects["head"])
+    before = {name: shown(obj) for name, obj in objects.items()}
+    take = performance()
+    head_shown = LiveHeadObject(head, own_targets(head))
+    driver = HeadDriver(read_rig(head), calibrate(take))
+    head_shown.attach()
+    frames = [driver.frame(take.result(int(i))) for i in np.flatnonzero(take.found)]
+    frame = max(frames, key=lambda frame: abs(frame.rotation[0, 2]))
+    head_shown.write(frame)
+    moved = {name: np.abs(shown(obj) - before[name]).max() for name, obj in objects.items()}
+    assert moved["body"] < 1e-6 and min(moved[name] for name in TRUTH) > 1e-4
+    head_shown.detach(keep=False)
+    for name, obj in objects.items():
+        np.testing.assert_allclose(shown(obj), before[name], atol=1e-6)
+        assert obj.data.shape_keys is None
+
+
+def test_a_character_without_bones_turns_as_a_whole_about_its_neck():
+    objects = strangers(rig=False)
+    for name in ("eye_left", "eye_right", "teeth_upper", "teeth_lower", "tongue"):
+        objects[name].name = {"eye_left": "Eye.L", "eye_right": "Eye.R"}.get(name, name.title())
+    head, _ = bind_character(objects["head"])
+    assert set(objects_of(head)) == {objects[name] for name in TRUTH}
+    rest = {name: shown(obj) for name, obj in objects.items()}
+    report = puppet_head(bpy.context.scene, head, performance())
+    row = int(np.argmax(np.abs(report.motion.rotation[:, 0, 2])))
+    bpy.context.scene.frame_set(round(float(frames_of(bpy.context.scene, report.motion.times[row]))))
+    turn = rotation_to_blender(report.motion.rotation[row])
+    pivot = np.array(rest_matrix(head) @ Vector(head["facemime_pivot"]))
+    np.testing.assert_allclose(shown(objects["teeth_upper"]), (rest["teeth_upper"] - pivot) @ turn.T + pivot, atol=1e-4)
+    assert np.abs(shown(objects["teeth_upper"]) - rest["teeth_upper"]).max() > 0.005
+    unit = outer_eye_distance(read_vertices(head.data)[read_landmarks(head)])
+    assert np.linalg.norm(pivot) < 0.3 * unit
+
+
+def test_what_the_user_makes_of_a_part_is_obeyed_and_kept_by_binding_again():
+    objects = strangers(rig=True)
+    head, _ = bind_character(objects["head"])
+    bpy.context.view_layer.objects.active = head
+    teeth = objects["teeth_lower"]
+    bpy.ops.facemime.set_part(part="ON_HEAD", name=teeth.name, before="TEETH_LOWER")
+    assert teeth not in {member.obj for member in members_of(head)}
+    assert (teeth, Part.ON_HEAD, len(teeth.data.vertices)) in part_table(head)
+    bpy.ops.facemime.bind_landmarks()
+    assert teeth not in {member.obj for member in members_of(head)}
+    bpy.ops.facemime.remove_part(name=teeth.name)
+    assert HEAD_PROPERTY not in teeth
+    bpy.ops.facemime.find_parts()
+    assert teeth in {member.obj for member in members_of(head)}
+
+
+def test_the_part_of_selected_vertices_is_set_in_edit_mode():
+    objects = strangers(rig=True)
+    bind_character(objects["head"])
+    teeth = objects["teeth_upper"]
+    bpy.context.view_layer.objects.active = teeth
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_mode(type="VERT")
+    bpy.ops.mesh.select_all(action="DESELECT")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    teeth.data.vertices.foreach_set("select", np.arange(len(teeth.data.vertices)) < 5)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.facemime.set_part(part="TEETH_LOWER")
+    assert bpy.context.mode == "EDIT_MESH"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert (read_kinds(teeth.data) == Part.TEETH_LOWER).sum() == 5
+
+
+def test_the_bones_can_be_chosen_and_taken_away():
+    objects = strangers(rig=True)
+    head, _ = bind_character(objects["head"])
+    bpy.context.view_layer.objects.active = head
+    assert bpy.ops.facemime.set_bone(target="head", bone="Spine") == {"FINISHED"}
+    assert own_targets(head)["head"].bone == "Spine"
+    bpy.ops.facemime.set_bone(target="head", bone="NONE")
+    assert own_targets(head)["head"].obj == head
+
+
+def test_a_character_in_a_file_of_another_program_is_bound_and_puppeted_by_commands(tmp_path):
+    objects = strangers(rig=True)
+    bpy.ops.object.select_all(action="SELECT")
+    bpy.ops.export_scene.gltf(filepath=str(tmp_path / "stranger.glb"))
+    bound, out, picture = tmp_path / "bound.blend", tmp_path / "out.blend", tmp_path / "face.png"
+    names = {name: obj.name for name, obj in objects.items()}
+    done = run("bind", tmp_path / "stranger.glb", "-o", bound, "--picture", picture)
+    assert done.returncode == 0, done.stderr
+    printed = done.stdout
+    rows = {line.split()[0]: line.split()[1:-1] for line in printed.splitlines() if line.startswith("Object_")}
+    assert rows[names["eye_left"]] == ["Left", "Eye"] and rows[names["tongue"]] == ["Lower", "Teeth"]
+    assert "bone of the head: Head" in printed and picture.stat().st_size > 1000
+    take = tmp_path / "a.facetake"
+    save_take(performance(), take)
+    assert run("puppet", take, "--head", bound, "-o", out).returncode == 0
+    bpy.ops.wm.open_mainfile(filepath=str(out))
+    bone = next(obj for obj in bpy.data.objects if obj.type == "ARMATURE").pose.bones["Head"]
+    angles = []
+    for frame in range(1, 60, 5):
+        bpy.context.scene.frame_set(frame)
+        angles.append(bone.matrix_basis.to_quaternion().angle)
+    assert max(angles) > 0.1
