@@ -95,13 +95,27 @@ def check_curves(owner: bpy.types.ID, paths: Sequence[str]) -> None:
         return
     if data.action is not None and data.action.library is not None:
         raise HeadError(f"The action {data.action.name} of {owner.name} is linked from another file. Make it local.")
-    driven = {driver.data_path for driver in data.drivers}
-    animated = {curve.data_path for curve in _existing(owner)} - _owned(data.action)
-    if taken := [path for path in paths if path in driven | animated and not path.startswith(_KEYS)]:
+    if taken := animated_paths(owner, paths):
         raise HeadError(
             f"{owner.name} already has animation in {taken[0]}, which the bake would replace. "
             "Remove it, or bake to something else."
         )
+
+
+def animated_paths(owner: bpy.types.ID, paths: Sequence[str]) -> list[str]:
+    """Return those of the data paths that have animation or a driver that Facemime did not make.
+
+    Parameters
+    ----------
+    owner : bpy.types.ID
+    paths : sequence of str
+    """
+    data = owner.animation_data
+    if data is None:
+        return []
+    driven = {driver.data_path for driver in data.drivers}
+    animated = {curve.data_path for curve in _existing(owner)} - _owned(data.action)
+    return [path for path in paths if path in driven | animated and not path.startswith(_KEYS)]
 
 
 def remove_curves(owner: bpy.types.ID, prefix: str) -> None:

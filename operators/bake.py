@@ -54,8 +54,8 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
         bake, *_ = puppet_heads(scene, heads, take, settings, targets)
         frames, summary = len(bake.motion.times), bake.summary()
         report(self, f"{frames} frames, {summary}")
-        if bake.neutral.warning:
-            report(self, bake.neutral.warning, "WARNING")
+        for warning in bake.warnings:
+            report(self, warning, "WARNING")
 
 
 class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):

@@ -99,6 +99,8 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
         lost = len(take) - int(take.found.sum())
         frames, summary = len(take), bake.summary()
         report(self, f"{frames} frames ({lost} without a face), {summary}")
+        for warning in bake.warnings:
+            report(self, warning, "WARNING")
         return {"FINISHED"}
 
     def cancel(self, context: bpy.types.Context) -> None:

@@ -48,12 +48,25 @@ class PuppetReport:
         Largest error of a vertex in a frame, in outer-eye distances.
     neutral : Neutral
     motion : HeadMotion
+    kept : tuple of str
+        Bones that were not moved, as they have animation of their own.
     """
 
     keys: int
     worst_error: float
     neutral: Neutral
     motion: HeadMotion
+    kept: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the user should know of the result."""
+        warnings = [self.neutral.warning] if self.neutral.warning else []
+        if self.kept:
+            names = ", ".join(self.kept)
+            warning = f"Bones that keep their own animation: {names}. Remove it and bake again to move them."
+            warnings.append(warning)
+        return warnings
 
     def summary(self) -> str:
         """Return the number of shape keys and the error as text."""
@@ -111,7 +124,8 @@ def puppet_head(
     set_range(scene, frames_of(scene, take.times))
     if bake.keys == "alembic":
         export_alembic(scene, [obj, *obj.children, *objects_of(obj)], bake.path.with_suffix(".abc"))
-    return PuppetReport(plan.keys, plan.error / unit + (bake.clean if plan.keys else 0.0), neutral, motion)
+    kept = tuple(target.bone for target in targets.values() if target.still)
+    return PuppetReport(plan.keys, plan.error / unit + (bake.clean if plan.keys else 0.0), neutral, motion, kept)
 
 
 def puppet_heads(

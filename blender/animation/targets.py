@@ -5,7 +5,7 @@ The delta transform leaves the location and rotation of the object to the artist
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -13,7 +13,7 @@ from mathutils import Euler, Matrix, Vector
 from numpy.typing import NDArray
 
 from ...core.errors import HeadError
-from ..actions import Curve
+from ..actions import Curve, animated_paths
 from ..characters import (
     objects_of,
     own_rotation,
@@ -44,12 +44,15 @@ class PoseTarget:
     pivot : (float, float, float), optional
         Point about which an object turns, in the axes of the head; its own origin by default. A bone turns about its
         head.
+    still : bool
+        Whether it keeps its own animation, and takes no pose.
     """
 
     obj: bpy.types.Object
     bone: str = ""
     head: bpy.types.Object | None = None
     pivot: tuple[float, float, float] | None = None
+    still: bool = False
 
     @classmethod
     def of(cls, obj: bpy.types.Object, bone: str = "", head: bpy.types.Object | None = None) -> PoseTarget:
@@ -115,6 +118,8 @@ class PoseTarget:
         translation : (3,) array or None
             Head frame, the unit of the head; None leaves the location unchanged.
         """
+        if self.still:
+            return
         if rotation is not None:
             self._rotate(Matrix(self.turned(rotation).tolist()))
         if (location := self._location(rotation, translation)) is not None:
@@ -123,6 +128,9 @@ class PoseTarget:
     @property
     def data_paths(self) -> list[str]:
         """Data paths of all channels that a bake may animate."""
+        return [] if self.still else self._paths()
+
+    def _paths(self) -> list[str]:
         channels = ("rotation_quaternion", "rotation_euler", "location")
         return [f"{self.path}{self.prefix}{channel}" for channel in channels]
 
@@ -144,6 +152,8 @@ class PoseTarget:
         angle, length : float, optional
             As the tolerance of `Curve`: radians, and the unit of the head.
         """
+        if self.still:
+            return []
         curves = [] if rotations is None else self._rotation_curves(rotations, angle)
         if (locations := self._location(rotations, translations)) is not None:
             curves += self._curves("location", locations, length)
@@ -168,6 +178,8 @@ class PoseTarget:
 
     def rest(self) -> None:
         """Reset the pose that `apply` set."""
+        if self.still:
+            return
         self._rotate(Matrix.Identity(3))
         setattr(self.owner, f"{self.prefix}location", (0.0, 0.0, 0.0))
 
@@ -232,18 +244,24 @@ def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
     Returns
     -------
     dict
-        "head", and "eye_left" and "eye_right" if bones turn the eyes.
+        "head", and "eye_left" and "eye_right" if bones turn the eyes. Bones that move already stay still.
     """
     armature, bones = read_bones(head)
     if armature is None or not bones.head:
         pivot = head.get(PIVOT_PROPERTY)
         targets = {"head": PoseTarget(head, head=head, pivot=None if pivot is None else tuple(pivot))}
     else:
-        targets = {"head": PoseTarget(armature, bones.head, head)}
+        targets = {"head": _bone_target(armature, bones.head, head)}
     for eye in ("eye_left", "eye_right"):
         if armature is not None and (bone := getattr(bones, eye)):
-            targets[eye] = PoseTarget(armature, bone, head)
+            targets[eye] = _bone_target(armature, bone, head)
     return targets
+
+
+def _bone_target(armature: bpy.types.Object, bone: str, head: bpy.types.Object) -> PoseTarget:
+    """Return the target for a bone, which stays still if it has animation that Facemime did not make."""
+    target = PoseTarget(armature, bone, head)
+    return replace(target, still=bool(animated_paths(armature, target.data_paths)))
 
 
 def carried_targets(head: bpy.types.Object, target: PoseTarget) -> list[PoseTarget]:

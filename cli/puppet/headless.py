@@ -90,8 +90,8 @@ def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> Pupp
         f"Baked {len(report.motion.times)} frames: {report.summary()}; "
         f"neutral at {neutral.start:.2f}-{neutral.end:.2f} s"
     )
-    if neutral.warning:
-        tell(neutral.warning)
+    for warning in report.warnings:
+        tell(warning)
     if own:  # a file of the user keeps its camera and render settings
         save_blend(job.output)
     setup_preview(scene, head, (AVATAR_SIDE, AVATAR_SIDE), view)

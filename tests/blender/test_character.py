@@ -253,6 +253,21 @@ def test_the_bones_can_be_chosen_and_taken_away():
     assert own_targets(head)["head"].obj == head
 
 
+def test_a_bone_that_moves_already_keeps_its_animation_and_the_report_says_so():
+    objects = strangers(rig=True)
+    head, _ = bind_character(objects["head"])
+    armature, _ = read_bones(head)
+    bone = armature.pose.bones["Head"]
+    bone.rotation_quaternion = (0.9, 0.1, 0.0, 0.0)
+    bone.keyframe_insert("rotation_quaternion", frame=1)
+    report = puppet_head(bpy.context.scene, head, performance())
+    assert report.kept == ("Head",) and any("Head" in warning for warning in report.warnings)
+    bpy.context.scene.frame_set(40)
+    np.testing.assert_allclose(bone.rotation_quaternion, (0.9, 0.1, 0.0, 0.0), atol=1e-6)
+    armature.animation_data_clear()
+    assert puppet_head(bpy.context.scene, head, performance()).kept == ()
+
+
 def test_a_character_in_a_file_of_another_program_is_bound_and_puppeted_by_commands(tmp_path):
     objects = strangers(rig=True)
     bpy.ops.object.select_all(action="SELECT")
