@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from facemime.core.landmarks import LIPS, LOWER_LIPS, UPPER_LIPS
+from facemime.core.mesh.raster import rasterise
 from facemime.core.rotation import euler_to_matrix
 from facemime.core.tracking.tracker import FaceTracker
 from facemime.training.tracker.organs import random_eyes, tongue_out
 from facemime.training.tracker.patches import mirror_samples
-from facemime.training.tracker.raster import rasterise
 from facemime.training.tracker.samples import SIZE, Samples, degrade
 from facemime.training.tracker.sources import Photo, held_out_people, mirrored, person_of, split
 from facemime.training.tracker.wrinkles import crease

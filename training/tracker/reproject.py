@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 
 from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT
+from facemime.core.mesh.raster import rasterise
 from facemime.core.rotation import euler_to_matrix
 from facemime.core.tracking.pdm import PointDistributionModel
 
 from .heads import EYEBALLS, FACE, IctHead
 from .organs import Eyes, tongue_out
-from .raster import rasterise
 
 _LIDS = {"R": ((37, 41), (38, 40)), "L": ((43, 47), (44, 46))}
 _HIDDEN = ("M_EyeBlend", "M_EyeLashes", "M_EyeOcclusion", "M_LacrimalFluid")
