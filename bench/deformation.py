@@ -18,9 +18,9 @@ from bench.deformers import Method, all_methods, greedy_points
 from bench.heads import AREAS, TrueHead, built_in_head, ict_head
 from bench.left_out import left_out_errors
 from bench.report import Table, finish, parser
+from facemime.core.binding.bind import MARKS, bind_landmarks
 from facemime.core.control_points.greedy import GreedySelection
 from facemime.core.deform.expressions import learn
-from facemime.core.heads.binding import MARKS, bind_landmarks
 from facemime.core.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, INNER, MOUTH_OUTER, from_ibug
 
 ROOT = Path(__file__).resolve().parents[1]

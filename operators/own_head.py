@@ -15,14 +15,11 @@ from ..blender.heads.binding import (
 from ..blender.heads.eyes import open_eyes
 from ..blender.heads.lips import open_lips
 from ..blender.messages import translated
+from ..core.binding.bind import MARKS
 from ..core.errors import HeadError
-from ..core.heads.binding import MARKS
 from ..core.landmarks import from_ibug
 from ..settings.panel_properties import keep_findings
 from .shared import OnHead, OnMesh, report, require_object_mode
-
-_UNUSUAL_STRAIN = 0.07
-"""Strain of a binding above which the mesh may not be a face."""
 
 
 def report_findings(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:
@@ -91,12 +88,15 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
             if binding.symmetric
             else f"66 landmarks bound, {residual} % of the eye distance from the template",
         )
-        if binding.strain > _UNUSUAL_STRAIN:
+        if binding.wanted:
+            label1, label2, label3, label4 = (MARKS[number].capitalize() for number in binding.wanted)
             report(
                 self,
-                "This face is unusual. Check the landmarks, and mark points if they are off",
+                f"This face is unusual. If landmarks are off, mark these points: {label1}; {label2}; {label3}; {label4}",
                 "WARNING",
             )
+        for finding in binding.findings:
+            self.report({"WARNING"}, " ".join(map(translated, (finding.problem, finding.remedy))))
         if binding.body:
             report(self, "The whole body would turn with the head. Set a bone as pose object in Puppet > Head and Eyes")
         report_findings(self, context)

@@ -7,8 +7,8 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
+from ...core.binding.bind import Binding, bind_landmarks
 from ...core.errors import HeadError
-from ...core.heads.binding import Binding, bind_landmarks
 from ...core.heads.checks import Finding, check_head
 from ...core.heads.parts import Part, Skin
 from ...core.heads.proposal import propose_regions
@@ -34,8 +34,6 @@ from ..names import (
 )
 from .parts import face_candidates, is_sorted, named_others, skin_of_object, sort_character
 
-_HUMAN_STRAIN = 0.04
-"""Largest bending of the template that fits a human head, in eye distances."""
 _MAX_CANDIDATES = 3
 """Meshes of a character in which a face is sought."""
 _UPRIGHT = np.cos(np.radians(20.0))
@@ -217,7 +215,7 @@ def _bound(
     vertices: NDArray[np.floating], skin: Skin, marks: dict[int, int], axes: list[NDArray[np.floating]]
 ) -> tuple[Binding, NDArray[np.floating]]:
     """Return the binding of a skin, and the one of `axes`, (3, 3) rotations, along which it was found: the first along
-    which there is a human face, or otherwise that along which the template was bent least.
+    which there is a face beyond doubt, or otherwise that along which the template was bent least.
 
     Raises
     ------
@@ -235,7 +233,7 @@ def _bound(
             failure = error
             continue
         found.append((binding, rotation))
-        if binding.strain <= _HUMAN_STRAIN:
+        if binding.sure:
             break
     if not found:
         assert failure is not None

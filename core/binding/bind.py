@@ -1,8 +1,9 @@
-"""Landmarks on an unlabelled head, by laying a template over it and bending it (docs/method.md, section 7.1).
+"""Landmarks on an unlabelled head, by looking at it and bending a template to it (docs/method.md, section 7.1).
 
 The user marks a few points (corners of the eyes and the mouth, tip of the nose, chin), or none if the head is aligned
-with the axes of the mesh. It may have a body. The template is the built-in head, whose skin follows the mesh through
-ever more flexible warps to the nearest places that face the same way.
+with the axes of the mesh. It may have a body. The tracker looks at a picture of the mesh: what it sees decides on the
+attitude and leads the template. This is the built-in head, whose skin follows the mesh through ever more flexible warps
+to the nearest places that face the same way.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray, as_points
 from ..errors import HeadError
+from ..heads.checks import Finding
 from ..landmarks import (
     EYE_LEFT,
     EYE_RIGHT,
@@ -28,7 +30,9 @@ from ..landmarks import (
 )
 from ..mesh.nearest import NearestPoints
 from ..mesh.surface import SurfaceGraph, lips_joined
-from .template import Surface, Template, fit_template
+from .fit import fit_template
+from .sight import Sight, resting_findings
+from .template import Surface, Template, load_template
 
 MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left eye, inner corner"} | {
     45: "left eye, outer corner",
@@ -42,7 +46,7 @@ MIN_MARKS = 4
 
 _RIMS = np.concatenate([EYE_RIGHT, EYE_LEFT, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
 """Landmarks that lie on the rims of openings, where the mesh has some."""
-_RIM_REACH = 0.08
+_RIM_REACH = 0.05
 """Outer-eye distances within which these landmarks are moved to a rim."""
 _HEAD_SHARE = 0.8
 """Share of a mesh's vertices below which its head comes with a body."""
@@ -70,6 +74,13 @@ class Binding:
         Whether the head is its own mirror image; if so, the landmarks are too.
     body : bool
         Whether the mesh is much more than a head.
+    clarity : float
+        How clearly the tracker sees the face on a picture of the mesh, 0 to 1; 0 if it sees none.
+    wanted : tuple of int
+        iBUG numbers of the four marks that would help most, if neither the shape nor the picture is clear. They are
+        expected where their landmarks are now.
+    findings : tuple of Finding
+        What at rest is not as in a neutral face.
     """
 
     landmarks: NDArray[np.intp]
@@ -78,6 +89,14 @@ class Binding:
     strain: float
     symmetric: bool
     body: bool
+    clarity: float = 0.0
+    wanted: tuple[int, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def sure(self) -> bool:
+        """Whether this is a face in this attitude: it was marked, it is seen clearly, or a human head's shape fits."""
+        return not self.wanted
 
 
 def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, int] | None = None) -> Binding:
@@ -106,8 +125,8 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     Notes
     -----
     Nearest places are sought by position and normal together, so that a lip is not taken for the inside of the mouth.
-    The steps are those of docs/method.md, section 7.1: a similarity (Besl & McKay 1992), warps of falling smoothness
-    (Amberg et al. 2007), rims and symmetry. Takes about a second for 100,000 vertices.
+    The steps are those of docs/method.md, section 7.1: a look by the tracker, a similarity (Besl & McKay 1992), warps
+    of falling smoothness (Amberg et al. 2007), rims and symmetry. Takes about a second for 100,000 vertices.
     """
     places = as_points(vertices, "vertices", error=HeadError)
     picked = {int(from_ibug([number])[0]): int(vertex) for number, vertex in (marks or {}).items()}
@@ -117,28 +136,46 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
         raise HeadError("A marked point is not a vertex of the mesh. Mark it again.")
     if len(places) < N_LANDMARKS:
         raise HeadError(f"The mesh has {len(places)} vertices; {N_LANDMARKS} landmarks need more. Subdivide it first.")
-    # 1. and 2. Similarity and warps.
-    template = Template()
+    # 1. to 3. A look, similarity and warps.
+    template = load_template()
     fitted = fit_template(template, places, np.asarray(faces), picked)
-    surface, (unit, rotation, _), bent, picked = fitted.surface, fitted.pose, fitted.bent, dict(fitted.marks)
+    surface, (unit, rotation, _), bent, picked = fitted.view.surface, fitted.pose, fitted.bent, dict(fitted.marks)
     # Nearest vertices of the bent landmarks; marked points override them.
     landmarks = _nearest(template, surface, bent, _MAX_DISTANCE * unit)
     graph = SurfaceGraph(surface.places, surface.faces)
-    # 3. Rims of openings, and each inner lip on its own side.
+    # 4. Rims of openings, and each inner lip on its own side.
     landmarks = _onto_rims(graph, bent[template.landmarks], landmarks, _RIM_REACH * unit)
     landmarks[list(picked)] = list(picked.values())
     landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks)
-    # 4. Symmetry, on a mesh that is its own mirror image.
+    # 5. Symmetry, on a mesh that is its own mirror image.
     mirror = _mirror(surface.places, rotation, surface.places[landmarks], unit)
     if mirror is not None:
         landmarks = _symmetric(landmarks, mirror, surface.places, bent[template.landmarks], picked)
         landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks, mirror == np.arange(len(mirror)))
     if len(set(landmarks.tolist())) < 0.8 * N_LANDMARKS:
         raise HeadError("No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin.")
-    turn = rotation.T @ fitted.attitude
-    found = fitted.part[_distinct(graph, landmarks)]
-    body = len(fitted.part) < _HEAD_SHARE * len(places)
-    return Binding(found, turn, fitted.residual, fitted.strain, mirror is not None, body)
+    turn = rotation.T @ fitted.view.attitude
+    found = fitted.view.part[_distinct(graph, landmarks)]
+    body = len(fitted.view.part) < _HEAD_SHARE * len(places)
+    sight = fitted.sight
+    return Binding(
+        landmarks=found,
+        rotation=turn,
+        residual=fitted.residual,
+        strain=fitted.strain,
+        symmetric=mirror is not None,
+        body=body,
+        clarity=sight.clarity if sight else 0.0,
+        wanted=() if picked or sight is None or fitted.sure else _wanted(sight, surface.places[landmarks]),
+        findings=resting_findings(sight) if sight and sight.sure else (),
+    )
+
+
+def _wanted(sight: Sight, found: FloatArray) -> tuple[int, ...]:
+    """The marks, by iBUG number, of which the places found (66, 3) differ most from those seen."""
+    off = np.linalg.norm(found - sight.points, axis=1)
+    ordered = sorted(MARKS, key=lambda number: -float(off[from_ibug([number])[0]]))
+    return tuple(sorted(ordered[:MIN_MARKS]))
 
 
 def _nearest(template: Template, surface: Surface, bent: FloatArray, reach: float) -> NDArray[np.intp]:

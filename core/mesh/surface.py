@@ -16,6 +16,37 @@ JOINED = 1.7
 distance; around a corner of the mouth it is longer."""
 
 
+def triangulate(faces: IntArray) -> NDArray[np.intp]:
+    """(T, 3) triangles of faces (F, K), padded with -1: each is divided from its first corner."""
+    whole = np.asarray(faces, dtype=np.intp)
+    fans = [whole[whole[:, k] >= 0][:, [0, k - 1, k]] for k in range(2, whole.shape[1])]
+    return np.concatenate(fans) if fans else np.empty((0, 3), np.intp)
+
+
+def surface_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Unit normals of vertices, weighted by the areas of their faces.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Any frame and unit.
+    faces : (F, K) array of int
+        Vertices of each face, padded with -1.
+
+    Returns
+    -------
+    (V, 3) float64
+        Normals; 0 for vertices without faces.
+    """
+    triangles = triangulate(faces)
+    corners = np.asarray(vertices, dtype=np.float64)[triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = np.stack(
+        [np.bincount(triangles.ravel(), np.repeat(across[:, i], 3), len(vertices)) for i in range(3)], axis=1
+    )
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12))
+
+
 class SurfaceGraph:
     """The graph of vertices and edges of a mesh, weighted by length.
 

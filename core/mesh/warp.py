@@ -18,7 +18,7 @@ class Warp:
     ----------
     source, target : (P, 3) array
         Corresponding points.
-    smoothing : float
+    smoothing : float or (P,) array
         Added to the diagonal, as a share of the extent of the source, to allow points to be missed; 0 meets all.
 
     Raises
@@ -31,7 +31,7 @@ class Warp:
     A biharmonic spline in three dimensions (equation 7.1): kernel -r and an affine map (Duchon 1977; Bookstein 1989).
     """
 
-    def __init__(self, source: FloatArray, target: FloatArray, smoothing: float = 1e-3) -> None:
+    def __init__(self, source: FloatArray, target: FloatArray, smoothing: float | FloatArray = 1e-3) -> None:
         self._source = as_points(source, "source", error=HeadError)
         goal = as_points(target, "target", count=len(self._source), error=HeadError)
         count = len(self._source)
@@ -39,7 +39,8 @@ class Warp:
         affine = np.column_stack([np.ones(count), self._source])
         # Interpolation conditions, and below them the side conditions that make the weights orthogonal to affine maps.
         system = np.zeros((count + 4, count + 4))
-        system[:count, :count] = smoothing * extent * np.eye(count) - distances(self._source, self._source)
+        system[:count, :count] = -distances(self._source, self._source)
+        system[np.arange(count), np.arange(count)] += smoothing * extent
         system[:count, count:], system[count:, :count] = affine, affine.T
         try:
             self._weights = np.linalg.solve(system, np.concatenate([goal, np.zeros((4, 3))]))

@@ -10,8 +10,8 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_landmarks, read_regions, read_selection, read_vertices
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig
+from facemime.core.binding.bind import MARKS
 from facemime.core.control_points.select import select_for_take, to_json
-from facemime.core.heads.binding import MARKS
 from facemime.core.landmarks import OUTER_EYE_CORNERS, from_ibug
 from facemime.core.takes.file import load_take, save_take
 from takes import performance

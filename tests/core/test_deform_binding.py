@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import scanned
 
+from facemime.core.binding.bind import MARKS, bind_landmarks
 from facemime.core.errors import HeadError
-from facemime.core.heads.binding import MARKS, bind_landmarks
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.checks import check_head
 from facemime.core.heads.proposal import propose_regions

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scans import HEAD, UNIT, cut_apart, padded, scanned
 
+from facemime.core.binding.bind import bind_landmarks
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.errors import HeadError
-from facemime.core.heads.binding import bind_landmarks
 from facemime.core.heads.eye_outline import EYES, eye_outline
 from facemime.core.heads.eyeballs import LID_THICKNESS, EyeballContact, fit_eyeball
 from facemime.core.heads.lids import coarse_edges, cut_eye, eyes_joined

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scans import HEAD, UNIT, VERTICES, scanned
 
+from facemime.core.binding.bind import bind_landmarks
 from facemime.core.errors import HeadError
-from facemime.core.heads.binding import bind_landmarks
 from facemime.core.heads.lips import lip_line, rim_landmarks
 from facemime.core.landmarks import from_ibug
 from facemime.core.mesh.surface import SurfaceGraph, lips_joined

@@ -13,6 +13,7 @@ FLOORS = (
     "core/mesh",
     "core/heads",
     "core/tracking",
+    "core/binding",
     "core/takes",
     "core/deform",
     "core/drive",

@@ -1,0 +1,63 @@
+"""Similarities that lay the template over a mesh (docs/method.md, section 7.1)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+from ..errors import HeadError
+from ..rotation import fit_rotation
+from .template import Surface, Template
+
+_SCALES = (0.8, 1.0, 1.25)
+_HEIGHTS = (-0.35, -0.15, 0.05, 0.25)
+"""Starts of the alignment without marks: size over width of the mesh, and height of the eyes over its height."""
+_RIGID_STEPS = 25
+
+Pose = tuple[float, FloatArray, FloatArray]
+"""Scale, rotation and translation of the template: ``s R x + t``."""
+
+
+def pose_from_shape(template: Template, surface: Surface) -> Pose:
+    """The best of the similarities that `_follow` finds from several starts."""
+    low, high = surface.places.min(axis=0), surface.places.max(axis=0)
+    skin = template.skin[::2]
+    best: tuple[float, Pose] | None = None
+    for scale in _SCALES:
+        size = scale * float(high[0] - low[0]) / 2.0
+        depth = float(np.percentile(surface.places[:, 2], 0.5)) - size * float(template.places[skin, 2].min())
+        for height in _HEIGHTS:
+            middle = (low + high) / 2.0
+            start = np.array([middle[0], middle[1] + height * (high[1] - low[1]), depth])
+            distance, pose = _follow(template, surface, (size, np.eye(3), start), skin)
+            if best is None or distance < best[0]:
+                best = (distance, pose)
+    assert best is not None
+    return best[1]
+
+
+def _follow(template: Template, surface: Surface, pose: Pose, skin: NDArray[np.intp]) -> tuple[float, Pose]:
+    """Iterated closest points (Besl & McKay 1992) from `pose`, without the worst fifth; mean distance, and pose."""
+    for _ in range(_RIGID_STEPS):
+        size, rotation, shift = pose
+        placed = size * template.places[skin] @ rotation.T + shift
+        goal = surface.places[surface.nearest(placed, template.normals[skin] @ rotation.T)]
+        distance = np.linalg.norm(goal - placed, axis=1)
+        kept = distance <= np.quantile(distance, 0.8)
+        pose = similarity(template.places[skin][kept], goal[kept])
+    return float(np.minimum(distance / pose[0], 0.3).mean()), pose
+
+
+def similarity(source: FloatArray, target: FloatArray) -> Pose:
+    """The least-squares similarity from (N, 3) source to target points (Umeyama 1991)."""
+    from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
+    a, b = source - from_centre, target - to_centre
+    spread = np.linalg.svd(a, compute_uv=False)
+    if spread[1] < 1e-6 * spread[0]:
+        raise HeadError("The marked points lie on one line. Mark eyes, nose and mouth.")
+    rotation = fit_rotation(a, b)
+    size = float((b * (a @ rotation.T)).sum() / (a * a).sum())
+    if not size > 0.0:
+        raise HeadError("The marked points do not form a face. Mark them again; left and right are the head's own.")
+    return size, rotation, np.asarray(to_centre - size * rotation @ from_centre)

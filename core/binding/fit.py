@@ -1,0 +1,232 @@
+"""Fitting the template to a mesh, led by marks or by what is seen (docs/method.md, section 7.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+from ..errors import HeadError
+from ..landmarks import BROWS, EYE_LEFT, EYE_RIGHT, INNER, LIPS, N_LANDMARKS
+from ..mesh.surface import surface_normals
+from ..mesh.warp import Warp
+from .align import Pose, pose_from_shape, similarity
+from .sight import Sight, look
+from .template import Surface, Template
+from .views import View, seen_view, views_of
+
+_LOW_STRAIN = 0.045
+"""Strain in outer-eye distances below which an attitude is accepted: human heads take 0.02 to 0.035, wrong attitudes
+0.05 and more."""
+_UNUSUAL_STRAIN = 0.07
+"""Strain above which a head is stylised, so that even what is seen clearly may be off."""
+_SMOOTHINGS = (1.0, 0.3, 0.1)
+"""Smoothness of successive warps, as a multiple of the smoothing of `_bend`."""
+_MIN_POINTS = 5
+"""Fewest points of a warp; four determine its affine part."""
+_SOFTNESS = 0.3
+"""How far the skin may stay off what is seen, as a multiple of how far off it may stay the mesh."""
+_AGREEMENT = 0.12
+"""Outer-eye distances by which what is seen may be off the marks and be believed elsewhere."""
+_BIAS = np.zeros(N_LANDMARKS)
+_BIAS[BROWS], _BIAS[EYE_RIGHT], _BIAS[EYE_LEFT], _BIAS[LIPS] = 0.7, 0.6, 0.6, 0.3
+"""Share of what the tracker misses on the template that it is taken to miss on any mesh."""
+
+
+@dataclass(frozen=True)
+class Guides:
+    """Places that points of the template are drawn to.
+
+    Attributes
+    ----------
+    source : (N, 3) float64
+        On the template at rest, in outer-eye distances.
+    target : (N, 3) float64
+        On the mesh.
+    softness : (N,) float64
+        As a multiple of that of the skin.
+    """
+
+    source: FloatArray
+    target: FloatArray
+    softness: FloatArray
+
+    def joined(self, other: Guides) -> Guides:
+        """These and the others."""
+        both = (np.concatenate(pair) for pair in zip(vars(self).values(), vars(other).values(), strict=True))
+        return Guides(*both)
+
+
+@dataclass(frozen=True)
+class FittedTemplate:
+    """The template, fitted to a mesh.
+
+    Attributes
+    ----------
+    view : View
+        The head of the mesh, and its attitude.
+    sight : Sight or None
+        The face that was seen in this view.
+    marks : mapping
+        Vertex of the view by landmark.
+    pose : Pose
+        Alignment of the template.
+    bent : (T, 3) float64
+        Vertices of the bent template.
+    residual : float
+        Median distance to the mesh, in outer-eye distances.
+    strain : float
+        Mean distance of the bent landmarks from their best similarity, in outer-eye distances.
+    """
+
+    view: View
+    sight: Sight | None
+    marks: Mapping[int, int]
+    pose: Pose
+    bent: FloatArray
+    residual: float
+    strain: float
+
+    @property
+    def sure(self) -> bool:
+        """Whether this is a face in this attitude: by its shape alone, or as it is seen and not bent too far."""
+        seen = self.sight is not None and self.sight.sure
+        return self.strain < (_UNUSUAL_STRAIN if seen else _LOW_STRAIN)
+
+
+def fit_template(template: Template, places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> FittedTemplate:
+    """Fit the template to a mesh or its head.
+
+    Without marks, the attitude is the one in which a face is seen, or, if none is seen clearly, the one that bends the
+    template least.
+
+    Parameters
+    ----------
+    template : Template
+        The template.
+    places : (V, 3) float64
+        Vertices of the mesh.
+    faces : (F, K) int
+        Vertices of each face, padded with -1.
+    picked : mapping of int to int
+        Marked vertices by landmark (position in the 66); may be empty.
+
+    Returns
+    -------
+    FittedTemplate
+        The best fit.
+
+    Raises
+    ------
+    HeadError
+        If nothing of the mesh is near the skin of the template, in any attitude, or nothing looks like a face.
+    """
+    seen: FittedTemplate | None = None
+    if not picked and (found := seen_view(places, faces)) is not None:
+        seen = _fit(template, *found, {})
+        if found[1].sure and np.isfinite(seen.strain):
+            return seen
+    best = _fit_by_shape(template, places, faces, picked)
+    if seen is not None and not (best is not None and best.strain < _LOW_STRAIN):
+        best = seen
+    if best is None or not np.isfinite(best.strain) or not (picked or best.sight or best.strain < _LOW_STRAIN):
+        raise HeadError("No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin.")
+    return best
+
+
+def _fit_by_shape(
+    template: Template, places: FloatArray, faces: IntArray, picked: Mapping[int, int]
+) -> FittedTemplate | None:
+    """The first fit that hardly bends the template, or the one that bends it least."""
+    best: FittedTemplate | None = None
+    for view in views_of(places, faces, picked):
+        numbers = np.full(len(places), -1)
+        numbers[view.part] = np.arange(len(view.part))
+        fitted = _fit(template, view, None, {landmark: int(numbers[v]) for landmark, v in picked.items()})
+        if best is None or fitted.strain < best.strain:
+            best = fitted
+        if best.strain < _LOW_STRAIN:
+            break
+    return best
+
+
+def _fit(template: Template, view: View, sight: Sight | None, marks: Mapping[int, int]) -> FittedTemplate:
+    surface = view.surface
+    guides = _of_marks(template, surface, marks)
+    try:
+        if marks:
+            pose = similarity(guides.source, guides.target)
+            sight = _seen_along(view, pose, marks)
+        if sight is not None:
+            guides = guides.joined(_of_sight(template, sight, marks))
+        if not marks:
+            pose = similarity(guides.source, guides.target) if sight else pose_from_shape(template, surface)
+    except HeadError:
+        if marks:
+            raise
+        return FittedTemplate(view, sight, marks, (1.0, np.eye(3), np.zeros(3)), template.places, np.inf, np.inf)
+    bent, residual = _bend(template, surface, pose, guides)
+    strain = _strain(template, bent) if np.isfinite(residual) else np.inf
+    return FittedTemplate(view, sight, marks, pose, bent, residual / pose[0], strain)
+
+
+def _seen_along(view: View, pose: Pose, marks: Mapping[int, int]) -> Sight | None:
+    """The face that is seen from where the marks say that it looks, if it agrees with them."""
+    size, rotation, _ = pose
+    sight = look(view.places @ rotation, view.faces)
+    if sight is None or not sight.sure:
+        return None
+    sight = replace(sight, points=sight.points @ rotation.T)
+    off = np.linalg.norm(sight.points[list(marks)] - view.places[list(marks.values())], axis=1)
+    return sight if float(np.median(off)) < _AGREEMENT * size else None
+
+
+def _of_marks(template: Template, surface: Surface, marks: Mapping[int, int]) -> Guides:
+    source = template.places[template.landmarks[list(marks)]]
+    return Guides(source, surface.places[list(marks.values())], np.ones(len(source)))
+
+
+def _of_sight(template: Template, sight: Sight, marks: Mapping[int, int]) -> Guides:
+    """What is seen of the inner landmarks, except marked ones, leads the same landmarks of the template.
+
+    The tracker misses some of them in the same way on any mesh without texture, such as brows: by a share of that, it
+    leads what it sees on the template instead.
+    """
+    led = np.setdiff1d(INNER, list(marks))
+    own = template.places[template.landmarks]
+    source = own + _BIAS[:, None] * (template.seen - own)
+    return Guides(source[led], sight.points[led], _SOFTNESS / sight.certainty[led])
+
+
+def _strain(template: Template, bent: FloatArray) -> float:
+    """Mean distance of the bent landmarks from their best similarity, in outer-eye distances."""
+    source, target = template.places[template.landmarks], bent[template.landmarks]
+    size, rotation, shift = similarity(source, target)
+    away = np.linalg.norm(size * source @ rotation.T + shift - target, axis=1)
+    return float(away.mean()) / size
+
+
+def _bend(template: Template, surface: Surface, pose: Pose, guides: Guides) -> tuple[FloatArray, float]:
+    """Bend the template to the mesh: its vertices, and the median distance; infinite if the mesh is elsewhere."""
+    size, rotation, shift = pose
+    rest = size * template.places @ rotation.T + shift
+    led = size * guides.source @ rotation.T + shift
+    bent = rest
+    for smoothing in _SMOOTHINGS:
+        for _ in range(2):
+            # Nonrigid closest points (Amberg et al. 2007): always warp the rest shape, so that errors do not
+            # accumulate.
+            normals = surface_normals(bent, template.faces)
+            goal = surface.places[surface.nearest(bent[template.skin], normals[template.skin])]
+            distance = np.linalg.norm(goal - bent[template.skin], axis=1)
+            # Points that are far away have no counterpart.
+            near = distance < 0.15 * size
+            if np.count_nonzero(near) + len(led) < _MIN_POINTS:
+                return bent, np.inf
+            source = np.concatenate([rest[template.skin][near], led])
+            target = np.concatenate([goal[near], guides.target])
+            softness = np.concatenate([np.ones(np.count_nonzero(near)), guides.softness])
+            bent = Warp(source, target, 0.05 * smoothing * softness)(rest)
+    return bent, float(np.median(distance))

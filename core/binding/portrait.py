@@ -1,0 +1,120 @@
+"""Grey pictures of a mesh as the viewer sees it, and the way back from these to its surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray
+from ..mesh.raster import rasterise
+from ..mesh.surface import surface_normals, triangulate
+
+SIZE = 256
+"""Side of a portrait, pixels."""
+_LIGHT = np.array([0.0, -0.67, -0.74])
+"""Direction to the light, from above: of six lights the one under which lids and nose were found best."""
+_AMBIENT, _INSIDE, _BACKDROP = 0.35, 0.12, 0.55
+"""Brightness of skin in shadow, of what is seen from inside, such as an open mouth, and of the background, as shares
+of that of skin in full light."""
+_SKIN = 200.0
+"""Grey value of skin in full light."""
+_RIM = 5
+"""Pixels around a place among which the nearest surface counts, so that a lid is not missed for the socket."""
+_STEP = 8.0
+"""Pixels of depth between these that make the nearest one a rim."""
+
+_SMALLEST = 1e-30
+"""Least size of a pixel, for a mesh that is a point."""
+
+
+@dataclass(frozen=True)
+class Portrait:
+    """A picture of a mesh without perspective.
+
+    Attributes
+    ----------
+    image : (S, S) uint8
+        Grey.
+    corner : (2,) float64
+        Place of the first pixel, in x and y of the mesh.
+    pixel : float
+        Size of a pixel, in the unit of the mesh.
+    depth : (S, S) float32
+        z of the surface in each pixel; infinite beside it.
+    """
+
+    image: NDArray[np.uint8]
+    corner: FloatArray
+    pixel: float
+    depth: NDArray[np.float32]
+
+    def places(self, points: FloatArray) -> FloatArray:
+        """Places on the mesh that are seen at (N, 2) pixels: (N, 3), with a depth of NaN beside the mesh."""
+        nearest = cv2.erode(self.depth, np.ones((_RIM, _RIM), np.uint8))
+        x, y = np.clip(np.round(points), 0, SIZE - 1).astype(np.intp).T
+        own, rim = self.depth[y, x], nearest[y, x]
+        depth = np.where(own < rim + _STEP * self.pixel, own, rim)
+        depth[~np.isfinite(depth)] = np.nan
+        return np.column_stack([self.corner + self.pixel * points, depth])
+
+
+class Sitter:
+    """A mesh of which portraits are made.
+
+    Parameters
+    ----------
+    places : (V, 3) float64
+        Vertices; the viewer looks along z, and y is down.
+    faces : (F, K) int
+        Vertices of each face, padded with -1.
+    """
+
+    def __init__(self, places: FloatArray, faces: IntArray) -> None:
+        self.places, self.triangles = places, triangulate(faces)
+        outward = 1.0 if _volume(places, self.triangles) >= 0.0 else -1.0
+        self._normals = outward * surface_normals(places, faces)
+
+    def portrait(
+        self, centre: FloatArray | None = None, reach: float = 0.0, turn: FloatArray | None = None
+    ) -> Portrait:
+        """Draw the mesh.
+
+        Parameters
+        ----------
+        centre : (2,) array, optional
+            Middle of the picture, in x and y of the rotated mesh; all of it by default.
+        reach : float
+            Distance from the middle to the sides.
+        turn : (3, 3) array, optional
+            Rotation of the mesh before it is drawn.
+
+        Returns
+        -------
+        Portrait
+            Of the rotated mesh.
+        """
+        places, normals = (values if turn is None else values @ turn.T for values in (self.places, self._normals))
+        if centre is None:
+            low, high = places.min(axis=0)[:2], places.max(axis=0)[:2]
+            centre, reach = (low + high) / 2.0, 0.65 * float((high - low).max())
+        pixel = max(2.0 * reach / SIZE, _SMALLEST)
+        corner = centre - pixel * (SIZE - 1) / 2.0
+        middle = float(places[:, 2].mean())
+        points, depth = (places[:, :2] - corner) / pixel, (places[:, 2] - middle) / pixel
+        drawn = rasterise(points, depth, self.triangles, SIZE)
+        facing = (drawn.barycentric[:, :, None] * normals[self.triangles[drawn.triangle]]).sum(axis=1)
+        facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)
+        lit = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(facing @ _LIGHT, 0.0)
+        image = np.full(SIZE * SIZE, _BACKDROP)
+        image[drawn.pixel] = np.where(facing[:, 2] > 0.1, _INSIDE, lit)
+        grey = (_SKIN * image).astype(np.uint8).reshape(SIZE, SIZE)
+        return Portrait(grey, corner, pixel, drawn.depth * np.float32(pixel) + np.float32(middle))
+
+
+def _volume(places: FloatArray, triangles: IntArray) -> float:
+    """Signed volume between the triangles and the middle of the mesh, positive if normals point outwards."""
+    a, b, c = (places[triangles] - places.mean(axis=0)).transpose(1, 0, 2)
+    return float(np.einsum("td,td->", a, np.cross(b, c)))
