@@ -92,7 +92,7 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
             label1, label2, label3, label4 = (MARKS[number].capitalize() for number in binding.wanted)
             report(
                 self,
-                f"This face is unusual. If landmarks are off, mark these points: {label1}; {label2}; {label3}; {label4}",
+                f"This face is unusual. If landmarks are off, mark four points: {label1}; {label2}; {label3}; {label4}",
                 "WARNING",
             )
         for finding in binding.findings:

@@ -27,11 +27,13 @@ from ..landmarks import (
     N_LANDMARKS,
     UPPER_LIP,
     from_ibug,
+    outer_eye_distance,
 )
 from ..mesh.nearest import NearestPoints
 from ..mesh.surface import SurfaceGraph, lips_joined
 from .fit import fit_template
-from .sight import Sight, resting_findings
+from .rest import resting_findings
+from .sight import Sight
 from .template import Surface, Template, load_template
 
 MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left eye, inner corner"} | {
@@ -44,10 +46,9 @@ MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left
 """Points that a user may mark, by iBUG number: all or some of them, in any order."""
 MIN_MARKS = 4
 
-_RIMS = np.concatenate([EYE_RIGHT, EYE_LEFT, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
-"""Landmarks that lie on the rims of openings, where the mesh has some."""
-_RIM_REACH = 0.05
-"""Outer-eye distances within which these landmarks are moved to a rim."""
+_RIMS = dict.fromkeys((*EYE_RIGHT, *EYE_LEFT), 0.08) | dict.fromkeys((*MOUTH_INNER_UPPER, *MOUTH_INNER_LOWER), 0.05)
+"""Landmarks that lie on the rims of openings, where the mesh has some, and outer-eye distances within which they are
+moved there: often that of the lips is far inside the mouth."""
 _HEAD_SHARE = 0.8
 """Share of a mesh's vertices below which its head comes with a body."""
 _MAX_DISTANCE = 0.1
@@ -144,7 +145,7 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     landmarks = _nearest(template, surface, bent, _MAX_DISTANCE * unit)
     graph = SurfaceGraph(surface.places, surface.faces)
     # 4. Rims of openings, and each inner lip on its own side.
-    landmarks = _onto_rims(graph, bent[template.landmarks], landmarks, _RIM_REACH * unit)
+    landmarks = _onto_rims(graph, bent[template.landmarks], landmarks, unit)
     landmarks[list(picked)] = list(picked.values())
     landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks)
     # 5. Symmetry, on a mesh that is its own mirror image.
@@ -167,8 +168,12 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
         body=body,
         clarity=sight.clarity if sight else 0.0,
         wanted=() if picked or sight is None or fitted.sure else _wanted(sight, surface.places[landmarks]),
-        findings=resting_findings(sight) if sight and sight.sure else (),
+        findings=_at_rest(sight, bent[template.landmarks] @ rotation) if sight and sight.sure else (),
     )
+
+
+def _at_rest(sight: Sight, upright: FloatArray) -> tuple[Finding, ...]:
+    return resting_findings(sight.shape, upright / outer_eye_distance(upright))
 
 
 def _wanted(sight: Sight, found: FloatArray) -> tuple[int, ...]:
@@ -192,16 +197,16 @@ def _nearest(template: Template, surface: Surface, bent: FloatArray, reach: floa
     return found
 
 
-def _onto_rims(graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, reach: float) -> NDArray[np.intp]:
-    """Move lids and inner lips to the nearest border within `reach`, if the mesh has openings there."""
+def _onto_rims(graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, unit: float) -> NDArray[np.intp]:
+    """Move lids and inner lips to the nearest border within reach, if the mesh has openings there."""
     moved = np.array(landmarks, dtype=np.intp)
     pieces = [piece for piece in graph.openings() if len(piece) < 0.5 * len(graph.vertices)]
     if not pieces:
         return moved
     border = np.concatenate(pieces)
-    for i in _RIMS:
+    for i, reach in _RIMS.items():
         distance = np.linalg.norm(graph.vertices[border] - wanted[i], axis=1)
-        if distance.min() < reach:
+        if distance.min() < reach * unit:
             moved[i] = border[np.argmin(distance)]
     return moved
 

@@ -7,10 +7,8 @@ from functools import cache
 
 import numpy as np
 
-from ..apertures import eye_apertures, mouth_aperture
 from ..arrays import FloatArray, IntArray
-from ..heads.checks import Finding
-from ..landmarks import INNER, MIRROR, MOUTH_CORNERS, from_ibug
+from ..landmarks import INNER, MIRROR
 from ..rotation import euler_to_matrix
 from ..tracking.detect import Effort, Step
 from ..tracking.model_file import load_model
@@ -29,11 +27,6 @@ _OPENING = 0.2
 opening or past the mesh."""
 _SURE = 0.5
 """Clarity above which what is seen is a face: heads have 0.55 to 0.75, one that is upside down 0.45."""
-_SHUT, _OPEN = 0.03, 0.05
-"""Aperture in outer-eye distances of eyes that count as shut, and of a mouth that counts as open."""
-_SMILE = 0.06
-"""Rise of the corners of a smiling mouth over its middle plus half of what it is wider than usual, in outer-eye
-distances: up to 0.04 on neutral heads, 0.1 and more on broad smiles."""
 _MIRRORED_POSE = np.array([1.0, 1.0, -1.0, -1.0, -1.0, 1.0])
 _SHIFT = np.array([0.0, 0.0, 0.0, 0.0, SIZE - 1.0, 0.0])
 """Factors and offsets that mirror a pose in a portrait."""
@@ -110,31 +103,6 @@ def _approached(sitter: Sitter, whole: Portrait, found: FittedShape) -> Sight:
     middle[2] = np.nan_to_num(middle[2], nan=float(sitter.places[:, 2].min()))
     ahead = FittedShape(np.array([found.pose[0], 0.0, 0.0, 0.0, *found.pose[4:6]]), found.shape_params)
     return _close_up(sitter, (turn @ middle)[:2], size, turn, ahead)
-
-
-def resting_findings(sight: Sight) -> tuple[Finding, ...]:
-    """What in a face that was seen is not as in a neutral face: eyes that are shut, an open mouth, a smile."""
-    findings = []
-    shape, usual = sight.shape, _tracker()[1].mean_shape
-    if float(eye_apertures(shape).max()) < _SHUT:
-        findings.append(
-            Finding("The eyes are shut at rest, so blinks would push the lids further.", "Open them in the mesh.")
-        )
-    if float(mouth_aperture(shape)) > _OPEN:
-        findings.append(Finding("The mouth is open at rest, so it would never close.", "Close it in the mesh."))
-    elif _rise(shape) + 0.5 * (_width(shape) - _width(usual)) > _SMILE:
-        findings.append(Finding("The face smiles at rest, so it would always smile.", "Make it neutral in the mesh."))
-    return tuple(findings)
-
-
-def _width(shape: FloatArray) -> float:
-    right, left = shape[MOUTH_CORNERS]
-    return float(np.linalg.norm(right - left))
-
-
-def _rise(shape: FloatArray) -> float:
-    """How far the corners of the mouth are above its middle, in the unit of the shape."""
-    return float(shape[from_ibug((51, 57)), 1].mean() - shape[MOUTH_CORNERS, 1].mean())
 
 
 @cache

@@ -1,0 +1,54 @@
+"""What in a face at rest is not as in a neutral one (docs/method.md, section 7.1)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..apertures import eye_apertures, mouth_aperture
+from ..arrays import FloatArray
+from ..heads.checks import Finding
+from ..landmarks import MOUTH_CORNERS, from_ibug
+
+_SHUT, _SHUT_IN_TEMPLATE = 0.03, 0.07
+"""Apertures of the eyes, seen and of the bent template, below which they count as shut. Both have to be small: on a
+mesh in one colour the tracker may miss eyes that are open. In outer-eye distances, as all here."""
+_OPEN = 0.05
+"""Aperture of the mouth above which it counts as open."""
+_USUAL_WIDTH = 0.56
+"""Width of the mouth of the tracker's mean shape."""
+_SMILE = 0.06
+"""Rise of the corners of a smiling mouth over its middle plus half of what it is wider than usual: up to 0.04 on
+neutral heads, 0.1 and more on broad smiles."""
+
+
+def resting_findings(seen: FloatArray, bent: FloatArray) -> tuple[Finding, ...]:
+    """Tell eyes that are shut, an open mouth and a smile from a neutral face.
+
+    Parameters
+    ----------
+    seen : (66, 3) float64
+        The tracker's landmarks without the pose: head frame, in outer-eye distances.
+    bent : (66, 3) float64
+        Those of the template, bent to the mesh, likewise.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty for a neutral face.
+    """
+    findings = []
+    if float(eye_apertures(seen).max()) < _SHUT and float(eye_apertures(bent).max()) < _SHUT_IN_TEMPLATE:
+        findings.append(
+            Finding("The eyes are shut at rest, so blinks would push the lids further.", "Open them in the mesh.")
+        )
+    if float(mouth_aperture(seen)) > _OPEN:
+        findings.append(Finding("The mouth is open at rest, so it would never close.", "Close it in the mesh."))
+    elif _smile(seen) > _SMILE:
+        findings.append(Finding("The face smiles at rest, so it would always smile.", "Make it neutral in the mesh."))
+    return tuple(findings)
+
+
+def _smile(shape: FloatArray) -> float:
+    right, left = shape[MOUTH_CORNERS]
+    rise = shape[from_ibug((51, 57)), 1].mean() - shape[MOUTH_CORNERS, 1].mean()
+    return float(rise + 0.5 * (np.linalg.norm(right - left) - _USUAL_WIDTH))
