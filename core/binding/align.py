@@ -20,7 +20,7 @@ Pose = tuple[float, FloatArray, FloatArray]
 
 
 def pose_from_shape(template: Template, surface: Surface) -> Pose:
-    """The best of the similarities that `_follow` finds from several starts."""
+    """The best of the similarities that `follow` finds from several starts."""
     low, high = surface.places.min(axis=0), surface.places.max(axis=0)
     skin = template.skin[::2]
     best: tuple[float, Pose] | None = None
@@ -30,15 +30,34 @@ def pose_from_shape(template: Template, surface: Surface) -> Pose:
         for height in _HEIGHTS:
             middle = (low + high) / 2.0
             start = np.array([middle[0], middle[1] + height * (high[1] - low[1]), depth])
-            distance, pose = _follow(template, surface, (size, np.eye(3), start), skin)
+            distance, pose = follow(template, surface, (size, np.eye(3), start), skin)
             if best is None or distance < best[0]:
                 best = (distance, pose)
     assert best is not None
     return best[1]
 
 
-def _follow(template: Template, surface: Surface, pose: Pose, skin: NDArray[np.intp]) -> tuple[float, Pose]:
-    """Iterated closest points (Besl & McKay 1992) from `pose`, without the worst fifth; mean distance, and pose."""
+def follow(template: Template, surface: Surface, pose: Pose, skin: NDArray[np.intp]) -> tuple[float, Pose]:
+    """Iterated closest points (Besl & McKay 1992) without the worst fifth.
+
+    Parameters
+    ----------
+    template : Template
+        The template.
+    surface : Surface
+        The mesh.
+    pose : Pose
+        Where to start.
+    skin : (N,) int
+        Vertices of the template to use.
+
+    Returns
+    -------
+    distance : float
+        Mean distance to the mesh, in outer-eye distances.
+    pose : Pose
+        The best similarity.
+    """
     for _ in range(_RIGID_STEPS):
         size, rotation, shift = pose
         placed = size * template.places[skin] @ rotation.T + shift

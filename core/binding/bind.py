@@ -27,7 +27,6 @@ from ..landmarks import (
     N_LANDMARKS,
     UPPER_LIP,
     from_ibug,
-    outer_eye_distance,
 )
 from ..mesh.nearest import NearestPoints
 from ..mesh.surface import SurfaceGraph, lips_joined
@@ -46,13 +45,15 @@ MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left
 """Points that a user may mark, by iBUG number: all or some of them, in any order."""
 MIN_MARKS = 4
 
-_RIMS = dict.fromkeys((*EYE_RIGHT, *EYE_LEFT), 0.08) | dict.fromkeys((*MOUTH_INNER_UPPER, *MOUTH_INNER_LOWER), 0.05)
+_RIMS = dict.fromkeys((*EYE_RIGHT, *EYE_LEFT), 0.04) | dict.fromkeys((*MOUTH_INNER_UPPER, *MOUTH_INNER_LOWER), 0.04)
 """Landmarks that lie on the rims of openings, where the mesh has some, and outer-eye distances within which they are
 moved there: often that of the lips is far inside the mouth."""
 _HEAD_SHARE = 0.8
 """Share of a mesh's vertices below which its head comes with a body."""
 _MAX_DISTANCE = 0.1
 """Outer-eye distances beyond which a vertex that faces the same way is not accepted for a landmark."""
+_FACING = 0.3
+"""Cosine of the angle between normals up to which a vertex faces roughly the same way."""
 _SYMMETRY = 1e-3
 """Outer-eye distances within which vertices count as mirror images."""
 
@@ -168,12 +169,8 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
         body=body,
         clarity=sight.clarity if sight else 0.0,
         wanted=() if picked or sight is None or fitted.sure else _wanted(sight, surface.places[landmarks]),
-        findings=_at_rest(sight, bent[template.landmarks] @ rotation) if sight and sight.sure else (),
+        findings=resting_findings(sight.shape) if sight and sight.sure else (),
     )
-
-
-def _at_rest(sight: Sight, upright: FloatArray) -> tuple[Finding, ...]:
-    return resting_findings(sight.shape, upright / outer_eye_distance(upright))
 
 
 def _wanted(sight: Sight, found: FloatArray) -> tuple[int, ...]:
@@ -184,14 +181,17 @@ def _wanted(sight: Sight, found: FloatArray) -> tuple[int, ...]:
 
 
 def _nearest(template: Template, surface: Surface, bent: FloatArray, reach: float) -> NDArray[np.intp]:
-    """(66,) vertices nearest to the landmarks of the bent template that face the same way.
+    """(66,) vertices nearest to the landmarks of the bent template, among those that face roughly the same way.
 
-    If there is none within `reach` at a lid or lip, the orientation of the surrounding skin is used: on a mesh without
-    rims, the normal of a rim would lead to the underside of something.
+    Those of lids and lips may also face as the surrounding skin does: on a mesh without rims, the normal of a rim would
+    lead to the underside of something. If there is none within `reach`, one is sought by position and normal together.
     """
     wanted = bent[template.landmarks]
     own, around = template.landmark_normals(bent)
-    found = surface.nearest(wanted, own)
+    close, distance = surface.close_by(wanted)
+    facing = (np.einsum("nkd,nd->nk", surface.normals[close], normals) for normals in (own, around))
+    fits = (np.maximum(*facing) > _FACING) & (distance < reach)
+    found = np.where(fits.any(axis=1), close[np.arange(N_LANDMARKS), fits.argmax(axis=1)], surface.nearest(wanted, own))
     away = np.linalg.norm(surface.places[found] - wanted, axis=1) > reach
     found[away] = surface.nearest(wanted[away], around[away]) if away.any() else found[away]
     return found

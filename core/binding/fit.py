@@ -9,10 +9,10 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import BROWS, EYE_LEFT, EYE_RIGHT, INNER, LIPS, N_LANDMARKS
+from ..landmarks import BROWS, INNER, LIPS, N_LANDMARKS
 from ..mesh.surface import surface_normals
 from ..mesh.warp import Warp
-from .align import Pose, pose_from_shape, similarity
+from .align import Pose, follow, pose_from_shape, similarity
 from .sight import Sight, look
 from .template import Surface, Template
 from .views import View, seen_view, views_of
@@ -28,10 +28,12 @@ _MIN_POINTS = 5
 """Fewest points of a warp; four determine its affine part."""
 _SOFTNESS = 0.3
 """How far the skin may stay off what is seen, as a multiple of how far off it may stay the mesh."""
+_EXACT = 0.002
+"""Mean distance in outer-eye distances below which a mesh is the built-in head itself: its own landmarks are exact."""
 _AGREEMENT = 0.12
 """Outer-eye distances by which what is seen may be off the marks and be believed elsewhere."""
 _BIAS = np.zeros(N_LANDMARKS)
-_BIAS[BROWS], _BIAS[EYE_RIGHT], _BIAS[EYE_LEFT], _BIAS[LIPS] = 0.7, 0.6, 0.6, 0.3
+_BIAS[BROWS], _BIAS[LIPS] = 0.5, 0.15
 """Share of what the tracker misses on the template that it is taken to miss on any mesh."""
 
 
@@ -163,6 +165,9 @@ def _fit(template: Template, view: View, sight: Sight | None, marks: Mapping[int
             guides = guides.joined(_of_sight(template, sight, marks))
         if not marks:
             pose = similarity(guides.source, guides.target) if sight else pose_from_shape(template, surface)
+        if sight and not marks:
+            distance, closest = follow(template, surface, pose, template.skin)
+            pose, guides = (closest, _of_marks(template, surface, {})) if distance < _EXACT else (pose, guides)
     except HeadError:
         if marks:
             raise

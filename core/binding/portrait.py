@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -21,6 +21,11 @@ _AMBIENT, _INSIDE, _BACKDROP = 0.35, 0.12, 0.55
 of that of skin in full light."""
 _SKIN = 200.0
 """Grey value of skin in full light."""
+_WHITE, _DARK, _IRIS = 0.85, 0.2, 0.065
+"""Brightness of an eye that is put into an empty socket, and of its iris; the radius of the iris, in outer-eye
+distances."""
+_SOCKET = 0.25
+"""Outer-eye distances from the middle of an eye within which there is its socket, which is at most twice as wide."""
 _RIM = 5
 """Pixels around a place among which the nearest surface counts, so that a lid is not missed for the socket."""
 _STEP = 8.0
@@ -44,12 +49,37 @@ class Portrait:
         Size of a pixel, in the unit of the mesh.
     depth : (S, S) float32
         z of the surface in each pixel; infinite beside it.
+    hollow : (S, S) bool
+        Where the mesh is seen from inside, or surrounds the background.
     """
 
     image: NDArray[np.uint8]
     corner: FloatArray
     pixel: float
     depth: NDArray[np.float32]
+    hollow: NDArray[np.bool_]
+
+    def with_eyes(self, centres: FloatArray, reach: float) -> Portrait:
+        """The portrait with an eye in each empty socket near `centres`, (2, 2) pixels, of eyes `reach` apart.
+
+        The tracker knows no face without eyes: it takes sockets for shut lids.
+        """
+        image = self.image.copy()
+        _, label = cv2.connectedComponents(self.hollow.astype(np.uint8), connectivity=4)
+        y, x = np.nonzero(self.hollow)
+        for centre in centres:
+            away = np.hypot(x - centre[0], y - centre[1])
+            if not len(away) or away.min() > _SOCKET * reach:
+                continue
+            nearest = away.argmin()
+            socket = label == label[y[nearest], x[nearest]]
+            rows, columns = np.nonzero(socket)
+            if np.ptp(columns) > 2.0 * _SOCKET * reach:
+                continue
+            middle = (rows.min() + rows.max()) / 2.0, (columns.min() + columns.max()) / 2.0
+            iris = np.hypot(rows - middle[0], columns - middle[1]) < _IRIS * reach
+            image[rows, columns] = _SKIN * np.where(iris, _DARK, _WHITE)
+        return replace(self, image=image)
 
     def places(self, points: FloatArray) -> FloatArray:
         """Places on the mesh that are seen at (N, 2) pixels: (N, 3), with a depth of NaN beside the mesh."""
@@ -108,10 +138,20 @@ class Sitter:
         facing = (drawn.barycentric[:, :, None] * normals[self.triangles[drawn.triangle]]).sum(axis=1)
         facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)
         lit = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(facing @ _LIGHT, 0.0)
+        hollow = _enclosed(drawn.depth)
+        hollow.ravel()[drawn.pixel] = facing[:, 2] > 0.1
         image = np.full(SIZE * SIZE, _BACKDROP)
-        image[drawn.pixel] = np.where(facing[:, 2] > 0.1, _INSIDE, lit)
+        image[drawn.pixel] = lit
+        image[hollow.ravel()] = _INSIDE
         grey = (_SKIN * image).astype(np.uint8).reshape(SIZE, SIZE)
-        return Portrait(grey, corner, pixel, drawn.depth * np.float32(pixel) + np.float32(middle))
+        return Portrait(grey, corner, pixel, drawn.depth * np.float32(pixel) + np.float32(middle), hollow)
+
+
+def _enclosed(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(S, S) pixels of the background that the mesh surrounds: eyes and mouth of a face without a back."""
+    _, label = cv2.connectedComponents((~np.isfinite(depth)).astype(np.uint8), connectivity=4)
+    around = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
+    return ~np.isin(label, around) & ~np.isfinite(depth)
 
 
 def _volume(places: FloatArray, triangles: IntArray) -> float:

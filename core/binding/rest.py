@@ -9,9 +9,9 @@ from ..arrays import FloatArray
 from ..heads.checks import Finding
 from ..landmarks import MOUTH_CORNERS, from_ibug
 
-_SHUT, _SHUT_IN_TEMPLATE = 0.03, 0.07
-"""Apertures of the eyes, seen and of the bent template, below which they count as shut. Both have to be small: on a
-mesh in one colour the tracker may miss eyes that are open. In outer-eye distances, as all here."""
+_SHUT = 0.045
+"""Aperture of the eyes below which they count as shut: 0.03 to 0.04 at most on heads that blink, 0.08 and more on
+others. In outer-eye distances, as all here."""
 _OPEN = 0.05
 """Aperture of the mouth above which it counts as open."""
 _USUAL_WIDTH = 0.56
@@ -21,15 +21,13 @@ _SMILE = 0.06
 neutral heads, 0.1 and more on broad smiles."""
 
 
-def resting_findings(seen: FloatArray, bent: FloatArray) -> tuple[Finding, ...]:
+def resting_findings(shape: FloatArray) -> tuple[Finding, ...]:
     """Tell eyes that are shut, an open mouth and a smile from a neutral face.
 
     Parameters
     ----------
-    seen : (66, 3) float64
+    shape : (66, 3) float64
         The tracker's landmarks without the pose: head frame, in outer-eye distances.
-    bent : (66, 3) float64
-        Those of the template, bent to the mesh, likewise.
 
     Returns
     -------
@@ -37,13 +35,13 @@ def resting_findings(seen: FloatArray, bent: FloatArray) -> tuple[Finding, ...]:
         Empty for a neutral face.
     """
     findings = []
-    if float(eye_apertures(seen).max()) < _SHUT and float(eye_apertures(bent).max()) < _SHUT_IN_TEMPLATE:
+    if float(eye_apertures(shape).max()) < _SHUT:
         findings.append(
             Finding("The eyes are shut at rest, so blinks would push the lids further.", "Open them in the mesh.")
         )
-    if float(mouth_aperture(seen)) > _OPEN:
+    if float(mouth_aperture(shape)) > _OPEN:
         findings.append(Finding("The mouth is open at rest, so it would never close.", "Close it in the mesh."))
-    elif _smile(seen) > _SMILE:
+    elif _smile(shape) > _SMILE:
         findings.append(Finding("The face smiles at rest, so it would always smile.", "Make it neutral in the mesh."))
     return tuple(findings)
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..landmarks import INNER, MIRROR
+from ..landmarks import EYE_LEFT, EYE_RIGHT, INNER, MIRROR
 from ..rotation import euler_to_matrix
 from ..tracking.detect import Effort, Step
 from ..tracking.model_file import load_model
@@ -117,6 +117,8 @@ def _close_up(sitter: Sitter, centre: FloatArray, size: float, turn: FloatArray,
     portrait = sitter.portrait(centre, _CLOSE * size, turn)
     middle = (SIZE - 1) / 2.0
     start = np.array([size / portrait.pixel, *found.pose[1:4], middle, middle])
+    eyes = pdm.project(start, found.shape_params)[[*EYE_RIGHT, *EYE_LEFT]].reshape(2, 6, 2).mean(axis=1)
+    portrait = portrait.with_eyes(eyes, start[0])
     flipped = np.ascontiguousarray(portrait.image[:, ::-1])
     seen = [
         search.follow(portrait.image, FittedShape(start, found.shape_params)),

@@ -22,6 +22,8 @@ _EXCLUDED = (
 eyes and mouth are closed by skin, nearest places there are often wrong; the surrounding skin carries them."""
 _AROUND = 0.3
 """Outer-eye distances that count as around a lid or lip."""
+_CLOSE_BY = 12
+"""Vertices among which that of a landmark is chosen."""
 _SAMPLES = 900
 """Points of the template that follow the mesh."""
 
@@ -88,6 +90,12 @@ class Surface:
         """
         found, _ = self._points.query(self._key(places, normals))
         return found[:, 0]
+
+    def close_by(self, places: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+        """(N, K) nearest vertices to (N, 3) positions, whichever way they face, and their distances."""
+        count = min(_CLOSE_BY, len(self.places))
+        found, squared = NearestPoints(self.places).query(places, count)
+        return found, np.sqrt(squared)
 
     def _key(self, places: FloatArray, normals: FloatArray) -> FloatArray:
         return np.concatenate([places, self._weight * normals], axis=1)
