@@ -45,9 +45,11 @@ MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left
 """Points that a user may mark, by iBUG number: all or some of them, in any order."""
 MIN_MARKS = 4
 
-_RIMS = dict.fromkeys((*EYE_RIGHT, *EYE_LEFT), 0.04) | dict.fromkeys((*MOUTH_INNER_UPPER, *MOUTH_INNER_LOWER), 0.04)
-"""Landmarks that lie on the rims of openings, where the mesh has some, and outer-eye distances within which they are
-moved there: often that of the lips is far inside the mouth."""
+_RIMS = np.concatenate([EYE_RIGHT, EYE_LEFT, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
+"""Landmarks that lie on the rims of openings, where the mesh has some."""
+_RIM_REACH, _RIM_REACH_SEEN = 0.08, 0.04
+"""Outer-eye distances within which these landmarks are moved to a rim; less if they were seen, as often the border of a
+mesh is deep inside the mouth or behind the lids."""
 _HEAD_SHARE = 0.8
 """Share of a mesh's vertices below which its head comes with a body."""
 _MAX_DISTANCE = 0.1
@@ -143,10 +145,13 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     fitted = fit_template(template, places, np.asarray(faces), picked)
     surface, (unit, rotation, _), bent, picked = fitted.view.surface, fitted.pose, fitted.bent, dict(fitted.marks)
     # Nearest vertices of the bent landmarks; marked points override them.
-    landmarks = _nearest(template, surface, bent, _MAX_DISTANCE * unit)
+    sight = fitted.sight
+    landmarks = _nearest(template, surface, bent, _MAX_DISTANCE * unit, sight is not None)
     graph = SurfaceGraph(surface.places, surface.faces)
     # 4. Rims of openings, and each inner lip on its own side.
-    landmarks = _onto_rims(graph, bent[template.landmarks], landmarks, unit)
+    landmarks = _onto_rims(
+        graph, bent[template.landmarks], landmarks, unit * (_RIM_REACH_SEEN if sight else _RIM_REACH)
+    )
     landmarks[list(picked)] = list(picked.values())
     landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks)
     # 5. Symmetry, on a mesh that is its own mirror image.
@@ -159,7 +164,6 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     turn = rotation.T @ fitted.view.attitude
     found = fitted.view.part[_distinct(graph, landmarks)]
     body = len(fitted.view.part) < _HEAD_SHARE * len(places)
-    sight = fitted.sight
     return Binding(
         landmarks=found,
         rotation=turn,
@@ -180,33 +184,37 @@ def _wanted(sight: Sight, found: FloatArray) -> tuple[int, ...]:
     return tuple(sorted(ordered[:MIN_MARKS]))
 
 
-def _nearest(template: Template, surface: Surface, bent: FloatArray, reach: float) -> NDArray[np.intp]:
-    """(66,) vertices nearest to the landmarks of the bent template, among those that face roughly the same way.
+def _nearest(template: Template, surface: Surface, bent: FloatArray, reach: float, seen: bool) -> NDArray[np.intp]:
+    """(66,) vertices nearest to the landmarks of the bent template.
 
-    Those of lids and lips may also face as the surrounding skin does: on a mesh without rims, the normal of a rim would
-    lead to the underside of something. If there is none within `reach`, one is sought by position and normal together.
+    Where landmarks were seen, so that they are about right, these are nearest in space among those that face roughly
+    the same way; otherwise by position and normal together. If there is none within `reach` at a lid or lip, the
+    orientation of the surrounding skin is used: on a mesh without rims, the normal of a rim would lead to the underside
+    of something.
     """
     wanted = bent[template.landmarks]
     own, around = template.landmark_normals(bent)
-    close, distance = surface.close_by(wanted)
-    facing = (np.einsum("nkd,nd->nk", surface.normals[close], normals) for normals in (own, around))
-    fits = (np.maximum(*facing) > _FACING) & (distance < reach)
-    found = np.where(fits.any(axis=1), close[np.arange(N_LANDMARKS), fits.argmax(axis=1)], surface.nearest(wanted, own))
+    found = surface.nearest(wanted, own)
+    if seen:
+        close, distance = surface.close_by(wanted)
+        facing = (np.einsum("nkd,nd->nk", surface.normals[close], normals) for normals in (own, around))
+        fits = (np.maximum(*facing) > _FACING) & (distance < reach)
+        found = np.where(fits.any(axis=1), close[np.arange(N_LANDMARKS), fits.argmax(axis=1)], found)
     away = np.linalg.norm(surface.places[found] - wanted, axis=1) > reach
     found[away] = surface.nearest(wanted[away], around[away]) if away.any() else found[away]
     return found
 
 
-def _onto_rims(graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, unit: float) -> NDArray[np.intp]:
-    """Move lids and inner lips to the nearest border within reach, if the mesh has openings there."""
+def _onto_rims(graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, reach: float) -> NDArray[np.intp]:
+    """Move lids and inner lips to the nearest border within `reach`, if the mesh has openings there."""
     moved = np.array(landmarks, dtype=np.intp)
     pieces = [piece for piece in graph.openings() if len(piece) < 0.5 * len(graph.vertices)]
     if not pieces:
         return moved
     border = np.concatenate(pieces)
-    for i, reach in _RIMS.items():
+    for i in _RIMS:
         distance = np.linalg.norm(graph.vertices[border] - wanted[i], axis=1)
-        if distance.min() < reach * unit:
+        if distance.min() < reach:
             moved[i] = border[np.argmin(distance)]
     return moved
 

@@ -238,7 +238,8 @@ def _sides(
     graph: SurfaceGraph, outline: EyeOutline, local: FloatArray, snap: float
 ) -> tuple[IntArray, NDArray[np.intp], FloatArray]:
     """Per vertex 1 inside, 0 on the cut, -1 outside; edges (K, 2) from inside to outside; where to split these."""
-    inside = _piece(graph, outline.depth_within(local) > 0.0, local)
+    joined = np.isin(np.arange(len(local)), graph.edges)
+    inside = _piece(graph, joined & (outline.depth_within(local) > 0.0), local)
     first, second = graph.edges[inside[graph.edges].sum(axis=1) == 1].T
     ends = np.asarray(np.where(inside[first], [first, second], [second, first]).T, dtype=np.intp)
     shares = _crossings(outline, local[ends])
