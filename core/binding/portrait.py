@@ -21,9 +21,10 @@ _AMBIENT, _INSIDE, _BACKDROP = 0.35, 0.12, 0.55
 of that of skin in full light."""
 _SKIN = 200.0
 """Grey value of skin in full light."""
-_WHITE, _DARK, _IRIS = 0.85, 0.2, 0.065
-"""Brightness of an eye that is put into an empty socket, and of its iris; the radius of the iris, in outer-eye
-distances."""
+_WHITE, _DARK = 0.85, 0.2
+"""Brightness of an eye that is put into an empty socket, and of its iris."""
+_IRIS = 0.065
+"""Radius of that iris, in outer-eye distances."""
 _SOCKET = 0.25
 """Outer-eye distances from the middle of an eye within which there is its socket, which is at most twice as wide."""
 _RIM = 5

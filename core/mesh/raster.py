@@ -12,7 +12,7 @@ from ..arrays import FloatArray, IntArray
 
 _CHUNK = 1 << 20
 """Pixels that are tested at a time, which limits memory."""
-_BUDGET = 1 << 26
+_BUDGET = 1 << 24
 """Pixels that are tested in all, which limits time: of a heap of large triangles the largest are left out."""
 
 
