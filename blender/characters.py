@@ -131,20 +131,30 @@ def read_parts(head: bpy.types.Object) -> FaceParts | None:
     return FaceParts(kinds, np.concatenate(others), _stacked(faces))
 
 
+def part_mesh(head: bpy.types.Object, part: Part) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return the vertices of a part of a face in the head frame, (N, 3), and the faces between them, (F, K)."""
+    to_head = rest_matrix(head).inverted_safe()
+    vertices, faces, start = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int32)], 0
+    for obj in (head, *objects_of(head)):
+        within = read_kinds(obj.data) == part
+        if not within.any():
+            continue
+        move = np.array(to_head @ rest_matrix(obj))
+        places = to_blender(read_vertices(obj.data)) @ move[:3, :3].T + move[:3, 3]
+        vertices.append(from_blender(places[within]))
+        number = np.full(len(within) + 1, -1, dtype=np.int32)
+        number[:-1][within] = start + np.arange(within.sum())
+        own = read_faces(obj.data)
+        faces.append(number[own[((number[own] >= 0) | (own < 0)).all(axis=1)]])
+        start += int(within.sum())
+    return np.concatenate(vertices), _stacked(faces)
+
+
 def part_eyeballs(head: bpy.types.Object) -> NDArray[np.float64]:
     """Return (E, 4) centre and radius, in the head frame, of each round eye among the parts of a face, over which the
     lids slide, whether its vertices or a bone turn it.
     """
-    places: dict[int, list[NDArray[np.floating]]] = {kind: [] for kind in _EYE_BONES}
-    to_head = rest_matrix(head).inverted_safe()
-    for obj in (head, *objects_of(head)):
-        kinds = read_kinds(obj.data)
-        if np.isin(kinds, list(_EYE_BONES)).any():
-            move = np.array(to_head @ rest_matrix(obj))
-            points = from_blender(to_blender(read_vertices(obj.data)) @ move[:3, :3].T + move[:3, 3])
-            for kind, found in places.items():
-                found.append(points[kinds == kind])
-    eyes = [np.concatenate(found) for found in places.values() if found]
+    eyes = [part_mesh(head, part)[0] for part in _EYE_BONES]
     spheres = [part_eyeball(eye) for eye in eyes if len(eye) > _MIN_EYE]
     return np.array([sphere for sphere, is_round in spheres if is_round]).reshape(-1, 4)
 

@@ -7,12 +7,16 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
+from ...core.arrays import IntArray
 from ...core.binding.bind import Binding, bind_landmarks
+from ...core.binding.eye_contours import lids_seen
 from ...core.errors import HeadError
 from ...core.heads.checks import Finding, check_head
+from ...core.heads.eye_outline import EYES
 from ...core.heads.parts import Part, Skin
 from ...core.heads.proposal import propose_regions
-from ..characters import read_kinds
+from ...core.landmarks import from_ibug
+from ..characters import part_mesh, read_kinds
 from ..frames import HEAD_TO_BLENDER
 from ..meshes import (
     eye_vertices,
@@ -105,11 +109,29 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
     if len((final := skin_of_object(obj, others, landmarks)).kept) != len(skin.kept):
         binding, _ = _bound(read_vertices(mesh), final, marks, [np.eye(3)])
         landmarks = final.kept[binding.landmarks]
+    landmarks = _with_lids(obj, landmarks, binding.rotation, marks)
     write_landmarks(mesh, landmarks)
     if SELECTION_PROPERTY in mesh:
         del mesh[SELECTION_PROPERTY]
     propose_head_regions(obj)
     return binding
+
+
+def _with_lids(
+    head: bpy.types.Object, landmarks: IntArray, rotation: NDArray[np.floating], marks: dict[int, int]
+) -> NDArray[np.intp]:
+    """Return the landmarks with those of each eye where its lids are seen against it, unless the user marked them."""
+    skin = skin_of_object(head, read_kinds(head.data) != Part.SKIN, landmarks)
+    places = read_vertices(head.data)[skin.kept] @ rotation.T
+    improved = np.array(landmarks)
+    for part, lids in zip((Part.EYE_RIGHT, Part.EYE_LEFT), EYES, strict=True):
+        eye, faces = part_mesh(head, part)
+        if len(faces) == 0 or set(lids.tolist()) & set(from_ibug(list(marks)).tolist()):
+            continue
+        found = lids_seen(places, skin.faces, eye @ rotation.T, faces, left=part == Part.EYE_LEFT)
+        if found is not None and not np.isin(skin.kept[found], np.delete(improved, lids)).any():
+            improved[lids] = skin.kept[found]
+    return improved
 
 
 def propose_head_regions(obj: bpy.types.Object) -> None:

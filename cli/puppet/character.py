@@ -12,9 +12,9 @@ import numpy as np
 from ...blender.characters import part_table, read_bones
 from ...blender.heads.binding import bind_character, check_object
 from ...blender.heads.landmark_pictures import draw_landmarks
+from ...core.binding.bind import Binding
 from ...core.capture import check_readable
 from ...core.errors import HeadError, SourceError
-from ...core.heads.binding import Binding
 from ...core.heads.parts import PART_NAMES
 from ...core.images import write_image
 from ...core.puppet.job import HeadFile

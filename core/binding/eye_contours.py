@@ -1,0 +1,108 @@
+"""Landmarks of the lids where they are seen against the eye, on a character with eyes of their own.
+
+The border of such a mesh is not the rim of its lids: the skin goes on behind them, into the socket. Seen from the
+front, the rim is where the skin ends and the eye begins (docs/method.md, section 7.1).
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray
+from ..mesh.raster import rasterise
+from ..mesh.surface import triangulate
+
+_SIDE = 240
+"""Side of the picture of an eye, pixels."""
+_MARGIN = 1.25
+"""Side of that picture, in sizes of the eye."""
+_SHARES = (0.36, 0.66)
+"""Positions of the landmarks of a lid along the eye, from the outer corner, as on labelled faces."""
+_MIN_WIDTH, _MIN_OPEN = 0.25, 0.05
+"""Smallest width and height of what is seen of an eye, in sizes of the eye, for it to be open."""
+_RING = 2
+"""Pixels beyond the rim of the eye in which its skin is sought."""
+
+
+def lids_seen(
+    skin: FloatArray, skin_faces: IntArray, eye: FloatArray, eye_faces: IntArray, *, left: bool
+) -> NDArray[np.intp] | None:
+    """Find the landmarks of an eye on the skin.
+
+    Parameters
+    ----------
+    skin : (V, 3) array
+        Vertices of the skin, upright and facing the viewer: head frame.
+    skin_faces : (F, K) array of int
+        Its faces, padded with -1.
+    eye, eye_faces : (E, 3), (G, K) array
+        Vertices and faces of the pieces of the eye.
+    left : bool
+        Whether it is the character's left eye.
+
+    Returns
+    -------
+    (6,) intp or None
+        Vertices of the skin, in the order of `EYES`; None if the eye is shut or hidden.
+    """
+    low, high = eye.min(axis=0), eye.max(axis=0)
+    size = float((high - low)[:2].max())
+    scale = (_SIDE - 1) / (_MARGIN * size)
+    corner = (low[:2] + high[:2]) / 2.0 - _MARGIN * size / 2.0
+    places = np.concatenate([skin, eye])
+    triangles = np.concatenate([triangulate(skin_faces), triangulate(eye_faces) + len(skin)])
+    count = len(triangulate(skin_faces))
+    seen = rasterise((places[:, :2] - corner) * scale, places[:, 2], triangles, _SIDE)
+    owner = np.full(_SIDE * _SIDE, -1, dtype=np.intp)
+    owner[seen.pixel] = seen.triangle
+    mask = _largest((owner >= count).reshape(_SIDE, _SIDE))
+    if mask is None or np.ptp(np.nonzero(mask)[1]) < _MIN_WIDTH * size * scale:
+        return None
+    if mask.sum(axis=0).max() < _MIN_OPEN * size * scale:
+        return None
+    wanted = _rim_points(mask, left=left)
+    ring = cv2.dilate(mask, np.ones((2 * _RING + 1, 2 * _RING + 1), np.uint8)).astype(bool) & ~mask.astype(bool)
+    around = owner.reshape(_SIDE, _SIDE)[ring]
+    rim = np.unique(triangles[around[(around >= 0) & (around < count)]])
+    if len(rim) < len(wanted):
+        return None
+    pixels = (skin[rim][:, :2] - corner) * scale
+    return _distinct(rim, np.linalg.norm(pixels[None] - wanted[:, None], axis=2))
+
+
+def _largest(mask: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
+    """The largest connected part of a mask; None if it is empty."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    if count < 2:
+        return None
+    best = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    return np.asarray(labels == best, dtype=np.uint8)
+
+
+def _rim_points(mask: NDArray[np.uint8], *, left: bool) -> FloatArray:
+    """(6, 2) pixels of the corners and lids, in the order of `EYES`."""
+    columns = np.flatnonzero(mask.any(axis=0))
+    upper, lower = mask.argmax(axis=0), mask.shape[0] - 1 - mask[::-1].argmax(axis=0)
+    first, last = columns[0], columns[-1]
+
+    def middle(column: int) -> tuple[float, float]:
+        return float(column), float(upper[column] + lower[column]) / 2.0
+
+    outer, inner = (last, first) if left else (first, last)
+    along = [round(outer + share * (inner - outer)) for share in _SHARES]
+    above = [(float(x), float(upper[x]) - 0.5) for x in along]
+    below = [(float(x), float(lower[x]) + 0.5) for x in along]
+    points = [middle(outer), above[0], above[1], middle(inner), below[1], below[0]]
+    return np.array(points)
+
+
+def _distinct(rim: IntArray, away: FloatArray) -> NDArray[np.intp]:
+    """(6,) of the vertices `rim`, each the nearest by `away` (6, R) that no landmark before it has; corners first."""
+    chosen = np.zeros(len(away), dtype=np.intp)
+    free = away.copy()
+    for row in (0, 3, 1, 2, 4, 5):
+        chosen[row] = int(np.argmin(free[row]))
+        free[:, chosen[row]] = np.inf
+    return np.asarray(rim[chosen], dtype=np.intp)
