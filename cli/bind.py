@@ -23,10 +23,11 @@ def add_commands(commands: Commands) -> None:
     )
     add_output(bind, "OUT.blend", "the file with the head, for puppet --head")
     bind.add_argument("--picture", type=Path, metavar="OUT.png", help="also write a picture of the face with landmarks")
-    bind.set_defaults(run=lambda a: run_bind(a.character, a.output, a.picture))
+    bind.add_argument("--make-keys", action="store_true", help="also add ARKit's 52 face units as shape keys")
+    bind.set_defaults(run=lambda a: run_bind(a.character, a.output, a.picture, make_keys=a.make_keys))
 
 
-def run_bind(character: HeadFile, output: Path, picture: Path | None) -> int:
+def run_bind(character: HeadFile, output: Path, picture: Path | None, *, make_keys: bool) -> int:
     """Run `facemime bind`: bind a character, and print a line for each of its parts; returns the exit status."""
     try:
         with STOPPING.importing():
@@ -36,7 +37,7 @@ def run_bind(character: HeadFile, output: Path, picture: Path | None) -> int:
             f"bind needs Blender ({error}). Run: blender --command facemime bind ..., or install bpy."
         ) from error
     with outputs_of(((output, {".blend"}), (picture, {".png"})), {"the character": character.path}):
-        bound = headless.bind(character)
+        bound = headless.bind(character, make_keys=make_keys)
         headless.save(bound, output)
         if picture is not None:
             headless.write_picture(bound, picture)

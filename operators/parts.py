@@ -8,12 +8,14 @@ from bpy.props import EnumProperty, StringProperty
 
 from ..blender.characters import read_bones, read_kinds, set_part, write_bones
 from ..blender.heads.binding import propose_head_regions
+from ..blender.heads.expression_keys import make_expression_keys
 from ..blender.heads.parts import armature_of, forget_parts, sort_again
 from ..blender.meshes import is_head
 from ..blender.names import HEAD_PROPERTY
 from ..core.errors import HeadError
 from ..core.heads.parts import PART_NAMES, Part
-from .shared import OnHead, ReportsErrors, report
+from ..sessions.session import Session
+from .shared import OnHead, ReportsErrors, report, require_object_mode
 
 _DESCRIPTIONS = {
     Part.SKIN: "Skin of the face, which the landmarks move",
@@ -149,10 +151,29 @@ class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
         write_bones(head, armature, replace(bones, **{self.target: name}))
 
 
+class FACEMIME_OT_make_expression_keys(OnHead, bpy.types.Operator):
+    """Add ARKit's 52 face units as shape keys to all meshes of the face; keys of these names that exist are kept"""
+
+    bl_idname = "facemime.make_expression_keys"
+    bl_label = "Make Expression Keys"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require an active head in Object Mode."""
+        return require_object_mode(cls, context) and super().poll(context)
+
+    def work(self, context: bpy.types.Context) -> None:
+        if (session := Session.running()) is not None:
+            session.close()
+        added, kept = make_expression_keys(context.active_object)
+        report(self, f"{added} shape keys added, {kept} kept")
+
+
 CLASSES = (
     FACEMIME_OT_set_part,
     FACEMIME_OT_add_part,
     FACEMIME_OT_remove_part,
     FACEMIME_OT_find_parts,
     FACEMIME_OT_set_bone,
+    FACEMIME_OT_make_expression_keys,
 )

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...blender.characters import part_table, read_bones
 from ...blender.heads.binding import bind_character, check_object
+from ...blender.heads.expression_keys import make_expression_keys
 from ...blender.heads.landmark_pictures import draw_landmarks
 from ...core.binding.bind import Binding
 from ...core.capture import check_readable
@@ -18,6 +19,7 @@ from ...core.errors import HeadError, SourceError
 from ...core.heads.parts import PART_NAMES
 from ...core.images import write_image
 from ...core.puppet.job import HeadFile
+from ..terminal.console import tell
 from ..terminal.stopping import STOPPING
 from .headless import AVATAR_SIDE, object_named, open_blend, save_blend
 
@@ -59,8 +61,8 @@ class BoundCharacter:
         return "\n".join([*lines, f"head: {self.head.name}, 66 landmarks"])
 
 
-def bind(character: HeadFile) -> BoundCharacter:
-    """Open or import a character and bind it.
+def bind(character: HeadFile, *, make_keys: bool) -> BoundCharacter:
+    """Open or import a character and bind it, and `make_keys` of the face units.
 
     Raises
     ------
@@ -70,6 +72,9 @@ def bind(character: HeadFile) -> BoundCharacter:
     _open(character.path)
     chosen = object_named(character.path, character.name) if character.name else _likely(character.path)
     head, binding = bind_character(chosen)
+    if make_keys:
+        added, kept = make_expression_keys(head)
+        tell(f"{added} shape keys added, {kept} kept")
     problems = [f"{finding.problem} {finding.remedy}" for finding in check_object(head)]
     return BoundCharacter(head, binding, problems)
 

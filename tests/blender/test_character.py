@@ -268,6 +268,26 @@ def test_a_bone_that_moves_already_keeps_its_animation_and_the_report_says_so():
     assert puppet_head(bpy.context.scene, head, performance()).kept == ()
 
 
+def test_expression_keys_are_made_on_all_meshes_that_they_move_and_existing_ones_are_kept():
+    objects = strangers(rig=True)
+    head, _ = bind_character(objects["head"])
+    head.shape_key_add(name="Basis")
+    own = head.shape_key_add(name="jawOpen")
+    own.points[0].co.x += 1.0
+    bpy.context.view_layer.objects.active = head
+    assert bpy.ops.facemime.make_expression_keys() == {"FINISHED"}
+    keys = head.data.shape_keys.key_blocks
+    assert len(keys) == 53 and all(key.value == 0.0 for key in keys[1:])
+    assert keys["jawOpen"].points[0].co.x - keys["Basis"].points[0].co.x == pytest.approx(1.0)
+    assert "jawOpen" in objects["teeth_lower"].data.shape_keys.key_blocks
+    assert objects["body"].data.shape_keys is None and objects["teeth_upper"].data.shape_keys is None
+    bake = PuppetSettings(bake=BakeSettings(keys="mapped"))
+    assert puppet_head(bpy.context.scene, head, performance(), bake).keys > 40
+    bpy.context.scene.frame_set(30)
+    for name in ("eyeBlinkLeft", "mouthSmileLeft"):
+        assert objects["tongue"].data.shape_keys.key_blocks[name].value == pytest.approx(keys[name].value)
+
+
 def test_a_character_in_a_file_of_another_program_is_bound_and_puppeted_by_commands(tmp_path):
     objects = strangers(rig=True)
     bpy.ops.object.select_all(action="SELECT")

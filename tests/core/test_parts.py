@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from parted_heads import with_parts
 
 from facemime.core.deform.glue import Glue
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.heads.bones import FaceBones, find_bones
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball
-from facemime.core.heads.parts import FaceParts, Part, skin_of
+from facemime.core.heads.parts import Part, skin_of
 from facemime.core.heads.rig import HeadRig, built_in_rig
 from facemime.core.heads.sorting import Piece, lower_row, named_part, names_body, names_skin, sort_pieces
 from facemime.core.landmarks import LIPS
@@ -235,25 +236,6 @@ def test_a_flat_eye_is_not_taken_for_a_sphere():
     sphere, is_round = part_eyeball(disc)
     assert not is_round
     assert sphere[2] > 0.5
-
-
-def with_parts() -> HeadRig:
-    """The built-in head whose eyes, teeth and tongue are other meshes of it."""
-    head, rig = load_head(), built_in_rig()
-    kinds = {
-        "eye_left": Part.EYE_LEFT,
-        "eye_right": Part.EYE_RIGHT,
-        "teeth_upper": Part.TEETH_UPPER,
-        "teeth_lower": Part.TEETH_LOWER,
-        "tongue": Part.TEETH_LOWER,
-    }
-    start, faces, numbers = len(rig.vertices), [], [np.zeros(len(rig.vertices), dtype=np.int8)]
-    for part in head.parts:
-        faces.append(np.where(part.faces >= 0, part.faces + start, -1))
-        numbers.append(np.full(len(part.vertices), kinds[part.name], dtype=np.int8))
-        start += len(part.vertices)
-    others = np.concatenate([part.vertices for part in head.parts])
-    return replace(rig, parts=FaceParts(np.concatenate(numbers), others, np.concatenate(faces)))
 
 
 def test_eyes_turn_about_their_centres_lower_teeth_follow_the_jaw_and_upper_ones_stay():
