@@ -3,6 +3,7 @@
 import bpy
 from bpy.props import EnumProperty, IntProperty
 
+from ..blender.characters import read_bones
 from ..blender.heads.binding import (
     bind_character,
     check_object,
@@ -97,7 +98,7 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
             )
         for finding in binding.findings:
             self.report({"WARNING"}, " ".join(map(translated, (finding.problem, finding.remedy))))
-        if binding.body:
+        if binding.body and not read_bones(head)[1].head:
             report(self, "The whole body would turn with the head. Set a bone as pose object in Puppet > Head and Eyes")
         report_findings(self, context)
 

@@ -310,3 +310,27 @@ def test_a_character_in_a_file_of_another_program_is_bound_and_puppeted_by_comma
         bpy.context.scene.frame_set(frame)
         angles.append(bone.matrix_basis.to_quaternion().angle)
     assert max(angles) > 0.1
+
+
+def test_parts_joined_into_one_mesh_are_told_apart_by_their_places():
+    objects = strangers(rig=True)
+    counts = {name: len(obj.data.vertices) for name, obj in objects.items()}
+    bpy.ops.object.select_all(action="DESELECT")
+    for obj in objects.values():
+        obj.select_set(True)
+    bpy.context.view_layer.objects.active = objects["head"]
+    bpy.ops.object.join()
+    whole = bpy.context.active_object
+    head, _ = bind_character(whole)
+    kinds, start = read_kinds(head.data), 0
+    assert head == whole and check_object(head) == []
+    for name, count in counts.items():
+        wanted = TRUTH.get(name, {Part.SKIN} if name == "head" else {Part.ON_HEAD})
+        assert set(map(Part, kinds[start : start + count].tolist())) == wanted, name
+        start += count
+    rest = shown(head)
+    report = puppet_head(bpy.context.scene, head, performance())
+    row = int(np.argmax(np.abs(report.motion.rotation[:, 0, 2])))
+    bpy.context.scene.frame_set(round(float(frames_of(bpy.context.scene, report.motion.times[row]))))
+    moved = np.abs(shown(head) - rest).max(axis=1)
+    assert moved[kinds == Part.EYE_LEFT].min() > 1e-4
