@@ -114,7 +114,9 @@ def sort_character(head: bpy.types.Object, landmarks: IntArray, weights: NDArray
     points = vertices[landmarks].astype(np.float64)
     armature = armature_of(head)
     bones = _bones(head, armature, landmarks)
-    nearest = _SkinDistance(vertices[skin.kept], weights, outer_eye_distance(points))
+    number, on_skin = _numbered(head, vertices, landmarks)
+    sure = on_skin[number[skin.kept]] >= _MIN_ON_SKIN
+    nearest = _SkinDistance(vertices[skin.kept[sure]], weights[:, sure], outer_eye_distance(points))
     groups = [
         _pieces_of(obj, head, landmarks if obj == head else None, nearest)
         for obj in family_of(head)
@@ -186,11 +188,7 @@ def _pieces_of(
     local = to_blender(read_vertices(obj.data))
     move = np.array(rest_matrix(head).inverted_safe() @ rest_matrix(obj))
     places = from_blender(local @ move[:3, :3].T + move[:3, 3]).astype(np.float64)
-    others = named_others(obj)
-    number = islands(len(places), faces, border_twins(places, faces, np.flatnonzero(others)))
-    on_skin = np.zeros(number.max(initial=0) + 1, dtype=np.intp)
-    if landmarks is not None:
-        on_skin = np.bincount(number[landmarks[_FACE_LANDMARKS]], minlength=len(on_skin))
+    number, on_skin = _numbered(obj, places, landmarks)
     materials = _material_of_pieces(obj, faces, number)
     order = np.argsort(number, kind="stable")
     borders = np.searchsorted(number[order], np.arange(len(on_skin) + 1))
@@ -201,6 +199,18 @@ def _pieces_of(
         skin = bool(on_skin[i] >= _MIN_ON_SKIN) and named_part([material]) is None
         pieces.append(Piece(own, (material, obj.name), skin, away, moving))
     return _Pieces(obj, number, pieces)
+
+
+def _numbered(
+    obj: bpy.types.Object, places: FloatArray, landmarks: IntArray | None
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the number of the piece of each vertex, (V,), and how many landmarks of the face each piece has."""
+    faces = read_faces(obj.data)
+    number = islands(len(places), faces, border_twins(places, faces, np.flatnonzero(named_others(obj))))
+    count = int(number.max(initial=0)) + 1
+    if landmarks is None:
+        return number, np.zeros(count, dtype=np.intp)
+    return number, np.bincount(number[landmarks[_FACE_LANDMARKS]], minlength=count)
 
 
 def _store(group: _Pieces, parts: Sequence[Part | None], head: bpy.types.Object, points: FloatArray) -> None:
