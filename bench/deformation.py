@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +17,11 @@ from bench.deformers import Method, all_methods, greedy_points
 from bench.heads import AREAS, TrueHead, built_in_head, ict_head
 from bench.left_out import left_out_errors
 from bench.report import Table, finish, parser
-from facemime.core.binding.bind import MARKS, bind_landmarks
 from facemime.core.control_points.greedy import GreedySelection
 from facemime.core.deform.expressions import learn
-from facemime.core.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, INNER, MOUTH_OUTER, from_ibug
 
 ROOT = Path(__file__).resolve().parents[1]
 HALF = 33
-BOUND_COLUMNS = ("marked points", "inner 49", "brows", "lids", "lips", "seconds")
 _BATCH = 50
 _OPEN = 0.01
 """Area in squared outer-eye distances above which an opening counts as open."""
@@ -66,8 +62,7 @@ def main() -> int:
             draw_head(arguments.pictures, head, methods, selection)
     speed = speed_table()
     tables.append(speed)
-    rows, differing = bound_rows(heads[0]), rig_difference(*heads)
-    tables.append(Table("Landmarks found on ICT-FaceKit, off by % of the eye distance", BOUND_COLUMNS, rows))
+    differing = rig_difference(*heads)
     tables.append(
         Table("Shapes of one name on the two heads, difference at the landmarks", ("shape", "difference"), differing)
     )
@@ -75,7 +70,6 @@ def main() -> int:
     numbers = {
         "errors": numbers[heads[0].title]["errors"],
         "heads": numbers,
-        "bound": [dict(zip(BOUND_COLUMNS, row, strict=True)) for row in rows],
         "rig_difference": dict(differing),
         "speed": [dict(zip(columns, row, strict=True)) for row in speed.rows],
     }
@@ -165,21 +159,6 @@ def curve_of(selection: GreedySelection) -> list[dict[str, object]]:
         {"action": step.action, "landmark": step.landmark, "points": step.points, "error": step.error}
         for step in selection.steps
     ]
-
-
-def bound_rows(head: TrueHead) -> list[tuple[object, ...]]:
-    """Distance of found landmarks from the true ones, without and with marked points."""
-    own = head.landmarks
-    marks = {number: int(own[from_ibug([number])[0]]) for number in MARKS}
-    rows: list[tuple[object, ...]] = []
-    for title, given in (("none", None), (f"{len(marks)}", marks)):
-        start = perf_counter()
-        found = bind_landmarks(head.vertices, head.faces, given).landmarks
-        seconds = perf_counter() - start
-        off = 100.0 * np.linalg.norm(head.vertices[found] - head.vertices[own], axis=1)
-        parts = (INNER, BROWS, np.concatenate([EYE_RIGHT, EYE_LEFT]), np.arange(MOUTH_OUTER[0], len(off)))
-        rows.append((title, *(float(off[part].mean()) for part in parts), seconds))
-    return rows
 
 
 def rig_difference(one: TrueHead, other: TrueHead) -> list[tuple[str, float]]:

