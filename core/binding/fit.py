@@ -27,7 +27,7 @@ _SMOOTHINGS = (1.0, 0.3, 0.1)
 _MIN_POINTS = 5
 """Fewest points of a warp; four determine its affine part."""
 _SOFTNESS = np.full(N_LANDMARKS, 0.3)
-_SOFTNESS[NOSE] = 0.9
+_SOFTNESS[NOSE] = 2.0
 """How far landmarks may stay off what is seen, as a multiple of how far the skin may stay off the mesh: more at the
 nose, whose shape says where they are."""
 _EXACT = 0.002
