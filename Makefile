@@ -6,7 +6,7 @@ BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
 
-.PHONY: setup check test test-all test-core test-gui stress soak demo build bench bench-binding bench-deformation bench-tracking bench-expressions bench-actions model expressions head sample try lock clean blenders windows docs
+.PHONY: setup check test test-all test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-expressions bench-actions model expressions head sample try lock clean blenders windows docs
 
 setup: $(STAMP)
 
@@ -87,6 +87,12 @@ build/faces/.ready: requirements/faces.txt | setup
 bench-binding: build/faces/.ready
 	mkdir -p build/bench
 	$(BIN)/python -m bench.binding --menpo3d build/faces/menpo3d-0.8.6.tar.gz --json build/bench/binding.json
+
+# Strangers' characters; needs ../shared/data.
+CHARACTERS ?= ../shared/data/characters
+bench-heads: setup
+	mkdir -p build/bench
+	$(BIN)/python -m bench.characters $(CHARACTERS) --json build/bench/characters.json
 
 bench-deformation: setup
 	mkdir -p build/bench

@@ -6,6 +6,8 @@ front, the rim is where the skin ends and the eye begins (docs/method.md, sectio
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -47,29 +49,51 @@ def lids_seen(
     (6,) intp or None
         Vertices of the skin, in the order of `EYES`; None if the eye is shut or hidden.
     """
-    low, high = eye.min(axis=0), eye.max(axis=0)
-    size = float((high - low)[:2].max())
-    scale = (_SIDE - 1) / (_MARGIN * size)
-    corner = (low[:2] + high[:2]) / 2.0 - _MARGIN * size / 2.0
-    places = np.concatenate([skin, eye])
-    triangles = np.concatenate([triangulate(skin_faces), triangulate(eye_faces) + len(skin)])
-    count = len(triangulate(skin_faces))
-    seen = rasterise((places[:, :2] - corner) * scale, places[:, 2], triangles, _SIDE)
-    owner = np.full(_SIDE * _SIDE, -1, dtype=np.intp)
-    owner[seen.pixel] = seen.triangle
-    mask = _largest((owner >= count).reshape(_SIDE, _SIDE))
-    if mask is None or np.ptp(np.nonzero(mask)[1]) < _MIN_WIDTH * size * scale:
+    look = _look(skin, skin_faces, eye, eye_faces)
+    mask = _largest(look.owner >= look.count)
+    if mask is None or np.ptp(np.nonzero(mask)[1]) < _MIN_WIDTH * look.size:
         return None
-    if mask.sum(axis=0).max() < _MIN_OPEN * size * scale:
+    if mask.sum(axis=0).max() < _MIN_OPEN * look.size:
         return None
     wanted = _rim_points(mask, left=left)
     ring = cv2.dilate(mask, np.ones((2 * _RING + 1, 2 * _RING + 1), np.uint8)).astype(bool) & ~mask.astype(bool)
-    around = owner.reshape(_SIDE, _SIDE)[ring]
-    rim = np.unique(triangles[around[(around >= 0) & (around < count)]])
+    around = look.owner[ring]
+    rim = np.unique(look.triangles[around[(around >= 0) & (around < look.count)]])
     if len(rim) < len(wanted):
         return None
-    pixels = (skin[rim][:, :2] - corner) * scale
-    return _distinct(rim, np.linalg.norm(pixels[None] - wanted[:, None], axis=2))
+    return _distinct(rim, np.linalg.norm(look.pixels[rim][None] - wanted[:, None], axis=2))
+
+
+def eye_openness(skin: FloatArray, skin_faces: IntArray, eye: FloatArray, eye_faces: IntArray) -> float:
+    """Area of an eye that is seen from the front, as a share of its squared size; parameters as for `lids_seen`."""
+    look = _look(skin, skin_faces, eye, eye_faces)
+    return float((look.owner >= look.count).sum() / look.size**2)
+
+
+class _Look(NamedTuple):
+    """A picture of an eye: the triangle in each pixel, or -1; the triangles, of which the first `count` are skin; the
+    vertices in pixels; and the size of the eye in pixels.
+    """
+
+    owner: NDArray[np.intp]
+    triangles: NDArray[np.intp]
+    count: int
+    pixels: FloatArray
+    size: float
+
+
+def _look(skin: FloatArray, skin_faces: IntArray, eye: FloatArray, eye_faces: IntArray) -> _Look:
+    low, high = eye.min(axis=0), eye.max(axis=0)
+    size = float((high - low)[:2].max())
+    scale = (_SIDE - 1) / (_MARGIN * size)
+    places = np.concatenate([skin, eye])
+    pixels = (places[:, :2] - (low[:2] + high[:2]) / 2.0 + _MARGIN * size / 2.0) * scale
+    own = triangulate(skin_faces)
+    triangles = np.concatenate([own, triangulate(eye_faces) + len(skin)])
+    seen = rasterise(pixels, places[:, 2], triangles, _SIDE)
+    owner = np.full(_SIDE * _SIDE, -1, dtype=np.intp)
+    owner[seen.pixel] = seen.triangle
+    return _Look(owner.reshape(_SIDE, _SIDE), triangles, len(own), pixels, size * scale)
 
 
 def _largest(mask: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
