@@ -81,7 +81,7 @@ def look(places: FloatArray, faces: IntArray) -> Sight | None:
 
     Notes
     -----
-    Takes about 0.1 s for 20,000 faces.
+    Takes 0.1 s for 12,000 faces and 0.4 s for 110,000.
     """
     sitter = Sitter(places, faces)
     if not np.ptp(places, axis=0)[:2].max() > 0.0 or not len(sitter.triangles):
