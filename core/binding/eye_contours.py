@@ -50,7 +50,7 @@ def lids_seen(
         Vertices of the skin, in the order of `EYES`; None if the eye is shut or hidden.
     """
     look = _look(skin, skin_faces, eye, eye_faces)
-    mask = _largest(look.owner >= look.count)
+    mask = _largest(look.owner >= look.skin)
     if mask is None or np.ptp(np.nonzero(mask)[1]) < _MIN_WIDTH * look.size:
         return None
     if mask.sum(axis=0).max() < _MIN_OPEN * look.size:
@@ -58,7 +58,7 @@ def lids_seen(
     wanted = _rim_points(mask, left=left)
     ring = cv2.dilate(mask, np.ones((2 * _RING + 1, 2 * _RING + 1), np.uint8)).astype(bool) & ~mask.astype(bool)
     around = look.owner[ring]
-    rim = np.unique(look.triangles[around[(around >= 0) & (around < look.count)]])
+    rim = np.unique(look.triangles[around[(around >= 0) & (around < look.skin)]])
     if len(rim) < len(wanted):
         return None
     return _distinct(rim, np.linalg.norm(look.pixels[rim][None] - wanted[:, None], axis=2))
@@ -67,17 +67,17 @@ def lids_seen(
 def eye_openness(skin: FloatArray, skin_faces: IntArray, eye: FloatArray, eye_faces: IntArray) -> float:
     """Area of an eye that is seen from the front, as a share of its squared size; parameters as for `lids_seen`."""
     look = _look(skin, skin_faces, eye, eye_faces)
-    return float((look.owner >= look.count).sum() / look.size**2)
+    return float((look.owner >= look.skin).sum() / look.size**2)
 
 
 class _Look(NamedTuple):
-    """A picture of an eye: the triangle in each pixel, or -1; the triangles, of which the first `count` are skin; the
+    """A picture of an eye: the triangle in each pixel, or -1; the triangles, of which the first `skin` are skin; the
     vertices in pixels; and the size of the eye in pixels.
     """
 
     owner: NDArray[np.intp]
     triangles: NDArray[np.intp]
-    count: int
+    skin: int
     pixels: FloatArray
     size: float
 
