@@ -43,6 +43,32 @@ def bounded_least_squares(gram: FloatArray, products: FloatArray, lower: FloatAr
     return result
 
 
+def bounded_minimum(
+    gram: FloatArray, product: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatArray
+) -> FloatArray:
+    """Minimise ``x^T gram x / 2 - product^T x`` subject to ``lower <= x <= upper``, from a point near the minimum.
+
+    Parameters
+    ----------
+    gram : (K, K) array
+        Positive definite.
+    product : (K,) array
+        Linear term.
+    lower, upper : (K,) array
+        Bounds; ``lower < upper``.
+    start : (K,) array
+        Start, within the bounds.
+
+    Returns
+    -------
+    (K,) float64
+        The exact minimum.
+    """
+    x = np.array(start, dtype=np.float64)
+    _solve(gram, product, lower, upper, x, (x > lower) & (x < upper))
+    return x
+
+
 def _approximate(gram: FloatArray, products: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """(N, K) rows near the solution, within the bounds, by accelerated projected gradients (Beck & Teboulle 2009)."""
     # Scale unknowns to a unit diagonal, which evens out the steps.

@@ -43,6 +43,11 @@ class ActionDriver:
         `Neutral.shape`.
     strength : (3,) sequence of float
         Gains of the regions upper, middle and lower.
+
+    Attributes
+    ----------
+    gains : (15,) float64
+        Gain of each action: that of its region.
     """
 
     def __init__(
@@ -50,8 +55,8 @@ class ActionDriver:
     ) -> None:
         self._rest = np.clip(np.nan_to_num(rest), 0.0, _MOST_AT_REST)
         self._heights = _brow_heights(shape)
-        self._gains = np.full(N_ACTIONS, strength[2])
-        self._gains[_UPPER], self._gains[_MIDDLE] = strength[0], strength[1]
+        self.gains = np.full(N_ACTIONS, strength[2])
+        self.gains[_UPPER], self.gains[_MIDDLE] = strength[0], strength[1]
         ranges = [_RANGES[name.removesuffix("Right").removesuffix("Left")] for name in ACTIONS]
         self._begin, self._full = np.array(ranges).T
 
@@ -104,7 +109,7 @@ class ActionDriver:
         if not np.isfinite(actions).all():
             return np.zeros(N_ACTIONS)
         shown = (self.above_rest(actions, shape) - self._begin) / (self._full - self._begin)
-        return np.asarray(np.clip(shown, 0.0, _MOST) * self._gains)
+        return np.asarray(np.clip(shown, 0.0, _MOST) * self.gains)
 
 
 def _brow_heights(shape: FloatArray) -> FloatArray:
