@@ -1,4 +1,4 @@
-"""ARKit's 52 coefficients of a take, by fitting the built-in head, which has these units (docs/method.md, section 9.3).
+"""ARKit's 52 coefficients of a take (docs/method.md, section 9.3).
 
 Other programs and tables describe a face by them; a head that is driven directly does not need them.
 """
@@ -11,37 +11,27 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..actions import ACTIONS, action_indices
+from ..actions import action_indices
 from ..arrays import FloatArray
-from ..drive.driver import HeadDriver
-from ..drive.motion import HeadMotion, drive_take
 from ..drive.settings import DriveSettings, PosingSettings
+from ..errors import SourceError
 from ..heads.built_in import load_head
-from ..heads.rig import built_in_rig
 from ..rotation import fit_rotation
 from ..takes.neutral import Neutral
 from ..takes.take import Take
-from .fit import fit_keys
+from .coefficient_model import load_coefficient_model
+from .coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
+from .coefficients import CoefficientSolver, has_actions
+from .observation import Observer
 
-_SIDED = (
-    *("browDown", "browOuterUp", "cheekSquint", "eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp"),
-    *("eyeSquint", "eyeWide", "mouthDimple", "mouthFrown", "mouthLowerDown", "mouthPress", "mouthSmile"),
-    *("mouthStretch", "mouthUpperUp", "noseSneer"),
-)
-_SINGLE = (
-    *("browInnerUp", "cheekPuff", "jawForward", "jawLeft", "jawOpen", "jawRight", "mouthClose", "mouthFunnel"),
-    *("mouthLeft", "mouthPucker", "mouthRight", "mouthRollLower", "mouthRollUpper", "mouthShrugLower"),
-    *("mouthShrugUpper", "tongueOut"),
-)
-COEFFICIENTS = tuple(sorted([*_SINGLE, *(name + side for name in _SIDED for side in ("Left", "Right"))]))
-"""Names of the 52 coefficients, alphabetically; left and right are the performer's own."""
+__all__ = ["COEFFICIENTS", "arkit_coefficients", "coefficients_of"]
+
 _DEFAULTS = DriveSettings()
-_ACTED = {
+_MEASURED = {
     "tongueOut": action_indices(["tongueOut"]),
     "cheekPuff": action_indices(["cheekPuffRight", "cheekPuffLeft"]),
-    **{name: action_indices([name]) for name in ACTIONS if name.startswith(("mouth", "nose", "cheekSquint"))},
 }
-"""Coefficients that the tracker measures itself, and the actions whose mean each is."""
+"""Coefficients of which landmarks show next to nothing, and the actions whose mean each is at least."""
 _LOOKS = ("In", "Out", "Up", "Down")
 
 
@@ -55,13 +45,13 @@ def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _D
     neutral : Neutral
         The performer's neutral face.
     options : DriveSettings
-        Mode, strength, mirror and the settings of the eyes are used; those of the pose are not.
+        Strength, mirror, the settings of the eyes, and whether only landmarks count; the others are not used.
 
     Returns
     -------
     (N, 52) float64
-        Coefficients from 0 to 1 of the frames with a face. Those of the eyes' direction come from the gaze; the
-        others are fitted to the remaining motion.
+        Coefficients from 0 to 1 of the frames with a face. Those of the eyes' direction come from the gaze; the others
+        are fitted to the landmarks and to what the tracker measures besides.
 
     Raises
     ------
@@ -69,24 +59,44 @@ def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _D
         If no frame has a face.
     """
     posing = PosingSettings(eyes_strength=options.posing.eyes_strength, eyes_limit=options.posing.eyes_limit)
-    options = replace(options, posing=posing, incremental=False)
-    return coefficients_of(drive_take(HeadDriver(built_in_rig(), neutral, options), take))
+    observer = Observer(neutral, replace(options, posing=posing))
+    results = [observer.mirrored(take.result(int(frame))) for frame in np.flatnonzero(take.found)]
+    if not results:
+        raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")
+    return coefficients_of(
+        np.array([observer.face(result) for result in results]),
+        np.array([observer.gaze(result) for result in results]),
+        np.array([observer.shown(result) for result in results]),
+    )
 
 
-def coefficients_of(motion: HeadMotion) -> FloatArray:
-    """(N, 52) coefficients of a motion of the built-in head."""
-    head = load_head()
-    known, coefficients = _look_columns(), np.zeros((len(motion.times), len(head.unit_names)))
-    coefficients[:, known] = _looks(motion.gaze)
-    if motion.actions.any():
-        for name, columns in _ACTED.items():
-            coefficients[:, COEFFICIENTS.index(name)] = motion.actions[:, columns].mean(axis=1).clip(0.0, 1.0)
-        known = [*known, *(COEFFICIENTS.index(name) for name in _ACTED)]
-    others = [i for i in range(len(head.unit_names)) if i not in known]
-    # Gaze and actions decide their coefficients; what these do to the skin is not fitted again.
-    explained = np.tensordot(coefficients[:, known].astype(np.float32), head.units[known], axes=1)
-    bounds = np.zeros(len(others)), np.ones(len(others))
-    coefficients[:, others] = fit_keys(motion.vertices - explained, head.units[others], *bounds).weights
+def coefficients_of(observed: FloatArray, gaze: FloatArray, shown: FloatArray) -> FloatArray:
+    """Coefficients of observed frames of one performer.
+
+    Parameters
+    ----------
+    observed : (N, 213) float64
+        From `Observer.face`.
+    gaze : (N, 2, 3, 3) float64
+        Rotations of the right and left eyeball.
+    shown : (N, 15) float64
+        Activations of `actions.ACTIONS` from `Observer.shown`.
+
+    Returns
+    -------
+    (N, 52) float64
+        0 to 1.
+    """
+    coefficients = np.zeros((len(observed), len(COEFFICIENTS)))
+    complete = has_actions(observed)
+    for actions in set(complete.tolist()):
+        rows = np.flatnonzero(complete == actions)
+        solver = CoefficientSolver(load_coefficient_model(), actions=actions)
+        coefficients[np.ix_(rows, FITTED)] = solver.take(observed[rows])
+    for name, columns in _MEASURED.items():
+        column = coefficients[:, COEFFICIENT_INDEX[name]]
+        np.maximum(column, shown[:, columns].mean(axis=1).clip(0.0, 1.0), out=column)
+    coefficients[:, _look_columns()] = _looks(gaze)
     return coefficients
 
 

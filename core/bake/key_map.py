@@ -32,7 +32,7 @@ _KINDS = ("modifier", "expression", "phoneme")
 _MIN_MATCHES = 3
 """Fewest keys by which a preset is recognised."""
 _RIDGE = 1e-3
-"""Ridge of equation 9.2 towards the gains of the table so far."""
+"""Ridge of equation 9.6 towards the gains of the table so far."""
 _MIN_GAIN = 0.01
 """Learnt gains below this are dropped."""
 
@@ -209,7 +209,7 @@ def learn_map(coefficients: FloatArray, poses: FloatArray, keys: Sequence[str], 
 
     Notes
     -----
-    Equation 9.2. A few poses leave most gains undetermined; these stay as they were.
+    Equation 9.6. A few poses leave most gains undetermined; these stay as they were.
     """
     names = COEFFICIENTS
     coefficients = np.asarray(coefficients, dtype=np.float64)
@@ -219,7 +219,7 @@ def learn_map(coefficients: FloatArray, poses: FloatArray, keys: Sequence[str], 
         if row.key in keys:
             before[keys.index(row.key), names.index(row.source)] += max(row.gain, 0.0)
             offsets[keys.index(row.key)] += row.offset
-    # Equation 9.2 for all keys at once.
+    # Equation 9.6 for all keys at once.
     gram = coefficients.T @ coefficients + _RIDGE * np.eye(len(names))
     products = (np.asarray(poses).T - offsets[:, None]) @ coefficients + _RIDGE * before
     gains = bounded_least_squares(gram, products, np.zeros(len(names)), np.full(len(names), np.inf))

@@ -1,0 +1,90 @@
+"""What the tracker shows of each ARKit coefficient, learnt by `training.coefficients` (docs/method.md, section 9.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from ..actions import N_ACTIONS
+from ..archives import Archive, shipped
+from ..arrays import FloatArray
+from ..assets import ASSETS
+from ..landmarks import N_LANDMARKS
+from .coefficient_names import FITTED
+
+FORMAT = "facemime-coefficients-1"
+COEFFICIENT_FILE = ASSETS / "expressions" / "coefficients.npz"
+N_OBSERVED = 3 * N_LANDMARKS + N_ACTIONS
+"""What is observed of a frame: 66 displacements in the built-in head's outer-eye distances, and 15 activations."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A covariance ``F^T F + diag(s)^2``.
+
+    Attributes
+    ----------
+    modes : (K, 213) float64
+        F, the directions in which most of it lies.
+    rest : (213,) float64
+        s, standard deviations of what is left.
+    """
+
+    modes: FloatArray
+    rest: FloatArray
+
+    def matrix(self) -> FloatArray:
+        """(213, 213) float64."""
+        return np.asarray(self.modes.T @ self.modes + np.diag(np.square(self.rest)))
+
+
+@dataclass(frozen=True)
+class CoefficientModel:
+    """``x = a R + e + n``: an observation of coefficients a, with the errors of a frame and of the neutral face.
+
+    Attributes
+    ----------
+    responses : (44, 213) float64
+        R, what is observed of each of the coefficients `FITTED` at 1.
+    frame : Spread
+        Of e, which differs from frame to frame: noise of the tracker, and how people differ.
+    neutral : Spread
+        Of n, which stays the same for a whole take.
+    together : (44, 44) float64
+        Inverse of the mean product of two coefficients: how they go together.
+    gains : (44,) float64
+        Factors that make up for what the prior takes from the amplitudes.
+    """
+
+    responses: FloatArray
+    frame: Spread
+    neutral: Spread
+    together: FloatArray
+    gains: FloatArray
+
+
+@lru_cache(maxsize=1)
+def load_coefficient_model(path: Path = COEFFICIENT_FILE) -> CoefficientModel:
+    """Read the model that is shipped.
+
+    Raises
+    ------
+    ModelError
+        If the file is missing, damaged, or of another version.
+    """
+    count = len(FITTED)
+    with shipped(path, FORMAT) as archive:
+        return CoefficientModel(
+            responses=archive.reals("responses", (count, N_OBSERVED)),
+            frame=_spread(archive, "frame"),
+            neutral=_spread(archive, "neutral"),
+            together=archive.reals("together", (count, count)),
+            gains=archive.reals("gains", (count,)),
+        )
+
+
+def _spread(archive: Archive, name: str) -> Spread:
+    return Spread(archive.reals(f"{name}.modes", (None, N_OBSERVED)), archive.reals(f"{name}.rest", (N_OBSERVED,)))

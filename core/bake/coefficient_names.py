@@ -1,0 +1,43 @@
+"""Names of ARKit's 52 coefficients, and which of them exclude each other."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+_SIDED = (
+    *("browDown", "browOuterUp", "cheekSquint", "eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp"),
+    *("eyeSquint", "eyeWide", "mouthDimple", "mouthFrown", "mouthLowerDown", "mouthPress", "mouthSmile"),
+    *("mouthStretch", "mouthUpperUp", "noseSneer"),
+)
+_SINGLE = (
+    *("browInnerUp", "cheekPuff", "jawForward", "jawLeft", "jawOpen", "jawRight", "mouthClose", "mouthFunnel"),
+    *("mouthLeft", "mouthPucker", "mouthRight", "mouthRollLower", "mouthRollUpper", "mouthShrugLower"),
+    *("mouthShrugUpper", "tongueOut"),
+)
+COEFFICIENTS = tuple(sorted([*_SINGLE, *(name + side for name in _SIDED for side in ("Left", "Right"))]))
+"""Names of the 52 coefficients, alphabetically; left and right are the performer's own."""
+COEFFICIENT_INDEX = {name: i for i, name in enumerate(COEFFICIENTS)}
+"""Column of each coefficient."""
+FITTED: NDArray[np.intp] = np.array([i for i, name in enumerate(COEFFICIENTS) if not name.startswith("eyeLook")])
+"""(44,) columns of the coefficients that are fitted; the others are the direction of the eyes."""
+_EXCLUSIVE = (
+    ("jawLeft", "jawRight"),
+    ("mouthLeft", "mouthRight"),
+    ("eyeBlinkLeft", "eyeWideLeft"),
+    ("eyeBlinkRight", "eyeWideRight"),
+    ("mouthSmileLeft", "mouthFrownLeft"),
+    ("mouthSmileRight", "mouthFrownRight"),
+)
+EXCLUSIVE: NDArray[np.intp] = np.array([[COEFFICIENT_INDEX[name] for name in pair] for pair in _EXCLUSIVE])
+"""(P, 2) columns of coefficients of which a face shows one at a time: their motions are opposite."""
+
+
+def _mirrored(name: str) -> str:
+    if name.endswith("Left"):
+        return name.removesuffix("Left") + "Right"
+    return name.removesuffix("Right") + "Left" if name.endswith("Right") else name
+
+
+COEFFICIENT_MIRROR: NDArray[np.intp] = np.array([COEFFICIENT_INDEX[_mirrored(name)] for name in COEFFICIENTS])
+"""(52,) mirror image of each coefficient; ``a[COEFFICIENT_MIRROR]`` are those of a face that was flipped."""

@@ -1,0 +1,122 @@
+"""Coefficients from observed frames: a sparse fit with a learnt prior (docs/method.md, section 9.3)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+from ..landmarks import N_LANDMARKS
+from .coefficient_model import N_OBSERVED, CoefficientModel
+from .coefficient_names import EXCLUSIVE, FITTED
+from .least_squares import bounded_least_squares, bounded_minimum
+
+_SPARSITY = 1.0
+"""Weight of the sum of the coefficients in the first fit."""
+_SHARPNESS, _SMALL = 0.6, 0.05
+"""Weight of ``(a / (a_0 + s))^2`` in the next fits, and s, below which a coefficient counts as absent."""
+_TOGETHER = 0.5
+"""Weight of the prior in the next fits."""
+_LEFT = 0.1
+"""Share of the covariance of the neutral face's error that is left once the error was estimated."""
+_ROUNDS, _SAMPLE, _INDEPENDENT, _CALM = 4, 100, 40.0, 0.3
+"""Rounds and frames for that estimate, the frames that count as independent at most, as neighbours err alike, and the
+sum of coefficients up to which frames count alike."""
+_EXCLUDED = 1e6
+"""Penalty of the weaker one of an exclusive pair, far above what an observation could outweigh."""
+_PLACES: NDArray[np.intp] = np.searchsorted(FITTED, EXCLUSIVE)
+
+
+class CoefficientSolver:
+    """Finds the 44 coefficients `FITTED`, each frame by itself.
+
+    Parameters
+    ----------
+    model : CoefficientModel
+        What is observed of each coefficient.
+    actions : bool
+        Whether the activations of actions are known; otherwise only the landmarks count.
+    """
+
+    def __init__(self, model: CoefficientModel, *, actions: bool = True) -> None:
+        known = np.arange(N_OBSERVED) < (N_OBSERVED if actions else 3 * N_LANDMARKS)
+        self._known = known
+        self._model = model
+        self._responses = model.responses[:, known]
+        frame, neutral = (spread.matrix()[np.ix_(known, known)] for spread in (model.frame, model.neutral))
+        self._within, self._between = np.linalg.inv(frame), np.linalg.inv(neutral)
+        self._single = self._responses @ np.linalg.inv(frame + neutral)
+        self._corrected = self._responses @ np.linalg.inv(frame + _LEFT * neutral)
+
+    def frames(self, observed: FloatArray) -> FloatArray:
+        """Find the coefficients of single frames, as a live performance has them.
+
+        Parameters
+        ----------
+        observed : (N, 213) float64
+            From `Observer.face`.
+
+        Returns
+        -------
+        (N, 44) float64
+            0 to 1.
+        """
+        return self._finished(self._fit(observed[:, self._known], self._single, 2))
+
+    def take(self, observed: FloatArray) -> FloatArray:
+        """Find the coefficients of a take, corrected for the error of its neutral face.
+
+        Parameters
+        ----------
+        observed : (N, 213) float64
+            From `Observer.face`.
+
+        Returns
+        -------
+        (N, 44) float64
+            0 to 1.
+
+        Notes
+        -----
+        Alternates between the coefficients of some frames and the error (equation 9.5).
+        """
+        values = observed[:, self._known]
+        some = values[np.unique(np.linspace(0, len(values) - 1, min(_SAMPLE, len(values))).astype(np.intp))]
+        weighed = min(_INDEPENDENT, len(values)) * self._within
+        correct, error = np.linalg.solve(weighed + self._between, weighed), np.zeros(values.shape[1])
+        for _ in range(_ROUNDS):
+            found = self._fit(some - error, self._responses @ self._within, 1)
+            # Calm frames say most about the neutral face.
+            trust = 1.0 / (_CALM + found.sum(axis=1))
+            error = correct @ (trust @ (some - found @ self._responses) / trust.sum())
+        return self._finished(self._fit(values - error, self._corrected, 2))
+
+    def _fit(self, values: FloatArray, readout: FloatArray, rounds: int) -> FloatArray:
+        """(N, 44) coefficients of known values (N, D), reweighted `rounds` times (equations 9.3 and 9.4)."""
+        gram, products = readout @ self._responses.T, values @ readout.T
+        gram = 0.5 * (gram + gram.T)
+        count = len(gram)
+        lower, upper = np.zeros(count), np.ones(count)
+        found = bounded_least_squares(gram + self._model.together, products - _SPARSITY, lower, upper)
+        gram = gram + _TOGETHER * self._model.together
+        for _ in range(rounds):
+            for a, product in zip(found, products, strict=True):
+                penalty = _SHARPNESS / np.square(a + _SMALL)
+                weaker = _weaker(a)
+                penalty[weaker], a[weaker] = _EXCLUDED, 0.0
+                a[:] = bounded_minimum(gram + np.diag(penalty), product, lower, upper, a)
+        return found
+
+    def _finished(self, found: FloatArray) -> FloatArray:
+        return np.asarray(np.clip(found * self._model.gains, 0.0, 1.0))
+
+
+def _weaker(found: FloatArray) -> NDArray[np.intp]:
+    """Places of the weaker ones of exclusive pairs of which one is present, among the coefficients (44,)."""
+    present = _PLACES[found[_PLACES].max(axis=1) > 0.0]
+    return np.asarray(present[np.arange(len(present)), np.argmin(found[present], axis=1)])
+
+
+def has_actions(observed: FloatArray) -> NDArray[np.bool_]:
+    """(N,) whether the activations of observations (N, 213) are known; the landmarks always are."""
+    return np.asarray(np.isfinite(observed[:, 3 * N_LANDMARKS :]).all(axis=1))

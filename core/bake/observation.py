@@ -1,0 +1,74 @@
+"""What of a tracked frame is compared with ARKit's coefficients (docs/method.md, section 9.3)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..actions import ACTIONS
+from ..arrays import FloatArray
+from ..drive.actions import ActionDriver
+from ..drive.eyes import EyeDriver
+from ..drive.posing import limit_rotation
+from ..drive.retarget import retargeter_for
+from ..drive.settings import DriveSettings
+from ..heads.built_in import load_head
+from ..landmarks import outer_eye_distance
+from ..rotation import euler_to_matrix
+from ..takes.face_space import without_similarity
+from ..takes.neutral import MIRROR_WIDTH, Neutral
+from ..tracking.mirror import mirror_result
+from ..tracking.result import TrackResult
+
+
+class Observer:
+    """Observes the face of a performer as that of the built-in head.
+
+    Parameters
+    ----------
+    neutral : Neutral
+        The performer's neutral face.
+    options : DriveSettings
+        Strength, mirror, the limits of the eyes, and whether only landmarks count. Depths always do, as little as
+        they are known.
+    """
+
+    def __init__(self, neutral: Neutral, options: DriveSettings) -> None:
+        head = load_head()
+        landmarks = head.vertices[head.landmarks].astype(np.float64)
+        self._unit = outer_eye_distance(landmarks)
+        # Removing a similarity is linear: the rows are what is left of each coordinate.
+        every = np.eye(landmarks.size).reshape(-1, *landmarks.shape)
+        self._own = without_similarity(every, landmarks / self._unit).reshape(len(every), -1)
+        self.options = options
+        self.neutral = neutral.mirrored() if options.mirror else neutral
+        self._retargeter = retargeter_for(self.neutral, landmarks, strength=options.strength)
+        self._actions = ActionDriver(self.neutral.actions, self.neutral.shape, options.strength)
+        self._eyes = EyeDriver(self.neutral.gaze, self.neutral.vergence)
+
+    def mirrored(self, result: TrackResult) -> TrackResult:
+        """The result as the other methods take it: flipped left to right if that is set."""
+        return mirror_result(result, MIRROR_WIDTH) if self.options.mirror else result
+
+    def face(self, result: TrackResult) -> FloatArray:
+        """(213,) displacements without those of the whole head, in outer-eye distances, and activations above rest.
+
+        Activations are NaN if they are unknown, or are ignored.
+        """
+        own = (self._retargeter.displacements(result.shape) / self._unit).ravel() @ self._own
+        above = np.full(len(ACTIONS), np.nan)
+        if not self.options.only_landmarks:
+            above = self._actions.above_rest(result.actions, result.shape) * self._actions.gains
+        return np.concatenate([own, above])
+
+    def shown(self, result: TrackResult) -> FloatArray:
+        """(15,) activations that an avatar would show (equation 4.5)."""
+        if self.options.only_landmarks:
+            return np.zeros(len(ACTIONS))
+        return self._actions.activations(result.actions, result.shape)
+
+    def gaze(self, result: TrackResult) -> FloatArray:
+        """(2, 3, 3) rotations of the right and left eyeball within the head; frames have to come in their order."""
+        posing = self.options.posing
+        turned = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
+        eyes = self._eyes.rotations(result.gaze, result.vergence, turned)
+        return np.stack([limit_rotation(eye, posing.eyes_strength, posing.eyes_limit) for eye in eyes])
