@@ -109,6 +109,18 @@ def _sclera_photo(photo: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
     return out
 
 
+def shut_weights(head: IctHead, landmarks: np.ndarray, units: np.ndarray) -> dict[str, float]:
+    """Coefficient of `eyeBlink` at which each eye is shut, for landmarks (66, 3) and their expressions (E, 66, 3)."""
+    blink = {}
+    for side, pairs in _LIDS.items():
+        delta = units[head.index(f"eyeBlink_{side}")]
+        upper, lower = ([p[i] for p in pairs] for i in (0, 1))
+        opening = (landmarks[lower] - landmarks[upper])[:, 1].mean()
+        closing = (delta[upper] - delta[lower])[:, 1].mean()
+        blink[side] = float(np.clip(opening / closing, 0.4, 1.8))
+    return blink
+
+
 def skin_head(
     head: IctHead, model: PointDistributionModel, photo: np.ndarray, landmarks: np.ndarray, acting: bool
 ) -> SkinnedHead:
@@ -124,13 +136,7 @@ def skin_head(
     vertices = vertices + _bend(vertices, vertices[head.landmarks], shift @ rotation, anchors[anchors[:, 2] > 1.0])
     uv = pose[0] * vertices @ rotation[:2].T + pose[4:6]
     neutral = vertices - own
-    blink = {}
-    for side, pairs in _LIDS.items():
-        delta = head.expression[head.index(f"eyeBlink_{side}")]
-        upper, lower = (head.landmarks[[p[i] for p in pairs]] for i in (0, 1))
-        opening = (neutral[lower] - neutral[upper])[:, 1].mean()
-        closing = (delta[upper] - delta[lower])[:, 1].mean()
-        blink[side] = float(np.clip(opening / closing, 0.4, 1.8))
+    blink = shut_weights(head, neutral[head.landmarks], head.expression[:, head.landmarks])
     return SkinnedHead(
         neutral.astype(np.float32),
         uv.astype(np.float32),

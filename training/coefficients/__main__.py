@@ -1,0 +1,69 @@
+"""`python -m training.coefficients` learns what the tracker shows of each of ARKit's coefficients.
+
+It renders people who act random scripts, tracks them, adds simulated faces, and writes
+assets/expressions/coefficients.npz. It uses the tracker, the neutral faces and the built-in head, which come first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy loads: sums in another order give other bytes
+
+import cv2
+import numpy as np
+
+from facemime.core.bake.coefficient_model import COEFFICIENT_FILE
+from facemime.core.bake.observation import Observer
+from facemime.core.drive.settings import DriveSettings
+from facemime.core.takes.neutral import calibrate
+from facemime.core.tracking.tracker import FaceTracker
+
+from ..tracker.heads import IctHead, load_ict
+from ..tracker.sources import HAND_LABELLED, read_photos, split
+from .learn import learn, model_bytes
+from .performances import performer, tracked
+from .simulate import Observed, built_in_face, ict_face, simulate
+
+ROOT = Path(__file__).resolve().parents[2]
+_SECONDS, _FPS = 24.0, 8.0
+_FIRST = 1000
+"""Number of the first performer; those of the benchmark start at 0, so that their scripts differ."""
+_FACES, _EACH = 60, 120
+"""Simulated faces of each family, and observations of each."""
+
+
+def main() -> int:
+    """Learn and write."""
+    parser = argparse.ArgumentParser(prog="python -m training.coefficients", description=__doc__)
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    parser.add_argument("--people", type=int, default=40)
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    tracker, head, rng = FaceTracker.load(), load_ict(arguments.data), np.random.default_rng(5)
+    faces = [built_in_face(rng) for _ in range(_FACES)] + [ict_face(head, rng) for _ in range(_FACES)]
+    simulated = simulate(faces, tracker.pdm, _EACH, rng)
+    content = model_bytes(learn(_rendered(arguments, tracker, head), simulated, rng))
+    COEFFICIENT_FILE.write_bytes(content)
+    print(f"{COEFFICIENT_FILE.relative_to(ROOT)}: {len(content) / 1024:.0f} KB")
+    return 0
+
+
+def _rendered(arguments: argparse.Namespace, tracker: FaceTracker, head: IctHead) -> list[Observed]:
+    photos = split(read_photos(arguments.data, *HAND_LABELLED))[0]
+    takes = []
+    for number, i in enumerate(np.linspace(0, len(photos) - 1, arguments.people).round().astype(int)):
+        person = performer(head, tracker.pdm, photos[i], _FIRST + number)
+        take, keys = tracked(tracker, person, _SECONDS, _FPS)
+        observer = Observer(calibrate(take), DriveSettings())
+        found = np.flatnonzero(take.found)
+        takes.append(Observed(np.array([observer.face(take.result(int(row))) for row in found]), keys[found]))
+        print(f"{number + 1}/{arguments.people}", end="\r", flush=True)
+    return takes
+
+
+if __name__ == "__main__":
+    sys.exit(main())
