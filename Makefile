@@ -6,7 +6,7 @@ BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
 
-.PHONY: setup check test test-all test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-expressions bench-actions model expressions head sample try lock clean blenders windows docs
+.PHONY: setup check test test-all test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-expressions bench-actions bench-coefficients model expressions coefficients head sample try lock clean blenders windows docs
 
 setup: $(STAMP)
 
@@ -108,6 +108,11 @@ bench-actions: setup
 	mkdir -p build/bench
 	$(BIN)/python -m bench.actions --json build/bench/actions.json --sheet build/bench/actions.png
 
+# The sample clip and rendered performances of held-out people; needs ../shared/data. Ten minutes.
+bench-coefficients: setup
+	mkdir -p build/bench
+	$(BIN)/python -m bench.coefficients --json build/bench/coefficients.json
+
 # With the peers from PyPI, which live in an environment of their own; needs ../shared/data.
 bench-tracking: build/peers/.ready
 	mkdir -p build/bench
@@ -138,6 +143,10 @@ model: setup
 
 expressions: setup
 	$(BIN)/python -m training.expressions
+
+# After the model, the expressions and the head; twenty minutes.
+coefficients: setup
+	$(BIN)/python -m training.coefficients
 
 head: setup
 	$(BIN)/python -m training.head

@@ -8,9 +8,14 @@ import cv2
 import numpy as np
 import pytest
 
+from facemime.core.bake.arkit import arkit_coefficients
+from facemime.core.bake.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from facemime.core.landmarks import INNER
+from facemime.core.takes.neutral import calibrate
+from facemime.core.takes.take import TakeRecorder, describe
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.tracker import FaceTracker
+from facemime.training.sample.performance import FPS, times, units_at
 
 SAMPLE = Path(__file__).parents[2] / "assets" / "sample"
 CLIP, TRUTH = SAMPLE / "sample.mp4", SAMPLE / "sample_landmarks.npz"
@@ -75,3 +80,17 @@ def test_the_head_turns_with_the_performers_about_each_axis_and_the_same_way(res
     assert (np.degrees(np.median(np.abs(away), axis=0)) < 1.0).all()
     for axis, least in ((0, 0.8), (1, 0.99), (2, 0.93)):
         assert np.corrcoef(found[:, axis], turned[:, axis])[0, 1] > least
+
+
+def test_the_coefficients_are_those_of_the_script(results: list[TrackResult]) -> None:
+    recorder, acted = TakeRecorder(describe("sample", FPS, (1, 1), "")), np.zeros((len(results), len(COEFFICIENTS)))
+    for frame, (time, result) in enumerate(zip(times(), results, strict=True)):
+        recorder.append(time, result)
+        for name, amount in units_at(time).items():
+            acted[frame, COEFFICIENT_INDEX[name]] = min(amount, 1.0)
+    take = recorder.finish()
+    found = arkit_coefficients(take, calibrate(take))
+    shown = [k for k in FITTED if acted[:, k].max() > 0.3]
+    assert np.mean([np.corrcoef(found[:, k], acted[:, k])[0, 1] for k in shown]) > 0.8
+    assert np.mean([np.abs(found - acted)[acted[:, k] > 0.05, k].mean() for k in shown]) < 0.22
+    assert ((acted < 0.05) & (found > 0.3)).sum(axis=1).mean() < 0.2
