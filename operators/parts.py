@@ -9,7 +9,8 @@ from bpy.props import EnumProperty, StringProperty
 from ..blender.characters import read_bones, read_kinds, set_part, write_bones
 from ..blender.heads.binding import propose_head_regions
 from ..blender.heads.expression_keys import make_expression_keys
-from ..blender.heads.parts import armature_of, forget_parts, sort_again
+from ..blender.heads.family import armature_of
+from ..blender.heads.parts import forget_parts, sort_again
 from ..blender.meshes import is_head
 from ..blender.names import HEAD_PROPERTY
 from ..core.errors import HeadError

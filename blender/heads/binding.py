@@ -36,7 +36,8 @@ from ..names import (
     REGION_GROUPS,
     SELECTION_PROPERTY,
 )
-from .parts import face_candidates, is_sorted, named_others, skin_of_object, sort_character
+from .family import face_candidates
+from .parts import is_sorted, named_others, skin_of_object, sort_character
 
 _MAX_CANDIDATES = 3
 """Meshes of a character in which a face is sought."""

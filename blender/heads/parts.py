@@ -1,4 +1,4 @@
-"""Search for the parts of a character: which meshes belong to a face, what each of their vertices is, and its bones."""
+"""Search for the parts of a character: what each vertex of its meshes is, and its bones."""
 
 from __future__ import annotations
 
@@ -7,23 +7,22 @@ from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
-from mathutils import Vector
 from numpy.typing import NDArray
 
 from ...core.arrays import FloatArray, IntArray
-from ...core.bake.key_map import best_preset
 from ...core.heads.bones import FaceBones, find_bones
 from ...core.heads.parts import Part, Skin, skin_of
 from ...core.heads.proposal import propose_regions
 from ...core.heads.rig import neck_of
-from ...core.heads.sorting import Piece, lower_row, named_part, names_body, names_skin, sort_pieces
+from ...core.heads.sorting import Piece, lower_row, named_part, names_body, sort_pieces
 from ...core.landmarks import JAW, NOSE, outer_eye_distance
 from ...core.mesh.nearest import NearestPoints
 from ...core.mesh.pieces import border_twins, islands
 from ..characters import objects_of, rest_matrix, write_bones, write_kinds
 from ..frames import from_blender, to_blender
-from ..meshes import is_head, read_faces, read_landmarks, read_vertices
-from ..names import HEAD_PROPERTY, PART_PROPERTY, PIVOT_PROPERTY
+from ..meshes import read_faces, read_landmarks, read_vertices
+from ..names import HEAD_PROPERTY, PIVOT_PROPERTY
+from .family import armature_of, family_of, material_names
 
 _FACE_LANDMARKS = np.concatenate([JAW, NOSE])
 """Landmarks that lie on the skin of any face."""
@@ -46,44 +45,10 @@ class _Pieces:
     pieces: list[Piece]
 
 
-def family_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    """Return the meshes of a character, with `obj` first: those of its armature, its root or its collection.
-
-    Of a collection only meshes count that are named after a part of a face, as it may hold the whole scene.
-    """
-    armature = armature_of(obj)
-    root = _root_of(obj)
-    found = []
-    for other in bpy.context.scene.objects:
-        if other == obj or other.type != "MESH" or other.get(PART_PROPERTY) is not None or is_head(other):
-            continue
-        same = armature is not None and armature_of(other) == armature
-        if same or (root != obj and _root_of(other) == root) or _root_of(other) == obj or _is_beside(other, obj):
-            found.append(other)
-    return [obj, *sorted(found, key=lambda other: other.name)]
-
-
-def face_candidates(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    """Return the meshes of the character of `obj` that may have the skin of its face, the most likely first."""
-    family = family_of(obj)
-    scores = {other: _face_score(other) + 0.5 * (other == obj) for other in family}
-    return sorted((other for other in family if scores[other] > 0.0), key=lambda other: -scores[other]) or [obj]
-
-
-def armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
-    """Return the armature that deforms or carries `obj`, if there is one."""
-    if (armature := obj.find_armature()) is not None:
-        return armature
-    parent = obj.parent
-    while parent is not None and parent.type != "ARMATURE":
-        parent = parent.parent
-    return parent
-
-
 def named_others(obj: bpy.types.Object) -> NDArray[np.bool_]:
     """Return (V,) whether the name of a vertex's material says that it is no skin, before landmarks are known."""
     faces = read_faces(obj.data)
-    materials = _materials(obj)
+    materials = material_names(obj)
     others = np.array([named_part([name]) is not None for name in materials] or [False])
     kinds = np.zeros(len(obj.data.vertices), dtype=bool)
     chosen = others[np.minimum(_material_numbers(obj.data), len(others) - 1)]
@@ -278,42 +243,6 @@ def _bones(head: bpy.types.Object, armature: bpy.types.Object | None, landmarks:
     return find_bones(free, weights)
 
 
-def _face_score(obj: bpy.types.Object) -> float:
-    """Return how likely a mesh has the skin of the face, by names and shape keys; 0 or less is unlikely."""
-    names = [obj.name, *_materials(obj)]
-    keys = obj.data.shape_keys
-    known = keys is not None and best_preset([key.name for key in keys.key_blocks]) is not None
-    score = 1.0 + 2.0 * any(map(names_skin, names)) + 1.0 * known
-    if all(named_part([name]) is not None for name in names) or named_part([obj.name]) is not None:
-        score -= 4.0
-    return score - 2.0 * names_body(obj.name)
-
-
-def _is_beside(other: bpy.types.Object, obj: bpy.types.Object) -> bool:
-    """Return whether a loose object is named after a part of a face, and lies in the same collection near `obj`."""
-    if other.parent is not None or named_part([other.name]) is None:
-        return False
-    if not set(other.users_collection) & set(obj.users_collection):
-        return False
-    (low, high), (other_low, other_high) = _box(obj), _box(other)
-    return bool((other_low < high).all() and (other_high > low).all())
-
-
-def _box(obj: bpy.types.Object) -> tuple[FloatArray, FloatArray]:
-    corners = np.array([rest_matrix(obj) @ Vector(corner) for corner in obj.bound_box])
-    return corners.min(axis=0), corners.max(axis=0)
-
-
-def _root_of(obj: bpy.types.Object) -> bpy.types.Object:
-    while obj.parent is not None:
-        obj = obj.parent
-    return obj
-
-
-def _materials(obj: bpy.types.Object) -> list[str]:
-    return ["" if slot.material is None else slot.material.name for slot in obj.material_slots]
-
-
 def _material_numbers(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
     """Return (F,) the number of each face's material."""
     numbers = np.zeros(len(mesh.polygons), dtype=np.int32)
@@ -323,7 +252,7 @@ def _material_numbers(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
 
 def _material_of_pieces(obj: bpy.types.Object, faces: IntArray, number: IntArray) -> list[str]:
     """Return the name of the material of most faces of each piece; "" if it has none."""
-    names = _materials(obj) or [""]
+    names = material_names(obj) or [""]
     materials = np.minimum(_material_numbers(obj.data), len(names) - 1)
     counts = np.zeros((int(number.max(initial=0)) + 1, len(names)), dtype=np.intp)
     np.add.at(counts, (number[faces[:, 0]], materials), 1)
