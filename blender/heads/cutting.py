@@ -12,8 +12,9 @@ import numpy as np
 from mathutils import Vector
 
 from ...core.arrays import FloatArray, IntArray
+from ...core.heads.parts import Skin
 from ...core.landmarks import N_LANDMARKS
-from ..meshes import read_faces, read_vertices
+from ..meshes import read_faces, read_landmarks, read_vertices, write_landmarks
 
 _TAG = "facemime_line"
 
@@ -43,6 +44,30 @@ def surface_of(work: bmesh.types.BMesh) -> tuple[FloatArray, IntArray]:
         return read_vertices(mesh), read_faces(mesh)
     finally:
         bpy.data.meshes.remove(mesh)
+
+
+def close_seams(obj: bpy.types.Object, skin: Skin) -> None:
+    """Weld vertices of the skin that were doubled at seams of its texture, which lie on the corners of faces anyway.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        A mesh with landmarks.
+    skin : Skin
+        Its skin, with seams closed.
+    """
+    leader = np.where(skin.number >= 0, skin.kept[skin.number], np.arange(len(skin.number)))
+    doubled = np.flatnonzero(leader != np.arange(len(leader)))
+    if not len(doubled):
+        return
+    landmarks = read_landmarks(obj)
+    with edited(obj.data) as work:
+        vertices = list(work.verts)
+        bound = [vertices[vertex] for vertex in leader[landmarks].tolist()]
+        bmesh.ops.weld_verts(work, targetmap={vertices[v]: vertices[leader[v]] for v in doubled.tolist()})
+        work.verts.index_update()
+        landmarks = indices(bound)
+    write_landmarks(obj.data, landmarks)
 
 
 def split_along(

@@ -15,10 +15,11 @@ from ...core.heads.eye_outline import EYES, EyeOutline, eye_outline
 from ...core.heads.lids import EyeCut, coarse_edges, cut_eye, eyes_joined
 from ...core.mesh.surface import SurfaceGraph
 from ..frames import from_blender, to_blender
-from ..meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks
+from ..meshes import mesh_of, read_landmarks, read_vertices, write_landmarks
 from ..names import EYES_GROUP
 from .binding import propose_head_regions
-from .cutting import copy_moved, edited, indices, move, separate, split_along, surface_of
+from .cutting import close_seams, copy_moved, edited, indices, move, separate, split_along, surface_of
+from .parts import current_skin
 
 _MAX_SUBDIVISIONS = 5
 _SKIRT = 0.15
@@ -44,11 +45,13 @@ def open_eyes(obj: bpy.types.Object | None) -> int:
     """
     mesh = mesh_of(obj)
     landmarks = read_landmarks(obj)
-    vertices = read_vertices(mesh)
-    joined = eyes_joined(vertices, read_faces(mesh), landmarks)
+    skin = current_skin(obj)
+    joined = eyes_joined(read_vertices(mesh)[skin.kept], skin.faces, skin.number[landmarks])
     eyes = [eye for eye, one_skin in zip(EYES, joined, strict=True) if one_skin]
     if not eyes:
         raise HeadError("The eyes are already open. Nothing has to be cut.")
+    close_seams(obj, skin)
+    vertices, landmarks = read_vertices(mesh), read_landmarks(obj)
     outlines = [eye_outline(vertices, landmarks, eye) for eye in eyes]
     patches = []
     with edited(mesh) as work:

@@ -16,8 +16,9 @@ from ...core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug, o
 from ...core.mesh.surface import SurfaceGraph, lips_joined
 from ..meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks
 from .binding import propose_head_regions
-from .cutting import copy_moved, edited, indices, separate, split_along
+from .cutting import close_seams, copy_moved, edited, indices, separate, split_along
 from .materials import plain_material
+from .parts import current_skin
 
 _LOWER_LIP = set(from_ibug((*range(55, 60), *range(65, 68))).tolist())
 _INNER = np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
@@ -43,10 +44,12 @@ def open_lips(obj: bpy.types.Object | None) -> int:
         If the mesh has no landmarks, its lips are already open, or no line of edges leads between them.
     """
     mesh = mesh_of(obj)
+    landmarks, skin = read_landmarks(obj), current_skin(obj)
+    if not lips_joined(SurfaceGraph(read_vertices(mesh)[skin.kept], skin.faces), skin.number[landmarks]):
+        raise HeadError("The lips are already open. Nothing has to be cut.")
+    close_seams(obj, skin)
     vertices, landmarks = read_vertices(mesh), read_landmarks(obj)
     graph = SurfaceGraph(vertices, read_faces(mesh))
-    if not lips_joined(graph, landmarks):
-        raise HeadError("The lips are already open. Nothing has to be cut.")
     line = lip_line(graph, landmarks)
     unit = outer_eye_distance(vertices[landmarks])
     upper, lower, moved = _cut(mesh, line, landmarks, _DEPTH * unit)

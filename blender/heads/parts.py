@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import FloatArray, IntArray
+from ...core.errors import HeadError
 from ...core.heads.bones import FaceBones, find_bones
 from ...core.heads.parts import Part, Skin, skin_of
 from ...core.heads.proposal import propose_regions
@@ -18,7 +19,7 @@ from ...core.heads.sorting import Piece, lower_row, named_part, names_body, sort
 from ...core.landmarks import JAW, NOSE, outer_eye_distance
 from ...core.mesh.nearest import NearestPoints
 from ...core.mesh.pieces import border_twins, islands
-from ..characters import objects_of, rest_matrix, write_bones, write_kinds
+from ..characters import objects_of, read_kinds, rest_matrix, write_bones, write_kinds
 from ..frames import from_blender, to_blender
 from ..meshes import read_faces, read_landmarks, read_vertices
 from ..names import HEAD_PROPERTY, PIVOT_PROPERTY
@@ -59,6 +60,15 @@ def named_others(obj: bpy.types.Object) -> NDArray[np.bool_]:
 def skin_of_object(obj: bpy.types.Object, others: NDArray[np.bool_], landmarks: IntArray | None = None) -> Skin:
     """Return the skin of `obj` without the vertices `others` (V,); see `core.heads.parts.skin_of`."""
     return skin_of(read_vertices(obj.data), read_faces(obj.data), others, landmarks)
+
+
+def current_skin(obj: bpy.types.Object) -> Skin:
+    """Return the skin of `obj` by its landmarks and stored parts; HeadError if a landmark lies on another part."""
+    landmarks = read_landmarks(obj)
+    skin = skin_of_object(obj, read_kinds(obj.data) != Part.SKIN, landmarks)
+    if (skin.number[landmarks] < 0).any():
+        raise HeadError("Landmarks lie on other parts than the skin. Set these parts to Skin, or bind again.")
+    return skin
 
 
 def sort_character(head: bpy.types.Object, landmarks: IntArray, weights: NDArray[np.floating], skin: Skin) -> None:

@@ -1,5 +1,6 @@
 """Opening the joined lips of a scan."""
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
@@ -28,6 +29,24 @@ def test_joined_lips_of_a_scan_are_reported_until_they_are_opened(scan):
     assert "open_lips" not in [line.step for line in bpy.context.window_manager.facemime.findings]
     with pytest.raises(RuntimeError, match="already open"):
         bpy.ops.facemime.open_lips()
+
+
+def test_seams_of_the_texture_are_closed_before_the_lips_are_opened(scan):
+    across = scan.data.vertices[read_landmarks(scan)[33]].co.x
+    work = bmesh.new()
+    work.from_mesh(scan.data)
+    seam = [edge for edge in work.edges if all(abs(v.co.x - across) < 1e-6 for v in edge.verts)]
+    assert len(seam) > 20
+    before = len(work.verts)
+    bmesh.ops.split_edges(work, edges=seam)
+    work.to_mesh(scan.data)
+    work.free()
+    assert len(scan.data.vertices) > before + 20
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    words = "The lips are joined, so the mouth cannot open."
+    assert words in [finding.problem for finding in check_object(scan)]
+    assert bpy.ops.facemime.open_lips() == {"FINISHED"}
+    assert words not in [finding.problem for finding in check_object(scan)]
 
 
 def test_inner_lips_are_bound_to_two_coincident_rims_in_different_regions(scan):
