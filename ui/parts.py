@@ -44,8 +44,9 @@ def _draw_parts(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
     column = layout.column(align=True)
     others, last = set(objects_of(head)), None
     for obj, part, _ in part_table(head):
-        row = column.row(align=True)
-        row.label(text=obj.name if obj != last else "", translate=False, icon="MESH_DATA" if obj != last else "BLANK1")
+        line = column.split(factor=0.45, align=True)
+        line.label(text=obj.name if obj != last else "", translate=False, icon="MESH_DATA" if obj != last else "BLANK1")
+        row = line.row(align=True)
         menu = row.operator_menu_enum("facemime.set_part", "part", text=PART_NAMES[part])
         menu.name, menu.before = obj.name, part.name
         if obj in others and obj != last:
