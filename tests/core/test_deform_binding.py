@@ -252,6 +252,7 @@ def test_a_warp_between_coplanar_points_is_refused():
         Warp(flat, flat, smoothing=0.0)
 
 
+@pytest.mark.thorough
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.data())
 def test_a_mesh_without_a_face_is_refused_or_bound_to_its_own_vertices(data):
