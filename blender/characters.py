@@ -20,8 +20,8 @@ from ..core.heads.bones import FaceBones
 from ..core.heads.eyeballs import part_eyeball
 from ..core.heads.parts import FaceParts, Part
 from .frames import HEAD_TO_BLENDER, from_blender, to_blender
-from .meshes import read_faces, read_vertices
-from .names import ARMATURE_PROPERTY, BONES_PROPERTY, HEAD_PROPERTY, PART_ATTRIBUTE
+from .meshes import is_head, read_faces, read_vertices
+from .names import ARMATURE_PROPERTY, BONES_PROPERTY, HEAD_PROPERTY, PART_ATTRIBUTE, PART_PROPERTY
 
 _MOVED = (Part.ON_SKIN, Part.EYE_RIGHT, Part.EYE_LEFT, Part.TEETH_LOWER)
 """Parts whose vertices move within the head."""
@@ -111,6 +111,14 @@ def set_part(obj: bpy.types.Object, part: Part, of: NDArray[np.bool_]) -> None:
     kinds = read_kinds(obj.data)
     kinds[of] = part
     write_kinds(obj.data, kinds)
+
+
+def head_of(obj: bpy.types.Object) -> bpy.types.Object:
+    """Return the head to which `obj` belongs as a part; `obj` itself if it is none."""
+    owner = obj.get(HEAD_PROPERTY)
+    if obj.get(PART_PROPERTY) is not None and obj.parent is not None:
+        owner = obj.parent
+    return owner if isinstance(owner, bpy.types.Object) and is_head(owner) else obj
 
 
 def read_parts(head: bpy.types.Object) -> FaceParts | None:

@@ -14,7 +14,7 @@ const JOB_TYPE = {
         { key: "face", type: "string", default: "",
           description: "face to track if several are in view: the leftmost, the rightmost, or the nearest to a pixel of the first frame (the largest)" },
         { key: "head", type: "string", default: "",
-          description: "your own head (the built-in head)" },
+          description: "your own head, as for bind (the built-in head)" },
         { key: "points", type: "string", default: "",
           description: "control points, from select" },
         { key: "pose", type: "string", choices: ["none", "rotation", "full"], default: "rotation",

@@ -16,7 +16,7 @@ from ...core.heads.eye_outline import EYES
 from ...core.heads.parts import Part, Skin
 from ...core.heads.proposal import propose_regions
 from ...core.landmarks import from_ibug
-from ..characters import part_mesh, read_kinds
+from ..characters import head_of, part_mesh, read_kinds
 from ..frames import HEAD_TO_BLENDER
 from ..meshes import (
     eye_vertices,
@@ -51,7 +51,8 @@ def bind_character(obj: bpy.types.Object | None) -> tuple[bpy.types.Object, Bind
     Parameters
     ----------
     obj : bpy.types.Object or None
-        Any mesh of the character. One with marked points or landmarks is bound itself.
+        Any mesh of the character. One with marked points or landmarks, or the head of which it is a known part, is
+        bound itself.
 
     Returns
     -------
@@ -64,7 +65,9 @@ def bind_character(obj: bpy.types.Object | None) -> tuple[bpy.types.Object, Bind
     HeadError
         As `bind_head`, of the most likely mesh.
     """
-    mesh = mesh_of(obj)
+    mesh_of(obj)
+    obj = head_of(obj)
+    mesh = obj.data
     if read_marks(mesh) or LANDMARKS_PROPERTY in mesh:
         return obj, bind_head(obj)
     failure: HeadError | None = None

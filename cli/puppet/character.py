@@ -2,33 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 from ...blender.characters import part_table, read_bones
 from ...blender.heads.binding import bind_character, check_object
 from ...blender.heads.expression_keys import make_expression_keys
 from ...blender.heads.landmark_pictures import draw_landmarks
 from ...core.binding.bind import Binding
-from ...core.capture import check_readable
-from ...core.errors import HeadError, SourceError
 from ...core.heads.parts import PART_NAMES
 from ...core.images import write_image
 from ...core.puppet.job import HeadFile
 from ..terminal.console import tell
-from ..terminal.stopping import STOPPING
-from .headless import AVATAR_SIDE, object_named, open_blend, save_blend
-
-_IMPORTERS: Mapping[str, Callable[..., object]] = {
-    ".glb": lambda path: bpy.ops.import_scene.gltf(filepath=path),
-    ".gltf": lambda path: bpy.ops.import_scene.gltf(filepath=path),
-    ".fbx": lambda path: bpy.ops.import_scene.fbx(filepath=path),
-    ".obj": lambda path: bpy.ops.wm.obj_import(filepath=path),
-}
+from .files import likely_mesh, object_named, open_file
+from .headless import AVATAR_SIDE, save_blend
 
 
 @dataclass(frozen=True)
@@ -69,8 +58,8 @@ def bind(character: HeadFile, *, make_keys: bool) -> BoundCharacter:
     FacemimeError
         If the file cannot be read, has no such object, or no face is found.
     """
-    _open(character.path)
-    chosen = object_named(character.path, character.name) if character.name else _likely(character.path)
+    open_file(character.path)
+    chosen = object_named(character.path, character.name) if character.name else likely_mesh(character.path)
     head, binding = bind_character(chosen)
     if make_keys:
         added, kept = make_expression_keys(head)
@@ -90,30 +79,3 @@ def save(bound: BoundCharacter, output: Path) -> None:
 def write_picture(bound: BoundCharacter, path: Path) -> None:
     """Write a picture of the face with its landmarks."""
     write_image(path, draw_landmarks(bpy.context.scene, bound.head, 2 * AVATAR_SIDE))
-
-
-def _open(path: Path) -> None:
-    suffix = path.suffix.lower()
-    if suffix == ".blend":
-        open_blend(path)
-        return
-    if suffix not in _IMPORTERS:
-        raise SourceError(f"{path} is not a file of a character. Use .blend, {', '.join(_IMPORTERS)}.")
-    if not check_readable(path):
-        raise SourceError(f"There is no file {path}. Check its name.")
-    with STOPPING.holding():
-        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    try:
-        with STOPPING.holding():
-            _IMPORTERS[suffix](str(path.resolve()))
-    except (RuntimeError, AttributeError) as error:
-        raise SourceError(f"{path} cannot be imported by this version of Blender ({str(error).strip()}).") from error
-
-
-def _likely(path: Path) -> bpy.types.Object:
-    """The largest mesh that something carries, or otherwise the largest: any mesh of a character leads to its face."""
-    meshes = [obj for obj in bpy.context.scene.objects if obj.type == "MESH" and len(obj.data.polygons)]
-    if not meshes:
-        raise HeadError(f"{path} has no mesh. Choose another file.")
-    carried = [obj for obj in meshes if obj.find_armature() is not None or obj.parent is not None]
-    return max(carried or meshes, key=lambda obj: float(np.prod(obj.dimensions)) + len(obj.data.vertices) * 1e-12)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -16,6 +15,8 @@ from numpy.typing import NDArray
 from ...blender.animation.bake import frames_of
 from ...blender.animation.bake_cache import caches_beside
 from ...blender.animation.puppet import PuppetReport, check_heads, puppet_head
+from ...blender.characters import head_of
+from ...blender.heads.binding import bind_character
 from ...blender.heads.built_in import add_head
 from ...blender.media.preview_scene import face_view, setup_preview
 from ...blender.media.rendering import quiet, render_frames, set_rate, write_video
@@ -23,7 +24,7 @@ from ...blender.meshes import write_selection
 from ...blender.names import LANDMARKS_PROPERTY
 from ...core.bake.key_map import load_map
 from ...core.bake.settings import BakeSettings
-from ...core.capture import Frame, VideoSource, at_constant_rate, check_readable, require_utf8_name
+from ...core.capture import Frame, VideoSource, at_constant_rate, check_readable
 from ...core.control_points.greedy import GreedySelection
 from ...core.control_points.select import from_json
 from ...core.drive.motion import select_distinct_frames
@@ -37,6 +38,7 @@ from ...core.takes.take import Take
 from ...core.tracking.overlay import contact_sheet, draw_face, draw_frame, draw_label
 from ..terminal.console import Progress, tell
 from ..terminal.stopping import STOPPING
+from .files import likely_mesh, object_named, open_file
 
 Image = NDArray[np.uint8]
 
@@ -132,43 +134,19 @@ def _built_in(bake: BakeSettings) -> tuple[bpy.types.Scene, bpy.types.Object]:
     return bpy.context.scene, head
 
 
-def open_blend(path: Path) -> None:
-    """Open a .blend file without running its scripts; raises SourceError if that is not possible."""
-    if not check_readable(path):
-        raise SourceError(f"There is no file {path}. Check --head, which is FILE.blend:OBJECT.")
-    place = os.path.realpath(path)
-    require_utf8_name(Path(place))
-    try:
-        # A file from elsewhere may contain scripts: none is run, whatever the preferences say.
-        with STOPPING.holding(), quiet():
-            bpy.ops.wm.open_mainfile(filepath=place, use_scripts=False)
-    except RuntimeError as error:
-        raise SourceError(
-            f"{path} cannot be opened by this version of Blender. Check that it is a .blend file."
-        ) from error
-
-
-def object_named(path: Path, name: str) -> bpy.types.Object:
-    """Return the object `name` of the open file, which was read from `path`; raises HeadError if there is none."""
-    # `get` raises on names that are not UTF-8.
-    found = next((obj for obj in bpy.data.objects if obj.name == name), None)
-    if found is None:
-        names = ", ".join(obj.name for obj in bpy.data.objects if obj.type == "MESH") or "no mesh"
-        raise HeadError(f"{path} has no object {name}. Choose one of: {names}.")
-    return found
-
-
 def _opened(file: HeadFile) -> tuple[bpy.types.Scene, bpy.types.Object]:
+    """The head in a file. A character that is not bound yet is bound."""
     path, name = file.path, file.name
-    open_blend(path)
-    if name:
-        return bpy.context.scene, object_named(path, name)
+    open_file(path)
     bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and LANDMARKS_PROPERTY in obj.data]
-    if not bound:
-        raise HeadError(f"{path} has no mesh with landmarks. Bind it first: facemime bind {path} -o HEAD.blend")
-    if len(bound) != 1:
+    if not name and len(bound) > 1:
         raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Choose one: --head {path}:OBJECT.")
-    return bpy.context.scene, bound[0]
+    chosen = head_of(object_named(path, name)) if name else bound[0] if bound else likely_mesh(path)
+    if chosen in bound:
+        return bpy.context.scene, chosen
+    head, _ = bind_character(chosen)
+    tell(f"Bound {head.name}; facemime bind shows how")
+    return bpy.context.scene, head
 
 
 def look_through_camera() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import re
 import sys
 from collections.abc import Callable, Collection
 from pathlib import Path
@@ -24,6 +25,8 @@ _FOLLOWED = ("rotation", "translation")
 _POSES = {"none": (False, False), "rotation": (True, False), "full": (True, True)}
 """Values of these settings by --pose."""
 _MAX_COUNT = 1_000_000_000
+_HEAD_FILE = re.compile(r"(.+\.(?:blend|glb|gltf|fbx|obj)):(.+)", re.IGNORECASE | re.DOTALL)
+"""A file and the name of an object in it."""
 _MAX_PIXEL = 1_000_000
 
 
@@ -115,7 +118,7 @@ def add_puppet_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `puppet_job` reads: the face, the head, how it moves, and what it is baked to."""
     add_face_option(parser)
     parser.add_argument(
-        "--head", type=head_file, metavar="FILE.blend[:OBJECT]", help="your own head (the built-in head)"
+        "--head", type=head_file, metavar="FILE[:OBJECT]", help="your own head, as for bind (the built-in head)"
     )
     parser.add_argument("--points", type=_path, metavar="POINTS.json", help="control points, from select")
     how = parser.add_argument_group("motion of the head")
@@ -239,7 +242,8 @@ def _path(text: str) -> Path | None:
 
 
 def head_file(text: str) -> HeadFile | None:
+    """Parse FILE[:OBJECT]; None if it is empty."""
     if not text:
         return None
-    file, found, name = text.rpartition(".blend:")
-    return HeadFile(Path(file + ".blend"), name) if found else HeadFile(Path(text))
+    named = _HEAD_FILE.fullmatch(text)
+    return HeadFile(Path(named[1]), named[2]) if named else HeadFile(Path(text))

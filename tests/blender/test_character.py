@@ -302,6 +302,8 @@ def test_a_character_in_a_file_of_another_program_is_bound_and_puppeted_by_comma
     assert "bone of the head: Head" in printed and picture.stat().st_size > 1000
     take = tmp_path / "a.facetake"
     save_take(performance(), take)
+    direct = run("puppet", take, "--head", tmp_path / "stranger.glb", "-o", tmp_path / "direct.blend")
+    assert direct.returncode == 0 and f"Bound {names['head']}" in direct.stderr
     assert run("puppet", take, "--head", bound, "-o", out).returncode == 0
     bpy.ops.wm.open_mainfile(filepath=str(out))
     bone = next(obj for obj in bpy.data.objects if obj.type == "ARMATURE").pose.bones["Head"]

@@ -1,0 +1,85 @@
+"""Files with characters inside Blender: .blend files are opened, those of other programs imported."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...blender.media.rendering import quiet
+from ...core.capture import check_readable, require_utf8_name
+from ...core.errors import HeadError, SourceError
+from ..terminal.stopping import STOPPING
+
+_IMPORTERS: Mapping[str, Callable[..., object]] = {
+    ".glb": lambda path: bpy.ops.import_scene.gltf(filepath=path),
+    ".gltf": lambda path: bpy.ops.import_scene.gltf(filepath=path),
+    ".fbx": lambda path: bpy.ops.import_scene.fbx(filepath=path),
+    ".obj": lambda path: bpy.ops.wm.obj_import(filepath=path),
+}
+
+
+def open_blend(path: Path) -> None:
+    """Open a .blend file without running its scripts; raises SourceError if that is not possible."""
+    if not check_readable(path):
+        raise SourceError(f"There is no file {path}. Check its name.")
+    place = os.path.realpath(path)
+    require_utf8_name(Path(place))
+    try:
+        # A file from elsewhere may contain scripts: none is run, whatever the preferences say.
+        with STOPPING.holding(), quiet():
+            bpy.ops.wm.open_mainfile(filepath=place, use_scripts=False)
+    except RuntimeError as error:
+        raise SourceError(
+            f"{path} cannot be opened by this version of Blender. Check that it is a .blend file."
+        ) from error
+
+
+def object_named(path: Path, name: str) -> bpy.types.Object:
+    """Return the object `name` of the open file, which was read from `path`; raises HeadError if there is none."""
+    # `get` raises on names that are not UTF-8.
+    found = next((obj for obj in bpy.data.objects if obj.name == name), None)
+    if found is None:
+        names = ", ".join(obj.name for obj in bpy.data.objects if obj.type == "MESH") or "no mesh"
+        raise HeadError(f"{path} has no object {name}. Choose one of: {names}.")
+    return found
+
+
+def open_file(path: Path) -> None:
+    """Open a .blend file, or import a file of another program into an empty one.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".blend":
+        open_blend(path)
+        return
+    if not check_readable(path):
+        raise SourceError(f"There is no file {path}. Check its name.")
+    require_utf8_name(Path(os.path.realpath(path)))
+    if suffix not in _IMPORTERS:
+        raise SourceError(f"{path} is not a file of a character. Use .blend, {', '.join(_IMPORTERS)}.")
+    with STOPPING.holding():
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    try:
+        with STOPPING.holding(), quiet():
+            _IMPORTERS[suffix](str(path.resolve()))
+    except (RuntimeError, AttributeError) as error:
+        raise SourceError(f"{path} cannot be imported by this version of Blender ({str(error).strip()}).") from error
+
+
+def likely_mesh(path: Path) -> bpy.types.Object:
+    """Return the largest mesh of the open file that something carries, or otherwise the largest: any mesh of a
+    character leads to its face. Raises HeadError if there is none.
+    """
+    meshes = [obj for obj in bpy.context.scene.objects if obj.type == "MESH" and len(obj.data.polygons)]
+    if not meshes:
+        raise HeadError(f"{path} has no mesh. Choose another file.")
+    carried = [obj for obj in meshes if obj.find_armature() is not None or obj.parent is not None]
+    return max(carried or meshes, key=lambda obj: float(np.prod(obj.dimensions)) + len(obj.data.vertices) * 1e-12)
