@@ -37,7 +37,7 @@ from ..names import (
     SELECTION_PROPERTY,
 )
 from .family import face_candidates
-from .parts import is_sorted, named_others, skin_of_object, sort_character
+from .parts import current_skin, forget_parts, is_sorted, named_others, skin_of_object, sort_character
 
 _MAX_CANDIDATES = 3
 """Meshes of a character in which a face is sought."""
@@ -111,7 +111,11 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
         sort_character(obj, landmarks, weights, skin)
     others |= read_kinds(mesh) != Part.SKIN
     if len((final := skin_of_object(obj, others, landmarks)).kept) != len(skin.kept):
-        binding, _ = _bound(read_vertices(mesh), final, marks, [np.eye(3)])
+        try:
+            binding, _ = _bound(read_vertices(mesh), final, marks, [np.eye(3)])
+        except HeadError:  # another mesh of the character may have the face
+            forget_parts(obj)
+            raise
         landmarks = final.kept[binding.landmarks]
     landmarks = _with_lids(obj, landmarks, binding.rotation, marks)
     write_landmarks(mesh, landmarks)
@@ -140,8 +144,7 @@ def _with_lids(
 
 def propose_head_regions(obj: bpy.types.Object) -> None:
     """Replace the weights of the regions of `obj` by a proposal from its landmarks."""
-    landmarks = read_landmarks(obj)
-    skin = skin_of_object(obj, read_kinds(obj.data) != Part.SKIN, landmarks)
+    landmarks, skin = read_landmarks(obj), current_skin(obj)
     weights = np.zeros((len(REGION_GROUPS), len(skin.number)))
     own = skin.number >= 0
     known = propose_regions(read_vertices(obj.data)[skin.kept], skin.faces, skin.number[landmarks])
@@ -150,12 +153,9 @@ def propose_head_regions(obj: bpy.types.Object) -> None:
 
 
 def check_object(obj: bpy.types.Object | None) -> list[Finding]:
-    """Check `obj` for problems; raises HeadError if it has no landmarks or regions."""
+    """Check `obj` for problems; raises HeadError if it has no regions, or no landmarks on its skin."""
     mesh = mesh_of(obj)
-    landmarks, weights = read_landmarks(obj), read_regions(obj)
-    skin = skin_of_object(obj, read_kinds(mesh) != Part.SKIN, landmarks)
-    if (skin.number[landmarks] < 0).any():
-        return [Finding("Landmarks lie on other parts than the skin.", "Set these parts to Skin, or bind again.")]
+    landmarks, weights, skin = read_landmarks(obj), read_regions(obj), current_skin(obj)
     return check_head(read_vertices(mesh)[skin.kept], skin.faces, skin.number[landmarks], weights[:, skin.kept])
 
 

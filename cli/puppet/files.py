@@ -71,7 +71,10 @@ def open_file(path: Path) -> None:
         with STOPPING.holding(), quiet():
             _IMPORTERS[suffix](str(path.resolve()))
     except (RuntimeError, AttributeError) as error:
-        raise SourceError(f"{path} cannot be imported by this version of Blender ({str(error).strip()}).") from error
+        reason = str(error).strip().removeprefix("Error: ")
+        raise SourceError(
+            f"{path} cannot be imported by this version of Blender ({reason}). Export it again, or use a .blend file."
+        ) from error
 
 
 def likely_mesh(path: Path) -> bpy.types.Object:

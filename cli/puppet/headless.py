@@ -145,7 +145,7 @@ def _opened(file: HeadFile) -> tuple[bpy.types.Scene, bpy.types.Object]:
     if chosen in bound:
         return bpy.context.scene, chosen
     head, _ = bind_character(chosen)
-    tell(f"Bound {head.name}; facemime bind shows how")
+    tell(f"Bound {head.name}. To see its parts and landmarks: facemime bind {path} -o HEAD.blend --picture FACE.png")
     return bpy.context.scene, head
 
 

@@ -17,8 +17,6 @@ from ..mesh.surface import SurfaceGraph
 _ON_SKIN = 0.03
 """Outer-eye distances from the skin below which a vertex rides on the skin right below it. Others, such as the end of
 a lash, follow the nearest such vertex of their piece."""
-
-
 _MIN_EYE = 8
 """Fewest vertices of an eye that turns."""
 

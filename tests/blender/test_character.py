@@ -340,3 +340,13 @@ def test_parts_joined_into_one_mesh_are_told_apart_by_their_places():
     bpy.context.scene.frame_set(round(float(frames_of(bpy.context.scene, report.motion.times[row]))))
     moved = np.abs(shown(head) - rest).max(axis=1)
     assert moved[kinds == Part.EYE_LEFT].min() > 1e-4
+
+
+@pytest.mark.parametrize("name", ["cut.glb", "text.fbx", "none.glb", "clip.mp4"])
+def test_a_file_that_is_no_character_gets_one_clear_error(name, tmp_path):
+    if name != "none.glb":
+        (tmp_path / name).write_bytes(b"glTF\x02\x00\x00\x00\xff\xff\x00\x00")
+    done = run("bind", tmp_path / name, "-o", tmp_path / "out.blend")
+    said = [line for line in done.stderr.splitlines() if line.startswith("facemime:")]
+    assert done.returncode == 1 and len(said) == 1 and name in said[0] and "Traceback" not in done.stderr
+    assert not (tmp_path / "out.blend").exists()
