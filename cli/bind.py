@@ -19,7 +19,7 @@ def add_commands(commands: Commands) -> None:
         "character",
         type=head_file,
         metavar="FILE[:OBJECT]",
-        help="a .blend, .glb, .gltf, .fbx or .obj file, and any mesh of the character (the most likely face)",
+        help="a .blend, .glb, .gltf, .fbx, .obj, .abc or .usd file, and any mesh of the character (the likeliest face)",
     )
     add_output(bind, "OUT.blend", "the file with the head, for puppet --head")
     bind.add_argument("--picture", type=Path, metavar="OUT.png", help="also write a picture of the face with landmarks")

@@ -9,6 +9,7 @@ from ..core.capture import check_readable
 from ..core.drive.anonymous import anonymise
 from ..core.errors import FacemimeError
 from ..core.images import write_image
+from ..core.puppet.job import HeadFile
 from ..core.takes.figure import draw_before_after
 from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.mending import Mending, mend
@@ -17,8 +18,9 @@ from ..core.takes.spreadsheet import from_csv, to_csv
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
 from .terminal.console import tell
-from .terminal.options import Commands, add_command, add_output, number
+from .terminal.options import Commands, add_command, add_output, head_file, number
 from .terminal.outputs import outputs_of
+from .terminal.stopping import STOPPING
 from .terminal.takes import load_with_warnings
 
 
@@ -65,9 +67,13 @@ def add_commands(commands: Commands) -> None:
     add_output(export, "OUT.csv", "a table with one row per frame; docs/takes.md lists the columns")
     export.set_defaults(run=run_export)
 
-    read = add_command(commands, "import", "write a table as a take")
+    read = add_command(commands, "import", "write a table or an animation as a take")
     read.add_argument(
-        "table", type=Path, metavar="TABLE.csv", help="a table as export writes it, or with fewer columns"
+        "source",
+        type=head_file,
+        metavar="TABLE.csv|ANIMATION[:OBJECT]",
+        help="a table as export writes it, or with fewer columns; or a .blend, .abc, .usd, .glb, .gltf or .fbx file in "
+        "which a face moves, and any mesh of the character (the most likely face)",
     )
     add_output(read, "OUT.facetake", "the take")
     read.set_defaults(run=run_import)
@@ -118,11 +124,25 @@ def run_export(arguments: argparse.Namespace) -> int:
 
 
 def run_import(arguments: argparse.Namespace) -> int:
-    """Run `facemime import`: write a table as a take."""
-    with outputs_of(((arguments.output, {SUFFIX}),), {"the table that is imported": arguments.table}):
-        check_readable(arguments.table)
-        save_take(from_csv(arguments.table), arguments.output)
+    """Run `facemime import`: write a table, or the motion of a face in an animation, as a take."""
+    source = arguments.source
+    is_table = source.path.suffix.lower() == ".csv"
+    described = "the table that is imported" if is_table else "the animation that is imported"
+    with outputs_of(((arguments.output, {SUFFIX}),), {described: source.path}):
+        check_readable(source.path)
+        save_take(from_csv(source.path) if is_table else _sampled(source), arguments.output)
     return 0
+
+
+def _sampled(animation: HeadFile) -> Take:
+    try:
+        with STOPPING.importing():
+            from .puppet.character import sample
+    except ImportError as error:
+        raise FacemimeError(
+            f"An animation needs Blender ({error}). Run: blender --command facemime import ..., or install bpy."
+        ) from error
+    return sample(animation)
 
 
 def parse_span(text: str, default: tuple[float, float] = (float("-inf"), float("inf"))) -> tuple[float, float]:

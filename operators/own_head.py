@@ -1,26 +1,34 @@
 """Operators that prepare a mesh as a head: mark points, bind landmarks, propose regions, check, cut."""
 
+from collections.abc import Iterator
+from contextlib import closing
+
 import bpy
+from bpy.app.translations import pgettext_rpt as _
 from bpy.props import EnumProperty, IntProperty
 
 from ..blender.characters import read_bones
 from ..blender.heads.binding import (
-    bind_character,
     check_object,
     clear_marks,
     move_landmark,
     propose_head_regions,
+    search_character,
     selected_vertex,
     write_mark,
 )
 from ..blender.heads.eyes import open_eyes
 from ..blender.heads.lips import open_lips
 from ..blender.messages import translated
-from ..core.binding.bind import MARKS
+from ..core.binding.bind import MARKS, Binding
 from ..core.errors import HeadError
 from ..core.landmarks import from_ibug
 from ..settings.panel_properties import keep_findings
 from .shared import OnHead, OnMesh, report, require_object_mode
+from .steps import Background, WorksInSteps
+
+_WAIT = 0.02
+"""Seconds between two redraws during a search."""
 
 
 def report_findings(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:
@@ -65,7 +73,7 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
         clear_marks(context.active_object.data)
 
 
-class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
+class FACEMIME_OT_bind_landmarks(WorksInSteps, OnMesh, bpy.types.Operator):
     """Find the 66 landmarks of the active mesh and propose its regions; a mesh without marks may face along any axis"""
 
     bl_idname = "facemime.bind_landmarks"
@@ -76,12 +84,30 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
         """Require an active mesh in Object Mode."""
         return require_object_mode(cls, context) and super().poll(context)
 
-    def work(self, context: bpy.types.Context) -> None:
-        head, binding = bind_character(context.active_object)
-        if head != context.active_object:
-            context.active_object.select_set(False)
+    def status(self) -> str:
+        return _("Facemime: searching for the face; Esc to cancel")
+
+    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+        """Search for the face in a thread, and bind what was found."""
+        active = context.active_object
+        with closing(search_character(active)) as search:
+            resume, outcome = search.send, None
+            try:
+                while True:
+                    searching = Background(resume(outcome))
+                    while not searching.wait(_WAIT):
+                        yield 0.0
+                    failed = searching.error is not None
+                    resume, outcome = (search.throw, searching.error) if failed else (search.send, searching.result)
+            except StopIteration as end:
+                head, binding = end.value
+        if head != active:
+            active.select_set(False)
             head.select_set(True)
             context.view_layer.objects.active = head
+        self._report(context, binding)
+
+    def _report(self, context: bpy.types.Context, binding: Binding) -> None:
         residual = f"{100 * binding.residual:.1f}"
         report(
             self,
@@ -98,7 +124,7 @@ class FACEMIME_OT_bind_landmarks(OnMesh, bpy.types.Operator):
             )
         for finding in binding.findings:
             self.report({"WARNING"}, " ".join(map(translated, (finding.problem, finding.remedy))))
-        if binding.body and not read_bones(head)[1].head:
+        if binding.body and not read_bones(context.active_object)[1].head:
             report(self, "The whole body would turn with the head. Set a bone as pose object in Puppet > Head and Eyes")
         report_findings(self, context)
 

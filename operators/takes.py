@@ -1,8 +1,13 @@
 """Operators on the list of takes: record, show, remove, find, import, export, pack."""
 
+from collections.abc import Iterator
+from contextlib import closing
+
 import bpy
+from bpy.app.translations import pgettext_rpt as _
 from bpy.props import StringProperty
 
+from ..blender.animation.sampling import Sampling
 from ..core.errors import SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import from_csv, to_csv
@@ -10,7 +15,8 @@ from ..sessions.session import Session
 from ..sessions.show import TakeShow
 from ..settings import takes_store
 from .puppet import require_puppet, running
-from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors, heads_in, report, require_heads
+from .shared import AsksForFile, AsksForFileToWrite, OnHead, ReportsErrors, heads_in, report, require_heads
+from .steps import WorksInSteps
 
 
 class OnTake(ReportsErrors):
@@ -165,7 +171,38 @@ class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
             report(self, f"Written to {takes_store.unpack(line)}")
 
 
+class FACEMIME_OT_take_from_animation(WorksInSteps, OnHead, bpy.types.Operator):
+    """Sample the active head in the frame range as a take, whether shape keys, bones or a cache move it"""
+
+    bl_idname = "facemime.take_from_animation"
+    bl_label = "Take from Animation"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require a head, and that nothing else moves it."""
+        if Session.running() is not None:
+            cls.poll_message_set("A puppet is already running. Stop it first")
+            return False
+        return super().poll(context)
+
+    def status(self) -> str:
+        return _("Facemime: sampling the animation; Esc to cancel")
+
+    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+        """Sample a frame at each step, and add the take to the list."""
+        head = context.active_object
+        sampling = Sampling(context.scene, head, head.name)
+        with closing(iter(sampling)) as frames:
+            for done in frames:
+                yield done / len(sampling.frames)
+        take = sampling.take()
+        line = takes_store.keep(context.scene, take, head.name)
+        count, name = len(take), line.name
+        report(self, f"{count} frames sampled as the take {name}")
+
+
 CLASSES = (
+    FACEMIME_OT_take_from_animation,
     FACEMIME_OT_record_take,
     FACEMIME_OT_show_take,
     FACEMIME_OT_remove_take,

@@ -66,8 +66,14 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
             labels(layout, context, "Start the puppet to record a take, or import one", "INFO")
         if not bpy.data.filepath and len(takes.items):
             labels(layout, context, "Takes are stored in your user folder until you save the .blend file", "INFO")
-        buttons = {"import_take": "IMPORT", "export_take": "EXPORT", "remove_take": "REMOVE", "find_takes": "VIEWZOOM"}
-        draw_list(layout, "FACEMIME_UL_takes", takes, ("items", "index"), 4, buttons)
+        buttons = {
+            "import_take": "IMPORT",
+            "take_from_animation": "ANIM",
+            "export_take": "EXPORT",
+            "remove_take": "REMOVE",
+            "find_takes": "VIEWZOOM",
+        }
+        draw_list(layout, "FACEMIME_UL_takes", takes, ("items", "index"), 5, buttons)
         if not 0 <= takes.index < len(takes.items):
             return
         take = takes.items[takes.index]

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator
+from functools import partial
+from typing import Any, TypeVar, cast
+
 import bpy
 import numpy as np
 from mathutils import Matrix
@@ -43,10 +47,41 @@ _MAX_CANDIDATES = 3
 """Meshes of a character in which a face is sought."""
 _UPRIGHT = np.cos(np.radians(20.0))
 """Cosine of the angle to -Y above which a mesh is rotated; a smaller one is the pose of the head."""
+_CACHES = {"MESH_CACHE", "MESH_SEQUENCE_CACHE"}
+Result = TypeVar("Result")
+
+
+Search = Generator[Callable[[], Binding], Binding, Result]
+"""A search for a face: yields the long parts of its work, which do not touch Blender, and is sent what they return."""
 
 
 def bind_character(obj: bpy.types.Object | None) -> tuple[bpy.types.Object, Binding]:
-    """Find the face of the character to which `obj` belongs, and bind its landmarks as `bind_head` does.
+    """Find the face of a character at once; parameter, result and errors are those of `search_character`."""
+    return _found(search_character(obj))
+
+
+def bind_head(obj: bpy.types.Object | None) -> Binding:
+    """Find the face of a mesh at once; parameter, result and errors are those of `search_head`."""
+    return _found(search_head(obj))
+
+
+def _found(search: Search[Result]) -> Result:
+    """Do all the work of a search."""
+    resume: Callable[[Any], Callable[[], Binding]]
+    resume, outcome = search.send, None
+    try:
+        while True:
+            work = resume(outcome)
+            try:
+                resume, outcome = search.send, work()
+            except HeadError as error:
+                resume, outcome = search.throw, error
+    except StopIteration as end:
+        return cast(Result, end.value)
+
+
+def search_character(obj: bpy.types.Object | None) -> Search[tuple[bpy.types.Object, Binding]]:
+    """Find the face of the character to which `obj` belongs, and bind its landmarks as `search_head` does.
 
     Parameters
     ----------
@@ -63,24 +98,24 @@ def bind_character(obj: bpy.types.Object | None) -> tuple[bpy.types.Object, Bind
     Raises
     ------
     HeadError
-        As `bind_head`, of the most likely mesh.
+        As `search_head`, of the most likely mesh.
     """
     mesh_of(obj)
     obj = head_of(obj)
     mesh = obj.data
     if read_marks(mesh) or LANDMARKS_PROPERTY in mesh:
-        return obj, bind_head(obj)
+        return obj, (yield from search_head(obj))
     failure: HeadError | None = None
     for candidate in face_candidates(obj)[:_MAX_CANDIDATES]:
         try:
-            return candidate, bind_head(candidate)
+            return candidate, (yield from search_head(candidate))
         except HeadError as error:
             failure = failure or error
     assert failure is not None
     raise failure
 
 
-def bind_head(obj: bpy.types.Object | None) -> Binding:
+def search_head(obj: bpy.types.Object | None) -> Search[Binding]:
     """Find the landmarks of `obj`, with or without marked points, propose its regions, and sort the parts of its face.
 
     Without marks the face is searched along the axes of the scene, first upright towards -Y, as importers rotate the
@@ -101,7 +136,7 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
     marks = read_marks(mesh)
     aligned = np.allclose(scene_axes, np.eye(3), atol=1e-3)
     axes = [scene_axes] if marks or aligned else [scene_axes, np.eye(3)]
-    binding, along = _bound(read_vertices(mesh), skin, marks, axes)
+    binding, along = yield from _bound(read_vertices(mesh), skin, marks, axes)
     upright = along if _is_small(binding.rotation) else binding.rotation @ along
     if not _is_small(upright):
         _turn(obj, HEAD_TO_BLENDER @ upright @ HEAD_TO_BLENDER.T)
@@ -112,8 +147,8 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
     others |= read_kinds(mesh) != Part.SKIN
     if len((final := skin_of_object(obj, others, landmarks)).kept) != len(skin.kept):
         try:
-            binding, _ = _bound(read_vertices(mesh), final, marks, [np.eye(3)])
-        except HeadError:  # another mesh of the character may have the face
+            binding, _ = yield from _bound(read_vertices(mesh), final, marks, [np.eye(3)])
+        except (HeadError, GeneratorExit):  # another mesh of the character may have the face, or the user stops
             forget_parts(obj)
             raise
         landmarks = final.kept[binding.landmarks]
@@ -239,7 +274,7 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
 
 def _bound(
     vertices: NDArray[np.floating], skin: Skin, marks: dict[int, int], axes: list[NDArray[np.floating]]
-) -> tuple[Binding, NDArray[np.floating]]:
+) -> Search[tuple[Binding, NDArray[np.floating]]]:
     """Return the binding of a skin, and the one of `axes`, (3, 3) rotations, along which it was found: the first along
     which there is a face beyond doubt, or otherwise that along which the template was bent least.
 
@@ -254,7 +289,7 @@ def _bound(
     marked = {landmark: vertex for landmark, vertex in marked.items() if vertex >= 0}
     for rotation in axes:
         try:
-            binding = bind_landmarks(vertices[skin.kept] @ rotation.T, skin.faces, marked)
+            binding = yield partial(bind_landmarks, vertices[skin.kept] @ rotation.T, skin.faces, marked)
         except HeadError as error:
             failure = error
             continue
@@ -272,6 +307,10 @@ def _is_small(rotation: NDArray[np.floating]) -> bool:
 
 
 def _turn(obj: bpy.types.Object, rotation: NDArray[np.floating]) -> None:
+    if any(modifier.type in _CACHES for modifier in obj.modifiers):
+        raise HeadError(
+            f"The vertices of {obj.name} come from a file, so they cannot be rotated to face -Y. Export it facing -Y."
+        )
     if obj.data.users > 1:
         raise HeadError(
             f"The mesh of {obj.name} has to be rotated to face -Y, but other objects share it. Make it single-user."

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import bpy
 
+from ...blender.animation.sampling import Sampling
 from ...blender.characters import part_table, read_bones
 from ...blender.heads.binding import bind_character, check_object
 from ...blender.heads.expression_keys import make_expression_keys
@@ -15,8 +16,10 @@ from ...core.binding.bind import Binding
 from ...core.heads.parts import PART_NAMES
 from ...core.images import write_image
 from ...core.puppet.job import HeadFile
-from ..terminal.console import tell
-from .files import likely_mesh, object_named, open_file
+from ...core.takes.take import Take
+from ..terminal.console import Progress, tell
+from ..terminal.stopping import STOPPING
+from .files import likely_mesh, object_named, open_file, open_head
 from .headless import AVATAR_SIDE, save_blend
 
 
@@ -79,3 +82,21 @@ def save(bound: BoundCharacter, output: Path) -> None:
 def write_picture(bound: BoundCharacter, path: Path) -> None:
     """Write a picture of the face with its landmarks."""
     write_image(path, draw_landmarks(bpy.context.scene, bound.head, 2 * AVATAR_SIDE))
+
+
+def sample(character: HeadFile) -> Take:
+    """Open or import an animated character, bind it unless it is bound, and sample its motion as a take.
+
+    Raises
+    ------
+    FacemimeError
+        If the file cannot be read, no face is found, or the face does not move.
+    """
+    head = open_head(character)
+    sampling = Sampling(bpy.context.scene, head, character.path.name)
+    progress = Progress(f"Sampling {head.name}", len(sampling.frames))
+    for done in sampling:
+        STOPPING.check()
+        progress.update(done)
+    progress.finish()
+    return sampling.take()

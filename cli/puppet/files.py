@@ -9,9 +9,14 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ...blender.characters import head_of
+from ...blender.heads.binding import bind_character
 from ...blender.media.rendering import quiet
+from ...blender.names import LANDMARKS_PROPERTY
 from ...core.capture import check_readable, require_utf8_name
 from ...core.errors import HeadError, SourceError
+from ...core.puppet.job import HeadFile
+from ..terminal.console import tell
 from ..terminal.stopping import STOPPING
 
 _IMPORTERS: Mapping[str, Callable[..., object]] = {
@@ -19,7 +24,11 @@ _IMPORTERS: Mapping[str, Callable[..., object]] = {
     ".gltf": lambda path: bpy.ops.import_scene.gltf(filepath=path),
     ".fbx": lambda path: bpy.ops.import_scene.fbx(filepath=path),
     ".obj": lambda path: bpy.ops.wm.obj_import(filepath=path),
+    ".abc": lambda path: bpy.ops.wm.alembic_import(filepath=path, as_background_job=False),
+    ".usd": lambda path: bpy.ops.wm.usd_import(filepath=path),
 }
+SUFFIXES = (".blend", *_IMPORTERS)
+"""Suffixes of files that can have a character."""
 
 
 def open_blend(path: Path) -> None:
@@ -63,8 +72,8 @@ def open_file(path: Path) -> None:
     if not check_readable(path):
         raise SourceError(f"There is no file {path}. Check its name.")
     require_utf8_name(Path(os.path.realpath(path)))
-    if suffix not in _IMPORTERS:
-        raise SourceError(f"{path} is not a file of a character. Use .blend, {', '.join(_IMPORTERS)}.")
+    if suffix not in SUFFIXES:
+        raise SourceError(f"{path} is not a file of a character. Use {', '.join(SUFFIXES)}.")
     with STOPPING.holding():
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     try:
@@ -75,6 +84,9 @@ def open_file(path: Path) -> None:
         raise SourceError(
             f"{path} cannot be imported by this version of Blender ({reason}). Export it again, or use a .blend file."
         ) from error
+    # These importers leave the range of the scene as it is; those of Alembic and USD set it.
+    if (frames := _animated_frames()) is not None:
+        bpy.context.scene.frame_start, bpy.context.scene.frame_end = frames
 
 
 def likely_mesh(path: Path) -> bpy.types.Object:
@@ -86,3 +98,32 @@ def likely_mesh(path: Path) -> bpy.types.Object:
         raise HeadError(f"{path} has no mesh. Choose another file.")
     carried = [obj for obj in meshes if obj.find_armature() is not None or obj.parent is not None]
     return max(carried or meshes, key=lambda obj: float(np.prod(obj.dimensions)) + len(obj.data.vertices) * 1e-12)
+
+
+def open_head(file: HeadFile) -> bpy.types.Object:
+    """Open the head in a file. A character that is not bound yet is bound.
+
+    Raises
+    ------
+    FacemimeError
+        If the file cannot be read, the object does not exist, several have landmarks, or no face is found.
+    """
+    path, name = file.path, file.name
+    open_file(path)
+    bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and LANDMARKS_PROPERTY in obj.data]
+    if not name and len(bound) > 1:
+        raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Choose one: {path}:OBJECT.")
+    chosen = head_of(object_named(path, name)) if name else bound[0] if bound else likely_mesh(path)
+    if chosen in bound:
+        return chosen
+    head, _ = bind_character(chosen)
+    tell(f"Bound {head.name}. To see its parts and landmarks: facemime bind {path} -o HEAD.blend --picture FACE.png")
+    return head
+
+
+def _animated_frames() -> tuple[int, int] | None:
+    """Return the first and last frame of all actions of the open file; None if it has none."""
+    ranges = [action.frame_range for action in bpy.data.actions]
+    if not ranges:
+        return None
+    return int(np.floor(min(start for start, _ in ranges))), int(np.ceil(max(end for _, end in ranges)))

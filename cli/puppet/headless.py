@@ -15,30 +15,27 @@ from numpy.typing import NDArray
 from ...blender.animation.bake import frames_of
 from ...blender.animation.bake_cache import caches_beside
 from ...blender.animation.puppet import PuppetReport, check_heads, puppet_head
-from ...blender.characters import head_of
-from ...blender.heads.binding import bind_character
 from ...blender.heads.built_in import add_head
 from ...blender.media.preview_scene import face_view, setup_preview
 from ...blender.media.rendering import quiet, render_frames, set_rate, write_video
 from ...blender.meshes import write_selection
-from ...blender.names import LANDMARKS_PROPERTY
 from ...core.bake.key_map import load_map
 from ...core.bake.settings import BakeSettings
 from ...core.capture import Frame, VideoSource, at_constant_rate, check_readable
 from ...core.control_points.greedy import GreedySelection
 from ...core.control_points.select import from_json
 from ...core.drive.motion import select_distinct_frames
-from ...core.errors import HeadError, OutputError, SourceError
+from ...core.errors import OutputError, SourceError
 from ...core.files import replacing
 from ...core.images import write_image
-from ...core.puppet.job import HeadFile, PuppetJob
+from ...core.puppet.job import PuppetJob
 from ...core.puppet.settings import PuppetSettings
 from ...core.reading import read_text
 from ...core.takes.take import Take
 from ...core.tracking.overlay import contact_sheet, draw_face, draw_frame, draw_label
 from ..terminal.console import Progress, tell
 from ..terminal.stopping import STOPPING
-from .files import likely_mesh, object_named, open_file
+from .files import open_head
 
 Image = NDArray[np.uint8]
 
@@ -71,7 +68,8 @@ def open_stage(job: PuppetJob) -> Stage:
     """
     settings = _settings(job)
     points = None if job.points is None else _points(job.points)
-    scene, head = _built_in(settings.bake) if job.head is None else _opened(job.head)
+    head = _built_in(settings.bake) if job.head is None else open_head(job.head)
+    scene = bpy.context.scene
     if points is not None:
         write_selection(head.data, points)
     check_heads([head], settings.bake)
@@ -127,26 +125,10 @@ def _points(path: Path) -> GreedySelection:
         raise SourceError(f"{path} cannot be read ({error}). Use a file that facemime select -o wrote.") from error
 
 
-def _built_in(bake: BakeSettings) -> tuple[bpy.types.Scene, bpy.types.Object]:
+def _built_in(bake: BakeSettings) -> bpy.types.Object:
     with STOPPING.holding():
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    head = add_head(bpy.context, units=bake.uses_existing_keys)
-    return bpy.context.scene, head
-
-
-def _opened(file: HeadFile) -> tuple[bpy.types.Scene, bpy.types.Object]:
-    """The head in a file. A character that is not bound yet is bound."""
-    path, name = file.path, file.name
-    open_file(path)
-    bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and LANDMARKS_PROPERTY in obj.data]
-    if not name and len(bound) > 1:
-        raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Choose one: --head {path}:OBJECT.")
-    chosen = head_of(object_named(path, name)) if name else bound[0] if bound else likely_mesh(path)
-    if chosen in bound:
-        return bpy.context.scene, chosen
-    head, _ = bind_character(chosen)
-    tell(f"Bound {head.name}. To see its parts and landmarks: facemime bind {path} -o HEAD.blend --picture FACE.png")
-    return bpy.context.scene, head
+    return add_head(bpy.context, units=bake.uses_existing_keys)
 
 
 def look_through_camera() -> None:

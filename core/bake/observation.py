@@ -49,12 +49,16 @@ class Observer:
         """The result as the other methods take it: flipped left to right if that is set."""
         return mirror_result(result, MIRROR_WIDTH) if self.options.mirror else result
 
+    def displacements(self, result: TrackResult) -> FloatArray:
+        """(66, 3) displacements of the built-in head's landmarks, its unit."""
+        return self._retargeter.displacements(result.shape)
+
     def face(self, result: TrackResult) -> FloatArray:
         """(213,) displacements without those of the whole head, in outer-eye distances, and activations above rest.
 
         Activations are NaN if they are unknown, or are ignored.
         """
-        own = (self._retargeter.displacements(result.shape) / self._unit).ravel() @ self._own
+        own = (self.displacements(result) / self._unit).ravel() @ self._own
         above = np.full(len(ACTIONS), np.nan)
         if not self.options.only_landmarks:
             above = self._actions.above_rest(result.actions, result.shape) * self._actions.gains

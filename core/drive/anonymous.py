@@ -13,7 +13,10 @@ from ..takes.timing import mark_lost, project
 from ..tracking.tracker import FaceTracker
 from .retarget import Retargeter
 
-_KEPT_INFO = ("fps", "image_size", "model", "clock", "mirrored", "smoothed", "bridged", "punched_in", "interrupted")
+_KEPT_INFO = (
+    *("fps", "image_size", "model", "clock", "measured"),
+    *("mirrored", "smoothed", "bridged", "punched_in", "interrupted"),
+)
 """Technical entries of `Take.info` that an anonymous take keeps."""
 
 

@@ -18,7 +18,7 @@ from ..landmarks import CHIN, outer_eye_distance
 from ..rotation import euler_to_matrix, fit_rotation
 from ..takes.neutral import MIRROR_WIDTH, Neutral
 from ..tracking.mirror import mirror_result
-from ..tracking.result import TrackResult
+from ..tracking.result import CAMERA_DISTANCE, TrackResult
 from .actions import TONGUE, ActionDriver
 from .eyes import EyeDriver
 from .parts import PartDriver
@@ -26,8 +26,6 @@ from .posing import limit_rotation, limit_vector
 from .retarget import retargeter_for
 from .settings import DriveSettings
 
-_CAMERA_DISTANCE = 6.0
-"""Assumed distance of the camera in eye distances (equation 4.4), about that of a webcam."""
 _BY_DEFAULT = DriveSettings()
 
 
@@ -150,7 +148,7 @@ class HeadDriver:
         scale, tx, ty = self.neutral.position
         s = float(pose[0])
         sideways = np.array([pose[4] - tx, pose[5] - ty]) / np.sqrt(s * scale)
-        return np.array([*sideways, _CAMERA_DISTANCE * (scale / s - 1.0)])
+        return np.array([*sideways, CAMERA_DISTANCE * (scale / s - 1.0)])
 
 
 def _modes(

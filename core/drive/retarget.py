@@ -146,7 +146,7 @@ def retargeter_for(
         strength=strength,
         shut=neutral.shut,
         mouth_gain=gain,
-        compensate=True,
+        compensate=not neutral.measured,
     )
 
 

@@ -26,7 +26,7 @@ _MIN_OPENING, _WIDE_OPENING, _MAX_GAIN = 0.12, 0.35, 1.4
 gain (section 4.2)."""
 _OPTIONAL = ("gaze", "open_mouth", "vergence", "actions")
 """Values that may be NaN."""
-_ADDED = {"removed": 0.0, "vergence": np.nan, "actions": [np.nan] * N_ACTIONS}
+_ADDED = {"removed": 0.0, "vergence": np.nan, "actions": [np.nan] * N_ACTIONS, "measured": 0.0}
 """Values that files of earlier versions lack."""
 _MAX_FRAMES, _MOMENT = 300, 0.3
 """Frames of a take that are looked at for a neutral face, and seconds that it has to last. A second is too long: strong
@@ -74,6 +74,8 @@ class Neutral:
         That of the face at rest, radians; NaN if unknown. Unlike a usual gaze, crossed eyes may last.
     actions : (15,) float64
         Activations of the face at rest, before they are subtracted; NaN if unknown.
+    measured : bool
+        Whether the shapes were measured on a mesh, so that there is nothing to make up for as in a tracked performance.
     """
 
     shape: FloatArray
@@ -87,6 +89,7 @@ class Neutral:
     removed: float = 0.0
     vergence: float = np.nan
     actions: FloatArray = field(default_factory=lambda: np.full(N_ACTIONS, np.nan))
+    measured: bool = False
 
     @property
     def is_estimated(self) -> bool:
@@ -158,6 +161,7 @@ class Neutral:
             if value.shape != shapes.get(name, ()) or not known.all() or not within:
                 raise SourceError(f"The stored calibration is damaged ({name}). Calibrate again.")
             values[name] = value if name in shapes else float(value)
+        values["measured"] = bool(values["measured"])
         neutral = cls(**values)
         turn = neutral.rotation
         sound = {
@@ -263,6 +267,7 @@ def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArr
         gaze=_usual(take.gaze[found]),
         vergence=float(_usual(take.vergence[rested, None])[0]),
         actions=_usual(take.actions[rested]),
+        measured=bool(take.info.get("measured")),
     )
 
 

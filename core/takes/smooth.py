@@ -54,7 +54,7 @@ def smooth_take(take: Take, amount: float = 1.0) -> Take:
     Take
         The smoothed take.
     """
-    if amount <= 0.0 or take.info.get("smoothed"):
+    if amount <= 0.0 or take.info.get("smoothed") or take.info.get("measured"):
         return take
     smoother, recorder = ResultSmoother(amount), TakeRecorder({**take.info, "smoothed": "one-euro"})
     for frame, time in enumerate(take.times.tolist()):

@@ -12,6 +12,9 @@ from ..apertures import eye_apertures, mouth_aperture
 from ..arrays import FloatArray
 from ..landmarks import N_LANDMARKS
 
+CAMERA_DISTANCE = 6.0
+"""Assumed distance of the camera in eye distances (equation 4.4), about that of a webcam."""
+
 
 def _unknown(*shape: int) -> FloatArray:
     return np.full(shape, np.nan)

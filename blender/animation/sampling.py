@@ -1,0 +1,218 @@
+"""Takes from animation: a head is sampled frame by frame, whatever moves its vertices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.arrays import FloatArray
+from ...core.errors import HeadError
+from ...core.heads.parts import Part
+from ...core.heads.regions import LOWER
+from ...core.heads.rig import neck_of
+from ...core.landmarks import EYE_CORNERS, N_LANDMARKS, from_ibug, outer_eye_distance
+from ...core.takes.from_animation import FacePoints, PointTracker, describe_animation
+from ...core.takes.take import Take, TakeRecorder
+from ..characters import objects_of, read_kinds, rest_matrix
+from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
+from ..meshes import exists, eye_vertices, read_landmarks, read_regions, read_vertices
+from ..names import PART_PROPERTY
+
+_CONSTRUCTIVE = {
+    *("ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MIRROR", "MULTIRES", "REMESH"),
+    *("SCREW", "SKIN", "SOLIDIFY", "SUBSURF", "TRIANGULATE", "WELD", "WIREFRAME"),
+}
+"""Types of modifiers that change the number of vertices, and move no landmark."""
+_MAX_ANCHORS = 1000
+_REACH = 2.0
+"""How far from the middle of the eyes vertices tell the pose of the head, in eye distances."""
+_LEAST_MOTION = 1e-4
+"""Eye distances that a landmark has to move in some frame."""
+_NOSE_BASE = int(from_ibug([33])[0])
+_EYES = {Part.EYE_RIGHT: "eye_right", Part.EYE_LEFT: "eye_left"}
+
+
+def frame_range(scene: bpy.types.Scene) -> range:
+    """Return the frames that Blender plays: the preview range, if one is set, or else those of the scene."""
+    if scene.use_preview_range:
+        return range(scene.frame_preview_start, scene.frame_preview_end + 1)
+    return range(scene.frame_start, scene.frame_end + 1)
+
+
+class Sampling:
+    """Samples the motion of a head as a take; each step of iterating over it samples a frame.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Its frames are sampled, and the current one is restored when the iteration ends or its iterator is closed.
+    head : bpy.types.Object
+        A mesh with landmarks, whose face is at rest in its mesh, and whose object is in its place in the first frame.
+    source : str
+        Where the animation comes from, for the description of the take.
+
+    Attributes
+    ----------
+    frames : range
+
+    Raises
+    ------
+    HeadError
+        If the head has no landmarks or regions.
+    """
+
+    def __init__(self, scene: bpy.types.Scene, head: bpy.types.Object, source: str) -> None:
+        self._scene, self._head, self.frames = scene, head, frame_range(scene)
+        self._rate = scene.render.fps / scene.render.fps_base
+        self._recorder = TakeRecorder(describe_animation(source, self._rate))
+        self._face = _Face(head)
+        self._tracker: PointTracker | None = None
+        self._moves = False
+
+    def __iter__(self) -> Iterator[int]:
+        """Sample a frame at each step, and yield how many are done.
+
+        Raises
+        ------
+        HeadError
+            If the head was removed, or its modifiers change the number of vertices.
+        """
+        scene = self._scene
+        current = scene.frame_current, scene.frame_subframe
+        try:
+            with _only_deformed(self._face.objects):
+                for frame in self.frames:
+                    scene.frame_set(frame)
+                    self._sample((frame - self.frames[0]) / self._rate)
+                    yield len(self._recorder)
+        finally:
+            scene.frame_set(current[0], subframe=current[1])
+
+    def take(self) -> Take:
+        """Return the take of the frames so far, which starts at 0 s.
+
+        Raises
+        ------
+        HeadError
+            If the head does not move in them.
+        """
+        if self._tracker is None or not self._moves:
+            first, last = self.frames[0], self.frames[-1]
+            raise HeadError(
+                f"{self._head.name} does not move from frame {first} to {last}. Animate it, or change the frame range."
+            )
+        return self._tracker.finish(self._recorder)
+
+    def _sample(self, time: float) -> None:
+        if not exists(self._head):
+            raise HeadError("The head was removed while it was sampled. Undo that, and sample it again.")
+        tracker = self._tracker
+        if tracker is None:
+            tracker = self._tracker = PointTracker(self._face.rest(), self._face.pivot, self._face.trust)
+        points = self._face.current()
+        self._moves |= bool(np.abs(points.landmarks - tracker.rest.landmarks).max() > _LEAST_MOTION * tracker.unit)
+        self._recorder.append(time, tracker.track(points))
+
+
+class _Face:
+    """The vertices of a face that tell its expression, pose and gaze."""
+
+    def __init__(self, head: bpy.types.Object) -> None:
+        vertices, landmarks = read_vertices(head.data).astype(np.float64), read_landmarks(head)
+        points = vertices[landmarks]
+        self.pivot = neck_of(points)
+        middle, reach = points[EYE_CORNERS].mean(axis=0), _REACH * outer_eye_distance(points)
+        # The skull and the brow, which no mouth moves, nor the bones of a body.
+        near = (np.linalg.norm(vertices - middle, axis=1) < reach) & (vertices[:, 1] < points[_NOSE_BASE, 1])
+        anchors = np.flatnonzero(near & (read_kinds(head.data) == Part.SKIN))
+        chosen = np.linspace(0, len(anchors) - 1, min(_MAX_ANCHORS, len(anchors))).astype(np.intp)
+        self._skin = np.concatenate([landmarks, anchors[np.unique(chosen)]])
+        self.trust = 1.0 - read_regions(head)[LOWER, self._skin[N_LANDMARKS:]].astype(np.float64)
+        self._head = head
+        self._eyes = [_eye(head, part, points) for part in _EYES]
+        self._from_scene = np.eye(3, 4)
+
+    @property
+    def objects(self) -> list[bpy.types.Object]:
+        """The objects whose vertices are read."""
+        return [self._head, *(obj for eye in self._eyes for obj, _ in eye if obj != self._head)]
+
+    def rest(self) -> FacePoints:
+        """Return the places at rest; where the objects are now, without poses, is where they are at rest."""
+        self._from_scene = HEAD_TO_BLENDER.T @ np.array(rest_matrix(self._head).inverted_safe())[:3]
+        return self._points(lambda obj: (read_vertices(obj.data), np.array(rest_matrix(obj))))
+
+    def current(self) -> FacePoints:
+        """Return the places in the current frame.
+
+        Raises
+        ------
+        HeadError
+            If a mesh then has another number of vertices.
+        """
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        return self._points(lambda obj: _evaluated(obj, depsgraph))
+
+    def _points(self, read: Callable[[bpy.types.Object], tuple[FloatArray, FloatArray]]) -> FacePoints:
+        known = {obj: read(obj) for obj in self.objects}
+
+        def places(obj: bpy.types.Object, chosen: NDArray[np.integer]) -> FloatArray:
+            vertices, matrix = known[obj]
+            world = to_blender(vertices[chosen]) @ matrix[:3, :3].T + matrix[:3, 3]
+            return world @ self._from_scene[:, :3].T + self._from_scene[:, 3]
+
+        skin = places(self._head, self._skin)
+        right, left = (
+            np.concatenate([np.empty((0, 3)), *(places(obj, chosen) for obj, chosen in eye)]) for eye in self._eyes
+        )
+        return FacePoints(skin[:N_LANDMARKS], skin[N_LANDMARKS:], (right, left))
+
+
+def _eye(head: bpy.types.Object, part: Part, points: FloatArray) -> list[tuple[bpy.types.Object, NDArray[np.intp]]]:
+    """Return the meshes that contain an eye of a head, and its vertices in them."""
+    children = [child for child in head.children if child.get(PART_PROPERTY) == _EYES[part] and child.type == "MESH"]
+    found = [(child, np.arange(len(child.data.vertices))) for child in children]
+    for obj in (head, *objects_of(head)):
+        if len(own := np.flatnonzero(read_kinds(obj.data) == part)):
+            found.append((obj, own))
+    cut = eye_vertices(head)
+    across = points[EYE_CORNERS[3]] - points[EYE_CORNERS[0]]
+    side = (read_vertices(head.data)[cut] - points[EYE_CORNERS].mean(axis=0)) @ across
+    own = cut[side > 0.0 if part == Part.EYE_LEFT else side <= 0.0]
+    return [*found, (head, own)] if len(own) else found
+
+
+def _evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[FloatArray, FloatArray]:
+    """Return the vertices of an object after its modifiers, head frame, and its (4, 4) transform."""
+    final = obj.evaluated_get(depsgraph)
+    if len(final.data.vertices) != len(obj.data.vertices):
+        raise HeadError(f"Modifiers of {obj.name} change the number of its vertices. Hide or apply them.")
+    flat = np.empty(3 * len(final.data.vertices), dtype=np.float32)
+    final.data.vertices.foreach_get("co", flat)
+    return from_blender(flat.reshape(-1, 3)).astype(np.float64), np.array(final.matrix_world)
+
+
+@contextmanager
+def _only_deformed(objects: list[bpy.types.Object]) -> Iterator[None]:
+    """Hide the modifiers of some objects that change the number of vertices."""
+    shown = [
+        (obj, modifier.name)
+        for obj in objects
+        for modifier in obj.modifiers
+        if modifier.type in _CONSTRUCTIVE and modifier.show_viewport
+    ]
+    _show(shown, False)
+    try:
+        yield
+    finally:
+        _show(shown, True)
+
+
+def _show(modifiers: list[tuple[bpy.types.Object, str]], shown: bool) -> None:
+    for obj, name in modifiers:
+        if exists(obj) and (modifier := obj.modifiers.get(name)) is not None:
+            modifier.show_viewport = shown

@@ -1,0 +1,194 @@
+"""From a face whose vertices move to a take: its landmarks are measured rather than tracked (docs/method.md, 8.5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import HeadError
+from ..landmarks import N_LANDMARKS, outer_eye_distance
+from ..rotation import fit_rotation, matrix_to_euler
+from ..tracking.result import CAMERA_DISTANCE, TrackResult
+from .neutral import Neutral, shut_level
+from .take import Take, TakeRecorder, describe
+
+IMAGE_SIZE = (1280, 720)
+"""Width and height, pixels, of the image in which landmarks are shown, as if a camera had seen them."""
+_SCALE = 160.0
+"""Size of the face in that image: pixels per outer-eye distance."""
+_ROUNDS, _LEAST_SPREAD = 12, 1e-4
+"""Rounds of the robust fit, and its least spread in eye distances."""
+_NEAREST = 0.2
+"""Least distance to the camera, as a share of the one at rest."""
+
+
+@dataclass(frozen=True)
+class FacePoints:
+    """Places on a face at one time: axes and unit of the head frame at rest.
+
+    Attributes
+    ----------
+    landmarks : (66, 3) float64
+    anchors : (M, 3) float64
+        Vertices of the skin by which the pose of the head is found, most of which move only with it.
+    eyes : ((R, 3), (L, 3)) float64
+        Vertices of the right and left eyeball; empty if unknown.
+    """
+
+    landmarks: FloatArray
+    anchors: FloatArray
+    eyes: tuple[FloatArray, FloatArray] = field(default_factory=lambda: (np.empty((0, 3)), np.empty((0, 3))))
+
+
+class PointTracker:
+    """Makes a take of a face whose vertices are known, frame by frame.
+
+    Parameters
+    ----------
+    rest : FacePoints
+        The face at rest.
+    pivot : (3,) float64
+        Point about which the head turns; its motion is that of the head.
+    trust : (M,) float64
+        Weights of the anchors: how sure it is that they move only with the head.
+
+    Raises
+    ------
+    HeadError
+        If the outer corners of the eyes lie at one place.
+    """
+
+    def __init__(self, rest: FacePoints, pivot: FloatArray, trust: FloatArray) -> None:
+        self.rest, self.pivot, self.trust = rest, pivot, trust
+        self.unit = outer_eye_distance(rest.landmarks)
+        if not self.unit > 0.0:
+            raise HeadError("The outer corners of the eyes lie at one place. Bind the landmarks again.")
+        self._centre = rest.landmarks.mean(axis=0)
+
+    def track(self, points: FacePoints) -> TrackResult:
+        """Return what the tracker would have found, without its errors; no face if a place is not a number."""
+        if not np.isfinite(points.landmarks).all() or not np.isfinite(points.anchors).all():
+            return TrackResult.nothing(0)
+        rotation, moved = fit_rigid(self.rest.anchors, points.anchors, self.trust, _LEAST_SPREAD * self.unit)
+        pose = self._pose(rotation, rotation @ self.pivot + moved - self.pivot)
+        shape = ((points.landmarks - moved) @ rotation - self._centre) / self.unit
+        right, left = (
+            _direction(rotation.T @ _turned(rest, eye)) if len(rest) else np.full(2, np.nan)
+            for rest, eye in zip(self.rest.eyes, points.eyes, strict=True)
+        )
+        return TrackResult(
+            found=True,
+            landmarks=pose[0] * (shape @ rotation.T)[:, :2] + pose[4:],
+            pose=pose,
+            shape_params=np.empty(0),
+            shape=shape,
+            confidence=1.0,
+            landmark_confidence=np.ones(N_LANDMARKS),
+            gaze=(right + left) / 2.0,
+            vergence=float(left[1] - right[1]),
+        )
+
+    def neutral(self, take: Take) -> Neutral:
+        """Return the face at rest as the neutral face of `take`, which this object tracked."""
+        known = all(map(len, self.rest.eyes))
+        shape = (self.rest.landmarks - self._centre) / self.unit
+        return Neutral(
+            shape=shape,
+            rotation=np.eye(3),
+            position=np.array([_SCALE, *_middle()]),
+            start=float(take.times[0]),
+            end=float(take.times[0]),
+            shut=shut_level(shape, take.shape[take.found].astype(np.float64)) if take.found.any() else 0.0,
+            gaze=np.zeros(2) if known else np.full(2, np.nan),
+            vergence=0.0 if known else np.nan,
+            measured=True,
+        )
+
+    def finish(self, recorder: TakeRecorder) -> Take:
+        """Return the take of the recorded results, with the face at rest as its neutral face."""
+        take = recorder.finish()
+        if take.found.any():
+            take.info["calibration"] = self.neutral(take).to_dict()
+        return take
+
+    def _pose(self, rotation: FloatArray, moved: FloatArray) -> FloatArray:
+        """The pose (6,) of a head that was turned and moved; the inverse of equation 4.4."""
+        across, down, away = moved / self.unit
+        scale = _SCALE / max(1.0 + away / CAMERA_DISTANCE, _NEAREST)
+        sideways = np.array([across, down]) * np.sqrt(scale * _SCALE)
+        return np.array([scale, *matrix_to_euler(rotation), *(_middle() + sideways)])
+
+
+def describe_animation(source: str, fps: float) -> dict[str, object]:
+    """Create the initial `info` of a take of an animation.
+
+    Parameters
+    ----------
+    source : str
+        Name of the file or object.
+    fps : float
+        Frames per second.
+
+    Returns
+    -------
+    dict
+        The description.
+    """
+    return {**describe(source, fps, IMAGE_SIZE, "mesh"), "measured": True}
+
+
+def fit_rigid(source: FloatArray, target: FloatArray, trust: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
+    """Fit the rigid motion that most points follow, whatever the others do.
+
+    Parameters
+    ----------
+    source, target : (N, 3) float64
+        Corresponding points.
+    trust : (N,) float64
+        Weights of the points.
+    least : float
+        Distance below which differences are noise.
+
+    Returns
+    -------
+    rotation : (3, 3) float64
+    moved : (3,) float64
+        ``rotation @ source + moved`` is near `target` for most points.
+
+    Notes
+    -----
+    Iteratively reweighted least squares with the weights of Geman and McClure (1987), whose spread falls with the
+    median of the distances.
+    """
+    weights = trust
+    for _ in range(_ROUNDS):
+        share = weights[:, None] / weights.sum()
+        middle, other = (share * source).sum(axis=0), (share * target).sum(axis=0)
+        rotation = fit_rotation(np.sqrt(share) * (source - middle), np.sqrt(share) * (target - other))
+        moved = other - rotation @ middle
+        off = np.linalg.norm(source @ rotation.T + moved - target, axis=1)
+        spread = max(_weighted_median(off, trust), least)
+        weights = trust / np.square(1.0 + np.square(off / spread))
+    return rotation, moved
+
+
+def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(total, total[-1] / 2.0)]])
+
+
+def _turned(rest: FloatArray, eye: FloatArray) -> FloatArray:
+    return fit_rotation(rest - rest.mean(axis=0), eye - eye.mean(axis=0))
+
+
+def _direction(rotation: FloatArray) -> FloatArray:
+    """(pitch, yaw) of an eye that looked straight ahead before it was turned."""
+    x, y, z = rotation @ np.array([0.0, 0.0, -1.0])
+    return np.array([np.arcsin(np.clip(y, -1.0, 1.0)), np.arctan2(-x, -z)])
+
+
+def _middle() -> FloatArray:
+    return np.array(IMAGE_SIZE) / 2.0

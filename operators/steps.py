@@ -1,0 +1,124 @@
+"""Long work of operators: Blender's window stays alive, progress is shown, and Esc cancels."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import bpy
+
+from .shared import ReportsErrors
+
+_TICK = 0.02
+_SLICE = 0.05
+"""Seconds of steps between two redraws."""
+_NAVIGATION = {"MOUSEMOVE", "MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN", "TRACKPADZOOM"}
+
+
+class WorksInSteps(ReportsErrors):
+    """Mixin: does the operator's `steps`, in Blender's window one by one, and elsewhere at once.
+
+    While it works in a window, nothing else can be changed there; the viewport can be turned. Esc closes the iterator
+    of the steps, which has to leave nothing half done.
+    """
+
+    _steps: Iterator[float] | None = None
+    _timer: bpy.types.Timer | None = None
+
+    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+        """Do the work; yield the share that is done, 0 to 1, whenever the window may be redrawn."""
+        raise NotImplementedError
+
+    def status(self) -> str:
+        """Return what the status bar shows while it works, translated."""
+        raise NotImplementedError
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Do all steps at once."""
+        for _ in self.steps(context):
+            pass
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Start the work."""
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        return self.reporting(self._start, context)
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Do some steps."""
+        if event.type == "ESC":
+            self.cancel(context)
+            return {"CANCELLED"}
+        if event.type == "TIMER":
+            return self.reporting(self._go_on, context)
+        return {"PASS_THROUGH"} if event.type in _NAVIGATION else {"RUNNING_MODAL"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Stop the work."""
+        steps, self._steps = self._steps, None
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            context.window_manager.progress_end()
+            context.workspace.status_text_set(None)
+        self._timer = None
+        if steps is not None:
+            steps.close()
+
+    def _start(self, context: bpy.types.Context) -> set[str]:
+        self._steps = self.steps(context)
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(_TICK, window=context.window)
+        manager.progress_begin(0.0, 1.0)
+        manager.modal_handler_add(self)
+        context.workspace.status_text_set(self.status())
+        return {"RUNNING_MODAL"}
+
+    def _go_on(self, context: bpy.types.Context) -> set[str]:
+        until, done = time.perf_counter() + _SLICE, 0.0
+        try:
+            while time.perf_counter() < until:
+                done = next(self._steps)
+        except StopIteration:
+            self.cancel(context)
+            return {"FINISHED"}
+        except BaseException:
+            self.cancel(context)
+            raise
+        context.window_manager.progress_update(done)
+        return {"RUNNING_MODAL"}
+
+
+class Background:
+    """Work in a thread.
+
+    Parameters
+    ----------
+    work : callable
+        Must not touch Blender.
+
+    Attributes
+    ----------
+    result
+        What it returned.
+    error : Exception or None
+        What it raised.
+    """
+
+    def __init__(self, work: Callable[[], Any]) -> None:
+        self._work, self.result, self.error = work, None, None
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.name = "facemime-work"
+        self._thread.start()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait at most `seconds`; return whether it has ended."""
+        self._thread.join(seconds)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            self.result = self._work()
+        except Exception as error:  # raised again on the main thread
+            self.error = error

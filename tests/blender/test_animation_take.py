@@ -1,0 +1,117 @@
+"""Takes from animation: what moves a head in Blender, or in a file, drives another one."""
+
+import bpy
+import numpy as np
+import pytest
+
+from commands import run
+from facemime.blender.heads.built_in import add_head
+from facemime.blender.meshes import read_landmarks
+from facemime.core.bake.arkit import arkit_coefficients
+from facemime.core.bake.coefficient_names import COEFFICIENTS
+from facemime.core.landmarks import outer_eye_distance
+from facemime.core.takes.file import load_take
+from facemime.core.takes.neutral import calibrate
+from facemime.settings import takes_store
+
+pytestmark = pytest.mark.usefixtures("in_a_project")
+LAST = 12
+
+
+@pytest.fixture
+def animated():
+    """A head that opens its jaw, turns to its left, and looks to its right."""
+    head, scene = add_head(bpy.context, units=True), bpy.context.scene
+    scene.frame_start, scene.frame_end = 1, LAST
+    jaw = head.data.shape_keys.key_blocks["jawOpen"]
+    for frame, amount in ((1, 0.0), (LAST, 1.0)):
+        jaw.value = 0.6 * amount
+        jaw.keyframe_insert("value", frame=frame)
+        head.rotation_euler.z = 0.5 * amount
+        head.keyframe_insert("rotation_euler", frame=frame)
+        for eye in (child for child in head.children if "eye" in child.name.lower()):
+            eye.delta_rotation_euler.z = -0.3 * amount
+            eye.keyframe_insert("delta_rotation_euler", frame=frame)
+    scene.frame_set(5)
+    return head
+
+
+def check(take, *, frames=LAST, gaze=0.3):
+    """Check that a take has the performance of `animated`."""
+    assert len(take) == frames and take.found.all()
+    np.testing.assert_allclose(take.pose[[0, -1], 2], [0.0, -0.5], atol=2e-3)
+    found = arkit_coefficients(take, calibrate(take))[-1]
+    assert found[COEFFICIENTS.index("jawOpen")] == pytest.approx(0.6, abs=0.02)
+    if gaze is not None:
+        np.testing.assert_allclose(take.gaze[-1], [0.0, gaze], atol=2e-3)
+
+
+def test_an_animated_head_becomes_a_take_and_the_scene_stays_as_it_was(animated, takes):
+    thick = animated.modifiers.new("Subdivision", "SUBSURF")
+    assert bpy.ops.facemime.take_from_animation() == {"FINISHED"}
+    assert bpy.context.scene.frame_current == 5 and thick.show_viewport
+    assert takes.items[0].name == "Facemime_Head"
+    check(takes_store.read(takes.items[0]))
+
+
+def test_a_take_of_an_animation_drives_another_head_as_it_was(animated, takes):
+    assert bpy.ops.facemime.take_from_animation() == {"FINISHED"}
+    other = add_head(bpy.context)
+    bpy.context.view_layer.objects.active = other
+    animated.select_set(False)
+    other.select_set(True)
+    assert bpy.ops.facemime.bake_take() == {"FINISHED"}
+    for frame in (1, LAST):
+        bpy.context.scene.frame_set(frame)
+        one, two = (_landmarks(head) for head in (animated, other))
+        assert np.linalg.norm(one - two, axis=1).mean() < 0.005 * outer_eye_distance(two)
+
+
+def _landmarks(head):
+    final = head.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    return np.array([final.data.vertices[index].co for index in read_landmarks(head).tolist()])
+
+
+def test_a_head_that_does_not_move_is_said_to_be_still(takes):
+    add_head(bpy.context)
+    with pytest.raises(RuntimeError, match="does not move from frame 1 to 250"):
+        bpy.ops.facemime.take_from_animation()
+    assert not len(takes.items)
+
+
+def test_only_the_preview_range_is_sampled_if_there_is_one(animated, takes):
+    scene = bpy.context.scene
+    scene.use_preview_range, scene.frame_preview_start, scene.frame_preview_end = True, 3, 8
+    assert bpy.ops.facemime.take_from_animation() == {"FINISHED"}
+    assert len(takes_store.read(takes.items[0])) == 6
+
+
+def test_a_modifier_that_changes_the_vertices_is_named(animated):
+    nodes = bpy.data.node_groups.new("Delete", "GeometryNodeTree")
+    nodes.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    nodes.nodes.new("NodeGroupOutput")
+    animated.modifiers.new("Delete", "NODES").node_group = nodes
+    with pytest.raises(RuntimeError, match="change the number of its vertices"):
+        bpy.ops.facemime.take_from_animation()
+    assert bpy.context.scene.frame_current == 5
+
+
+@pytest.mark.parametrize("suffix", [".blend", ".abc", ".glb"])
+def test_the_command_imports_an_animation_of_a_file(animated, tmp_path, suffix):
+    path, output = tmp_path / f"animation{suffix}", tmp_path / "take.facetake"
+    if suffix == ".abc":
+        bpy.ops.wm.alembic_export(filepath=str(path), as_background_job=False)
+    elif suffix == ".glb":
+        bpy.ops.export_scene.gltf(filepath=str(path))
+    else:
+        bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    assert run("import", path, "-o", output).returncode == 0
+    # glTF has seconds, which begin at frame 0 of a scene at 24 fps; neither format says which parts are eyes.
+    check(load_take(output), frames=13 if suffix == ".glb" else LAST, gaze=0.3 if suffix == ".blend" else None)
+
+
+def test_the_command_says_what_does_not_move(tmp_path):
+    add_head(bpy.context)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "still.blend"))
+    done = run("import", tmp_path / "still.blend", "-o", tmp_path / "take.facetake")
+    assert done.returncode == 1 and "does not move" in done.stderr and not (tmp_path / "take.facetake").exists()
