@@ -31,6 +31,7 @@ from .ui import parts as parts_panel
 from .ui import puppet as puppet_panel
 from .ui import regions as regions_panel
 from .ui import source as source_panel
+from .ui import start as start_panel
 from .ui import takes as takes_panels
 
 _MODULES = (
@@ -57,6 +58,7 @@ _MODULES = (
     punch_in,
     bake,
     menus,
+    start_panel,
     head_panels,
     parts_panel,
     source_panel,

@@ -1,4 +1,4 @@
-"""Operators that bake the selected take, and edit the key table for existing shape keys."""
+"""Operators that bake the selected take, and edit the key mapping for existing shape keys."""
 
 import bpy
 import numpy as np
@@ -25,6 +25,7 @@ from .shared import (
     ReportsErrors,
     heads_in,
     report,
+    reporting_range,
     require_heads,
     require_object_mode,
 )
@@ -51,7 +52,8 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
         heads = heads_in(context)
         settings = puppet_settings(scene.facemime, bake_settings(scene.facemime_takes.bake, line.name))
         targets = pose_targets(scene.facemime.posing, heads[0])
-        bake, *_ = puppet_heads(scene, heads, take, settings, targets)
+        with reporting_range(self, scene):
+            bake, *_ = puppet_heads(scene, heads, take, settings, targets)
         frames, summary = len(bake.motion.times), bake.summary()
         report(self, f"{frames} frames, {summary}")
         for warning in bake.warnings:
@@ -59,10 +61,10 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
 
 
 class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
-    """Fill the key table from the preset that best fits the names of the head's shape keys"""
+    """Fill the key mapping from the preset that best fits the names of the head's shape keys"""
 
     bl_idname = "facemime.detect_key_map"
-    bl_label = "Detect Table"
+    bl_label = "Detect Mapping"
 
     def work(self, context: bpy.types.Context) -> None:
         table = best_preset(key_names(context.active_object))
@@ -77,7 +79,7 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
 
 
 class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
-    """Add a row to the key table"""
+    """Add a row to the key mapping"""
 
     bl_idname = "facemime.add_key_row"
     bl_label = "Add Row"
@@ -90,7 +92,7 @@ class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
 
 
 class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
-    """Remove the selected row from the key table"""
+    """Remove the selected row from the key mapping"""
 
     bl_idname = "facemime.remove_key_row"
     bl_label = "Remove Row"
@@ -109,7 +111,7 @@ class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
 
 
 class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
-    """Import a key table from a file"""
+    """Import a key mapping from a file"""
 
     bl_idname = "facemime.import_key_map"
     bl_label = "Import Table"
@@ -122,7 +124,7 @@ class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
 
 
 class FACEMIME_OT_export_key_map(AsksForFileToWrite, bpy.types.Operator):
-    """Export the key table to a file"""
+    """Export the key mapping to a file"""
 
     bl_idname = "facemime.export_key_map"
     bl_label = "Export Table"
@@ -161,7 +163,7 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
 
 
 class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
-    """Adjust the gains of the key table to reproduce the added poses; the rest is left unchanged"""
+    """Adjust the gains of the key mapping to reproduce the added poses; the rest is left unchanged"""
 
     bl_idname = "facemime.learn_key_map"
     bl_label = "Learn from Poses"

@@ -4,6 +4,7 @@ import bpy
 from bpy.props import BoolProperty
 
 from ..blender.heads.built_in import add_head
+from ..blender.placement import free_place
 from .shared import ReportsErrors, require_object_mode
 
 
@@ -13,7 +14,7 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
     bl_idname = "facemime.add_head"
     bl_label = "Facemime Head"
 
-    units: BoolProperty(name="Face Units", description="Add the 52 ARKit face units as shape keys")
+    units: BoolProperty(name="ARKit Shape Keys", description="Add the 52 ARKit face units as shape keys")
     show_textures: BoolProperty(
         name="Show Textures", description="Show the textures of skin and eyes in Solid shading", default=True
     )
@@ -27,9 +28,9 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
         return require_object_mode(cls, context)
 
     def work(self, context: bpy.types.Context) -> None:
-        """Add the head at the 3D cursor."""
+        """Add the head at the 3D cursor, or to the right of what is there."""
         head = add_head(context, units=self.units)
-        head.location = context.scene.cursor.location
+        head.location = free_place(context, head, context.scene.cursor.location)
         space = context.space_data
         if isinstance(space, bpy.types.SpaceView3D):
             if self.show_textures and space.shading.color_type == "MATERIAL":

@@ -77,7 +77,7 @@ class FACEMIME_OT_bind_landmarks(WorksInSteps, OnMesh, bpy.types.Operator):
     """Find the 66 landmarks of the active mesh and propose its regions; a mesh without marks may face along any axis"""
 
     bl_idname = "facemime.bind_landmarks"
-    bl_label = "Bind Landmarks"
+    bl_label = "Find Face"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -108,13 +108,8 @@ class FACEMIME_OT_bind_landmarks(WorksInSteps, OnMesh, bpy.types.Operator):
         self._report(context, binding)
 
     def _report(self, context: bpy.types.Context, binding: Binding) -> None:
-        residual = f"{100 * binding.residual:.1f}"
-        report(
-            self,
-            f"66 landmarks bound, {residual} % of the eye distance from the template, symmetric"
-            if binding.symmetric
-            else f"66 landmarks bound, {residual} % of the eye distance from the template",
-        )
+        context.scene.facemime_steps.show_points = True
+        report(self, "Face found. Please check the points")
         if binding.wanted:
             label1, label2, label3, label4 = (MARKS[number].capitalize() for number in binding.wanted)
             report(
@@ -148,7 +143,7 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
     """Replace the three regions by weights derived from the landmarks and the openings of eyes and mouth"""
 
     bl_idname = "facemime.propose_regions"
-    bl_label = "Propose Regions"
+    bl_label = "Reset Regions"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

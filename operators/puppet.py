@@ -3,6 +3,7 @@
 import bpy
 
 from ..blender.viewports import redraw, viewport_under
+from ..core.errors import FacemimeError
 from ..sessions.live import LiveSession
 from ..sessions.session import Session
 from ..sessions.start import RigWatch, follow_settings, start_session
@@ -21,8 +22,22 @@ def require_puppet(operator: type[bpy.types.Operator]) -> bool:
     """Return for `poll` whether a puppet is running; otherwise set the poll message of `operator`."""
     if running() is not None:
         return True
-    operator.poll_message_set("Start the puppet first, in the Puppet panel")
+    operator.poll_message_set("Start the puppet first")
     return False
+
+
+def start_puppet() -> None:
+    """Start the puppet from another operator.
+
+    Raises
+    ------
+    FacemimeError
+        If it cannot be started.
+    """
+    try:
+        bpy.ops.facemime.puppet("INVOKE_DEFAULT")
+    except RuntimeError as error:
+        raise FacemimeError(str(error).strip().removeprefix("Error: ")) from error
 
 
 class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
@@ -59,6 +74,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         manager = context.window_manager
         self._timer = manager.event_timer_add(_TICK, window=context.window)
         manager.modal_handler_add(self)
+        context.workspace.status_text_set(_draw_hints)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -124,6 +140,8 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         """End the timer; called by the session when it is closed."""
         if self._timer is not None:
             bpy.context.window_manager.event_timer_remove(self._timer)
+            for workspace in bpy.data.workspaces:
+                workspace.status_text_set(None)
         self._timer = None
 
     def _timer_seconds(self) -> float:
@@ -172,6 +190,15 @@ class FACEMIME_OT_next_face(bpy.types.Operator):
         """Request the next face, which is tracked from the next frame."""
         running().worker.follow_next()
         return {"FINISHED"}
+
+
+def _draw_hints(header: bpy.types.Header, context: bpy.types.Context) -> None:
+    """Draw in the status bar what keys do while a puppet is running."""
+    row = header.layout.row()
+    row.label(text="Stop Puppet", icon="EVENT_ESC")
+    session = running()
+    if session is not None and session.recording is not None:
+        row.label(text="Recording", icon="REC")
 
 
 def _painting(context: bpy.types.Context) -> bool:

@@ -12,7 +12,7 @@ from ..core.takes.take import Take
 from ..sessions.tracking import TrackingSession
 from ..settings import takes_store
 from ..settings.values import face_of, pose_targets, puppet_settings
-from .shared import AsksForFile, report, require_object_mode
+from .shared import AsksForFile, report, reporting_range, require_object_mode
 
 _TICK = 0.1
 
@@ -95,7 +95,8 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
         """Bake `take` to `head` and to all other selected heads, and report the result."""
         settings = context.scene.facemime
         targets = None if head is None else pose_targets(settings.posing, head)
-        bake, *_ = puppet_heads(context.scene, _heads(context, head), take, puppet_settings(settings), targets)
+        with reporting_range(self, context.scene):
+            bake, *_ = puppet_heads(context.scene, _heads(context, head), take, puppet_settings(settings), targets)
         lost = len(take) - int(take.found.sum())
         frames, summary = len(take), bake.summary()
         report(self, f"{frames} frames ({lost} without a face), {summary}")

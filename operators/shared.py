@@ -1,12 +1,14 @@
 """Mixins and helpers for operators: error reports, polling, file selection."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
+from ..blender.characters import head_of
 from ..blender.meshes import is_head
 from ..blender.messages import displayable
 from ..core.capture import check_readable, require_utf8_name
@@ -24,6 +26,22 @@ def report(operator: bpy.types.Operator, message: str, level: str = "INFO") -> N
     level : {"INFO", "WARNING", "ERROR"}
     """
     operator.report({level}, displayable(message))
+
+
+@contextmanager
+def reporting_range(operator: bpy.types.Operator, scene: bpy.types.Scene) -> Iterator[None]:
+    """Report at the end if the frame range of a scene was changed.
+
+    Parameters
+    ----------
+    operator : bpy.types.Operator
+    scene : bpy.types.Scene
+    """
+    before = scene.frame_start, scene.frame_end
+    yield
+    if before != (scene.frame_start, scene.frame_end):
+        first, last = scene.frame_start, scene.frame_end
+        report(operator, f"The range of the scene is now that of the take: frames {first} to {last}")
 
 
 class ReportsErrors:
@@ -70,9 +88,16 @@ def require_object_mode(operator: type[bpy.types.Operator], context: bpy.types.C
 
 
 def heads_in(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """Return the heads to be driven: the active one first, then the other selected ones."""
-    chosen = [obj for obj in (context.active_object, *context.selected_objects) if obj is not None and is_head(obj)]
-    return list(dict.fromkeys(chosen))
+    """Return the heads to be driven: the active one first, then the other selected ones; or else the only one there is.
+
+    A part of a head stands for it.
+    """
+    chosen = [head_of(obj) for obj in (context.active_object, *context.selected_objects) if obj is not None]
+    heads = list(dict.fromkeys(obj for obj in chosen if is_head(obj)))
+    if heads:
+        return heads
+    there = [obj for obj in context.view_layer.objects if is_head(obj) and obj.visible_get()]
+    return there if len(there) == 1 else []
 
 
 def require_heads(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:

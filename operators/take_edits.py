@@ -91,7 +91,7 @@ class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
     """Use the face at the current frame as the neutral face of the selected take"""
 
     bl_idname = "facemime.renew_neutral"
-    bl_label = "Neutral Here"
+    bl_label = "Set Neutral at Frame"
 
     def work(self, context: bpy.types.Context) -> None:
         line = takes_store.chosen(context.scene)
@@ -102,7 +102,7 @@ class FACEMIME_OT_punch_in_take(ChangesTake, bpy.types.Operator):
     """Insert another take into the selected one, blended at both ends"""
 
     bl_idname = "facemime.punch_in_take"
-    bl_label = "Punch In"
+    bl_label = "Insert Take"
 
     other: StringProperty(name="Take", description="Take to insert")
     start: FloatProperty(name="Start", description="Time at which it is inserted", subtype="TIME_ABSOLUTE", min=0.0)

@@ -14,7 +14,7 @@ from ..core.takes.spreadsheet import from_csv, to_csv
 from ..sessions.session import Session
 from ..sessions.show import TakeShow
 from ..settings import takes_store
-from .puppet import require_puppet, running
+from .puppet import FACEMIME_OT_puppet, running, start_puppet
 from .shared import AsksForFile, AsksForFileToWrite, OnHead, ReportsErrors, heads_in, report, require_heads
 from .steps import WorksInSteps
 
@@ -33,7 +33,7 @@ class OnTake(ReportsErrors):
 
 
 class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
-    """Record everything that is tracked; the take is written to disk from the first second"""
+    """Record everything that is tracked, starting the puppet if necessary; the take is on disk from the first second"""
 
     bl_idname = "facemime.record_take"
     bl_label = "Record Take"
@@ -43,11 +43,13 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a running puppet."""
-        return require_puppet(cls)
+        """Require a running puppet, or that one can be started."""
+        return running() is not None or FACEMIME_OT_puppet.poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
         """Start recording, or stop and add the take to the list."""
+        if running() is None:
+            start_puppet()
         session = running()
         if session.recording is None:
             session.start_recording(context.scene, self.name)
@@ -66,7 +68,7 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
     """Show the selected take on the active head and all other selected heads without baking; click again to stop"""
 
     bl_idname = "facemime.show_take"
-    bl_label = "Show Take"
+    bl_label = "Preview on Head"
     bl_options = {"REGISTER"}
 
     @classmethod

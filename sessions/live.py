@@ -23,6 +23,11 @@ from .session import Session
 
 COUNTDOWN = 3.0
 """Seconds between the request for a calibration and its start."""
+_TASKS = {
+    False: "Look straight at the camera, with a relaxed face and the mouth closed",
+    True: "Close the eyes tightly, and open the mouth wide",
+}
+"""What the performer has to do, by whether the range of eyes and mouth is calibrated."""
 _DEFAULTS = LiveOptions()
 
 
@@ -154,6 +159,11 @@ class LiveSession(Session):
         if not self._waiting:
             return None
         return 0.0 if self._at is None else max(0.0, self._at - perf_counter())
+
+    @property
+    def task(self) -> str:
+        """What the performer has to do in a calibration."""
+        return _TASKS[self._range]
 
     def start_recording(self, scene: bpy.types.Scene, name: str) -> Recording:
         """Record everything that is tracked from now on.

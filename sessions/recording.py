@@ -50,6 +50,11 @@ class Recording:
             self._writer.info = self._info()
         worker.record(self)
 
+    @property
+    def seconds(self) -> float:
+        """Duration so far."""
+        return self._last
+
     def append(self, time: float, result: TrackResult, image: NDArray[np.uint8] | None) -> None:
         """Add a frame. Called in the worker's thread, as are `flush` and `close`.
 

@@ -53,7 +53,7 @@ class TakeShow(Session):
         self._scene = scene.name
         super().__init__()
         self.resume()
-        push_undo("Show Take")
+        push_undo("Preview on Head")
 
     def show(self, scene: bpy.types.Scene) -> None:
         """Display the frame of the take nearest to the current frame; raises HeadError as `LiveHeadObject.write`."""

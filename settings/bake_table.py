@@ -1,4 +1,4 @@
-"""Conversion of a scene's key table to a `KeyMap` and back."""
+"""Conversion of a scene's key mapping to a `KeyMap` and back."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from .takes_properties import FacemimeBake
 
 
 def read_table(bake: FacemimeBake) -> KeyMap:
-    """Return the key table; raises FacemimeError if a row has no key."""
+    """Return the key mapping; raises FacemimeError if a row has no key."""
     for number, row in enumerate(bake.rows, start=1):
         if not row.key:
-            raise FacemimeError(f"Row {number} of the key table has no shape key. Choose one, or remove the row.")
+            raise FacemimeError(f"Row {number} of the key mapping has no shape key. Choose one, or remove the row.")
     rows = tuple(KeyRow(row.source, row.key, row.gain, row.offset) for row in bake.rows)
     return KeyMap(bake.table or "Table", rows)
 
 
 def write_table(bake: FacemimeBake, table: KeyMap) -> None:
-    """Replace the rows and the name of the key table by those of `table`.
+    """Replace the rows and the name of the key mapping by those of `table`.
 
     Parameters
     ----------

@@ -2,8 +2,16 @@
 
 import bpy
 from bpy.app.handlers import persistent
-from bpy.props import BoolProperty, CollectionProperty, FloatProperty, IntProperty, StringProperty
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
 
+from ..blender.characters import head_of
 from ..blender.registering import watch
 from ..core.control_points.greedy import DEFAULT_TOLERANCE
 from ..core.heads.checks import Finding
@@ -53,9 +61,34 @@ class FacemimeLandmark(bpy.types.PropertyGroup):
     """An item of the list of landmarks, in their order; its name is the iBUG number."""
 
 
+def _is_mesh(memory: "FacemimeMemory", obj: bpy.types.Object) -> bool:
+    return obj.type == "MESH"
+
+
+def _make_active(memory: "FacemimeMemory", context: bpy.types.Context) -> None:
+    """Select the head of the picked object; nothing is kept, as a stored pointer would keep a deleted head alive."""
+    picked = memory.picked
+    if picked is None:
+        return
+    memory.picked = None
+    head = head_of(picked)
+    if context.mode == "OBJECT" and head.name in context.view_layer.objects:
+        for obj in context.selected_objects:
+            obj.select_set(False)
+        head.select_set(True)
+        context.view_layer.objects.active = head
+
+
 class FacemimeMemory(bpy.types.PropertyGroup):
     """What panels remember until Blender quits."""
 
+    picked: PointerProperty(
+        name="Head",
+        description="Head to be driven; choose any part of a character",
+        type=bpy.types.Object,
+        poll=_is_mesh,
+        update=_make_active,
+    )
     checked: StringProperty(description="Name of the last head that was checked")
     findings: CollectionProperty(type=FacemimeFinding)
     landmarks: CollectionProperty(type=FacemimeLandmark)

@@ -1,4 +1,4 @@
-"""Properties of a scene's takes, of their bake and of the key table; `takes_store.py` reads and writes the takes."""
+"""Properties of a scene's takes, of their bake and of the key mapping; `takes_store.py` reads and writes the takes."""
 
 import bpy
 from bpy.props import (
@@ -29,7 +29,7 @@ class FacemimeTake(bpy.types.PropertyGroup):
 
 
 class FacemimeKeyRow(bpy.types.PropertyGroup):
-    """A row of the key table: shape key = gain * coefficient + offset."""
+    """A row of the key mapping: shape key = gain * coefficient + offset."""
 
     source: EnumProperty(
         name="Source",
@@ -45,16 +45,16 @@ class FacemimeKeyRow(bpy.types.PropertyGroup):
 
 
 class FacemimeKeyPose(bpy.types.PropertyGroup):
-    """A pose that the key table is learnt from: coefficients and values of the shape keys, as JSON."""
+    """A pose that the key mapping is learnt from: coefficients and values of the shape keys, as JSON."""
 
     data: StringProperty(options={"HIDDEN"})
 
 
 @with_settings(BakeSettings)
 class FacemimeBake(bpy.types.PropertyGroup):
-    """Settings of the bake, and the key table."""
+    """Settings of the bake, and the key mapping."""
 
-    table: StringProperty(name="Table", description="Name of the key table")
+    table: StringProperty(name="Table", description="Name of the key mapping")
     rows: CollectionProperty(type=FacemimeKeyRow)
     row: IntProperty(name="Row", min=0)
     poses: CollectionProperty(type=FacemimeKeyPose)

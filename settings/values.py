@@ -65,7 +65,7 @@ def bake_settings(bake: FacemimeBake, name: str) -> BakeSettings:
     Raises
     ------
     FacemimeError
-        If a row of the key table has no shape key.
+        If a row of the key mapping has no shape key.
     """
     table = read_table(bake) if bake.keys == "mapped" and len(bake.rows) else None
     return read(BakeSettings, bake, table=table, path=project_folder("caches") / bpy.path.clean_name(name))

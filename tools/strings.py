@@ -36,13 +36,13 @@ _REASONS = {"ValueError", "fail", "count", "vectors", "array", "indices", "_need
 _MESSAGES = {"report", "Finding", "Quality", "_chosen"}
 _FUNCTIONS = {"explained", "missing_parts", "summary"}
 """Functions that return messages."""
-_TABLES = {"MARKS", "START", "PART_NAMES", "_DESCRIPTIONS", "BONES", "_EXPLANATIONS", "_STAGES"}
+_TABLES = {"MARKS", "START", "PART_NAMES", "_DESCRIPTIONS", "BONES", "_EXPLANATIONS", "_STAGES", "_TASKS"}
 """Dictionaries, or tuples of them, whose values are messages."""
 _LABELS = {"MARKS"}
 """Those that are shown with a capital letter."""
 _VARIABLES = {"reason", "recovered", "warning"}
 """Variables, attributes and items to which messages are assigned."""
-_NOT_SHOWN = {"WINDOW", "Facemime"}
+_NOT_SHOWN = {"WINDOW", "Facemime", "3D View"}
 
 
 def sources() -> list[Path]:

@@ -84,7 +84,6 @@ class Studio:
 
     def add_head(self, **options: object) -> None:
         """Add the built-in head by its button, and view it from the front."""
-        self.sidebar.open_panel("FACEMIME_PT_head")
         if options:
             given = ", ".join(f"{name}={value!r}" for name, value in options.items())
             self.blender.do(_IN_VIEW + f"    bpy.ops.facemime.add_head({given})")
@@ -104,11 +103,9 @@ class Studio:
     def start(self, until: float, panel: str = "") -> None:
         """Start the puppet, optionally open a panel, and play to `until` seconds."""
         self.blender.do(f"sources.PacedSource.pace = held = Held(); held.limit = {until}")
-        self.sidebar.open_panel(panel or "FACEMIME_PT_puppet")
         if panel:
-            self.blender.do(_IN_VIEW + "    bpy.ops.facemime.puppet('INVOKE_DEFAULT')")
-        else:
-            self.sidebar.press("bpy.ops.facemime.puppet")
+            self.sidebar.open_panel(panel)
+        self.sidebar.press("bpy.ops.facemime.puppet")
         self.play(until)
 
     def play(self, until: float) -> None:
@@ -203,7 +200,6 @@ def own_head() -> None:
         blender.wait_for("'facemime_landmarks' in bpy.data.objects['scan'].data")
         studio.picture("bound")
         sidebar.open_panel("FACEMIME_PT_control_points")
-        sidebar.press("show_points")
         studio.picture("landmarks")
         sidebar.press("show_points")
         sidebar.open_panel("FACEMIME_PT_head")
@@ -246,7 +242,7 @@ def take() -> None:
         blender.do(_IN_VIEW + "    bpy.ops.facemime.detect_key_map()")
         blender.do("bpy.context.scene.facemime_takes.bake.row = 24")
         x, y = sidebar.find("bpy.ops.facemime.bake_take")
-        blender.click(x, y + 1.6 * sidebar.unit)  # the header of Key Table, right below the button
+        blender.click(x, y + 1.6 * sidebar.unit)  # the header of Key Mapping, right below the button
         blender.redraw()
         box = sidebar.box()
         blender.input("mousemove", box.x + 60, box.y + 300, "click", "--repeat", 40, "--delay", 5, 5)

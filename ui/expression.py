@@ -53,9 +53,9 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
         split_labels(layout)
         settings = context.scene.facemime
         column = layout.column(align=True)
-        column.prop(settings, "strength_upper", text="Strength Upper")
-        column.prop(settings, "strength_middle", text="Middle")
-        column.prop(settings, "strength_lower", text="Lower")
+        column.prop(settings, "strength_upper", text="Brows")
+        column.prop(settings, "strength_middle", text="Cheeks")
+        column.prop(settings, "strength_lower", text="Jaw")
         layout.prop(settings, "smoothing")
         layout.prop(settings, "mode")
         layout.prop(settings, "kernel")

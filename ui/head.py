@@ -8,7 +8,7 @@ from .sidebar import Sidebar, draw_findings, labels, place
 
 
 class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
-    """Button that adds a head, and what the active mesh still needs."""
+    """What the active mesh still needs to be a head."""
 
     bl_label = "Head"
     bl_order = place(__name__)
@@ -16,8 +16,8 @@ class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, obj = self.layout, context.active_object
-        layout.operator("facemime.add_head", text="Add Head", icon="MONKEY")
         if obj is None or obj.type != "MESH":
+            layout.label(text="Select a mesh")
             return
         missing = missing_parts(obj)
         if not missing:
@@ -51,9 +51,7 @@ class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
             column.operator("facemime.set_landmark")
         else:
             marked = _("Marked points: {count}").format(count=len(marks))
-            column.label(
-                text=marked if marks else _("No points marked; the mesh may face along any axis"), translate=False
-            )
+            column.label(text=marked if marks else _("No marks yet. The face is found automatically"), translate=False)
             column.operator("facemime.bind_landmarks", icon="OUTLINER_DATA_ARMATURE")
             column.operator("facemime.propose_regions", icon="GROUP_VERTEX")
             column.operator("facemime.check_head", icon="CHECKMARK")

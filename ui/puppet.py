@@ -8,7 +8,7 @@ from .status import status_lines
 
 
 class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
-    """Start and Stop, and the status of the session."""
+    """How the heads follow the performer, and the status of the session."""
 
     bl_label = "Puppet"
     bl_order = place(__name__)
@@ -16,18 +16,12 @@ class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, settings, session = self.layout, context.scene.facemime, running()
-        column = layout.column()
-        column.scale_y = 1.4
-        if session is None:
-            column.operator("facemime.puppet", icon="PLAY")
-        else:
-            column.operator("facemime.stop_puppet", icon="PAUSE", depress=True)
-            for text, icon in status_lines(session):
-                labels(layout, context, text, icon)
-            layout.operator("facemime.next_face", icon="COMMUNITY")
         row = side_by_side(layout, context)
         row.prop(settings, "mirror")
         row.prop(settings, "keep_pose")
+        layout.operator("facemime.next_face", icon="COMMUNITY")
+        for text, icon in () if session is None else status_lines(session):
+            labels(layout, context, text, icon)
 
 
 class FACEMIME_PT_pose(Sidebar, bpy.types.Panel):

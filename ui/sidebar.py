@@ -7,7 +7,7 @@ from bpy.app.translations import pgettext_iface
 from ..blender.meshes import is_head
 from ..blender.messages import translated
 
-ORDER = ("head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
+ORDER = ("start", "head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
 """Modules of `ui` whose panels are in the tab, from top to bottom: the order of the workflow."""
 
 
@@ -25,6 +25,7 @@ class Sidebar:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "Facemime"
+    bl_options = {"DEFAULT_CLOSED"}
 
 
 class OnHead(Sidebar):
@@ -69,7 +70,7 @@ def draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     if memory.checked != context.active_object.name:
         return
     if not memory.findings:
-        labels(layout, context, "No problems found", "CHECKMARK")
+        labels(layout, context, "Ready", "CHECKMARK")
     for finding in memory.findings:
         labels(layout, context, finding.problem, "ERROR")
         labels(layout, context, finding.remedy, "BLANK1")
@@ -90,8 +91,9 @@ def draw_list(
     fields: tuple[str, str],
     rows: int,
     buttons: dict[str, str],
+    menu: str = "",
 ) -> None:
-    """Draw a list with buttons beside it.
+    """Draw a list with buttons beside it, and a menu below them.
 
     Parameters
     ----------
@@ -105,12 +107,17 @@ def draw_list(
         Number of rows at least.
     buttons : dict of str to str
         Icon of each operator.
+    menu : str
+        Its name; "" for none.
     """
     row = layout.row()
     row.template_list(kind, "", owner, fields[0], owner, fields[1], rows=rows)
     column = row.column(align=True)
     for operator, icon in buttons.items():
         column.operator(f"facemime.{operator}", text="", icon=icon)
+    if menu:
+        column.separator()
+        column.menu(menu, text="", icon="DOWNARROW_HLT")
 
 
 def side_by_side(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:

@@ -23,6 +23,22 @@ def latency_text(session: LiveSession) -> str:
     return f"{1000 * watch.latency:.0f} ms   {watch.rate:.0f} fps"
 
 
+def summary(session: LiveSession) -> tuple[str, str]:
+    """Return the most important line about a session, and its icon: what is wrong, or else how fast it is."""
+    worker, latest = session.worker, session.shown
+    if (error := worker.message or (worker.recording_error and str(worker.recording_error))) and error:
+        return error, "ERROR"
+    if latest is None:
+        return _("Waiting for the first frame"), "TIME"
+    if not latest.result.found:
+        return _("No face in view"), "QUESTION"
+    if worker.neutral is None:
+        return _("Using the first second as the neutral face"), "TIME"
+    if session.recording is not None:
+        return _("{count} frames recorded").format(count=session.recording.frames), "REC"
+    return latency_text(session), "PREVIEW_RANGE"
+
+
 def status_lines(session: LiveSession) -> list[tuple[str, str]]:
     """Return (text, icon) of each line: errors, then the delay, then the counts."""
     worker, lines = session.worker, []

@@ -26,7 +26,7 @@ class FACEMIME_UL_takes(bpy.types.UIList):
 
 
 class FACEMIME_UL_key_rows(bpy.types.UIList):
-    """List of the rows of the key table."""
+    """List of the rows of the key mapping."""
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
         """Draw one row."""
@@ -48,48 +48,50 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
         """Draw the panel."""
         layout, takes = self.layout, context.scene.facemime_takes
         session = running()
-        recording, punch_in = (None, None) if session is None else (session.recording, session.punch_in)
-        column = layout.column()
-        column.scale_y = 1.4
-        idle = recording is None
-        column.operator(
-            "facemime.record_take", text="Record Take" if idle else "Stop Recording", icon="REC", depress=not idle
-        )
-        row = layout.row()
-        row.active = idle
-        row.prop(takes, "video")
-        if recording is not None:
-            labels(layout, context, _("{count} frames recorded").format(count=recording.frames), "DISK_DRIVE")
-        elif punch_in is not None:
+        punch_in = None if session is None else session.punch_in
+        if punch_in is not None and session.recording is None:
             labels(layout, context, _("Recording in {seconds:.0f} s").format(seconds=punch_in.time_left), "TIME")
-        elif session is None and not len(takes.items):
-            labels(layout, context, "Start the puppet to record a take, or import one", "INFO")
-        if not bpy.data.filepath and len(takes.items):
+        elif not len(takes.items):
+            labels(layout, context, "Record a take, or import one", "INFO")
+        elif not bpy.data.filepath:
             labels(layout, context, "Takes are stored in your user folder until you save the .blend file", "INFO")
-        buttons = {
-            "import_take": "IMPORT",
-            "take_from_animation": "ANIM",
-            "export_take": "EXPORT",
-            "remove_take": "REMOVE",
-            "find_takes": "VIEWZOOM",
-        }
-        draw_list(layout, "FACEMIME_UL_takes", takes, ("items", "index"), 5, buttons)
+        buttons = {"import_take": "IMPORT", "remove_take": "REMOVE"}
+        draw_list(layout, "FACEMIME_UL_takes", takes, ("items", "index"), 3, buttons, menu="FACEMIME_MT_takes")
         if not 0 <= takes.index < len(takes.items):
             return
         take = takes.items[takes.index]
         layout.prop(take, "note", icon="TEXT")
-        layout.operator("facemime.show_take", icon="PLAY", depress=TakeShow.running() is not None)
-        row = layout.row(align=True)
-        row.operator("facemime.add_sound", text="Sound", icon="SOUND")
-        row.operator("facemime.add_reference", text="Video", icon="FILE_MOVIE")
-        packed = take.packed is not None
-        row.operator("facemime.pack_take", text="Unpack" if packed else "Pack", icon="PACKAGE")
-        row = layout.row(align=True)
+        column = layout.column(align=True)
+        column.operator("facemime.show_take", icon="PLAY", depress=TakeShow.running() is not None)
+        row = column.row(align=True)
         row.operator("facemime.trim_take", text="Trim", icon="ARROW_LEFTRIGHT")
         row.operator("facemime.mend_take", text="Mend", icon="MODIFIER")
-        row = layout.row(align=True)
-        row.operator("facemime.rerecord_take", icon="REC", depress=punch_in is not None)
-        row.operator("facemime.punch_in_take", icon="PASTEDOWN")
+        if session is not None:
+            column.operator("facemime.rerecord_take", icon="REC", depress=punch_in is not None)
+
+
+class FACEMIME_MT_takes(bpy.types.Menu):
+    """What else can be done with takes"""
+
+    bl_label = "Takes"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the operators."""
+        layout, takes = self.layout, context.scene.facemime_takes
+        layout.prop(takes, "video")
+        layout.separator()
+        layout.operator("facemime.take_from_animation", icon="ANIM")
+        layout.operator("facemime.find_takes", icon="VIEWZOOM")
+        layout.operator("facemime.export_take", icon="EXPORT")
+        layout.separator()
+        layout.operator("facemime.add_sound", icon="SOUND")
+        layout.operator("facemime.add_reference", icon="FILE_MOVIE")
+        chosen = takes.items[takes.index] if 0 <= takes.index < len(takes.items) else None
+        packed = chosen is not None and chosen.packed is not None
+        layout.operator("facemime.pack_take", text="Unpack Take" if packed else "Pack Take", icon="PACKAGE")
+        layout.separator()
+        layout.operator("facemime.rerecord_take", icon="REC")
+        layout.operator("facemime.punch_in_take", icon="PASTEDOWN")
         layout.operator("facemime.renew_neutral", icon="USER")
 
 
@@ -98,6 +100,7 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
 
     bl_label = "Bake"
     bl_parent_id = "FACEMIME_PT_takes"
+    bl_options = set()
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -115,9 +118,9 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
 
 
 class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
-    """Key table for existing shape keys."""
+    """Key mapping for existing shape keys."""
 
-    bl_label = "Key Table"
+    bl_label = "Key Mapping"
     bl_parent_id = "FACEMIME_PT_takes"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -153,6 +156,7 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
 CLASSES = (
     FACEMIME_UL_takes,
     FACEMIME_UL_key_rows,
+    FACEMIME_MT_takes,
     FACEMIME_PT_takes,
     FACEMIME_PT_take_bake,
     FACEMIME_PT_key_map,

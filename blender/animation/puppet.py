@@ -36,6 +36,10 @@ TOLERANCE = 0.009
 _DEFAULTS = PuppetSettings()
 
 
+_POOR = 0.1
+"""Deviation in eye distances above which keys are said not to suffice."""
+
+
 @dataclass(frozen=True)
 class PuppetReport:
     """Result of a bake.
@@ -72,7 +76,10 @@ class PuppetReport:
         """Return the number of shape keys and the error as text."""
         if not self.keys:
             return "every vertex exactly"
-        return f"{self.keys} shape keys, largest vertex error {100 * self.worst_error:.2f} % of the eye distance"
+        keys, error = self.keys, f"{100 * self.worst_error:.2g}"
+        if self.worst_error > _POOR:
+            return f"{keys} shape keys, which cannot follow everything: largest deviation {error} % of the eye distance"
+        return f"{keys} shape keys, largest deviation {error} % of the eye distance"
 
 
 def puppet_head(
@@ -228,7 +235,7 @@ def _mapped(
     values = table_for(obj, bake.table).apply(coefficients, keys.ranges)
     if not values:
         raise HeadError(
-            f"All shape keys of {obj.name} in the key table are muted. Unmute them, or bake to something else."
+            f"All shape keys of {obj.name} in the key mapping are muted. Unmute them, or bake to something else."
         )
     keys = keys.chosen(list(values))
     error, _ = mix_errors(motion.vertices, keys.offsets, np.column_stack(list(values.values())))
@@ -236,7 +243,7 @@ def _mapped(
 
 
 def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
-    """Match a key table with the shape keys of a head.
+    """Match a key mapping with the shape keys of a head.
 
     Parameters
     ----------
@@ -259,12 +266,12 @@ def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
         return preset
     if table is None:
         raise HeadError(
-            f"No preset of a key table matches the shape keys of {obj.name}. "
+            f"No preset of a key mapping matches the shape keys of {obj.name}. "
             "Use a table of your own, or bake to new or existing shape keys without a table."
         )
     if not (matched := table.matched(names)).rows:
         raise HeadError(
-            f"The key table {table.name} matches none of the shape keys of {obj.name}. "
+            f"The key mapping {table.name} matches none of the shape keys of {obj.name}. "
             "Use another table, or bake to new or existing shape keys without a table."
         )
     return matched

@@ -14,7 +14,7 @@ from .materials import head_materials
 
 
 def add_head(context: bpy.types.Context, *, units: bool = False, name: str = "Facemime Head") -> bpy.types.Object:
-    """Add the built-in head at the origin, select it and make it active.
+    """Add the built-in head at the origin, in a collection of its own, select it and make it active.
 
     It faces -Y and stands upright along +Z, in metres; its origin is between the ears.
 
@@ -24,7 +24,7 @@ def add_head(context: bpy.types.Context, *, units: bool = False, name: str = "Fa
     units : bool
         Whether to add the 52 face units as shape keys.
     name : str
-        Name of the object.
+        Name of the object and its collection.
 
     Returns
     -------
@@ -36,9 +36,11 @@ def add_head(context: bpy.types.Context, *, units: bool = False, name: str = "Fa
     mesh = _mesh(name, head.vertices, head.faces, head.uv, materials["skin"])
     write_landmarks(mesh, head.landmarks)
     skin = bpy.data.objects.new(name, mesh)
-    context.collection.objects.link(skin)
+    collection = bpy.data.collections.new(name)
+    context.collection.children.link(collection)
+    collection.objects.link(skin)
     write_regions(skin, head.regions)
-    parts = [_add_part(context, skin, part, materials[part.name]) for part in head.parts]
+    parts = [_add_part(collection, skin, part, materials[part.name]) for part in head.parts]
     if units:
         _add_units(skin, head.vertices, head.unit_names, head.units)
         for obj, part in zip(parts, head.parts, strict=True):
@@ -82,13 +84,13 @@ def _mesh(
 
 
 def _add_part(
-    context: bpy.types.Context, parent: bpy.types.Object, part: HeadPart, material: bpy.types.Material
+    collection: bpy.types.Collection, parent: bpy.types.Object, part: HeadPart, material: bpy.types.Material
 ) -> bpy.types.Object:
     """Add a child of `parent` whose origin is the part's pivot."""
     mesh = _mesh(PART_OBJECTS[part.name], part.vertices - part.pivot, part.faces, part.uv, material)
     obj = bpy.data.objects.new(PART_OBJECTS[part.name], mesh)
     obj[PART_PROPERTY] = part.name
-    context.collection.objects.link(obj)
+    collection.objects.link(obj)
     obj.parent = parent
     obj.location = to_blender(part.pivot)
     return obj

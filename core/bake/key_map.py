@@ -151,7 +151,7 @@ def _row(data: Mapping[str, Any]) -> KeyRow:
 
 
 def load_map(path: Path) -> KeyMap:
-    """Load a key table from a file; SourceError if the file does not contain one."""
+    """Load a key mapping from a file; SourceError if the file does not contain one."""
     try:
         return from_json(read_text(Path(path)))
     except (OSError, ValueError) as error:

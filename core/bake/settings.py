@@ -20,7 +20,7 @@ class BakeSettings:
     ----------
     keys : {"new", "named", "mapped", "cache", "alembic"}
         "new" adds shape keys. "named" fits the mesh's existing shape keys to the motion of its vertices. "mapped" sets
-        them from ARKit's coefficients by a key table. "cache" writes a point cache for the Mesh Cache modifier, and
+        them from ARKit's coefficients by a key mapping. "cache" writes a point cache for the Mesh Cache modifier, and
         "alembic" also an Alembic file.
     max_keys : int
         Maximum number of new shape keys; the report states the error.
@@ -29,7 +29,7 @@ class BakeSettings:
     nla : bool
         Whether the curves go onto an NLA track instead of the active action.
     table : KeyMap or None
-        Key table for "mapped"; None selects the preset that fits the mesh's shape keys best.
+        Key mapping for "mapped"; None selects the preset that fits the mesh's shape keys best.
     path : Path or None
         File of the cache, required for "cache" and "alembic"; the Alembic file differs only in its suffix.
     """
@@ -42,7 +42,7 @@ class BakeSettings:
             Choice("new", "New Shape Keys", "Add as few shape keys as the motion needs"),
             Choice("named", "Existing Shape Keys", "Fit the head's shape keys to the motion of its skin"),
             Choice(
-                "mapped", "Existing Shape Keys by Table", "Animate the head's shape keys according to the key table"
+                "mapped", "Existing Shape Keys by Mapping", "Animate the head's shape keys according to the key mapping"
             ),
             Choice("cache", "Mesh Cache", "Store every vertex exactly, in a .pc2 file"),
             Choice(

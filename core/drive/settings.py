@@ -80,12 +80,10 @@ class DriveSettings:
     )
     kernel: str = setting(
         INFORMED,
-        "Skin",
+        "Skinning",
         "How the skin between the landmarks follows their motion",
         choices=(
-            Choice(
-                INFORMED, "Informed", "By distance, and by which parts of a face move together in known expressions"
-            ),
+            Choice(INFORMED, "Learned", "By distance, and by which parts of a face move together in known expressions"),
             Choice("multiscale", "Multiscale", "By distance, at a small and a large scale"),
             Choice("gaussian", "Gaussian", "By distance, with one Gaussian function per region as in the paper"),
             Choice("wendland", "Wendland", "By distance, with a smooth function of compact support"),
@@ -94,7 +92,7 @@ class DriveSettings:
     )
     strength_upper: float = setting(
         1.0,
-        "Brows and Upper Lids",
+        "Brows",
         "Strength of the motion of the brows and upper eyelids",
         low=0.0,
         high=5.0,
@@ -102,14 +100,14 @@ class DriveSettings:
     )
     strength_middle: float = setting(
         1.0,
-        "Cheeks and Upper Lip",
+        "Cheeks",
         "Strength of the motion of the lower eyelids, cheeks and upper lip",
         low=0.0,
         high=5.0,
         soft_high=2.0,
     )
     strength_lower: float = setting(
-        1.0, "Lower Lip and Chin", "Strength of the motion of the lower lip and chin", low=0.0, high=5.0, soft_high=2.0
+        1.0, "Jaw", "Strength of the motion of the lower lip and chin", low=0.0, high=5.0, soft_high=2.0
     )
     mirror: bool = setting(False, "Mirror", "Move the head like the performer's mirror image")
     only_landmarks: bool = setting(

@@ -137,7 +137,7 @@ class RangeCalibration:
             )
         learnt = self.neutral()
         if learnt.shut == 0.0:
-            return Quality(False, "Your eyes were not shut. Shut them for a second and try again.")
+            return Quality(False, "No closed eyes seen. Close them for a second and try again.")
         if learnt.mouth_gain == 1.0:
             return Quality(False, "Your mouth was hardly opened. Open it wide and try again.")
         return Quality(True, "Shut eyes and open mouth set.")

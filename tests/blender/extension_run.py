@@ -91,7 +91,7 @@ def bake_every_way(bpy, head) -> dict:
 
 
 def list_and_show(bpy, head, folder: Path) -> None:
-    """Import a take, pack it, save and open the file, show it, and bake it with the detected key table."""
+    """Import a take, pack it, save and open the file, show it, and bake it with the detected key mapping."""
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "file.blend"), copy=True)
     assert bpy.ops.facemime.import_take(filepath=str(folder / "take.facetake")) == {"FINISHED"}
     assert bpy.ops.facemime.pack_take() == {"FINISHED"} and bpy.ops.facemime.show_take() == {"FINISHED"}

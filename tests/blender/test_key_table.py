@@ -1,4 +1,4 @@
-"""The key table: detecting, editing, sharing and learning it."""
+"""The key mapping: detecting, editing, sharing and learning it."""
 
 import bpy
 import pytest
@@ -16,7 +16,7 @@ def test_a_key_table_is_detected_edited_shared_and_learnt(imported, takes, tmp_p
     assert bpy.ops.facemime.remove_key_row() == {"FINISHED"} and len(bake.rows) == 51
     assert bpy.ops.facemime.add_key_row() == {"FINISHED"}
     bake.keys = "mapped"
-    with pytest.raises(RuntimeError, match="Row 52 of the key table has no shape key"):
+    with pytest.raises(RuntimeError, match="Row 52 of the key mapping has no shape key"):
         bpy.ops.facemime.bake_take()
     bake.rows[51].key, bake.rows[51].gain = "tongueOut", 0.25
     assert bpy.ops.facemime.export_key_map(filepath=str(tmp_path / "mine.json")) == {"FINISHED"}

@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from mathutils import Vector
 
 import facemime
 from facemime.blender.animation.puppet import puppet_head
@@ -48,6 +49,22 @@ def test_add_head_adds_the_head_at_the_3d_cursor():
     assert bpy.ops.facemime.add_head() == {"FINISHED"}
     head = bpy.context.active_object
     assert len(head.data.vertices) == 1781 and tuple(head.location) == (1.0, 2.0, 3.0)
+
+
+def test_a_head_is_added_beside_what_stands_at_the_cursor_in_a_collection_of_its_own():
+    bpy.ops.mesh.primitive_cube_add(size=2.0)
+    cube = bpy.context.active_object
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=100.0)
+    heads = []
+    for _ in range(2):
+        bpy.ops.facemime.add_head()
+        heads.append(bpy.context.active_object)
+    bpy.context.view_layer.update()
+    reach = [[(obj.matrix_world @ Vector(corner)).x for corner in obj.bound_box] for obj in (cube, *heads)]
+    assert max(reach[0]) < min(reach[1]) and max(reach[1]) < min(reach[2])
+    for head in heads:
+        assert head.location.y == head.location.z == 0.0
+        assert set(head.users_collection[0].objects) == {head, *head.children}
 
 
 def test_the_operator_and_the_function_agree(tmp_path):

@@ -1,5 +1,6 @@
 """Panels draw in every state, tested without a window."""
 
+import re
 from types import SimpleNamespace
 
 import bpy
@@ -17,11 +18,14 @@ from facemime.core.takes.file import save_take
 from facemime.ui.calibration import FACEMIME_PT_calibration
 from facemime.ui.control_points import FACEMIME_PT_control_points, FACEMIME_UL_landmarks, shown_rows
 from facemime.ui.expression import FACEMIME_PT_expression
-from facemime.ui.head import FACEMIME_PT_head, FACEMIME_PT_own_head
+from facemime.ui.head import FACEMIME_PT_own_head
+from facemime.ui.menus import VIEW3D_MT_facemime
 from facemime.ui.puppet import FACEMIME_PT_bake, FACEMIME_PT_pose, FACEMIME_PT_puppet
 from facemime.ui.regions import FACEMIME_PT_regions
 from facemime.ui.source import FACEMIME_PT_source
+from facemime.ui.start import FACEMIME_PT_start
 from facemime.ui.takes import (
+    FACEMIME_MT_takes,
     FACEMIME_PT_key_map,
     FACEMIME_PT_take_bake,
     FACEMIME_PT_takes,
@@ -126,7 +130,7 @@ def test_regions_show_the_paint_buttons_and_the_findings_of_the_check():
     assert "none of its control points" in draw(FACEMIME_PT_regions)
     bpy.ops.facemime.propose_regions()
     bpy.ops.facemime.check_head()
-    assert "No problems found" in draw(FACEMIME_PT_regions)
+    assert "Ready" in draw(FACEMIME_PT_regions)
     bpy.ops.facemime.paint_region(region="LOWER")
     assert "facemime.leave_painting" in draw(FACEMIME_PT_regions)
 
@@ -134,17 +138,42 @@ def test_regions_show_the_paint_buttons_and_the_findings_of_the_check():
 @pytest.mark.parametrize(
     ("panel", "expected"),
     [
-        (FACEMIME_PT_head, "facemime.add_head"),
+        (FACEMIME_PT_start, "facemime.add_head"),
         (FACEMIME_PT_expression, "kernel"),
         (FACEMIME_PT_source, "speed"),
         (FACEMIME_PT_calibration, "facemime.calibrate"),
-        (FACEMIME_PT_puppet, "facemime.puppet"),
+        (FACEMIME_PT_puppet, "mirror"),
         (FACEMIME_PT_pose, "rotation_limit"),
         (FACEMIME_PT_bake, "facemime.puppet_video"),
     ],
 )
 def test_every_panel_draws(panel, expected):
     assert expected in draw(panel)
+
+
+def test_the_box_on_top_leads_from_no_head_to_start_and_names_the_head():
+    cube()
+    assert "facemime.add_head" in draw(FACEMIME_PT_start) and "facemime.bind_landmarks" in draw(FACEMIME_PT_start)
+    head = add_head(bpy.context)
+    assert "facemime.puppet" in draw(FACEMIME_PT_start) and head.name in draw(FACEMIME_PT_start)
+    head.select_set(False)
+    bpy.context.view_layer.objects.active = bpy.data.objects["Cube"]
+    assert head.name in draw(FACEMIME_PT_start), "the only head there is can be driven, whatever is selected"
+
+
+def test_a_part_that_is_picked_stands_for_its_head():
+    head = add_head(bpy.context)
+    other = add_head(bpy.context)
+    bpy.context.window_manager.facemime.picked = head.children[0]
+    assert bpy.context.view_layer.objects.active == head and not other.select_get()
+    assert bpy.context.window_manager.facemime.picked is None
+
+
+def test_the_menu_has_every_operator_that_is_drawn_there():
+    drawn = draw(VIEW3D_MT_facemime)
+    assert "facemime.bake_take" in drawn and "facemime.puppet" in drawn
+    for name in re.findall(r"facemime\.(\w+)", drawn):
+        assert hasattr(bpy.types, f"FACEMIME_OT_{name}"), name
 
 
 def test_everything_that_the_panels_draw_exists():
@@ -163,15 +192,17 @@ def test_everything_that_the_panels_draw_exists():
 
 def test_takes_and_the_key_table_are_listed_with_their_operators(tmp_path):
     head = add_head(bpy.context, units=True)
-    assert "Start the puppet to record" in draw(FACEMIME_PT_takes)
+    assert "Record a take" in draw(FACEMIME_PT_takes)
     save_take(performance(), tmp_path / "Anna.facetake")
     bpy.ops.facemime.import_take(filepath=str(tmp_path / "Anna.facetake"))
     takes = bpy.context.scene.facemime_takes
     takes.items[0].note, takes.items[0].star = "the second smile", True
     bpy.ops.facemime.pack_take()
-    for operator in ("show_take", "trim_take", "mend_take", "punch_in_take", "remove_take"):
+    for operator in ("show_take", "trim_take", "mend_take", "remove_take"):
         assert f"facemime.{operator}" in draw(FACEMIME_PT_takes)
-    assert "Unpack" in draw(FACEMIME_PT_takes) and "user folder" in draw(FACEMIME_PT_takes)
+    for operator in ("punch_in_take", "add_sound", "take_from_animation", "renew_neutral"):
+        assert f"facemime.{operator}" in draw(FACEMIME_MT_takes)
+    assert "Unpack Take" in draw(FACEMIME_MT_takes) and "user folder" in draw(FACEMIME_PT_takes)
     bpy.ops.facemime.detect_key_map()
     assert "key_blocks" in draw(FACEMIME_PT_key_map)
     bpy.context.view_layer.objects.active = head.children[0]

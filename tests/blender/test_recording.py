@@ -53,7 +53,7 @@ def test_stopping_the_session_lists_the_recording_and_the_next_one_gets_a_new_fi
         else:
             bpy.ops.facemime.record_take()
     assert [line.name for line in takes.items] == ["Same", "Same 2"]
-    assert Session.current is None and not bpy.ops.facemime.record_take.poll()
+    assert Session.current is None
 
 
 def test_a_recording_is_listed_before_the_next_session_starts(session, takes):
@@ -127,10 +127,28 @@ def test_a_recording_that_cannot_start_leaves_no_thread(session, takes, tmp_path
     assert threading.active_count() == before and session.recording is None
 
 
-def test_recording_requires_a_running_puppet():
+def test_recording_needs_a_head():
     assert not bpy.ops.facemime.record_take.poll()
-    with pytest.raises(RuntimeError, match="Start the puppet first"):
+    with pytest.raises(RuntimeError, match="Select a head"):
         bpy.ops.facemime.record_take()
+
+
+def test_recording_starts_the_puppet_first(take, takes):
+    add_head(bpy.context)
+    assert bpy.ops.facemime.record_take(name="At Once") == {"FINISHED"}
+    session = Session.current
+    wait_for(lambda: session.recording.frames > 3)
+    session.close()
+    attend()
+    assert [line.name for line in takes.items] == ["At_Once"]
+
+
+def test_an_error_of_the_start_is_reported_when_recording(takes):
+    add_head(bpy.context)
+    bpy.context.scene.facemime.source.kind = "VIDEO"
+    with pytest.raises(RuntimeError, match="video"):
+        bpy.ops.facemime.record_take()
+    assert Session.current is None and not len(takes.items)
 
 
 def rerecord(**options) -> None:

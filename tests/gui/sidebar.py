@@ -20,7 +20,7 @@ value = [region.x, bpy.context.window.height - region.y - region.height, region.
 _CATEGORY = _REGION.format(kind="UI") + 'value = region.active_panel_category if region.width > 1 else ""\n'
 _PANELS = """
 panels = [cls for cls in bpy.types.Panel.__subclasses__() if getattr(cls, "bl_category", "") == "Facemime"]
-panels = [cls for cls in panels if cls.is_registered]
+panels = [cls for cls in panels if cls.is_registered and "HIDE_HEADER" not in getattr(cls, "bl_options", ())]
 for cls in panels:
     if not hasattr(cls, "watched"):
         cls.draw, cls.watched = watched(cls.__name__, cls.draw), True
@@ -40,6 +40,9 @@ def watched(name, draw):
 _TAG = "for area in bpy.context.window.screen.areas: area.tag_redraw()"
 _HEADER = 1.35
 """Height of a collapsed panel, in interface units."""
+_BOX, _STEPS = 5.87, 3.5
+"""Height of the box on top of the tab, and the middle of its large buttons, in interface units."""
+_HAS_BOX = "hasattr(bpy.types, 'FACEMIME_PT_start')"
 _STEP = 0.75
 """Distance between probes, relative to the height of a button."""
 _NOTHING = "(nothing)"
@@ -61,6 +64,7 @@ class Sidebar:
 
     def __init__(self, blender: Blender) -> None:
         self.blender = blender
+        self._box = _BOX if blender.get(_HAS_BOX) else 0.0
         self._top = 1.0
         self._known: dict[str, tuple[tuple[float, float], ...]] = {}
         self.unit = 20.0 * blender.get("bpy.context.preferences.system.ui_scale")
@@ -116,8 +120,12 @@ class Sidebar:
         return str(self.blender.do(_PASTE))
 
     def places(self) -> Iterator[tuple[float, float]]:
-        """Yield positions of possible buttons: the first rows, then column by column, the most crowded first."""
+        """Yield positions of possible buttons: the large ones of the box on top, the first rows, then column by column,
+        the most crowded first.
+        """
         box, columns = self.box(), (0.45, 0.2, 0.8, 0.9)
+        for column in (0.25, 0.8) if self._box else ():
+            yield box.x + column * (box.width - self.unit), box.y + self.unit * _STEPS
         rows = range(int((box.height / self.unit - self._top) / _STEP))
         first = [(column, row) for row in rows[:4] for column in columns]
         for column, row in first + [(column, row) for column in columns for row in rows[4:]]:
@@ -132,7 +140,7 @@ class Sidebar:
         box = self.box()
         self.blender.input("mousemove", box.x + 60, box.y + 60, "click", "--repeat", 8, "--delay", 2, 4)
         panels, opened = self.panels(), self._open()
-        self._top = 0.6 + _HEADER * (panels.index(name) + 1)
+        self._top = self._box + 0.6 + _HEADER * (panels.index(name) + 1)
         if not children and opened.intersection(panels) == {name}:
             return
         if len(opened.intersection(panels)) > 2:
@@ -145,7 +153,7 @@ class Sidebar:
         """Open the menu in the header of Expression, with all panels above collapsed."""
         box, place = self.box(), self.panels().index("FACEMIME_PT_expression")
         x = box.x + box.width - 2.95 * self.unit
-        self.blender.click(x, box.y + (0.85 + _HEADER * place) * self.unit)
+        self.blender.click(x, box.y + (self._box + 0.85 + _HEADER * place) * self.unit)
         self.blender.redraw()
 
     def _fold_most(self, panels: list[str]) -> set[str]:
@@ -170,7 +178,7 @@ class Sidebar:
     def _click_header(self, place: int, key: str | None = None) -> None:
         box = self.box()
         held = [["keydown", key], ["keyup", key]] if key else [[], []]
-        self.blender.move(box.x + 3 * self.unit, box.y + (0.85 + _HEADER * place) * self.unit)
+        self.blender.move(box.x + 3 * self.unit, box.y + (self._box + 0.85 + _HEADER * place) * self.unit)
         self.blender.redraw()
         self.blender.input(*held[0], "click", 1, *held[1])
 

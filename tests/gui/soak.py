@@ -64,7 +64,6 @@ def soak(blender: Blender, minutes: float) -> dict:
     shutil.copy(ROOT / "assets" / "sample" / "sample.mp4", clip)
     blender.do("[bpy.data.objects.remove(obj) for obj in list(bpy.data.objects)]")
     sidebar = Sidebar(blender)
-    sidebar.open_panel("FACEMIME_PT_head")
     sidebar.press("bpy.ops.facemime.add_head")
     blender.do(_START.format(clip=str(blender.inside / "clip.mp4")))
     sidebar.open_panel("FACEMIME_PT_puppet")

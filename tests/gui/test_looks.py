@@ -42,7 +42,6 @@ def empty(blender: Blender) -> Blender:
 
 def tour(sidebar: Sidebar, name: str) -> None:
     """Add a head and take a screenshot of every panel with its subpanels."""
-    sidebar.open_panel("FACEMIME_PT_head")
     sidebar.press("bpy.ops.facemime.add_head")
     for panel in sidebar.panels():
         sidebar.open_panel(panel)

@@ -1,0 +1,64 @@
+"""The first minute of a newcomer: from Blender's default scene to a face that moves, by mouse alone."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from conftest import SUITES, install, started
+from sidebar import Sidebar
+from window import Blender
+
+SIZES = ((1366, 768), (1600, 1000))
+_LEAST_SHARE, _LEAST_MOTION = 0.15, 0.01
+"""Shares of the view that the head fills at least, and whose pixels change at least when it moves."""
+
+
+@pytest.mark.parametrize(
+    "size", [pytest.param(size, marks=[pytest.mark.thorough] * (size != SIZES[0])) for size in SIZES]
+)
+@pytest.mark.parametrize(
+    "suite", [pytest.param(name, marks=[pytest.mark.thorough] * (name != "sid")) for name in SUITES]
+)
+def test_two_clicks_lead_from_the_default_scene_to_a_moving_face_and_stop_stays_in_view(suite, size):
+    with started(suite, f"first-{size[0]}", size=size) as blender:
+        install(blender)
+        blender.do("bpy.ops.wm.read_homefile(use_factory_startup=False)")
+        blender.redraw()
+        sidebar = Sidebar(blender)
+        assert blender.get("'Cube' in bpy.data.objects")
+        before = view(blender, sidebar, "default")
+        sidebar.press("bpy.ops.facemime.add_head")
+        blender.wait_for("bpy.context.active_object.name == 'Facemime Head'")
+        blender.redraw()
+        rest = view(blender, sidebar, "head")
+        assert skin(rest) > _LEAST_SHARE > skin(before) + 0.1
+        sidebar.press("bpy.ops.facemime.puppet")
+        stop = sidebar.find("bpy.ops.facemime.stop_puppet")
+        key = "bpy.context.active_object.data.shape_keys.key_blocks[-1]"
+        moved = f"max((p.co - q.co).length for p, q in zip({key}.data, bpy.context.active_object.data.vertices))"
+        blender.wait_for(f"bpy.context.active_object.data.shape_keys is not None and {moved} > 2e-3")
+        blender.redraw()
+        shown = view(blender, sidebar, "moving")
+        changed = np.abs(shown.astype(int) - rest).max(axis=2) > 40
+        assert changed.mean() > _LEAST_MOTION and skin(shown) > _LEAST_SHARE
+        blender.click(*stop)
+        blender.wait_for("bpy.context.active_object.data.shape_keys is None")
+        blender.redraw()
+        assert np.abs(view(blender, sidebar, "stopped").astype(int) - rest).mean() < 2.0
+        assert "Traceback" not in blender.printed()
+
+
+def view(blender: Blender, sidebar: Sidebar, name: str) -> np.ndarray:
+    """Return a picture of the middle of the viewport, between toolbar and sidebar."""
+    box, edge = sidebar.box("WINDOW"), sidebar.box().x
+    picture = cv2.imread(str(blender.shot(name)))
+    left = box.x + (edge - box.x) // 4
+    return picture[box.y + 60 : box.y + box.height - 20, left:edge]
+
+
+def skin(picture: np.ndarray) -> float:
+    """Return the share of a picture that has the colour of skin."""
+    hue, saturation, value = np.moveaxis(cv2.cvtColor(picture, cv2.COLOR_BGR2HSV), -1, 0)
+    return float(((hue < 20) & (saturation > 60) & (value > 60)).mean())

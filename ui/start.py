@@ -1,0 +1,79 @@
+"""The box on top of the tab: head, source, Start and Record, and how it goes. It has the same height in every state."""
+
+import bpy
+from bpy.app.translations import pgettext_iface as _
+
+from ..blender.messages import translated
+from ..operators.puppet import running
+from ..operators.shared import heads_in
+from .sidebar import Sidebar, place
+from .status import summary
+
+
+class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
+    """What is needed for a puppet, from top to bottom, with the next step as a large button."""
+
+    bl_label = "Start"
+    bl_order = place(__name__)
+    bl_options = {"HIDE_HEADER"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the box."""
+        layout, session, heads = self.layout, running(), heads_in(context)
+        column = layout.column(align=True)
+        row = column.row(align=True)
+        name = heads[0].name if len(heads) == 1 else _("{count} heads").format(count=len(heads))
+        row.prop(
+            context.window_manager.facemime,
+            "picked",
+            text="",
+            icon="MONKEY",
+            placeholder=name if heads else _("No head yet"),
+            translate=False,
+        )
+        row.menu("FACEMIME_MT_add", text="", icon="ADD")
+        column.prop(context.scene.facemime.source, "kind", text="")
+        row = layout.row(align=True)
+        row.scale_y = 1.6
+        if session is not None:
+            row.operator("facemime.stop_puppet", text="Stop", icon="SNAP_FACE", depress=True)
+            recording = session.recording is not None
+            row.operator(
+                "facemime.record_take", text="Stop Recording" if recording else "Record", icon="REC", depress=recording
+            )
+        elif heads:
+            row.operator("facemime.puppet", text="Start", icon="PLAY")
+            row.operator("facemime.record_take", text="Record", icon="REC")
+        else:
+            row.operator("facemime.add_head", text="Add Head", icon="MONKEY")
+            row.operator("facemime.bind_landmarks", text="Find Face", icon="VIEWZOOM")
+        text, icon = _next_step(context, heads) if session is None else summary(session)
+        layout.label(text=translated(text), icon=icon, translate=False)
+
+
+def _next_step(context: bpy.types.Context, heads: list[bpy.types.Object]) -> tuple[str, str]:
+    """Return what is to be done next, and an icon."""
+    if context.mode == "EDIT_MESH":
+        return _("Leave Edit Mode first"), "INFO"
+    if heads:
+        return _("Ready"), "CHECKMARK"
+    return _("Add a head, or select a character"), "INFO"
+
+
+class FACEMIME_MT_add(bpy.types.Menu):
+    """Add a head, or find the face of the selected character"""
+
+    bl_label = "Add Head"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the ways to a head."""
+        layout = self.layout
+        layout.operator_context = "INVOKE_DEFAULT"
+        layout.operator("facemime.add_head", text="Head", icon="MONKEY").units = False
+        layout.operator("facemime.add_head", text="Head with ARKit Keys", icon="SHAPEKEY_DATA").units = True
+        layout.operator("facemime.import_facegen", text="FaceGen Head", icon="IMPORT")
+        layout.separator()
+        layout.operator("facemime.bind_landmarks", text="Find Face of Selected Character", icon="VIEWZOOM")
+
+
+CLASSES = (FACEMIME_MT_add, FACEMIME_PT_start)
