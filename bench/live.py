@@ -76,16 +76,16 @@ def measure(level: int, preview: bool, seconds: float) -> Measured:
     preferences().preview = preview
     session = start_session(bpy.context.scene, [head])
     try:
-        return _ticked(session, settings, seconds, len(head.data.vertices), preview)
+        return _ticked(session, bpy.context.scene, seconds, len(head.data.vertices), preview)
     finally:
         session.close()
 
 
-def _ticked(session: LiveSession, settings, seconds: float, vertices: int, preview: bool) -> Measured:
+def _ticked(session: LiveSession, scene: bpy.types.Scene, seconds: float, vertices: int, preview: bool) -> Measured:
     ticks: list[float] = []
     while len(ticks) < _WARM + seconds / _PERIOD / 3 and session.worker.error is None:
         began = perf_counter()
-        follow_settings(session, settings)
+        follow_settings(session, scene)
         if session.step() and session.shown.heads:
             ticks.append(perf_counter() - began)
         bpy.context.view_layer.update()

@@ -108,7 +108,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         """Show the newest result and follow the settings."""
         session = self._session
         if (scene := bpy.data.scenes.get(self._scene)) is not None:
-            follow_settings(session, scene.facemime)
+            follow_settings(session, scene)
         if self._clicked and not _painting(context):
             self._clicked = False
             self._rigs.look()

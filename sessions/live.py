@@ -52,6 +52,8 @@ class LiveSession(Session):
     stopwatch : Stopwatch
     keep : bool
         Whether the heads keep their pose at the end.
+    drive_by : str
+        The setting by which the heads are driven now.
     shown : LiveResult or None
         The result on display; the worker may have a newer one.
     warning : str
@@ -76,6 +78,7 @@ class LiveSession(Session):
     ) -> None:
         super().__init__()
         self.stopwatch, self.keep, self.warning = Stopwatch(), False, ""
+        self.drive_by = ""
         self.shown: LiveResult | None = None
         self.operator: Any = None
         self.recording: Recording | None = None

@@ -8,9 +8,12 @@ from dataclasses import replace
 import bpy
 
 from ..blender.animation.live import Follow, LiveHeadObject
+from ..blender.animation.live_keys import KEYS, live_keys
 from ..blender.rigs import read_rig, rig_checks
 from ..core.errors import HeadError
+from ..core.live.key_driver import LiveKeys
 from ..core.live.worker import LiveHead, LiveOptions
+from ..settings.bake_table import read_table
 from ..settings.preferences import preferences
 from ..settings.properties import FacemimeSettings
 from ..settings.values import drive_settings, face_of, open_source, pose_targets, read_calibration, write_calibration
@@ -40,7 +43,10 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
         )
     options = drive_settings(settings)
     shown = [LiveHeadObject(obj, pose_targets(settings.posing, obj), _follow(settings)) for obj in objects]
-    heads = [(head, LiveHead(read_rig(head.obj), options, head.prepare)) for head in shown]
+    keys = [_keys_of(scene, obj) for obj in objects]
+    heads = [
+        (head, LiveHead(read_rig(head.obj), options, head.prepare, own)) for head, own in zip(shown, keys, strict=True)
+    ]
     name = scene.name
 
     def keep_calibration(neutral) -> None:
@@ -54,8 +60,15 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
         options=live_options(settings),
         on_calibrated=keep_calibration,
     )
-    session.keep = settings.keep_pose
+    session.keep, session.drive_by = settings.keep_pose, settings.drive_by
     return session
+
+
+def _keys_of(scene: bpy.types.Scene, obj: bpy.types.Object) -> LiveKeys | None:
+    """Return the keys that drive a head, by the mapping in the panel if it has rows and is asked for."""
+    choice = scene.facemime.drive_by
+    bake = scene.facemime_takes.bake
+    return live_keys(obj, choice, read_table(bake) if choice == KEYS and len(bake.rows) else None)
 
 
 def live_options(settings: FacemimeSettings) -> LiveOptions:
@@ -68,15 +81,25 @@ def live_options(settings: FacemimeSettings) -> LiveOptions:
     )
 
 
-def follow_settings(session: LiveSession, settings: FacemimeSettings) -> None:
-    """Apply the current settings to a running session; takes a few microseconds if nothing has changed.
+def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
+    """Apply the current settings of a scene to a running session; takes a few microseconds if nothing has changed.
 
     Parameters
     ----------
     session : LiveSession
-    settings : FacemimeSettings
+    scene : bpy.types.Scene
+
+    Raises
+    ------
+    HeadError
+        If a head is to be driven by shape keys that it does not have.
     """
+    settings = scene.facemime
     worker, options = session.worker, drive_settings(settings)
+    if session.drive_by != settings.drive_by:
+        session.drive_by = settings.drive_by
+        shown = zip(worker.heads, session.objects, strict=True)
+        session.update([head if own.gone else replace(head, keys=_keys_of(scene, own.obj)) for head, own in shown])
     session.keep = settings.keep_pose
     if worker.options != (wanted := live_options(settings)):
         worker.options = wanted

@@ -93,6 +93,19 @@ class FacemimeSettings(bpy.types.PropertyGroup):
         subtype="TIME_ABSOLUTE",
         min=0.0,
     )
+    drive_by: EnumProperty(
+        name="Driven By",
+        description="What of a head moves live",
+        items=(
+            (
+                "AUTOMATIC",
+                "Automatic",
+                "The shape keys of a character with a known set of them, such as ARKit's or VRM's; otherwise the skin",
+            ),
+            ("SKIN", "Skin", "The skin follows the landmarks of the performer"),
+            ("KEYS", "Shape Keys", "Existing shape keys, by the key mapping; it is detected if it is empty"),
+        ),
+    )
     keep_pose: BoolProperty(
         name="Keep Pose",
         description="Keep the pose when the puppet is stopped; otherwise the head returns to rest",

@@ -16,6 +16,7 @@ class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, settings, session = self.layout, context.scene.facemime, running()
+        layout.row().prop(settings, "drive_by", expand=True)
         row = side_by_side(layout, context)
         row.prop(settings, "mirror")
         row.prop(settings, "keep_pose")

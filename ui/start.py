@@ -6,6 +6,7 @@ from bpy.app.translations import pgettext_iface as _
 from ..blender.messages import translated
 from ..operators.puppet import running
 from ..operators.shared import heads_in
+from ..sessions.show import TakeShow
 from .sidebar import Sidebar, place
 from .status import summary
 
@@ -41,6 +42,8 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
             row.operator(
                 "facemime.record_take", text="Stop Recording" if recording else "Record", icon="REC", depress=recording
             )
+        elif TakeShow.running() is not None:
+            row.operator("facemime.show_take", text="Stop", icon="SNAP_FACE", depress=True)
         elif heads:
             row.operator("facemime.puppet", text="Start", icon="PLAY")
             row.operator("facemime.record_take", text="Record", icon="REC")
@@ -55,6 +58,8 @@ def _next_step(context: bpy.types.Context, heads: list[bpy.types.Object]) -> tup
     """Return what is to be done next, and an icon."""
     if context.mode == "EDIT_MESH":
         return _("Leave Edit Mode first"), "INFO"
+    if TakeShow.running() is not None:
+        return _("A take is shown"), "PLAY"
     if heads:
         return _("Ready"), "CHECKMARK"
     return _("Add a head, or select a character"), "INFO"

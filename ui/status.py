@@ -33,7 +33,7 @@ def summary(session: LiveSession) -> tuple[str, str]:
     if not latest.result.found:
         return _("No face in view"), "QUESTION"
     if worker.neutral is None:
-        return _("Using the first second as the neutral face"), "TIME"
+        return _("Keep a relaxed face"), "TIME"
     if session.recording is not None:
         return _("{count} frames recorded").format(count=session.recording.frames), "REC"
     return latency_text(session), "PREVIEW_RANGE"

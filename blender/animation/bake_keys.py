@@ -59,6 +59,23 @@ def key_names(obj: bpy.types.Object) -> list[str]:
     ]
 
 
+def moving_key_names(members: Sequence[Member]) -> list[str]:
+    """Return the names of the user's shape keys of a head that move a vertex: characters may have empty ones.
+
+    Parameters
+    ----------
+    members : sequence of Member
+        Meshes of the head.
+    """
+    names: dict[str, None] = {}
+    for obj in (member.obj for member in members):
+        for name in key_names(obj):
+            block = obj.data.shape_keys.key_blocks[name]
+            if not np.array_equal(_points(block), _points(block.relative_key)):
+                names[name] = None
+    return list(names)
+
+
 def read_keys(members: Sequence[Member]) -> MeshKeys:
     """Read the user's shape keys of a head that are not muted.
 

@@ -28,7 +28,7 @@ from ..meshes import mesh_of
 from ..rigs import read_rig
 from .bake import Targets, bake_pose, check_bakeable, check_range, frames_of, remove_baked, set_range
 from .bake_cache import bake_cache, export_alembic, with_name_of
-from .bake_keys import MeshKeys, bake_new_keys, bake_values, key_names, read_keys, value_path
+from .bake_keys import MeshKeys, bake_new_keys, bake_values, moving_key_names, read_keys, value_path
 from .targets import own_targets
 
 TOLERANCE = 0.009
@@ -261,7 +261,7 @@ def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
     HeadError
         If it matches none of them.
     """
-    names = list(dict.fromkeys(name for member in members_of(obj) for name in key_names(member.obj)))
+    names = moving_key_names(members_of(obj))
     if table is None and (preset := best_preset(names)) is not None:
         return preset
     if table is None:

@@ -19,13 +19,14 @@ from ..heads.built_in import load_head
 from ..rotation import fit_rotation
 from ..takes.neutral import Neutral
 from ..takes.take import Take
+from ..tracking.result import TrackResult
 from .coefficient_model import load_coefficient_model
 from .coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from .coefficients import CoefficientSolver, has_actions
 from .fit import fit_keys
 from .observation import Observer
 
-__all__ = ["COEFFICIENTS", "arkit_coefficients", "coefficients_of"]
+__all__ = ["COEFFICIENTS", "FrameCoefficients", "arkit_coefficients", "coefficients_of"]
 
 _DEFAULTS = DriveSettings()
 _MEASURED = {
@@ -76,6 +77,37 @@ def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _D
     )
 
 
+class FrameCoefficients:
+    """Coefficients of single frames, as a live performance has them.
+
+    Parameters
+    ----------
+    neutral : Neutral
+        The performer's neutral face, not mirrored.
+    options : DriveSettings
+        As for `arkit_coefficients`.
+    """
+
+    def __init__(self, neutral: Neutral, options: DriveSettings) -> None:
+        posing = PosingSettings(eyes_strength=options.posing.eyes_strength, eyes_limit=options.posing.eyes_limit)
+        self._observer = Observer(neutral, replace(options, posing=posing))
+        self._measured = neutral.measured
+        self._solvers: dict[bool, CoefficientSolver] = {}
+
+    def of(self, result: TrackResult) -> FloatArray:
+        """(52,) coefficients from 0 to 1 of a frame with a face; frames have to come in their order."""
+        result = self._observer.mirrored(result)
+        gaze = self._observer.gaze(result)[None]
+        if self._measured:
+            return np.asarray(_with_looks(_fitted(self._observer.displacements(result)[None]), gaze)[0])
+        observed = self._observer.face(result)[None]
+        actions = bool(has_actions(observed)[0])
+        if actions not in self._solvers:
+            self._solvers[actions] = CoefficientSolver(load_coefficient_model(), actions=actions)
+        found = _with_looks(self._solvers[actions].frames(observed), gaze)
+        return np.asarray(_with_measured(found, self._observer.shown(result)[None])[0])
+
+
 def coefficients_of(observed: FloatArray, gaze: FloatArray, shown: FloatArray) -> FloatArray:
     """Coefficients of observed frames of one performer.
 
@@ -98,7 +130,11 @@ def coefficients_of(observed: FloatArray, gaze: FloatArray, shown: FloatArray) -
     for actions in set(complete.tolist()):
         rows = np.flatnonzero(complete == actions)
         fitted[rows] = CoefficientSolver(load_coefficient_model(), actions=actions).take(observed[rows])
-    coefficients = _with_looks(fitted, gaze)
+    return _with_measured(_with_looks(fitted, gaze), shown)
+
+
+def _with_measured(coefficients: FloatArray, shown: FloatArray) -> FloatArray:
+    """`coefficients` (N, 52), in place, where those of which landmarks show nothing are at least their actions."""
     for name, columns in _MEASURED.items():
         column = coefficients[:, COEFFICIENT_INDEX[name]]
         np.maximum(column, shown[:, columns].mean(axis=1).clip(0.0, 1.0), out=column)

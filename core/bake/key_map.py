@@ -27,6 +27,8 @@ PRESETS = ASSETS / "key_maps"
 _FORMAT = "facemime-key-map"
 _MAX_ROWS, _MAX_VALUE = 10_000, 1e6
 """Upper bounds of rows, and of gains and offsets, in a file."""
+ESSENTIAL = frozenset({"jawOpen", "eyeBlinkLeft", "eyeBlinkRight"})
+"""Coefficients without which keys are no set for a whole face."""
 _KINDS = ("modifier", "expression", "phoneme")
 """Prefixes of FaceGen's morphs, which are ignored."""
 _MIN_MATCHES = 3
@@ -88,6 +90,11 @@ class KeyMap:
     def keys(self) -> tuple[str, ...]:
         """Keys that the table sets, each once, in order."""
         return tuple(dict.fromkeys(row.key for row in self.rows))
+
+    @property
+    def sources(self) -> frozenset[str]:
+        """Coefficients that the table uses."""
+        return frozenset(row.source for row in self.rows)
 
     def apply(self, coefficients: FloatArray, ranges: Mapping[str, tuple[float, float]]) -> dict[str, FloatArray]:
         """Compute the values of shape keys.
@@ -167,9 +174,11 @@ def presets() -> tuple[KeyMap, ...]:
 
 
 def best_preset(keys: Sequence[str]) -> KeyMap | None:
-    """The preset that sets the most of `keys`, with their names; None if none sets at least three."""
+    """The preset that fits `keys` best, with their names: that of the most essential coefficients, and then of the most
+    keys. None if none sets at least three.
+    """
     matches = [preset.matched(keys) for preset in presets()]
-    best = max(matches, key=lambda match: len(match.keys), default=None)
+    best = max(matches, key=lambda match: (len(ESSENTIAL & match.sources), len(match.keys)), default=None)
     return best if best is not None and len(best.keys) >= _MIN_MATCHES else None
 
 

@@ -28,6 +28,7 @@ from ..tracking.result import TrackResult
 from ..tracking.smoothing import ResultSmoother
 from ..tracking.tracker import FaceTracker
 from .calibration import NeutralCalibration, Quality, RangeCalibration
+from .key_driver import KeyDriver, LiveKeys
 from .sources import LiveFrame, LiveSource
 
 _PATIENCE = 0.1
@@ -137,11 +138,14 @@ class LiveHead:
         Its settings.
     prepare : callable
         Called in the thread with each `HeadFrame`, to prepare what would delay its display.
+    keys : LiveKeys, optional
+        Shape keys that drive its vertices instead of the landmarks.
     """
 
     rig: HeadRig
     options: DriveSettings = field(default_factory=DriveSettings)
     prepare: Callable[[HeadFrame], Any] = lambda frame: None
+    keys: LiveKeys | None = None
 
 
 class LiveWorker:
@@ -200,7 +204,7 @@ class LiveWorker:
         self._first = None if neutral is not None else NeutralCalibration(asked=False)
         self._recorder: Recorder | None = None
         self._recording = threading.Lock()
-        self._drivers: list[HeadDriver] = []
+        self._drivers: list[HeadDriver | KeyDriver] = []
         self._driven_heads: tuple[LiveHead, ...] = ()
         self._driven_by: Neutral | None = None
         self._smoother = ResultSmoother()
@@ -393,6 +397,10 @@ class LiveWorker:
 
     def _prepare(self, heads: tuple[LiveHead, ...], neutral: Neutral) -> None:
         """Prepare drivers for `heads`; the deformers of unchanged rigs are reused."""
-        before = {id(driver.rig): driver for driver in self._drivers}
-        self._drivers = [HeadDriver(head.rig, neutral, head.options, reuse=before.get(id(head.rig))) for head in heads]
+        earlier = [driver.head if isinstance(driver, KeyDriver) else driver for driver in self._drivers]
+        before = {id(driver.rig): driver for driver in earlier}
+        self._drivers = []
+        for head in heads:
+            driver = HeadDriver(head.rig, neutral, head.options, reuse=before.get(id(head.rig)))
+            self._drivers.append(driver if head.keys is None else KeyDriver(driver, neutral, head.keys))
         self._driven_heads, self._driven_by = heads, neutral

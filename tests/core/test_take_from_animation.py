@@ -10,10 +10,13 @@ from hypothesis import strategies as st
 
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.bake.coefficient_names import COEFFICIENTS, FITTED
+from facemime.core.bake.key_map import KeyMap, KeyRow
+from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.retarget import retargeter_for
 from facemime.core.errors import HeadError
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.rig import built_in_rig, neck_of
+from facemime.core.live.key_driver import KeyDriver, LiveKeys
 from facemime.core.puppet.performance import Performance
 from facemime.core.puppet.settings import PuppetSettings
 from facemime.core.rotation import euler_to_matrix
@@ -101,6 +104,20 @@ def test_weights_of_known_units_come_back_within_three_percent():
     peaks = {name: abs(found[weights[:, i].argmax(), i] - weights[:, i].max()) for i, name in enumerate(names)}
     shown = {name: error for name, error in peaks.items() if weights[:, names.index(name)].any()}
     assert np.median(list(shown.values())) < 0.01 and max(shown.values()) < 0.03, shown
+
+
+def test_a_head_that_is_driven_live_by_its_keys_moves_as_the_head_that_was_sampled():
+    head, rig = load_head(), built_in_rig()
+    names = [COEFFICIENTS[index] for index in FITTED]
+    weights, units = acted(FRAMES, len(FITTED)), head.units[FITTED]
+    take = sampled(head.vertices, head.landmarks, units, weights)
+    neutral = calibrate(take)
+    table = KeyMap("ARKit", tuple(KeyRow(name, name) for name in names))
+    keys = LiveKeys(table, dict(zip(names, units, strict=True)), dict.fromkeys(names, (0.0, 1.0)))
+    driver = KeyDriver(HeadDriver(rig, neutral), neutral, keys)
+    wanted = np.tensordot(weights, units, 1)
+    moved = np.array([driver.frame(take.result(n)).vertices - head.vertices for n in range(FRAMES)])
+    assert np.linalg.norm(moved - wanted, axis=2).mean() < 0.03 * np.linalg.norm(wanted, axis=2).mean()
 
 
 def test_a_sampled_face_displaces_its_own_landmarks_as_they_were_within_a_hundredth():

@@ -1,0 +1,47 @@
+"""Whether a head is driven live by shape keys of its own, and by which."""
+
+from __future__ import annotations
+
+import bpy
+
+from ...core.bake.key_map import ESSENTIAL, KeyMap, best_preset
+from ...core.live.key_driver import LiveKeys
+from ..characters import members_of
+from ..names import PART_PROPERTY
+from .bake_keys import moving_key_names, read_keys
+from .puppet import table_for
+
+AUTOMATIC, SKIN, KEYS = "AUTOMATIC", "SKIN", "KEYS"
+
+
+def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -> LiveKeys | None:
+    """Return the shape keys that drive a head live; None if its skin is driven.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        The head.
+    choice : {"AUTOMATIC", "SKIN", "KEYS"}
+        "AUTOMATIC" takes the keys of a character that has a known set of them; the built-in head's skin shows more.
+    table : KeyMap, optional
+        The key mapping; by default the preset that fits best.
+
+    Raises
+    ------
+    HeadError
+        If there are no keys, or no mapping matches them, and they were asked for.
+    """
+    if choice == SKIN or (choice == AUTOMATIC and not _has_known_set(obj)):
+        return None
+    chosen = table_for(obj, table)
+    keys = read_keys(members_of(obj))
+    used = [name for name in chosen.keys if name in keys.names]
+    offsets = dict(zip(keys.names, keys.offsets, strict=True))
+    return LiveKeys(chosen, {name: offsets[name] for name in used}, {name: keys.ranges[name] for name in used})
+
+
+def _has_known_set(obj: bpy.types.Object) -> bool:
+    if any(PART_PROPERTY in child for child in obj.children):
+        return False
+    preset = best_preset(moving_key_names(members_of(obj)))
+    return preset is not None and preset.sources >= ESSENTIAL

@@ -1,0 +1,58 @@
+"""A head that is driven live by shape keys of its own, as a bake by a key mapping would drive it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bake.arkit import FrameCoefficients
+from ..bake.key_map import KeyMap
+from ..drive.driver import HeadDriver, HeadFrame
+from ..takes.neutral import Neutral
+from ..tracking.result import TrackResult
+
+
+@dataclass(frozen=True, eq=False)
+class LiveKeys:
+    """Shape keys of a head, and the mapping that drives them.
+
+    Attributes
+    ----------
+    table : KeyMap
+    offsets : dict of str to (A, 3) float32
+        Displacements at value 1 of the vertices in `HeadRig.all_vertices`: head frame, unit of the mesh.
+    ranges : dict of str to (float, float)
+        Least and greatest value of each.
+    """
+
+    table: KeyMap
+    offsets: dict[str, NDArray[np.float32]]
+    ranges: dict[str, tuple[float, float]]
+
+
+class KeyDriver:
+    """Drives a head by its keys; the pose comes from its `HeadDriver`.
+
+    Parameters
+    ----------
+    head : HeadDriver
+    neutral : Neutral
+        That of `head`, not mirrored.
+    keys : LiveKeys
+    """
+
+    def __init__(self, head: HeadDriver, neutral: Neutral, keys: LiveKeys) -> None:
+        self.head, self._keys = head, keys
+        self._coefficients = FrameCoefficients(neutral, head.options)
+
+    def frame(self, result: TrackResult) -> HeadFrame:
+        """Compute the head for a tracking result with a face."""
+        posed = self.head.frame(result)
+        values = self._keys.table.apply(self._coefficients.of(result)[None], self._keys.ranges)
+        vertices = np.array(self.head.rest, dtype=np.float32)
+        for name, (value,) in values.items():
+            if value != 0.0:
+                vertices += np.float32(value) * self._keys.offsets[name]
+        return replace(posed, vertices=vertices)
