@@ -12,7 +12,7 @@ from ...core.arrays import FloatArray
 from ...core.bake.arkit import arkit_coefficients
 from ...core.bake.basis import fit_basis
 from ...core.bake.fit import fit_keys, mix_errors
-from ...core.bake.key_map import KeyMap, best_preset, expression_keys
+from ...core.bake.key_map import KeyMap, best_preset, expression_keys, presets
 from ...core.bake.point_cache import SUFFIX
 from ...core.bake.settings import BakeSettings
 from ...core.drive.motion import HeadMotion, drive_take
@@ -28,7 +28,7 @@ from ..meshes import mesh_of
 from ..rigs import read_rig
 from .bake import Targets, bake_pose, check_bakeable, check_range, frames_of, remove_baked, set_range
 from .bake_cache import bake_cache, export_alembic, with_name_of
-from .bake_keys import MeshKeys, bake_new_keys, bake_values, moving_key_names, read_keys, value_path
+from .bake_keys import MeshKeys, bake_new_keys, bake_values, key_names, moving_key_names, read_keys, value_path
 from .targets import own_targets
 
 TOLERANCE = 0.009
@@ -261,9 +261,11 @@ def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
     HeadError
         If it matches none of them.
     """
-    names = moving_key_names(members_of(obj))
-    if table is None and (preset := best_preset(names)) is not None:
-        return preset
+    members = members_of(obj)
+    names = list(dict.fromkeys(name for member in members for name in key_names(member.obj)))
+    if table is None and (preset := best_preset(moving_key_names(members))) is not None:
+        # Other programs look for all keys of a set, even those that move nothing here.
+        return next(known for known in presets() if known.name == preset.name).matched(names)
     if table is None:
         raise HeadError(
             f"No preset of a key mapping matches the shape keys of {obj.name}. "

@@ -399,8 +399,9 @@ class LiveWorker:
         """Prepare drivers for `heads`; the deformers of unchanged rigs are reused."""
         earlier = [driver.head if isinstance(driver, KeyDriver) else driver for driver in self._drivers]
         before = {id(driver.rig): driver for driver in earlier}
-        self._drivers = []
+        drivers: list[HeadDriver | KeyDriver] = []
         for head in heads:
             driver = HeadDriver(head.rig, neutral, head.options, reuse=before.get(id(head.rig)))
-            self._drivers.append(driver if head.keys is None else KeyDriver(driver, neutral, head.keys))
+            drivers.append(driver if head.keys is None else KeyDriver(driver, neutral, head.keys))
+        self._drivers = drivers
         self._driven_heads, self._driven_by = heads, neutral

@@ -229,7 +229,7 @@ def test_the_range_of_eyes_and_mouth_is_learnt_and_missing_parts_are_requested()
         assert [calibration.add(float(t), take.result(i)) for i, t in enumerate(take.times)].count(True) <= 11
         said.append(calibration.quality())
     assert [quality.good for quality in said] == [False, False, True]
-    assert "eyes were not shut" in said[0].message and "mouth was hardly opened" in said[1].message
+    assert "No closed eyes seen" in said[0].message and "mouth was hardly opened" in said[1].message
     learnt = calibration.neutral()
     assert learnt.shut == pytest.approx(0.1, abs=0.02) and learnt.mouth_gain > 1.1
 
