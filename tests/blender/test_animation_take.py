@@ -96,7 +96,9 @@ def test_a_modifier_that_changes_the_vertices_is_named(animated):
     assert bpy.context.scene.frame_current == 5
 
 
-@pytest.mark.parametrize("suffix", [".blend", ".abc", ".glb"])
+@pytest.mark.parametrize(
+    "suffix", [".blend", *(pytest.param(suffix, marks=pytest.mark.thorough) for suffix in (".abc", ".glb"))]
+)
 def test_the_command_imports_an_animation_of_a_file(animated, tmp_path, suffix):
     path, output = tmp_path / f"animation{suffix}", tmp_path / "take.facetake"
     if suffix == ".abc":
@@ -110,6 +112,7 @@ def test_the_command_imports_an_animation_of_a_file(animated, tmp_path, suffix):
     check(load_take(output), frames=13 if suffix == ".glb" else LAST, gaze=0.3 if suffix == ".blend" else None)
 
 
+@pytest.mark.thorough
 def test_the_command_says_what_does_not_move(tmp_path):
     add_head(bpy.context)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "still.blend"))

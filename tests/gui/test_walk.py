@@ -178,6 +178,7 @@ def test_deleting_the_moving_head_stops_the_puppet_and_can_be_undone(blender, si
     blender.wait_for(f"len(bpy.data.objects) > 0 and {HEAD} is not None and moved({HEAD}) == 0.0")
 
 
+@pytest.mark.thorough
 def test_a_kept_pose_is_one_undo_step_and_is_saved(blender, sidebar):
     add_head(sidebar)
     sidebar.open_panel("FACEMIME_PT_puppet")
@@ -199,6 +200,7 @@ def test_a_kept_pose_is_one_undo_step_and_is_saved(blender, sidebar):
     stop(again)
 
 
+@pytest.mark.thorough
 def test_a_performer_is_calibrated_by_a_click_and_stored_by_name(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
