@@ -61,16 +61,16 @@ class FacemimeLandmark(bpy.types.PropertyGroup):
     """An item of the list of landmarks, in their order; its name is the iBUG number."""
 
 
-def _is_mesh(memory: "FacemimeMemory", obj: bpy.types.Object) -> bool:
+def _is_mesh(manager: bpy.types.WindowManager, obj: bpy.types.Object) -> bool:
     return obj.type == "MESH"
 
 
-def _make_active(memory: "FacemimeMemory", context: bpy.types.Context) -> None:
+def _make_active(manager: bpy.types.WindowManager, context: bpy.types.Context) -> None:
     """Select the head of the picked object; nothing is kept, as a stored pointer would keep a deleted head alive."""
-    picked = memory.picked
+    picked = manager.facemime_picked
     if picked is None:
         return
-    memory.picked = None
+    manager.facemime_picked = None
     head = head_of(picked)
     if context.mode == "OBJECT" and head.name in context.view_layer.objects:
         for obj in context.selected_objects:
@@ -82,13 +82,6 @@ def _make_active(memory: "FacemimeMemory", context: bpy.types.Context) -> None:
 class FacemimeMemory(bpy.types.PropertyGroup):
     """What panels remember until Blender quits."""
 
-    picked: PointerProperty(
-        name="Head",
-        description="Head to be driven; choose any part of a character",
-        type=bpy.types.Object,
-        poll=_is_mesh,
-        update=_make_active,
-    )
     checked: StringProperty(description="Name of the last head that was checked")
     findings: CollectionProperty(type=FacemimeFinding)
     landmarks: CollectionProperty(type=FacemimeLandmark)
@@ -133,5 +126,18 @@ TIMERS = (list_landmarks,)
 
 
 def register() -> None:
-    """Fill the list of landmarks at the next event, as no data may be written while add-ons are registered."""
+    """Add the picker of heads, and fill the list of landmarks at the next event: no data may be written before."""
+    # Within a property group, a function of Python here makes Blender 4.2 crash when it quits.
+    bpy.types.WindowManager.facemime_picked = PointerProperty(
+        name="Head",
+        description="Head to be driven; choose any part of a character",
+        type=bpy.types.Object,
+        poll=_is_mesh,
+        update=_make_active,
+    )
     watch(list_landmarks, 0.0)
+
+
+def unregister() -> None:
+    """Remove the picker."""
+    del bpy.types.WindowManager.facemime_picked

@@ -25,8 +25,8 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
         row = column.row(align=True)
         name = heads[0].name if len(heads) == 1 else _("{count} heads").format(count=len(heads))
         row.prop(
-            context.window_manager.facemime,
-            "picked",
+            context.window_manager,
+            "facemime_picked",
             text="",
             icon="MONKEY",
             placeholder=name if heads else _("No head yet"),

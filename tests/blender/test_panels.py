@@ -164,9 +164,9 @@ def test_the_box_on_top_leads_from_no_head_to_start_and_names_the_head():
 def test_a_part_that_is_picked_stands_for_its_head():
     head = add_head(bpy.context)
     other = add_head(bpy.context)
-    bpy.context.window_manager.facemime.picked = head.children[0]
+    bpy.context.window_manager.facemime_picked = head.children[0]
     assert bpy.context.view_layer.objects.active == head and not other.select_get()
-    assert bpy.context.window_manager.facemime.picked is None
+    assert bpy.context.window_manager.facemime_picked is None
 
 
 def test_the_menu_has_every_operator_that_is_drawn_there():
