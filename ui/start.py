@@ -20,7 +20,8 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the box."""
-        layout, session, heads = self.layout, running(), heads_in(context)
+        session, heads = running(), heads_in(context)
+        layout = self.layout.box()
         column = layout.column(align=True)
         row = column.row(align=True)
         name = heads[0].name if len(heads) == 1 else _("{count} heads").format(count=len(heads))

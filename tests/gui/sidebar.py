@@ -40,7 +40,7 @@ def watched(name, draw):
 _TAG = "for area in bpy.context.window.screen.areas: area.tag_redraw()"
 _HEADER = 1.35
 """Height of a collapsed panel, in interface units."""
-_BOX, _STEPS = 5.87, 3.5
+_BOX, _STEPS = 6.95, 4.1
 """Height of the box on top of the tab, and the middle of its large buttons, in interface units."""
 _HAS_BOX = "hasattr(bpy.types, 'FACEMIME_PT_start')"
 _STEP = 0.75
@@ -102,9 +102,9 @@ class Sidebar:
         return self.box().width > 1
 
     def widen(self, by: float) -> None:
-        """Drag the sidebar's edge to the left."""
+        """Drag the sidebar's edge to the left, where panels are: below them Blender takes the mouse for the view's."""
         box = self.box()
-        start = (box.x + 1, box.y + box.height * 0.9)
+        start = (box.x + 1, box.y + self.unit)
         self.blender.drag(start, (start[0] - by / 2, start[1]), (start[0] - by, start[1]))
         self.blender.redraw()
 
@@ -175,10 +175,14 @@ class Sidebar:
         self._click_header(place, key)
         wait(lambda: (panel in self._open()) == opens, f"panel {panel} folds or unfolds", 10.0)
 
-    def _click_header(self, place: int, key: str | None = None) -> None:
+    def header(self, place: int) -> tuple[float, float]:
+        """Return the position of the header below `place` collapsed ones."""
         box = self.box()
+        return box.x + 3 * self.unit, box.y + (self._box + 0.85 + _HEADER * place) * self.unit
+
+    def _click_header(self, place: int, key: str | None = None) -> None:
         held = [["keydown", key], ["keyup", key]] if key else [[], []]
-        self.blender.move(box.x + 3 * self.unit, box.y + (self._box + 0.85 + _HEADER * place) * self.unit)
+        self.blender.move(*self.header(place))
         self.blender.redraw()
         self.blender.input(*held[0], "click", 1, *held[1])
 

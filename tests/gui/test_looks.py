@@ -74,6 +74,6 @@ def test_the_panel_follows_the_light_theme(empty):
     empty.redraw()
     tour(sidebar, "light")
     light = cv2.imread(str(empty.shot("light")))
-    box = sidebar.box()
-    inside = np.s_[box.y : box.y + 60, box.x : box.x + box.width - 40]
+    x, y = map(round, sidebar.header(0))
+    inside = np.s_[y - 8 : y + 8, x : x + 100]
     assert light[inside].mean() > dark[inside].mean() + 60

@@ -441,6 +441,7 @@ def test_an_imported_scan_becomes_a_head_with_open_mouth_and_eyes_by_clicks(blen
     look_from_the_front(sidebar)
     blender.shot("scan")
     start(sidebar)
+    sidebar.open_panel("FACEMIME_PT_puppet")
     sidebar.press("bpy.ops.facemime.next_face")
     gap = f"shown({HEAD})[read_landmarks({HEAD})[from_ibug([62, 66])], 2]"
     blender.wait_for(f"float(np.ptp({gap})) > 0.01")
