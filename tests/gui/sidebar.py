@@ -38,9 +38,9 @@ def watched(name, draw):
 """
 """Blender does not say which panels are open either, but draws only those."""
 _TAG = "for area in bpy.context.window.screen.areas: area.tag_redraw()"
-_HEADER = 1.35
+_HEADER = 1.344
 """Height of a collapsed panel, in interface units."""
-_BOX, _STEPS = 6.95, 4.1
+_BOX, _STEPS = 6.6, 3.92
 """Height of the box on top of the tab, and the middle of its large buttons, in interface units."""
 _HAS_BOX = "hasattr(bpy.types, 'FACEMIME_PT_start')"
 _STEP = 0.75

@@ -25,7 +25,7 @@ bpy.ops.script.execute_preset(
 @pytest.fixture(scope="module")
 def blender() -> Iterator[Blender]:
     """Only the newest Blender, in a window that has room for all headers at twice the resolution scale."""
-    with started("sid", "looks", size=(1100, 1000)) as window:
+    with started("sid", "looks", size=(1100, 1100)) as window:
         install(window)
         yield window
 
