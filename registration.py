@@ -12,6 +12,7 @@ from .operators import (
     media,
     own_head,
     parts,
+    place_points,
     presets,
     punch_in,
     puppet,
@@ -26,7 +27,7 @@ from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
 from .ui import expression as expression_panel
 from .ui import head as head_panels
-from .ui import menus, point_overlay, preview, region_overlay, translations
+from .ui import menus, placing_overlay, point_overlay, preview, region_overlay, translations
 from .ui import parts as parts_panel
 from .ui import puppet as puppet_panel
 from .ui import regions as regions_panel
@@ -44,6 +45,7 @@ _MODULES = (
     head,
     facegen,
     own_head,
+    place_points,
     parts,
     regions,
     control_points,
@@ -71,6 +73,7 @@ _MODULES = (
     preview,
     region_overlay,
     point_overlay,
+    placing_overlay,
     commands,
     session,
     show,

@@ -44,6 +44,13 @@ def viewport_under(context: bpy.types.Context, x: int, y: int) -> Viewport | Non
     return None
 
 
+def viewport_of(context: bpy.types.Context) -> Viewport | None:
+    """Return the 3D Viewport that the user works in, or else the largest one of the window; None if there is none."""
+    found = list(viewports(context.screen))
+    here = [viewport for viewport in found if context.area is not None and viewport.region in context.area.regions[:]]
+    return max(here or found, key=lambda viewport: viewport.region.width * viewport.region.height, default=None)
+
+
 def redraw(context: bpy.types.Context, kind: str = "WINDOW") -> None:
     """Redraw the 3D Viewports of all windows (`kind` "WINDOW") or their sidebars ("UI")."""
     for window in context.window_manager.windows:

@@ -10,16 +10,18 @@ from bpy.props import EnumProperty, IntProperty
 from ..blender.characters import read_bones
 from ..blender.heads.binding import (
     check_object,
-    clear_marks,
     move_landmark,
     propose_head_regions,
+    read_marks,
     search_character,
     selected_vertex,
-    write_mark,
+    write_marks,
 )
 from ..blender.heads.eyes import open_eyes
 from ..blender.heads.lips import open_lips
+from ..blender.media.preview_scene import look_at_face
 from ..blender.messages import translated
+from ..blender.viewports import viewport_of
 from ..core.binding.bind import MARKS, Binding
 from ..core.errors import HeadError
 from ..core.landmarks import from_ibug
@@ -60,7 +62,8 @@ class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
     )
 
     def work(self, context: bpy.types.Context) -> None:
-        write_mark(context.active_object.data, int(self.point), selected_vertex(context.active_object))
+        mesh, vertex = context.active_object.data, selected_vertex(context.active_object)
+        write_marks(mesh, read_marks(mesh) | {int(self.point): vertex})
 
 
 class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
@@ -70,7 +73,7 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
     bl_label = "Clear Marks"
 
     def work(self, context: bpy.types.Context) -> None:
-        clear_marks(context.active_object.data)
+        write_marks(context.active_object.data, {})
 
 
 class FACEMIME_OT_bind_landmarks(WorksInSteps, OnMesh, bpy.types.Operator):
@@ -90,6 +93,7 @@ class FACEMIME_OT_bind_landmarks(WorksInSteps, OnMesh, bpy.types.Operator):
     def steps(self, context: bpy.types.Context) -> Iterator[float]:
         """Search for the face in a thread, and bind what was found."""
         active = context.active_object
+        turns = {obj: obj.matrix_world.copy() for obj in context.view_layer.objects if obj.type == "MESH"}
         with closing(search_character(active)) as search:
             resume, outcome = search.send, None
             try:
@@ -105,10 +109,15 @@ class FACEMIME_OT_bind_landmarks(WorksInSteps, OnMesh, bpy.types.Operator):
             active.select_set(False)
             head.select_set(True)
             context.view_layer.objects.active = head
+        if turns.get(head) not in (None, head.matrix_world):
+            report(self, f"{head.name}: the vertices now face -Y, and the object is rotated instead; it looks the same")
         self._report(context, binding)
 
     def _report(self, context: bpy.types.Context, binding: Binding) -> None:
-        context.scene.facemime_steps.show_points = True
+        steps, memory = context.scene.facemime_steps, context.window_manager.facemime
+        steps.show_points = True
+        memory.unsure = context.active_object.name if binding.wanted else ""
+        memory.wanted = ",".join(map(str, binding.wanted))
         report(self, "Face found. Please check the points")
         if binding.wanted:
             label1, label2, label3, label4 = (MARKS[number].capitalize() for number in binding.wanted)
@@ -122,6 +131,10 @@ class FACEMIME_OT_bind_landmarks(WorksInSteps, OnMesh, bpy.types.Operator):
         if binding.body and not read_bones(context.active_object)[1].head:
             report(self, "The whole body would turn with the head. Set a bone as pose object in Puppet > Head and Eyes")
         report_findings(self, context)
+        if self.in_window:
+            if (seen := viewport_of(context)) is not None:
+                look_at_face(seen.view, context.active_object)
+            bpy.ops.facemime.adjust_landmarks("INVOKE_DEFAULT")
 
 
 class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):

@@ -24,6 +24,8 @@ class WorksInSteps(ReportsErrors):
     of the steps, which has to leave nothing half done.
     """
 
+    in_window = False
+    """Whether it was started in a window."""
     _steps: Iterator[float] | None = None
     _timer: bpy.types.Timer | None = None
 
@@ -67,7 +69,7 @@ class WorksInSteps(ReportsErrors):
             steps.close()
 
     def _start(self, context: bpy.types.Context) -> set[str]:
-        self._steps = self.steps(context)
+        self._steps, self.in_window = self.steps(context), True
         manager = context.window_manager
         self._timer = manager.event_timer_add(_TICK, window=context.window)
         manager.progress_begin(0.0, 1.0)

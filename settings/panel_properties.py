@@ -85,6 +85,8 @@ class FacemimeMemory(bpy.types.PropertyGroup):
     checked: StringProperty(description="Name of the last head that was checked")
     findings: CollectionProperty(type=FacemimeFinding)
     landmarks: CollectionProperty(type=FacemimeLandmark)
+    unsure: StringProperty(description="Name of the last head of which the search was not sure")
+    wanted: StringProperty(description="iBUG numbers of the marks that would help most there")
 
 
 def keep_findings(manager: bpy.types.WindowManager, name: str, findings: list[Finding]) -> None:

@@ -53,6 +53,10 @@ class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
             marked = _("Marked points: {count}").format(count=len(marks))
             column.label(text=marked if marks else _("No marks yet. The face is found automatically"), translate=False)
             column.operator("facemime.bind_landmarks", icon="OUTLINER_DATA_ARMATURE")
+            memory = context.window_manager.facemime
+            wanted = memory.wanted if memory.unsure == obj.name else ""
+            column.operator("facemime.mark_face", icon="PIVOT_CURSOR").points = wanted
+            column.operator("facemime.adjust_landmarks", icon="CON_TRACKTO")
             column.operator("facemime.propose_regions", icon="GROUP_VERTEX")
             column.operator("facemime.check_head", icon="CHECKMARK")
             column.operator("facemime.open_lips", icon="SCULPTMODE_HLT")

@@ -32,6 +32,8 @@ _ENTRIES = (
     ),
     (
         ("facemime.bind_landmarks", "VIEWZOOM"),
+        ("facemime.mark_face", "PIVOT_CURSOR"),
+        ("facemime.adjust_landmarks", "CON_TRACKTO"),
         ("facemime.check_head", "CHECKMARK"),
         ("facemime.propose_regions", "GROUP_VERTEX"),
         ("facemime.open_lips", "SCULPTMODE_HLT"),

@@ -11,10 +11,8 @@ from ..blender.meshes import is_head
 from ..core.control_points.table import REGION_COLOURS, PointRow
 from ..core.errors import FacemimeError
 from .control_points import shown_rows
+from .drawing import dot, draw_triangles
 
-_CORNERS = 12
-_ANGLES = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
-_CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 _RADIUS, _SMALL_RADIUS, _RIM = 4.5, 2.5, 1.5
 _GREY, _SELECTED_COLOUR, _RIM_COLOUR = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0), (0.05, 0.05, 0.05)
 
@@ -38,13 +36,13 @@ def _draw() -> None:
         places = landmark_places(obj, context.evaluated_depsgraph_get(), view, (region.width, region.height))
     except FacemimeError:  # the panels show what is wrong with the head or its control points
         return
-    triangles, colours = dots(rows, places.pixels, places.facing, steps.landmark, context.preferences.system.ui_scale)
-    _draw_triangles(triangles, colours)
+    scale = context.preferences.system.ui_scale
+    draw_triangles(dots(rows, places.pixels, places.facing, steps.landmark, scale))
 
 
 def dots(
     rows: list[PointRow], pixels: NDArray[np.float64], facing: NDArray[np.bool_], selected: int, scale: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Triangulate a dot with a dark rim for each landmark that faces the viewer.
 
     Parameters
@@ -62,12 +60,10 @@ def dots(
 
     Returns
     -------
-    corners : (3 T, 2) float32
-        Corners of the triangles, pixels.
-    colours : (3 T, 4) float32
-        RGBA colour of each corner.
+    list of (corners, colours)
+        See `drawing.dot`.
     """
-    corners, colours = [], []
+    drawn = []
     for row in rows:
         if not facing[row.landmark]:
             continue
@@ -75,27 +71,26 @@ def dots(
         colour = REGION_COLOURS[row.regions[0]] if row.regions else _GREY
         if row.landmark == selected:
             radius, colour = 1.6 * _RADIUS, _SELECTED_COLOUR
-        for size, paint in ((radius + _RIM, _RIM_COLOUR), (radius, colour)):
-            circle = pixels[row.landmark] + size * scale * _CIRCLE
-            fan = np.stack([np.broadcast_to(circle[:1], circle.shape), circle, np.roll(circle, -1, axis=0)], axis=1)
-            corners.append(fan.reshape(-1, 2))
-            colours.append(np.tile((*paint, 1.0), (3 * _CORNERS, 1)))
-    if not corners:
-        return np.zeros((0, 2), np.float32), np.zeros((0, 4), np.float32)
-    return np.concatenate(corners).astype(np.float32), np.concatenate(colours).astype(np.float32)
+        drawn += rimmed(pixels[row.landmark], radius * scale, colour, scale)
+    return drawn
 
 
-def _draw_triangles(corners: NDArray[np.float32], colours: NDArray[np.float32]) -> None:
-    import gpu
-    from gpu_extras.batch import batch_for_shader
+def rimmed(
+    place: NDArray[np.float64], radius: float, colour: tuple[float, float, float], scale: float
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Triangulate a dot with a dark rim.
 
-    if len(corners) == 0:
-        return
-    shader = gpu.shader.from_builtin("SMOOTH_COLOR")
-    flat = np.pad(corners, ((0, 0), (0, 1)))
-    gpu.state.blend_set("ALPHA")
-    batch_for_shader(shader, "TRIS", {"pos": flat, "color": colours}).draw(shader)
-    gpu.state.blend_set("NONE")
+    Parameters
+    ----------
+    place : (2,) array
+    radius : float
+        Pixels.
+    colour : (float, float, float)
+        RGB.
+    scale : float
+        Resolution scale of the interface.
+    """
+    return [dot(place, radius + _RIM * scale, _RIM_COLOUR), dot(place, radius, colour)]
 
 
 def register() -> None:

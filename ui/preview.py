@@ -7,19 +7,17 @@ from __future__ import annotations
 
 from inspect import signature
 
-import blf
 import bpy
 import bpy.utils.previews
 import numpy as np
 
 from ..operators.puppet import running
 from ..sessions.live import LiveSession
+from .drawing import draw_text
 from .status import latency_text
 
-_MARGIN = 16
-_TEXT_COLOUR = (1.0, 1.0, 1.0, 0.9)
+MARGIN = 16
 _RED = (1.0, 0.25, 0.2, 1.0)
-_FONT = 0
 _ICON = "face"
 
 
@@ -41,12 +39,12 @@ def _draw() -> None:
     if latest is None or context.region is None:
         return
     scale = context.preferences.system.ui_scale
-    left = _toolbar_width(context) + _MARGIN * scale
+    left = toolbar_width(context) + MARGIN * scale
     if latest.preview is not None:
         height, width = latest.preview.shape[:2]
-        bottom = _MARGIN * scale + _redo_height(context)
+        bottom = MARGIN * scale + redo_height(context)
         _draw_picture(latest.number, latest.preview, (left, bottom), (width * scale, height * scale))
-        _draw_text(latency_text(session), (left, bottom + (height + 6) * scale), 11 * scale)
+        draw_text(latency_text(session), (left, bottom + (height + 6) * scale), 11 * scale)
     _draw_countdown(context.region, session, scale)
     if session.recording is not None:
         _draw_recording(context.region, session.recording.seconds, scale)
@@ -80,50 +78,30 @@ def _draw_picture(number: int, picture: np.ndarray, place: tuple[float, float], 
     draw_texture_2d(_Preview.texture, place, *size, **dict.fromkeys(conversion, True))
 
 
-def _draw_text(
-    text: str,
-    place: tuple[float, float],
-    size: float,
-    colour: tuple[float, float, float, float] = _TEXT_COLOUR,
-) -> None:
-    blf.size(_FONT, size)
-    blf.color(_FONT, *colour)
-    blf.enable(_FONT, blf.SHADOW)
-    blf.shadow(_FONT, 3, 0.0, 0.0, 0.0, 0.8)
-    blf.position(_FONT, *place, 0.0)
-    blf.draw(_FONT, text)
-    blf.disable(_FONT, blf.SHADOW)
-
-
 def _draw_countdown(region: bpy.types.Region, session: LiveSession, scale: float) -> None:
     left = session.countdown
     if left is None:
         return
     text = str(int(left) + 1) if left > 0 else bpy.app.translations.pgettext_iface("Hold Still")
-    blf.size(_FONT, 96 * scale)
-    width, height = blf.dimensions(_FONT, text)
-    middle = (region.height - height) / 2
-    _draw_text(text, ((region.width - width) / 2, middle), 96 * scale)
+    middle = region.width / 2, region.height / 2 - 36 * scale
+    draw_text(text, middle, 96 * scale, centred=True)
     task = bpy.app.translations.pgettext_iface(session.task)
-    blf.size(_FONT, 18 * scale)
-    _draw_text(task, ((region.width - blf.dimensions(_FONT, task)[0]) / 2, middle - 40 * scale), 18 * scale)
+    draw_text(task, (middle[0], middle[1] - 40 * scale), 18 * scale, centred=True)
 
 
 def _draw_recording(region: bpy.types.Region, seconds: float, scale: float) -> None:
     text = f"REC {int(seconds) // 60:02d}:{seconds % 60:04.1f}"
-    blf.size(_FONT, 20 * scale)
-    place = ((region.width - blf.dimensions(_FONT, text)[0]) / 2, region.height - 70 * scale)
-    _draw_text(text, place, 20 * scale, _RED)
+    draw_text(text, (region.width / 2, region.height - 70 * scale), 20 * scale, _RED, centred=True)
 
 
-def _toolbar_width(context: bpy.types.Context) -> float:
+def toolbar_width(context: bpy.types.Context) -> float:
     """Return how much of the viewport the toolbar covers on the left, pixels."""
     tools = [region for region in context.area.regions if region.type == "TOOLS" and region.alignment == "LEFT"]
     overlaps = context.preferences.system.use_region_overlap
     return float(sum(region.width for region in tools if region.width > 1)) if overlaps else 0.0
 
 
-def _redo_height(context: bpy.types.Context) -> float:
+def redo_height(context: bpy.types.Context) -> float:
     """Return how much of the viewport the panel of the last operator covers below, pixels."""
     return float(max((region.height for region in context.area.regions if region.type == "HUD"), default=0.0))
 

@@ -4,6 +4,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as _
 
 from ..blender.messages import translated
+from ..operators.place_points import placing_on
 from ..operators.puppet import running
 from ..operators.shared import heads_in
 from ..sessions.show import TakeShow
@@ -37,7 +38,10 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
         column.prop(context.scene.facemime.source, "kind", text="")
         row = layout.row(align=True)
         row.scale_y = 1.6
-        if session is not None:
+        if placing_on(context.active_object) is not None:
+            row.operator("facemime.accept_points", icon="CHECKMARK", depress=True)
+            row.operator("facemime.discard_points", icon="LOOP_BACK")
+        elif session is not None:
             row.operator("facemime.stop_puppet", text="Stop", icon="SNAP_FACE", depress=True)
             recording = session.recording is not None
             row.operator(
@@ -59,6 +63,8 @@ def _next_step(context: bpy.types.Context, heads: list[bpy.types.Object]) -> tup
     """Return what is to be done next, and an icon."""
     if context.mode == "EDIT_MESH":
         return _("Leave Edit Mode first"), "INFO"
+    if (placing := placing_on(context.active_object)) is not None:
+        return _("Click the point that is shown") if placing.asked else _("Drag points that are off"), "INFO"
     if TakeShow.running() is not None:
         return _("A take is shown"), "PLAY"
     if heads:
@@ -80,6 +86,7 @@ class FACEMIME_MT_add(bpy.types.Menu):
         layout.operator("facemime.import_facegen", text="FaceGen Head", icon="IMPORT")
         layout.separator()
         layout.operator("facemime.bind_landmarks", text="Find Face of Selected Character", icon="VIEWZOOM")
+        layout.operator("facemime.mark_face", text="Find Face by Marks...", icon="PIVOT_CURSOR")
 
 
 CLASSES = (FACEMIME_MT_add, FACEMIME_PT_start)

@@ -11,7 +11,7 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ...core.arrays import IntArray
+from ...core.arrays import FloatArray, IntArray
 from ...core.binding.bind import Binding, bind_landmarks
 from ...core.binding.eye_contours import lids_seen
 from ...core.errors import HeadError
@@ -49,6 +49,10 @@ _UPRIGHT = np.cos(np.radians(20.0))
 """Cosine of the angle to -Y above which a mesh is rotated; a smaller one is the pose of the head."""
 _CACHES = {"MESH_CACHE", "MESH_SEQUENCE_CACHE"}
 Result = TypeVar("Result")
+
+
+class VertexTakenError(HeadError):
+    """Another landmark is bound to the vertex."""
 
 
 Search = Generator[Callable[[], Binding], Binding, Result]
@@ -179,12 +183,17 @@ def _with_lids(
 
 def propose_head_regions(obj: bpy.types.Object) -> None:
     """Replace the weights of the regions of `obj` by a proposal from its landmarks."""
-    landmarks, skin = read_landmarks(obj), current_skin(obj)
+    write_regions(obj, proposed_weights(obj, read_landmarks(obj)))
+
+
+def proposed_weights(obj: bpy.types.Object, landmarks: IntArray) -> FloatArray:
+    """Return the weights, (3, V), of regions that follow from (66,) landmarks of `obj`."""
+    skin = current_skin(obj)
     weights = np.zeros((len(REGION_GROUPS), len(skin.number)))
     own = skin.number >= 0
     known = propose_regions(read_vertices(obj.data)[skin.kept], skin.faces, skin.number[landmarks])
     weights[:, own] = known[:, skin.number[own]]
-    write_regions(obj, weights)
+    return weights
 
 
 def check_object(obj: bpy.types.Object | None) -> list[Finding]:
@@ -219,23 +228,11 @@ def read_marks(mesh: bpy.types.Mesh) -> dict[int, int]:
     return dict(flat.reshape(-1, 2).tolist())
 
 
-def write_mark(mesh: bpy.types.Mesh, number: int, vertex: int) -> None:
-    """Mark `vertex` as the landmark with the iBUG number `number`.
-
-    Parameters
-    ----------
-    mesh : bpy.types.Mesh
-    number : int
-        iBUG number of the landmark.
-    vertex : int
-    """
-    marks = read_marks(mesh) | {number: vertex}
-    mesh[MARKS_PROPERTY] = [value for pair in marks.items() for value in pair]
-
-
-def clear_marks(mesh: bpy.types.Mesh) -> None:
-    """Remove all marked points."""
-    if MARKS_PROPERTY in mesh:
+def write_marks(mesh: bpy.types.Mesh, marks: dict[int, int]) -> None:
+    """Store the marked points: iBUG number to vertex index; none clears them."""
+    if marks:
+        mesh[MARKS_PROPERTY] = [value for pair in marks.items() for value in pair]
+    elif MARKS_PROPERTY in mesh:
         del mesh[MARKS_PROPERTY]
 
 
@@ -261,13 +258,13 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
 
     Raises
     ------
-    HeadError
+    VertexTakenError
         If another landmark is bound to that vertex.
     """
     landmarks = read_landmarks(obj)
     taken = np.flatnonzero(landmarks == vertex)
     if len(taken) and taken[0] != landmark:
-        raise HeadError("Another landmark is bound to this vertex. Select a different vertex.")
+        raise VertexTakenError("Another landmark is bound to this vertex. Select a different vertex.")
     landmarks[landmark] = vertex
     write_landmarks(obj.data, landmarks)
 

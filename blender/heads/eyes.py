@@ -49,7 +49,7 @@ def open_eyes(obj: bpy.types.Object | None) -> int:
     joined = eyes_joined(read_vertices(mesh)[skin.kept], skin.faces, skin.number[landmarks])
     eyes = [eye for eye, one_skin in zip(EYES, joined, strict=True) if one_skin]
     if not eyes:
-        raise HeadError("The eyes are already open. Nothing has to be cut.")
+        raise HeadError("The lids are already separate from the eyes, so they can close. Nothing has to be cut.")
     close_seams(obj, skin)
     vertices, landmarks = read_vertices(mesh), read_landmarks(obj)
     outlines = [eye_outline(vertices, landmarks, eye) for eye in eyes]

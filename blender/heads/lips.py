@@ -46,7 +46,7 @@ def open_lips(obj: bpy.types.Object | None) -> int:
     mesh = mesh_of(obj)
     landmarks, skin = read_landmarks(obj), current_skin(obj)
     if not lips_joined(SurfaceGraph(read_vertices(mesh)[skin.kept], skin.faces), skin.number[landmarks]):
-        raise HeadError("The lips are already open. Nothing has to be cut.")
+        raise HeadError("The lips are already separate from each other, so the mouth can open. Nothing has to be cut.")
     close_seams(obj, skin)
     vertices, landmarks = read_vertices(mesh), read_landmarks(obj)
     graph = SurfaceGraph(vertices, read_faces(mesh))

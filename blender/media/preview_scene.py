@@ -23,6 +23,8 @@ _FOLD_SHARE = 0.05
 
 _HEAD_REACH, _DEPTH = 2.3, 0.5
 """Outer-eye distances around the middle of a head, and of that middle behind the landmarks, that are in view."""
+_NEAR = 1.6
+"""Distance of a viewport's eye from a head, relative to the head's size."""
 _BACKGROUND = (0.16, 0.17, 0.19)
 
 
@@ -95,6 +97,28 @@ def setup_preview(
     _set_shading(scene, float(np.ptp(points, axis=0).max()))
 
 
+def look_at_face(view: bpy.types.RegionView3D, obj: bpy.types.Object) -> None:
+    """Turn a viewport to a head, straight in front of its face and near enough to place landmarks.
+
+    Parameters
+    ----------
+    view : bpy.types.RegionView3D
+    obj : bpy.types.Object
+    """
+    shown = face_view(obj)
+    points = shown.points @ shown.axes
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
+    view.view_perspective = "ORTHO"
+    view.view_rotation = _facing(shown).to_quaternion()
+    view.view_location = shown.axes @ middle
+    view.view_distance = _NEAR * float(np.ptp(points, axis=0)[[0, 2]].max())
+
+
+def _facing(view: FaceView) -> Matrix:
+    """Return the rotation of a camera that looks along the face's own axis to its back."""
+    return Matrix(view.axes.tolist()) @ Matrix.Rotation(np.pi / 2.0, 3, "X")
+
+
 def _set_shading(scene: bpy.types.Scene, extent: float) -> None:
     scene.display.render_aa = "8"
     shading = scene.display.shading
@@ -136,7 +160,6 @@ def _aim_camera(scene: bpy.types.Scene, view: FaceView, size: tuple[int, int]) -
     nearest = (points[:, 1] - np.maximum(beside[:, 0] / across, beside[:, 2] / upwards)).min()
     distance = centre[1] - nearest
     camera.location = view.axes @ (centre[0], nearest, centre[2])
-    facing = Matrix(view.axes.tolist()) @ Matrix.Rotation(np.pi / 2.0, 3, "X")
-    camera.rotation_euler = facing.to_euler()
+    camera.rotation_euler = _facing(view).to_euler()
     data.clip_start, data.clip_end = distance / 100.0, distance * 10.0
     scene.camera = camera

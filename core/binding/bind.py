@@ -139,7 +139,9 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     if picked and (min(picked.values()) < 0 or max(picked.values()) >= len(places)):
         raise HeadError("A marked point is not a vertex of the mesh. Mark it again.")
     if len(places) < N_LANDMARKS:
-        raise HeadError(f"The mesh has {len(places)} vertices; {N_LANDMARKS} landmarks need more. Subdivide it first.")
+        raise HeadError(
+            f"No face was found: {N_LANDMARKS} landmarks need more than {len(places)} vertices. Select another mesh."
+        )
     # 1. to 3. A look, similarity and warps.
     template = load_template()
     fitted = fit_template(template, places, np.asarray(faces), picked)
@@ -159,7 +161,7 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     if mirror is not None:
         landmarks = _symmetric(landmarks, mirror, surface.places, bent[template.landmarks], picked)
         landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks, mirror == np.arange(len(mirror)))
-    if len(set(landmarks.tolist())) < 0.8 * N_LANDMARKS:
+    if len(set(landmarks.tolist())) < (0.8 if sight is not None or picked else 1.0) * N_LANDMARKS:
         raise HeadError("No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin.")
     turn = rotation.T @ fitted.view.attitude
     found = fitted.view.part[_distinct(graph, landmarks)]

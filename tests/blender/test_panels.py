@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from facemime.blender.heads.binding import write_mark
+from facemime.blender.heads.binding import write_marks
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import write_selection
 from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
@@ -69,7 +69,7 @@ def cube() -> None:
 
 
 def marked_head() -> None:
-    write_mark(add_head(bpy.context).data, 30, 5)
+    write_marks(add_head(bpy.context).data, {30: 5})
 
 
 def editing() -> None:

@@ -1,0 +1,176 @@
+"""Placing of landmarks and marked points by hand in a viewport."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+from bpy_extras import view3d_utils
+from mathutils import Vector
+
+from ...core.binding.bind import MARKS, MIN_MARKS
+from ...core.heads.parts import Part
+from ...core.landmarks import from_ibug
+from ..characters import read_kinds
+from ..meshes import is_head, read_landmarks, read_regions, write_landmarks
+from ..viewports import Viewport
+from .binding import (
+    VertexTakenError,
+    move_landmark,
+    propose_head_regions,
+    proposed_weights,
+    read_marks,
+    write_marks,
+)
+
+EASY_FIRST = (36, 45, 48, 54, 30, 8, 39, 42)
+"""iBUG numbers of `MARKS`, in the order in which users are asked for them: four that lie far apart lead."""
+_BEFORE = 10.0
+"""Distance before the middle of an orthographic view at which a ray starts, relative to that of the view."""
+
+
+class Placing:
+    """The landmarks of a head while they are moved, or points of a face while they are marked.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        A mesh.
+    asked : sequence of int
+        iBUG numbers of the points to mark, in order; none if landmarks are to be moved.
+
+    Attributes
+    ----------
+    current : Placing or None
+        The one in progress.
+    name : str
+        Name of the object.
+    held : int
+        Landmark that follows the mouse; -1 if none does.
+    """
+
+    current: Placing | None = None
+
+    def __init__(self, obj: bpy.types.Object, asked: Sequence[int] = ()) -> None:
+        self.name, self.asked, self.held = obj.name, tuple(asked), -1
+        self._step = 0
+        self._marks = read_marks(obj.data)
+        self._landmarks = read_landmarks(obj) if is_head(obj) else None
+        self._count = len(obj.data.vertices)
+
+    @property
+    def obj(self) -> bpy.types.Object | None:
+        """The object, or None if it has been deleted or changed otherwise meanwhile."""
+        obj = bpy.data.objects.get(self.name)
+        return obj if obj is not None and obj.type == "MESH" and len(obj.data.vertices) == self._count else None
+
+    @property
+    def next_mark(self) -> int | None:
+        """The point to mark next, by iBUG number; None if all are marked."""
+        return self.asked[self._step] if self._step < len(self.asked) else None
+
+    @property
+    def step(self) -> int:
+        """Number of points marked so far."""
+        return self._step
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are as many marks as the search needs."""
+        return len(read_marks(self.obj.data)) >= MIN_MARKS
+
+    def mark(self, vertex: int) -> None:
+        """Mark the next point."""
+        write_marks(self.obj.data, read_marks(self.obj.data) | {self.asked[self._step]: vertex})
+        self._step += 1
+
+    def unmark(self) -> None:
+        """Clear the last mark."""
+        if self._step:
+            self._step -= 1
+            marks = read_marks(self.obj.data)
+            marks.pop(self.asked[self._step], None)
+            write_marks(self.obj.data, marks)
+
+    def drag(self, vertex: int) -> None:
+        """Bind the held landmark to a vertex, unless another landmark is there."""
+        try:
+            move_landmark(self.obj, self.held, vertex)
+        except VertexTakenError:
+            return
+
+    def accept(self) -> None:
+        """Keep the landmarks; regions that were proposed from the former ones are proposed anew, painted ones stay."""
+        obj = self.obj
+        if obj is None or self._landmarks is None or not is_head(obj):
+            return
+        if not np.array_equal(read_landmarks(obj), self._landmarks) and np.allclose(
+            read_regions(obj), proposed_weights(obj, self._landmarks), atol=1e-4
+        ):
+            propose_head_regions(obj)
+
+    def discard(self) -> None:
+        """Restore landmarks and marks."""
+        if (obj := self.obj) is None:
+            return
+        write_marks(obj.data, self._marks)
+        if self._landmarks is not None:
+            write_landmarks(obj.data, self._landmarks)
+
+
+def marks_to_ask(wanted: Sequence[int] = ()) -> tuple[int, ...]:
+    """Return the iBUG numbers of points to ask for: those `wanted` if there are any, and otherwise all `MARKS`."""
+    return tuple(number for number in EASY_FIRST if number in (wanted or MARKS))
+
+
+def place_of_mark(obj: bpy.types.Object, number: int) -> int | None:
+    """Return the vertex at which a point is expected: where the search has put it; None if there was no search.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    number : int
+        iBUG number.
+    """
+    return int(read_landmarks(obj)[from_ibug([number])[0]]) if is_head(obj) else None
+
+
+def skin_under(
+    obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, seen: Viewport, pixel: tuple[float, float]
+) -> int | None:
+    """Find the vertex of a head's skin at a pixel, through whatever other object is in front.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    depsgraph : bpy.types.Depsgraph
+    seen : Viewport
+    pixel : (float, float)
+        From the lower left corner of the region.
+
+    Returns
+    -------
+    int or None
+        None if the object is not there. Takes about 1 ms for 100,000 vertices.
+    """
+    evaluated = obj.evaluated_get(depsgraph)
+    to_object = evaluated.matrix_world.inverted_safe()
+    begin = view3d_utils.region_2d_to_origin_3d(seen.region, seen.view, pixel)
+    ahead = view3d_utils.region_2d_to_vector_3d(seen.region, seen.view, pixel)
+    if not seen.view.is_perspective:  # Blender starts such a ray in the middle of what is in view
+        begin -= _BEFORE * seen.view.view_distance * ahead
+    hit, place, *_ = evaluated.ray_cast(to_object @ begin, to_object.to_3x3() @ ahead)
+    if not hit or len(evaluated.data.vertices) < len(obj.data.vertices):
+        return None
+    return _nearest(obj, evaluated, place)
+
+
+def _nearest(obj: bpy.types.Object, evaluated: bpy.types.Object, place: Vector) -> int:
+    flat = np.empty(3 * len(evaluated.data.vertices), np.float32)
+    evaluated.data.vertices.foreach_get("co", flat)
+    squared = ((flat.reshape(-1, 3)[: len(obj.data.vertices)] - np.float32(place)) ** 2).sum(axis=1)
+    kinds = read_kinds(obj.data)
+    if (kinds == Part.SKIN).any():
+        squared[kinds != Part.SKIN] = np.inf
+    return int(squared.argmin())

@@ -1,0 +1,245 @@
+"""Operators that place landmarks and marked points by clicks on the head."""
+
+import bpy
+import numpy as np
+from bpy.app.translations import pgettext_rpt as _
+from bpy.props import StringProperty
+
+from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
+from ..blender.heads.placing import Placing, marks_to_ask, skin_under
+from ..blender.viewports import Viewport, redraw, viewport_under
+from ..core.binding.bind import MIN_MARKS
+from ..core.control_points.select import parse_landmarks
+from ..core.errors import HeadError
+from ..core.landmarks import IBUG68_INDICES
+from ..sessions.session import Session
+from .shared import OnHead, OnMesh, ReportsErrors, report, require_object_mode
+
+_ENTER = {"RET", "NUMPAD_ENTER"}
+_PASS_ON = {"FINISHED", "PASS_THROUGH"}
+
+
+def placing_on(obj: bpy.types.Object | None) -> Placing | None:
+    """Return the placing of points in progress on `obj`, or None."""
+    placing = Placing.current
+    return placing if placing is not None and obj is not None and placing.obj == obj else None
+
+
+class PlacesPoints(ReportsErrors):
+    """Mixin: a modal operator that places points on the active mesh until Enter or Esc; the view can be turned.
+
+    It also ends, and keeps what was done, as soon as the mesh is changed or anything is puppeted.
+    """
+
+    _placing: Placing | None = None
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require an active mesh in Object Mode, and that nothing is puppeted."""
+        if not require_object_mode(cls, context) or not super().poll(context):
+            return False
+        if Session.running() is not None:
+            cls.poll_message_set("Stop the puppet first")
+            return False
+        return True
+
+    def begin(self, obj: bpy.types.Object) -> Placing:
+        """Return what is to be placed."""
+        raise NotImplementedError
+
+    def hint(self) -> str:
+        """Return what the status bar shows, translated."""
+        raise NotImplementedError
+
+    def handle(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Handle an event other than Enter and Esc."""
+        raise NotImplementedError
+
+    def missing(self) -> str:
+        """Return what is missing before Enter is accepted, in English; "" if nothing is."""
+        return ""
+
+    def work(self, context: bpy.types.Context) -> set[str]:
+        """Wait for clicks."""
+        if bpy.app.background or context.window is None:
+            raise HeadError("There is no window to click in. Use Set Landmark or Mark Point in Edit Mode instead.")
+        self._placing = Placing.current = self.begin(context.active_object)
+        context.scene.facemime_steps.show_points = True
+        context.workspace.status_text_set(self.hint())
+        context.window_manager.modal_handler_add(self)
+        redraw(context)
+        redraw(context, "UI")
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Handle an event."""
+        if not self._goes_on(context):
+            self.cancel(context)
+            return _PASS_ON
+        if event.type == "ESC" and event.value == "PRESS":
+            self._placing.discard()
+            self.cancel(context)
+            return {"CANCELLED"}
+        if event.type in _ENTER and event.value == "PRESS":
+            return self.end(context)
+        return self.handle(context, event)
+
+    def end(self, context: bpy.types.Context) -> set[str]:
+        """Keep what was placed, if it is enough."""
+        if missing := self.missing():
+            report(self, missing, "WARNING")
+            return {"RUNNING_MODAL"}
+        try:
+            return self.reporting(lambda _: _keep(self._placing), context)
+        finally:
+            self.cancel(context)
+
+    def _goes_on(self, context: bpy.types.Context) -> bool:
+        placing = self._placing
+        there = Placing.current is placing and placing.obj is not None and context.active_object == placing.obj
+        return there and context.mode == "OBJECT" and Session.running() is None
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Restore the status bar."""
+        if Placing.current is self._placing:
+            Placing.current = None
+        context.scene.facemime_steps.landmark = -1
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+        redraw(context)
+        redraw(context, "UI")
+
+
+def _vertex_under(context: bpy.types.Context, event: bpy.types.Event, seen: Viewport) -> int | None:
+    pixel = (event.mouse_x - seen.region.x, event.mouse_y - seen.region.y)
+    return skin_under(context.active_object, context.evaluated_depsgraph_get(), seen, pixel)
+
+
+class FACEMIME_OT_adjust_landmarks(PlacesPoints, OnHead, bpy.types.Operator):
+    """Drag landmarks to their places on the head; Enter accepts, Esc discards"""
+
+    bl_idname = "facemime.adjust_landmarks"
+    bl_label = "Adjust Landmarks"
+
+    def begin(self, obj: bpy.types.Object) -> Placing:
+        return Placing(obj)
+
+    def hint(self) -> str:
+        return _("Drag the points to their places; Enter to accept, Esc to discard")
+
+    def handle(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Highlight the landmark under the mouse; let it follow while the button is held."""
+        steps, placing = context.scene.facemime_steps, self._placing
+        seen = viewport_under(context, event.mouse_x, event.mouse_y)
+        if seen is not None and placing.held >= 0 and event.type in {"MOUSEMOVE", "LEFTMOUSE"}:
+            if (vertex := _vertex_under(context, event, seen)) is not None:
+                placing.drag(vertex)
+                redraw(context)
+        elif seen is not None and event.type == "MOUSEMOVE":
+            self._hover(context, event, seen)
+        elif seen is not None and event.type == "LEFTMOUSE" and event.value == "PRESS":
+            placing.held = steps.landmark
+        if event.type == "LEFTMOUSE" and event.value == "RELEASE" and placing.held >= 0:
+            placing.held = -1
+            return {"RUNNING_MODAL"}
+        return {"RUNNING_MODAL"} if placing.held >= 0 else {"PASS_THROUGH"}
+
+    def _hover(self, context: bpy.types.Context, event: bpy.types.Event, seen: Viewport) -> None:
+        size, view = (seen.region.width, seen.region.height), np.array(seen.view.perspective_matrix)
+        places = landmark_places(context.active_object, context.evaluated_depsgraph_get(), view, size)
+        pixel = (event.mouse_x - seen.region.x, event.mouse_y - seen.region.y)
+        landmark = nearest_landmark(places, pixel, NEAR / 2 * context.preferences.system.ui_scale)
+        if landmark != context.scene.facemime_steps.landmark:
+            context.scene.facemime_steps.landmark = landmark
+            redraw(context)
+
+
+class FACEMIME_OT_mark_face(PlacesPoints, OnMesh, bpy.types.Operator):
+    """Click the points of the face that are asked for, one by one; then the face is found by them"""
+
+    bl_idname = "facemime.mark_face"
+    bl_label = "Mark Face"
+
+    points: StringProperty(name="Points", description="Points to ask for, by iBUG number; empty for all")
+
+    def begin(self, obj: bpy.types.Object) -> Placing:
+        return Placing(obj, marks_to_ask([int(IBUG68_INDICES[i]) for i in parse_landmarks(self.points)]))
+
+    def hint(self) -> str:
+        return _("Click the point that is shown; Backspace for the one before, Enter to find the face, Esc to cancel")
+
+    def handle(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Mark a point by a click, or clear the last one by Backspace."""
+        placing = self._placing
+        if event.type == "BACK_SPACE" and event.value == "PRESS":
+            placing.unmark()
+            redraw(context)
+            return {"RUNNING_MODAL"}
+        seen = viewport_under(context, event.mouse_x, event.mouse_y)
+        if seen is None or event.type != "LEFTMOUSE" or event.value != "PRESS":
+            return {"PASS_THROUGH"}
+        if (vertex := _vertex_under(context, event, seen)) is None:
+            return {"PASS_THROUGH"}
+        placing.mark(vertex)
+        redraw(context)
+        return {"RUNNING_MODAL"} if placing.next_mark is not None else self.end(context)
+
+    def missing(self) -> str:
+        return "" if self._placing.enough else f"Mark at least {MIN_MARKS} points, or press Esc to cancel."
+
+
+def _keep(placing: Placing) -> None:
+    """Keep what was placed; a face whose points were marked is then found by them."""
+    placing.accept()
+    if placing.asked and placing.enough:
+        bpy.app.timers.register(_find_face, first_interval=0.0)
+
+
+def _find_face() -> None:
+    """Start the search once the marks are an undo step of their own."""
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window):
+        if bpy.ops.facemime.bind_landmarks.poll():
+            bpy.ops.facemime.bind_landmarks("INVOKE_DEFAULT")
+
+
+class FACEMIME_OT_accept_points(ReportsErrors, bpy.types.Operator):
+    """Keep the points as they are now"""
+
+    bl_idname = "facemime.accept_points"
+    bl_label = "Accept"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require that points are being placed."""
+        return placing_on(context.active_object) is not None
+
+    def work(self, context: bpy.types.Context) -> None:
+        placing, Placing.current = Placing.current, None
+        _keep(placing)
+        redraw(context)
+
+
+class FACEMIME_OT_discard_points(ReportsErrors, bpy.types.Operator):
+    """Put the points back to where they were"""
+
+    bl_idname = "facemime.discard_points"
+    bl_label = "Discard"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require that points are being placed."""
+        return placing_on(context.active_object) is not None
+
+    def work(self, context: bpy.types.Context) -> None:
+        placing, Placing.current = Placing.current, None
+        placing.discard()
+        redraw(context)
+
+
+CLASSES = (
+    FACEMIME_OT_adjust_landmarks,
+    FACEMIME_OT_mark_face,
+    FACEMIME_OT_accept_points,
+    FACEMIME_OT_discard_points,
+)

@@ -1,0 +1,97 @@
+"""Drawing in a viewport: text, lines, and dots; coordinates are pixels from the lower left corner of the region."""
+
+from __future__ import annotations
+
+import blf
+import numpy as np
+from numpy.typing import NDArray
+
+_CORNERS = 12
+_ANGLES = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
+_CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
+_FONT = 0
+WHITE = (1.0, 1.0, 1.0, 0.9)
+
+
+def dot(place: NDArray[np.float64], radius: float, colour: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Triangulate a dot.
+
+    Parameters
+    ----------
+    place : (2,) array
+        Its middle.
+    radius : float
+    colour : tuple of float
+        RGB or RGBA.
+
+    Returns
+    -------
+    corners : (3 T, 2) float32
+        Corners of the triangles.
+    colours : (3 T, 4) float32
+        RGBA colour of each corner.
+    """
+    circle = place + radius * _CIRCLE
+    fan = np.stack([np.broadcast_to(circle[:1], circle.shape), circle, np.roll(circle, -1, axis=0)], axis=1)
+    return fan.reshape(-1, 2).astype(np.float32), np.tile(np.float32((*colour, 1.0)[:4]), (3 * _CORNERS, 1))
+
+
+def draw_triangles(triangles: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    """Draw triangles, given as (corners, colours), in their order."""
+    if triangles:
+        _draw("TRIS", *(np.concatenate(part) for part in zip(*triangles, strict=True)))
+
+
+def draw_lines(ends: NDArray[np.float64], colour: tuple[float, float, float, float]) -> None:
+    """Draw lines.
+
+    Parameters
+    ----------
+    ends : (N, 2, 2) array
+        Two ends of each line.
+    colour : tuple of float
+        RGBA.
+    """
+    places = ends.reshape(-1, 2).astype(np.float32)
+    _draw("LINES", places, np.tile(np.float32(colour), (len(places), 1)))
+
+
+def _draw(kind: str, places: np.ndarray, colours: np.ndarray) -> None:
+    import gpu
+    from gpu_extras.batch import batch_for_shader
+
+    shader = gpu.shader.from_builtin("SMOOTH_COLOR")
+    gpu.state.blend_set("ALPHA")
+    batch_for_shader(shader, kind, {"pos": np.pad(places, ((0, 0), (0, 1))), "color": colours}).draw(shader)
+    gpu.state.blend_set("NONE")
+
+
+def draw_text(
+    text: str,
+    place: tuple[float, float],
+    size: float,
+    colour: tuple[float, float, float, float] = WHITE,
+    centred: bool = False,
+) -> None:
+    """Draw a line of text with a shadow.
+
+    Parameters
+    ----------
+    text : str
+        Translated.
+    place : (float, float)
+        Its left or, if `centred`, its middle; and its base line.
+    size : float
+        Pixels.
+    colour : tuple of float
+        RGBA.
+    centred : bool
+    """
+    blf.size(_FONT, size)
+    left = place[0] - (blf.dimensions(_FONT, text)[0] / 2 if centred else 0.0)
+    blf.color(_FONT, *colour)
+    blf.enable(_FONT, blf.SHADOW)
+    blf.shadow(_FONT, 3, 0.0, 0.0, 0.0, 0.8)
+    blf.position(_FONT, left, place[1], 0.0)
+    blf.draw(_FONT, text)
+    blf.disable(_FONT, blf.SHADOW)

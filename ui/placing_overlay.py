@@ -1,0 +1,104 @@
+"""Viewport overlay while points of a face are marked: a small face shows which one is asked for."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import bpy
+import numpy as np
+from bpy.app.translations import pgettext_iface as _
+from bpy_extras import view3d_utils
+from numpy.typing import NDArray
+
+from ..blender.heads.binding import read_marks
+from ..blender.heads.placing import Placing, place_of_mark
+from ..core.binding.bind import MARKS
+from ..core.heads.built_in import load_head
+from ..core.landmarks import EDGES, from_ibug
+from ..operators.place_points import placing_on
+from .drawing import WHITE, dot, draw_lines, draw_text, draw_triangles
+from .point_overlay import rimmed
+from .preview import MARGIN, redo_height, toolbar_width
+
+_FACE = 150.0
+"""Height of the small face, pixels."""
+_MARKED, _ASKED, _EXPECTED = (0.95, 0.75, 0.1), (1.0, 0.35, 0.1), (1.0, 1.0, 1.0)
+_LINE = (0.85, 0.85, 0.85, 0.9)
+_DOT = 5.0
+
+
+class _Overlay:
+    """The draw handler."""
+
+    handle: object = None
+
+
+@lru_cache(maxsize=1)
+def _outline() -> NDArray[np.float64]:
+    """(66, 2) landmarks of the built-in head from the front, y up, with a height of 1 and its middle at the bottom."""
+    head = load_head()
+    flat = np.array(head.vertices[head.landmarks][:, :2], dtype=np.float64)
+    if flat[from_ibug([8])[0], 1] > flat[from_ibug([27])[0], 1]:
+        flat[:, 1] *= -1.0
+    flat -= np.array([flat[:, 0].mean(), flat[:, 1].min()])
+    return flat / flat[:, 1].max()
+
+
+def _draw() -> None:
+    context = bpy.context
+    placing = placing_on(context.active_object)
+    if placing is None or not placing.asked or context.region is None:
+        return
+    scale = context.preferences.system.ui_scale
+    _draw_marks(context, placing, scale)
+    if placing.next_mark is not None:
+        _draw_guide(context, placing, scale)
+
+
+def _draw_marks(context: bpy.types.Context, placing: Placing, scale: float) -> None:
+    """Draw the marks, and a light dot where the search expects the next one."""
+    drawn = []
+    for vertex in read_marks(placing.obj.data).values():
+        if (pixel := _pixel(context, placing.obj, vertex)) is not None:
+            drawn += rimmed(pixel, _DOT * scale, _MARKED, scale)
+    expected = None if placing.next_mark is None else place_of_mark(placing.obj, placing.next_mark)
+    if expected is not None and (pixel := _pixel(context, placing.obj, expected)) is not None:
+        drawn += rimmed(pixel, 0.7 * _DOT * scale, _EXPECTED, scale)
+    draw_triangles(drawn)
+
+
+def _pixel(context: bpy.types.Context, obj: bpy.types.Object, vertex: int) -> NDArray[np.float64] | None:
+    evaluated = obj.evaluated_get(context.evaluated_depsgraph_get())
+    if vertex >= len(evaluated.data.vertices):
+        return None
+    place = evaluated.matrix_world @ evaluated.data.vertices[vertex].co
+    pixel = view3d_utils.location_3d_to_region_2d(context.region, context.region_data, place)
+    return None if pixel is None else np.array(pixel)
+
+
+def _draw_guide(context: bpy.types.Context, placing: Placing, scale: float) -> None:
+    """Draw the small face, with the point that is asked for and its name."""
+    size = _FACE * scale
+    outline = size * _outline()
+    corner = np.array([toolbar_width(context) + MARGIN * scale, MARGIN * scale + redo_height(context)])
+    outline += corner + (np.ptp(outline[:, 0]) / 2.0, 0.0)
+    draw_lines(outline[np.array(EDGES)], _LINE)
+    asked = outline[from_ibug([placing.next_mark])[0]]
+    marked = [outline[from_ibug([number])[0]] for number in placing.asked[: placing.step]]
+    draw_triangles([dot(place, 0.6 * _DOT * scale, _MARKED) for place in marked])
+    draw_triangles(rimmed(asked, _DOT * scale, _ASKED, scale))
+    name = _(MARKS[placing.next_mark].capitalize())
+    number, count = placing.step + 1, len(placing.asked)
+    text = _("{number} of {count}: {name}").format(number=number, count=count, name=name)
+    draw_text(text, (corner[0], corner[1] + size + 12 * scale), 14 * scale, WHITE)
+
+
+def register() -> None:
+    """Add the draw handler to all 3D Viewports."""
+    _Overlay.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
+
+
+def unregister() -> None:
+    """Remove the draw handler."""
+    bpy.types.SpaceView3D.draw_handler_remove(_Overlay.handle, "WINDOW")
+    _Overlay.handle = None
