@@ -16,7 +16,6 @@ from ..sessions.session import Session
 from .shared import OnHead, OnMesh, ReportsErrors, report, require_object_mode
 
 _ENTER = {"RET", "NUMPAD_ENTER"}
-_PASS_ON = {"FINISHED", "PASS_THROUGH"}
 
 
 def placing_on(obj: bpy.types.Object | None) -> Placing | None:
@@ -55,10 +54,6 @@ class PlacesPoints(ReportsErrors):
         """Handle an event other than Enter and Esc."""
         raise NotImplementedError
 
-    def missing(self) -> str:
-        """Return what is missing before Enter is accepted, in English; "" if nothing is."""
-        return ""
-
     def work(self, context: bpy.types.Context) -> set[str]:
         """Wait for clicks."""
         if bpy.app.background or context.window is None:
@@ -75,7 +70,7 @@ class PlacesPoints(ReportsErrors):
         """Handle an event."""
         if not self._goes_on(context):
             self.cancel(context)
-            return _PASS_ON
+            return {"CANCELLED" if self._placing.discarded else "FINISHED", "PASS_THROUGH"}
         if event.type == "ESC" and event.value == "PRESS":
             self._placing.discard()
             self.cancel(context)
@@ -86,8 +81,8 @@ class PlacesPoints(ReportsErrors):
 
     def end(self, context: bpy.types.Context) -> set[str]:
         """Keep what was placed, if it is enough."""
-        if missing := self.missing():
-            report(self, missing, "WARNING")
+        if self._placing.asked and not self._placing.enough:
+            report(self, f"Mark at least {MIN_MARKS} points, or press Esc to cancel", "WARNING")
             return {"RUNNING_MODAL"}
         try:
             return self.reporting(lambda _: _keep(self._placing), context)
@@ -184,9 +179,6 @@ class FACEMIME_OT_mark_face(PlacesPoints, OnMesh, bpy.types.Operator):
         redraw(context)
         return {"RUNNING_MODAL"} if placing.next_mark is not None else self.end(context)
 
-    def missing(self) -> str:
-        return "" if self._placing.enough else f"Mark at least {MIN_MARKS} points, or press Esc to cancel."
-
 
 def _keep(placing: Placing) -> None:
     """Keep what was placed; a face whose points were marked is then found by them."""
@@ -203,11 +195,13 @@ def _find_face() -> None:
             bpy.ops.facemime.bind_landmarks("INVOKE_DEFAULT")
 
 
+# The two buttons leave the undo step to the operator that they end, which is called next.
 class FACEMIME_OT_accept_points(ReportsErrors, bpy.types.Operator):
     """Keep the points as they are now"""
 
     bl_idname = "facemime.accept_points"
     bl_label = "Accept"
+    bl_options = {"INTERNAL"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -225,6 +219,7 @@ class FACEMIME_OT_discard_points(ReportsErrors, bpy.types.Operator):
 
     bl_idname = "facemime.discard_points"
     bl_label = "Discard"
+    bl_options = {"INTERNAL"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -22,7 +22,15 @@ _KEYWORDS = {"name", "description", "text", "heading", "title", "message"}
 _CALLS = {"_", "pgettext_iface", "pgettext_rpt", "labels", "label", "poll_message_set"}
 _SETTINGS = {"setting", "Choice"}
 """Their first argument is a value."""
-_ERRORS = {"FacemimeError", "SourceError", "ModelError", "HeadError", "OutputError", "MisnamedError"}
+_ERRORS = {
+    "FacemimeError",
+    "SourceError",
+    "ModelError",
+    "HeadError",
+    "OutputError",
+    "MisnamedError",
+    "VertexTakenError",
+}
 _READERS = (
     "core/*.py",
     "core/takes/*.py",

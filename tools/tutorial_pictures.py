@@ -20,11 +20,16 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests" / "gui"), str(ROOT / "tests")]
 
-from test_walk import _TOOLS, HEAD, MODULE, import_scan  # noqa: E402
+from test_own_head import import_scan  # noqa: E402
+from walking import HEAD, TOOLS  # noqa: E402
 
 from conftest import install  # noqa: E402
 from sidebar import Sidebar  # noqa: E402
-from window import Blender, places  # noqa: E402
+from window import (  # noqa: E402
+    MODULE,
+    Blender,
+    places,
+)
 
 PICTURES = ROOT / "docs" / "tutorials" / "images"
 CLIP = ROOT / "assets" / "sample" / "sample.mp4"
@@ -73,7 +78,7 @@ class Studio:
         self.blender.__enter__()
         install(self.blender)
         self.blender.do("[bpy.data.objects.remove(obj) for obj in list(bpy.data.objects)]")
-        self.blender.do(_TOOLS)
+        self.blender.do(TOOLS)
         self.blender.do(_HELD)
         self.blender.do(_QUIET)
         self.sidebar = Sidebar(self.blender)

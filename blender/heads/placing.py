@@ -48,12 +48,14 @@ class Placing:
         Name of the object.
     held : int
         Landmark that follows the mouse; -1 if none does.
+    discarded : bool
     """
 
     current: Placing | None = None
 
     def __init__(self, obj: bpy.types.Object, asked: Sequence[int] = ()) -> None:
         self.name, self.asked, self.held = obj.name, tuple(asked), -1
+        self.discarded = False
         self._step = 0
         self._marks = read_marks(obj.data)
         self._landmarks = read_landmarks(obj) if is_head(obj) else None
@@ -112,6 +114,7 @@ class Placing:
 
     def discard(self) -> None:
         """Restore landmarks and marks."""
+        self.discarded = True
         if (obj := self.obj) is None:
             return
         write_marks(obj.data, self._marks)

@@ -51,7 +51,7 @@ def test_joined_eyes_of_a_scan_are_reported_until_they_are_opened(scan):
     assert [line.step for line in bpy.context.window_manager.facemime.findings] == ["open_lips"]
     assert bpy.ops.facemime.open_lips() == {"FINISHED"}
     assert check_object(scan) == [] and len(bpy.context.window_manager.facemime.findings) == 0
-    with pytest.raises(RuntimeError, match="already open"):
+    with pytest.raises(RuntimeError, match="already separate"):
         bpy.ops.facemime.open_eyes()
 
 
@@ -209,7 +209,7 @@ def test_missing_landmarks_open_eyes_and_holes_are_errors_and_nothing_is_cut(sca
         bpy.ops.facemime.open_eyes()
     assert len(scan.data.vertices) == count and not eye_vertices(scan).size
     add_head(bpy.context)
-    with pytest.raises(RuntimeError, match="already open"):
+    with pytest.raises(RuntimeError, match="already separate"):
         bpy.ops.facemime.open_eyes()
     bpy.ops.mesh.primitive_uv_sphere_add()
     assert not bpy.ops.facemime.open_eyes.poll()

@@ -27,7 +27,7 @@ def test_joined_lips_of_a_scan_are_reported_until_they_are_opened(scan):
     assert len(scan.data.vertices) > before
     assert words not in [finding.problem for finding in check_object(scan)]
     assert "open_lips" not in [line.step for line in bpy.context.window_manager.facemime.findings]
-    with pytest.raises(RuntimeError, match="already open"):
+    with pytest.raises(RuntimeError, match="already separate"):
         bpy.ops.facemime.open_lips()
 
 
@@ -103,5 +103,5 @@ def test_opening_lips_requires_landmarks():
     bpy.ops.mesh.primitive_uv_sphere_add()
     assert not bpy.ops.facemime.open_lips.poll()
     add_head(bpy.context)
-    with pytest.raises(RuntimeError, match="already open"):
+    with pytest.raises(RuntimeError, match="already separate"):
         bpy.ops.facemime.open_lips()

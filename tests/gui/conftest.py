@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from walking import EVERY_FRAME, TOOLS
 
 from sidebar import Sidebar
-from window import ROOT, Blender, places
+from window import MODULE, ROOT, Blender, places
 
-MODULE = "bl_ext.user_default.facemime"
 SUITES = ("trixie", "sid")
 _QUICK = "sid"
 """Suite with the newest Blender; the other one is tested by `make test-all`."""
@@ -78,6 +78,30 @@ def blender(request: pytest.FixtureRequest) -> Iterator[Blender]:
     with started(request.param, name, size=(1100, 1080)) as window:
         install(window)
         yield window
+
+
+@pytest.fixture
+def every_frame(blender: Blender) -> Iterator[None]:
+    """Use a clock that waits for slow frames."""
+    blender.do(EVERY_FRAME)
+    yield
+    blender.do("sources.PacedSource.pace = sources.Clock()")
+
+
+@pytest.fixture
+def sidebar(blender: Blender) -> Iterator[Sidebar]:
+    """The sidebar with an empty scene; afterwards nothing may be running, and there must be no traceback."""
+    before = len(blender.printed())
+    blender.do("bpy.ops.wm.read_homefile(use_factory_startup=False)")
+    blender.do("[bpy.data.objects.remove(obj) for obj in list(bpy.data.objects)]")
+    blender.do("bpy.ops.ed.undo_push(message='Empty')")
+    blender.do(TOOLS)
+    blender.redraw()
+    yield Sidebar(blender)
+    if blender.process.poll() is None:
+        blender.do("bpy.ops.wm.read_homefile(use_factory_startup=False)")
+        assert blender.get("workers()") == []
+    assert "Traceback" not in blender.printed()[before:]
 
 
 @pytest.hookimpl(wrapper=True)

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from conftest import MODULE, SUITES, install
+from conftest import SUITES, install
 from sidebar import Sidebar
-from window import ROOT, Blender, places
+from window import MODULE, ROOT, Blender, places
 
 PERIOD = 20.0
 GROWTH = 0.5

@@ -15,6 +15,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
+MODULE = "bl_ext.user_default.facemime"
 SHOTS = Path(os.environ.get("FACEMIME_SHOTS", ROOT / "build" / "gui"))
 _DEADLINE = 120.0
 """Seconds that a test waits: Blender renders in software, and the machine may be busy."""

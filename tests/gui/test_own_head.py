@@ -1,0 +1,188 @@
+"""A mesh becomes a head by mouse: face, regions, control points, cuts."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scans import scanned
+from walking import (
+    HEAD,
+    PIXEL_OF_FOREHEAD,
+    PIXEL_OF_LANDMARK,
+    add_head,
+    choose_file,
+    look_from_the_front,
+    run_in_viewport,
+    start,
+    stop,
+)
+
+from facemime.core.takes.file import save_take
+from takes import performance
+from window import Blender
+
+
+def test_a_brush_stroke_takes_effect_while_the_puppet_is_running(blender, sidebar):
+    add_head(sidebar)
+    start(sidebar)
+    sidebar.open_panel("FACEMIME_PT_regions")
+    sidebar.press("bpy.ops.facemime.paint_region(region='LOWER')")
+    blender.wait_for("bpy.context.mode == 'PAINT_WEIGHT'")
+    blender.do(f"before = read_regions({HEAD})[2].copy()")
+    forehead = blender.do(PIXEL_OF_FOREHEAD)
+    blender.drag(*[(forehead[0] + x, forehead[1]) for x in (-20, -10, 0, 10, 20)])
+    blender.wait_for(f"(read_regions({HEAD})[2] > before + 0.2).any()")
+    blender.shot("stroke")
+    blender.do(f"painted = read_regions({HEAD})[2] > before + 0.2")
+    blender.wait_for("(Session.current.worker.heads[0].rig.region_weights[2][painted] > 0.2).all()")
+    blender.wait_for(f"np.abs(shown({HEAD}) - rest({HEAD}))[painted].max() > 1e-4")
+    stop(sidebar)
+    assert blender.get("bpy.context.mode") == "PAINT_WEIGHT"
+
+
+def test_regions_are_shown_edited_and_checked_by_clicks(blender, sidebar):
+    add_head(sidebar)
+    sidebar.open_panel("FACEMIME_PT_regions")
+    plain = cv2.imread(str(blender.shot("regions-hidden")))
+    sidebar.press("show_regions")
+    shown = cv2.imread(str(blender.shot("regions-shown")))
+    x, y = (round(value) for value in blender.do(PIXEL_OF_FOREHEAD))
+    change = shown[y - 3 : y + 4, x - 3 : x + 4].astype(float).mean(axis=(0, 1)) - plain[y, x]
+    assert change[0] > change[2] + 20, "the forehead turns blue"
+    for button in ("mirror_regions(source='left')", "smooth_regions", "propose_regions", "check_head"):
+        sidebar.press(f"bpy.ops.facemime.{button}")
+    assert blender.get("bpy.context.window_manager.facemime.checked") == blender.get(f"{HEAD}.name")
+    sidebar.press("bpy.ops.facemime.paint_region(region='MIDDLE')")
+    blender.wait_for(f"{HEAD}.vertex_groups.active.name == 'Facemime Middle'")
+    blender.shot("painting")
+    sidebar.press("bpy.ops.facemime.leave_painting")
+    blender.wait_for("bpy.context.mode == 'OBJECT'")
+
+
+def import_scan(blender: Blender) -> int:
+    """Import a scan as an OBJ file and make it active; returns the number of its vertices."""
+    places, faces = scanned()
+    lines = [f"v {x:.6f} {-y:.6f} {-z:.6f}" for x, y, z in places]
+    lines += ["f " + " ".join(str(v + 1) for v in face) for face in faces.tolist()]
+    (blender.folder / "scan.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    blender.do(f"bpy.ops.wm.obj_import(filepath={str(blender.inside / 'scan.obj')!r})")
+    blender.do("bpy.context.view_layer.objects.active = bpy.data.objects['scan']")
+    return len(places)
+
+
+@pytest.mark.thorough
+def test_an_imported_scan_becomes_a_head_with_open_mouth_and_eyes_by_clicks(blender, sidebar):
+    count = import_scan(blender)
+    blender.redraw()
+    sidebar.open_panel("FACEMIME_PT_head")
+    sidebar.press("bpy.ops.facemime.bind_landmarks")
+    blender.wait_for("'facemime_landmarks' in bpy.data.objects['scan'].data")
+    sidebar.press("bpy.ops.facemime.open_lips")
+    blender.wait_for(f"len(bpy.data.objects['scan'].data.vertices) > {count}")
+    sidebar.press("bpy.ops.facemime.open_eyes")
+    blender.wait_for("'Facemime Eyes' in bpy.data.objects['scan'].vertex_groups")
+    blender.wait_for("len(bpy.context.window_manager.facemime.findings) == 0")
+    look_from_the_front(sidebar)
+    blender.shot("scan")
+    start(sidebar)
+    sidebar.open_panel("FACEMIME_PT_puppet")
+    sidebar.press("bpy.ops.facemime.next_face")
+    gap = f"shown({HEAD})[read_landmarks({HEAD})[from_ibug([62, 66])], 2]"
+    blender.wait_for(f"float(np.ptp({gap})) > 0.01")
+    blender.shot("scan-speaks")
+    stop(sidebar)
+
+
+def drag(blender: Blender, *points: tuple[float, float]) -> None:
+    """Drag with the mouse, and let Blender see each position, however slowly it draws."""
+    blender.move(*points[0])
+    blender.redraw()
+    blender.input("mousedown", 1)
+    for point in points[1:]:
+        blender.redraw()
+        blender.move(*point)
+    blender.redraw()
+    blender.input("mouseup", 1)
+    blender.redraw()
+
+
+def nose(blender: Blender) -> int:
+    """Return the vertex of the tip of the nose."""
+    return blender.get(f"int(read_landmarks({HEAD})[from_ibug([30])[0]])")
+
+
+def test_landmarks_are_dragged_and_discarded_or_accepted(blender, sidebar):
+    add_head(sidebar)
+    blender.do("bpy.context.scene.facemime_steps.show_points = True")
+    tip = nose(blender)
+    x, y = blender.do(PIXEL_OF_LANDMARK.format(landmark="from_ibug([30])[0]"))
+    for button, kept in (("discard_points", False), ("accept_points", True)):
+        run_in_viewport(blender, "adjust_landmarks")
+        sidebar.find("bpy.ops.facemime.accept_points")
+        drag(blender, (x, y), (x, y - 10), (x + 15, y - 20))
+        blender.shot("dragged")
+        assert nose(blender) != tip
+        sidebar.press(f"bpy.ops.facemime.{button}")
+        assert (nose(blender) != tip) == kept
+    sidebar.find("bpy.ops.facemime.puppet")
+    blender.move(*sidebar.view())
+    blender.key("ctrl+z")
+    blender.wait_for(f"int(read_landmarks({HEAD})[from_ibug([30])[0]]) == {tip}")
+
+
+def test_four_points_that_are_clicked_one_by_one_lead_to_the_face(blender, sidebar):
+    add_head(sidebar)
+    bound = blender.get(f"read_landmarks({HEAD}).tolist()")
+    places = [blender.do(PIXEL_OF_LANDMARK.format(landmark=f"from_ibug([{n}])[0]")) for n in (36, 45, 48, 54)]
+    blender.do(f"del {HEAD}.data['facemime_landmarks']")
+    run_in_viewport(blender, "mark_face")
+    for place in places[:2]:
+        blender.click(*place)
+        blender.redraw()
+    blender.shot("marking")
+    blender.key("BackSpace")
+    blender.redraw()
+    assert blender.get(f"len({HEAD}.data['facemime_marks'])") == 2, "one mark: its number and its vertex"
+    for place in places[1:]:
+        blender.click(*place)
+        blender.redraw()
+    blender.key("Return")
+    blender.wait_for(f"'facemime_landmarks' in {HEAD}.data")
+    blender.shot("marked")
+    found = blender.get(f"read_landmarks({HEAD}).tolist()")
+    assert np.mean(np.array(found) == bound) > 0.6
+    blender.wait_for("bpy.ops.facemime.accept_points.poll()")
+    sidebar.press("bpy.ops.facemime.accept_points")
+
+
+def test_escape_ends_the_search_for_a_face_and_leaves_nothing(blender, sidebar):
+    import_scan(blender)
+    blender.redraw()
+    run_in_viewport(blender, "bind_landmarks")
+    blender.move(*sidebar.view())
+    blender.key("Escape")
+    blender.wait_for("workers() == []")
+    blender.redraw()
+    assert not blender.get("[key for key in bpy.data.objects['scan'].data.keys() if key.startswith('facemime')]")
+
+
+@pytest.mark.thorough
+def test_control_points_are_selected_from_a_take_picked_on_the_head_removed_and_undone(blender, sidebar):
+    add_head(sidebar)
+    save_take(performance(), blender.folder / "take.facetake")
+    sidebar.open_panel("FACEMIME_PT_control_points")
+    sidebar.press("bpy.ops.facemime.select_control_points")
+    choose_file(blender, str(blender.inside), "take.facetake")
+    blender.wait_for(f"read_selection({HEAD}.data) is not None")
+    count = blender.get(f"len(read_selection({HEAD}.data).landmarks)")
+    sidebar.press("bpy.ops.facemime.pick_landmark")
+    landmark = blender.get(f"int(read_selection({HEAD}.data).landmarks[0])")  # a brow, of which there are several
+    blender.click(*blender.do(PIXEL_OF_LANDMARK.format(landmark=landmark)))
+    blender.wait_for(f"bpy.context.scene.facemime_steps.landmark == {landmark}")
+    blender.shot("control-points")
+    sidebar.press("bpy.ops.facemime.drop_control_point")
+    blender.wait_for(f"len(read_selection({HEAD}.data).landmarks) == {count - 1}")
+    blender.move(*sidebar.view())
+    blender.key("ctrl+z")
+    blender.wait_for(f"len(read_selection({HEAD}.data).landmarks) == {count}")
