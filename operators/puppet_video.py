@@ -6,6 +6,7 @@ from bpy.props import StringProperty
 
 from ..blender.animation.puppet import check_heads, puppet_heads
 from ..blender.meshes import is_head
+from ..blender.viewports import redraw
 from ..core.errors import FacemimeError
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
@@ -18,7 +19,7 @@ _TICK = 0.1
 
 
 class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
-    """Track the face in a video, or read a take, and bake the motion to the active head and all other selected heads"""
+    """Track the face in a video, keep it as a take, and bake it to the active head and all other selected heads"""
 
     bl_idname = "facemime.puppet_video"
     bl_label = "Puppet from Video"
@@ -39,6 +40,10 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
             cls.poll_message_set("Select a head mesh, or add one with Add > Mesh > Facemime Head")
             return False
         return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for a file, unless the button comes with one."""
+        return self.execute(context) if self.filepath else super().invoke(context, event)
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Track in the background, then bake; without a window, wait for the tracking."""
@@ -68,11 +73,12 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
             context.window_manager.progress_update(100 * done / max(total, 1))
             progress = _("Facemime: {done} of {total} frames tracked; Esc to stop and bake them")
             context.workspace.status_text_set(progress.format(done=done, total=total))
+            redraw(context, "UI")
             return {"PASS_THROUGH"}
         return self.reporting(self.finish, context)
 
     def finish(self, context: bpy.types.Context) -> set[str]:
-        """Bake the tracked take; if that fails, keep it in the list of takes.
+        """Keep the tracked take in the list, and bake it.
 
         Raises
         ------
@@ -81,15 +87,23 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
         """
         try:
             take = self._session.take()
+            kept = self._keep(context, take) if take.found.any() else ""
             try:
                 return self.bake(context, context.scene.objects.get(self._head), take)
             except FacemimeError as error:
-                if not take.found.any():
+                if not kept:
                     raise
-                line = takes_store.keep(context.scene, take, self._session.video.stem)
-                raise type(error)(f"{error} The tracked take is in the list as {line.name}.") from error
+                raise type(error)(f"{error} The tracked take is in the list as {kept}.") from error
         finally:
             self.cancel(context)
+
+    def _keep(self, context: bpy.types.Context, take: Take) -> str:
+        """Add the take to the list; return its name, or "" if it cannot be written: it can be baked all the same."""
+        try:
+            return takes_store.keep(context.scene, take, self._session.video.stem).name
+        except FacemimeError as error:
+            report(self, str(error), "WARNING")
+            return ""
 
     def bake(self, context: bpy.types.Context, head: bpy.types.Object | None, take: Take) -> set[str]:
         """Bake `take` to `head` and to all other selected heads, and report the result."""
@@ -106,6 +120,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
 
     def cancel(self, context: bpy.types.Context) -> None:
         """End the session and the timer; may be called twice."""
+        redraw(context, "UI")
         if self._session is not None:
             self._session.close()
         self._session = None
@@ -121,4 +136,22 @@ def _heads(context: bpy.types.Context, first: bpy.types.Object | None) -> list[b
     return [first, *(obj for obj in context.selected_objects if obj != first and is_head(obj))]
 
 
-CLASSES = (FACEMIME_OT_puppet_video,)
+class FACEMIME_OT_stop_tracking(bpy.types.Operator):
+    """Stop tracking, keep the frames tracked so far as a take, and bake them"""
+
+    bl_idname = "facemime.stop_tracking"
+    bl_label = "Stop Tracking"
+    bl_options = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require that a video is being tracked."""
+        return TrackingSession.running() is not None
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Ask the session to stop; its operator bakes."""
+        TrackingSession.running().stop()
+        return {"FINISHED"}
+
+
+CLASSES = (FACEMIME_OT_puppet_video, FACEMIME_OT_stop_tracking)

@@ -101,6 +101,12 @@ def open_source(source: FacemimeSource) -> LiveSource:
     return TakePlayer(load_take(path), path.name, **playing)
 
 
+def whole_file(source: FacemimeSource) -> str:
+    """Return the video or take that is chosen as the source; "" if it is something else, or nothing is chosen."""
+    chosen = {"SAMPLE": str(SAMPLE), "VIDEO": source.video, "TAKE": source.take}.get(source.kind, "")
+    return bpy.path.abspath(chosen) if chosen else ""
+
+
 def _camera() -> Camera:
     chosen = preferences()
     device = parse_device(chosen.camera, list_cameras())

@@ -1,10 +1,15 @@
 """Panel Puppet: live puppetry, the pose of head and eyes, and whole videos."""
 
+from pathlib import Path
+
 import bpy
+from bpy.app.translations import pgettext_iface as _
 
 from ..operators.puppet import running
+from ..sessions.tracking import TrackingSession
+from ..settings.values import whole_file
 from .sidebar import Sidebar, labels, place, side_by_side, split_labels
-from .status import status_lines
+from .status import draw_progress, status_lines
 
 
 class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
@@ -65,7 +70,16 @@ class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
         """Draw the panel."""
         layout, settings = self.layout, context.scene.facemime
         split_labels(layout)
-        layout.operator("facemime.puppet_video", icon="FILE_MOVIE")
+        tracking = TrackingSession.running()
+        row = layout.row(align=True)
+        if tracking is not None:
+            draw_progress(row, tracking)
+        elif path := whole_file(settings.source):
+            name = _("Track and Bake {name}").format(name=Path(path).name)
+            row.operator("facemime.puppet_video", text=name, icon="FILE_MOVIE", translate=False).filepath = path
+            row.operator("facemime.puppet_video", text="", icon="FILEBROWSER")
+        else:
+            row.operator("facemime.puppet_video", icon="FILE_MOVIE")
         column = layout.column(align=True, heading="Neutral")
         column.prop(settings, "find_neutral", text="Find")
         row = column.row()

@@ -8,8 +8,9 @@ from ..operators.place_points import placing_on
 from ..operators.puppet import running
 from ..operators.shared import heads_in
 from ..sessions.show import TakeShow
+from ..sessions.tracking import TrackingSession
 from .sidebar import Sidebar, place
-from .status import summary
+from .status import draw_progress, summary
 
 
 class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
@@ -47,6 +48,8 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
             row.operator(
                 "facemime.record_take", text="Stop Recording" if recording else "Record", icon="REC", depress=recording
             )
+        elif (tracking := TrackingSession.running()) is not None:
+            draw_progress(row, tracking)
         elif TakeShow.running() is not None:
             row.operator("facemime.show_take", text="Stop", icon="SNAP_FACE", depress=True)
         elif heads:
@@ -65,6 +68,8 @@ def _next_step(context: bpy.types.Context, heads: list[bpy.types.Object]) -> tup
         return _("Leave Edit Mode first"), "INFO"
     if (placing := placing_on(context.active_object)) is not None:
         return _("Click the point that is shown") if placing.asked else _("Drag points that are off"), "INFO"
+    if TrackingSession.running() is not None:
+        return _("Tracking the whole video"), "TIME"
     if TakeShow.running() is not None:
         return _("A take is shown"), "PLAY"
     if heads:

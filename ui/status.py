@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import bpy
 from bpy.app.translations import pgettext_iface as _
 
 from ..sessions.live import LiveSession
+from ..sessions.tracking import TrackingSession
 
 _STAGES = {
     "wait": "the source",
@@ -13,6 +15,20 @@ _STAGES = {
     "hand over": "Blender's redraw",
     "write": "writing to the mesh",
 }
+
+
+def draw_progress(layout: bpy.types.UILayout, session: TrackingSession) -> None:
+    """Draw how far a whole video has been tracked, and a button that stops.
+
+    Parameters
+    ----------
+    layout : bpy.types.UILayout
+        A row.
+    session : TrackingSession
+    """
+    text = _("{done} of {total} frames").format(done=session.done, total=session.total)
+    layout.progress(factor=session.done / max(session.total, 1), text=text, translate=False)
+    layout.operator("facemime.stop_tracking", text="", icon="CANCEL")
 
 
 def latency_text(session: LiveSession) -> str:

@@ -16,6 +16,7 @@ from facemime.core.takes.file import load_take, save_take
 from facemime.operators.puppet_video import FACEMIME_OT_puppet_video
 from facemime.sessions.session import Session
 from facemime.sessions.tracking import TrackingSession
+from facemime.settings.values import whole_file
 from takes import performance
 
 SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
@@ -165,3 +166,32 @@ def test_the_tracked_take_is_kept_if_it_cannot_be_baked(tmp_path, monkeypatch):
     assert line.name == "sample" and line.length == pytest.approx(performance().times[-1])
     assert len(load_take(tmp_path / "takes" / "sample.facetake")) == len(performance())
     assert Session.current is None and head.data.shape_keys is None
+
+
+def test_a_video_that_was_tracked_and_baked_leaves_a_take(tmp_path, monkeypatch):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "project.blend"))
+    head = add_head(bpy.context)
+    monkeypatch.setattr(TrackingSession, "take", lambda session: performance())
+    assert bpy.ops.facemime.puppet_video(filepath=str(SAMPLE)) == {"FINISHED"}
+    (line,) = bpy.context.scene.facemime_takes.items
+    assert line.name == "sample" and len(load_take(tmp_path / "takes" / "sample.facetake")) == len(performance())
+    assert head.data.shape_keys.animation_data is not None
+
+
+def test_a_take_that_cannot_be_written_is_baked_all_the_same(tmp_path, monkeypatch):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "project.blend"))
+    (tmp_path / "takes").write_text("a file where the folder should be")
+    head = add_head(bpy.context)
+    monkeypatch.setattr(TrackingSession, "take", lambda session: performance())
+    bpy.ops.facemime.puppet_video(filepath=str(SAMPLE))
+    assert len(bpy.context.scene.facemime_takes.items) == 0
+    assert head.data.shape_keys.animation_data is not None
+
+
+def test_whole_video_offers_the_file_that_is_chosen_as_source():
+    source = bpy.context.scene.facemime.source
+    assert whole_file(source) == str(SAMPLE)
+    source.kind = "CAMERA"
+    assert whole_file(source) == ""
+    source.kind, source.video = "VIDEO", "/clips/mine.mp4"
+    assert whole_file(source) == "/clips/mine.mp4"
