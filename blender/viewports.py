@@ -9,10 +9,11 @@ import bpy
 
 
 class Viewport(NamedTuple):
-    """The main region of a 3D Viewport and its view of the scene."""
+    """The main region of a 3D Viewport, its view of the scene, and its area."""
 
     region: bpy.types.Region
     view: bpy.types.RegionView3D
+    area: bpy.types.Area
 
 
 def viewports(screen: bpy.types.Screen | None) -> Iterator[Viewport]:
@@ -20,7 +21,7 @@ def viewports(screen: bpy.types.Screen | None) -> Iterator[Viewport]:
     for area in () if screen is None else screen.areas:
         if area.type == "VIEW_3D":
             region = next(region for region in area.regions if region.type == "WINDOW")
-            yield Viewport(region, area.spaces.active.region_3d)
+            yield Viewport(region, area.spaces.active.region_3d, area)
 
 
 def viewport_under(context: bpy.types.Context, x: int, y: int) -> Viewport | None:
@@ -47,7 +48,7 @@ def viewport_under(context: bpy.types.Context, x: int, y: int) -> Viewport | Non
 def viewport_of(context: bpy.types.Context) -> Viewport | None:
     """Return the 3D Viewport that the user works in, or else the largest one of the window; None if there is none."""
     found = list(viewports(context.screen))
-    here = [viewport for viewport in found if context.area is not None and viewport.region in context.area.regions[:]]
+    here = [viewport for viewport in found if viewport.area == context.area]
     return max(here or found, key=lambda viewport: viewport.region.width * viewport.region.height, default=None)
 
 
@@ -59,3 +60,15 @@ def redraw(context: bpy.types.Context, kind: str = "WINDOW") -> None:
                 for region in area.regions:
                     if region.type == kind:
                         region.tag_redraw()
+
+
+def toolbar_width(area: bpy.types.Area) -> float:
+    """Return how much of a viewport the toolbar covers on the left, pixels."""
+    tools = [region for region in area.regions if region.type == "TOOLS" and region.alignment == "LEFT"]
+    overlaps = bpy.context.preferences.system.use_region_overlap
+    return float(sum(region.width for region in tools if region.width > 1)) if overlaps else 0.0
+
+
+def redo_height(area: bpy.types.Area) -> float:
+    """Return how much of a viewport the panel of the last operator covers below, pixels."""
+    return float(max((region.height for region in area.regions if region.type == "HUD"), default=0.0))

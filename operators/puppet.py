@@ -7,6 +7,7 @@ from ..core.errors import FacemimeError
 from ..sessions.live import LiveSession
 from ..sessions.session import Session
 from ..sessions.start import RigWatch, follow_settings, start_session
+from .preview_place import PreviewDrag
 from .shared import ReportsErrors, heads_in, report, require_heads
 
 _TICK = 1.0 / 120.0
@@ -52,6 +53,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     _timer: bpy.types.Timer | None = None
     _scene = ""
     _clicked = False
+    _drag: PreviewDrag | None = None
     _redrawn_at = 0.0
 
     @classmethod
@@ -69,7 +71,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         """Start the session, and continue at every tick of a timer."""
         self._session = start_session(context.scene, heads_in(context))
         self._rigs = RigWatch(self._session)
-        self._scene = context.scene.name
+        self._scene, self._drag = context.scene.name, PreviewDrag()
         self._session.operator = self
         manager = context.window_manager
         self._timer = manager.event_timer_add(_TICK, window=context.window)
@@ -90,6 +92,8 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         if event.type == "Z" and event.value == "PRESS" and (event.ctrl or event.oskey):
             self._session.keep = False
             return self.finish(context)
+        if self._drag.handle(context, event):
+            return {"RUNNING_MODAL"}
         if event.value in ("PRESS", "CLICK"):
             self._clicked = True
         if event.type == "TIMER":

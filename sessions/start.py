@@ -76,7 +76,7 @@ def live_options(settings: FacemimeSettings) -> LiveOptions:
     user = preferences()
     return LiveOptions(
         smoothing=settings.smoothing,
-        preview=user.preview_size if user.preview else 0,
+        preview=round(user.preview_size * bpy.context.preferences.system.ui_scale) if user.preview else 0,
         face=face_of(settings.source),
     )
 

@@ -1,7 +1,7 @@
 """Preferences: settings of the user and the computer, independent of the open file."""
 
 import bpy
-from bpy.props import BoolProperty, FloatProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, FloatProperty, FloatVectorProperty, IntProperty, StringProperty
 
 from .storage import EXTENSION
 
@@ -24,10 +24,19 @@ class FacemimePreferences(bpy.types.AddonPreferences):
     )
     rate: FloatProperty(name="Rate", description="Requested frames per second", default=30.0, min=1.0, max=240.0)
     preview: BoolProperty(
-        name="Preview", description="Show the image and the landmarks in the corner of the viewport", default=True
+        name="Preview",
+        description="Show the image and the landmarks in the viewport; drag to move it, and its upper right corner to "
+        "change its size",
+        default=True,
     )
     preview_size: IntProperty(
         name="Size", description="Width of the preview", subtype="PIXEL", default=240, min=80, max=640
+    )
+    preview_place: FloatVectorProperty(
+        name="Place",
+        description="Place of the preview, relative to the lower left corner of the viewport; drag it there",
+        size=2,
+        default=(0.0, 0.0),
     )
     takes_folder: StringProperty(
         name="Takes",

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from ..blender.heads.binding import read_marks
 from ..blender.heads.placing import Placing, place_of_mark
+from ..blender.viewports import redo_height, toolbar_width
 from ..core.binding.bind import MARKS
 from ..core.heads.built_in import load_head
 from ..core.landmarks import EDGES, from_ibug
 from ..operators.place_points import placing_on
+from ..operators.preview_place import MARGIN
 from .drawing import WHITE, dot, draw_lines, draw_text, draw_triangles
 from .point_overlay import rimmed
-from .preview import MARGIN, redo_height, toolbar_width
 
 _FACE = 150.0
 """Height of the small face, pixels."""
@@ -80,7 +81,7 @@ def _draw_guide(context: bpy.types.Context, placing: Placing, scale: float) -> N
     """Draw the small face, with the point that is asked for and its name."""
     size = _FACE * scale
     outline = size * _outline()
-    corner = np.array([toolbar_width(context) + MARGIN * scale, MARGIN * scale + redo_height(context)])
+    corner = np.array([toolbar_width(context.area) + MARGIN * scale, MARGIN * scale + redo_height(context.area)])
     outline += corner + (np.ptp(outline[:, 0]) / 2.0, 0.0)
     draw_lines(outline[np.array(EDGES)], _LINE)
     asked = outline[from_ibug([placing.next_mark])[0]]

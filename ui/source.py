@@ -5,16 +5,14 @@ import sys
 import bpy
 
 from ..core.live.camera import list_cameras
-from ..operators.puppet import running
 from ..settings.preferences import draw_camera, draw_preview, preferences
-from .preview import panel_icon
 from .sidebar import Sidebar, labels, place, split_labels
 
 _NUMBERED_CAMERAS = 4
 
 
 class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
-    """Source of the face, and its preview."""
+    """Source of the face, and the preview in the viewport."""
 
     bl_label = "Source"
     bl_order = place(__name__)
@@ -38,9 +36,6 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
         if source.kind != "TAKE":
             column.prop(source, "face")
         draw_preview(layout, chosen)
-        session = running()
-        if chosen.preview and session is not None and (icon := panel_icon(session)):
-            layout.template_icon(icon_value=icon, scale=7.0)
 
 
 def _draw_camera(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -21,6 +21,9 @@ _BACKGROUND = (24, 24, 24)
 _LINEAR = (np.arange(256) / 255.0) ** np.float32(2.2)
 _SURE, _GUESSED = np.array((90.0, 230.0, 90.0)), np.array((60.0, 60.0, 240.0))
 _SHIFT = 4
+_THIN, _RADII = 110.0, (0.7, 3.0)
+"""Size of a face relative to the radius of its landmarks in a preview, which leaves the lids in sight; and the radii's
+limits in pixels."""
 
 
 def draw_landmarks(image: Image, landmarks: FloatArray) -> Image:
@@ -135,8 +138,10 @@ def draw_preview(image: Image | None, result: TrackResult, width: int) -> NDArra
         sure = np.sqrt(np.nan_to_num(result.landmark_confidence, nan=1.0))[:, None]
         colours = (1.0 - sure) * _GUESSED + sure * _SURE
         fixed = np.round(np.clip(scale * result.landmarks, -1e4, 1e4) * (1 << _SHIFT)).astype(np.int32)
+        thin = scale * float(np.ptp(result.landmarks, axis=0).max()) / _THIN
+        radius = round(np.clip(thin, *_RADII) * (1 << _SHIFT))
         for point, colour in zip(fixed.tolist(), colours.tolist(), strict=True):
-            cv2.circle(canvas, point, 28, colour, -1, cv2.LINE_AA, _SHIFT)
+            cv2.circle(canvas, point, radius, colour, -1, cv2.LINE_AA, _SHIFT)
     rgba = cv2.cvtColor(canvas[::-1], cv2.COLOR_BGR2RGBA)
     return np.asarray(_LINEAR[rgba], dtype=np.float32)
 

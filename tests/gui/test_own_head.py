@@ -12,6 +12,7 @@ from walking import (
     PIXEL_OF_LANDMARK,
     add_head,
     choose_file,
+    drag,
     look_from_the_front,
     run_in_viewport,
     start,
@@ -92,19 +93,6 @@ def test_an_imported_scan_becomes_a_head_with_open_mouth_and_eyes_by_clicks(blen
     blender.wait_for(f"float(np.ptp({gap})) > 0.01")
     blender.shot("scan-speaks")
     stop(sidebar)
-
-
-def drag(blender: Blender, *points: tuple[float, float]) -> None:
-    """Drag with the mouse, and let Blender see each position, however slowly it draws."""
-    blender.move(*points[0])
-    blender.redraw()
-    blender.input("mousedown", 1)
-    for point in points[1:]:
-        blender.redraw()
-        blender.move(*point)
-    blender.redraw()
-    blender.input("mouseup", 1)
-    blender.redraw()
 
 
 def nose(blender: Blender) -> int:

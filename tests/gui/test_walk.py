@@ -8,7 +8,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
-from walking import CLIP, HEAD, TOOLS, add_head, run_in_viewport, start, stop
+from walking import CLIP, HEAD, TOOLS, add_head, drag, run_in_viewport, start, stop
 
 from facemime.blender.frames import to_blender
 from facemime.core.drive.driver import HeadDriver
@@ -65,6 +65,35 @@ def headless_vertices(time: float, neutral: Neutral) -> np.ndarray:
     for _ in range(round(time * video.get(cv2.CAP_PROP_FPS)) + 1):
         result = tracker.track(video.read()[1])
     return HeadDriver(built_in_rig(), neutral).frame(result).vertices
+
+
+_PREVIEW = f"""
+from {MODULE}.settings.preferences import preferences
+from {MODULE}.operators.preview_place import preview_box
+area = max((a for a in bpy.context.window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width)
+region = next(r for r in area.regions if r.type == "WINDOW")
+box = preview_box(area, region, Session.current.shown.preview.shape[:2])
+value = [region.x + box.left, bpy.context.window.height - region.y - box.bottom - box.height, box.width, box.height]
+"""
+
+
+def test_the_preview_is_moved_and_sized_by_the_mouse_and_stays_sharp(blender, sidebar):
+    add_head(sidebar)
+    start(sidebar)
+    blender.wait_for("Session.current.shown.preview is not None")
+    left, top, width, _ = blender.do(_PREVIEW)
+    drag(blender, (left + 60, top + 60), (left + 90, top + 20), (left + 120, top - 40))
+    assert blender.do(_PREVIEW)[:2] == pytest.approx([left + 60, top - 100], abs=3)
+    left, top = blender.do(_PREVIEW)[:2]
+    drag(blender, (left + width - 4, top + 4), (left + width + 30, top), (left + width + 76, top))
+    wider = blender.do(_PREVIEW)[2]
+    assert wider == pytest.approx(width + 80, abs=4)
+    blender.wait_for(f"abs(Session.current.shown.preview.shape[1] - {wider}) < 1")
+    blender.shot("preview")
+    assert blender.get(f"{HEAD}.select_get()"), "the clicks were the preview's"
+    blender.do("preferences().property_unset('preview_size')")
+    blender.do("preferences().property_unset('preview_place')")
+    stop(sidebar)
 
 
 def test_deleting_the_moving_head_stops_the_puppet_and_can_be_undone(blender, sidebar):

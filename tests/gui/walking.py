@@ -74,6 +74,19 @@ def stop(sidebar: Sidebar) -> None:
     sidebar.blender.wait_for("Session.current is None and workers() == []")
 
 
+def drag(blender: Blender, *points: tuple[float, float]) -> None:
+    """Drag with the mouse, and let Blender see each position, however slowly it draws."""
+    blender.move(*points[0])
+    blender.redraw()
+    blender.input("mousedown", 1)
+    for point in points[1:]:
+        blender.redraw()
+        blender.move(*point)
+    blender.redraw()
+    blender.input("mouseup", 1)
+    blender.redraw()
+
+
 def run_in_viewport(blender: Blender, operator: str) -> None:
     """Run an operator of a menu as the menu does."""
     blender.do(

@@ -1,0 +1,100 @@
+"""Place and size of the preview in a viewport, and how the mouse changes them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import bpy
+
+from ..blender.viewports import Viewport, redo_height, redraw, toolbar_width, viewport_under
+from ..sessions.live import LiveSession
+from ..settings.preferences import FacemimePreferences, preferences
+
+MARGIN = 16.0
+_GRIP = 18.0
+"""Pixels from the preview's upper right corner within which dragging changes its size."""
+_SIZES = (80, 640)
+
+
+class Box(NamedTuple):
+    """A rectangle in a viewport, pixels from the lower left corner of its region."""
+
+    left: float
+    bottom: float
+    width: float
+    height: float
+
+
+def preview_box(area: bpy.types.Area, region: bpy.types.Region, picture: tuple[int, int]) -> Box:
+    """Return where the preview is drawn: as the user placed it, or else in the lower left corner; always in view.
+
+    Parameters
+    ----------
+    area : bpy.types.Area
+    region : bpy.types.Region
+    picture : (int, int)
+        Height and width of the picture, pixels.
+    """
+    user, scale = preferences(), bpy.context.preferences.system.ui_scale
+    width = user.preview_size * scale
+    height = width * picture[0] / picture[1]
+    left = toolbar_width(area) + (MARGIN + user.preview_place[0]) * scale
+    bottom = redo_height(area) + (MARGIN + user.preview_place[1]) * scale
+    return Box(max(0.0, min(left, region.width - width)), max(0.0, min(bottom, region.height - height)), width, height)
+
+
+class PreviewDrag:
+    """Moves the preview by its middle, and changes its size by its upper right corner."""
+
+    def __init__(self) -> None:
+        self._from: tuple[int, int] | None = None
+        self._sizes = False
+        self._before: tuple[float, ...] = ()
+
+    def handle(self, context: bpy.types.Context, event: bpy.types.Event) -> bool:
+        """Handle an event; return whether it was for the preview."""
+        if event.type == "LEFTMOUSE" and event.value == "PRESS":
+            return self._grip(context, event)
+        if self._from is None:
+            return False
+        if event.type == "MOUSEMOVE":
+            self._drag(preferences(), event)
+            redraw(context)
+            return True
+        if event.type == "LEFTMOUSE" and event.value == "RELEASE":
+            self._from = None
+            return True
+        return False
+
+    def _grip(self, context: bpy.types.Context, event: bpy.types.Event) -> bool:
+        seen, session = viewport_under(context, event.mouse_x, event.mouse_y), LiveSession.running()
+        if seen is None or session is None or session.shown is None or session.shown.preview is None:
+            return False
+        box = preview_box(seen.area, seen.region, session.shown.preview.shape[:2])
+        right, up = event.mouse_x - seen.region.x - box.left, event.mouse_y - seen.region.y - box.bottom
+        if not (0.0 <= right < box.width and 0.0 <= up < box.height) or _over_sidebar(seen, event):
+            return False
+        user, reach = preferences(), _GRIP * context.preferences.system.ui_scale
+        self._sizes = right > box.width - reach and up > box.height - reach
+        self._from = (event.mouse_x, event.mouse_y)
+        self._before = (float(user.preview_size),) if self._sizes else tuple(user.preview_place)
+        return True
+
+    def _drag(self, user: FacemimePreferences, event: bpy.types.Event) -> None:
+        scale = bpy.context.preferences.system.ui_scale
+        right, up = ((now - then) / scale for now, then in zip((event.mouse_x, event.mouse_y), self._from, strict=True))
+        if self._sizes:
+            user.preview_size = round(min(max(self._before[0] + right, _SIZES[0]), _SIZES[1]))
+        else:
+            user.preview_place = (self._before[0] + right, self._before[1] + up)
+
+
+def _over_sidebar(seen: Viewport, event: bpy.types.Event) -> bool:
+    """Return whether another region, such as the sidebar, is over the viewport there."""
+    return any(
+        region.type != "WINDOW"
+        and 0 <= event.mouse_x - region.x < region.width
+        and 0 <= event.mouse_y - region.y < region.height
+        for region in seen.area.regions
+        if region.width > 1 and region.type in {"UI", "TOOLS", "HUD"}
+    )
