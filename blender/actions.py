@@ -210,6 +210,34 @@ def mute_bake(owner: bpy.types.ID) -> list[Muted]:
     return Muted.all_of([*_curve_finders(owner, owned.__contains__), *tracks])
 
 
+def others_playing(owner: bpy.types.ID) -> list[str]:
+    """Return the names of the action and the NLA tracks that animate `owner` besides what a bake wrote."""
+    data = owner.animation_data
+    if data is None:
+        return []
+    owned = _owned(data.action)
+    action = [data.action.name] if any(not c.mute and c.data_path not in owned for c in _existing(owner)) else []
+    return action + [track.name for track in _other_tracks(owner) if not track.mute]
+
+
+def mute_others(owner: bpy.types.ID) -> int:
+    """Mute what `others_playing` names, and return how many curves and tracks were muted."""
+    if owner.animation_data is None:
+        return 0
+    owned = _owned(owner.animation_data.action)
+    found = [*(curve for curve in _existing(owner) if curve.data_path not in owned), *_other_tracks(owner)]
+    playing = [item for item in found if not item.mute]
+    for item in playing:
+        item.mute = True
+    return len(playing)
+
+
+def _other_tracks(owner: bpy.types.ID) -> list[bpy.types.NlaTrack]:
+    """Return the NLA tracks with a strip that no bake wrote."""
+    tracks = owner.animation_data.nla_tracks
+    return [track for track in tracks if any(not _owned(strip.action) for strip in track.strips)]
+
+
 def _curve_finders(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Callable[[], Any]]:
     data = owner.animation_data
     slot = getattr(data, "action_slot", None)

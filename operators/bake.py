@@ -7,6 +7,7 @@ from bpy.props import StringProperty
 from ..blender.animation.bake import frames_of
 from ..blender.animation.bake_keys import key_names
 from ..blender.animation.puppet import puppet_heads
+from ..blender.animation.underneath import mute_under, playing_under
 from ..blender.meshes import is_head
 from ..core.bake.arkit import arkit_coefficients
 from ..core.bake.key_map import KeyMap, KeyPose, best_preset, learn_map, load_map, presets
@@ -58,6 +59,18 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
         report(self, f"{frames} frames, {summary}")
         for warning in bake.warnings:
             report(self, warning, "WARNING")
+
+
+class FACEMIME_OT_mute_others(OnHead, bpy.types.Operator):
+    """Mute actions and NLA tracks that move the character's shape keys together with the bake"""
+
+    bl_idname = "facemime.mute_others"
+    bl_label = "Mute Other Animation"
+
+    def work(self, context: bpy.types.Context) -> None:
+        names = ", ".join(playing_under(context.active_object))
+        count = mute_under(context.active_object)
+        report(self, f"{count} curves and tracks muted: {names}")
 
 
 class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
@@ -207,6 +220,7 @@ def _poses(bake: FacemimeBake) -> list[KeyPose]:
 
 CLASSES = (
     FACEMIME_OT_bake_take,
+    FACEMIME_OT_mute_others,
     FACEMIME_OT_detect_key_map,
     FACEMIME_OT_add_key_row,
     FACEMIME_OT_remove_key_row,

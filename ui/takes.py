@@ -3,6 +3,8 @@
 import bpy
 from bpy.app.translations import pgettext_iface as _
 
+from ..blender.animation.underneath import playing_under
+from ..blender.meshes import is_head
 from ..operators.puppet import running
 from ..sessions.show import TakeShow
 from .sidebar import Sidebar, draw_list, labels, place, split_labels
@@ -115,6 +117,10 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         column.prop(bake, "clean")
         layout.prop(bake, "nla")
         layout.operator("facemime.bake_take", icon="ACTION")
+        obj = context.active_object
+        if obj is not None and is_head(obj) and (others := playing_under(obj)):
+            labels(layout, context, _("Also moves the shape keys: {names}").format(names=", ".join(others)), "INFO")
+            layout.operator("facemime.mute_others", icon="MUTE_IPO_ON")
 
 
 class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):

@@ -30,6 +30,7 @@ from .bake import Targets, bake_pose, check_bakeable, check_range, frames_of, re
 from .bake_cache import bake_cache, export_alembic, with_name_of
 from .bake_keys import MeshKeys, bake_new_keys, bake_values, key_names, moving_key_names, read_keys, value_path
 from .targets import own_targets
+from .underneath import playing_under
 
 TOLERANCE = 0.009
 """Error allowed of a basis of new shape keys, in eye distances."""
@@ -54,6 +55,8 @@ class PuppetReport:
     motion : HeadMotion
     kept : tuple of str
         Bones that were not moved, as they have animation of their own.
+    others : tuple of str
+        Actions and NLA tracks that move shape keys of the character too.
     """
 
     keys: int
@@ -61,6 +64,7 @@ class PuppetReport:
     neutral: Neutral
     motion: HeadMotion
     kept: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> list[str]:
@@ -69,6 +73,10 @@ class PuppetReport:
         if self.kept:
             names = ", ".join(self.kept)
             warning = f"Bones that keep their own animation: {names}. Remove it and bake again to move them."
+            warnings.append(warning)
+        if self.others:
+            names = ", ".join(self.others)
+            warning = f"Other animation moves the shape keys too: {names}. Mute it in Takes > Bake."
             warnings.append(warning)
         return warnings
 
@@ -132,7 +140,8 @@ def puppet_head(
     if bake.keys == "alembic":
         export_alembic(scene, [obj, *obj.children, *objects_of(obj)], bake.path.with_suffix(".abc"))
     kept = tuple(target.bone for target in targets.values() if target.still)
-    return PuppetReport(plan.keys, plan.error / unit + (bake.clean if plan.keys else 0.0), neutral, motion, kept)
+    error = plan.error / unit + (bake.clean if plan.keys else 0.0)
+    return PuppetReport(plan.keys, error, neutral, motion, kept, tuple(playing_under(obj)))
 
 
 def puppet_heads(
