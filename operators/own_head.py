@@ -114,8 +114,7 @@ class FACEMIME_OT_bind_landmarks(WorksInSteps, OnMesh, bpy.types.Operator):
         self._report(context, binding)
 
     def _report(self, context: bpy.types.Context, binding: Binding) -> None:
-        steps, memory = context.scene.facemime_steps, context.window_manager.facemime
-        steps.show_points = True
+        memory = context.window_manager.facemime
         memory.unsure = context.active_object.name if binding.wanted else ""
         memory.wanted = ",".join(map(str, binding.wanted))
         report(self, "Face found. Please check the points")
@@ -135,6 +134,8 @@ class FACEMIME_OT_bind_landmarks(WorksInSteps, OnMesh, bpy.types.Operator):
             if (seen := viewport_of(context)) is not None:
                 look_at_face(seen.view, context.active_object)
             bpy.ops.facemime.adjust_landmarks("INVOKE_DEFAULT")
+        else:
+            context.scene.facemime_steps.show_points = True
 
 
 class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):

@@ -31,6 +31,7 @@ class PlacesPoints(ReportsErrors):
     """
 
     _placing: Placing | None = None
+    _showed = False
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -59,7 +60,8 @@ class PlacesPoints(ReportsErrors):
         if bpy.app.background or context.window is None:
             raise HeadError("There is no window to click in. Use Set Landmark or Mark Point in Edit Mode instead.")
         self._placing = Placing.current = self.begin(context.active_object)
-        context.scene.facemime_steps.show_points = True
+        steps = context.scene.facemime_steps
+        self._showed, steps.show_points = steps.show_points, True
         context.workspace.status_text_set(self.hint())
         context.window_manager.modal_handler_add(self)
         redraw(context)
@@ -95,10 +97,11 @@ class PlacesPoints(ReportsErrors):
         return there and context.mode == "OBJECT" and Session.running() is None
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Restore the status bar."""
+        """Restore the status bar and the display of points."""
         if Placing.current is self._placing:
             Placing.current = None
-        context.scene.facemime_steps.landmark = -1
+        steps = context.scene.facemime_steps
+        steps.landmark, steps.show_points = -1, self._showed
         if context.workspace is not None:
             context.workspace.status_text_set(None)
         redraw(context)

@@ -27,8 +27,9 @@ def draw_progress(layout: bpy.types.UILayout, session: TrackingSession) -> None:
     session : TrackingSession
     """
     text = _("{done} of {total} frames").format(done=session.done, total=session.total)
-    layout.progress(factor=session.done / max(session.total, 1), text=text, translate=False)
-    layout.operator("facemime.stop_tracking", text="", icon="CANCEL")
+    split = layout.split(factor=0.6, align=True)
+    split.progress(factor=session.done / max(session.total, 1), text=text, translate=False)
+    split.operator("facemime.stop_tracking", text="Stop", icon="SNAP_FACE", depress=True)
 
 
 def latency_text(session: LiveSession) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 
 import cv2
 import numpy as np
 import pytest
+from walking import CLIP, TOOLS, run_in_viewport, start, stop
 
 from conftest import install, started
 from sidebar import Sidebar
@@ -72,8 +74,61 @@ def test_the_panel_follows_the_light_theme(empty):
     dark = cv2.imread(str(empty.shot("dark")))
     empty.do(_LIGHT)
     empty.redraw()
-    tour(sidebar, "light")
     light = cv2.imread(str(empty.shot("light")))
     x, y = map(round, sidebar.header(0))
     inside = np.s_[y - 8 : y + 8, x : x + 100]
     assert light[inside].mean() > dark[inside].mean() + 60
+
+
+@pytest.fixture
+def dressed(empty: Blender, request: pytest.FixtureRequest) -> Sidebar:
+    """The sidebar in a theme. Debian's Blender has no other language than English."""
+    if request.param == "light":
+        empty.do(_LIGHT)
+    empty.do(TOOLS)
+    shutil.copy(CLIP, empty.folder / "mine.mp4")
+    empty.redraw()
+    return Sidebar(empty)
+
+
+@pytest.mark.parametrize("dressed", ["dark", "light"], indirect=True)
+def test_every_state_of_the_panels_is_drawn_without_an_error(dressed, request):
+    name, blender = request.node.callspec.id, dressed.blender
+
+    def shot(state: str) -> None:
+        blender.redraw()
+        blender.shot(f"{name}-{state}")
+
+    shot("empty")
+    tour(dressed, name)
+    run_in_viewport(blender, "adjust_landmarks")
+    shot("adjusting")
+    dressed.press("bpy.ops.facemime.discard_points")
+    run_in_viewport(blender, "mark_face")
+    blender.click(*dressed.view())
+    shot("marking")
+    dressed.press("bpy.ops.facemime.discard_points")
+    blender.do("bpy.ops.object.mode_set(mode='EDIT')")
+    dressed.open_panel("FACEMIME_PT_head")
+    shot("edit-mode")
+    blender.do("bpy.ops.object.mode_set(mode='OBJECT')")
+    start(dressed)
+    dressed.open_panel("FACEMIME_PT_puppet")
+    shot("running")
+    dressed.press("bpy.ops.facemime.record_take")
+    blender.wait_for("Session.current.recording is not None and Session.current.recording.frames > 10")
+    shot("recording")
+    dressed.press("bpy.ops.facemime.record_take")
+    stop(dressed)
+    dressed.open_panel("FACEMIME_PT_takes")
+    shot("take")
+    run_in_viewport(blender, "show_take")
+    shot("shown")
+    run_in_viewport(blender, "show_take")
+    blender.do(f"bpy.ops.facemime.puppet_video(filepath={str(blender.inside / 'mine.mp4')!r})")
+    blender.wait_for("Session.current is not None and Session.current.done > 3")
+    shot("tracking")
+    dressed.press("bpy.ops.facemime.stop_tracking")
+    blender.wait_for("Session.current is None")
+    shot("baked")
+    assert "Traceback" not in blender.printed()
