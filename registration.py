@@ -3,6 +3,7 @@
 from .blender.registering import register_module, unregister_module
 from .cli import commands
 from .operators import (
+    attached_parts,
     bake,
     calibrate,
     camera,
@@ -41,6 +42,7 @@ _MODULES = (
     panel_properties,
     takes_properties,
     takes_store,
+    attached_parts,
     head,
     facegen,
     own_head,
