@@ -3,6 +3,7 @@
 import bpy
 from bpy.app.translations import pgettext_iface as _
 
+from ..core.timecode import timecode
 from ..operators.puppet import running
 from ..sessions.show import TakeShow
 from .sidebar import Sidebar, draw_list, labels, place, split_labels
@@ -22,7 +23,7 @@ class FACEMIME_UL_takes(bpy.types.UIList):
             row.label(text="", icon="TEXT")
         if item.packed is not None:
             row.label(text="", icon="PACKAGE")
-        row.label(text=f"{item.length:.1f} s", translate=False)
+        row.label(text=timecode(item.length), translate=False)
 
 
 class FACEMIME_UL_key_rows(bpy.types.UIList):

@@ -210,6 +210,6 @@ def test_takes_and_the_key_table_are_listed_with_their_operators(tmp_path):
     assert "facemime.learn_key_map" in draw(FACEMIME_PT_key_map) and "max_keys" in draw(FACEMIME_PT_take_bake)
     layout = Layout()
     FACEMIME_UL_takes.draw_item(None, bpy.context, layout, takes, takes.items[0], 0, takes, "index", 0)
-    assert "2.4 s" in layout.texts() and "PACKAGE" in layout.texts()
+    assert "0:02.4" in layout.texts() and "PACKAGE" in layout.texts()
     FACEMIME_UL_key_rows.draw_item(None, bpy.context, layout, takes.bake, takes.bake.rows[0], 0, takes.bake, "row", 0)
     assert "gain" in layout.texts()
