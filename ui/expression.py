@@ -7,13 +7,17 @@ from .sidebar import Sidebar, place, split_labels
 
 
 class FACEMIME_MT_presets(bpy.types.Menu):
-    """Your presets"""
+    """Presets of Facemime, and your own"""
 
     bl_label = "Presets"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the presets and the operators on them."""
         layout, names = self.layout, presets.names()
+        for name, label in presets.BUILT_IN.items():
+            button = layout.operator("facemime.load_preset", text=label)
+            button.name, button.built_in = name, True
+        layout.separator()
         for name in names:
             layout.operator("facemime.load_preset", text=name, translate=False).name = name
         if names:
