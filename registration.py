@@ -25,9 +25,9 @@ from .sessions import session, show
 from .settings import panel_properties, preferences, properties, takes_properties, takes_store
 from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
+from .ui import documentation, menus, point_overlay, preview, region_overlay, translations
 from .ui import expression as expression_panel
 from .ui import head as head_panels
-from .ui import menus, point_overlay, preview, region_overlay, translations
 from .ui import parts as parts_panel
 from .ui import puppet as puppet_panel
 from .ui import regions as regions_panel
@@ -59,6 +59,7 @@ _MODULES = (
     media,
     punch_in,
     bake,
+    documentation,
     menus,
     start_panel,
     head_panels,

@@ -49,6 +49,7 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
 
     def draw_header_preset(self, context: bpy.types.Context) -> None:
         """Draw the menu of presets in the header."""
+        Sidebar.draw_header_preset(self, context)
         self.layout.menu("FACEMIME_MT_presets", text="", icon="PRESET")
 
     def draw(self, context: bpy.types.Context) -> None:

@@ -6,6 +6,7 @@ from bpy.app.translations import pgettext_iface
 
 from ..blender.meshes import is_head
 from ..blender.messages import translated
+from .documentation import draw_link
 
 ORDER = ("start", "head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
 """Modules of `ui` whose panels are in the tab, from top to bottom: the order of the workflow."""
@@ -26,6 +27,10 @@ class Sidebar:
     bl_region_type = "UI"
     bl_category = "Facemime"
     bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """Draw a link to the documentation at the right of the header."""
+        draw_link(self.layout, type(self).__name__)
 
 
 class OnHead(Sidebar):
