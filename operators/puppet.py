@@ -4,12 +4,11 @@ import bpy
 
 from ..blender.viewports import redraw, viewport_under
 from ..core.errors import FacemimeError
-from ..sessions.live import LiveSession
+from ..sessions.live import TICK, LiveSession
 from ..sessions.session import Session
 from ..sessions.start import RigWatch, follow_settings, start_session
 from .shared import ReportsErrors, heads_in, report, require_heads
 
-_TICK = 1.0 / 120.0
 _STATUS_INTERVAL = 0.25
 
 
@@ -72,7 +71,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         self._scene = context.scene.name
         self._session.operator = self
         manager = context.window_manager
-        self._timer = manager.event_timer_add(_TICK, window=context.window)
+        self._timer = manager.event_timer_add(TICK, window=context.window)
         manager.modal_handler_add(self)
         context.workspace.status_text_set(_draw_hints)
         return {"RUNNING_MODAL"}
@@ -86,7 +85,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             and event.value == "PRESS"
             and viewport_under(context, event.mouse_x, event.mouse_y) is not None
         ):
-            return self.finish(context)
+            return {"RUNNING_MODAL"} if self._session.cancel_countdown() else self.finish(context)
         if event.type == "Z" and event.value == "PRESS" and (event.ctrl or event.oskey):
             self._session.keep = False
             return self.finish(context)

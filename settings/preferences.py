@@ -29,6 +29,9 @@ class FacemimePreferences(bpy.types.AddonPreferences):
     preview_size: IntProperty(
         name="Size", description="Width of the preview", subtype="PIXEL", default=240, min=80, max=640
     )
+    sounds: BoolProperty(
+        name="Sounds", description="Beep when a recording starts and when a calibration ends", default=True
+    )
     takes_folder: StringProperty(
         name="Takes",
         description="Folder for takes recorded before the .blend file is saved; later ones are stored beside it",
@@ -41,6 +44,7 @@ class FacemimePreferences(bpy.types.AddonPreferences):
         layout.use_property_split = True
         draw_camera(layout.column(), self)
         draw_preview(layout, self)
+        layout.prop(self, "sounds")
         layout.prop(self, "takes_folder")
 
 

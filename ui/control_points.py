@@ -40,7 +40,7 @@ def shown_rows(obj: bpy.types.Object) -> list[PointRow]:
 
 
 class FACEMIME_UL_landmarks(bpy.types.UIList):
-    """List of landmarks: number, regions, order, remaining error, and the reason for each."""
+    """List of landmarks: number, regions, order, and remaining error."""
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
         """Draw one landmark."""
@@ -53,14 +53,9 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
         if is_narrow(context):
             layout.label(text=f"{number} {names}", translate=False)
             return
-        line = layout.split(factor=0.14)
-        line.label(text=number, translate=False)
-        line = line.split(factor=0.28)
-        line.label(text=names or "-", translate=False)
-        line = line.split(factor=0.5)
+        line = layout.split(factor=0.7)
+        line.label(text=f"{number}   {names or '-'}", translate=False)
         line.label(text=f"{row.order}: {100 * row.error:.1f}%" if row.order and row.error == row.error else "")
-        reasons = [translated(reason, pgettext_iface) for reason in row.reason.split("; ")]
-        line.label(text="; ".join(reasons), translate=False)
 
     def filter_items(self, context, data, property_name) -> tuple[list[int], list[int]]:
         """Sort the control points by their order of selection, before the other landmarks if these are listed."""
@@ -97,6 +92,9 @@ class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
             _draw_curve(layout, str(obj.data[SELECTION_PROPERTY]), selection)
             layout.operator("facemime.use_all_landmarks")
         _draw_list(layout, context, steps)
+        if 0 <= steps.landmark < len(rows := shown_rows(obj)) and rows[steps.landmark].reason:
+            reasons = rows[steps.landmark].reason.split("; ")
+            labels(layout, context, "; ".join(translated(reason, pgettext_iface) for reason in reasons), "INFO")
 
 
 def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) -> None:

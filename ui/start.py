@@ -6,6 +6,7 @@ from bpy.app.translations import pgettext_iface as _
 from ..blender.messages import translated
 from ..operators.puppet import running
 from ..operators.shared import heads_in
+from ..sessions.live import LiveSession
 from ..sessions.show import TakeShow
 from .sidebar import Sidebar, place
 from .status import summary
@@ -39,10 +40,7 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
         row.scale_y = 1.6
         if session is not None:
             row.operator("facemime.stop_puppet", text="Stop", icon="SNAP_FACE", depress=True)
-            recording = session.recording is not None
-            row.operator(
-                "facemime.record_take", text="Stop Recording" if recording else "Record", icon="REC", depress=recording
-            )
+            _draw_record(row, session)
         elif TakeShow.running() is not None:
             row.operator("facemime.show_take", text="Stop", icon="SNAP_FACE", depress=True)
         elif heads:
@@ -53,6 +51,16 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
             row.operator("facemime.bind_landmarks", text="Find Face", icon="VIEWZOOM")
         text, icon = _next_step(context, heads) if session is None else summary(session)
         layout.label(text=translated(text), icon=icon, translate=False)
+
+
+def _draw_record(layout: bpy.types.UILayout, session: LiveSession) -> None:
+    if session.recording_countdown is not None:
+        layout.operator("facemime.record_take", text="Cancel", icon="X", depress=True)
+        return
+    recording = session.recording is not None
+    layout.operator(
+        "facemime.record_take", text="Stop Recording" if recording else "Record", icon="REC", depress=recording
+    )
 
 
 def _next_step(context: bpy.types.Context, heads: list[bpy.types.Object]) -> tuple[str, str]:

@@ -10,7 +10,8 @@ _STAGES = {
     "wait": "the source",
     "track": "tracking",
     "drive": "deformation",
-    "hand over": "Blender's redraw",
+    "hand over": "the viewport",
+    "redraw": "the viewport",
     "write": "writing to the mesh",
 }
 

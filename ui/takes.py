@@ -27,15 +27,13 @@ class FACEMIME_UL_takes(bpy.types.UIList):
 
 
 class FACEMIME_UL_key_rows(bpy.types.UIList):
-    """List of the rows of the key mapping."""
+    """List of the rows of the key mapping; the selected one has its factors below the list."""
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
         """Draw one row."""
-        line = layout.split(factor=0.38, align=True)
+        line = layout.split(factor=0.5, align=True)
         line.prop(item, "source", text="", emboss=False)
-        line = line.split(factor=0.6, align=True)
         line.prop(item, "key", text="", emboss=False)
-        line.prop(item, "gain", text="", emboss=False)
 
 
 class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
@@ -58,6 +56,9 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
             labels(layout, context, "Takes are stored in your user folder until you save the .blend file", "INFO")
         buttons = {"import_take": "IMPORT", "remove_take": "REMOVE"}
         draw_list(layout, "FACEMIME_UL_takes", takes, ("items", "index"), 3, buttons, menu="FACEMIME_MT_takes")
+        row = layout.row(align=True)
+        row.label(text="Countdown")
+        row.prop(takes, "countdown", expand=True)
         if not 0 <= takes.index < len(takes.items):
             return
         take = takes.items[takes.index]
@@ -148,10 +149,10 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
             column.prop(line, "gain")
             column.prop(line, "offset")
         layout.operator("facemime.detect_key_map", icon="VIEWZOOM")
-        row = layout.row(align=True)
-        row.operator("facemime.add_key_pose", icon="ADD")
-        row.operator("facemime.learn_key_map", icon="CURVE_DATA")
-        row.label(text=str(len(bake.poses)), translate=False)
+        column = layout.column(align=True)
+        added = _("Add Pose ({count} added)").format(count=len(bake.poses))
+        column.operator("facemime.add_key_pose", text=added, translate=False, icon="ADD")
+        column.operator("facemime.learn_key_map", icon="CURVE_DATA")
 
 
 CLASSES = (
