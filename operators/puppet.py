@@ -2,6 +2,7 @@
 
 import bpy
 
+from ..blender.messages import CONTEXT
 from ..blender.viewports import redraw, viewport_under
 from ..core.errors import FacemimeError
 from ..sessions.live import TICK, LiveSession
@@ -194,10 +195,10 @@ class FACEMIME_OT_next_face(bpy.types.Operator):
 def _draw_hints(header: bpy.types.Header, context: bpy.types.Context) -> None:
     """Draw in the status bar what keys do while a puppet is running."""
     row = header.layout.row()
-    row.label(text="Stop Puppet", icon="EVENT_ESC")
+    row.label(text="Stop Puppet", text_ctxt=CONTEXT, icon="EVENT_ESC")
     session = running()
     if session is not None and session.recording is not None:
-        row.label(text="Recording", icon="REC")
+        row.label(text="Recording", text_ctxt=CONTEXT, icon="REC")
 
 
 def _painting(context: bpy.types.Context) -> bool:

@@ -3,6 +3,7 @@
 import bpy
 from bpy.props import BoolProperty, FloatProperty, IntProperty, StringProperty
 
+from ..blender.messages import CONTEXT
 from .storage import EXTENSION
 
 
@@ -68,7 +69,7 @@ def draw_camera(layout: bpy.types.UILayout, chosen: FacemimePreferences) -> None
     row.prop(chosen, "camera")
     row.menu("FACEMIME_MT_cameras", text="", icon="DOWNARROW_HLT")
     column = layout.column(align=True)
-    column.prop(chosen, "width", text="Size")
+    column.prop(chosen, "width", text="Size", text_ctxt=CONTEXT)
     column.prop(chosen, "height", text=" ")
     column.prop(chosen, "rate")
 
@@ -81,7 +82,7 @@ def draw_preview(layout: bpy.types.UILayout, chosen: FacemimePreferences) -> Non
     layout : bpy.types.UILayout
     chosen : FacemimePreferences
     """
-    row = layout.row(heading="Preview", align=True)
+    row = layout.row(heading="Preview", heading_ctxt=CONTEXT, align=True)
     row.prop(chosen, "preview", text="")
     size = row.row(align=True)
     size.active = chosen.preview

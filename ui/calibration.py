@@ -1,8 +1,8 @@
 """Panel Calibration: the performers and their calibrations."""
 
 import bpy
-from bpy.app.translations import pgettext_iface as _
 
+from ..blender.messages import interface as _
 from ..operators.puppet import running
 from ..sessions.live import COUNTDOWN
 from .sidebar import Sidebar, draw_list, labels, place

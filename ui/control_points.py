@@ -6,10 +6,9 @@ from functools import lru_cache
 
 import bpy
 import bpy.utils.previews
-from bpy.app.translations import pgettext_iface
 
 from ..blender.meshes import is_head, read_selection
-from ..blender.messages import translated
+from ..blender.messages import CONTEXT, interface, translated
 from ..blender.names import SELECTION_PROPERTY
 from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import from_json
@@ -48,14 +47,16 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
             return
         row = shown_rows(context.active_object)[index]
         layout.active = bool(row.regions)
-        names = ", ".join(pgettext_iface(REGIONS[r].name.capitalize()) for r in row.regions)
+        names = ", ".join(interface(REGIONS[r].name.capitalize()) for r in row.regions)
         number = str(IBUG68_INDICES[index])
         if is_narrow(context):
             layout.label(text=f"{number} {names}", translate=False)
             return
         line = layout.split(factor=0.7)
         line.label(text=f"{number}   {names or '-'}", translate=False)
-        line.label(text=f"{row.order}: {100 * row.error:.1f}%" if row.order and row.error == row.error else "")
+        line.label(
+            text=f"{row.order}: {100 * row.error:.1f}%" if row.order and row.error == row.error else "", translate=False
+        )
 
     def filter_items(self, context, data, property_name) -> tuple[list[int], list[int]]:
         """Sort the control points by their order of selection, before the other landmarks if these are listed."""
@@ -87,14 +88,14 @@ class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
             layout.operator("facemime.use_all_landmarks")
             return
         if selection is None:
-            layout.label(text="All 66 landmarks")
+            layout.label(text="All 66 landmarks", text_ctxt=CONTEXT)
         else:
             _draw_curve(layout, str(obj.data[SELECTION_PROPERTY]), selection)
             layout.operator("facemime.use_all_landmarks")
         _draw_list(layout, context, steps)
         if 0 <= steps.landmark < len(rows := shown_rows(obj)) and rows[steps.landmark].reason:
             reasons = rows[steps.landmark].reason.split("; ")
-            labels(layout, context, "; ".join(translated(reason, pgettext_iface) for reason in reasons), "INFO")
+            labels(layout, context, "; ".join(translated(reason, interface) for reason in reasons), "INFO")
 
 
 def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) -> None:
@@ -113,7 +114,7 @@ def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) 
 def _draw_curve(layout: bpy.types.UILayout, text: str, selection: GreedySelection) -> None:
     if icon := _curve_icon(text, selection):
         layout.template_icon(icon_value=icon, scale=9.0)
-    points = pgettext_iface("{count} control points, tolerance {tolerance:.2f} %")
+    points = interface("{count} control points, tolerance {tolerance:.2f} %")
     shown = points.format(count=len(selection.landmarks), tolerance=100 * selection.tolerance)
     layout.label(text=shown, translate=False)
 

@@ -2,6 +2,7 @@
 
 import bpy
 
+from ..blender.messages import CONTEXT
 from ..settings import presets
 from .sidebar import Sidebar, place, split_labels
 
@@ -58,9 +59,9 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
         split_labels(layout)
         settings = context.scene.facemime
         column = layout.column(align=True)
-        column.prop(settings, "strength_upper", text="Brows")
-        column.prop(settings, "strength_middle", text="Cheeks")
-        column.prop(settings, "strength_lower", text="Jaw")
+        column.prop(settings, "strength_upper", text="Brows", text_ctxt=CONTEXT)
+        column.prop(settings, "strength_middle", text="Cheeks", text_ctxt=CONTEXT)
+        column.prop(settings, "strength_lower", text="Jaw", text_ctxt=CONTEXT)
         layout.prop(settings, "smoothing")
         layout.prop(settings, "mode")
         layout.prop(settings, "kernel")

@@ -2,10 +2,9 @@
 
 import blf
 import bpy
-from bpy.app.translations import pgettext_iface
 
 from ..blender.meshes import is_head
-from ..blender.messages import translated
+from ..blender.messages import interface, translated
 from .documentation import draw_link
 
 ORDER = ("start", "head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
@@ -58,7 +57,7 @@ def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, ic
     """
     column = layout.column(align=True)
     column.scale_y = 0.9
-    for line in wrap(translated(text, pgettext_iface), _text_width(context)):
+    for line in wrap(translated(text, interface), _text_width(context)):
         column.label(text=line, icon=icon, translate=False)
         icon = "BLANK1" if icon != "NONE" else icon
 

@@ -1,8 +1,8 @@
 """The box on top of the tab: head, source, Start and Record, and how it goes. It has the same height in every state."""
 
 import bpy
-from bpy.app.translations import pgettext_iface as _
 
+from ..blender.messages import interface as _
 from ..blender.messages import translated
 from ..operators.puppet import running
 from ..operators.shared import heads_in

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from bpy.app.translations import pgettext_iface as _
-
+from ..blender.messages import interface as _
 from ..sessions.live import LiveSession
 
 _STAGES = {

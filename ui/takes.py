@@ -1,8 +1,8 @@
 """Panel Takes: recording, the list of takes, editing and baking."""
 
 import bpy
-from bpy.app.translations import pgettext_iface as _
 
+from ..blender.messages import interface as _
 from ..core.timecode import timecode
 from ..operators.puppet import running
 from ..sessions.show import TakeShow
@@ -56,9 +56,7 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
             labels(layout, context, "Takes are stored in your user folder until you save the .blend file", "INFO")
         buttons = {"import_take": "IMPORT", "remove_take": "REMOVE"}
         draw_list(layout, "FACEMIME_UL_takes", takes, ("items", "index"), 3, buttons, menu="FACEMIME_MT_takes")
-        row = layout.row(align=True)
-        row.label(text="Countdown")
-        row.prop(takes, "countdown", expand=True)
+        layout.row().prop(takes, "countdown")
         if not 0 <= takes.index < len(takes.items):
             return
         take = takes.items[takes.index]
@@ -108,7 +106,7 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         """Draw the panel."""
         layout, bake = self.layout, context.scene.facemime_takes.bake
         split_labels(layout)
-        layout.prop(bake, "keys")
+        layout.prop(bake, "keys", text="")
         column = layout.column()
         column.active = bake.keys == "new"
         column.prop(bake, "max_keys")
