@@ -3,6 +3,7 @@
 from .blender.registering import register_module, unregister_module
 from .cli import commands
 from .operators import (
+    attached_parts,
     bake,
     calibrate,
     camera,
@@ -25,9 +26,9 @@ from .sessions import session, show
 from .settings import panel_properties, preferences, properties, takes_properties, takes_store
 from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
+from .ui import documentation, menus, placing_overlay, point_overlay, preview, region_overlay, translations
 from .ui import expression as expression_panel
 from .ui import head as head_panels
-from .ui import menus, placing_overlay, point_overlay, preview, region_overlay, translations
 from .ui import parts as parts_panel
 from .ui import puppet as puppet_panel
 from .ui import regions as regions_panel
@@ -42,6 +43,7 @@ _MODULES = (
     panel_properties,
     takes_properties,
     takes_store,
+    attached_parts,
     head,
     facegen,
     own_head,
@@ -59,6 +61,7 @@ _MODULES = (
     media,
     punch_in,
     bake,
+    documentation,
     menus,
     start_panel,
     head_panels,

@@ -13,11 +13,14 @@ from collections.abc import Callable, Iterable
 from functools import lru_cache
 
 import bpy
-from bpy.app.translations import pgettext_rpt
+from bpy.app.translations import pgettext_iface, pgettext_rpt
 
 from ..core.assets import ASSETS
 
 FOLDER = ASSETS / "translations"
+CONTEXT = "Facemime"
+"""Translation context of our texts: without it Blender's own translations of the same words come first, which have
+other meanings: Expression is a formula there, and Face a polygon."""
 NESTED = frozenset({"advice", "error", "kind", "kept", "label", "problem", "reason", "summary", "what", "where"})
 """Names of values that are texts, and are translated as well; other values are names, paths and numbers."""
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_]\w*)[^}]*\}")
@@ -85,6 +88,11 @@ def load_languages() -> dict[str, dict[str, str]]:
     return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(FOLDER.glob("*.json"))}
 
 
+def interface(text: str) -> str:
+    """Translate a constant text of a panel or menu, in Facemime's context."""
+    return pgettext_iface(text, CONTEXT)
+
+
 def translated(message: str, lookup: Callable[[str], str] | None = None) -> str:
     """Translate a message to the language of Blender's interface.
 
@@ -93,9 +101,13 @@ def translated(message: str, lookup: Callable[[str], str] | None = None) -> str:
     message : str
         In English.
     lookup : callable, optional
-        Blender's function for labels; that for reports by default. They respect the user's preferences.
+        `interface` for labels; by default as for reports. Both respect the user's preferences.
     """
-    return _templates().translate(message, lookup or pgettext_rpt)
+    return _templates().translate(message, lookup or _in_report)
+
+
+def _in_report(text: str) -> str:
+    return pgettext_rpt(text, CONTEXT)
 
 
 def displayable(message: str) -> str:

@@ -18,6 +18,9 @@ LIVE_PROPERTY = "facemime_live"
 PART_PROPERTY = "facemime_part"
 """Custom property of a child object: which part of the head it is, a key of `PART_OBJECTS`."""
 
+PARTS_PROPERTY = "facemime_parts"
+"""Custom property of a head: its child objects, by a key of `PART_OBJECTS`."""
+
 PART_ATTRIBUTE = "facemime_part"
 """Attribute of the vertices of a mesh: the part of the face to which each belongs, a `core.heads.parts.Part`."""
 

@@ -6,15 +6,19 @@ anything else a module defines `register`, which is called last, and `unregister
 """
 
 from collections.abc import Callable
+from inspect import get_annotations
 from types import ModuleType
 
 import bpy
 from bpy.props import PointerProperty
 
+from .messages import CONTEXT
+
 
 def register_module(module: ModuleType) -> None:
     """Register a module with Blender."""
     for cls in getattr(module, "CLASSES", ()):
+        _translate_in_context(cls)
         bpy.utils.register_class(cls)
     for owner, name, group in getattr(module, "POINTERS", ()):
         setattr(owner, name, PointerProperty(type=group))
@@ -22,6 +26,16 @@ def register_module(module: ModuleType) -> None:
         getattr(bpy.app.handlers, name).append(handler)
     if hasattr(module, "register"):
         module.register()
+
+
+def _translate_in_context(cls: type) -> None:
+    """Let Blender look up the label of a class, and the names of its properties, in Facemime's context."""
+    if issubclass(cls, (bpy.types.Operator, bpy.types.Panel, bpy.types.Menu)):
+        cls.bl_translation_context = CONTEXT
+    for base in cls.__mro__:
+        for prop in get_annotations(base).values():
+            if hasattr(prop, "keywords"):
+                prop.keywords.setdefault("translation_context", CONTEXT)
 
 
 def unregister_module(module: ModuleType) -> None:

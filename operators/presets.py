@@ -1,7 +1,7 @@
 """Operators that save, load, remove and share presets."""
 
 import bpy
-from bpy.props import StringProperty
+from bpy.props import BoolProperty, StringProperty
 
 from ..settings import presets
 from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors
@@ -32,10 +32,12 @@ class FACEMIME_OT_load_preset(ReportsErrors, bpy.types.Operator):
     bl_label = "Load Preset"
 
     name: StringProperty(name="Name")
+    built_in: BoolProperty(name="Built-In", options={"SKIP_SAVE"})
 
     def work(self, context: bpy.types.Context) -> None:
         """Load the preset."""
-        presets.load(context.scene.facemime, presets.path_of(self.name))
+        path = presets.built_in_path(self.name) if self.built_in else presets.path_of(self.name)
+        presets.load(context.scene.facemime, path)
 
 
 class FACEMIME_OT_remove_preset(ReportsErrors, bpy.types.Operator):

@@ -2,15 +2,15 @@
 
 import bpy
 
+from ..blender.messages import CONTEXT
 from ..blender.viewports import redraw, viewport_under
 from ..core.errors import FacemimeError
-from ..sessions.live import LiveSession
+from ..sessions.live import TICK, LiveSession
 from ..sessions.session import Session
 from ..sessions.start import RigWatch, follow_settings, start_session
 from .preview_place import PreviewDrag
 from .shared import ReportsErrors, heads_in, report, require_heads
 
-_TICK = 1.0 / 120.0
 _STATUS_INTERVAL = 0.25
 
 
@@ -74,7 +74,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         self._scene, self._drag = context.scene.name, PreviewDrag()
         self._session.operator = self
         manager = context.window_manager
-        self._timer = manager.event_timer_add(_TICK, window=context.window)
+        self._timer = manager.event_timer_add(TICK, window=context.window)
         manager.modal_handler_add(self)
         context.workspace.status_text_set(_draw_hints)
         return {"RUNNING_MODAL"}
@@ -88,7 +88,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             and event.value == "PRESS"
             and viewport_under(context, event.mouse_x, event.mouse_y) is not None
         ):
-            return self.finish(context)
+            return {"RUNNING_MODAL"} if self._session.cancel_countdown() else self.finish(context)
         if event.type == "Z" and event.value == "PRESS" and (event.ctrl or event.oskey):
             self._session.keep = False
             return self.finish(context)
@@ -199,10 +199,10 @@ class FACEMIME_OT_next_face(bpy.types.Operator):
 def _draw_hints(header: bpy.types.Header, context: bpy.types.Context) -> None:
     """Draw in the status bar what keys do while a puppet is running."""
     row = header.layout.row()
-    row.label(text="Stop Puppet", icon="EVENT_ESC")
+    row.label(text="Stop Puppet", text_ctxt=CONTEXT, icon="EVENT_ESC")
     session = running()
     if session is not None and session.recording is not None:
-        row.label(text="Recording", icon="REC")
+        row.label(text="Recording", text_ctxt=CONTEXT, icon="REC")
 
 
 def _painting(context: bpy.types.Context) -> bool:

@@ -87,13 +87,13 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
         """
         try:
             take = self._session.take()
-            kept = self._keep(context, take) if take.found.any() else ""
+            name = self._keep(context, take) if take.found.any() else ""
             try:
                 return self.bake(context, context.scene.objects.get(self._head), take)
             except FacemimeError as error:
-                if not kept:
+                if not name:
                     raise
-                raise type(error)(f"{error} The tracked take is in the list as {kept}.") from error
+                raise type(error)(f"{error} The tracked take is in the list as {name}.") from error
         finally:
             self.cancel(context)
 

@@ -1,17 +1,17 @@
-"""Operators that edit the selected take. Each writes a new file, so that it can be undone."""
+"""Operators that edit the selected take. Each writes a new file; the previous one is kept."""
+
+import math
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
-from ..blender.animation.bake import seconds_of
-from ..blender.media.images import keep_picture
+from ..blender.animation.bake import seconds_at, seconds_of
 from ..core.errors import FacemimeError
-from ..core.takes.figure import draw_before_after
 from ..core.takes.mending import Mending, mend, renew_neutral
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, restart, shift_time, trim
+from ..core.timecode import timecode
 from ..settings import takes_store
-from .shared import report
 from .takes import OnTake
 
 BLEND = FloatProperty(
@@ -20,8 +20,16 @@ BLEND = FloatProperty(
 """Property of the operators that insert a range into a take."""
 
 
-class ChangesTake(OnTake):
-    """Mixin: shows a dialog, and replaces the selected take by the result of `changed`."""
+class AddsEditedTake(OnTake):
+    """Mixin: shows a dialog, and adds the result of `changed` below the selected take, which is kept.
+
+    Attributes
+    ----------
+    suffix : str
+        What follows the name of the selected take.
+    """
+
+    suffix = ""
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Show the dialog."""
@@ -29,34 +37,75 @@ class ChangesTake(OnTake):
 
     def work(self, context: bpy.types.Context) -> None:
         line = takes_store.chosen(context.scene)
-        takes_store.change(line, self.changed(context, takes_store.read(line)))
+        edited = self.changed(context, takes_store.read(line))
+        takes_store.keep_beside(context.scene, edited, f"{line.name}_{self.suffix}")
 
 
-class FACEMIME_OT_trim_take(ChangesTake, bpy.types.Operator):
-    """Trim the selected take to a range, and move it to the first frame of the scene"""
+class FACEMIME_OT_trim_take(AddsEditedTake, bpy.types.Operator):
+    """Add a copy of the selected take that is trimmed to a range, and starts at the first frame"""
 
     bl_idname = "facemime.trim_take"
     bl_label = "Trim Take"
+    suffix = "Trimmed"
 
+    keep: EnumProperty(
+        name="Keep",
+        description="Part of the take to keep",
+        items=(
+            ("SECONDS", "Start to End", "The times below"),
+            ("TIMELINE", "Timeline Range", "The preview range if it is in use, otherwise the scene's frame range"),
+            ("FROM", "From Playhead", "From the current frame to the end"),
+            ("TO", "To Playhead", "From the start to the current frame"),
+        ),
+    )
     start: FloatProperty(name="Start", subtype="TIME_ABSOLUTE", min=0.0)
     end: FloatProperty(name="End", subtype="TIME_ABSOLUTE", min=0.0)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Show the dialog; by default the whole take is kept."""
-        self.end = takes_store.chosen(context.scene).length
+        """Show the dialog; by default the preview range is kept, or the whole take if there is none."""
+        self.start, self.end = 0.0, takes_store.chosen(context.scene).length
+        self.keep = "TIMELINE" if context.scene.use_preview_range else "SECONDS"
         return super().invoke(context, event)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the dialog, with the kept range in minutes and seconds."""
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "keep")
+        column = layout.column(align=True)
+        column.enabled = self.keep == "SECONDS"
+        column.prop(self, "start")
+        column.prop(self, "end")
+        length = takes_store.chosen(context.scene).length
+        start, end = (min(max(seconds, 0.0), length) for seconds in self.kept(context.scene))
+        text = f"{timecode(start)} - {timecode(end)}   ({timecode(max(end - start, 0.0))})"
+        layout.label(text=text, translate=False, icon="TIME")
+
+    def kept(self, scene: bpy.types.Scene) -> tuple[float, float]:
+        """Return the range that is kept, seconds from the first frame of the take; it may extend beyond its end."""
+        if self.keep == "TIMELINE":
+            preview = scene.use_preview_range
+            first = scene.frame_preview_start if preview else scene.frame_start
+            last = scene.frame_preview_end if preview else scene.frame_end
+            return seconds_at(scene, first), seconds_at(scene, last)
+        if self.keep == "FROM":
+            return seconds_of(scene), math.inf
+        if self.keep == "TO":
+            return 0.0, seconds_of(scene)
+        return self.start, self.end
 
     def changed(self, context: bpy.types.Context, take: Take) -> Take:
         """Return `take`, trimmed."""
-        first = float(take.times[0])
-        return restart(trim(take, first + self.start, first + self.end))
+        first, (start, end) = float(take.times[0]), self.kept(context.scene)
+        return restart(trim(take, first + start, first + end))
 
 
-class FACEMIME_OT_mend_take(ChangesTake, bpy.types.Operator):
-    """Mend the selected take: remove outliers, fill gaps without a face, smooth without delay, swap left and right"""
+class FACEMIME_OT_mend_take(AddsEditedTake, bpy.types.Operator):
+    """Add a mended copy of the selected take: without outliers and gaps, smoothed without delay, or mirrored"""
 
     bl_idname = "facemime.mend_take"
     bl_label = "Mend Take"
+    suffix = "Mended"
 
     outliers: BoolProperty(
         name="Remove Outliers", description="Remove frames that jump away from their neighbours", default=True
@@ -73,18 +122,11 @@ class FACEMIME_OT_mend_take(ChangesTake, bpy.types.Operator):
     )
     smooth: BoolProperty(name="Smooth", description="Smooth the motion without delay", default=True)
     mirror: BoolProperty(name="Mirror", description="Swap left and right")
-    picture: BoolProperty(
-        name="Draw Curves", description="Draw the curves before and after as an image for the Image Editor"
-    )
 
     def changed(self, context: bpy.types.Context, take: Take) -> Take:
         """Return `take`, mended."""
         smoothing = "zero-phase" if self.smooth else "none"
-        mended = mend(take, Mending(self.outliers, self.gaps, smoothing=smoothing, mirror=self.mirror))
-        if self.picture:
-            image = keep_picture(f"{takes_store.chosen(context.scene).name} Mended", draw_before_after(take, mended))
-            report(self, f"Curves drawn in the image {image.name}")
-        return mended
+        return mend(take, Mending(self.outliers, self.gaps, smoothing=smoothing, mirror=self.mirror))
 
 
 class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
@@ -98,11 +140,12 @@ class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
         takes_store.change(line, renew_neutral(takes_store.read(line), seconds_of(context.scene)))
 
 
-class FACEMIME_OT_punch_in_take(ChangesTake, bpy.types.Operator):
-    """Insert another take into the selected one, blended at both ends"""
+class FACEMIME_OT_punch_in_take(AddsEditedTake, bpy.types.Operator):
+    """Add a copy of the selected take into which another one is inserted, blended at both ends"""
 
     bl_idname = "facemime.punch_in_take"
     bl_label = "Insert Take"
+    suffix = "Edited"
 
     other: StringProperty(name="Take", description="Take to insert")
     start: FloatProperty(name="Start", description="Time at which it is inserted", subtype="TIME_ABSOLUTE", min=0.0)

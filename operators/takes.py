@@ -47,12 +47,13 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
         return running() is not None or FACEMIME_OT_puppet.poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
-        """Start recording, or stop and add the take to the list."""
+        """Start recording, cancel the countdown, or stop and add the take to the list."""
         if running() is None:
             start_puppet()
         session = running()
         if session.recording is None:
-            session.start_recording(context.scene, self.name)
+            if not session.cancel_countdown():
+                session.start_recording_after(float(context.scene.facemime_takes.countdown), context.scene, self.name)
             return
         recording = session.recording
         session.stop_recording()

@@ -10,6 +10,7 @@ from typing import Any
 import bpy
 
 from ..blender.animation.live import LiveHeadObject, require_one_left
+from ..blender.media.sounds import beep
 from ..blender.messages import show_error
 from ..blender.undo import push_undo
 from ..core.errors import FacemimeError, HeadError, OutputError
@@ -17,17 +18,21 @@ from ..core.live.sources import LiveSource
 from ..core.live.timing import Delays, Stopwatch
 from ..core.live.worker import LiveHead, LiveOptions, LiveResult, LiveWorker
 from ..core.takes.neutral import Neutral
+from ..settings.preferences import preferences
 from .punch_in import PunchIn
 from .recording import Recording
 from .session import Session
 
+TICK = 1.0 / 120.0
+"""Seconds between two calls of `LiveSession.step`."""
 COUNTDOWN = 3.0
 """Seconds between the request for a calibration and its start."""
 _TASKS = {
     False: "Look straight at the camera, with a relaxed face and the mouth closed",
     True: "Close the eyes tightly, and open the mouth wide",
+    None: "Get ready: the recording starts. Esc cancels",
 }
-"""What the performer has to do, by whether the range of eyes and mouth is calibrated."""
+"""What the performer has to do, by whether the range of eyes and mouth is calibrated; None is before a recording."""
 _DEFAULTS = LiveOptions()
 
 
@@ -86,6 +91,8 @@ class LiveSession(Session):
         self._objects = [shown for shown, _ in heads]
         self._on_calibrated = on_calibrated
         self._at: float | None = None
+        self._record_at: tuple[float, str, str] | None = None
+        self._displayed_at: float | None = None
         self._range = False
         self._waiting = False
         self._number = 0
@@ -112,7 +119,9 @@ class LiveSession(Session):
         Exception
             If the worker failed, its exception; HeadError if a head was changed, or all were deleted.
         """
+        self._measure_redraw()
         self._count_down()
+        self._count_down_recording()
         latest = self.worker.latest
         if latest is None or latest.number == self._number:
             if self.worker.error is not None:
@@ -125,6 +134,7 @@ class LiveSession(Session):
             if not shown.gone:
                 shown.write(frame, flat)
         self._measure(latest, fetched)
+        self._displayed_at = perf_counter()
         return True
 
     @property
@@ -157,16 +167,45 @@ class LiveSession(Session):
         self.worker.quality = None
 
     @property
-    def countdown(self) -> float | None:
+    def calibration_countdown(self) -> float | None:
         """Seconds until the calibration starts; 0 while it is running, None if none was requested."""
         if not self._waiting:
             return None
         return 0.0 if self._at is None else max(0.0, self._at - perf_counter())
 
     @property
+    def recording_countdown(self) -> float | None:
+        """Seconds until the recording starts; None if none was requested."""
+        return None if self._record_at is None else max(1e-3, self._record_at[0] - perf_counter())
+
+    @property
+    def countdown(self) -> float | None:
+        """Seconds until the calibration or the recording starts; 0 during a calibration, otherwise None."""
+        return self.calibration_countdown if self._waiting else self.recording_countdown
+
+    @property
     def task(self) -> str:
-        """What the performer has to do in a calibration."""
-        return _TASKS[self._range]
+        """What the performer has to do in a calibration, or before a recording."""
+        return _TASKS[self._range if self._waiting else None]
+
+    def start_recording_after(self, countdown: float, scene: bpy.types.Scene, name: str) -> None:
+        """Start recording after a countdown; the parameters are those of `start_recording`, and seconds.
+
+        Raises
+        ------
+        FacemimeError
+            If there is a recording already, or the file cannot be created.
+        """
+        self._require_no_recording()
+        if countdown > 0.0:
+            self._record_at = perf_counter() + countdown, scene.name, name
+        else:
+            self.start_recording(scene, name)
+
+    def cancel_countdown(self) -> bool:
+        """Cancel the countdown of a recording, and return whether there was one."""
+        counting, self._record_at = self._record_at is not None, None
+        return counting
 
     def start_recording(self, scene: bpy.types.Scene, name: str) -> Recording:
         """Record everything that is tracked from now on.
@@ -296,7 +335,28 @@ class LiveSession(Session):
             self._waiting = False
             if self.worker.neutral is not None and self.worker.quality is not None:
                 self._on_calibrated(self.worker.neutral)
+            _signal()
+
+    def _count_down_recording(self) -> None:
+        if self._record_at is None or perf_counter() < self._record_at[0]:
+            return
+        (_, scene, name), self._record_at = self._record_at, None
+        if scene in bpy.data.scenes and self.recording is None:
+            self.start_recording(bpy.data.scenes[scene], name)
+            _signal()
+
+    def _measure_redraw(self) -> None:
+        """Measure how long Blender took until it asked for the next frame, beyond the interval of its timer."""
+        if self._displayed_at is not None:
+            self.stopwatch.add_redraw(max(0.0, perf_counter() - self._displayed_at - TICK))
+            self._displayed_at = None
 
     def _measure(self, latest: LiveResult, fetched: float) -> None:
         marks = (latest.taken, latest.began, latest.tracked, latest.driven, fetched, perf_counter())
         self.stopwatch.add(Delays(tuple(after - before for before, after in pairwise(marks))))
+
+
+def _signal() -> None:
+    """Tell a performer that something has started or ended, unless the user does not want sounds."""
+    if preferences().sounds:
+        beep()

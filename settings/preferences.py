@@ -3,6 +3,7 @@
 import bpy
 from bpy.props import BoolProperty, FloatProperty, FloatVectorProperty, IntProperty, StringProperty
 
+from ..blender.messages import CONTEXT
 from .storage import EXTENSION
 
 
@@ -38,6 +39,9 @@ class FacemimePreferences(bpy.types.AddonPreferences):
         size=2,
         default=(0.0, 0.0),
     )
+    sounds: BoolProperty(
+        name="Sounds", description="Beep when a recording starts and when a calibration ends", default=True
+    )
     takes_folder: StringProperty(
         name="Takes",
         description="Folder for takes recorded before the .blend file is saved; later ones are stored beside it",
@@ -50,6 +54,7 @@ class FacemimePreferences(bpy.types.AddonPreferences):
         layout.use_property_split = True
         draw_camera(layout.column(), self)
         draw_preview(layout, self)
+        layout.prop(self, "sounds")
         layout.prop(self, "takes_folder")
 
 
@@ -73,7 +78,7 @@ def draw_camera(layout: bpy.types.UILayout, chosen: FacemimePreferences) -> None
     row.prop(chosen, "camera")
     row.menu("FACEMIME_MT_cameras", text="", icon="DOWNARROW_HLT")
     column = layout.column(align=True)
-    column.prop(chosen, "width", text="Size")
+    column.prop(chosen, "width", text="Size", text_ctxt=CONTEXT)
     column.prop(chosen, "height", text=" ")
     column.prop(chosen, "rate")
 
@@ -86,7 +91,7 @@ def draw_preview(layout: bpy.types.UILayout, chosen: FacemimePreferences) -> Non
     layout : bpy.types.UILayout
     chosen : FacemimePreferences
     """
-    row = layout.row(heading="Preview", align=True)
+    row = layout.row(heading="Preview", heading_ctxt=CONTEXT, align=True)
     row.prop(chosen, "preview", text="")
     size = row.row(align=True)
     size.active = chosen.preview

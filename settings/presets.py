@@ -6,6 +6,7 @@ from pathlib import Path
 
 import bpy
 
+from ..core.assets import ASSETS
 from ..core.drive.settings import DriveSettings, PosingSettings
 from ..core.errors import OutputError, SourceError
 from ..core.files import replacing
@@ -16,6 +17,8 @@ from ..core.settings import settings_of
 from .properties import FacemimeSettings
 from .storage import user_folder
 
+BUILT_IN = {"calm_speech": "Calm Speech", "strong": "Strong", "cartoon": "Cartoon", "yao_2019": "Yao et al. 2019"}
+"""Labels of the presets that are shipped with Facemime, by file name; they cannot be removed."""
 _CONTENTS = {
     "settings": {**settings_of(DriveSettings), **settings_of(PuppetSettings)},
     "posing": settings_of(PosingSettings),
@@ -31,6 +34,11 @@ def folder() -> Path:
 def names() -> list[str]:
     """Return the names of all presets, sorted."""
     return sorted((path.stem for path in folder().glob(f"[!.]*{SUFFIX}")), key=str.casefold)
+
+
+def built_in_path(name: str) -> Path:
+    """Return the path of a preset that is shipped with Facemime, a key of `BUILT_IN`."""
+    return ASSETS / "presets" / f"{name}{SUFFIX}"
 
 
 def path_of(name: str) -> Path:

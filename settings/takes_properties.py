@@ -68,6 +68,12 @@ class FacemimeTakes(bpy.types.PropertyGroup):
     video: BoolProperty(
         name="Keep Video", description="Save the video beside the take, as a reference and to track it again"
     )
+    countdown: EnumProperty(
+        name="Countdown",
+        description="Seconds before a recording starts; Esc in the viewport cancels",
+        items=(("0", "None", "Start at once"), ("3", "3 s", "Three seconds"), ("5", "5 s", "Five seconds")),
+        default="0",
+    )
     bake: PointerProperty(type=FacemimeBake)
 
 

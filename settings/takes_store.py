@@ -11,6 +11,7 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
+from ..blender.viewports import redraw
 from ..core.errors import FacemimeError, SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take, take_of
 from ..core.takes.format import NewerFormatError
@@ -69,6 +70,7 @@ def add(scene: bpy.types.Scene, path: Path, take: Take | None = None) -> Facemim
     line.name, line.path = path.stem, relative(path)
     line.length = _length(take)
     takes.index = len(takes.items) - 1
+    redraw(bpy.context, "UI")
     return line
 
 
@@ -95,6 +97,16 @@ def keep(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
     return add(scene, path, take)
 
 
+def keep_beside(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
+    """As `keep`, but the take comes below the selected one."""
+    takes = scene.facemime_takes
+    place = min(takes.index + 1, len(takes.items))
+    keep(scene, take, name)
+    takes.items.move(takes.index, place)
+    takes.index = place
+    return takes.items[place]
+
+
 def change(line: FacemimeTake, take: Take) -> None:
     """Replace the take of `line` by `take` in a new file, so that undo finds the previous one.
 
@@ -106,6 +118,7 @@ def change(line: FacemimeTake, take: Take) -> None:
     path = new_path(line.name)
     save_take(take, path)
     line.path, line.packed, line.length = relative(path), None, _length(take)
+    redraw(bpy.context, "UI")
 
 
 def read(line: FacemimeTake) -> Take:

@@ -8,6 +8,7 @@ import numpy as np
 from clocks import PATIENCE, AskedClock
 
 from facemime.core.live.sources import PacedSource
+from facemime.operators.attached_parts import attend as attend_parts
 from facemime.operators.puppet import running
 from facemime.sessions.session import Session
 
@@ -30,9 +31,10 @@ def tick(event=TIMER) -> set[str]:
 
 
 def attend() -> None:
-    """Let the session do what its timer would, if there is one."""
+    """Let the timers do what is due."""
     if Session.current is not None:
         Session.current.attend()
+    attend_parts()
 
 
 def ticks_until(condition) -> None:

@@ -44,7 +44,7 @@ _REASONS = {"ValueError", "fail", "count", "vectors", "array", "indices", "_need
 _MESSAGES = {"report", "Finding", "Quality", "_chosen"}
 _FUNCTIONS = {"explained", "missing_parts", "summary"}
 """Functions that return messages."""
-_TABLES = {"MARKS", "START", "PART_NAMES", "_DESCRIPTIONS", "BONES", "_EXPLANATIONS", "_STAGES", "_TASKS"}
+_TABLES = {"MARKS", "START", "PART_NAMES", "_DESCRIPTIONS", "BONES", "_EXPLANATIONS", "_STAGES", "_TASKS", "BUILT_IN"}
 """Dictionaries, or tuples of them, whose values are messages."""
 _LABELS = {"MARKS"}
 """Those that are shown with a capital letter."""

@@ -1,8 +1,8 @@
 """Panel Calibration: the performers and their calibrations."""
 
 import bpy
-from bpy.app.translations import pgettext_iface as _
 
+from ..blender.messages import interface as _
 from ..operators.puppet import running
 from ..sessions.live import COUNTDOWN
 from .sidebar import Sidebar, draw_list, labels, place
@@ -32,8 +32,7 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
         column.operator("facemime.calibrate", text="Eyes and Mouth", icon="HIDE_OFF").pose = "RANGE"
         if session is None:
             return
-        if session.countdown is not None:
-            left = session.countdown
+        if (left := session.calibration_countdown) is not None:
             layout.progress(factor=1.0 - min(left / COUNTDOWN, 1.0), text=f"{left:.0f} s" if left else _("Hold Still"))
         elif (quality := session.worker.quality) is not None:
             labels(layout, context, quality.message, "CHECKMARK" if quality.good else "ERROR")

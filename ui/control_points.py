@@ -6,10 +6,10 @@ from functools import lru_cache
 
 import bpy
 import bpy.utils.previews
-from bpy.app.translations import pgettext_iface
 
 from ..blender.meshes import is_head, read_selection
-from ..blender.messages import translated
+from ..blender.messages import CONTEXT, translated
+from ..blender.messages import interface as _
 from ..blender.names import SELECTION_PROPERTY
 from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import from_json
@@ -40,7 +40,7 @@ def shown_rows(obj: bpy.types.Object) -> list[PointRow]:
 
 
 class FACEMIME_UL_landmarks(bpy.types.UIList):
-    """List of landmarks: number, regions, order, remaining error, and the reason for each."""
+    """List of landmarks: number, regions, order, and remaining error."""
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
         """Draw one landmark."""
@@ -48,19 +48,16 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
             return
         row = shown_rows(context.active_object)[index]
         layout.active = bool(row.regions)
-        names = ", ".join(pgettext_iface(REGIONS[r].name.capitalize()) for r in row.regions)
+        names = ", ".join(_(REGIONS[r].name.capitalize()) for r in row.regions)
         number = str(IBUG68_INDICES[index])
         if is_narrow(context):
             layout.label(text=f"{number} {names}", translate=False)
             return
-        line = layout.split(factor=0.14)
-        line.label(text=number, translate=False)
-        line = line.split(factor=0.28)
-        line.label(text=names or "-", translate=False)
-        line = line.split(factor=0.5)
-        line.label(text=f"{row.order}: {100 * row.error:.1f}%" if row.order and row.error == row.error else "")
-        reasons = [translated(reason, pgettext_iface) for reason in row.reason.split("; ")]
-        line.label(text="; ".join(reasons), translate=False)
+        line = layout.split(factor=0.7)
+        line.label(text=f"{number}   {names or '-'}", translate=False)
+        line.label(
+            text=f"{row.order}: {100 * row.error:.1f}%" if row.order and row.error == row.error else "", translate=False
+        )
 
     def filter_items(self, context, data, property_name) -> tuple[list[int], list[int]]:
         """Sort the control points by their order of selection, before the other landmarks if these are listed."""
@@ -92,11 +89,14 @@ class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
             layout.operator("facemime.use_all_landmarks")
             return
         if selection is None:
-            layout.label(text="All 66 landmarks")
+            layout.label(text="All 66 landmarks", text_ctxt=CONTEXT)
         else:
             _draw_curve(layout, str(obj.data[SELECTION_PROPERTY]), selection)
             layout.operator("facemime.use_all_landmarks")
         _draw_list(layout, context, steps)
+        if 0 <= steps.landmark < len(rows := shown_rows(obj)) and rows[steps.landmark].reason:
+            reasons = rows[steps.landmark].reason.split("; ")
+            labels(layout, context, "; ".join(translated(reason, _) for reason in reasons), "INFO")
 
 
 def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) -> None:
@@ -115,7 +115,7 @@ def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) 
 def _draw_curve(layout: bpy.types.UILayout, text: str, selection: GreedySelection) -> None:
     if icon := _curve_icon(text, selection):
         layout.template_icon(icon_value=icon, scale=9.0)
-    points = pgettext_iface("{count} control points, tolerance {tolerance:.2f} %")
+    points = _("{count} control points, tolerance {tolerance:.2f} %")
     shown = points.format(count=len(selection.landmarks), tolerance=100 * selection.tolerance)
     layout.label(text=shown, translate=False)
 

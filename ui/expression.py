@@ -2,18 +2,23 @@
 
 import bpy
 
+from ..blender.messages import CONTEXT
 from ..settings import presets
 from .sidebar import Sidebar, place, split_labels
 
 
 class FACEMIME_MT_presets(bpy.types.Menu):
-    """Your presets"""
+    """Presets of Facemime, and your own"""
 
     bl_label = "Presets"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the presets and the operators on them."""
         layout, names = self.layout, presets.names()
+        for name, label in presets.BUILT_IN.items():
+            button = layout.operator("facemime.load_preset", text=label)
+            button.name, button.built_in = name, True
+        layout.separator()
         for name in names:
             layout.operator("facemime.load_preset", text=name, translate=False).name = name
         if names:
@@ -45,6 +50,7 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
 
     def draw_header_preset(self, context: bpy.types.Context) -> None:
         """Draw the menu of presets in the header."""
+        Sidebar.draw_header_preset(self, context)
         self.layout.menu("FACEMIME_MT_presets", text="", icon="PRESET")
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -53,9 +59,9 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
         split_labels(layout)
         settings = context.scene.facemime
         column = layout.column(align=True)
-        column.prop(settings, "strength_upper", text="Brows")
-        column.prop(settings, "strength_middle", text="Cheeks")
-        column.prop(settings, "strength_lower", text="Jaw")
+        column.prop(settings, "strength_upper", text="Brows", text_ctxt=CONTEXT)
+        column.prop(settings, "strength_middle", text="Cheeks", text_ctxt=CONTEXT)
+        column.prop(settings, "strength_lower", text="Jaw", text_ctxt=CONTEXT)
         layout.prop(settings, "smoothing")
         layout.prop(settings, "mode")
         layout.prop(settings, "kernel")

@@ -1,9 +1,9 @@
 """Panel Head: the built-in head, or the preparation of another mesh."""
 
 import bpy
-from bpy.app.translations import pgettext_iface as _
 
 from ..blender.heads.binding import missing_parts, read_marks
+from ..blender.messages import interface as _
 from .sidebar import Sidebar, draw_findings, labels, place
 
 
@@ -17,7 +17,7 @@ class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
         """Draw the panel."""
         layout, obj = self.layout, context.active_object
         if obj is None or obj.type != "MESH":
-            layout.label(text="Select a mesh")
+            layout.label(text=_("Select a mesh"), translate=False)
             return
         missing = missing_parts(obj)
         if not missing:
@@ -40,7 +40,7 @@ class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
         layout = self.layout
         obj = context.active_object
         if obj is None or obj.type != "MESH":
-            layout.label(text="Select a mesh")
+            layout.label(text=_("Select a mesh"), translate=False)
             return
         marks = read_marks(obj.data)
         column = layout.column(align=True)

@@ -4,6 +4,7 @@ import bpy
 
 from ..blender.characters import objects_of, part_table, read_bones
 from ..blender.meshes import is_head
+from ..blender.messages import CONTEXT
 from ..blender.names import HEAD_PROPERTY
 from ..core.heads.parts import PART_NAMES
 from ..operators.parts import BONES
@@ -62,7 +63,7 @@ def _draw_bones(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
     column.label(text=armature.name, icon="ARMATURE_DATA", translate=False)
     for target, label in BONES.items():
         row = column.split(factor=0.45)
-        row.label(text=label)
+        row.label(text=label, text_ctxt=CONTEXT)
         bone = getattr(bones, target)
         row.operator("facemime.set_bone", text=bone or "None", translate=not bone, icon="BONE_DATA").target = target
 

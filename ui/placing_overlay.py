@@ -6,12 +6,12 @@ from functools import lru_cache
 
 import bpy
 import numpy as np
-from bpy.app.translations import pgettext_iface as _
 from bpy_extras import view3d_utils
 from numpy.typing import NDArray
 
 from ..blender.heads.binding import read_marks
 from ..blender.heads.placing import Placing, place_of_mark
+from ..blender.messages import interface as _
 from ..blender.viewports import redo_height, toolbar_width
 from ..core.binding.bind import MARKS
 from ..core.heads.built_in import load_head

@@ -3,8 +3,9 @@
 from pathlib import Path
 
 import bpy
-from bpy.app.translations import pgettext_iface as _
 
+from ..blender.messages import CONTEXT
+from ..blender.messages import interface as _
 from ..operators.puppet import running
 from ..sessions.tracking import TrackingSession
 from ..settings.values import whole_file
@@ -46,17 +47,17 @@ class FACEMIME_PT_pose(Sidebar, bpy.types.Panel):
             layout.prop(settings, switch)
             column = layout.column(align=True)
             column.active = getattr(settings, switch)
-            column.prop(posing, f"{prefix}_strength", text="Strength")
-            column.prop(posing, f"{prefix}_limit", text="Limit")
+            column.prop(posing, f"{prefix}_strength", text="Strength", text_ctxt=CONTEXT)
+            column.prop(posing, f"{prefix}_limit", text="Limit", text_ctxt=CONTEXT)
         column = layout.column(align=True)
-        column.prop(posing, "eyes_strength", text="Eyes Strength")
-        column.prop(posing, "eyes_limit", text="Limit")
+        column.prop(posing, "eyes_strength", text="Eyes Strength", text_ctxt=CONTEXT)
+        column.prop(posing, "eyes_limit", text="Limit", text_ctxt=CONTEXT)
         for target, bone in (("object", "bone"), ("eye_left", "eye_left_bone"), ("eye_right", "eye_right_bone")):
             column = layout.column(align=True)
             column.prop(posing, target)
             obj = getattr(posing, target)
             if obj is not None and obj.type == "ARMATURE":
-                column.prop_search(posing, bone, obj.data, "bones", text="Bone")
+                column.prop_search(posing, bone, obj.data, "bones", text="Bone", text_ctxt=CONTEXT)
 
 
 class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
@@ -80,11 +81,11 @@ class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
             row.operator("facemime.puppet_video", text="", icon="FILEBROWSER")
         else:
             row.operator("facemime.puppet_video", icon="FILE_MOVIE")
-        column = layout.column(align=True, heading="Neutral")
-        column.prop(settings, "find_neutral", text="Find")
+        column = layout.column(align=True, heading="Neutral", heading_ctxt=CONTEXT)
+        column.prop(settings, "find_neutral", text="Find", text_ctxt=CONTEXT)
         row = column.row()
         row.active = not settings.find_neutral
-        row.prop(settings, "neutral", text="At")
+        row.prop(settings, "neutral", text="At", text_ctxt=CONTEXT)
 
 
 CLASSES = (FACEMIME_PT_puppet, FACEMIME_PT_pose, FACEMIME_PT_bake)

@@ -2,10 +2,10 @@
 
 import blf
 import bpy
-from bpy.app.translations import pgettext_iface
 
 from ..blender.meshes import is_head
-from ..blender.messages import translated
+from ..blender.messages import interface, translated
+from .documentation import draw_link
 
 ORDER = ("start", "head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
 """Modules of `ui` whose panels are in the tab, from top to bottom: the order of the workflow."""
@@ -26,6 +26,10 @@ class Sidebar:
     bl_region_type = "UI"
     bl_category = "Facemime"
     bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """Draw a link to the documentation at the right of the header."""
+        draw_link(self.layout, type(self).__name__)
 
 
 class OnHead(Sidebar):
@@ -53,7 +57,7 @@ def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, ic
     """
     column = layout.column(align=True)
     column.scale_y = 0.9
-    for line in wrap(translated(text, pgettext_iface), _text_width(context)):
+    for line in wrap(translated(text, interface), _text_width(context)):
         column.label(text=line, icon=icon, translate=False)
         icon = "BLANK1" if icon != "NONE" else icon
 

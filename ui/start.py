@@ -1,12 +1,13 @@
 """The box on top of the tab: head, source, Start and Record, and how it goes. It has the same height in every state."""
 
 import bpy
-from bpy.app.translations import pgettext_iface as _
 
+from ..blender.messages import interface as _
 from ..blender.messages import translated
 from ..operators.place_points import placing_on
 from ..operators.puppet import running
 from ..operators.shared import heads_in
+from ..sessions.live import LiveSession
 from ..sessions.show import TakeShow
 from ..sessions.tracking import TrackingSession
 from .sidebar import Sidebar, place
@@ -44,10 +45,7 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
             row.operator("facemime.discard_points", icon="LOOP_BACK")
         elif session is not None:
             row.operator("facemime.stop_puppet", text="Stop", icon="SNAP_FACE", depress=True)
-            recording = session.recording is not None
-            row.operator(
-                "facemime.record_take", text="Stop Recording" if recording else "Record", icon="REC", depress=recording
-            )
+            _draw_record(row, session)
         elif (tracking := TrackingSession.running()) is not None:
             draw_progress(row, tracking)
         elif TakeShow.running() is not None:
@@ -60,6 +58,16 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
             row.operator("facemime.bind_landmarks", text="Find Face", icon="VIEWZOOM")
         text, icon = _next_step(context, heads) if session is None else summary(session)
         layout.label(text=translated(text), icon=icon, translate=False)
+
+
+def _draw_record(layout: bpy.types.UILayout, session: LiveSession) -> None:
+    if session.recording_countdown is not None:
+        layout.operator("facemime.record_take", text="Cancel", icon="X", depress=True)
+        return
+    recording = session.recording is not None
+    layout.operator(
+        "facemime.record_take", text="Stop Recording" if recording else "Record", icon="REC", depress=recording
+    )
 
 
 def _next_step(context: bpy.types.Context, heads: list[bpy.types.Object]) -> tuple[str, str]:

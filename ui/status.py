@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import bpy
-from bpy.app.translations import pgettext_iface as _
 
+from ..blender.messages import interface as _
 from ..sessions.live import LiveSession
 from ..sessions.tracking import TrackingSession
 
@@ -12,7 +12,8 @@ _STAGES = {
     "wait": "the source",
     "track": "tracking",
     "drive": "deformation",
-    "hand over": "Blender's redraw",
+    "hand over": "the viewport",
+    "redraw": "the viewport",
     "write": "writing to the mesh",
 }
 

@@ -1,10 +1,11 @@
 """Panel Takes: recording, the list of takes, editing and baking."""
 
 import bpy
-from bpy.app.translations import pgettext_iface as _
 
 from ..blender.animation.underneath import playing_under
 from ..blender.meshes import is_head
+from ..blender.messages import interface as _
+from ..core.timecode import timecode
 from ..operators.puppet import running
 from ..sessions.show import TakeShow
 from .sidebar import Sidebar, draw_list, labels, place, split_labels
@@ -24,19 +25,17 @@ class FACEMIME_UL_takes(bpy.types.UIList):
             row.label(text="", icon="TEXT")
         if item.packed is not None:
             row.label(text="", icon="PACKAGE")
-        row.label(text=f"{item.length:.1f} s", translate=False)
+        row.label(text=timecode(item.length), translate=False)
 
 
 class FACEMIME_UL_key_rows(bpy.types.UIList):
-    """List of the rows of the key mapping."""
+    """List of the rows of the key mapping; the selected one has its factors below the list."""
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
         """Draw one row."""
-        line = layout.split(factor=0.38, align=True)
+        line = layout.split(factor=0.5, align=True)
         line.prop(item, "source", text="", emboss=False)
-        line = line.split(factor=0.6, align=True)
         line.prop(item, "key", text="", emboss=False)
-        line.prop(item, "gain", text="", emboss=False)
 
 
 class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
@@ -59,6 +58,7 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
             labels(layout, context, "Takes are stored in your user folder until you save the .blend file", "INFO")
         buttons = {"import_take": "IMPORT", "remove_take": "REMOVE"}
         draw_list(layout, "FACEMIME_UL_takes", takes, ("items", "index"), 3, buttons, menu="FACEMIME_MT_takes")
+        layout.row().prop(takes, "countdown")
         if not 0 <= takes.index < len(takes.items):
             return
         take = takes.items[takes.index]
@@ -108,7 +108,7 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         """Draw the panel."""
         layout, bake = self.layout, context.scene.facemime_takes.bake
         split_labels(layout)
-        layout.prop(bake, "keys")
+        layout.prop(bake, "keys", text="")
         column = layout.column()
         column.active = bake.keys == "new"
         column.prop(bake, "max_keys")
@@ -153,10 +153,10 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
             column.prop(line, "gain")
             column.prop(line, "offset")
         layout.operator("facemime.detect_key_map", icon="VIEWZOOM")
-        row = layout.row(align=True)
-        row.operator("facemime.add_key_pose", icon="ADD")
-        row.operator("facemime.learn_key_map", icon="CURVE_DATA")
-        row.label(text=str(len(bake.poses)), translate=False)
+        column = layout.column(align=True)
+        added = _("Add Pose ({count} added)").format(count=len(bake.poses))
+        column.operator("facemime.add_key_pose", text=added, translate=False, icon="ADD")
+        column.operator("facemime.learn_key_map", icon="CURVE_DATA")
 
 
 CLASSES = (

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import bpy
 
-from ..blender.messages import load_languages
+from ..blender.messages import CONTEXT, load_languages
 
-_CONTEXTS = ("*", "Operator")
+_CONTEXTS = ("*", CONTEXT)
 
 
 def texts() -> dict[str, dict[tuple[str, str], str]]:
-    """Return the translations of each language, keyed by context and English text."""
+    """Return the translations of each language, keyed by context and English text; tooltips have no context."""
     return {
         language: {(context, english): other for english, other in known.items() for context in _CONTEXTS}
         for language, known in load_languages().items()

@@ -10,6 +10,7 @@ from ...core.heads.built_in import HeadPart, load_head
 from ..frames import to_blender
 from ..meshes import write_landmarks, write_regions
 from ..names import PART_OBJECTS, PART_PROPERTY, TONGUE_KEY, UV_MAP
+from .attached import attach
 from .materials import head_materials
 
 
@@ -41,6 +42,7 @@ def add_head(context: bpy.types.Context, *, units: bool = False, name: str = "Fa
     collection.objects.link(skin)
     write_regions(skin, head.regions)
     parts = [_add_part(collection, skin, part, materials[part.name]) for part in head.parts]
+    attach(skin, {part.name: obj for part, obj in zip(head.parts, parts, strict=True)})
     if units:
         _add_units(skin, head.vertices, head.unit_names, head.units)
         for obj, part in zip(parts, head.parts, strict=True):

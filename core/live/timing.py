@@ -13,8 +13,12 @@ from ..arrays import FloatArray
 
 STAGES = ("wait", "track", "drive", "hand over", "write")
 """Until the worker takes the frame; landmarks; vertices; until Blender's main thread asks; writing to the mesh."""
+REDRAW = "redraw"
+"""Until Blender has redrawn its viewports, which follows the mesh and is no part of the delay."""
 _KEPT = 300
 """Frames over which delays are measured."""
+_REDRAWS = 20
+"""Redraws that are measured: another view or shading changes how long they take, which is said at once."""
 _RECENT = 2.0
 """Seconds over which the rate is measured."""
 _NOTABLE = 0.004
@@ -39,11 +43,16 @@ class Stopwatch:
     def __init__(self) -> None:
         self._delays: deque[tuple[float, ...]] = deque(maxlen=_KEPT)
         self._when: deque[float] = deque(maxlen=_KEPT)
+        self._redraws: deque[float] = deque(maxlen=_REDRAWS)
 
     def add(self, delays: Delays) -> None:
         """Add a frame."""
         self._delays.append(delays.stages)
         self._when.append(perf_counter())
+
+    def add_redraw(self, seconds: float) -> None:
+        """Add the time that Blender took to redraw after a frame."""
+        self._redraws.append(seconds)
 
     def __len__(self) -> int:
         return len(self._delays)
@@ -69,11 +78,19 @@ class Stopwatch:
         rows = np.percentile(np.column_stack([table, table.sum(axis=1)]), wanted, axis=0).T
         return {name: tuple(row) for name, row in zip((*STAGES, "total"), rows.tolist(), strict=True)}
 
+    @property
+    def redraw(self) -> float:
+        """Median seconds until Blender has redrawn; 0 if that is not known."""
+        return float(np.median(self._redraws)) if self._redraws else 0.0
+
     def slowest(self) -> str:
-        """The slowest stage, or "" if all are fast."""
-        medians = self.medians()
-        name = max(medians, key=lambda stage: medians[stage], default="")
-        return name if name and medians[name] > _NOTABLE else ""
+        """The slowest stage, or `REDRAW`, or "" if all are fast.
+
+        While Blender redraws, the worker goes on with newer frames: a slow redraw shows in no stage.
+        """
+        spans = {**self.medians(), REDRAW: self.redraw}
+        name = max(spans, key=lambda stage: spans[stage])
+        return name if spans[name] > _NOTABLE else ""
 
     def _table(self) -> FloatArray:
         return np.array(tuple(self._delays), dtype=np.float64).reshape(-1, len(STAGES))

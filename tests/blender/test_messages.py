@@ -58,7 +58,7 @@ def test_an_unknown_message_is_left_unchanged():
 
 
 def test_an_error_of_core_is_reported_in_chinese(monkeypatch, tmp_path):
-    monkeypatch.setattr(messages, "pgettext_rpt", lookup)
+    monkeypatch.setattr(messages, "pgettext_rpt", lambda text, context: lookup(text))
     add_head(bpy.context)
     bpy.context.scene.facemime.source.kind = "TAKE"
     bpy.context.scene.facemime.source.take = str(tmp_path / "none.facetake")

@@ -203,7 +203,7 @@ def test_the_video_is_kept_beside_the_take_and_plays_beside_the_head_in_sync(fps
     with VideoSource(video) as frames:
         assert len(list(frames)) == round(take.times[-1] * 30.0) + 1
     assert bpy.ops.facemime.trim_take(start=0.5, end=9.0) == {"FINISHED"}
-    trimmed = takes_store.read(takes.items[0])
+    trimmed = takes_store.read(takes.items[1])
     assert bpy.ops.facemime.add_reference() == {"FINISHED"}
     empty = scene.objects["Seen Reference"]
     for frame in (1, 2, fps // 2, fps):

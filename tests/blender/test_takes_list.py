@@ -58,41 +58,53 @@ def test_deleting_the_head_stops_showing_the_take(imported):
     assert Session.current is None
 
 
-def test_trimming_and_mending_write_new_files_and_keep_the_old_one(imported, tmp_path):
-    before = imported.path
+def test_trimming_and_mending_add_takes_below_the_original(imported, takes, tmp_path):
+    save_take(performance(20), tmp_path / "Other.facetake")
+    bpy.ops.facemime.import_take(filepath=str(tmp_path / "Other.facetake"))
+    takes.index, before = 0, (tmp_path / "First.facetake").read_bytes()
     assert bpy.ops.facemime.trim_take(start=0.4, end=1.6) == {"FINISHED"}
-    trimmed = takes_store.read(imported)
+    trimmed = takes_store.read(takes.items[1])
+    assert takes.index == 1 and takes.items[1].length == pytest.approx(1.16)
     assert trimmed.times[0] == 0.0 and trimmed.times[-1] == pytest.approx(1.16)
-    assert imported.length == pytest.approx(1.16) and (tmp_path / "First.facetake").is_file()
     assert bpy.ops.facemime.mend_take(outliers=True, gaps="bridge", smooth=True) == {"FINISHED"}
-    mended = takes_store.read(imported)
+    mended = takes_store.read(takes.items[2])
     assert mended.found.all() and not trimmed.found.all() and mended.info["smoothed"] == "zero-phase"
-    imported.path = before
-    assert len(takes_store.read(imported)) == len(performance())
+    names = ["First", "First_Trimmed", "First_Trimmed_Mended", "Other"]
+    assert [line.name for line in takes.items] == names and takes.index == 2
+    assert (tmp_path / "First.facetake").read_bytes() == before
+    assert len(takes_store.read(takes.items[0])) == len(performance())
     with pytest.raises(RuntimeError, match="There is no frame"):
         bpy.ops.facemime.trim_take(start=8.0, end=9.0)
 
 
-def test_mirroring_a_take_twice_restores_it(imported):
+@pytest.mark.parametrize(
+    ("keep", "preview", "first", "last"),
+    [("TIMELINE", True, 11, 31), ("TIMELINE", False, 6, 41), ("FROM", False, 21, 60), ("TO", False, 1, 21)],
+)
+def test_a_take_is_trimmed_by_the_timeline(imported, takes, keep, preview, first, last):
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end, scene.use_preview_range = 6, 41, preview
+    if preview:
+        scene.frame_preview_end, scene.frame_preview_start = 31, 11
+    scene.frame_set(21)
+    whole = takes_store.read(imported)
+    assert bpy.ops.facemime.trim_take(keep=keep) == {"FINISHED"}
+    trimmed = takes_store.read(takes.items[1])
+    np.testing.assert_array_equal(trimmed.shape, whole.shape[first - 1 : last])
+
+
+def test_mirroring_a_take_twice_restores_it(imported, takes):
     before = takes_store.read(imported)
     only_mirror = {"outliers": False, "gaps": "leave", "smooth": False, "mirror": True}
     assert bpy.ops.facemime.mend_take(**only_mirror) == {"FINISHED"}
-    once = takes_store.read(imported)
+    once = takes_store.read(takes.items[1])
     np.testing.assert_allclose(once.pose[:, 2], -before.pose[:, 2])
     np.testing.assert_allclose(once.pose[:, 4], 639.0 - before.pose[:, 4])
     assert np.nanmax(np.abs(before.pose[:, 2])) > 0.0
     assert bpy.ops.facemime.mend_take(**only_mirror) == {"FINISHED"}
-    twice = takes_store.read(imported)
+    twice = takes_store.read(takes.items[2])
     np.testing.assert_allclose(twice.pose, before.pose)
     np.testing.assert_allclose(twice.landmarks, before.landmarks, atol=1e-3)
-
-
-def test_mending_can_draw_the_curves_as_an_image(imported):
-    assert bpy.ops.facemime.mend_take(picture=True) == {"FINISHED"}
-    image = bpy.data.images["First Mended"]
-    assert image.packed_file is not None and min(image.size) > 500
-    pixels = np.array(image.pixels[:]).reshape(-1, 4)
-    assert (pixels == 1.0).all(axis=1).mean() > 0.8 and (np.ptp(pixels[:, :3], axis=1) > 0.2).any()
 
 
 def test_neutral_here_uses_the_face_at_the_current_frame(imported):
@@ -112,7 +124,7 @@ def test_another_take_is_inserted_by_punch_in(imported, takes, tmp_path):
     bpy.ops.facemime.import_take(filepath=str(tmp_path / "Retake.facetake"))
     takes.index = 0
     assert bpy.ops.facemime.punch_in_take(other="Retake", start=1.4, blend=0.1) == {"FINISHED"}
-    take = takes_store.read(takes.items[0])
+    take = takes_store.read(takes.items[1])
     np.testing.assert_allclose(take.shape[40], other.shape[5], atol=2e-4)
     assert take.info["punched_in"] == [[pytest.approx(1.4), pytest.approx(1.4 + 19 / 25)]]
     with pytest.raises(RuntimeError, match="This take is not in the list"):

@@ -25,6 +25,7 @@ from clocks import AskedClock
 
 import facemime
 from facemime.core.live.sources import PacedSource
+from facemime.operators.attached_parts import attend as attend_parts
 from facemime.sessions.session import Session
 from live_ticks import attend
 from steps import NAMES, OURS, STAND_INS, STEPS, Files, Stage
@@ -53,6 +54,8 @@ def play(seed: int, count: int, files: Files, bare: bool, only: set[int] | None)
         try:
             with redirect_stderr(printed):
                 STEPS[name](stage)
+                if not bare:
+                    let_parts_follow()
         except RuntimeError as error:
             if not expected(error):
                 print(f"fault {name}\n{error}", flush=True)
@@ -67,6 +70,12 @@ def play(seed: int, count: int, files: Files, bare: bool, only: set[int] | None)
         print("fault a session goes on", flush=True)
     if left := [thread.name for thread in threading.enumerate() if thread.name.startswith("facemime")]:
         print(f"fault threads are left: {left}", flush=True)
+
+
+def let_parts_follow() -> None:
+    """Update the scene, and let the timer do what is due."""
+    bpy.context.view_layer.update()
+    attend_parts()
 
 
 def main(arguments: list[str]) -> None:

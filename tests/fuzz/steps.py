@@ -229,6 +229,25 @@ def remove_object(stage: Stage) -> None:
 
 
 @pushed
+def hide(stage: Stage) -> None:
+    """Hide or show any object, as the eye icon of the outliner does."""
+    if (obj := stage.any_of(bpy.context.view_layer.objects)) is not None:
+        obj.hide_set(not obj.hide_get())
+
+
+@pushed
+def append(stage: Stage) -> None:
+    """A head from the file that was saved."""
+    if not stage.files.blend.exists() or bpy.context.mode != "OBJECT":
+        return
+    with bpy.data.libraries.load(str(stage.files.blend), link=bool(stage.rng.random() < 0.3)) as (found, chosen):
+        chosen.objects = found.objects[:1]
+    for obj in chosen.objects:
+        if obj is not None and bpy.context.scene.collection.is_editable:
+            bpy.context.scene.collection.objects.link(obj)
+
+
+@pushed
 def rename(stage: Stage) -> None:
     """Whatever is active."""
     if (obj := stage.active()) is not None and obj.library is None:
@@ -387,6 +406,8 @@ BLENDERS: dict[str, Callable[[Stage], None]] = {
     "delete globally": operator("object.delete", use_global=True),
     "remove object": remove_object,
     "rename": rename,
+    "hide": hide,
+    "append": append,
     "duplicate": operator("object.duplicate"),
     "duplicate linked": operator("object.duplicate", linked=True),
     "join": operator("object.join"),

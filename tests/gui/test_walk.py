@@ -203,7 +203,8 @@ def test_a_take_is_recorded_shown_edited_and_baked_by_clicks(blender, sidebar):
     blender.wait_for(f"moved({HEAD}) == 0.0")
     for button in ("trim_take", "mend_take"):
         confirm(sidebar, f"bpy.ops.facemime.{button}")
-    assert blender.get(f"store.read({LINE}).info['smoothed']") == "zero-phase"
+    takes = "bpy.context.scene.facemime_takes"
+    assert blender.get(f"store.read({takes}.items[{takes}.index]).info['smoothed']") == "zero-phase"
     run_in_viewport(blender, "add_reference")
     blender.wait_for("'mine Reference' in bpy.data.objects")
     sidebar.press("bpy.ops.facemime.bake_take")

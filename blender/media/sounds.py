@@ -1,0 +1,32 @@
+"""Short sounds for performers, who look at the camera and not at the screen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+_PITCH, _SECONDS, _FADE, _VOLUME = 880.0, 0.2, 0.05, 0.3
+"""Hertz; seconds of the sound, and of its fade at the end."""
+
+
+class _Output:
+    """The audio device, which is opened once, and what is played."""
+
+    device: Any = None
+    playing: Any = None
+
+
+def beep() -> bool:
+    """Play a short tone, and return whether there is an audio device for it."""
+    if not bpy.app.build_options.audaspace:
+        return False
+    import aud
+
+    try:
+        _Output.device = _Output.device or aud.Device()
+        tone = aud.Sound.sine(_PITCH).limit(0.0, _SECONDS).fadeout(_SECONDS - _FADE, _FADE).volume(_VOLUME)
+        _Output.playing = _Output.device.play(tone)
+    except aud.error:
+        return False
+    return True

@@ -1,0 +1,83 @@
+"""A recording may start after a countdown, which Esc cancels, and performers hear what they cannot see."""
+
+import time
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+from facemime.blender.heads.built_in import add_head
+from facemime.blender.media.sounds import beep
+from facemime.operators import puppet
+from facemime.operators.puppet import running
+from facemime.settings.preferences import preferences
+from live_ticks import TIMER, let_a_frame_come, start, tick, ticks_until
+
+pytestmark = pytest.mark.usefixtures("in_a_project", "looping")
+ESC = SimpleNamespace(type="ESC", value="PRESS", ctrl=False, oskey=False, mouse_x=0, mouse_y=0)
+
+
+@pytest.fixture
+def beeps(monkeypatch):
+    """Times at which a sound was played."""
+    heard = []
+    monkeypatch.setattr("facemime.sessions.live.beep", lambda: heard.append(time.perf_counter()))
+    return heard
+
+
+@pytest.fixture
+def puppet_running():
+    """A puppet whose recordings have a countdown."""
+    add_head(bpy.context)
+    start()
+    bpy.context.scene.facemime_takes.countdown = "3"
+
+
+def test_a_recording_starts_after_the_countdown_with_a_beep(puppet_running, beeps):
+    session = running()
+    assert bpy.ops.facemime.record_take() == {"FINISHED"}
+    assert session.recording is None and 0.0 < session.countdown <= 3.0 and "recording starts" in session.task
+    session._record_at = (time.perf_counter() - 1.0, *session._record_at[1:])
+    ticks_until(lambda: session.recording is not None and session.recording.frames > 2)
+    assert session.countdown is None and len(beeps) == 1
+    assert bpy.ops.facemime.record_take() == {"FINISHED"}
+    assert len(bpy.context.scene.facemime_takes.items) == 1
+
+
+def test_esc_in_the_viewport_cancels_the_countdown_and_not_the_puppet(puppet_running, monkeypatch):
+    monkeypatch.setattr(puppet, "viewport_under", lambda *_: True)
+    bpy.ops.facemime.record_take()
+    assert tick(ESC) == {"RUNNING_MODAL"} and running() is not None and running().countdown is None
+    assert tick(ESC) == {"FINISHED"} and running() is None
+
+
+def test_the_button_cancels_the_countdown(puppet_running, beeps):
+    bpy.ops.facemime.record_take()
+    bpy.ops.facemime.record_take()
+    assert running().countdown is None and running().recording is None and not beeps
+
+
+@pytest.mark.parametrize("sounds", [True, False])
+def test_the_end_of_a_calibration_is_heard_if_sounds_are_wanted(puppet_running, beeps, sounds):
+    preferences().sounds = sounds
+    session = running()
+    session.calibrate(countdown=0.0)
+    ticks_until(lambda: session.countdown is None)
+    assert len(beeps) == sounds
+    preferences().property_unset("sounds")
+
+
+def test_a_beep_without_an_audio_device_is_no_error():
+    assert beep() in (True, False)
+
+
+def test_a_slow_redraw_is_named_as_the_slowest_step(puppet_running):
+    session = running()
+    for _ in range(14):
+        number = session._number
+        while session._number == number:
+            let_a_frame_come()
+            session.operator.modal(bpy.context, TIMER)
+        time.sleep(0.06)
+    session.step()
+    assert session.stopwatch.slowest() == "redraw"

@@ -1,0 +1,88 @@
+"""Links to the documentation: in the headers of panels, and for Online Manual (F1) on Facemime's buttons.
+
+The pages of docs/ are published below the website of the extension's manifest.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from functools import lru_cache
+from pathlib import Path
+
+import bpy
+
+_MANIFEST = Path(__file__).resolve().parents[1] / "blender_manifest.toml"
+_WEBCAM, _OWN_HEAD, _TAKES = "tutorials/webcam.html", "tutorials/own_head.html", "takes.html"
+PANELS = {
+    "FACEMIME_PT_head": _OWN_HEAD,
+    "FACEMIME_PT_own_head": _OWN_HEAD,
+    "FACEMIME_PT_parts": f"{_OWN_HEAD}#the-parts-of-a-character",
+    "FACEMIME_PT_source": f"{_WEBCAM}#choose-your-camera",
+    "FACEMIME_PT_calibration": f"{_WEBCAM}#calibrate",
+    "FACEMIME_PT_regions": f"{_OWN_HEAD}#check-the-regions",
+    "FACEMIME_PT_control_points": "deformation.html#control-points-from-a-take",
+    "FACEMIME_PT_expression": f"{_WEBCAM}#adjust-the-expression",
+    "FACEMIME_PT_puppet": f"{_WEBCAM}#start-the-puppet",
+    "FACEMIME_PT_pose": f"{_WEBCAM}#start-the-puppet",
+    "FACEMIME_PT_bake": f"{_TAKES}#baking",
+    "FACEMIME_PT_takes": f"{_TAKES}#in-blender",
+    "FACEMIME_PT_take_bake": f"{_TAKES}#baking",
+    "FACEMIME_PT_key_map": f"{_TAKES}#key-mappings",
+}
+"""Page of each panel with a header."""
+_MANUAL = (
+    ("bpy.ops.facemime.bake_take*", f"{_TAKES}#baking"),
+    ("bpy.ops.facemime.mend_take*", f"{_TAKES}#mending"),
+    ("bpy.ops.facemime.take_from_animation*", f"{_TAKES}#takes-from-animation"),
+    ("bpy.ops.facemime.*take*", f"{_TAKES}#in-blender"),
+    ("bpy.ops.facemime.add_sound*", f"{_TAKES}#in-blender"),
+    ("bpy.ops.facemime.add_reference*", f"{_TAKES}#in-blender"),
+    ("bpy.ops.facemime.*key*", f"{_TAKES}#key-mappings"),
+    ("bpy.ops.facemime.*calibrate*", f"{_WEBCAM}#calibrate"),
+    ("bpy.ops.facemime.*performer*", f"{_WEBCAM}#calibrate"),
+    ("bpy.ops.facemime.*preset*", f"{_WEBCAM}#adjust-the-expression"),
+    ("bpy.ops.facemime.*puppet*", f"{_WEBCAM}#start-the-puppet"),
+    ("bpy.ops.facemime.*camera*", f"{_WEBCAM}#choose-your-camera"),
+    ("bpy.ops.facemime.add_head*", f"{_WEBCAM}#add-a-head"),
+    ("bpy.ops.facemime.*control_point*", "deformation.html#control-points-from-a-take"),
+    ("bpy.ops.facemime.*part*", f"{_OWN_HEAD}#the-parts-of-a-character"),
+    ("bpy.ops.facemime.*bone*", f"{_OWN_HEAD}#the-parts-of-a-character"),
+    ("bpy.ops.facemime.*region*", f"{_OWN_HEAD}#check-the-regions"),
+    ("bpy.ops.facemime.open_*", f"{_OWN_HEAD}#open-the-lips-and-the-eyes"),
+    ("bpy.ops.facemime.*landmark*", _OWN_HEAD),
+    ("bpy.ops.facemime.*", "index.html"),
+    ("bpy.types.facemimesource.*", f"{_WEBCAM}#choose-your-camera"),
+    ("bpy.types.facemimetake*", f"{_TAKES}#in-blender"),
+    ("bpy.types.facemimebake.*", f"{_TAKES}#baking"),
+    ("bpy.types.facemimekey*", f"{_TAKES}#key-mappings"),
+    ("bpy.types.facemimesteps.*", f"{_OWN_HEAD}#check-the-regions"),
+    ("bpy.types.facemimesettings.*", f"{_WEBCAM}#adjust-the-expression"),
+    ("bpy.types.facemime*", "index.html"),
+)
+"""Pages of operators and properties, in lower case as Blender looks them up; the first that matches counts."""
+
+
+@lru_cache(maxsize=1)
+def website() -> str:
+    """Return the address below which the documentation is published, with a slash at the end."""
+    return tomllib.loads(_MANIFEST.read_text(encoding="utf-8"))["website"].rstrip("/") + "/"
+
+
+def draw_link(layout: bpy.types.UILayout, panel: str) -> None:
+    """Draw an icon that opens the documentation of a panel, given the name of its class."""
+    layout.operator("wm.url_open", text="", icon="QUESTION", emboss=False).url = website() + PANELS[panel]
+
+
+def manual_map() -> tuple[str, tuple[tuple[str, str], ...]]:
+    """Return the pages of operators and properties, as Blender's Online Manual expects them."""
+    return website(), _MANUAL
+
+
+def register() -> None:
+    """Register the pages with Blender's Online Manual."""
+    bpy.utils.register_manual_map(manual_map)
+
+
+def unregister() -> None:
+    """Unregister the pages."""
+    bpy.utils.unregister_manual_map(manual_map)
