@@ -3,6 +3,7 @@
 import numpy as np
 
 from facemime.core.actions import N_ACTIONS
+from facemime.core.coefficient_names import N_COEFFICIENTS
 from facemime.core.heads.built_in import load_head
 from facemime.core.landmarks import OUTER_EYE_CORNERS, from_ibug
 from facemime.core.takes.take import Take
@@ -34,6 +35,7 @@ def make_take(
         gaze=np.full((count, 2), np.nan, np.float32) if gaze is None else gaze,
         vergence=np.full(count, np.nan, np.float32),
         actions=np.full((count, N_ACTIONS), np.nan, np.float32),
+        coefficients=np.full((count, N_COEFFICIENTS), np.nan, np.float32),
         info={"source": "performance.mp4", "fps": fps, "image_size": [640, 480]},
     )
 

@@ -19,6 +19,7 @@ COEFFICIENTS = tuple(sorted([*_SINGLE, *(name + side for name in _SIDED for side
 """Names of the 52 coefficients, alphabetically; left and right are the performer's own."""
 COEFFICIENT_INDEX = {name: i for i, name in enumerate(COEFFICIENTS)}
 """Column of each coefficient."""
+N_COEFFICIENTS = len(COEFFICIENTS)
 FITTED: NDArray[np.intp] = np.array([i for i, name in enumerate(COEFFICIENTS) if not name.startswith("eyeLook")])
 """(44,) columns of the coefficients that are fitted; the others are the direction of the eyes."""
 _EXCLUSIVE = (
