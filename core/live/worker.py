@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
 from typing import Any, Protocol
@@ -21,6 +21,7 @@ from ..drive.driver import HeadDriver, HeadFrame
 from ..drive.settings import DriveSettings
 from ..errors import FacemimeError, OutputError
 from ..heads.rig import HeadRig
+from ..takes.between import at_rest, between
 from ..takes.neutral import Neutral
 from ..takes.take import Take, TakeRecorder
 from ..tracking.overlay import draw_preview
@@ -201,6 +202,7 @@ class LiveWorker:
         self.neutral = neutral
         self._load_tracker = load_tracker
         self._calibration: NeutralCalibration | RangeCalibration | None = None
+        self._stated: Neutral | None = None
         self._first = None if neutral is not None else NeutralCalibration(asked=False)
         self._recorder: Recorder | None = None
         self._recording = threading.Lock()
@@ -320,11 +322,14 @@ class LiveWorker:
         began = perf_counter()
         options = self.options
         seen = self._tracked(tracker, frame, options.face)
-        self._record((frame.time, seen, frame.image))
-        result = self._smoothed(seen, frame.time, options.smoothing)
+        self._adopt(frame.neutral)
+        if not frame.filled:
+            self._record((frame.time, seen, frame.image))
+            self._recent.append((frame.time, seen))
+        result = self._smoothed(self._eased(seen, frame.rest), frame.time, options.smoothing)
         tracked = perf_counter()
-        self._recent.append((frame.time, seen))
-        self._calibrate(frame.time, result)
+        if not frame.filled:
+            self._calibrate(frame.time, result)
         heads = self._driven(result)
         prepared = tuple(head.prepare(shown) for head, shown in zip(self._driven_heads, heads, strict=False))
         driven = perf_counter()
@@ -348,6 +353,16 @@ class LiveWorker:
             self._next_face = False
             tracker.choose_next()
         return tracker.track(frame.image)
+
+    def _adopt(self, neutral: Neutral | None) -> None:
+        """Take over the neutral face of a source that states it, once, so that it can be calibrated afterwards."""
+        if neutral is not None and neutral is not self._stated:
+            self._stated = self.neutral = neutral
+
+    def _eased(self, seen: TrackResult, rest: float) -> TrackResult:
+        if rest <= 0.0 or not seen.found or self.neutral is None:
+            return seen
+        return between(seen, at_rest(self.neutral, seen), rest)
 
     def _smoothed(self, seen: TrackResult, time: float, amount: float) -> TrackResult:
         if amount <= 0.0:
@@ -377,7 +392,8 @@ class LiveWorker:
         if asked is not None and asked.add(time, result):
             quality = asked.quality()
             try:
-                self.neutral = asked.neutral()
+                measured = self._stated is not None
+                self.neutral = replace(asked.neutral(), measured=measured)
             except FacemimeError as error:
                 quality = Quality(False, str(error))
             self.quality = quality

@@ -127,7 +127,7 @@ def _message(data: bytes) -> Message:
             value = _FLAGS[tag]
         elif (kind := _NUMBERS.get(tag)) is not None and at + kind.size <= len(data):
             (value,), at = kind.unpack_from(data, at), at + kind.size
-            if not isfinite(value):
+            if not isfinite(float(value)):
                 raise PacketError("a number is not finite")
         else:
             raise PacketError("an OSC argument is missing or of an unknown type")

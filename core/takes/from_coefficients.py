@@ -6,6 +6,7 @@ Streams of phones and VTuber programs, and tables of coefficients, thus drive an
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -55,10 +56,13 @@ class CoefficientFace:
         TrackResult
             With the coefficients, and the pose-free shape that they give.
         """
-        values = np.clip(values, 0.0, 1.0)
+        pose = pose_of(euler_to_matrix(*rotation), np.zeros(3) if moved is None else np.asarray(moved) / self.unit)
+        return self.posed(np.clip(values, 0.0, 1.0), pose)
+
+    def posed(self, values: FloatArray, pose: FloatArray) -> TrackResult:
+        """As `result`, for `values` (52,) from 0 to 1 and a `pose` (6,) as in `TrackResult`."""
         shape = self._rest + np.tensordot(values[FITTED], self._units, 1)
-        turn = euler_to_matrix(*rotation)
-        pose = pose_of(turn, np.zeros(3) if moved is None else np.asarray(moved) / self.unit)
+        turn = euler_to_matrix(*pose[1:4])
         gaze, vergence = gaze_of(values[LOOKS])
         return TrackResult(
             found=True,
@@ -72,6 +76,12 @@ class CoefficientFace:
             vergence=vergence,
             coefficients=values,
         )
+
+
+@lru_cache(maxsize=1)
+def coefficient_face() -> CoefficientFace:
+    """Return the face that all streams and tables share."""
+    return CoefficientFace()
 
 
 def _at_rest(shape: FloatArray) -> Neutral:
