@@ -27,7 +27,6 @@ PORT, PHONE_PORT, FACEMOTION_PORT = 49983, 49983, 49993
 START = b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719|sendDataVersion=v2"
 FACEMOTION_START = b"FACEMOTION3D_OtherStreaming"
 """What asks the phone to send, to `PHONE_PORT` and `FACEMOTION_PORT`."""
-STOP = b"StopStreaming_FACEMOTION3D"
 _VALUE = re.compile(r"([A-Za-z][A-Za-z0-9_]{0,63})[-&](-?\d{1,6}(?:\.\d{1,9})?)")
 _NUMBERS = re.compile(r"=?(head|rightEye|leftEye)#(-?[\d.eE+-]{1,24}(?:,-?[\d.eE+-]{1,24}){2,5})")
 _MAX_PARTS, _MIN_NAMES = 400, 10

@@ -39,8 +39,8 @@ _OURS = np.concatenate([PLACES, _INNER])
 _THEIRS = np.concatenate([NUMBERS, _INNER_NUMBERS])
 _AXES = np.array([-1.0, 1.0, 1.0])
 """From their axes, to the viewer's left, down and away, to those of the head frame, and back."""
-_CAMERA = -np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""From a rotation in the head frame to theirs, whose camera has rows first, and whose head looks along z."""
+_CAMERA = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""From a rotation in the head frame to theirs, whose camera has rows first, and depths that are negative."""
 _EYE_DEPTH = 0.385
 """Depth of the centre of an eyeball behind its corners, as a share of their distance."""
 
@@ -176,7 +176,7 @@ def encode(result: TrackResult, time: float, rest: FloatArray | None = None) -> 
         *(time, 0, *map(float, IMAGE_SIZE), *opened.tolist(), 1, 0.0),
         *to_quaternion(turned.T),  # as OpenSeeFace has it
         *angles,
-        *(float(y), float(x), depth),
+        *(-float(y), -float(x), -depth),
     )
     tail = np.concatenate([confidence, points.ravel(), (places * _AXES).ravel(), _features(result.shape, rest, opened)])
     return bytes(head + tail.astype("<f4").tobytes())

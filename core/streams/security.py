@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import os
 import secrets
 from pathlib import Path
 
-from ..errors import SourceError
-from ..files import replacing
+from ..errors import OutputError, SourceError
 from ..reading import read_bytes
 
 TAG_BYTES, NONCE_BYTES, SESSION_BYTES = 16, 16, 8
@@ -43,11 +43,14 @@ def read_key(path: Path) -> bytes:
 
 
 def write_key(path: Path) -> None:
-    """Write a new random key to a file that only its owner can read; OutputError if it cannot be written."""
-    with replacing(Path(path)) as temporary:
-        temporary.touch(mode=0o600)
-        temporary.chmod(0o600)
-        temporary.write_text(secrets.token_hex(32) + "\n", encoding="ascii")
+    """Write a new random key to a new file that only its owner can read; OutputError if it cannot be written."""
+    try:
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+            file.write(secrets.token_hex(32) + "\n")
+    except FileExistsError as error:
+        raise OutputError(f"{path} exists already, and a key is never replaced. Choose another name.") from error
+    except OSError as error:
+        raise OutputError(f"The key {path} cannot be written ({error.strerror}). Choose another place.") from error
 
 
 def sign(key: bytes, *parts: bytes) -> bytes:
