@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import socket
 from dataclasses import dataclass
 from random import Random
 from typing import Any
@@ -40,3 +41,10 @@ class Link:
                 if rng.random() >= self.loss and not self.cut[0] <= sent < self.cut[1]:
                     heapq.heappush(arrivals, (sent + late, number, packet))
         return [(arrival, packet) for arrival, _, packet in (heapq.heappop(arrivals) for _ in range(len(arrivals)))]
+
+
+def free_port() -> int:
+    """A port of this computer that nobody uses."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

@@ -65,6 +65,26 @@ class Recorder(Protocol):
         """End the recording."""
 
 
+class Output(Protocol):
+    """Interface of what passes the performance on, such as a stream; it must neither wait nor raise."""
+
+    def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
+        """Pass a frame on.
+
+        Parameters
+        ----------
+        time : float
+            Seconds in the source.
+        result : TrackResult
+            Smoothed according to the options.
+        neutral : Neutral or None
+            The performer's neutral face, if it is known.
+        """
+
+    def close(self) -> None:
+        """End the output."""
+
+
 @dataclass(frozen=True)
 class LiveOptions:
     """Options that may change during a session.
@@ -164,6 +184,8 @@ class LiveWorker:
         Initial options.
     load_tracker : callable
         Returns the tracker; called in the thread, as it takes a moment.
+    output : Output, optional
+        Gets every frame; closed with the worker.
 
     Attributes
     ----------
@@ -191,6 +213,7 @@ class LiveWorker:
         heads: tuple[LiveHead, ...] = (),
         options: LiveOptions = LiveOptions(),
         load_tracker: Callable[[], FaceTracker] = _LOAD_TRACKER,
+        output: Output | None = None,
     ) -> None:
         self.source, self.heads, self.options = source, heads, options
         self.latest: LiveResult | None = None
@@ -200,7 +223,7 @@ class LiveWorker:
         self.recording_error: OutputError | None = None
         self.quality: Quality | None = None
         self.neutral = neutral
-        self._load_tracker = load_tracker
+        self._load_tracker, self.output = load_tracker, output
         self._calibration: NeutralCalibration | RangeCalibration | None = None
         self._stated: Neutral | None = None
         self._first = None if neutral is not None else NeutralCalibration(asked=False)
@@ -252,6 +275,8 @@ class LiveWorker:
         self.source.close()
         if self._thread.is_alive():
             self._thread.join(_ENDING)
+        if self.output is not None:
+            self.output.close()
         self.stop_recording()
 
     def calibrate(self, *, range_of: Neutral | None = None) -> None:
@@ -330,6 +355,8 @@ class LiveWorker:
         tracked = perf_counter()
         if not frame.filled:
             self._calibrate(frame.time, result)
+        if self.output is not None:
+            self.output.send(frame.time, result, self.neutral)
         heads = self._driven(result)
         prepared = tuple(head.prepare(shown) for head, shown in zip(self._driven_heads, heads, strict=False))
         driven = perf_counter()

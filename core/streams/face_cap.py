@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..coefficient_names import COEFFICIENT_INDEX
 from . import osc
-from .frames import FaceValues, PacketError, StreamFrame, checked, finite, from_face_axes, no_coefficients
+from .frames import FaceValues, PacketError, StreamFrame, checked, finite, no_coefficients, turned
 
 PORT = 8080
 NAMES: tuple[str, ...] = (
@@ -64,7 +64,7 @@ class FaceCapDecoder:
 
     def _pose(self, address: str, values: tuple[float, ...]) -> None:
         if address == "/HR":
-            self._rotation = from_face_axes(*(angle * pi / 180.0 for angle in values))
+            self._rotation = turned(*(angle * pi / 180.0 for angle in values))
         elif address == "/HT":
             self._position = np.array(values) * (1.0, -1.0, -1.0)
 

@@ -6,7 +6,6 @@ messages are constants, so that a bad packet costs next to nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import Protocol
@@ -14,8 +13,8 @@ from typing import Protocol
 import numpy as np
 
 from ..arrays import FloatArray
-from ..coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
-from ..rotation import euler_to_matrix, matrix_to_euler
+from ..coefficient_names import N_COEFFICIENTS
+from ..rotation import from_face_axes
 from ..tracking.result import TrackResult
 
 MAX_DATAGRAM = 16_384
@@ -78,25 +77,6 @@ class Decoder(Protocol):
         """Return the frames that `data` completes, most often one; PacketError if it is malformed."""
 
 
-def _spellings() -> dict[str, int]:
-    """Column of each coefficient by all its names: `eyeBlinkLeft`, `EyeBlinkLeft`, `eyeBlink_L`, in lower case."""
-    found = {}
-    for name, column in COEFFICIENT_INDEX.items():
-        found[name.lower()] = column
-        for side in ("Left", "Right"):
-            if name.endswith(side):
-                found[f"{name.removesuffix(side)}_{side[0]}".lower()] = column
-    return found
-
-
-SPELLINGS: Mapping[str, int] = _spellings()
-
-
-def column_of(name: str) -> int | None:
-    """Column of a coefficient by any of its usual names; None for other names."""
-    return SPELLINGS.get(name.lower())
-
-
 def no_coefficients() -> FloatArray:
     """(52,) coefficients of a face at rest, to be filled in."""
     return np.zeros(N_COEFFICIENTS)
@@ -121,30 +101,11 @@ def finite(value: float) -> float:
     return value
 
 
-def from_face_axes(x: float, y: float, z: float) -> FloatArray:
-    """Convert angles about the axes of ARKit's face anchor: to the viewer's right, up and towards the viewer.
-
-    Parameters
-    ----------
-    x, y, z : float
-        Radians; the head turns about z first, then x, then y.
-
-    Returns
-    -------
-    (3,) float64
-        Pitch, yaw and roll, as in `TrackResult`.
-    """
+def turned(x: float, y: float, z: float) -> FloatArray:
+    """(3,) pitch, yaw and roll of angles as `from_face_axes` takes them; PacketError if they are impossible."""
     if not all(abs(finite(angle)) <= _MAX_ANGLE for angle in (x, y, z)):
         raise PacketError("an angle is impossible")
-    turn = euler_to_matrix(0.0, -y, 0.0) @ euler_to_matrix(x, 0.0, 0.0) @ euler_to_matrix(0.0, 0.0, -z)
-    return np.array(matrix_to_euler(turn))
-
-
-def to_face_axes(rotation: FloatArray) -> tuple[float, float, float]:
-    """Angles (x, y, z), radians, of which `from_face_axes` makes `rotation`, (3,) pitch, yaw and roll."""
-    turn = euler_to_matrix(*rotation)
-    x = float(np.arctan2(-turn[1, 2], np.hypot(turn[1, 0], turn[1, 1])))
-    return x, -float(np.arctan2(turn[0, 2], turn[2, 2])), -float(np.arctan2(turn[1, 0], turn[1, 1]))
+    return from_face_axes(x, y, z)
 
 
 def from_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:

@@ -11,15 +11,15 @@ from math import pi
 
 import numpy as np
 
+from ..coefficient_names import column_of
 from .frames import (
     MAX_DATAGRAM,
     FaceValues,
     PacketError,
     StreamFrame,
     checked,
-    column_of,
-    from_face_axes,
     no_coefficients,
+    turned,
 )
 
 PORT, PHONE_PORT, FACEMOTION_PORT = 49983, 49983, 49993
@@ -56,7 +56,7 @@ class IFacialMocapDecoder:
         head = poses.get("head", ())
         if known < _MIN_NAMES or len(head) != 6:
             raise PacketError("the face or its pose is missing")
-        rotation = from_face_axes(*(angle * pi / 180.0 for angle in head[:3]))
+        rotation = turned(*(angle * pi / 180.0 for angle in head[:3]))
         # ARKit's axes are to the viewer's right, up and towards the viewer.
         position = np.array(head[3:]) * (1.0, -1.0, -1.0)
         return [StreamFrame(checked(FaceValues(coefficients, rotation, position)))]

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from ..coefficient_names import COEFFICIENT_INDEX
+from ..rotation import to_face_axes
 from .frames import (
     MAX_SUBJECT,
     FaceValues,
@@ -20,9 +21,8 @@ from .frames import (
     StreamFrame,
     checked,
     finite,
-    from_face_axes,
     no_coefficients,
-    to_face_axes,
+    turned,
 )
 
 PORT = 11111
@@ -88,7 +88,7 @@ class LiveLinkDecoder:
         yaw, pitch, roll = (finite(value) * self._unit for value in values[52:55])
         for value in values[55:]:
             finite(value)
-        return [StreamFrame(checked(FaceValues(coefficients, from_face_axes(pitch, yaw, roll))), subject, time)]
+        return [StreamFrame(checked(FaceValues(coefficients, turned(pitch, yaw, roll))), subject, time)]
 
 
 def encode(face: FaceValues | None, time: float, *, subject: str, device: str, rate: int = 60) -> bytes:

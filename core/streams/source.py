@@ -34,7 +34,7 @@ _RATE, _BURST = 8000.0, 2000.0
 """Packets per second that are looked at, and how many at once; VMC may send one for each value."""
 _DRAINED = 512
 """Packets that are read before the next frame is shown."""
-_LATE = 0.1
+_LATE = 0.25
 """Seconds by which a frame may be late before it is skipped."""
 _MOST_APART = 1.0
 """Seconds by which two clocks may differ from one frame to the next."""
@@ -100,6 +100,8 @@ class StreamSource(LiveSource):
     settings : StreamSettings
     clock : callable, optional
         Returns seconds; tests replace it.
+    every : bool
+        Whether frames that `read` is late for are played nevertheless, as a recording needs them.
 
     Attributes
     ----------
@@ -113,13 +115,15 @@ class StreamSource(LiveSource):
         If the settings cannot be used, or the key cannot be read.
     """
 
-    def __init__(self, settings: StreamSettings, clock: Callable[[], float] = perf_counter) -> None:
+    def __init__(
+        self, settings: StreamSettings, clock: Callable[[], float] = perf_counter, *, every: bool = False
+    ) -> None:
         self.settings = settings.checked()
         self._protocol = PROTOCOLS[self.settings.protocol]
         self.name = f"{self._protocol.label} on port {self.settings.port}"
         self.counts = StreamCounts()
         self.address: Address = ("", 0)
-        self._clock = clock
+        self._clock, self._late = clock, np.inf if every else _LATE
         self._own = OwnReceiver(self.settings.secret()) if self.settings.protocol == OWN else None
         self._signs = np.array([-1.0 if axis in self.settings.flip else 1.0 for axis in AXES])
         self._socket: socket.socket | None = None
@@ -315,7 +319,7 @@ class StreamSource(LiveSource):
             if shown is not None and next_one.predicted:
                 break
             shown, dropped = next_one, dropped + (not next_one.predicted)
-            if now - next_one.due <= _LATE:
+            if now - next_one.due <= self._late:
                 break
         if shown is None:
             return self._timeline.filled(now)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..bake.key_map import presets
-from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS
+from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
 from ..rotation import euler_to_matrix, matrix_to_euler
 from . import osc
 from .frames import (
@@ -17,7 +17,6 @@ from .frames import (
     PacketError,
     StreamFrame,
     checked,
-    column_of,
     finite,
     from_quaternion,
     no_coefficients,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..coefficient_names import column_of
 from ..reading import parse_json
 from .frames import (
     MAX_DATAGRAM,
@@ -15,10 +16,9 @@ from .frames import (
     PacketError,
     StreamFrame,
     checked,
-    column_of,
     finite,
-    from_face_axes,
     no_coefficients,
+    turned,
 )
 
 PORT = 21412
@@ -52,7 +52,7 @@ class VTubeStudioDecoder:
             return [StreamFrame(None, time=1e-3 * stamp)]
         coefficients = _coefficients(packet.get("BlendShapes"))
         x, y, z = _vector(packet.get("Rotation"))
-        rotation = from_face_axes(*(angle * pi / 180.0 for angle in (x, y, z)))
+        rotation = turned(*(angle * pi / 180.0 for angle in (x, y, z)))
         # In centimetres, to the viewer's right, up and towards the viewer.
         position = 0.01 * np.array(_vector(packet.get("Position"))) * (1.0, -1.0, -1.0)
         return [StreamFrame(checked(FaceValues(coefficients, rotation, position)), time=1e-3 * stamp)]

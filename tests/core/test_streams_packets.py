@@ -14,16 +14,14 @@ from pythonosc.osc_packet import OscPacket
 
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS
 from facemime.core.landmarks import IBUG68_INDICES, MOUTH_CORNERS
-from facemime.core.rotation import euler_to_matrix
+from facemime.core.rotation import euler_to_matrix, from_face_axes, to_face_axes
 from facemime.core.streams import datagram, ifacialmocap, live_link, openseeface, osc, vmc, vtube_studio
 from facemime.core.streams.face_cap import NAMES, FaceCapDecoder
 from facemime.core.streams.frames import (
     MAX_DATAGRAM,
     FaceValues,
     PacketError,
-    from_face_axes,
     from_quaternion,
-    to_face_axes,
     to_quaternion,
 )
 from facemime.core.streams.ifacialmocap import IFacialMocapDecoder

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from links import Link
 
 from facemime.core.rotation import euler_to_matrix
 from facemime.core.streams.playout import ClockFollower, Playout, Shown
 from facemime.core.takes.between import at_rest, between
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
+from links import Link
 from takes import performance
 
 RATE = 30.0

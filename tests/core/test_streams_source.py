@@ -28,16 +28,12 @@ from facemime.core.streams.source import EASE, HOLD, StreamSource
 from facemime.core.takes.file import TakeWriter, load_take
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
-from facemime.core.takes.take import Take, TakeRecorder, describe
+from facemime.core.takes.take import Take, describe
+from links import free_port
+from takes import coefficient_take as acted
 from takes import performance
 
 RATE = 60.0
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture
@@ -54,19 +50,6 @@ def opened():
     yield make
     for source in sources:
         source.close()
-
-
-def acted(count: int = 40) -> Take:
-    """A take of coefficients, of which several move and the head turns."""
-    face, recorder = coefficient_face(), TakeRecorder({"source": "phone", "measured": True})
-    for number in range(count):
-        values, share = np.zeros(N_COEFFICIENTS), 0.5 - 0.5 * np.cos(number / 6.0)
-        for name, size in (("jawOpen", 0.8), ("eyeBlinkLeft", 0.9), ("mouthSmileRight", 0.5), ("eyeLookOutLeft", 0.4)):
-            values[COEFFICIENT_INDEX[name]] = share * size
-        recorder.append(number / RATE, face.result(values, np.array([0.1, -0.2, 0.05]) * share))
-    take = recorder.finish()
-    take.info["calibration"] = face.neutral.to_dict()
-    return take
 
 
 def sender_to(source: StreamSource, **settings) -> StreamSender:
