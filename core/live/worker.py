@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from ..tracking.smoothing import ResultSmoother
 from ..tracking.tracker import FaceTracker
 from .calibration import NeutralCalibration, Quality, RangeCalibration
 from .key_driver import KeyDriver, LiveKeys
+from .outputs import Output, Recorder
 from .sources import LiveFrame, LiveSource
 
 _PATIENCE = 0.1
@@ -40,49 +41,6 @@ _RECENT = 900
 """Frames of `recent_take`: half a minute with most cameras."""
 _LOAD_TRACKER = partial(FaceTracker.load, gradual=True)
 """Loads a tracker whose search is gradual, as a long one would stall the puppet when somebody returns to the camera."""
-
-
-class Recorder(Protocol):
-    """Interface of a recording."""
-
-    def append(self, time: float, result: TrackResult, image: NDArray[np.uint8] | None) -> None:
-        """Record a frame.
-
-        Parameters
-        ----------
-        time : float
-            Seconds.
-        result : TrackResult
-            Of that frame.
-        image : (H, W, 3) uint8 or None
-            BGR, if there is one.
-        """
-
-    def flush(self) -> None:
-        """Write pending frames to the disk."""
-
-    def close(self) -> None:
-        """End the recording."""
-
-
-class Output(Protocol):
-    """Interface of what passes the performance on, such as a stream; it must neither wait nor raise."""
-
-    def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
-        """Pass a frame on.
-
-        Parameters
-        ----------
-        time : float
-            Seconds in the source.
-        result : TrackResult
-            Smoothed according to the options.
-        neutral : Neutral or None
-            The performer's neutral face, if it is known.
-        """
-
-    def close(self) -> None:
-        """End the output."""
 
 
 @dataclass(frozen=True)

@@ -75,6 +75,8 @@ class StreamSender:
 
     Attributes
     ----------
+    options : DriveSettings
+        May be replaced at any time.
     sent : int
         Frames that were sent.
     message : str
@@ -99,6 +101,7 @@ class StreamSender:
         self._socket.setblocking(False)
         self._greeted = -np.inf
         self._neutral: Neutral | None = None
+        self._made_for: tuple[int, DriveSettings] | None = None
         self._coefficients: FrameCoefficients | None = None
 
     def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
@@ -158,11 +161,12 @@ class StreamSender:
     def _values(self, result: TrackResult, neutral: Neutral | None) -> FaceValues | None:
         if neutral is None:
             return None
-        if self._coefficients is None or neutral is not self._neutral:
-            self._neutral = neutral
-            self._coefficients = FrameCoefficients(neutral, self.options)
+        options = self.options
+        if self._coefficients is None or self._made_for != (id(neutral), options):
+            self._neutral, self._made_for = neutral, (id(neutral), options)
+            self._coefficients = FrameCoefficients(neutral, options)
         mirrored = self._mirrored(result)
-        own = neutral.mirrored() if self.options.mirror else neutral
+        own = neutral.mirrored() if options.mirror else neutral
         return FaceValues(self._coefficients.of(result), turned_from(mirrored, own), moved_from(mirrored, own))
 
     def _greet(self) -> None:

@@ -76,8 +76,9 @@ def from_coefficient_csv(path: Path) -> Take:
         with open(path, newline="", encoding="utf-8-sig") as stream:
             return _take(csv.reader(stream), path.name)
     except (ValueError, OSError, csv.Error) as error:
-        problem = f"{path} cannot be read as a table of coefficients: {error}."
-        raise SourceError(f"{problem} Compare it with an exported one.") from error
+        raise SourceError(
+            f"{path} cannot be read as a table of coefficients: {error}. Compare it with an exported one."
+        ) from error
 
 
 def write_coefficient_csv(
