@@ -65,7 +65,7 @@ def add_commands(commands: Commands) -> None:
     receive.add_argument("--phone", default="", metavar="HOST", help="address of a phone that has to be asked to send")
     _add_key(receive)
     receive.add_argument("--sender", default="", metavar="NAME", help="address or name of the sender (the first)")
-    receive.add_argument("--delay", type=number, default=0.025, metavar="S", help="delay that evens out jitter (0.025)")
+    receive.add_argument("--delay", type=number, default=0.02, metavar="S", help="delay that evens out jitter (0.02)")
     receive.add_argument("--angles", choices=tuple(ANGLES), default="radians", help="of Live Link Face (radians)")
     receive.add_argument("--flip", default="", metavar="AXIS,...", help="rotations to reverse: pitch, yaw, roll (none)")
     receive.add_argument("--seconds", type=number, metavar="S", help="stop after this time (Ctrl-C)")

@@ -38,7 +38,7 @@ class FacemimeStream(bpy.types.PropertyGroup):
         name="Delay",
         description="Delay that evens out packets that come early or late",
         subtype="TIME_ABSOLUTE",
-        default=0.025,
+        default=0.02,
         min=0.0,
         max=2.0,
         soft_max=0.2,

@@ -58,7 +58,8 @@ class OpenSeeFaceDecoder:
 
 def _frame(data: bytes) -> StreamFrame:
     time, number, width, height, right, left, found, *_ = _FACE.unpack_from(data)
-    values = np.frombuffer(data, "<f4", offset=_FACE.size).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a NaN that signals is refused below
+        values = np.frombuffer(data, "<f4", offset=_FACE.size).astype(np.float64)
     confidence, points, shape, _ = np.split(values, np.cumsum([68, 2 * 68, 3 * 70]))
     sane = (abs(time) < 1e12, 0.0 < width < _PIXELS, 0.0 < height < _PIXELS, found in (0, 1), abs(right + left) < 1e6)
     if not all(sane) or not (np.abs(points) < _PIXELS).all() or not (np.abs(shape) < _UNITS).all():

@@ -81,7 +81,7 @@ class StreamSettings:
     port: int = 0
     phone: str = ""
     key: Path | None = None
-    delay: float = 0.025
+    delay: float = 0.02
     sender: str = ""
     angles: Angles = "radians"
     flip: tuple[str, ...] = ()
