@@ -193,7 +193,8 @@ def stream(take: Take, seconds: float, cut: float) -> Live:
                 number += 1
             latest = worker.latest
             if latest is not None and (not shown or latest.number != shown[-1][2]):
-                shown.append((latest.time, latest.driven, latest.number))
+                if latest.result.confidence > 0.0:  # it came, and was not filled in
+                    shown.append((latest.time, latest.driven, latest.number))
                 if restored and not back and _is_true(latest.result, latest.time, take, shown[0][0]):
                     back = perf_counter() - restored
             waiting = max(waiting, *(len(face.playout._waiting) for _, _, face in source._faces()), 0)

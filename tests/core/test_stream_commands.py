@@ -1,8 +1,10 @@
 """The commands `send` and `receive`, in processes of their own and over real sockets."""
 
+import re
 import signal
 import socket
 import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -10,15 +12,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import facemime
 from commands import SAMPLE, START, needs_posix, run
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.streams.live_link import LiveLinkDecoder
+from facemime.core.streams.sender import SENT, SendSettings, StreamSender
+from facemime.core.streams.settings import PROTOCOLS
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
 from links import free_port
-from takes import coefficient_take
+from takes import coefficient_take, performance
 
 
 def sent_and_received(tmp_path: Path, protocol: str, source: Path, *more: object) -> tuple[Path, str]:
@@ -139,3 +144,25 @@ def test_nothing_that_comes_is_an_error_that_says_so(tmp_path):
 def test_wrong_commands_are_refused_with_the_reason(arguments, wanted, tmp_path):
     done = run(*arguments, cwd=tmp_path)
     assert done.returncode == 1 and wanted in done.stderr, done.stderr
+
+
+def test_the_documented_receiver_reads_what_is_sent_and_needs_only_numpy(tmp_path):
+    document = (Path(facemime.__file__).parent / "docs" / "streams.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", document, flags=re.DOTALL)
+    port, out, take = free_port(), tmp_path / "shapes.npy", performance()
+    line = [sys.executable, "-I", "-c", code, str(port), "20", str(out)]
+    with subprocess.Popen(line) as receiver:
+        _wait_for(port)
+        sender = StreamSender(SendSettings(port=port))
+        for number in range(20):
+            sender.send(0.1 * number, take.result(number), None)
+        sender.close()
+        assert receiver.wait(60) == 0
+    np.testing.assert_allclose(np.load(out), take.shape[:20], atol=2.0**-14)
+
+
+def test_every_protocol_is_documented_with_its_port():
+    document = (Path(facemime.__file__).parent / "docs" / "streams.md").read_text(encoding="utf-8")
+    for name, protocol in PROTOCOLS.items():
+        (row,) = [line for line in document.splitlines() if line.startswith("|") and f"`{name}`" in line]
+        assert f"UDP {protocol.port} " in row and ("sends" in row) == (name in SENT)
