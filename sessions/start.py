@@ -20,6 +20,7 @@ from ..settings.properties import FacemimeSettings
 from ..settings.values import (
     drive_settings,
     face_of,
+    is_tracked,
     open_sender,
     open_source,
     pose_targets,
@@ -59,10 +60,13 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
     name = scene.name
 
     def keep_calibration(neutral) -> None:
-        if (current := bpy.data.scenes.get(name)) is not None:
+        current = bpy.data.scenes.get(name)
+        if current is not None and tracked and not neutral.measured:
             write_calibration(current.facemime, neutral)
 
-    neutral, source = read_calibration(settings), open_source(settings.source)
+    tracked = is_tracked(settings.source)
+    neutral = read_calibration(settings) if tracked else None
+    source = open_source(settings.source)
     try:
         output = open_sender(settings)
     except Exception:

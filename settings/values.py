@@ -107,6 +107,11 @@ def open_source(source: FacemimeSource) -> LiveSource:
     return TakePlayer(load_take(path), path.name, **playing)
 
 
+def is_tracked(source: FacemimeSource) -> bool:
+    """Whether Facemime tracked the face, here or elsewhere, so that a performer's calibration is valid for it."""
+    return source.kind != "STREAM" or source.stream.protocol == OWN
+
+
 def _camera() -> Camera:
     chosen = preferences()
     device = parse_device(chosen.camera, list_cameras())

@@ -61,10 +61,18 @@ class Shown:
 
 
 class ClockFollower:
-    """Follows the difference between two clocks, of which one is read through a network with delays."""
+    """Follows the difference between two clocks, of which one is read through a network with delays.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    patience : float
+        Seconds. If everything came later than that for a second, as when a network takes another route, what came
+        before no longer counts.
+    """
+
+    def __init__(self, patience: float = inf) -> None:
         self.offset: float | None = None
+        self._patience = patience
         self._bins: deque[tuple[float, float]] = deque(maxlen=_BINS)
 
     def update(self, time: float, arrival: float, step: float) -> bool:
@@ -90,6 +98,8 @@ class ClockFollower:
             self._bins.clear()
             self.offset = difference
         if not self._bins or arrival - self._bins[-1][0] >= _BIN:
+            if self._bins and self._bins[-1][1] > self.offset + self._patience:
+                self._bins.clear()
             self._bins.append((arrival, difference))
         else:
             began, least = self._bins[-1]
@@ -118,7 +128,7 @@ class Playout:
     def __init__(self, delay: float, *, predict: bool = True) -> None:
         self.late = self.doubled = self.lost = 0
         self._delay, self._predict = delay, predict
-        self._clock = ClockFollower()
+        self._clock = ClockFollower(delay)
         self._waiting: list[_Waiting] = []
         self._order = count()
         self._interval = _INTERVAL

@@ -18,10 +18,10 @@ from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import running
 from facemime.settings import takes_store
-from facemime.settings.values import open_sender, open_source
+from facemime.settings.values import open_sender, open_source, read_calibration, write_calibration
 from links import free_port
 from live_ticks import shown, some_frames, start, tick, ticks_until
-from takes import coefficient_take
+from takes import coefficient_take, performance
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
@@ -36,9 +36,9 @@ def phone():
     take, neutral = coefficient_take(60), coefficient_face().neutral
 
     def send() -> None:
-        number = 0
+        number, began = 0, time.monotonic()
         while not over.wait(1.0 / 60.0):
-            sender.send(number / 60.0, take.result(number % len(take)), neutral)
+            sender.send(time.monotonic() - began, take.result(number % len(take)), neutral)
             number += 1
 
     thread = threading.Thread(target=send)
@@ -68,6 +68,21 @@ def test_a_phone_drives_a_head_with_its_own_neutral_face(phone):
     assert session.worker.neutral.measured and session.worker.source.senders == ("127.0.0.1 Phone",)
     assert bpy.ops.facemime.stop_puppet() == {"FINISHED"}
     np.testing.assert_allclose(shown(head), rest, atol=1e-6)
+
+
+def test_a_calibration_of_a_phone_is_not_kept_for_the_camera(phone):
+    add_head(bpy.context)
+    settings = bpy.context.scene.facemime
+    settings.source.loop = True
+    write_calibration(settings, calibrate(performance()))
+    before = read_calibration(settings)
+    start()
+    assert running().worker.neutral.measured
+    assert bpy.ops.facemime.calibrate(countdown=0.05) == {"FINISHED"}
+    ticks_until(lambda: running().countdown is None and running().worker.quality is not None)
+    assert running().worker.neutral.measured
+    bpy.ops.facemime.stop_puppet()
+    np.testing.assert_array_equal(read_calibration(settings).shape, before.shape)
 
 
 def test_a_recorded_phone_bakes_to_what_it_sent(phone, takes):

@@ -88,6 +88,14 @@ def test_a_clock_that_drifts_is_followed_for_ten_minutes(drift):
     assert worst < 0.005
 
 
+def test_a_network_that_becomes_slower_is_followed_within_seconds():
+    near, far = Link(0.02, 0.01).deliver(sent(5.0), 5), Link(0.12, 0.01).deliver(sent(12.0), 6)
+    arrivals = [*near, *(arrival for arrival in far if arrival[1][0] >= 1005.0)]
+    shown = played(arrivals, Playout(DELAY), 13.0)
+    late = [now - frame.due for now, frame in shown if not frame.predicted and frame.time > 1009.5]
+    assert len(late) > 60 and max(late) < 0.005
+
+
 def test_a_sender_that_begins_again_is_followed_at_once():
     playout = Playout(DELAY)
     first = [(n / RATE, (1000.0 + n / RATE, r)) for n, r in enumerate(results(60))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -40,9 +41,9 @@ def phone() -> Iterator[int]:
     sender, take = StreamSender(SendSettings("livelink", port=port, subject="Phone")), coefficient_take(60)
 
     def send() -> None:
-        number = 0
+        number, began = 0, time.monotonic()
         while not over.wait(1.0 / 60.0):
-            sender.send(number / 60.0, take.result(number % len(take)), coefficient_face().neutral)
+            sender.send(time.monotonic() - began, take.result(number % len(take)), coefficient_face().neutral)
             number += 1
 
     thread = threading.Thread(target=send)
