@@ -6,7 +6,7 @@ BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
 
-.PHONY: setup check test test-all test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-expressions bench-actions bench-coefficients model expressions coefficients head sample try lock clean blenders windows docs
+.PHONY: setup check test test-all test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-expressions bench-actions bench-coefficients bench-remote model expressions coefficients head sample try lock clean blenders windows docs
 
 setup: $(STAMP)
 
@@ -112,6 +112,11 @@ bench-actions: setup
 bench-coefficients: setup
 	mkdir -p build/bench
 	$(BIN)/python -m bench.coefficients --json build/bench/coefficients.json
+
+# Streams over a simulated network; five minutes, of which one is a cut.
+bench-remote: setup
+	mkdir -p build/bench
+	$(BIN)/python -m bench.remote --figure docs/images/streams_delay.png --json build/bench/remote.json
 
 # With the peers from PyPI, which live in an environment of their own; needs ../shared/data.
 bench-tracking: build/peers/.ready

@@ -23,7 +23,7 @@ from .operators import (
     takes,
 )
 from .sessions import session, show
-from .settings import panel_properties, preferences, properties, takes_properties, takes_store
+from .settings import panel_properties, preferences, properties, stream_properties, takes_properties, takes_store
 from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
 from .ui import documentation, menus, placing_overlay, point_overlay, preview, region_overlay, translations
@@ -39,6 +39,7 @@ from .ui import takes as takes_panels
 _MODULES = (
     translations,
     preferences,
+    stream_properties,
     properties,
     panel_properties,
     takes_properties,

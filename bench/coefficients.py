@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.report import Table, finish, parser
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.bake.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import TakeRecorder, describe
 from facemime.core.tracking.tracker import FaceTracker

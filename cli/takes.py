@@ -5,14 +5,20 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
+
+from ..core.bake.arkit import arkit_coefficients
 from ..core.capture import check_readable
 from ..core.drive.anonymous import anonymise
 from ..core.errors import FacemimeError
 from ..core.images import write_image
 from ..core.puppet.job import HeadFile
+from ..core.streams.sender import turned_from
+from ..core.takes.coefficient_table import from_coefficient_csv, has_coefficients, write_coefficient_csv
 from ..core.takes.figure import draw_before_after
 from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.mending import Mending, mend
+from ..core.takes.neutral import calibrate
 from ..core.takes.smooth import CUTOFFS
 from ..core.takes.spreadsheet import from_csv, to_csv
 from ..core.takes.take import Take
@@ -65,6 +71,15 @@ def add_commands(commands: Commands) -> None:
     export = add_command(commands, "export", "write a take as a table of comma-separated values")
     export.add_argument("take", type=Path, metavar="TAKE.facetake", help="a take, from track")
     add_output(export, "OUT.csv", "a table with one row per frame; docs/takes.md lists the columns")
+    export.add_argument(
+        "--columns",
+        choices=("all", "coefficients", "livelink"),
+        default="all",
+        help="everything that a take has; ARKit's coefficients by name; or these as Live Link Face writes them (all)",
+    )
+    export.add_argument(
+        "--rate", type=number, default=60.0, metavar="FPS", help="rate of Live Link Face's timecode (60)"
+    )
     export.set_defaults(run=run_export)
 
     read = add_command(commands, "import", "write a table or an animation as a take")
@@ -72,7 +87,8 @@ def add_commands(commands: Commands) -> None:
         "source",
         type=head_file,
         metavar="TABLE.csv|ANIMATION[:OBJECT]",
-        help="a table as export writes it, or with fewer columns; or a .blend, .abc, .usd, .glb, .gltf or .fbx file in "
+        help="a table as export writes it, or with fewer columns, or of ARKit's coefficients, as Live Link Face and "
+        "others write them; or a .blend, .abc, .usd, .glb, .gltf or .fbx file in "
         "which a face moves, and any mesh of the character (the most likely face)",
     )
     add_output(read, "OUT.facetake", "the take")
@@ -119,8 +135,25 @@ def _mended(take: Take, arguments: argparse.Namespace) -> Take:
 def run_export(arguments: argparse.Namespace) -> int:
     """Run `facemime export`: write a take as a table."""
     with outputs_of(((arguments.output, {".csv"}),), {"the take that is exported": arguments.take}):
-        to_csv(load_with_warnings(arguments.take), arguments.output)
+        take = load_with_warnings(arguments.take)
+        if arguments.columns == "all":
+            to_csv(take, arguments.output)
+        else:
+            _export_coefficients(take, arguments)
     return 0
+
+
+def _export_coefficients(take: Take, arguments: argparse.Namespace) -> None:
+    if not 1.0 <= arguments.rate <= 200.0:
+        raise FacemimeError(f"The rate of a timecode cannot be {arguments.rate:g}. Use one between 1 and 200.")
+    neutral = calibrate(take)
+    if neutral.warning:
+        tell(f"facemime: {neutral.warning}")
+    seen = take.part(take.found)
+    values = arkit_coefficients(seen, neutral)
+    turns = np.array([turned_from(seen.result(frame), neutral) for frame in range(len(seen))])
+    live_link = arguments.columns == "livelink"
+    write_coefficient_csv(arguments.output, seen.times, values, turns, live_link=live_link, rate=arguments.rate)
 
 
 def run_import(arguments: argparse.Namespace) -> int:
@@ -130,8 +163,12 @@ def run_import(arguments: argparse.Namespace) -> int:
     described = "the table that is imported" if is_table else "the animation that is imported"
     with outputs_of(((arguments.output, {SUFFIX}),), {described: source.path}):
         check_readable(source.path)
-        save_take(from_csv(source.path) if is_table else _sampled(source), arguments.output)
+        save_take(_table(source.path) if is_table else _sampled(source), arguments.output)
     return 0
+
+
+def _table(path: Path) -> Take:
+    return from_coefficient_csv(path) if has_coefficients(path) else from_csv(path)
 
 
 def _sampled(animation: HeadFile) -> Take:

@@ -40,6 +40,30 @@ def matrix_to_euler(rotation: FloatArray) -> tuple[float, float, float]:
     return float(pitch), float(yaw), float(roll)
 
 
+def from_face_axes(x: float, y: float, z: float) -> FloatArray:
+    """Convert angles about the axes of ARKit's face anchor: to the viewer's right, up and towards the viewer.
+
+    Parameters
+    ----------
+    x, y, z : float
+        Radians; the head turns about z first, then x, then y.
+
+    Returns
+    -------
+    (3,) float64
+        Pitch, yaw and roll, as `euler_to_matrix` takes them.
+    """
+    turn = euler_to_matrix(0.0, -y, 0.0) @ euler_to_matrix(x, 0.0, 0.0) @ euler_to_matrix(0.0, 0.0, -z)
+    return np.array(matrix_to_euler(turn))
+
+
+def to_face_axes(rotation: FloatArray) -> tuple[float, float, float]:
+    """Angles (x, y, z), radians, of which `from_face_axes` makes `rotation`, (3,) pitch, yaw and roll."""
+    turn = euler_to_matrix(*rotation)
+    x = float(np.arctan2(-turn[1, 2], np.hypot(turn[1, 0], turn[1, 1])))
+    return x, -float(np.arctan2(turn[0, 2], turn[2, 2])), -float(np.arctan2(turn[1, 0], turn[1, 1]))
+
+
 def fit_rotation(source: FloatArray, target: FloatArray) -> FloatArray:
     """Fit a rotation about the origin: minimise ``sum_i |R source_i - target_i|^2``.
 

@@ -14,6 +14,7 @@ from ..blender.media.sounds import beep
 from ..blender.messages import show_error
 from ..blender.undo import push_undo
 from ..core.errors import FacemimeError, HeadError, OutputError
+from ..core.live.outputs import Output
 from ..core.live.sources import LiveSource
 from ..core.live.timing import Delays, Stopwatch
 from ..core.live.worker import LiveHead, LiveOptions, LiveResult, LiveWorker
@@ -51,6 +52,8 @@ class LiveSession(Session):
     options : LiveOptions, optional
     on_calibrated : callable, optional
         Called with the `Neutral` of each calibration that was requested.
+    output : Output, optional
+        Gets every frame; closed with the session.
 
     Attributes
     ----------
@@ -80,6 +83,7 @@ class LiveSession(Session):
         neutral: Neutral | None = None,
         options: LiveOptions = _DEFAULTS,
         on_calibrated: Callable[[Neutral], object] = lambda neutral: None,
+        output: Output | None = None,
     ) -> None:
         super().__init__()
         self.stopwatch, self.keep, self.warning = Stopwatch(), False, ""
@@ -96,7 +100,8 @@ class LiveSession(Session):
         self._range = False
         self._waiting = False
         self._number = 0
-        self.worker = LiveWorker(source, neutral=neutral, heads=tuple(head for _, head in heads), options=options)
+        driven = tuple(head for _, head in heads)
+        self.worker = LiveWorker(source, neutral=neutral, heads=driven, options=options, output=output)
         try:
             for shown in self._objects:
                 shown.attach()

@@ -131,6 +131,8 @@ class Recording:
         info = describe(source.name, fps, size, worker.model, source.clock) | {"offset": self._offset}
         if worker.neutral is not None:
             info["calibration"] = worker.neutral.to_dict()
+            if worker.neutral.measured:
+                info["measured"] = True
         if self._video is not None and (not self.closed or self._video.written):
             info |= {"source": self._video.path.name, "offset": 0.0, "seen_by": source.name}
         return info

@@ -13,10 +13,20 @@ from ..blender.rigs import read_rig, rig_checks
 from ..core.errors import HeadError
 from ..core.live.key_driver import LiveKeys
 from ..core.live.worker import LiveHead, LiveOptions
+from ..core.streams.sender import StreamSender
 from ..settings.bake_table import read_table
 from ..settings.preferences import preferences
 from ..settings.properties import FacemimeSettings
-from ..settings.values import drive_settings, face_of, open_source, pose_targets, read_calibration, write_calibration
+from ..settings.values import (
+    drive_settings,
+    face_of,
+    is_tracked,
+    open_sender,
+    open_source,
+    pose_targets,
+    read_calibration,
+    write_calibration,
+)
 from .live import LiveSession
 
 
@@ -50,15 +60,25 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
     name = scene.name
 
     def keep_calibration(neutral) -> None:
-        if (current := bpy.data.scenes.get(name)) is not None:
+        current = bpy.data.scenes.get(name)
+        if current is not None and tracked and not neutral.measured:
             write_calibration(current.facemime, neutral)
 
+    tracked = is_tracked(settings.source)
+    neutral = read_calibration(settings) if tracked else None
+    source = open_source(settings.source)
+    try:
+        output = open_sender(settings)
+    except Exception:
+        source.close()
+        raise
     session = LiveSession(
-        open_source(settings.source),
+        source,
         heads,
-        neutral=read_calibration(settings),
+        neutral=neutral,
         options=live_options(settings),
         on_calibrated=keep_calibration,
+        output=output,
     )
     session.keep, session.drive_by = settings.keep_pose, settings.drive_by
     return session
@@ -105,6 +125,8 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
         worker.options = wanted
     if any(head.options != options for head in worker.heads):
         session.update([replace(head, options=options) for head in worker.heads])
+    if isinstance(worker.output, StreamSender):
+        worker.output.options = options
     for shown in session.objects:
         shown.follow = _follow(settings)
 

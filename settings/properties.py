@@ -14,6 +14,7 @@ from bpy.props import (
 from ..core.drive.settings import DriveSettings, PosingSettings
 from ..core.puppet.settings import PuppetSettings
 from .rna import with_settings
+from .stream_properties import FacemimeOutput, FacemimeStream
 
 
 class FacemimeSource(bpy.types.PropertyGroup):
@@ -28,6 +29,7 @@ class FacemimeSource(bpy.types.PropertyGroup):
             ("PICTURES", "Image Sequence", "Use the images in a folder, sorted by name", "IMAGE_DATA", 2),
             ("TAKE", "Take", "Play a recorded take", "ACTION", 3),
             ("SAMPLE", "Sample Clip", "Use the clip that comes with Facemime, to try it without a camera", "PLAY", 4),
+            ("STREAM", "Stream", "Use what a phone, a VTuber program or another computer sends", "URL", 5),
         ),
         default="SAMPLE",
     )
@@ -50,6 +52,7 @@ class FacemimeSource(bpy.types.PropertyGroup):
             ("RIGHT", "Rightmost", "Track the face furthest to the right in the image"),
         ),
     )
+    stream: PointerProperty(type=FacemimeStream)
 
 
 @with_settings(PosingSettings)
@@ -115,6 +118,7 @@ class FacemimeSettings(bpy.types.PropertyGroup):
     performers: CollectionProperty(type=FacemimePerformer)
     source: PointerProperty(type=FacemimeSource)
     posing: PointerProperty(type=FacemimePosing)
+    output: PointerProperty(type=FacemimeOutput)
 
 
 CLASSES = (FacemimeSource, FacemimePosing, FacemimePerformer, FacemimeSettings)

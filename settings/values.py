@@ -20,6 +20,9 @@ from ..core.errors import FacemimeError, SourceError
 from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
 from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
 from ..core.puppet.settings import PuppetSettings
+from ..core.streams.sender import SendSettings, StreamSender
+from ..core.streams.settings import LOOPBACK, OWN, PROTOCOLS, StreamSettings
+from ..core.streams.source import StreamSource
 from ..core.takes.file import load_take
 from ..core.takes.neutral import Neutral
 from ..core.tracking.choice import LEFTMOST, RIGHTMOST
@@ -28,6 +31,7 @@ from .preferences import preferences
 from .properties import FacemimePosing, FacemimeSettings, FacemimeSource
 from .rna import read
 from .storage import project_folder
+from .stream_properties import FacemimeStream
 from .takes_properties import FacemimeBake
 
 _DEFAULT_BAKE = BakeSettings()
@@ -97,6 +101,8 @@ def open_source(source: FacemimeSource) -> LiveSource:
             rate=source.rate,
             **playing,
         )
+    if source.kind == "STREAM":
+        return StreamSource(stream_settings(source.stream))
     path = _chosen(source.take, "No take is selected. Select one under Source.")
     return TakePlayer(load_take(path), path.name, **playing)
 
@@ -107,16 +113,73 @@ def whole_file(source: FacemimeSource) -> str:
     return bpy.path.abspath(chosen) if chosen else ""
 
 
+def is_tracked(source: FacemimeSource) -> bool:
+    """Whether Facemime tracked the face, here or elsewhere, so that a performer's calibration is valid for it."""
+    return source.kind != "STREAM" or source.stream.protocol == OWN
+
+
 def _camera() -> Camera:
     chosen = preferences()
     device = parse_device(chosen.camera, list_cameras())
     if not device:
         raise SourceError("No camera is selected. Enter its number under Source; 0 is the first.")
-    if is_address(device) and not bpy.app.online_access:
+    if is_address(device):
+        _require_online(device)
+    return Camera(CameraSettings(device, chosen.width, chosen.height, chosen.rate))
+
+
+def _require_online(device: str) -> None:
+    if not bpy.app.online_access:
         raise SourceError(
             f"Cannot open {device}: online access is turned off. Enable Allow Online Access in Preferences > System."
         )
-    return Camera(CameraSettings(device, chosen.width, chosen.height, chosen.rate))
+
+
+def stream_settings(stream: FacemimeStream) -> StreamSettings:
+    """Return where a stream comes from.
+
+    Raises
+    ------
+    SourceError
+        If it may come from another computer, and Blender's online access is turned off.
+    """
+    settings = StreamSettings(
+        protocol=stream.protocol,
+        host=stream.host.strip() or LOOPBACK,
+        port=stream.port,
+        phone=stream.phone.strip() if PROTOCOLS[stream.protocol].phone_port else "",
+        key=_key(stream.key) if stream.protocol == OWN else None,
+        delay=stream.delay,
+        sender=stream.sender.strip(),
+        angles=stream.angles,
+        flip=tuple(sorted(stream.flip)),
+    )
+    if not settings.is_local:
+        _require_online(settings.phone or settings.host)
+    return settings
+
+
+def open_sender(settings: FacemimeSettings) -> StreamSender | None:
+    """Return the sender of a live session; None if nothing is to be sent.
+
+    Raises
+    ------
+    SourceError
+        If the receiver is not known, or is another computer and Blender's online access is turned off.
+    """
+    output = settings.output
+    if not output.enabled:
+        return None
+    key = _key(output.key) if output.protocol == OWN else None
+    host = output.host.strip() or LOOPBACK
+    wanted = SendSettings(output.protocol, host, output.port, key, output.subject or "Facemime")
+    if not wanted.is_local:
+        _require_online(wanted.host)
+    return StreamSender(wanted, drive_settings(settings))
+
+
+def _key(path: str) -> Path | None:
+    return Path(bpy.path.abspath(path)) if path else None
 
 
 def _chosen(path: str, message: str) -> Path:

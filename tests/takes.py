@@ -3,9 +3,11 @@
 import numpy as np
 
 from facemime.core.actions import N_ACTIONS
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from facemime.core.heads.built_in import load_head
 from facemime.core.landmarks import OUTER_EYE_CORNERS, from_ibug
-from facemime.core.takes.take import Take
+from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.take import Take, TakeRecorder
 
 CHIN_AND_LIP = from_ibug([*range(4, 13), *range(55, 60), *range(65, 68)])
 BROWS = from_ibug(range(17, 27))
@@ -34,6 +36,7 @@ def make_take(
         gaze=np.full((count, 2), np.nan, np.float32) if gaze is None else gaze,
         vergence=np.full(count, np.nan, np.float32),
         actions=np.full((count, N_ACTIONS), np.nan, np.float32),
+        coefficients=np.full((count, N_COEFFICIENTS), np.nan, np.float32),
         info={"source": "performance.mp4", "fps": fps, "image_size": [640, 480]},
     )
 
@@ -54,3 +57,16 @@ def performance(count: int = 60, fps: float = 25.0) -> Take:
     found[count // 2] = False
     shape[~found], pose[~found] = np.nan, np.nan
     return make_take(shape, fps, pose, found)
+
+
+def coefficient_take(count: int = 40, fps: float = 60.0) -> Take:
+    """A take of coefficients, of which several move while the head turns."""
+    face, recorder = coefficient_face(), TakeRecorder({"source": "phone", "measured": True})
+    for number in range(count):
+        values, share = np.zeros(N_COEFFICIENTS), 0.5 - 0.5 * np.cos(number / 6.0)
+        for name, size in (("jawOpen", 0.8), ("eyeBlinkLeft", 0.9), ("mouthSmileRight", 0.5), ("eyeLookOutLeft", 0.4)):
+            values[COEFFICIENT_INDEX[name]] = share * size
+        recorder.append(number / fps, face.result(values, np.array([0.1, -0.2, 0.05]) * share))
+    take = recorder.finish()
+    take.info["calibration"] = face.neutral.to_dict()
+    return take

@@ -10,6 +10,7 @@ from inspect import signature
 import bpy
 import numpy as np
 
+from ..blender.messages import interface as _
 from ..operators.preview_place import Box, preview_box
 from ..operators.puppet import running
 from ..sessions.live import LiveSession
@@ -73,10 +74,10 @@ def _draw_countdown(region: bpy.types.Region, session: LiveSession, scale: float
     left = session.countdown
     if left is None:
         return
-    text = str(int(left) + 1) if left > 0 else bpy.app.translations.pgettext_iface("Hold Still")
+    text = str(int(left) + 1) if left > 0 else _("Hold Still")
     middle = region.width / 2, region.height / 2 - 36 * scale
     draw_text(text, middle, 96 * scale, centred=True)
-    task = bpy.app.translations.pgettext_iface(session.task)
+    task = _(session.task)
     draw_text(task, (middle[0], middle[1] - 40 * scale), 18 * scale, centred=True)
 
 

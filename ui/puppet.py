@@ -6,6 +6,7 @@ import bpy
 
 from ..blender.messages import CONTEXT
 from ..blender.messages import interface as _
+from ..core.streams.settings import OWN
 from ..operators.puppet import running
 from ..sessions.tracking import TrackingSession
 from ..settings.values import whole_file
@@ -60,6 +61,32 @@ class FACEMIME_PT_pose(Sidebar, bpy.types.Panel):
                 column.prop_search(posing, bone, obj.data, "bones", text="Bone", text_ctxt=CONTEXT)
 
 
+class FACEMIME_PT_send(Sidebar, bpy.types.Panel):
+    """Where the performance is sent while the puppet is running."""
+
+    bl_label = "Send"
+    bl_parent_id = "FACEMIME_PT_puppet"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header(self, context: bpy.types.Context) -> None:
+        """Draw the switch."""
+        self.layout.prop(context.scene.facemime.output, "enabled", text="")
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, output = self.layout, context.scene.facemime.output
+        split_labels(layout)
+        layout.active = output.enabled
+        layout.prop(output, "protocol")
+        column = layout.column(align=True)
+        column.prop(output, "host")
+        column.prop(output, "port")
+        if output.protocol == OWN:
+            layout.prop(output, "key")
+        elif output.protocol == "livelink":
+            layout.prop(output, "subject")
+
+
 class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
     """Tracking and baking of a whole video or take."""
 
@@ -88,4 +115,4 @@ class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
         row.prop(settings, "neutral", text="At", text_ctxt=CONTEXT)
 
 
-CLASSES = (FACEMIME_PT_puppet, FACEMIME_PT_pose, FACEMIME_PT_bake)
+CLASSES = (FACEMIME_PT_puppet, FACEMIME_PT_pose, FACEMIME_PT_send, FACEMIME_PT_bake)

@@ -5,7 +5,9 @@ import sys
 import bpy
 
 from ..core.live.camera import list_cameras
+from ..core.streams.settings import OWN, PROTOCOLS
 from ..settings.preferences import draw_camera, draw_preview, preferences
+from ..settings.stream_properties import FacemimeStream
 from .sidebar import Sidebar, labels, place, split_labels
 
 _NUMBERED_CAMERAS = 4
@@ -26,6 +28,8 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
         column = layout.column()
         if source.kind == "CAMERA":
             _draw_camera(column, context)
+        elif source.kind == "STREAM":
+            _draw_stream(column, source.stream)
         else:
             if source.kind != "SAMPLE":
                 column.prop(source, {"VIDEO": "video", "PICTURES": "folder", "TAKE": "take"}[source.kind])
@@ -33,9 +37,28 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
                 column.prop(source, "rate")
             column.prop(source, "loop")
             column.prop(source, "speed")
-        if source.kind != "TAKE":
+        if source.kind not in ("TAKE", "STREAM"):
             column.prop(source, "face")
-        draw_preview(layout, chosen)
+        if source.kind != "STREAM":
+            draw_preview(layout, chosen)
+
+
+def _draw_stream(layout: bpy.types.UILayout, stream: FacemimeStream) -> None:
+    layout.prop(stream, "protocol")
+    column = layout.column(align=True)
+    if PROTOCOLS[stream.protocol].phone_port:
+        column.prop(stream, "phone")
+    else:
+        column.prop(stream, "host")
+    column.prop(stream, "port")
+    if stream.protocol == OWN:
+        layout.prop(stream, "key")
+    layout.prop(stream, "sender")
+    layout.prop(stream, "delay")
+    if stream.protocol == "livelink":
+        layout.prop(stream, "angles")
+    if stream.protocol not in (OWN, "openseeface"):
+        layout.row().prop(stream, "flip", expand=True)
 
 
 def _draw_camera(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import bpy
 
 from ..blender.messages import interface as _
+from ..core.streams.sender import StreamSender
+from ..core.streams.source import StreamSource
 from ..sessions.live import LiveSession
 from ..sessions.tracking import TrackingSession
 
@@ -64,6 +66,7 @@ def status_lines(session: LiveSession) -> list[tuple[str, str]]:
         lines.append((worker.message, "ERROR"))
     if worker.recording_error is not None:
         lines.append((str(worker.recording_error), "ERROR"))
+    lines += _stream_lines(session)
     latest = session.shown
     if latest is None:
         return [*lines, (_("Waiting for the first frame"), "TIME")]
@@ -77,4 +80,19 @@ def status_lines(session: LiveSession) -> list[tuple[str, str]]:
         lines.append((_("Slowest step: {name}").format(name=_(_STAGES[slowest])), "BLANK1"))
     numbers = {"tracked": counts.tracked, "dropped": counts.dropped, "lost": counts.lost}
     lines.append((_("{tracked} tracked, {dropped} dropped, {lost} lost").format(**numbers), "BLANK1"))
+    return lines
+
+
+def _stream_lines(session: LiveSession) -> list[tuple[str, str]]:
+    """Return what comes over the network, and what is sent."""
+    lines, source, output = [], session.worker.source, session.worker.output
+    if isinstance(source, StreamSource):
+        counts = source.counts
+        wrong = counts.malformed + counts.refused + counts.flooded
+        numbers = {"received": counts.received, "wrong": wrong, "lost": counts.lost}
+        lines.append((_("{received} packets, {wrong} refused, {lost} frames lost").format(**numbers), "URL"))
+        lines += [(sender, "USER") for sender in source.senders]
+    if isinstance(output, StreamSender):
+        text = output.message or _("{count} frames sent").format(count=output.sent)
+        lines.append((text, "ERROR" if output.message else "EXPORT"))
     return lines

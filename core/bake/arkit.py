@@ -5,23 +5,22 @@ Other programs and tables describe a face by them; a head that is driven directl
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..actions import action_indices
 from ..arrays import FloatArray
+from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from ..drive.settings import DriveSettings, PosingSettings
 from ..errors import SourceError
 from ..heads.built_in import load_head
-from ..rotation import fit_rotation
+from ..heads.looks import LOOKS, looks_of
 from ..takes.neutral import Neutral
 from ..takes.take import Take
 from ..tracking.result import TrackResult
 from .coefficient_model import load_coefficient_model
-from .coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from .coefficients import CoefficientSolver, has_actions
 from .fit import fit_keys
 from .observation import Observer
@@ -34,7 +33,6 @@ _MEASURED = {
     "cheekPuff": action_indices(["cheekPuffRight", "cheekPuffLeft"]),
 }
 """Coefficients of which landmarks show next to nothing, and the actions whose mean each is at least."""
-_LOOKS = ("In", "Out", "Up", "Down")
 
 
 def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _DEFAULTS) -> FloatArray:
@@ -54,7 +52,8 @@ def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _D
     (N, 52) float64
         Coefficients from 0 to 1 of the frames with a face. Those of the eyes' direction come from the gaze; the others
         are fitted to the landmarks and to what the tracker measures besides. Landmarks that were measured on a mesh are
-        taken at their word, so that weights of the built-in head's units come back within some 2 %.
+        taken at their word, so that weights of the built-in head's units come back within some 2 %. Coefficients that
+        the source stated are taken over, times the strength of their region.
 
     Raises
     ------
@@ -66,8 +65,18 @@ def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _D
     results = [observer.mirrored(take.result(int(frame))) for frame in np.flatnonzero(take.found)]
     if not results:
         raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")
+    stated = np.array([observer.stated(result) for result in results])
+    known = np.isfinite(stated).all(axis=1)
+    if not known.all():
+        found = _found(observer, results)
+        stated[~known] = found[~known]
+    return stated
+
+
+def _found(observer: Observer, results: Sequence[TrackResult]) -> FloatArray:
+    """(N, 52) coefficients of the results of a take, found from what was tracked or measured."""
     gaze = np.array([observer.gaze(result) for result in results])
-    if neutral.measured:
+    if observer.neutral.measured:
         moved = np.array([observer.displacements(result) for result in results])
         return _with_looks(_fitted(moved), gaze)
     return coefficients_of(
@@ -97,6 +106,9 @@ class FrameCoefficients:
     def of(self, result: TrackResult) -> FloatArray:
         """(52,) coefficients from 0 to 1 of a frame with a face; frames have to come in their order."""
         result = self._observer.mirrored(result)
+        stated = self._observer.stated(result)
+        if np.isfinite(stated).all():
+            return stated
         gaze = self._observer.gaze(result)[None]
         if self._measured:
             return np.asarray(_with_looks(_fitted(self._observer.displacements(result)[None]), gaze)[0])
@@ -152,39 +164,5 @@ def _with_looks(fitted: FloatArray, gaze: FloatArray) -> FloatArray:
     """(N, 52) coefficients from the 44 `FITTED` and the directions of the eyes."""
     coefficients = np.zeros((len(fitted), len(COEFFICIENTS)))
     coefficients[:, FITTED] = fitted
-    coefficients[:, _look_columns()] = _looks(gaze)
+    coefficients[:, LOOKS] = looks_of(gaze)
     return coefficients
-
-
-def _look_columns() -> list[int]:
-    return [COEFFICIENTS.index(f"eyeLook{way}{side}") for side in ("Left", "Right") for way in _LOOKS]
-
-
-def _looks(gaze: FloatArray) -> FloatArray:
-    """(N, 8) coefficients of `_look_columns` for rotations (N, 2, 3, 3) of the eyeballs, as shares of each unit's."""
-    forward = -gaze[..., 2]
-    turned = {
-        "x": np.arctan2(forward[..., 0], -forward[..., 2]),
-        "y": np.arctan2(forward[..., 1], -forward[..., 2]),
-    }
-    columns = []
-    for side, axis, reach in _look_reaches():
-        columns.append(np.clip(turned[axis][:, side] / reach, 0.0, 1.0))
-    return np.column_stack(columns)
-
-
-@lru_cache(maxsize=1)
-def _look_reaches() -> list[tuple[int, str, float]]:
-    """For each of `_look_columns`, 0 for the right eye and 1 for the left, the axis along which it looks, and its
-    signed angle at coefficient 1.
-    """
-    head = load_head()
-    reaches = []
-    for column in _look_columns():
-        name = head.unit_names[column]
-        eye = next(part for part in head.parts if part.name == ("eye_left" if "Left" in name else "eye_right"))
-        rest: NDArray[np.float64] = (eye.vertices - eye.pivot).astype(np.float64)
-        forward = -fit_rotation(rest, rest + eye.units[column])[:, 2]
-        axis = 0 if "In" in name or "Out" in name else 1
-        reaches.append((int("Left" in name), "xy"[axis], float(np.arctan2(forward[axis], -forward[2]))))
-    return reaches

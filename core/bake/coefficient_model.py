@@ -12,8 +12,8 @@ from ..actions import N_ACTIONS
 from ..archives import Archive, shipped
 from ..arrays import FloatArray
 from ..assets import ASSETS
+from ..coefficient_names import FITTED
 from ..landmarks import N_LANDMARKS
-from .coefficient_names import FITTED
 
 FORMAT = "facemime-coefficients-1"
 COEFFICIENT_FILE = ASSETS / "expressions" / "coefficients.npz"

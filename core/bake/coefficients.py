@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
+from ..coefficient_names import EXCLUSIVE, FITTED
 from ..landmarks import N_LANDMARKS
 from .coefficient_model import N_OBSERVED, CoefficientModel
-from .coefficient_names import EXCLUSIVE, FITTED
 from .least_squares import bounded_least_squares, bounded_minimum
 
 _SPARSITY = 1.0

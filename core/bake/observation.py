@@ -6,8 +6,9 @@ import numpy as np
 
 from ..actions import ACTIONS
 from ..arrays import FloatArray
+from ..coefficient_names import COEFFICIENTS
 from ..drive.actions import ActionDriver
-from ..drive.eyes import EyeDriver
+from ..drive.eyes import EyeDriver, measured_eyes
 from ..drive.posing import limit_rotation
 from ..drive.retarget import retargeter_for
 from ..drive.settings import DriveSettings
@@ -43,6 +44,7 @@ class Observer:
         self.neutral = neutral.mirrored() if options.mirror else neutral
         self._retargeter = retargeter_for(self.neutral, landmarks, strength=options.strength)
         self._actions = ActionDriver(self.neutral.actions, self.neutral.shape, options.strength)
+        self._gains = _gains(options)
         self._eyes = EyeDriver(self.neutral.gaze, self.neutral.vergence)
 
     def mirrored(self, result: TrackResult) -> TrackResult:
@@ -64,6 +66,10 @@ class Observer:
             above = self._actions.above_rest(result.actions, result.shape) * self._actions.gains
         return np.concatenate([own, above])
 
+    def stated(self, result: TrackResult) -> FloatArray:
+        """(52,) coefficients that the source stated, times the strength of their region; NaN if it states none."""
+        return np.asarray(np.clip(result.coefficients * self._gains, 0.0, 1.0))
+
     def shown(self, result: TrackResult) -> FloatArray:
         """(15,) activations that an avatar would show (equation 4.5)."""
         if self.options.only_landmarks:
@@ -74,5 +80,22 @@ class Observer:
         """(2, 3, 3) rotations of the right and left eyeball within the head; frames have to come in their order."""
         posing = self.options.posing
         turned = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
-        eyes = self._eyes.rotations(result.gaze, result.vergence, turned)
+        if self.neutral.measured and np.isfinite(result.gaze).all():
+            eyes = measured_eyes(result.gaze - self.neutral.gaze, result.vergence - self.neutral.vergence)
+        else:
+            eyes = self._eyes.rotations(result.gaze, result.vergence, turned)
         return np.stack([limit_rotation(eye, posing.eyes_strength, posing.eyes_limit) for eye in eyes])
+
+
+def _gains(options: DriveSettings) -> FloatArray:
+    """(52,) strength of each coefficient: that of its region, or of the eyes' direction."""
+    upper, middle, lower = options.strength
+
+    def gain(name: str) -> float:
+        if name.startswith("eyeLook"):
+            return options.posing.eyes_strength
+        if name.startswith(("brow", "eye")):
+            return upper
+        return middle if name.startswith(("cheek", "nose")) else lower
+
+    return np.array([gain(name) for name in COEFFICIENTS])

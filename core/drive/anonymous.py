@@ -31,7 +31,7 @@ def anonymise(take: Take) -> Take:
     info = {key: take.info[key] for key in _KEPT_INFO if key in take.info}
     result = replace(mark_lost(take, np.ones(len(take), bool)), found=take.found.copy(), info=info)
     result.confidence[:] = take.confidence
-    for name in ("pose", "gaze", "vergence", "actions"):
+    for name in ("pose", "gaze", "vergence", "actions", "coefficients"):
         getattr(result, name)[:] = getattr(take, name)
     if not take.found.any():
         return result

@@ -66,6 +66,26 @@ class EyeDriver:
         return np.stack([_rotation_within_limits(self._last - aside), _rotation_within_limits(self._last + aside)])
 
 
+def measured_eyes(gaze: FloatArray, vergence: float) -> FloatArray:
+    """Rotations of eyes whose direction was measured rather than tracked, which need neither limits nor patience.
+
+    Parameters
+    ----------
+    gaze : (2,) float64
+        `(pitch, yaw)` from straight ahead, radians.
+    vergence : float
+        As in `TrackResult`, from that at rest; NaN counts as 0.
+
+    Returns
+    -------
+    (2, 3, 3) float64
+        Rotations of the right and left eyeball.
+    """
+    aside = 0.5 * float(np.nan_to_num(vergence))
+    pitch, yaw = (float(angle) for angle in np.nan_to_num(gaze))
+    return np.stack([euler_to_matrix(pitch, yaw - aside, 0.0), euler_to_matrix(pitch, yaw + aside, 0.0)])
+
+
 def gaze_at_viewer(head: FloatArray) -> FloatArray:
     """Rotation of the eyes in a head with the rotation `head`, (3, 3), that keeps them on the viewer within the limits.
 

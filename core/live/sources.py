@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ..capture import VideoSource
 from ..errors import SourceError
 from ..images import IMAGE_SUFFIXES, read_image
+from ..takes.neutral import Neutral, calibrate
 from ..takes.take import Take
 from ..tracking.result import TrackResult
 
@@ -45,6 +46,12 @@ class LiveFrame:
         `time.perf_counter()` of its arrival, from which latency counts.
     dropped : int
         Frames dropped since the last one, as they came too fast.
+    neutral : Neutral or None
+        The neutral face of a source that measures faces, or states coefficients, rather than track them.
+    filled : bool
+        Whether the source filled it in, as none came: it is displayed, but not recorded.
+    rest : float
+        How far the face has come to rest, 0 to 1, as nothing comes from the source any more.
     """
 
     time: float
@@ -52,6 +59,9 @@ class LiveFrame:
     result: TrackResult | None = None
     taken: float = 0.0
     dropped: int = 0
+    neutral: Neutral | None = None
+    filled: bool = False
+    rest: float = 0.0
 
 
 class LiveSource(ABC):
@@ -259,8 +269,10 @@ class TakePlayer(PacedSource):
     def __init__(self, take: Take, name: str, *, loop: bool = False, speed: float = 1.0) -> None:
         super().__init__(name, loop=loop, speed=speed)
         self._take = take
+        measured = take.info.get("measured") and take.found.any()
+        self._neutral = calibrate(take) if measured else None
 
     def frames(self) -> Iterator[LiveFrame]:
         """All frames of the take."""
         for index, time in enumerate((self._take.times - self._take.times[0]).tolist()):
-            yield LiveFrame(time, None, self._take.result(index))
+            yield LiveFrame(time, None, self._take.result(index), neutral=self._neutral)

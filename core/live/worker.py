@@ -9,10 +9,10 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from ..drive.driver import HeadDriver, HeadFrame
 from ..drive.settings import DriveSettings
 from ..errors import FacemimeError, OutputError
 from ..heads.rig import HeadRig
+from ..takes.between import at_rest, between
 from ..takes.neutral import Neutral
 from ..takes.take import Take, TakeRecorder
 from ..tracking.overlay import draw_preview
@@ -29,6 +30,7 @@ from ..tracking.smoothing import ResultSmoother
 from ..tracking.tracker import FaceTracker
 from .calibration import NeutralCalibration, Quality, RangeCalibration
 from .key_driver import KeyDriver, LiveKeys
+from .outputs import Output, Recorder
 from .sources import LiveFrame, LiveSource
 
 _PATIENCE = 0.1
@@ -39,29 +41,6 @@ _RECENT = 900
 """Frames of `recent_take`: half a minute with most cameras."""
 _LOAD_TRACKER = partial(FaceTracker.load, gradual=True)
 """Loads a tracker whose search is gradual, as a long one would stall the puppet when somebody returns to the camera."""
-
-
-class Recorder(Protocol):
-    """Interface of a recording."""
-
-    def append(self, time: float, result: TrackResult, image: NDArray[np.uint8] | None) -> None:
-        """Record a frame.
-
-        Parameters
-        ----------
-        time : float
-            Seconds.
-        result : TrackResult
-            Of that frame.
-        image : (H, W, 3) uint8 or None
-            BGR, if there is one.
-        """
-
-    def flush(self) -> None:
-        """Write pending frames to the disk."""
-
-    def close(self) -> None:
-        """End the recording."""
 
 
 @dataclass(frozen=True)
@@ -163,6 +142,8 @@ class LiveWorker:
         Initial options.
     load_tracker : callable
         Returns the tracker; called in the thread, as it takes a moment.
+    output : Output, optional
+        Gets every frame; closed with the worker.
 
     Attributes
     ----------
@@ -190,6 +171,7 @@ class LiveWorker:
         heads: tuple[LiveHead, ...] = (),
         options: LiveOptions = LiveOptions(),
         load_tracker: Callable[[], FaceTracker] = _LOAD_TRACKER,
+        output: Output | None = None,
     ) -> None:
         self.source, self.heads, self.options = source, heads, options
         self.latest: LiveResult | None = None
@@ -199,8 +181,9 @@ class LiveWorker:
         self.recording_error: OutputError | None = None
         self.quality: Quality | None = None
         self.neutral = neutral
-        self._load_tracker = load_tracker
+        self._load_tracker, self.output = load_tracker, output
         self._calibration: NeutralCalibration | RangeCalibration | None = None
+        self._stated: Neutral | None = None
         self._first = None if neutral is not None else NeutralCalibration(asked=False)
         self._recorder: Recorder | None = None
         self._recording = threading.Lock()
@@ -250,6 +233,8 @@ class LiveWorker:
         self.source.close()
         if self._thread.is_alive():
             self._thread.join(_ENDING)
+        if self.output is not None:
+            self.output.close()
         self.stop_recording()
 
     def calibrate(self, *, range_of: Neutral | None = None) -> None:
@@ -320,11 +305,16 @@ class LiveWorker:
         began = perf_counter()
         options = self.options
         seen = self._tracked(tracker, frame, options.face)
-        self._record((frame.time, seen, frame.image))
-        result = self._smoothed(seen, frame.time, options.smoothing)
+        self._adopt(frame.neutral)
+        if not frame.filled:
+            self._record((frame.time, seen, frame.image))
+            self._recent.append((frame.time, seen))
+        result = self._smoothed(self._eased(seen, frame.rest), frame.time, options.smoothing)
         tracked = perf_counter()
-        self._recent.append((frame.time, seen))
-        self._calibrate(frame.time, result)
+        if not frame.filled:
+            self._calibrate(frame.time, result)
+        if self.output is not None:
+            self.output.send(frame.time, result, self.neutral)
         heads = self._driven(result)
         prepared = tuple(head.prepare(shown) for head, shown in zip(self._driven_heads, heads, strict=False))
         driven = perf_counter()
@@ -348,6 +338,16 @@ class LiveWorker:
             self._next_face = False
             tracker.choose_next()
         return tracker.track(frame.image)
+
+    def _adopt(self, neutral: Neutral | None) -> None:
+        """Take over the neutral face of a source that states it, once, so that it can be calibrated afterwards."""
+        if neutral is not None and neutral is not self._stated:
+            self._stated = self.neutral = neutral
+
+    def _eased(self, seen: TrackResult, rest: float) -> TrackResult:
+        if rest <= 0.0 or not seen.found or self.neutral is None:
+            return seen
+        return between(seen, at_rest(self.neutral, seen), rest)
 
     def _smoothed(self, seen: TrackResult, time: float, amount: float) -> TrackResult:
         if amount <= 0.0:
@@ -377,7 +377,8 @@ class LiveWorker:
         if asked is not None and asked.add(time, result):
             quality = asked.quality()
             try:
-                self.neutral = asked.neutral()
+                measured = self._stated is not None
+                self.neutral = replace(asked.neutral(), measured=measured)
             except FacemimeError as error:
                 quality = Quality(False, str(error))
             self.quality = quality

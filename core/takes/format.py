@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 
 from ..actions import N_ACTIONS
 from ..arrays import FloatArray
+from ..coefficient_names import N_COEFFICIENTS
 from ..landmarks import N_LANDMARKS
 from ..reading import parse_json
 from .take import Take
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 MARKER = b"\x8bFTAKE\r\n"
 START, FRAMES, END = b"S", b"F", b"E"
 """Kinds of chunks: the description of the take, its frames, and the description again at the end."""
@@ -51,11 +52,12 @@ LAYOUT: tuple[Column, ...] = (
     ("gaze", (2,), 2.0**-13),
     ("vergence", (), 2.0**-13),
     ("actions", (N_ACTIONS,), 2.0**-8),
+    ("coefficients", (N_COEFFICIENTS,), 2.0**-16),
     ("shape_params", (-1,), 2.0**-13),
 )
 """Name, shape and step of the columns of a frame, without its time; values change by half a step at most. The shape
 parameters come last, as their number depends on the model."""
-_SINCE = {"vergence": 2, "actions": 2}
+_SINCE = {"vergence": 2, "actions": 2, "coefficients": 3}
 """Version of the format that introduced a column; others are in all."""
 
 

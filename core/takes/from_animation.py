@@ -18,6 +18,8 @@ IMAGE_SIZE = (1280, 720)
 """Width and height, pixels, of the image in which landmarks are shown, as if a camera had seen them."""
 _SCALE = 160.0
 """Size of the face in that image: pixels per outer-eye distance."""
+REST_POSITION: FloatArray = np.array([_SCALE, *np.array(IMAGE_SIZE) / 2.0])
+"""`Neutral.position` of a face that was measured: scale, and the middle of that image."""
 _ROUNDS, _LEAST_SPREAD = 12, 1e-4
 """Rounds of the robust fit, and its least spread in eye distances."""
 _NEAREST = 0.2
@@ -72,7 +74,7 @@ class PointTracker:
         if not np.isfinite(points.landmarks).all() or not np.isfinite(points.anchors).all():
             return TrackResult.nothing(0)
         rotation, moved = fit_rigid(self.rest.anchors, points.anchors, self.trust, _LEAST_SPREAD * self.unit)
-        pose = self._pose(rotation, rotation @ self.pivot + moved - self.pivot)
+        pose = pose_of(rotation, (rotation @ self.pivot + moved - self.pivot) / self.unit)
         shape = ((points.landmarks - moved) @ rotation - self._centre) / self.unit
         right, left = (
             _direction(rotation.T @ _turned(rest, eye)) if len(rest) else np.full(2, np.nan)
@@ -97,7 +99,7 @@ class PointTracker:
         return Neutral(
             shape=shape,
             rotation=np.eye(3),
-            position=np.array([_SCALE, *_middle()]),
+            position=REST_POSITION,
             start=float(take.times[0]),
             end=float(take.times[0]),
             shut=shut_level(shape, take.shape[take.found].astype(np.float64)) if take.found.any() else 0.0,
@@ -113,12 +115,26 @@ class PointTracker:
             take.info["calibration"] = self.neutral(take).to_dict()
         return take
 
-    def _pose(self, rotation: FloatArray, moved: FloatArray) -> FloatArray:
-        """The pose (6,) of a head that was turned and moved; the inverse of equation 4.4."""
-        across, down, away = moved / self.unit
-        scale = _SCALE / max(1.0 + away / CAMERA_DISTANCE, _NEAREST)
-        sideways = np.array([across, down]) * np.sqrt(scale * _SCALE)
-        return np.array([scale, *matrix_to_euler(rotation), *(_middle() + sideways)])
+
+def pose_of(rotation: FloatArray, moved: FloatArray) -> FloatArray:
+    """Find the pose of a head that was turned and moved; the inverse of equation 4.4.
+
+    Parameters
+    ----------
+    rotation : (3, 3) float64
+        From rest, head frame.
+    moved : (3,) float64
+        From rest, head frame, outer-eye distances.
+
+    Returns
+    -------
+    (6,) float64
+        As in `TrackResult`.
+    """
+    across, down, away = moved
+    scale = _SCALE / max(1.0 + away / CAMERA_DISTANCE, _NEAREST)
+    sideways = np.array([across, down]) * np.sqrt(scale * _SCALE)
+    return np.array([scale, *matrix_to_euler(rotation), *(REST_POSITION[1:] + sideways)])
 
 
 def describe_animation(source: str, fps: float) -> dict[str, object]:
@@ -188,7 +204,3 @@ def _direction(rotation: FloatArray) -> FloatArray:
     """(pitch, yaw) of an eye that looked straight ahead before it was turned."""
     x, y, z = rotation @ np.array([0.0, 0.0, -1.0])
     return np.array([np.arcsin(np.clip(y, -1.0, 1.0)), np.arctan2(-x, -z)])
-
-
-def _middle() -> FloatArray:
-    return np.array(IMAGE_SIZE) / 2.0

@@ -16,7 +16,7 @@ from ..tracking.mirror import mirror_result
 from ..tracking.tracker import FaceTracker
 from .neutral import Neutral, calibrate
 from .smooth import smooth_take, smooth_zero_phase
-from .take import Take, TakeRecorder
+from .take import FIELDS, Take, TakeRecorder
 from .timing import mark_lost, mix
 
 Gaps = Literal["leave", "bridge", "hold"]
@@ -129,7 +129,7 @@ def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: 
     # Interpolate, or hold the frame before; confidence is 0, as nothing was seen.
     filling = mix(take.part(before), take.part(after), share)
     result = mark_lost(take, np.zeros(len(take), bool))
-    for name in ("landmarks", "pose", "shape_params", "shape", "pupils", "gaze", "vergence", "actions", "found"):
+    for name in set(FIELDS) - {"times", "landmark_confidence", "confidence"}:
         getattr(result, name)[lost] = getattr(filling, name)
     result.landmark_confidence[lost], result.confidence[lost] = 0.0, 0.0
     spans = np.unique(np.stack([take.times[before], take.times[after]], axis=1), axis=0).tolist()

@@ -102,7 +102,8 @@ def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) ->
     for run in _runs(take.times, np.isfinite(take.gaze).all(axis=1)):
         gaze[run] = low_pass(take.times[run], gaze[run], chosen["gaze"])
     vergence, actions = take.vergence[:, None].astype(np.float64), take.actions.astype(np.float64)
-    for values, part in ((vergence, "gaze"), (actions, "actions")):
+    coefficients = take.coefficients.astype(np.float64)
+    for values, part in ((vergence, "gaze"), (actions, "actions"), (coefficients, "actions")):
         for run in _runs(take.times, np.isfinite(values).all(axis=1)):
             values[run] = low_pass(take.times[run], values[run], chosen[part])
     landmarks = take.landmarks.copy()
@@ -112,6 +113,7 @@ def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) ->
         "gaze": gaze.astype(np.float32),
         "vergence": vergence[:, 0].astype(np.float32),
         "actions": actions.astype(np.float32),
+        "coefficients": coefficients.astype(np.float32),
         "landmarks": landmarks,
     }
     return replace(take, pose=pose, **changed, info={**take.info, "smoothed": "zero-phase"})

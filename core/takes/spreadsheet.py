@@ -12,6 +12,7 @@ import numpy as np
 from ..actions import ACTIONS
 from ..apertures import eye_apertures, mouth_aperture
 from ..capture import check_readable
+from ..coefficient_names import COEFFICIENTS
 from ..errors import SourceError
 from ..files import replacing
 from ..landmarks import IBUG68_INDICES
@@ -37,6 +38,7 @@ def _columns(modes: int) -> dict[str, list[str]]:
         "gaze": ["gaze_pitch", "gaze_yaw"],
         "vergence": ["vergence"],
         "actions": [f"action_{name}" for name in ACTIONS],
+        "coefficients": [f"coefficient_{name}" for name in COEFFICIENTS],
         "pupils": [f"pupil_{side}_{axis}" for side in ("right", "left") for axis in "xy"],
         "shape": [f"shape_{n}_{axis}" for n in numbers for axis in "xyz"],
         "landmarks": [f"landmark_{n}_{axis}" for n in numbers for axis in "xy"],
@@ -124,6 +126,7 @@ def _read(lines: Iterator[list[str]]) -> Take:
         gaze=arrays["gaze"].astype(np.float32),
         vergence=arrays["vergence"][:, 0].astype(np.float32),
         actions=arrays["actions"].astype(np.float32),
+        coefficients=arrays["coefficients"].astype(np.float32),
         info=info,
     )
 

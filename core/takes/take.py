@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..actions import N_ACTIONS
 from ..arrays import FloatArray
+from ..coefficient_names import N_COEFFICIENTS
 from ..errors import SourceError
 from ..landmarks import N_LANDMARKS
 from ..tracking.result import TrackResult
@@ -52,6 +53,8 @@ class Take:
         As in `TrackResult`, radians; NaN where unknown.
     actions : (N, 15) float32
         As in `TrackResult`; NaN where unknown, as in takes of earlier versions.
+    coefficients : (N, 52) float32
+        As in `TrackResult`; NaN where the source states none, as in a tracked video.
     info : dict
         Description, initially by `describe`. Later steps add `interrupted` (stopped before the end of the source),
         `recovered` (what is missing from a damaged file), `calibration` (a chosen neutral face), `bridged` (spans in
@@ -70,6 +73,7 @@ class Take:
     gaze: FloatArray
     vergence: FloatArray
     actions: FloatArray
+    coefficients: FloatArray
     info: dict[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -89,6 +93,7 @@ class Take:
             gaze=self.gaze[frame].astype(np.float64),
             vergence=float(self.vergence[frame]),
             actions=self.actions[frame].astype(np.float64),
+            coefficients=self.coefficients[frame].astype(np.float64),
         )
 
     def part(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Take:
@@ -98,7 +103,7 @@ class Take:
 
 FIELDS = (
     *("times", "landmarks", "pose", "shape_params", "shape", "confidence", "found"),
-    *("landmark_confidence", "pupils", "gaze", "vergence", "actions"),
+    *("landmark_confidence", "pupils", "gaze", "vergence", "actions", "coefficients"),
 )
 """Names of the arrays of a take, which have one row per frame."""
 
@@ -181,6 +186,7 @@ class TakeRecorder:
             gaze=stack("gaze", np.float32),
             vergence=stack("vergence", np.float32),
             actions=stack("actions", np.float32),
+            coefficients=stack("coefficients", np.float32),
             info=dict(self.info),
         )
 
@@ -222,6 +228,7 @@ def check_take(take: Take) -> None:
         "gaze": (count, 2),
         "vergence": (count,),
         "actions": (count, N_ACTIONS),
+        "coefficients": (count, N_COEFFICIENTS),
     }
     for name, expected in shapes.items():
         if (shape := getattr(take, name).shape) != expected:

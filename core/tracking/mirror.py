@@ -12,6 +12,7 @@ import numpy as np
 
 from ..actions import ACTION_MIRROR
 from ..arrays import FloatArray
+from ..coefficient_names import COEFFICIENT_MIRROR
 from ..landmarks import MIRROR
 from .result import TrackResult
 
@@ -52,6 +53,7 @@ def mirror_result(result: TrackResult, width: float, mode_signs: FloatArray | No
         pupils=pupils,
         gaze=result.gaze * _GAZE,
         actions=result.actions[ACTION_MIRROR],
+        coefficients=result.coefficients[COEFFICIENT_MIRROR],
     )
 
 

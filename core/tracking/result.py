@@ -10,6 +10,7 @@ import numpy as np
 from ..actions import N_ACTIONS
 from ..apertures import eye_apertures, mouth_aperture
 from ..arrays import FloatArray
+from ..coefficient_names import N_COEFFICIENTS
 from ..landmarks import N_LANDMARKS
 
 CAMERA_DISTANCE = 6.0
@@ -55,6 +56,9 @@ class TrackResult:
     actions : (15,) float64
         Activations of `actions.ACTIONS`, which no landmark shows, before what the performer's face has at rest is
         subtracted; NaN if unknown.
+    coefficients : (52,) float64
+        ARKit's coefficients, 0 to 1, in the order of `COEFFICIENTS`, where the source states them itself, as a phone
+        does; NaN if they have to be found from the landmarks.
     """
 
     found: bool
@@ -68,6 +72,7 @@ class TrackResult:
     gaze: FloatArray = field(default_factory=lambda: _unknown(2))
     vergence: float = nan
     actions: FloatArray = field(default_factory=lambda: _unknown(N_ACTIONS))
+    coefficients: FloatArray = field(default_factory=lambda: _unknown(N_COEFFICIENTS))
 
     @classmethod
     def nothing(cls, n_modes: int) -> TrackResult:

@@ -55,7 +55,7 @@ ROTATION = Cutoffs(1.5, 30.0, 4.0)
 PLACE = Cutoffs(1.5, 60.0, 4.0)
 GAZE = Cutoffs(1.5, 8.0, 8.0)
 ACTION = Cutoffs(1.0, 6.0, 4.0)
-"""Of the vergence of the eyes, in radians, and of the actions, each by itself."""
+"""Of the vergence of the eyes, in radians, of the actions and of stated coefficients, each by itself."""
 
 
 class OneEuroFilter:
@@ -108,9 +108,9 @@ def _share(cutoff: FloatArray | float, step: float) -> FloatArray | float:
 class ResultSmoother:
     """Smooths the results of one performance, frame by frame.
 
-    Pose, shape, gaze and actions are smoothed, and landmarks follow from pose and shape. Shape parameters, pupils and
-    confidences remain as tracked. If tracking is lost, the filters are reset, so that nothing is smoothed across the
-    gap.
+    Pose, shape, gaze, actions and coefficients are smoothed, and landmarks follow from pose and shape. Shape
+    parameters, pupils and confidences remain as tracked. If tracking is lost, the filters are reset, so that nothing is
+    smoothed across the gap.
 
     Parameters
     ----------
@@ -122,12 +122,13 @@ class ResultSmoother:
         self.amount = amount
         self._shape = [(rows, OneEuroFilter(cutoffs.softer(amount), 3)) for rows, cutoffs in SHAPE_PARTS.values()]
         self._rotation, self._place, self._gaze = (OneEuroFilter(c.softer(amount)) for c in (ROTATION, PLACE, GAZE))
-        self._vergence, self._actions = (OneEuroFilter(ACTION.softer(amount), dims=0) for _ in range(2))
+        each = (OneEuroFilter(ACTION.softer(amount), dims=0) for _ in range(3))
+        self._vergence, self._actions, self._coefficients = each
         self._unit = 0.0
 
     def reset(self) -> None:
         """Forget the past."""
-        others = (self._rotation, self._place, self._gaze, self._vergence, self._actions)
+        others = (self._rotation, self._place, self._gaze, self._vergence, self._actions, self._coefficients)
         for each in (*others, *(part for _, part in self._shape)):
             each.reset()
         self._unit = 0.0
@@ -162,6 +163,7 @@ class ResultSmoother:
             gaze=_smoothed(self._gaze, result.gaze, time),
             vergence=float(_smoothed(self._vergence, np.array([result.vergence]), time)[0]),
             actions=_smoothed(self._actions, result.actions, time),
+            coefficients=_smoothed(self._coefficients, result.coefficients, time),
         )
 
     def _smooth_pose(self, pose: FloatArray, time: float) -> FloatArray:

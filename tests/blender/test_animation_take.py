@@ -8,7 +8,7 @@ from commands import run
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_landmarks
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.bake.coefficient_names import COEFFICIENTS
+from facemime.core.coefficient_names import COEFFICIENTS
 from facemime.core.landmarks import outer_eye_distance
 from facemime.core.takes.file import load_take
 from facemime.core.takes.neutral import calibrate

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.bake.coefficient_model import N_OBSERVED, load_coefficient_model
-from facemime.core.bake.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from facemime.core.landmarks import N_LANDMARKS, from_ibug
 from facemime.core.tracking.tracker import FaceTracker
 from facemime.training.coefficients.learn import learn, mirrored, model_bytes, spread

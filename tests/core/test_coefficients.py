@@ -13,15 +13,15 @@ from hypothesis.extra.numpy import arrays
 from facemime.core.actions import ACTION_MIRROR, N_ACTIONS
 from facemime.core.bake.arkit import arkit_coefficients, coefficients_of
 from facemime.core.bake.coefficient_model import N_OBSERVED, CoefficientModel, load_coefficient_model
-from facemime.core.bake.coefficient_names import (
+from facemime.core.bake.coefficients import CoefficientSolver
+from facemime.core.bake.observation import Observer
+from facemime.core.coefficient_names import (
     COEFFICIENT_INDEX,
     COEFFICIENT_MIRROR,
     COEFFICIENTS,
     EXCLUSIVE,
     FITTED,
 )
-from facemime.core.bake.coefficients import CoefficientSolver
-from facemime.core.bake.observation import Observer
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.errors import ModelError, SourceError
 from facemime.core.heads.built_in import load_head

@@ -21,6 +21,7 @@ FLOORS = (
     "core/bake",
     "core/puppet",
     "core/live",
+    "core/streams",
     "blender",
     "blender/media",
     "blender/heads",

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.bake.coefficient_names import COEFFICIENTS, FITTED
 from facemime.core.bake.key_map import KeyMap, KeyRow
+from facemime.core.coefficient_names import COEFFICIENTS, FITTED
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.retarget import retargeter_for
 from facemime.core.errors import HeadError

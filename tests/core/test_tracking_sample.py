@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.bake.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from facemime.core.landmarks import INNER
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import TakeRecorder, describe

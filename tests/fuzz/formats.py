@@ -12,7 +12,7 @@ import tempfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -41,6 +41,7 @@ from facemime.core.images import read_image
 from facemime.core.mesh.kernels import get_kernel
 from facemime.core.reading import parse_json
 from facemime.core.settings import Choice, Setting
+from facemime.core.takes.coefficient_table import from_coefficient_csv, write_coefficient_csv
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.format import HEADER, MARKER, chunk_bytes, chunks_in
 from facemime.core.takes.mending import bridge_gaps, mirror_take, remove_outliers
@@ -52,9 +53,10 @@ from facemime.core.takes.timing import resample, restart, trim
 from facemime.core.tracking.detect import BoxDetector
 from facemime.core.tracking.model_file import _HEADER, FORMAT_VERSION, MAGIC
 from facemime.core.tracking.tracker import DEFAULT_MODEL, FaceTracker
-from takes import performance
+from takes import coefficient_take, performance
 
 from .mutators import Arrays, archive_bytes, mutated_archive, mutated_bytes, mutated_json, npy_bytes
+from .streams import INTACT, mutated_packet, packets, reader
 
 SAMPLE = Path(HEAD_FILE).parents[1] / "sample" / "sample.mp4"
 
@@ -361,6 +363,27 @@ def _read_csv(path: Path) -> None:
     _use(from_csv(path))
 
 
+@cache
+def _coefficient_csv_bytes() -> bytes:
+    take = coefficient_take(8)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "take.csv"
+        write_coefficient_csv(path, take.times, take.coefficients, take.pose[:, 1:4], live_link=True)
+        return path.read_bytes()
+
+
+def _mutated_coefficient_csv(rng: Random) -> bytes:
+    return mutated_bytes(rng, _coefficient_csv_bytes())
+
+
+def _read_coefficient_csv(path: Path) -> None:
+    _use(from_coefficient_csv(path))
+
+
+def _packet(name: str) -> bytes:
+    return packets(name)[0]
+
+
 _SUFFIXES = (".png", ".jpg", ".bmp", ".tiff", ".webp", ".ppm", ".pgm")
 
 
@@ -424,6 +447,11 @@ FORMATS: dict[str, Format] = {
     "facegen obj": Format(".obj", OBJ.encode, _mutated_obj, lambda path: _read_facegen(read_obj(path))),
     "take": Format(".facetake", _take_bytes, _mutated_take, _read_take),
     "take csv": Format(".csv", _csv_bytes, _mutated_csv, _read_csv),
+    "coefficient csv": Format(".csv", _coefficient_csv_bytes, _mutated_coefficient_csv, _read_coefficient_csv),
+    **{
+        f"stream {name}": Format(".packet", partial(_packet, name), partial(mutated_packet, name), reader(name))
+        for name in INTACT
+    },
     "picture": Format(".png", lambda: _picture(".png"), _mutated_picture, _read_picture, 512),
     "video": Format(".mp4", _video, lambda rng: mutated_bytes(rng, _video()), _read_video, 512),
 }

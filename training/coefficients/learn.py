@@ -6,8 +6,8 @@ import numpy as np
 
 from facemime.core.actions import ACTION_MIRROR, ACTIONS
 from facemime.core.bake.coefficient_model import FORMAT, N_OBSERVED, CoefficientModel, Spread
-from facemime.core.bake.coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, FITTED
 from facemime.core.bake.coefficients import CoefficientSolver
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, FITTED
 from facemime.core.landmarks import MIRROR, N_LANDMARKS
 
 from ..head.build import to_bytes

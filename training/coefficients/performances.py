@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from facemime.core.bake.coefficient_names import COEFFICIENT_INDEX
+from facemime.core.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.landmarks import JAW
 from facemime.core.takes.take import Take, TakeRecorder, describe
 from facemime.core.tracking.pdm import PointDistributionModel

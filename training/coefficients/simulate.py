@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from facemime.core.actions import N_ACTIONS
-from facemime.core.bake.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
 from facemime.core.bake.observation import Observer
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.heads.built_in import load_head
 from facemime.core.landmarks import N_LANDMARKS, outer_eye_distance

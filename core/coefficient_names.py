@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,7 @@ COEFFICIENTS = tuple(sorted([*_SINGLE, *(name + side for name in _SIDED for side
 """Names of the 52 coefficients, alphabetically; left and right are the performer's own."""
 COEFFICIENT_INDEX = {name: i for i, name in enumerate(COEFFICIENTS)}
 """Column of each coefficient."""
+N_COEFFICIENTS = len(COEFFICIENTS)
 FITTED: NDArray[np.intp] = np.array([i for i, name in enumerate(COEFFICIENTS) if not name.startswith("eyeLook")])
 """(44,) columns of the coefficients that are fitted; the others are the direction of the eyes."""
 _EXCLUSIVE = (
@@ -41,3 +44,22 @@ def _mirrored(name: str) -> str:
 
 COEFFICIENT_MIRROR: NDArray[np.intp] = np.array([COEFFICIENT_INDEX[_mirrored(name)] for name in COEFFICIENTS])
 """(52,) mirror image of each coefficient; ``a[COEFFICIENT_MIRROR]`` are those of a face that was flipped."""
+
+
+def _spellings() -> dict[str, int]:
+    """Column of each coefficient by all its names: `eyeBlinkLeft`, `EyeBlinkLeft`, `eyeBlink_L`, in lower case."""
+    found = {}
+    for name, column in COEFFICIENT_INDEX.items():
+        found[name.lower()] = column
+        for side in ("Left", "Right"):
+            if name.endswith(side):
+                found[f"{name.removesuffix(side)}_{side[0]}".lower()] = column
+    return found
+
+
+SPELLINGS: Mapping[str, int] = _spellings()
+
+
+def column_of(name: str) -> int | None:
+    """Column of a coefficient by any of its usual names; None for other names."""
+    return SPELLINGS.get(name.lower())

@@ -1,0 +1,121 @@
+"""Packets of every protocol, sound and damaged, for the fuzzers of tests and of `bench.remote`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from facemime.core.coefficient_names import COEFFICIENTS, N_COEFFICIENTS
+from facemime.core.streams import live_link, openseeface, osc, vmc
+from facemime.core.streams.datagram import encode_face
+from facemime.core.streams.face_cap import FaceCapDecoder
+from facemime.core.streams.frames import Decoder, FaceValues, StreamFrame
+from facemime.core.streams.ifacialmocap import IFacialMocapDecoder
+from facemime.core.streams.live_link import LiveLinkDecoder
+from facemime.core.streams.openseeface import OpenSeeFaceDecoder
+from facemime.core.streams.sessions import OwnReceiver, OwnSender
+from facemime.core.streams.vmc import VmcDecoder
+from facemime.core.streams.vtube_studio import VTubeStudioDecoder
+from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.tracking.result import TrackResult
+
+_FACE = FaceValues(np.linspace(0.0, 1.0, N_COEFFICIENTS), np.array([0.1, -0.2, 0.05]))
+_STATED = coefficient_face().result(_FACE.coefficients, _FACE.rotation)
+_TRACKED = replace(_STATED, coefficients=np.full(N_COEFFICIENTS, np.nan))
+_KEY = b"k" * 32
+
+
+class _Own:
+    """A receiver of Facemime's own packets, as a decoder."""
+
+    def __init__(self) -> None:
+        self._receiver = OwnReceiver(None)
+
+    def decode(self, data: bytes) -> list[StreamFrame]:
+        """Decode a datagram."""
+        return self._receiver.receive(data, 0.0)[0]
+
+
+class _Signed:
+    """The same with a key, which no packet of the fuzzer has: nothing may get through."""
+
+    def decode(self, data: bytes) -> list[StreamFrame]:
+        """Decode a datagram."""
+        frames, _ = OwnReceiver(_KEY).receive(data, 0.0)
+        assert not frames
+        return []
+
+
+def _own() -> list[bytes]:
+    results = (_TRACKED, _STATED, TrackResult.nothing(0))
+    return [OwnSender(None).packet(*encode_face(result), 1.5) for result in results]
+
+
+def _signed() -> list[bytes]:
+    sender, receiver = OwnSender(_KEY), OwnReceiver(_KEY)
+    hello = sender.hello()
+    sender.answer(receiver.receive(hello, 0.0)[1])
+    return [hello, sender.packet(*encode_face(_TRACKED), 1.5)]
+
+
+def _phone_text() -> list[bytes]:
+    values = "|".join(f"{name}-{round(100 * v)}" for name, v in zip(COEFFICIENTS, _FACE.coefficients, strict=True))
+    first = f"{values}|=head#-21.5,-6.0,-6.6,-0.03,-0.1,-0.66|rightEye#6.0,2.4,0.25|leftEye#6.0,-1.6,-0.17|"
+    return [first.encode(), first.replace("-", "&", 52).encode()]
+
+
+def phone_json() -> dict:
+    vector = {"x": 1.0, "y": -2.0, "z": 3.0}
+    entries = [{"k": name, "v": float(v)} for name, v in zip(COEFFICIENTS, _FACE.coefficients, strict=True)]
+    return {
+        "Timestamp": 1_700_000_000_123,
+        "FaceFound": True,
+        "Rotation": vector,
+        "Position": vector,
+        "BlendShapes": entries,
+    }
+
+
+def _face_cap() -> list[bytes]:
+    messages = [osc.encode_message("/HT", 0.0, 0.0, -0.5), osc.encode_message("/HR", 10.0, 20.0, 5.0)]
+    messages += [osc.encode_message("/W", number, 0.5) for number in range(52)]
+    return [*osc.encode_bundles(messages, 9000), messages[-1]]
+
+
+INTACT: dict[str, tuple[Callable[[], Decoder], Callable[[], list[bytes]]]] = {
+    "own": (_Own, _own),
+    "own_signed": (_Signed, _signed),
+    "livelink": (LiveLinkDecoder, lambda: [live_link.encode(_FACE, 12.5, subject="iPhone", device="d" * 36)]),
+    "vmc": (VmcDecoder, lambda: list(vmc.encode(_FACE, 1.5))),
+    "openseeface": (OpenSeeFaceDecoder, lambda: [openseeface.encode(_TRACKED, 1.5)]),
+    "ifacialmocap": (IFacialMocapDecoder, _phone_text),
+    "vtubestudio": (VTubeStudioDecoder, lambda: [json.dumps(phone_json()).encode()]),
+    "facecap": (FaceCapDecoder, _face_cap),
+}
+"""For each protocol, a decoder and sound packets."""
+
+
+@cache
+def packets(name: str) -> tuple[bytes, ...]:
+    """Sound packets of a protocol."""
+    return tuple(INTACT[name][1]())
+
+
+def is_possible(frame: StreamFrame) -> bool:
+    """Whether a frame that a decoder did not refuse is one that a face can have."""
+    face = frame.face
+    if isinstance(face, FaceValues):
+        if not ((face.coefficients >= 0.0) & (face.coefficients <= 1.0)).all():
+            return False
+        face = coefficient_face().result(face.coefficients, face.rotation, face.position)
+    if face is not None:
+        numbers = (face.shape, face.pose, face.landmarks)
+        if not all(np.isfinite(values).all() for values in numbers) or not face.pose[0] > 0.0:
+            return False
+        if not 0.0 <= face.confidence <= 1.0:
+            return False
+    return frame.time is None or bool(np.isfinite(frame.time))

@@ -1,0 +1,69 @@
+"""iFacialMocap and Facemotion3d, versions 1 and 2 of their text (docs/streams.md).
+
+The phone sends only after a start message. A packet is `name-percent|...|` (1) or `name&percent|...|` (2), with the
+head's angles in degrees and its position in metres after `=head#`, and the angles of the eyes.
+"""
+
+from __future__ import annotations
+
+import re
+from math import pi
+
+import numpy as np
+
+from ..coefficient_names import column_of
+from .frames import (
+    MAX_DATAGRAM,
+    FaceValues,
+    PacketError,
+    StreamFrame,
+    checked,
+    no_coefficients,
+    turned,
+)
+
+PORT, PHONE_PORT, FACEMOTION_PORT = 49983, 49983, 49993
+"""Of the receiver, and of the two apps on the phone."""
+START = b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719|sendDataVersion=v2"
+FACEMOTION_START = b"FACEMOTION3D_OtherStreaming"
+"""What asks the phone to send, to `PHONE_PORT` and `FACEMOTION_PORT`."""
+_VALUE = re.compile(r"([A-Za-z][A-Za-z0-9_]{0,63})[-&](-?\d{1,6}(?:\.\d{1,9})?)")
+_NUMBERS = re.compile(r"=?(head|rightEye|leftEye)#(-?[\d.eE+-]{1,24}(?:,-?[\d.eE+-]{1,24}){2,5})")
+_MAX_PARTS, _MIN_NAMES = 400, 10
+"""Parts of a packet at most, and the fewest known names."""
+
+
+class IFacialMocapDecoder:
+    """Decodes both versions."""
+
+    def decode(self, data: bytes) -> list[StreamFrame]:
+        """Decode a packet; see `frames.Decoder`."""
+        if len(data) > MAX_DATAGRAM or not data.isascii():
+            raise PacketError("not iFacialMocap")
+        parts = data.decode("ascii").removesuffix("|").split("|")
+        if len(parts) > _MAX_PARTS:
+            raise PacketError("too many parts")
+        coefficients, known, poses = no_coefficients(), 0, {}
+        for part in parts:
+            if (value := _VALUE.fullmatch(part)) is not None:
+                if (column := column_of(value[1])) is not None:
+                    coefficients[column] = 0.01 * float(value[2])
+                    known += 1
+            elif (numbers := _NUMBERS.fullmatch(part)) is not None:
+                poses[numbers[1]] = _floats(numbers[2])
+            else:
+                raise PacketError("a part is neither a value nor a pose")
+        head = poses.get("head", ())
+        if known < _MIN_NAMES or len(head) != 6:
+            raise PacketError("the face or its pose is missing")
+        rotation = turned(*(angle * pi / 180.0 for angle in head[:3]))
+        # ARKit's axes are to the viewer's right, up and towards the viewer.
+        position = np.array(head[3:]) * (1.0, -1.0, -1.0)
+        return [StreamFrame(checked(FaceValues(coefficients, rotation, position)))]
+
+
+def _floats(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(number) for number in text.split(","))
+    except ValueError:
+        raise PacketError("a pose is not numbers") from None

@@ -1,0 +1,238 @@
+"""When the frames of a stream are shown: evenly, a stated delay after the fastest of them could have come.
+
+The times are the sender's. How far its clock is from this computer's is the least difference between arrival and time
+over some seconds, which neither jitter nor congestion lowers, and which follows a clock that runs fast or slow.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import count
+from math import inf
+
+from ..takes.between import between
+from ..tracking.result import TrackResult
+
+_BIN, _BINS = 1.0, 10
+"""Seconds over which one least difference is taken, and how many of these count."""
+_SLEW = 0.05
+"""Share of a frame's interval by which the estimate of the clock may change from frame to frame."""
+_JUMP = 2.0
+"""Seconds by which a time has to be off for the sender to count as restarted."""
+_MOST = 240
+"""Frames that wait at most."""
+_INTERVAL, _LEAST_INTERVAL, _MOST_INTERVAL = 1.0 / 30.0, 1e-3, 0.5
+_PREDICTED, _DAMPING = 2, 0.8
+"""Frames in a row that are predicted where some are missing, and the share of the last motion that continues."""
+_MISSING = 1.6
+"""Time between two frames, in intervals, above which one is missing between them."""
+_PULL = 0.1
+"""Share of the difference by which the times of frames without any follow their arrival."""
+
+
+@dataclass(order=True)
+class _Waiting:
+    time: float
+    order: int
+    result: TrackResult = field(compare=False)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A frame that is due.
+
+    Attributes
+    ----------
+    time : float
+        Seconds on the sender's clock.
+    due : float
+        Seconds on this computer's clock.
+    result : TrackResult
+    predicted : bool
+        Whether it did not come, and continues the motion before it.
+    """
+
+    time: float
+    due: float
+    result: TrackResult
+    predicted: bool = False
+
+
+class ClockFollower:
+    """Follows the difference between two clocks, of which one is read through a network with delays.
+
+    Parameters
+    ----------
+    patience : float
+        Seconds. If everything came later than that for a second, as when a network takes another route, what came
+        before no longer counts.
+    """
+
+    def __init__(self, patience: float = inf) -> None:
+        self.offset: float | None = None
+        self._patience = patience
+        self._bins: deque[tuple[float, float]] = deque(maxlen=_BINS)
+
+    def update(self, time: float, arrival: float, step: float) -> bool:
+        """Learn from a frame.
+
+        Parameters
+        ----------
+        time : float
+            On the sender's clock, seconds.
+        arrival : float
+            On this computer's clock, seconds.
+        step : float
+            Largest change of `offset`, seconds.
+
+        Returns
+        -------
+        bool
+            Whether the sender's clock has jumped, and everything begins again.
+        """
+        difference = arrival - time
+        jumped = self.offset is not None and abs(difference - self.offset) > _JUMP
+        if self.offset is None or jumped:
+            self._bins.clear()
+            self.offset = difference
+        if not self._bins or arrival - self._bins[-1][0] >= _BIN:
+            if self._bins and self._bins[-1][1] > self.offset + self._patience:
+                self._bins.clear()
+            self._bins.append((arrival, difference))
+        else:
+            began, least = self._bins[-1]
+            self._bins[-1] = (began, min(least, difference))
+        wanted = min(least for _, least in self._bins)
+        self.offset += min(max(wanted - self.offset, -step), step)
+        return jumped
+
+
+class Playout:
+    """A jitter buffer: frames go in as they come, and out in their order when they are due.
+
+    Parameters
+    ----------
+    delay : float
+        Seconds from when the fastest frame could have come.
+    predict : bool
+        Whether frames that are missing are predicted.
+
+    Attributes
+    ----------
+    late, doubled, lost : int
+        Frames that came too late, or twice, or are missing.
+    """
+
+    def __init__(self, delay: float, *, predict: bool = True) -> None:
+        self.late = self.doubled = self.lost = 0
+        self._delay, self._predict = delay, predict
+        self._clock = ClockFollower(delay)
+        self._waiting: list[_Waiting] = []
+        self._order = count()
+        self._interval = _INTERVAL
+        self._entered: float | None = None
+        self._last: list[Shown] = []
+        self._predicted = 0
+
+    def push(self, result: TrackResult, time: float | None, arrival: float) -> bool:
+        """Add a frame.
+
+        Parameters
+        ----------
+        result : TrackResult
+        time : float or None
+            On the sender's clock, seconds; if there is none, the frames are taken to be sent evenly.
+        arrival : float
+            On this computer's clock, seconds.
+
+        Returns
+        -------
+        bool
+            Whether it will be shown; otherwise it came too late or twice.
+        """
+        time = self._evenly(arrival) if time is None else time
+        if self._clock.update(time, arrival, _SLEW * self._interval):
+            self._waiting.clear()
+            self._last.clear()
+            self._entered = None
+        if self._last and time <= self._last[-1].time:
+            again = any(time == shown.time for shown in self._last)
+            self.doubled, self.late = self.doubled + again, self.late + (not again)
+            return False
+        if any(time == waiting.time for waiting in self._waiting):
+            self.doubled += 1
+            return False
+        if self._entered is not None and time > self._entered:
+            step = time - self._entered
+            if _LEAST_INTERVAL < step < _MOST_INTERVAL:
+                # The least of recent steps, as missing frames make others longer.
+                self._interval += (0.3 if step < self._interval else 0.02) * (step - self._interval)
+        self._entered = time if self._entered is None else max(time, self._entered)
+        heapq.heappush(self._waiting, _Waiting(time, next(self._order), result))
+        if len(self._waiting) > _MOST:
+            heapq.heappop(self._waiting)
+            self.late += 1
+        return True
+
+    def due(self) -> float | None:
+        """When the next frame is due, on this computer's clock; None if none is to come."""
+        if self._clock.offset is None:
+            return None
+        return self._due(self._waiting[0].time) if self._waiting else self._gap()
+
+    def pop(self, now: float) -> Shown | None:
+        """Take the next frame that is due at `now`; None if there is none."""
+        due = self._due(self._waiting[0].time) if self._waiting else inf
+        gap = self._gap()
+        if gap is not None and gap <= now and gap < due:
+            if now - gap <= self._interval:
+                return self._prediction(gap)
+            self._predicted = _PREDICTED  # too late to be of use
+        return self._next() if due <= now else None
+
+    def _next(self) -> Shown:
+        waiting = heapq.heappop(self._waiting)
+        shown = Shown(waiting.time, self._due(waiting.time), waiting.result)
+        if self._last:
+            steps = (shown.time - self._last[-1].time) / self._interval
+            self.lost += max(0, round(steps) - 1) if steps < _MOST else 0
+        self._last = [*self._last[-1:], shown]
+        self._predicted = 0
+        return shown
+
+    def _gap(self) -> float | None:
+        """When a missing frame would have been due, if it is to be predicted."""
+        if not self._predict or self._predicted >= _PREDICTED or len(self._last) < 2:
+            return None
+        if not all(shown.result.found for shown in self._last):
+            return None
+        time = self._last[-1].time + (self._predicted + 1) * self._interval
+        if self._waiting and self._waiting[0].time < time + (_MISSING - 1.0) * self._interval:
+            return None
+        return self._due(time)
+
+    def _prediction(self, due: float) -> Shown:
+        before, last = self._last
+        self._predicted += 1
+        time = last.time + self._predicted * self._interval
+        if self._waiting:
+            ahead = self._waiting[0]
+            share = (time - last.time) / (ahead.time - last.time)
+            if ahead.result.found:
+                return Shown(time, due, between(last.result, ahead.result, share), predicted=True)
+        speed = self._interval / max(last.time - before.time, _LEAST_INTERVAL)
+        share = 1.0 + speed * sum(_DAMPING ** (1 + n) for n in range(self._predicted))
+        return Shown(time, due, between(before.result, last.result, share), predicted=True)
+
+    def _due(self, time: float) -> float:
+        assert self._clock.offset is not None
+        return time + self._clock.offset + self._delay
+
+    def _evenly(self, arrival: float) -> float:
+        """A time for a frame without one: even steps that follow the arrivals."""
+        expected = arrival if self._entered is None else self._entered + self._interval
+        if abs(arrival - expected) > 0.25:
+            return arrival
+        return max(expected + _PULL * (arrival - expected), (self._entered or 0.0) + 1e-6)

@@ -1,0 +1,102 @@
+"""A shared key for Facemime's own stream: who sends is proved, replays are refused, and nothing is hidden.
+
+The key never crosses the network. The sender begins with a random session and nonce, the receiver answers with a nonce
+of its own, both signed with the key; packets are then signed with a key that is derived from both nonces, so that what
+was recorded of one session is worth nothing in another. Signatures are HMAC-SHA256, cut to 128 bits (RFC 2104).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import os
+import secrets
+from pathlib import Path
+
+from ..errors import OutputError, SourceError
+from ..reading import read_bytes
+
+TAG_BYTES, NONCE_BYTES, SESSION_BYTES = 16, 16, 8
+_LEAST_KEY, _MOST_KEY = 16, 4096
+"""Bytes of a key's file."""
+_WINDOW = 64
+"""Packets by which one may be late and still be told from a replay."""
+
+
+def read_key(path: Path) -> bytes:
+    """Read a shared key from a file of at least 16 characters, such as `write_key` makes.
+
+    Raises
+    ------
+    SourceError
+        If there is no such file, or it is too short or too long.
+    """
+    try:
+        text = read_bytes(Path(path), _MOST_KEY).strip()
+    except FileNotFoundError as error:
+        raise SourceError(f"There is no key {path}. Make one: facemime receive --new-key {path}") from error
+    except (OSError, ValueError) as error:
+        raise SourceError(f"The key {path} cannot be read ({error}). Choose a file of one line.") from error
+    if len(text) < _LEAST_KEY:
+        raise SourceError(f"The key {path} has fewer than {_LEAST_KEY} characters. Make a longer one.")
+    return hashlib.sha256(b"facemime stream key\n" + text).digest()
+
+
+def write_key(path: Path) -> None:
+    """Write a new random key to a new file that only its owner can read; OutputError if it cannot be written."""
+    try:
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+            file.write(secrets.token_hex(32) + "\n")
+    except FileExistsError as error:
+        raise OutputError(f"{path} exists already, and a key is never replaced. Choose another name.") from error
+    except OSError as error:
+        raise OutputError(f"The key {path} cannot be written ({error.strerror}). Choose another place.") from error
+
+
+def sign(key: bytes, *parts: bytes) -> bytes:
+    """(16 bytes) signature of the concatenated `parts`."""
+    return hmac.new(key, b"".join(parts), hashlib.sha256).digest()[:TAG_BYTES]
+
+
+def is_signed(key: bytes, tag: bytes, *parts: bytes) -> bool:
+    """Whether `tag` is the signature of `parts`, in a time that says nothing of the difference."""
+    return hmac.compare_digest(sign(key, *parts), tag)
+
+
+def session_key(key: bytes, session: bytes, sent: bytes, answered: bytes) -> bytes:
+    """Derive the key of a session.
+
+    Parameters
+    ----------
+    key : bytes
+        The shared key.
+    session : bytes
+        Of `SESSION_BYTES`.
+    sent, answered : bytes
+        Nonces of the sender and of the receiver.
+
+    Returns
+    -------
+    bytes
+        The key.
+    """
+    return hmac.new(key, b"facemime session" + session + sent + answered, hashlib.sha256).digest()
+
+
+class ReplayWindow:
+    """Remembers which sequence numbers have come; each is accepted once (RFC 4303, section 3.4.3)."""
+
+    def __init__(self) -> None:
+        self._highest, self._seen = -1, 0
+
+    def accept(self, sequence: int) -> bool:
+        """Whether a number is new, and not too old to tell; it is then remembered."""
+        ahead = sequence - self._highest
+        if ahead > 0:
+            self._seen = ((self._seen << ahead) | 1) & ((1 << _WINDOW) - 1) if ahead < _WINDOW else 1
+            self._highest = sequence
+            return True
+        if -ahead >= _WINDOW or self._seen >> -ahead & 1:
+            return False
+        self._seen |= 1 << -ahead
+        return True

@@ -1,0 +1,212 @@
+"""A sender: what a session tracks goes to another computer or program, frame by frame."""
+
+from __future__ import annotations
+
+import socket
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..bake.arkit import FrameCoefficients
+from ..drive.settings import DriveSettings
+from ..errors import SourceError
+from ..rotation import euler_to_matrix, matrix_to_euler
+from ..takes.from_coefficients import coefficient_face
+from ..takes.neutral import Neutral
+from ..tracking.mirror import mirror_result
+from ..tracking.result import CAMERA_DISTANCE, TrackResult
+from . import datagram, live_link, openseeface, vmc
+from .frames import FaceValues, PacketError
+from .security import read_key
+from .sessions import OwnSender
+from .settings import LOOPBACK, OWN, is_loopback, resolve
+
+SENT = {OWN: "Facemime", "vmc": "VMC", "livelink": "Live Link Face", "openseeface": "OpenSeeFace"}
+"""Protocols that are sent, and their labels."""
+_PORTS = {OWN: datagram.PORT, "vmc": vmc.PORT, "livelink": live_link.PORT, "openseeface": openseeface.PORT}
+_HELLO_EVERY = (0.25, 1.0)
+"""Seconds between handshakes, before and after the receiver has answered."""
+_DEFAULTS = DriveSettings()
+_DEVICE = "00000000-0000-4000-8000-666163656d65"
+
+
+@dataclass(frozen=True)
+class SendSettings:
+    """Where a stream goes.
+
+    Attributes
+    ----------
+    protocol : str
+        One of `SENT`.
+    host : str
+    port : int
+        0 for the usual one.
+    key : Path or None
+        File with the shared key of Facemime's own protocol.
+    subject : str
+        Name under which Live Link Face shows the face.
+    """
+
+    protocol: str = OWN
+    host: str = LOOPBACK
+    port: int = 0
+    key: Path | None = None
+    subject: str = "Facemime"
+
+    @property
+    def is_local(self) -> bool:
+        """Whether nothing leaves this computer."""
+        return is_loopback(self.host)
+
+
+class StreamSender:
+    """Sends what is tracked; nothing is sent if nobody listens, which is not an error.
+
+    Parameters
+    ----------
+    settings : SendSettings
+    options : DriveSettings
+        Whether to mirror, and how strongly each region of the face moves. Facemime's own protocol leaves both to the
+        receiver.
+
+    Attributes
+    ----------
+    options : DriveSettings
+        May be replaced at any time.
+    sent : int
+        Frames that were sent.
+    message : str
+        Why nothing is being sent; otherwise "".
+
+    Raises
+    ------
+    SourceError
+        If the settings cannot be used, the host is not known, or the key cannot be read.
+    """
+
+    def __init__(self, settings: SendSettings, options: DriveSettings = _DEFAULTS) -> None:
+        if settings.protocol not in SENT:
+            raise SourceError(f"There is no protocol {settings.protocol!r} to send. Use one of {', '.join(SENT)}.")
+        if settings.protocol == OWN and settings.key is None and not settings.is_local:
+            raise SourceError("A stream to another computer needs a shared key. Choose the file with the key.")
+        self.settings, self.options = settings, options
+        self.sent, self.message = 0, ""
+        family, self._address = resolve(settings.host, settings.port or _PORTS[settings.protocol])
+        self._own = OwnSender(None if settings.key is None else read_key(settings.key))
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._greeted = -np.inf
+        self._neutral: Neutral | None = None
+        self._made_for: tuple[int, DriveSettings] | None = None
+        self._coefficients: FrameCoefficients | None = None
+
+    def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
+        """Send a frame.
+
+        Parameters
+        ----------
+        time : float
+            Seconds of the media.
+        result : TrackResult
+        neutral : Neutral or None
+            The performer's neutral face, not mirrored. Before there is one, only Facemime's own protocol and
+            OpenSeeFace send.
+        """
+        if self.settings.protocol == OWN:
+            self._greet()
+            if not self._own.ready:
+                return
+        try:
+            packets = self._packets(max(time, 0.0), result, neutral)
+            for packet in packets:
+                self._socket.sendto(packet, self._address)
+        except ConnectionError:
+            return  # nobody listens there
+        except BlockingIOError:
+            return  # the network is busy, and the next frame is as good
+        except OSError as error:
+            self.message = f"Cannot send to {self._address[0]}:{self._address[1]}: {error.strerror}."
+            return
+        self.sent += bool(packets)
+        self.message = ""
+
+    def close(self) -> None:
+        """Close the socket; may be called twice."""
+        self._socket.close()
+
+    def _packets(self, time: float, result: TrackResult, neutral: Neutral | None) -> list[bytes]:
+        protocol = self.settings.protocol
+        if protocol == OWN:
+            return [self._own.packet(*datagram.encode_face(result), time)]
+        if protocol == "openseeface":
+            mirrored = neutral.mirrored() if neutral is not None and self.options.mirror else neutral
+            rest = None if mirrored is None else mirrored.shape
+            return [openseeface.encode(self._mirrored(result), time, rest)] if result.found else []
+        face = self._values(result, neutral) if result.found else None
+        if face is None and (result.found or neutral is None):
+            return []
+        if protocol == "vmc":
+            return list(vmc.encode(face, time))
+        return [live_link.encode(face, time, subject=self.settings.subject, device=_DEVICE)]
+
+    def _mirrored(self, result: TrackResult) -> TrackResult:
+        if not (self.options.mirror and result.found):
+            return result
+        return mirror_result(result, openseeface.IMAGE_SIZE[0])
+
+    def _values(self, result: TrackResult, neutral: Neutral | None) -> FaceValues | None:
+        if neutral is None:
+            return None
+        options = self.options
+        if self._coefficients is None or self._made_for != (id(neutral), options):
+            self._neutral, self._made_for = neutral, (id(neutral), options)
+            self._coefficients = FrameCoefficients(neutral, options)
+        mirrored = self._mirrored(result)
+        own = neutral.mirrored() if options.mirror else neutral
+        return FaceValues(self._coefficients.of(result), turned_from(mirrored, own), moved_from(mirrored, own))
+
+    def _greet(self) -> None:
+        """Keep up the handshake, if there is a key."""
+        now = perf_counter()
+        with suppress(OSError, PacketError):
+            while True:
+                self._own.answer(self._socket.recv(512))
+        if now - self._greeted >= _HELLO_EVERY[self._own.ready] and (hello := self._own.hello()):
+            self._greeted = now
+            with suppress(OSError):
+                self._socket.sendto(hello, self._address)
+
+
+def turned_from(result: TrackResult, neutral: Neutral) -> FloatArray:
+    """(3,) pitch, yaw and roll by which the head is turned from that of a neutral face, radians.
+
+    Parameters
+    ----------
+    result : TrackResult
+        With a face.
+    neutral : Neutral
+    """
+    return np.array(matrix_to_euler(euler_to_matrix(*result.pose[1:4]) @ neutral.rotation.T))
+
+
+def moved_from(result: TrackResult, neutral: Neutral) -> FloatArray:
+    """(3,) how far the head has moved from where a neutral face is: axes of the head frame, metres.
+
+    Parameters
+    ----------
+    result : TrackResult
+        With a face.
+    neutral : Neutral
+
+    Notes
+    -----
+    Equation 4.4, for a head as large as the built-in one.
+    """
+    scale, x, y = neutral.position
+    size = float(result.pose[0])
+    across, down = (result.pose[4:] - (x, y)) / np.sqrt(size * scale)
+    return coefficient_face().unit * np.array([across, down, CAMERA_DISTANCE * (scale / size - 1.0)])

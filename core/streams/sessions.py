@@ -1,0 +1,187 @@
+"""Sessions of Facemime's own stream: the handshake on both sides, and what the receiver accepts."""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import dataclass, field
+
+from . import datagram
+from .datagram import HELLO, WELCOME, Packet
+from .frames import PacketError, StreamFrame
+from .security import NONCE_BYTES, SESSION_BYTES, ReplayWindow, is_signed, session_key, sign
+
+_MOST_SESSIONS, _SILENT = 16, 3.0
+"""Sessions at a time, and seconds without a packet after which one may be replaced."""
+_MOST_ANSWERS = 20.0
+"""Answers to handshakes per second."""
+
+
+class RefusedError(PacketError):
+    """A packet is well formed, but not signed with the key, or was replayed."""
+
+
+@dataclass
+class _Session:
+    key: bytes | None
+    heard: float
+    window: ReplayWindow = field(default_factory=ReplayWindow)
+    pending: bytes | None = None
+    proved: bool = False
+
+
+class OwnReceiver:
+    """Accepts packets of Facemime's own stream.
+
+    Parameters
+    ----------
+    key : bytes or None
+        The shared key; without one, nothing has to be signed.
+    """
+
+    def __init__(self, key: bytes | None) -> None:
+        self._key = key
+        self._sessions: dict[bytes, _Session] = {}
+        self._answers, self._answered = _MOST_ANSWERS, 0.0
+
+    def receive(self, data: bytes, now: float) -> tuple[list[StreamFrame], bytes]:
+        """Take a datagram.
+
+        Parameters
+        ----------
+        data : bytes
+        now : float
+            Seconds on any clock.
+
+        Returns
+        -------
+        frames : list of StreamFrame
+        answer : bytes
+            To be sent back; b"" for none.
+
+        Raises
+        ------
+        PacketError
+            If it is malformed, not signed, or was received before.
+        """
+        packet = datagram.unpack(data)
+        if packet.kind == HELLO:
+            return [], self._welcome(packet, now)
+        if packet.kind == WELCOME:
+            raise PacketError("an answer")
+        session = self._session(packet, now)
+        frame = datagram.decode_face(packet)
+        if not session.window.accept(packet.sequence):
+            raise RefusedError("a packet came twice")
+        session.heard, session.proved = now, True
+        return [frame], b""
+
+    def _session(self, packet: Packet, now: float) -> _Session:
+        """The session of a packet that is signed as it should be."""
+        session = self._sessions.get(packet.session)
+        if self._key is None:
+            if packet.tag:
+                raise RefusedError("signed, but there is no key")
+            return session or self._add(packet.session, _Session(None, now))
+        if session is None or not packet.tag:
+            raise RefusedError("not signed")
+        # A handshake that may have been replayed changes nothing until a packet proves that it was not.
+        for key in (session.key, session.pending):
+            if key is not None and is_signed(key, packet.tag, packet.signed):
+                if key is not session.key:
+                    session.key, session.pending, session.window = key, None, ReplayWindow()
+                return session
+        raise RefusedError("signed with another key")
+
+    def _welcome(self, packet: Packet, now: float) -> bytes:
+        if self._key is None or not is_signed(self._key, packet.tag, packet.signed):
+            raise RefusedError("a handshake without the key")
+        session = self._sessions.get(packet.session)
+        if session is not None and session.key is not None and now - session.heard < _SILENT:
+            return b""
+        if not self._may_answer(now):
+            return b""
+        answered = secrets.token_bytes(NONCE_BYTES)
+        if session is None:
+            session = self._add(packet.session, _Session(None, now))
+        session.pending = session_key(self._key, packet.session, packet.body, answered)
+        welcome = Packet(WELCOME, packet.session, packet.sequence, 0.0, packet.body + answered)
+        content = datagram.pack(welcome, signed=True)
+        return content + sign(self._key, content)
+
+    def _may_answer(self, now: float) -> bool:
+        self._answers = min(_MOST_ANSWERS, self._answers + _MOST_ANSWERS * max(now - self._answered, 0.0))
+        self._answered = now
+        if self._answers < 1.0:
+            return False
+        self._answers -= 1.0
+        return True
+
+    def _add(self, name: bytes, session: _Session) -> _Session:
+        if len(self._sessions) >= _MOST_SESSIONS:
+            # One of which nothing but a handshake came, which may have been replayed, goes first.
+            oldest = min(self._sessions, key=lambda n: (self._sessions[n].proved, self._sessions[n].heard))
+            known = self._sessions[oldest]
+            if known.proved and session.heard - known.heard < _SILENT:
+                raise RefusedError("too many senders")
+            del self._sessions[oldest]
+        self._sessions[name] = session
+        return session
+
+
+class OwnSender:
+    """Numbers and signs the packets of Facemime's own stream.
+
+    Parameters
+    ----------
+    key : bytes or None
+        The shared key; without one, nothing is signed and there is no handshake.
+    """
+
+    def __init__(self, key: bytes | None) -> None:
+        self._key = key
+        self._session = secrets.token_bytes(SESSION_BYTES)
+        self._sequence = 0
+        self._nonce = b""
+        self._signing: bytes | None = None
+
+    @property
+    def ready(self) -> bool:
+        """Whether packets can be sent: at once without a key, otherwise after the handshake."""
+        return self._key is None or self._signing is not None
+
+    def hello(self) -> bytes:
+        """Begin a handshake, or check that the receiver still knows the session; b"" without a key."""
+        if self._key is None:
+            return b""
+        self._nonce = secrets.token_bytes(NONCE_BYTES)
+        content = datagram.pack(Packet(HELLO, self._session, 0, 0.0, self._nonce), signed=True)
+        return content + sign(self._key, content)
+
+    def answer(self, data: bytes) -> None:
+        """Take the receiver's answer; PacketError if it is not the answer to the last handshake."""
+        packet = datagram.unpack(data)
+        sent, answered = packet.body[:NONCE_BYTES], packet.body[NONCE_BYTES:]
+        expected = packet.kind == WELCOME and packet.session == self._session and sent == self._nonce
+        if self._key is None or not expected or not is_signed(self._key, packet.tag, packet.signed):
+            raise RefusedError("not the receiver's answer")
+        self._signing = session_key(self._key, self._session, sent, answered)
+
+    def packet(self, kind: int, body: bytes, time: float) -> bytes:
+        """Make a datagram.
+
+        Parameters
+        ----------
+        kind : int
+        body : bytes
+            Both from `datagram.encode_face`.
+        time : float
+            Seconds of the media, at least 0.
+
+        Returns
+        -------
+        bytes
+            The datagram.
+        """
+        self._sequence += 1
+        content = datagram.pack(Packet(kind, self._session, self._sequence, time, body), signed=self._key is not None)
+        return content if self._signing is None else content + sign(self._signing, content)

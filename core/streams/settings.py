@@ -1,0 +1,213 @@
+"""Which protocol a stream has, where it comes from or goes, and what is decoded."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import SourceError
+from . import datagram, face_cap, ifacialmocap, live_link, openseeface, vmc, vtube_studio
+from .face_cap import FaceCapDecoder
+from .frames import Decoder
+from .ifacialmocap import IFacialMocapDecoder
+from .live_link import ANGLES, Angles, LiveLinkDecoder
+from .openseeface import OpenSeeFaceDecoder
+from .security import read_key
+from .vmc import VmcDecoder
+from .vtube_studio import VTubeStudioDecoder
+
+OWN = "own"
+LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
+_LEAST_DELAY, _MOST_DELAY = 0.0, 2.0
+AXES = ("pitch", "yaw", "roll")
+
+
+@dataclass(frozen=True)
+class StreamProtocol:
+    """A protocol.
+
+    Attributes
+    ----------
+    label : str
+        Its name in the interface.
+    port : int
+        Where it is received by default.
+    decoder : callable or None
+        Makes a decoder for a sender from the settings; None for Facemime's own.
+    phone_port : int
+        Where the phone has to be asked to send; 0 if it sends by itself.
+    request : callable
+        Makes that request, for the port on which the answer is received.
+    """
+
+    label: str
+    port: int
+    decoder: Callable[[StreamSettings], Decoder] | None
+    phone_port: int = 0
+    request: Callable[[int], bytes] = lambda port: b""
+
+
+@dataclass(frozen=True)
+class StreamSettings:
+    """Where a stream comes from, and how it is played.
+
+    Attributes
+    ----------
+    protocol : str
+        One of `PROTOCOLS`.
+    host : str
+        Address of this computer on which packets are received; only this computer can send to a loopback address.
+    port : int
+        0 for the usual one.
+    phone : str
+        Address of the phone, for protocols in which it has to be asked.
+    key : Path or None
+        File with the shared key of Facemime's own protocol.
+    delay : float
+        Seconds by which playing is delayed, so that packets that come late are not missed.
+    sender : str
+        Address or name of the sender to follow; "" for the first that comes.
+    angles : {"radians", "degrees", "half-turns"}
+        Unit of the angles of Live Link Face.
+    flip : tuple of {"pitch", "yaw", "roll"}
+        Rotations of the head to reverse.
+    """
+
+    protocol: str = OWN
+    host: str = LOOPBACK
+    port: int = 0
+    phone: str = ""
+    key: Path | None = None
+    delay: float = 0.02
+    sender: str = ""
+    angles: Angles = "radians"
+    flip: tuple[str, ...] = ()
+
+    @property
+    def is_local(self) -> bool:
+        """Whether nothing outside this computer is reached or listened to."""
+        return is_loopback(self.host) and (not self.phone or is_loopback(self.phone))
+
+    def checked(self) -> StreamSettings:
+        """Return the settings with the port and address that are meant; SourceError if they cannot be used."""
+        if self.protocol not in PROTOCOLS:
+            raise SourceError(f"There is no protocol {self.protocol!r}. Use one of {', '.join(PROTOCOLS)}.")
+        protocol = PROTOCOLS[self.protocol]
+        if not 0 <= self.port <= 65535:
+            raise SourceError(f"There is no port {self.port}. Use one between 1 and 65535, or 0 for the usual one.")
+        if not _LEAST_DELAY <= self.delay <= _MOST_DELAY:
+            raise SourceError(f"The delay must be between 0 and {_MOST_DELAY:g} s; got {self.delay:g}.")
+        if self.angles not in ANGLES or set(self.flip) - set(AXES):
+            raise SourceError(
+                "The angles of a stream are radians, degrees or half-turns; pitch, yaw and roll can flip."
+            )
+        if protocol.phone_port and not self.phone:
+            raise SourceError(f"{protocol.label} needs the address of the phone, which the app shows. Enter it.")
+        if self.protocol == OWN and self.key is None and not self.is_local:
+            raise SourceError("A stream from another computer needs a shared key. Choose the file with the key.")
+        host = self.host
+        if protocol.phone_port and not is_loopback(self.phone) and is_loopback(host):
+            host = EVERYWHERE
+        return StreamSettings(**{**self.__dict__, "host": host, "port": self.port or protocol.port})
+
+    def secret(self) -> bytes | None:
+        """Read the shared key, if there is one; SourceError if it cannot be read."""
+        return None if self.key is None else read_key(self.key)
+
+
+PROTOCOLS: dict[str, StreamProtocol] = {
+    OWN: StreamProtocol("Facemime", datagram.PORT, None),
+    "livelink": StreamProtocol("Live Link Face", live_link.PORT, lambda s: LiveLinkDecoder(s.angles)),
+    "ifacialmocap": StreamProtocol(
+        "iFacialMocap",
+        ifacialmocap.PORT,
+        lambda s: IFacialMocapDecoder(),
+        ifacialmocap.PHONE_PORT,
+        lambda port: ifacialmocap.START,
+    ),
+    "facemotion3d": StreamProtocol(
+        "Facemotion3d",
+        ifacialmocap.PORT,
+        lambda s: IFacialMocapDecoder(),
+        ifacialmocap.FACEMOTION_PORT,
+        lambda port: ifacialmocap.FACEMOTION_START,
+    ),
+    "vtubestudio": StreamProtocol(
+        "VTube Studio, MeowFace",
+        vtube_studio.PORT,
+        lambda s: VTubeStudioDecoder(),
+        vtube_studio.PORT,
+        vtube_studio.request,
+    ),
+    "vmc": StreamProtocol("VMC", vmc.PORT, lambda s: VmcDecoder()),
+    "openseeface": StreamProtocol("OpenSeeFace", openseeface.PORT, lambda s: OpenSeeFaceDecoder()),
+    "facecap": StreamProtocol("Face Cap", face_cap.PORT, lambda s: FaceCapDecoder()),
+}
+"""Protocols that are received, by the name that commands and files use."""
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address is of this computer alone. Names other than `localhost` count as others."""
+    if host.strip().lower() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip()).is_loopback
+    except ValueError:
+        return False
+
+
+def parse_address(text: str, port: int = 0) -> tuple[str, int]:
+    """Parse `HOST`, `HOST:PORT`, `:PORT` or `[IPV6]:PORT`.
+
+    Parameters
+    ----------
+    text : str
+    port : int
+        Used if `text` states none.
+
+    Returns
+    -------
+    host : str
+        Of this computer if `text` states none.
+    port : int
+
+    Raises
+    ------
+    SourceError
+        If it is neither.
+    """
+    host, colon, number = text.strip().rpartition(":")
+    if not colon or (":" in host and not host.startswith("[")):
+        host, number = text.strip(), str(port)
+    host = host.removeprefix("[").removesuffix("]") or LOOPBACK
+    if not number.isdecimal() or not 0 <= int(number[:6]) <= 65535 or any(c.isspace() or c in "/@" for c in host):
+        raise SourceError(f"{text!r} is not an address. Use HOST:PORT, as in 192.168.1.7:{port or datagram.PORT}.")
+    return host, int(number)
+
+
+def resolve(host: str, port: int) -> tuple[int, tuple[str, int]]:
+    """Find the family and the numeric address of a host.
+
+    Parameters
+    ----------
+    host : str
+    port : int
+
+    Returns
+    -------
+    family : int
+    address : (str, int)
+
+    Raises
+    ------
+    SourceError
+        If the host is not known.
+    """
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+    except (OSError, UnicodeError) as error:
+        raise SourceError(f"There is no computer {host!r} in the network. Check the address.") from error
+    return family, (str(address[0]), int(address[1]))

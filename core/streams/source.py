@@ -1,0 +1,392 @@
+"""A live source of faces that come over the network."""
+
+from __future__ import annotations
+
+import select
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import SourceError
+from ..live.sources import LiveFrame, LiveSource
+from ..takes.from_coefficients import coefficient_face
+from ..takes.neutral import Neutral
+from ..tracking.result import TrackResult
+from .frames import MAX_DATAGRAM, Decoder, FaceValues, PacketError, StreamFrame
+from .playout import Playout, Shown
+from .sessions import OwnReceiver, RefusedError
+from .settings import AXES, OWN, PROTOCOLS, StreamSettings, resolve
+
+HOLD, EASE, RETURN = 0.5, 1.0, 0.2
+"""Seconds for which the last face is held when nothing comes, in which it then comes to rest, and in which it takes up
+the motion again."""
+_FILL_RATE = 1.0 / 60.0
+_ASK_AGAIN = 2.0
+"""Seconds after which a phone is asked again."""
+_MOST_SENDERS, _SILENT = 16, 2.0
+"""Senders at a time, and seconds without a packet after which another one may be followed."""
+_RATE, _BURST = 8000.0, 2000.0
+"""Packets per second that are looked at, and how many at once; VMC may send one for each value."""
+_DRAINED = 512
+"""Packets that are read before the next frame is shown."""
+_LATE = 0.25
+"""Seconds by which a frame may be late before it is skipped."""
+_MOST_APART = 1.0
+"""Seconds by which two clocks may differ from one frame to the next."""
+_BUFFER = 1 << 20
+_NOTHING = TrackResult.nothing(0)
+Address = tuple[str, int]
+
+
+@dataclass
+class StreamCounts:
+    """Numbers of packets.
+
+    Attributes
+    ----------
+    received, accepted : int
+    malformed : int
+        Not of the protocol.
+    refused : int
+        Not signed with the key, replayed, or from somebody else than the phone.
+    flooded : int
+        Not looked at, as too many came.
+    late, doubled, lost : int
+        Frames that came too late, or twice, or are missing.
+    """
+
+    received: int = 0
+    accepted: int = 0
+    malformed: int = 0
+    refused: int = 0
+    flooded: int = 0
+    late: int = 0
+    doubled: int = 0
+    lost: int = 0
+
+
+@dataclass
+class _Face:
+    """A face of a sender."""
+
+    playout: Playout
+    heard: float
+    origin: FloatArray | None = None
+    counted: tuple[int, int, int] = (0, 0, 0)
+
+
+@dataclass
+class _Sender:
+    """Somebody who sends."""
+
+    decoder: Decoder | None
+    heard: float
+    faces: dict[str, _Face] = field(default_factory=dict)
+
+
+class StreamSource(LiveSource):
+    """Receives faces, and plays them evenly.
+
+    The socket is read by `read`, so there is no thread. Only one face is played: the one that `StreamSettings.sender`
+    names, or else the first, until nothing of it has come for two seconds and there is another.
+
+    Parameters
+    ----------
+    settings : StreamSettings
+    clock : callable, optional
+        Returns seconds; tests replace it.
+    every : bool
+        Whether frames that `read` is late for are played nevertheless, as a recording needs them.
+
+    Attributes
+    ----------
+    counts : StreamCounts
+    address : (str, int)
+        Where packets are received, once the first `read` has opened the socket.
+
+    Raises
+    ------
+    SourceError
+        If the settings cannot be used, or the key cannot be read.
+    """
+
+    def __init__(
+        self, settings: StreamSettings, clock: Callable[[], float] = perf_counter, *, every: bool = False
+    ) -> None:
+        self.settings = settings.checked()
+        self._protocol = PROTOCOLS[self.settings.protocol]
+        self.name = f"{self._protocol.label} on port {self.settings.port}"
+        self.counts = StreamCounts()
+        self.address: Address = ("", 0)
+        self._clock, self._late = clock, np.inf if every else _LATE
+        self._own = OwnReceiver(self.settings.secret()) if self.settings.protocol == OWN else None
+        self._signs = np.array([-1.0 if axis in self.settings.flip else 1.0 for axis in AXES])
+        self._socket: socket.socket | None = None
+        self._wake, self._woken = socket.socketpair()
+        self._closed = False
+        self._phone: tuple[int, Address] | None = None
+        self._asked = -np.inf
+        self._senders: dict[Address, _Sender] = {}
+        self._followed: tuple[Address, str] | None = None
+        self._tokens, self._counted = _BURST, 0.0
+        self._timeline = _Timeline()
+
+    @property
+    def senders(self) -> tuple[str, ...]:
+        """The faces that are heard now, as an address and a name."""
+        now = self._clock()
+        return tuple(
+            f"{address[0]} {subject}".strip() for address, subject, face in self._faces() if now - face.heard < _SILENT
+        )
+
+    def read(self, timeout: float) -> LiveFrame | None:
+        """Return the next frame that is due; see `LiveSource.read`."""
+        if self._closed:
+            return None
+        self._open()
+        end = self._clock() + timeout
+        while not self._closed:
+            now = self._clock()
+            self._ask(now)
+            self._drain(now)
+            if (frame := self._due(now)) is not None:
+                return frame
+            if now >= end:
+                return None
+            self._wait(min(end, self._next(now)) - now)
+        return None
+
+    def close(self) -> None:
+        """Close the socket; a waiting `read` returns None."""
+        self._closed = True
+        with suppress(OSError):
+            self._wake.send(b"\0")
+        for end in (self._socket, self._wake):
+            if end is not None:
+                end.close()
+
+    def _open(self) -> None:
+        if self._socket is not None:
+            return
+        settings = self.settings
+        family, address = resolve(settings.host, settings.port)
+        if settings.phone:
+            self._phone = resolve(settings.phone, self._protocol.phone_port)
+        opened = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            opened.setblocking(False)
+            with suppress(OSError):
+                opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+            opened.bind(address)
+        except OSError as error:
+            opened.close()
+            raise SourceError(
+                f"Cannot listen on {settings.host}:{settings.port} ({error.strerror}). Close the program that uses the "
+                "port, or choose another port."
+            ) from error
+        self._socket, self.address = opened, opened.getsockname()[:2]
+
+    def _wait(self, seconds: float) -> None:
+        assert self._socket is not None
+        with suppress(OSError, ValueError):  # closed meanwhile
+            select.select([self._socket, self._woken], [], [], max(seconds, 0.0))
+
+    def _ask(self, now: float) -> None:
+        """Ask the phone to send, as long as nothing comes, and for as long as it does if it has to be asked again."""
+        if self._phone is None or now - self._asked < _ASK_AGAIN or self._socket is None:
+            return
+        self._asked = now
+        leased = self.settings.protocol == "vtubestudio"
+        if leased or not any(now - face.heard < _SILENT for _, _, face in self._faces()):
+            with suppress(OSError):
+                self._socket.sendto(self._protocol.request(self.address[1]), self._phone[1])
+
+    def _drain(self, now: float) -> None:
+        self._tokens = min(_BURST, self._tokens + _RATE * max(now - self._counted, 0.0))
+        self._counted = now
+        for _ in range(_DRAINED):
+            try:
+                assert self._socket is not None
+                data, address = self._socket.recvfrom(MAX_DATAGRAM + 1)
+            except ConnectionResetError:  # as Windows tells that somebody no longer listens
+                continue
+            except OSError:
+                return
+            self.counts.received += 1
+            if self._tokens < 1.0:
+                self.counts.flooded += 1
+                continue
+            self._tokens -= 1.0
+            self._take(data, (str(address[0]), int(address[1])), now)
+
+    def _take(self, data: bytes, address: Address, now: float) -> None:
+        """Take a datagram from anybody."""
+        try:
+            sender = self._sender(address, now)
+            for frame in self._decoded(sender, data, address, now):
+                self._add(sender, frame, now)
+        except RefusedError:
+            self.counts.refused += 1
+        except PacketError:
+            self.counts.malformed += 1
+        else:
+            self.counts.accepted += 1
+            self._senders.setdefault(address, sender).heard = now
+
+    def _decoded(self, sender: _Sender, data: bytes, address: Address, now: float) -> list[StreamFrame]:
+        if len(data) > MAX_DATAGRAM:
+            raise PacketError("too long")
+        if self._own is None:
+            assert sender.decoder is not None
+            return sender.decoder.decode(data)
+        frames, answer = self._own.receive(data, now)
+        if answer and self._socket is not None:
+            with suppress(OSError):
+                self._socket.sendto(answer, address)
+        return frames
+
+    def _sender(self, address: Address, now: float) -> _Sender:
+        if self._phone is not None and address[0] != self._phone[1][0]:
+            raise RefusedError("not the phone")
+        if (sender := self._senders.get(address)) is not None:
+            return sender
+        if len(self._senders) >= _MOST_SENDERS:
+            oldest = min(self._senders, key=lambda known: self._senders[known].heard)
+            if now - self._senders[oldest].heard < _SILENT:
+                raise RefusedError("too many senders")
+            del self._senders[oldest]
+        decoder = self._protocol.decoder
+        return _Sender(None if decoder is None else decoder(self.settings), now)
+
+    def _add(self, sender: _Sender, frame: StreamFrame, now: float) -> None:
+        face = sender.faces.get(frame.subject)
+        if face is None:
+            if len(sender.faces) >= _MOST_SENDERS:
+                sender.faces.pop(min(sender.faces, key=lambda name: sender.faces[name].heard))
+            face = sender.faces[frame.subject] = _Face(Playout(self.settings.delay), now)
+        face.heard = now
+        face.playout.push(self._result(face, frame.face), frame.time, now)
+        counted = face.playout.late, face.playout.doubled, face.playout.lost
+        late, doubled, lost = (new - old for new, old in zip(counted, face.counted, strict=True))
+        face.counted = counted
+        self.counts.late += late
+        self.counts.doubled += doubled
+        self.counts.lost += lost
+
+    def _result(self, face: _Face, values: FaceValues | TrackResult | None) -> TrackResult:
+        if values is None:
+            return _NOTHING
+        if isinstance(values, TrackResult):
+            return values
+        moved = None
+        if values.position is not None:
+            face.origin = values.position if face.origin is None else face.origin
+            moved = values.position - face.origin
+        return coefficient_face().result(values.coefficients, values.rotation * self._signs, moved)
+
+    def _faces(self) -> Iterator[tuple[Address, str, _Face]]:
+        for address, sender in tuple(self._senders.items()):
+            for subject, face in tuple(sender.faces.items()):
+                yield address, subject, face
+
+    def _current(self, now: float) -> _Face | None:
+        """The face that is played."""
+        wanted = self.settings.sender
+        known = {
+            (address, subject): face
+            for address, subject, face in self._faces()
+            if not wanted or wanted in (address[0], subject, f"{address[0]} {subject}")
+        }
+        followed = None if self._followed is None else known.get(self._followed)
+        if followed is None or now - followed.heard > _SILENT:
+            newest = max(known, key=lambda name: known[name].heard, default=None)
+            if newest is not None and (followed is None or known[newest].heard > followed.heard + _SILENT):
+                self._followed, followed = newest, known[newest]
+        return followed
+
+    def _due(self, now: float) -> LiveFrame | None:
+        face = self._current(now)
+        if face is None:
+            return None
+        dropped, shown = -1, None
+        # Every frame in its turn, so that none is missing from a recording; but no more than a little late.
+        while (next_one := face.playout.pop(now)) is not None:
+            if shown is not None and next_one.predicted:
+                break
+            shown, dropped = next_one, dropped + (not next_one.predicted)
+            if now - next_one.due <= self._late:
+                break
+        if shown is None:
+            return self._timeline.filled(now)
+        return self._timeline.frame(shown, self._neutral(shown), now, max(dropped, 0))
+
+    def _neutral(self, shown: Shown) -> Neutral | None:
+        return coefficient_face().neutral if np.isfinite(shown.result.coefficients).all() else None
+
+    def _next(self, now: float) -> float:
+        """When there will be something to show, unless a packet comes before."""
+        face = self._current(now)
+        due = None if face is None else face.playout.due()
+        filling = self._timeline.due()
+        return min(moment for moment in (due, filling, now + 1.0) if moment is not None)
+
+
+class _Timeline:
+    """Makes live frames: increasing times for those that came, and a face that comes to rest where none does."""
+
+    def __init__(self) -> None:
+        self._last: LiveFrame | None = None
+        self._base = self._time = self._moment = 0.0
+        self._rest = self._filled = 0.0
+        self._from, self._back = 0.0, -np.inf
+
+    def frame(self, shown: Shown, neutral: Neutral | None, now: float, dropped: int) -> LiveFrame:
+        """Make a frame of one that came, or was predicted."""
+        time = self._time_of(shown)
+        if not shown.predicted:
+            if self._rest > 0.0:
+                self._from, self._back, self._rest = self._rest, now, 0.0
+            self._time, self._moment = time, max(shown.due, self._moment)
+        back = min((now - self._back) / RETURN, 1.0)
+        rest = self._from * (1.0 - _smooth(back)) if back < 1.0 else self._rest
+        self._last = LiveFrame(time, None, shown.result, now, dropped, neutral, shown.predicted, rest)
+        return self._last
+
+    def _time_of(self, shown: Shown) -> float:
+        if self._last is None:
+            self._base, self._moment = -shown.time, shown.due
+            return 0.0
+        elapsed, time = shown.due - self._moment, shown.time + self._base
+        if shown.predicted or 0.0 < time - self._time < elapsed + _MOST_APART:
+            return time
+        # The sender's clock has begun again: this computer's says how much later it is.
+        time = self._time + max(elapsed, 1e-3)
+        self._base = time - shown.time
+        return time
+
+    def due(self) -> float | None:
+        """When the next frame that is filled in is due; None if there is none."""
+        if self._last is None or self._last.result is None or not self._last.result.found or self._rest >= 1.0:
+            return None
+        return max(self._moment + HOLD, self._filled + _FILL_RATE)
+
+    def filled(self, now: float) -> LiveFrame | None:
+        """Make a frame that brings the face to rest, if it is time for one."""
+        due = self.due()
+        if due is None or now < due or self._last is None:
+            return None
+        self._filled, self._rest = now, max(self._rest, _smooth((now - self._moment - HOLD) / EASE))
+        time = self._time + now - self._moment
+        self._last = replace(self._last, time=time, taken=now, dropped=0, filled=True, rest=self._rest)
+        return self._last
+
+
+def _smooth(share: float) -> float:
+    """From 0 to 1, without a jerk at either end."""
+    share = min(max(share, 0.0), 1.0)
+    return share * share * (3.0 - 2.0 * share)

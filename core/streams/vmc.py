@@ -1,0 +1,164 @@
+"""The VMC protocol: OSC between VTuber programs, with the names of VRM's expressions or ARKit's (docs/streams.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..bake.key_map import presets
+from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
+from ..rotation import euler_to_matrix, matrix_to_euler
+from . import osc
+from .frames import (
+    FaceValues,
+    PacketError,
+    StreamFrame,
+    checked,
+    finite,
+    from_quaternion,
+    no_coefficients,
+    to_quaternion,
+)
+
+PORT, PERFORMER_PORT = 39539, 39540
+"""Where avatars are shown, and where programs that pass performances on listen."""
+_MAX_BUNDLE = 1400
+"""Bytes of a bundle, so that it fits into one packet of most networks."""
+_BOTH = {"lookleft": ("eyeLookOutLeft", "eyeLookInRight"), "lookright": ("eyeLookInLeft", "eyeLookOutRight")}
+_SHARES: dict[str, tuple[tuple[str, float], ...]] = {
+    **dict.fromkeys(("a", "aa"), (("jawOpen", 1.0),)),
+    **dict.fromkeys(("i", "ih"), (("mouthStretchLeft", 0.5), ("mouthStretchRight", 0.5), ("jawOpen", 0.2))),
+    **dict.fromkeys(("u", "ou"), (("mouthPucker", 1.0),)),
+    **dict.fromkeys(("e", "ee"), (("mouthStretchLeft", 0.4), ("mouthStretchRight", 0.4), ("jawOpen", 0.3))),
+    **dict.fromkeys(("o", "oh"), (("mouthFunnel", 0.8), ("jawOpen", 0.4))),
+    "blink": (("eyeBlinkLeft", 1.0), ("eyeBlinkRight", 1.0)),
+    **dict.fromkeys(("blink_l", "blinkleft"), (("eyeBlinkLeft", 1.0),)),
+    **dict.fromkeys(("blink_r", "blinkright"), (("eyeBlinkRight", 1.0),)),
+    **dict.fromkeys(("joy", "happy"), (("mouthSmileLeft", 1.0), ("mouthSmileRight", 1.0))),
+    **dict.fromkeys(("angry",), (("browDownLeft", 1.0), ("browDownRight", 1.0))),
+    **dict.fromkeys(("sorrow", "sad"), (("browInnerUp", 0.8), ("mouthFrownLeft", 0.8), ("mouthFrownRight", 0.8))),
+    **dict.fromkeys(("fun", "relaxed"), (("mouthSmileLeft", 0.5), ("mouthSmileRight", 0.5))),
+    "surprised": (("browOuterUpLeft", 0.8), ("browOuterUpRight", 0.8), ("eyeWideLeft", 0.6), ("eyeWideRight", 0.6)),
+    "lookup": (("eyeLookUpLeft", 1.0), ("eyeLookUpRight", 1.0)),
+    "lookdown": (("eyeLookDownLeft", 1.0), ("eyeLookDownRight", 1.0)),
+    **{name: tuple((part, 1.0) for part in parts) for name, parts in _BOTH.items()},
+}
+"""What VRM's expressions, in lower case, are in ARKit's coefficients, for senders that have nothing else."""
+_MAX_NAMES, _MAX_NAME = 300, 64
+"""Names that are remembered, and letters of each, at most."""
+
+
+class VmcDecoder:
+    """Collects the values of a frame, which `/VMC/Ext/Blend/Apply` ends."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, float] = {}
+        self._bones = {"Neck": np.eye(3), "Head": np.eye(3)}
+        self._time: float | None = None
+        self._tracked = True
+
+    def decode(self, data: bytes) -> list[StreamFrame]:
+        """Decode a datagram; see `frames.Decoder`."""
+        frames = []
+        for address, arguments in osc.decode(data):
+            if not address.startswith("/VMC/Ext/"):
+                raise PacketError("not VMC")
+            kind = address.removeprefix("/VMC/Ext/")
+            if kind == "Blend/Val":
+                self._value(arguments)
+            elif kind == "Bone/Pos":
+                self._bone(arguments)
+            elif kind == "T" and arguments and isinstance(arguments[0], float):
+                self._time = arguments[0]
+            elif kind == "OK":
+                self._tracked = len(arguments) < 4 or arguments[3] != 0
+            elif kind == "Blend/Apply":
+                frames.append(self._frame())
+        return frames
+
+    def _frame(self) -> StreamFrame:
+        if not self._tracked:
+            return StreamFrame(None, time=self._time)
+        turn = self._bones["Neck"] @ self._bones["Head"]
+        face = FaceValues(_coefficients(self._values), np.array(matrix_to_euler(turn)))
+        return StreamFrame(checked(face), time=self._time)
+
+    def _value(self, arguments: tuple[osc.Argument, ...]) -> None:
+        if len(arguments) != 2:
+            raise PacketError("not an expression")
+        name, value = arguments
+        if not isinstance(name, str) or isinstance(value, str | bool):
+            raise PacketError("not an expression")
+        name = name.lower()[:_MAX_NAME]
+        if name not in self._values and len(self._values) >= _MAX_NAMES:
+            raise PacketError("too many expressions")
+        self._values[name] = finite(value)
+
+    def _bone(self, arguments: tuple[osc.Argument, ...]) -> None:
+        if len(arguments) != 8 or not all(isinstance(value, float) for value in arguments[1:]):
+            raise PacketError("not a bone")
+        if arguments[0] in self._bones:
+            # Unity's axes are the opposite of those of the head frame, so that the matrices are the same.
+            self._bones[str(arguments[0])] = from_quaternion(*(float(value) for value in arguments[4:]))
+
+
+def _coefficients(values: dict[str, float]) -> FloatArray:
+    coefficients = no_coefficients()
+    known = {column: value for name, value in values.items() if (column := column_of(name)) is not None}
+    if known:
+        coefficients[list(known)] = list(known.values())
+        return coefficients
+    for name, value in values.items():
+        for part, share in _SHARES.get(name, ()):
+            coefficients[COEFFICIENT_INDEX[part]] += share * value
+    return coefficients
+
+
+def encode(face: FaceValues | None, time: float) -> Iterator[bytes]:
+    """Encode a frame as bundles, as 52 values outgrow a packet; the message that applies them comes last.
+
+    Parameters
+    ----------
+    face : FaceValues or None
+        None if there is no face.
+    time : float
+        Seconds.
+
+    Yields
+    ------
+    bytes
+        A datagram.
+
+    Notes
+    -----
+    Sends ARKit's names with a capital, as avatars made for *perfect sync* have them, and the expressions of VRM 1 and
+    VRM 0 that Facemime's key mappings make of them, for all other avatars.
+    """
+    messages = [
+        osc.encode_message("/VMC/Ext/OK", 1, 3, 0, int(face is not None)),
+        osc.encode_message("/VMC/Ext/T", time),
+    ]
+    if face is not None:
+        turn = to_quaternion(euler_to_matrix(*face.rotation))
+        messages.append(osc.encode_message("/VMC/Ext/Bone/Pos", "Head", 0.0, 0.0, 0.0, *turn))
+        names, gains, offsets = _expressions()
+        values = np.clip(gains @ face.coefficients + offsets, 0.0, 1.0)
+        for name, value in zip(names, values.tolist(), strict=True):
+            messages.append(osc.encode_message("/VMC/Ext/Blend/Val", name, value))
+    messages.append(osc.encode_message("/VMC/Ext/Blend/Apply"))
+    return osc.encode_bundles(messages, _MAX_BUNDLE)
+
+
+@lru_cache(maxsize=1)
+def _expressions() -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+    """Names of the expressions of VRM 0 and VRM 1, and of ARKit's; and gains (E, 52) and offsets (E,) of each."""
+    gains = {name[0].upper() + name[1:]: row for name, row in zip(COEFFICIENTS, np.eye(N_COEFFICIENTS), strict=True)}
+    offsets = dict.fromkeys(gains, 0.0)
+    for table in presets():
+        for row in table.rows if table.name in ("VRM 0", "VRM 1") else ():
+            gains.setdefault(row.key, np.zeros(N_COEFFICIENTS))[COEFFICIENT_INDEX[row.source]] += row.gain
+            offsets[row.key] = offsets.get(row.key, 0.0) + row.offset
+    return tuple(gains), np.stack(list(gains.values())), np.array(list(offsets.values()))

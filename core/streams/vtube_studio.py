@@ -1,0 +1,85 @@
+"""VTube Studio's iPhone app and MeowFace: JSON, sent for as long as a request allows (docs/streams.md)."""
+
+from __future__ import annotations
+
+import json
+from math import pi
+from typing import Any
+
+import numpy as np
+
+from ..coefficient_names import column_of
+from ..reading import parse_json
+from .frames import (
+    MAX_DATAGRAM,
+    FaceValues,
+    PacketError,
+    StreamFrame,
+    checked,
+    finite,
+    no_coefficients,
+    turned,
+)
+
+PORT = 21412
+"""Of the phone, which answers on a port that the request names."""
+_LEASE = 5.0
+"""Seconds for which a request asks; the phone allows 0.5 to 10."""
+_MAX_ENTRIES, _MIN_NAMES, _MAX_TIME = 200, 10, 1e13
+
+
+def request(port: int) -> bytes:
+    """Encode the request that the phone send to `port`; it has to be repeated within five seconds."""
+    asked = {"messageType": "iOSTrackingDataRequest", "time": _LEASE, "sentBy": "Facemime", "ports": [port]}
+    return json.dumps(asked).encode()
+
+
+class VTubeStudioDecoder:
+    """Decodes the phone's answers."""
+
+    def decode(self, data: bytes) -> list[StreamFrame]:
+        """Decode a packet; see `frames.Decoder`."""
+        if len(data) > MAX_DATAGRAM or not data.startswith(b"{"):
+            raise PacketError("not VTube Studio")
+        try:
+            packet = parse_json(data)
+        except ValueError:
+            raise PacketError("not JSON") from None
+        found, stamp = packet.get("FaceFound"), packet.get("Timestamp")
+        if not isinstance(found, bool) or not _is_number(stamp) or not 0 <= stamp <= _MAX_TIME:
+            raise PacketError("the face or the time is missing")
+        if not found:
+            return [StreamFrame(None, time=1e-3 * stamp)]
+        coefficients = _coefficients(packet.get("BlendShapes"))
+        x, y, z = _vector(packet.get("Rotation"))
+        rotation = turned(*(angle * pi / 180.0 for angle in (x, y, z)))
+        # In centimetres, to the viewer's right, up and towards the viewer.
+        position = 0.01 * np.array(_vector(packet.get("Position"))) * (1.0, -1.0, -1.0)
+        return [StreamFrame(checked(FaceValues(coefficients, rotation, position)), time=1e-3 * stamp)]
+
+
+def _coefficients(entries: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+    if not isinstance(entries, list) or len(entries) > _MAX_ENTRIES:
+        raise PacketError("the values are missing")
+    coefficients, known = no_coefficients(), 0
+    for entry in entries:
+        name, value = (entry.get("k"), entry.get("v")) if isinstance(entry, dict) else (None, None)
+        if not isinstance(name, str) or not _is_number(value):
+            raise PacketError("a value has no name or number")
+        if (column := column_of(name)) is not None:
+            coefficients[column] = value
+            known += 1
+    if known < _MIN_NAMES:
+        raise PacketError("the values are missing")
+    return coefficients
+
+
+def _vector(value: Any) -> tuple[float, float, float]:
+    if not isinstance(value, dict) or not all(_is_number(value.get(axis)) for axis in "xyz"):
+        raise PacketError("a vector is missing")
+    x, y, z = (finite(float(value[axis])) for axis in "xyz")
+    return x, y, z
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,0 +1,78 @@
+"""Results between and beyond others: live, where a frame is missing, or a lost source lets the face come to rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..coefficient_names import N_COEFFICIENTS
+from ..rotation import euler_to_matrix, matrix_to_euler
+from ..tracking.result import TrackResult
+from .neutral import Neutral
+
+
+def between(first: TrackResult, second: TrackResult, share: float) -> TrackResult:
+    """Interpolate, or extrapolate, between two results with a face.
+
+    Parameters
+    ----------
+    first, second : TrackResult
+        Of the same source.
+    share : float
+        0 gives `first`, 1 gives `second`, and more continues the motion.
+
+    Returns
+    -------
+    TrackResult
+        With the confidence 0, as it was not seen. What is unknown in either is unknown.
+    """
+
+    def mixed(name: str) -> FloatArray:
+        a, b = getattr(first, name), getattr(second, name)
+        return np.asarray(a + share * (b - a))
+
+    pose, shape = mixed("pose"), mixed("shape")
+    pose[0] = first.pose[0] * (second.pose[0] / first.pose[0]) ** share
+    turns = second.pose[1:4] - first.pose[1:4]
+    pose[1:4] = first.pose[1:4] + share * (np.mod(turns + np.pi, 2.0 * np.pi) - np.pi)
+    return replace(
+        second,
+        pose=pose,
+        shape=shape,
+        landmarks=pose[0] * (shape @ euler_to_matrix(*pose[1:4]).T)[:, :2] + pose[4:],
+        confidence=0.0,
+        pupils=mixed("pupils"),
+        gaze=mixed("gaze"),
+        vergence=float(mixed("vergence")),
+        actions=mixed("actions"),
+        coefficients=np.clip(mixed("coefficients"), 0.0, 1.0),
+    )
+
+
+def at_rest(neutral: Neutral, like: TrackResult) -> TrackResult:
+    """Return the result of a neutral face.
+
+    Parameters
+    ----------
+    neutral : Neutral
+    like : TrackResult
+        With a face, of the same source; coefficients, if it has them, become 0.
+
+    Returns
+    -------
+    TrackResult
+        Looking straight ahead, where the performer usually is.
+    """
+    stated = np.isfinite(like.coefficients).all()
+    scale, x, y = neutral.position
+    return replace(
+        like,
+        pose=np.array([scale, *matrix_to_euler(neutral.rotation), x, y]),
+        shape=neutral.shape,
+        gaze=neutral.gaze,
+        vergence=neutral.vergence,
+        actions=neutral.actions,
+        coefficients=np.zeros(N_COEFFICIENTS) if stated else like.coefficients,
+    )

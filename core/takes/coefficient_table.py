@@ -1,0 +1,229 @@
+"""Tables of ARKit's coefficients, as Live Link Face and others write them: read as takes, and written from them.
+
+Columns are found by their names, as at least three orders are in use.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from math import floor, isfinite, pi
+from pathlib import Path
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..capture import check_readable
+from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
+from ..errors import SourceError
+from ..files import replacing
+from ..reading import shown
+from ..rotation import from_face_axes, to_face_axes
+from .from_animation import IMAGE_SIZE
+from .from_coefficients import coefficient_face
+from .take import Take, TakeRecorder, describe
+
+_LEAST_NAMES = 10
+"""Fewest known coefficients by which a table is taken for one of these."""
+_MAX_ROWS, _MAX_NUMBER = 1_000_000, 1e15
+_SECONDS = {"time": 1.0, "seconds": 1.0, "timestamp": 1.0, "time_s": 1.0, "timestamp_ms": 1e-3, "time_ms": 1e-3}
+"""Columns of times, in lower case, and their unit in seconds."""
+_RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
+_RATE, _APP_RATE = 30.0, 60.0
+"""Rates of a table without times, and of Live Link Face."""
+_ANGLES = ("headyaw", "headpitch", "headroll")
+LIVE_LINK_ORDER: tuple[str, ...] = (
+    *("eyeBlinkLeft", "eyeLookDownLeft", "eyeLookInLeft", "eyeLookOutLeft", "eyeLookUpLeft", "eyeSquintLeft"),
+    *("eyeWideLeft", "eyeBlinkRight", "eyeLookDownRight", "eyeLookInRight", "eyeLookOutRight", "eyeLookUpRight"),
+    *("eyeSquintRight", "eyeWideRight", "jawForward", "jawRight", "jawLeft", "jawOpen", "mouthClose", "mouthFunnel"),
+    *("mouthPucker", "mouthRight", "mouthLeft", "mouthSmileLeft", "mouthSmileRight", "mouthFrownLeft"),
+    *("mouthFrownRight", "mouthDimpleLeft", "mouthDimpleRight", "mouthStretchLeft", "mouthStretchRight"),
+    *("mouthRollLower", "mouthRollUpper", "mouthShrugLower", "mouthShrugUpper", "mouthPressLeft", "mouthPressRight"),
+    *("mouthLowerDownLeft", "mouthLowerDownRight", "mouthUpperUpLeft", "mouthUpperUpRight", "browDownLeft"),
+    *("browDownRight", "browInnerUp", "browOuterUpLeft", "browOuterUpRight", "cheekPuff", "cheekSquintLeft"),
+    *("cheekSquintRight", "noseSneerLeft", "noseSneerRight", "tongueOut"),
+)
+"""The order of Live Link Face's tables, which is not that of its packets."""
+_EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw", "Pitch", "Roll"))
+
+
+def has_coefficients(path: Path) -> bool:
+    """Whether a table's first line has columns of coefficients; False for a file that cannot be read."""
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as stream:
+            head = next(csv.reader(stream), [])
+    except (OSError, ValueError, csv.Error):
+        return False
+    return len(_columns(head)) >= _LEAST_NAMES
+
+
+def from_coefficient_csv(path: Path) -> Take:
+    """Read a table with a row per frame, and a column for each coefficient that is known.
+
+    The time is `Timecode` as Live Link Face has it, or a column of seconds or milliseconds; otherwise rows are 1/30 s
+    apart. `HeadYaw`, `HeadPitch` and `HeadRoll` are radians, or degrees if any is beyond what a head can turn. Other
+    columns are ignored, and coefficients that are missing are 0.
+
+    Raises
+    ------
+    SourceError
+        If the file cannot be read, or contains something that is not a number; the message names it.
+    """
+    path = Path(path)
+    if not check_readable(path):
+        raise SourceError(f"There is no table {path}. Check its name.")
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as stream:
+            return _take(csv.reader(stream), path.name)
+    except (ValueError, OSError, csv.Error) as error:
+        raise SourceError(
+            f"{path} cannot be read as a table of coefficients: {error}. Compare it with an exported one."
+        ) from error
+
+
+def write_coefficient_csv(
+    path: Path, times: FloatArray, values: FloatArray, rotations: FloatArray, *, live_link: bool, rate: float = 60.0
+) -> None:
+    """Write a table of coefficients.
+
+    Parameters
+    ----------
+    path : Path
+    times : (N,) float64
+        Seconds.
+    values : (N, 52) float64
+        In the order of `COEFFICIENTS`.
+    rotations : (N, 3) float64
+        Pitch, yaw and roll of the head from neutral, radians, as in `TrackResult`.
+    live_link : bool
+        Live Link Face's columns, with a timecode, rather than a column of seconds and ARKit's own names.
+    rate : float
+        Frames per second of the timecode.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    order = LIVE_LINK_ORDER if live_link else COEFFICIENTS
+    places = [COEFFICIENT_INDEX[name] for name in order]
+    names = [name[0].upper() + name[1:] for name in order] if live_link else list(order)
+    turns = ["HeadYaw", "HeadPitch", "HeadRoll"]
+    head = ["Timecode", "BlendShapeCount", *names, *turns, *_EYES] if live_link else ["time", *names, *turns]
+    with replacing(Path(path)) as temporary, open(temporary, "w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(head)
+        for time, row, turn in zip(times.tolist(), values[:, places], rotations, strict=True):
+            numbers = [f"{value:.9f}" for value in (*row, *_yaw_first(turn))]
+            begin = [timecode(time, rate), "61"] if live_link else [repr(time)]
+            table.writerow([*begin, *numbers, *(["0.000000000"] * len(_EYES) if live_link else [])])
+
+
+def timecode(time: float, rate: float) -> str:
+    """Text of a time as Live Link Face writes it, hours to frames, with thousandths of a frame."""
+    whole = floor(max(time, 0.0) * rate * 1000.0 + 0.5)
+    frames, part = divmod(whole, 1000)
+    seconds, frame = divmod(frames, round(rate))
+    return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}:{frame:02d}.{part:03d}"
+
+
+def _yaw_first(rotation: FloatArray) -> tuple[float, float, float]:
+    pitch, yaw, roll = to_face_axes(rotation)
+    return yaw, pitch, roll
+
+
+def _columns(head: Sequence[str]) -> dict[int, int]:
+    """The coefficient of each column that has one."""
+    found = {column: column_of(name.strip()) for column, name in enumerate(head)}
+    return {column: place for column, place in found.items() if place is not None}
+
+
+def _take(lines: Iterator[list[str]], name: str) -> Take:
+    head = next(lines, [])
+    columns = _columns(head)
+    if len(columns) < _LEAST_NAMES:
+        raise ValueError(f"only {len(columns)} of its columns are coefficients")
+    if len(set(columns.values())) < len(columns):
+        raise ValueError("two of its columns are the same coefficient")
+    rows = []
+    for line in lines:
+        if any(line):
+            rows.append(line)
+        if len(rows) > _MAX_ROWS:
+            raise ValueError(f"it has more than {_MAX_ROWS:,} rows")
+    if not rows:
+        raise ValueError("it has no rows")
+    plain = [title.strip().lower() for title in head]
+    times = _times(rows, plain)
+    values = np.zeros((len(rows), N_COEFFICIENTS))
+    for column, place in columns.items():
+        values[:, place] = _numbers(rows, column, head[column])
+    turns = np.zeros((len(rows), 3))
+    for place, title in enumerate(_ANGLES):
+        if title in plain:
+            turns[:, place] = _numbers(rows, plain.index(title), title)
+    if np.abs(turns).max() > pi:
+        turns *= pi / 180.0
+    return _recorded(times, values, turns, name)
+
+
+def _recorded(times: FloatArray, values: FloatArray, turns: FloatArray, name: str) -> Take:
+    rate = 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else _RATE
+    face = coefficient_face()
+    recorder = TakeRecorder(
+        describe(name, min(max(rate, 1e-3), 1e5), IMAGE_SIZE, "coefficients")
+        | {"measured": True, "calibration": face.neutral.to_dict()}
+    )
+    for time, row, turn in zip(times.tolist(), values, turns, strict=True):
+        recorder.append(time, face.result(row, from_face_axes(float(turn[1]), float(turn[0]), float(turn[2]))))
+    return recorder.finish()
+
+
+def _times(rows: list[list[str]], head: list[str]) -> FloatArray:
+    """(N,) seconds from the first row; rows must not go back in time."""
+    if "timecode" in head:
+        times = _timecodes([_cell(row, head.index("timecode")) for row in rows])
+    elif named := [title for title in head if title in _SECONDS]:
+        times = _SECONDS[named[0]] * _numbers(rows, head.index(named[0]), named[0])
+    else:
+        times = np.arange(len(rows)) / _RATE
+    times = np.asarray(times - times[0])
+    if (np.diff(times) <= 0.0).any():
+        raise ValueError("its times do not increase")
+    return times
+
+
+def _timecodes(texts: list[str]) -> FloatArray:
+    """(N,) seconds, past midnight too.
+
+    The rate is the least usual one in which all numbers of frames fit; in less than a second, which does not tell, that
+    of the app.
+    """
+    try:
+        parts = np.array([[float(part) for part in text.split(":")] for text in texts], dtype=np.float64)
+    except ValueError:
+        parts = np.empty(0)
+    if parts.ndim != 2 or parts.shape[1] != 4 or not ((parts >= 0.0) & (parts < 200.0)).all():
+        raise ValueError(f"{shown(texts[0])} is not a timecode such as 10:20:30:12.500")
+    told = len(np.unique(parts[:, 2])) > 2
+    rate = next(rate for rate in (*_RATES, 200.0) if parts[:, 3].max() < rate and (told or rate >= _APP_RATE))
+    times = parts @ np.array([3600.0, 60.0, 1.0, 1.0 / rate])
+    days = np.cumsum(np.diff(times, prepend=times[0]) < -43_200.0)
+    return np.asarray(times + 86_400.0 * days)
+
+
+def _cell(row: list[str], column: int) -> str:
+    return row[column].strip() if column < len(row) else ""
+
+
+def _numbers(rows: list[list[str]], column: int, name: str) -> FloatArray:
+    values = np.zeros(len(rows))
+    for number, row in enumerate(rows):
+        text = _cell(row, column)
+        try:
+            values[number] = float(text or 0.0)
+        except ValueError:
+            values[number] = np.nan
+        if not isfinite(values[number]) or abs(values[number]) > _MAX_NUMBER:
+            raise ValueError(f"row {number + 1} has {shown(text)} for {name}, which is not a possible number")
+    return values

@@ -1,0 +1,90 @@
+"""From ARKit's 52 coefficients to a tracking result: the built-in head shows them, and its landmarks are measured.
+
+Streams of phones and VTuber programs, and tables of coefficients, thus drive any head as a camera does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..coefficient_names import FITTED, N_COEFFICIENTS
+from ..heads.built_in import load_head
+from ..heads.looks import LOOKS, gaze_of
+from ..landmarks import N_LANDMARKS, outer_eye_distance
+from ..rotation import euler_to_matrix
+from ..tracking.result import TrackResult
+from .from_animation import REST_POSITION, pose_of
+from .neutral import Neutral
+
+
+class CoefficientFace:
+    """Shows coefficients on the built-in head.
+
+    Attributes
+    ----------
+    neutral : Neutral
+        The neutral face of all results: that of the built-in head.
+    """
+
+    def __init__(self) -> None:
+        head = load_head()
+        rest = head.vertices[head.landmarks].astype(np.float64)
+        self.unit = outer_eye_distance(rest)
+        self._rest = (rest - rest.mean(axis=0)) / self.unit
+        self._units = head.units[FITTED][:, head.landmarks].astype(np.float64) / self.unit
+        shut = np.zeros(N_COEFFICIENTS)
+        self.neutral = replace(_at_rest(self._rest), gaze=gaze_of(shut[LOOKS])[0], vergence=0.0)
+
+    def result(self, values: FloatArray, rotation: FloatArray, moved: FloatArray | None = None) -> TrackResult:
+        """Return what the tracker would have found, without its errors.
+
+        Parameters
+        ----------
+        values : (52,) float64
+            Coefficients in the order of `COEFFICIENTS`; clipped to 0 to 1.
+        rotation : (3,) float64
+            Pitch, yaw and roll of the head, radians, as in `TrackResult`.
+        moved : (3,) float64, optional
+            How far the head has moved from rest: head frame, metres.
+
+        Returns
+        -------
+        TrackResult
+            With the coefficients, and the pose-free shape that they give.
+        """
+        pose = pose_of(euler_to_matrix(*rotation), np.zeros(3) if moved is None else np.asarray(moved) / self.unit)
+        return self.posed(np.clip(values, 0.0, 1.0), pose)
+
+    def posed(self, values: FloatArray, pose: FloatArray) -> TrackResult:
+        """As `result`, for `values` (52,) from 0 to 1 and a `pose` (6,) as in `TrackResult`."""
+        shape = self._rest + np.tensordot(values[FITTED], self._units, 1)
+        turn = euler_to_matrix(*pose[1:4])
+        gaze, vergence = gaze_of(values[LOOKS])
+        return TrackResult(
+            found=True,
+            landmarks=pose[0] * (shape @ turn.T)[:, :2] + pose[4:],
+            pose=pose,
+            shape_params=np.empty(0),
+            shape=shape,
+            confidence=1.0,
+            landmark_confidence=np.ones(N_LANDMARKS),
+            gaze=gaze,
+            vergence=vergence,
+            coefficients=values,
+        )
+
+
+@lru_cache(maxsize=1)
+def coefficient_face() -> CoefficientFace:
+    """Return the face that all streams and tables share."""
+    return CoefficientFace()
+
+
+def _at_rest(shape: FloatArray) -> Neutral:
+    return Neutral(
+        shape=shape, rotation=np.eye(3), position=REST_POSITION.copy(), start=0.0, end=0.0, shut=0.0, measured=True
+    )

@@ -1,0 +1,97 @@
+"""Properties of streams: where a face comes from over the network, and where it is sent."""
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+
+from ..core.streams.settings import LOOPBACK
+
+
+class FacemimeStream(bpy.types.PropertyGroup):
+    """A stream from the network as the source of the performance."""
+
+    protocol: EnumProperty(
+        name="From",
+        description="App or program that sends the face",
+        items=(
+            ("own", "Facemime", "Another computer with Facemime", 0),
+            ("livelink", "Live Link Face", "Epic's iPhone app in its mode ARKit, or Unreal Engine", 1),
+            ("vmc", "VMC", "VTuber programs that speak the VMC protocol", 2),
+            ("openseeface", "OpenSeeFace", "OpenSeeFace's tracker, or VTuber programs that listen to it", 3),
+            ("ifacialmocap", "iFacialMocap", "The app iFacialMocap on an iPhone", 4),
+            ("facemotion3d", "Facemotion3d", "The app Facemotion3d on a phone", 5),
+            ("vtubestudio", "VTube Studio, MeowFace", "VTube Studio on an iPhone, or MeowFace on Android", 6),
+            ("facecap", "Face Cap", "The app Face Cap on an iPhone", 7),
+        ),
+        default="livelink",
+    )
+    host: StringProperty(
+        name="Listen On",
+        description="Address of this computer on which the stream is received; 0.0.0.0 for all of its networks",
+        default=LOOPBACK,
+    )
+    port: IntProperty(name="Port", description="Port of the stream; 0 for the usual one", min=0, max=65535)
+    phone: StringProperty(name="Phone", description="Address of the phone, which the app shows")
+    key: StringProperty(
+        name="Key", description="File with the key that this computer shares with the sender", subtype="FILE_PATH"
+    )
+    delay: FloatProperty(
+        name="Delay",
+        description="Delay that evens out packets that come early or late",
+        subtype="TIME_ABSOLUTE",
+        default=0.02,
+        min=0.0,
+        max=2.0,
+        soft_max=0.2,
+        step=0.5,
+        precision=3,
+    )
+    sender: StringProperty(
+        name="Sender", description="Address or name of the sender to follow; the first that comes if it is empty"
+    )
+    angles: EnumProperty(
+        name="Angles",
+        description="Unit of the head's angles, in which senders of this protocol differ",
+        items=(
+            ("radians", "Radians", "As Live Link Face sends them"),
+            ("degrees", "Degrees", "As some other programs send them"),
+            ("half-turns", "Half Turns", "Shares of 180 degrees, as programs made after Unreal's plug-in send them"),
+        ),
+    )
+    flip: EnumProperty(
+        name="Flip",
+        description="Rotations of the head to reverse, if it turns the wrong way",
+        items=(
+            ("pitch", "Pitch", "Reverse looking up and down"),
+            ("yaw", "Yaw", "Reverse turning left and right"),
+            ("roll", "Roll", "Reverse tilting left and right"),
+        ),
+        options={"ENUM_FLAG"},
+        default=set(),
+    )
+
+
+class FacemimeOutput(bpy.types.PropertyGroup):
+    """Where the performance is sent while a puppet is running."""
+
+    enabled: BoolProperty(
+        name="Send", description="Send the performance to another computer or program while the puppet is running"
+    )
+    protocol: EnumProperty(
+        name="To",
+        description="Program that receives the face",
+        items=(
+            ("own", "Facemime", "Another computer with Facemime", 0),
+            ("livelink", "Live Link Face", "Epic's iPhone app in its mode ARKit, or Unreal Engine", 1),
+            ("vmc", "VMC", "VTuber programs that speak the VMC protocol", 2),
+            ("openseeface", "OpenSeeFace", "OpenSeeFace's tracker, or VTuber programs that listen to it", 3),
+        ),
+    )
+    host: StringProperty(name="Host", description="Address of the computer that receives the face", default=LOOPBACK)
+    port: IntProperty(name="Port", description="Port of the stream; 0 for the usual one", min=0, max=65535)
+    key: StringProperty(
+        name="Key", description="File with the key that this computer shares with the receiver", subtype="FILE_PATH"
+    )
+    subject: StringProperty(name="Subject", description="Name of the face in Unreal Engine", default="Facemime")
+
+
+CLASSES = (FacemimeStream, FacemimeOutput)

@@ -1,0 +1,204 @@
+"""Streams in Blender: as the source of a puppet, as its output, and kept off the network unless that is allowed."""
+
+import socket
+import threading
+import time
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.blender.heads.built_in import add_head
+from facemime.blender.names import PART_PROPERTY
+from facemime.core.bake.arkit import arkit_coefficients
+from facemime.core.coefficient_names import COEFFICIENT_INDEX
+from facemime.core.streams.live_link import LiveLinkDecoder
+from facemime.core.streams.sender import SendSettings, StreamSender
+from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.neutral import calibrate
+from facemime.operators.puppet import running
+from facemime.settings import takes_store
+from facemime.settings.values import open_sender, open_source, read_calibration, write_calibration
+from links import free_port
+from live_ticks import shown, some_frames, start, tick, ticks_until
+from takes import coefficient_take, performance
+
+pytestmark = pytest.mark.usefixtures("nothing_left_over")
+
+
+@pytest.fixture
+def phone():
+    """A stream of Live Link Face as the source, and somebody who sends it all the time."""
+    source, port, over = bpy.context.scene.facemime.source, free_port(), threading.Event()
+    source.kind, source.stream.protocol, source.stream.port = "STREAM", "livelink", port
+    bpy.context.scene.facemime.smoothing = 0.0
+    sender = StreamSender(SendSettings("livelink", port=port, subject="Phone"))
+    take, neutral = coefficient_take(60), coefficient_face().neutral
+
+    def send() -> None:
+        number, began = 0, time.monotonic()
+        while not over.wait(1.0 / 60.0):
+            sender.send(time.monotonic() - began, take.result(number % len(take)), neutral)
+            number += 1
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    yield take
+    over.set()
+    thread.join()
+    sender.close()
+
+
+@pytest.fixture
+def online():
+    """Blender's switch for online access, off, and as it was afterwards."""
+    system = bpy.context.preferences.system
+    before, system.use_online_access = system.use_online_access, False
+    assert not bpy.app.online_access
+    yield system
+    system.use_online_access = before
+
+
+def test_a_phone_drives_a_head_with_its_own_neutral_face(phone):
+    head = add_head(bpy.context)
+    rest = shown(head)
+    start()
+    ticks_until(lambda: np.abs(shown(head) - rest).max() > 0.005)
+    session = running()
+    assert session.worker.neutral.measured and session.worker.source.senders == ("127.0.0.1 Phone",)
+    assert bpy.ops.facemime.stop_puppet() == {"FINISHED"}
+    np.testing.assert_allclose(shown(head), rest, atol=1e-6)
+
+
+def test_a_calibration_of_a_phone_is_not_kept_for_the_camera(phone):
+    add_head(bpy.context)
+    settings = bpy.context.scene.facemime
+    settings.source.loop = True
+    write_calibration(settings, calibrate(performance()))
+    before = read_calibration(settings)
+    start()
+    assert running().worker.neutral.measured
+    assert bpy.ops.facemime.calibrate(countdown=0.05) == {"FINISHED"}
+    ticks_until(lambda: running().countdown is None and running().worker.quality is not None)
+    assert running().worker.neutral.measured
+    bpy.ops.facemime.stop_puppet()
+    np.testing.assert_array_equal(read_calibration(settings).shape, before.shape)
+
+
+def test_a_recorded_phone_bakes_to_what_it_sent(phone, takes):
+    add_head(bpy.context)
+    source = bpy.context.scene.facemime.source.stream
+    assert source.protocol == "livelink"
+    start()
+    assert bpy.ops.facemime.record_take(name="Phone") == {"FINISHED"}
+    ticks_until(lambda: running().recording.frames > 40)
+    assert bpy.ops.facemime.record_take() == {"FINISHED"}
+    bpy.ops.facemime.stop_puppet()
+    take = takes_store.read(takes.items[0])
+    assert take.info["measured"]
+    found = arkit_coefficients(take, calibrate(take))
+    off = [np.abs(phone.coefficients - row).max(axis=1).min() for row in found]
+    assert max(off) < 2e-5
+
+
+def test_keys_are_driven_by_the_values_themselves(phone):
+    head = add_head(bpy.context, units=True)
+    for child in [child for child in head.children if PART_PROPERTY in child]:
+        bpy.data.objects.remove(child)
+    bpy.context.scene.facemime.drive_by = "KEYS"
+    start()
+    some_frames()
+    session = running()
+    values = session.shown.result.coefficients
+    keys = session.worker.heads[0].keys
+    wanted = sum(values[COEFFICIENT_INDEX[name]] * offsets for name, offsets in keys.offsets.items())
+    moved = session.shown.heads[0].vertices - session.worker.heads[0].rig.all_vertices
+    np.testing.assert_allclose(moved, wanted, atol=1e-6)
+    bpy.ops.facemime.stop_puppet()
+
+
+def test_what_is_tracked_is_sent_while_the_puppet_runs(take):
+    add_head(bpy.context)
+    settings = bpy.context.scene.facemime
+    settings.source.loop = True
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as unreal:
+        unreal.bind(("127.0.0.1", 0))
+        unreal.settimeout(60.0)
+        output = settings.output
+        output.enabled, output.protocol, output.port, output.subject = True, "livelink", unreal.getsockname()[1], "Ada"
+        start()
+        ticks_until(lambda: running().worker.output.sent > 30)
+        frames = [LiveLinkDecoder().decode(unreal.recv(4096))[0] for _ in range(30)]
+        bpy.ops.facemime.stop_puppet()
+    assert {frame.subject for frame in frames} == {"Ada"}
+    assert max(frame.face.coefficients[COEFFICIENT_INDEX["jawOpen"]] for frame in frames if frame.face) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("protocol", "settings"),
+    [
+        ("livelink", {"host": "0.0.0.0"}),
+        ("vmc", {"host": "192.168.1.7"}),
+        ("ifacialmocap", {"phone": "192.168.1.8"}),
+        ("vtubestudio", {"phone": "phone.local"}),
+        ("own", {"host": "::"}),
+    ],
+)
+def test_streams_of_others_need_online_access(online, protocol, settings):
+    stream = bpy.context.scene.facemime.source.stream
+    bpy.context.scene.facemime.source.kind, stream.protocol = "STREAM", protocol
+    for name, value in settings.items():
+        setattr(stream, name, value)
+    add_head(bpy.context)
+    with pytest.raises(RuntimeError, match="Online Access"):
+        bpy.ops.facemime.puppet()
+    assert running() is None
+
+
+@pytest.mark.parametrize("host", ["192.168.1.7", "example.invalid", "0.0.0.0", "127.0.0.1.example.invalid"])
+def test_sending_to_others_needs_online_access(online, take, host):
+    output = bpy.context.scene.facemime.output
+    output.enabled, output.protocol, output.host = True, "vmc", host
+    add_head(bpy.context)
+    before = threading.active_count()
+    with pytest.raises(RuntimeError, match="Online Access"):
+        bpy.ops.facemime.puppet()
+    assert running() is None and threading.active_count() == before
+
+
+def test_streams_on_this_computer_need_no_online_access(online):
+    settings = bpy.context.scene.facemime
+    settings.source.kind, settings.source.stream.port = "STREAM", free_port()
+    settings.output.enabled, settings.output.protocol = True, "openseeface"
+    source, sender = open_source(settings.source), open_sender(settings)
+    source.read(0.0)
+    source.close()
+    sender.close()
+    settings.output.enabled = False
+    assert open_sender(settings) is None
+
+
+def test_a_port_that_is_taken_is_reported(phone):
+    head = add_head(bpy.context)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        bpy.context.scene.facemime.source.stream.port = other.getsockname()[1]
+        assert bpy.ops.facemime.puppet() == {"RUNNING_MODAL"}
+        session, end = running(), time.monotonic() + 60.0
+        while session.worker.error is None:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        assert "Cannot listen" in str(session.worker.error)
+        assert tick() == {"CANCELLED"}
+    assert head.data.shape_keys is None
+
+
+def test_a_missing_key_and_a_missing_phone_are_reported(tmp_path):
+    add_head(bpy.context)
+    source = bpy.context.scene.facemime.source
+    source.kind, source.stream.protocol = "STREAM", "ifacialmocap"
+    with pytest.raises(RuntimeError, match="address of the phone"):
+        bpy.ops.facemime.puppet()
+    source.stream.protocol, source.stream.key = "own", str(tmp_path / "none.key")
+    with pytest.raises(RuntimeError, match="There is no key"):
+        bpy.ops.facemime.puppet()

@@ -1,0 +1,154 @@
+"""Tables of coefficients of Live Link Face and others become takes, and takes become such tables."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from facemime.cli.main import main
+from facemime.core.bake.arkit import arkit_coefficients
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS
+from facemime.core.errors import SourceError
+from facemime.core.streams.live_link import CURVES
+from facemime.core.takes.coefficient_table import (
+    LIVE_LINK_ORDER,
+    from_coefficient_csv,
+    has_coefficients,
+    timecode,
+    write_coefficient_csv,
+)
+from facemime.core.takes.file import load_take, save_take
+from facemime.core.takes.neutral import calibrate
+
+# As the app writes them: the order is its own, and so is the capital.
+GOLDEN = (
+    "Timecode,BlendShapeCount,EyeBlinkRight,JawRight,JawLeft,JawOpen,MouthRight,MouthLeft,EyeBlinkLeft,TongueOut,"
+    "CheekPuff,BrowInnerUp,NoseSneerLeft,HeadYaw,HeadPitch,HeadRoll,LeftEyeYaw\n"
+    "23:59:59:58.250,61,0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,0.11,0.12,0.1,0.2,0.05,0.0\n"
+    "23:59:59:59.250,61,0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,0.11,0.12,0.1,0.2,0.05,0.0\n"
+    "00:00:00:00.250,61,0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,0.11,0.12,0.1,0.2,0.05,0.0\n"
+)
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Write a text as a table."""
+
+    def write(text: str):
+        (tmp_path / "table.csv").write_text(text)
+        return tmp_path / "table.csv"
+
+    return write
+
+
+def sines(count: int = 40) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, coefficients and rotations that all differ."""
+    phase = np.arange(count)[:, None] / 9.0 + np.arange(N_COEFFICIENTS)
+    turns = 0.3 * np.sin(np.arange(count)[:, None] / 7.0 + np.arange(3))
+    return np.arange(count) / 60.0, 0.5 + 0.5 * np.sin(phase), turns
+
+
+def test_live_link_faces_own_table_is_read_by_name_past_midnight(written):
+    take = from_coefficient_csv(written(GOLDEN))
+    np.testing.assert_allclose(take.times, [0.0, 1 / 60, 2 / 60], atol=1e-9)
+    for name, value in (("eyeBlinkRight", 0.1), ("jawRight", 0.2), ("jawLeft", 0.3), ("jawOpen", 0.4)):
+        assert take.coefficients[0, COEFFICIENT_INDEX[name]] == pytest.approx(value)
+    assert take.info["measured"] and take.found.all()
+    assert take.pose[0, 1] > 0.15 and take.pose[0, 2] < -0.05  # pitch down, yaw to the performer's left
+
+
+@pytest.mark.parametrize("live_link", [True, False])
+def test_a_table_there_and_back_is_the_same(tmp_path, live_link):
+    times, values, turns = sines()
+    write_coefficient_csv(tmp_path / "a.csv", times, values, turns, live_link=live_link)
+    assert has_coefficients(tmp_path / "a.csv")
+    take = from_coefficient_csv(tmp_path / "a.csv")
+    np.testing.assert_allclose(take.times, times, atol=1e-5)
+    np.testing.assert_allclose(take.coefficients, values, atol=1e-7)
+    np.testing.assert_allclose(take.pose[:, 1:4], turns, atol=1e-6)
+    np.testing.assert_allclose(arkit_coefficients(take, calibrate(take)), values, atol=1e-7)
+
+
+def test_the_exported_header_is_live_link_faces(tmp_path):
+    write_coefficient_csv(tmp_path / "a.csv", *sines(2), live_link=True)
+    head = next(csv.reader((tmp_path / "a.csv").open()))
+    assert head[:4] == ["Timecode", "BlendShapeCount", "EyeBlinkLeft", "EyeLookDownLeft"]
+    assert head[17:20] == ["JawRight", "JawLeft", "JawOpen"] and len(head) == 63
+    assert head[-9:-5] == ["HeadYaw", "HeadPitch", "HeadRoll", "LeftEyeYaw"]
+    assert LIVE_LINK_ORDER != CURVES and sorted(LIVE_LINK_ORDER) == sorted(COEFFICIENTS)
+
+
+@pytest.mark.parametrize(
+    ("column", "cells", "times"),
+    [
+        ("time", ("1.5", "1.75"), (0.0, 0.25)),
+        ("timestamp_ms", ("100", "140"), (0.0, 0.04)),
+        ("frame", ("7", "8"), (0.0, 1 / 30)),
+    ],
+)
+def test_other_tables_have_seconds_milliseconds_or_nothing(written, column, cells, times):
+    names = [name.replace("Left", "_L").replace("Right", "_R") for name in COEFFICIENTS[:20]]
+    rows = [",".join([cell, *["0.25"] * 20]) for cell in cells]
+    take = from_coefficient_csv(written("\n".join([",".join([column, *names]), *rows]) + "\n"))
+    np.testing.assert_allclose(take.times, times, atol=1e-9)
+    assert (take.coefficients[0, :20] == 0.25).all() and (take.coefficients[0, 20:] == 0.0).all()
+
+
+def test_degrees_are_told_from_radians(written):
+    degrees = GOLDEN.replace("0.1,0.2,0.05,0.0\n", "5.7296,11.459,2.8648,0.0\n")
+    np.testing.assert_allclose(
+        from_coefficient_csv(written(degrees)).pose[:, 1:4],
+        from_coefficient_csv(written(GOLDEN)).pose[:, 1:4],
+        atol=1e-4,
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("a,b,c\n1,2,3\n", "are coefficients"),
+        (GOLDEN.splitlines()[0] + "\n", "no rows"),
+        (GOLDEN.replace("0.4", "x"), "not a possible number"),
+        (GOLDEN.replace("0.4", "nan"), "not a possible number"),
+        (GOLDEN.replace("0.4", "1e400"), "not a possible number"),
+        (GOLDEN.replace("23:59:59:58.250", "hello"), "not a timecode"),
+        (GOLDEN.replace("23:59:59:58.250", "23:59:59:59.250"), "do not increase"),
+        (GOLDEN.replace("JawRight", "jawOpen"), "the same coefficient"),
+    ],
+)
+def test_wrong_tables_are_refused_with_the_reason(written, text, match):
+    with pytest.raises(SourceError, match=match):
+        from_coefficient_csv(written(text))
+
+
+def test_timecodes_count_frames_and_thousandths():
+    assert timecode(0.0, 60.0) == "00:00:00:00.000" and timecode(3661.5, 60.0) == "01:01:01:30.000"
+    assert timecode(1.0 / 120.0, 60.0) == "00:00:00:00.500"
+
+
+def test_the_command_imports_a_table_and_exports_what_it_says(tmp_path, written):
+    assert main(["import", str(written(GOLDEN)), "-o", str(tmp_path / "a.facetake")]) == 0
+    take = load_take(tmp_path / "a.facetake")
+    for columns in ("livelink", "coefficients"):
+        out = tmp_path / f"{columns}.csv"
+        assert main(["export", str(tmp_path / "a.facetake"), "-o", str(out), "--columns", columns]) == 0
+        again = from_coefficient_csv(out)
+        np.testing.assert_allclose(again.coefficients, take.coefficients, atol=1e-5)
+        np.testing.assert_allclose(again.pose[:, 1:4], take.pose[:, 1:4], atol=1e-4)
+
+
+def test_a_tracked_take_exports_coefficients_too(tmp_path, take):
+    out = tmp_path / "a.csv"
+    assert main(["export", str(take), "-o", str(out), "--columns", "coefficients"]) == 0
+    tracked, found = load_take(take), from_coefficient_csv(out)
+    assert len(found) == tracked.found.sum()
+    wanted = arkit_coefficients(tracked, calibrate(tracked))
+    np.testing.assert_allclose(found.coefficients, wanted, atol=1e-6)
+
+
+def test_a_take_of_coefficients_keeps_them_in_facemimes_own_table(tmp_path, written):
+    save_take(from_coefficient_csv(written(GOLDEN)), tmp_path / "a.facetake")
+    assert main(["export", str(tmp_path / "a.facetake"), "-o", str(tmp_path / "a.csv")]) == 0
+    assert main(["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "b.facetake")]) == 0
+    first, second = load_take(tmp_path / "a.facetake"), load_take(tmp_path / "b.facetake")
+    np.testing.assert_array_equal(first.coefficients, second.coefficients)

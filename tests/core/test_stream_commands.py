@@ -1,0 +1,168 @@
+"""The commands `send` and `receive`, in processes of their own and over real sockets."""
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import facemime
+from commands import SAMPLE, START, needs_posix, run
+from facemime.core.bake.arkit import arkit_coefficients
+from facemime.core.coefficient_names import COEFFICIENT_INDEX
+from facemime.core.streams.live_link import LiveLinkDecoder
+from facemime.core.streams.sender import SENT, SendSettings, StreamSender
+from facemime.core.streams.settings import PROTOCOLS
+from facemime.core.takes.file import load_take, save_take
+from facemime.core.takes.neutral import calibrate
+from facemime.core.takes.take import Take
+from links import free_port
+from takes import coefficient_take, performance
+
+
+def sent_and_received(tmp_path: Path, protocol: str, source: Path, *more: object) -> tuple[Path, str]:
+    """The take that `receive` records of what `send` sends, and what `receive` says."""
+    port, out = free_port(), tmp_path / "received.facetake"
+    line = [*START, "receive", "--protocol", protocol, "--listen", f":{port}", "-o", out, *more]
+    with subprocess.Popen([*map(str, line)], stderr=subprocess.PIPE, text=True) as receiver:
+        _wait_for(port)
+        to = ("--to", f"127.0.0.1:{port}", "--protocol", protocol, "--smoothing", 0)
+        sending = run("send", "--video", source, *to, *more)
+        assert sending.returncode == 0, sending.stderr
+        time.sleep(0.5)
+        receiver.send_signal(signal.SIGINT)
+        said = receiver.stderr.read()
+    assert receiver.returncode == 0, said
+    return out, said
+
+
+def same(sent: Take, received: Take, name: str) -> np.ndarray:
+    """Frames of what was sent by the times of what came; a player skips frames that it is late for."""
+    first = getattr(received, name)[0]
+    shift = int(np.argmin([np.abs(values - first).max() for values in getattr(sent, name)]))
+    times = received.times + sent.times[shift]
+    frames = np.abs(sent.times[:, None] - times).argmin(axis=0)
+    np.testing.assert_allclose(sent.times[frames], times, atol=1e-4)
+    return frames
+
+
+def _wait_for(port: int) -> None:
+    """Wait until somebody listens on a port."""
+    end = time.monotonic() + 60.0
+    while time.monotonic() < end:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                return
+        time.sleep(0.05)
+    raise AssertionError("nobody listens")
+
+
+@needs_posix
+@pytest.mark.parametrize("protocol", ["own", "vmc", "livelink"])
+def test_a_take_of_coefficients_arrives_as_it_was(tmp_path, protocol):
+    save_take(coefficient_take(60), tmp_path / "sent.facetake")
+    sent = load_take(tmp_path / "sent.facetake")
+    path, said = sent_and_received(tmp_path, protocol, tmp_path / "sent.facetake")
+    received = load_take(path)
+    assert len(received) >= 30 and "packets" in said
+    found = arkit_coefficients(received, calibrate(received))
+    np.testing.assert_allclose(found, sent.coefficients[same(sent, received, "coefficients")], atol=5e-5)
+
+
+@needs_posix
+def test_with_a_key_landmarks_arrive_as_they_were_tracked(tmp_path):
+    key = tmp_path / "shared.key"
+    assert run("receive", "--new-key", key).returncode == 0
+    take = coefficient_take(90, 30.0)
+    tracked = replace(take, coefficients=np.full_like(take.coefficients, np.nan), info={"source": "camera"})
+    save_take(tracked, tmp_path / "sent.facetake")
+    path, said = sent_and_received(tmp_path, "own", tmp_path / "sent.facetake", "--key", key)
+    sent, received = load_take(tmp_path / "sent.facetake"), load_take(path)
+    assert len(received) >= 30 and "refused" not in said
+    np.testing.assert_allclose(received.shape, sent.shape[same(sent, received, "shape")], atol=2.0**-12)
+
+
+@needs_posix
+def test_a_video_is_tracked_and_sent_without_blender():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as unreal:
+        unreal.bind(("127.0.0.1", 0))
+        unreal.settimeout(90.0)
+        to = f"127.0.0.1:{unreal.getsockname()[1]}"
+        line = [
+            *START,
+            "send",
+            "--video",
+            SAMPLE,
+            "--to",
+            to,
+            "--protocol",
+            "livelink",
+            "--subject",
+            "Sample",
+            "--loop",
+        ]
+        with subprocess.Popen([*map(str, line)], stderr=subprocess.PIPE, text=True) as sender:
+            decoder, opened = LiveLinkDecoder(), []
+            while len(opened) < 60:
+                (frame,) = decoder.decode(unreal.recv(4096))
+                assert frame.subject == "Sample"
+                opened.append(frame.face.coefficients[COEFFICIENT_INDEX["jawOpen"]] if frame.face else 0.0)
+            sender.send_signal(signal.SIGINT)
+            said = sender.stderr.read()
+        assert sender.returncode == 0, said
+    assert max(opened) > 0.0
+
+
+@needs_posix
+def test_nothing_that_comes_is_an_error_that_says_so(tmp_path):
+    done = run("receive", "--listen", f":{free_port()}", "-o", tmp_path / "a.facetake", "--seconds", 0.3)
+    assert done.returncode == 1 and "Nothing came" in done.stderr and not (tmp_path / "a.facetake").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wanted"),
+    [
+        (("receive",), "There is no output"),
+        (("receive", "-o", "a.facetake", "--listen", "0.0.0.0"), "needs a shared key"),
+        (("receive", "-o", "a.facetake", "--flip", "up"), "cannot be flipped"),
+        (("receive", "-o", "a.facetake", "--protocol", "ifacialmocap"), "address of the phone"),
+        (("receive", "-o", "a.txt"), "facetake"),
+        (("send", "--video", "a.mp4", "--to", "192.168.1.7"), "needs a shared key"),
+        (("send", "--video", "a.mp4", "--to", "a b"), "is not an address"),
+        (("send", "--video", "none.facetake", "--to", ":5"), "none.facetake"),
+        (("send", "--video", "none.mp4", "--to", ":5"), "none.mp4"),
+    ],
+)
+def test_wrong_commands_are_refused_with_the_reason(arguments, wanted, tmp_path):
+    done = run(*arguments, cwd=tmp_path)
+    assert done.returncode == 1 and wanted in done.stderr, done.stderr
+
+
+def test_the_documented_receiver_reads_what_is_sent_and_needs_only_numpy(tmp_path):
+    document = (Path(facemime.__file__).parent / "docs" / "streams.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", document, flags=re.DOTALL)
+    port, out, take = free_port(), tmp_path / "shapes.npy", performance()
+    line = [sys.executable, "-I", "-c", code, str(port), "20", str(out)]
+    with subprocess.Popen(line) as receiver:
+        _wait_for(port)
+        sender = StreamSender(SendSettings(port=port))
+        for number in range(20):
+            sender.send(0.1 * number, take.result(number), None)
+        sender.close()
+        assert receiver.wait(60) == 0
+    np.testing.assert_allclose(np.load(out), take.shape[:20], atol=2.0**-14)
+
+
+def test_every_protocol_is_documented_with_its_port():
+    document = (Path(facemime.__file__).parent / "docs" / "streams.md").read_text(encoding="utf-8")
+    for name, protocol in PROTOCOLS.items():
+        (row,) = [line for line in document.splitlines() if line.startswith("|") and f"`{name}`" in line]
+        assert f"UDP {protocol.port} " in row and ("sends" in row) == (name in SENT)

@@ -1,0 +1,476 @@
+"""Real sockets: what is sent arrives, is played, comes to rest when it ends, and strangers change nothing."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clocks import PATIENCE
+
+from facemime.core.bake.arkit import arkit_coefficients
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from facemime.core.drive.settings import DriveSettings
+from facemime.core.errors import SourceError
+from facemime.core.heads.rig import built_in_rig
+from facemime.core.live.sources import LiveFrame
+from facemime.core.live.worker import LiveHead, LiveOptions, LiveWorker
+from facemime.core.streams import ifacialmocap, osc
+from facemime.core.streams.face_cap import NAMES
+from facemime.core.streams.security import write_key
+from facemime.core.streams.sender import SENT, SendSettings, StreamSender, moved_from, turned_from
+from facemime.core.streams.settings import PROTOCOLS, StreamSettings, is_loopback, parse_address
+from facemime.core.streams.source import EASE, HOLD, StreamSource
+from facemime.core.takes.file import TakeWriter, load_take
+from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.neutral import calibrate
+from facemime.core.takes.take import Take, describe
+from links import free_port
+from takes import coefficient_take as acted
+from takes import performance
+
+RATE = 60.0
+
+
+@pytest.fixture
+def opened():
+    """Make a source on a free port; all are closed in the end."""
+    sources: list[StreamSource] = []
+
+    def make(protocol: str = "own", **settings) -> StreamSource:
+        settings = {"port": free_port()} | settings
+        sources.append(StreamSource(StreamSettings(protocol, **settings)))
+        sources[-1].read(0.0)
+        return sources[-1]
+
+    yield make
+    for source in sources:
+        source.close()
+
+
+def sender_to(source: StreamSource, **settings) -> StreamSender:
+    return StreamSender(SendSettings(source.settings.protocol, "127.0.0.1", source.address[1], **settings))
+
+
+def collected(source: StreamSource, count: int, feed=lambda: None) -> list[LiveFrame]:
+    """Real frames until there are `count`, with `feed` called between reads."""
+    frames: list[LiveFrame] = []
+    end = time.monotonic() + PATIENCE
+    while len(frames) < count:
+        assert time.monotonic() < end, source.counts
+        feed()
+        frame = source.read(0.01)
+        if frame is not None and not frame.filled:
+            frames.append(frame)
+    return frames
+
+
+def streamed(source: StreamSource, take: Take, send) -> list[LiveFrame]:
+    """What `source` plays when `send` is called with every frame of a take, in real time."""
+    began, sent = time.monotonic(), iter(range(len(take)))
+    waiting = next(sent)
+
+    def feed() -> None:
+        nonlocal waiting
+        while waiting is not None and time.monotonic() - began >= take.times[waiting]:
+            send(waiting)
+            waiting = next(sent, None)
+
+    return collected(source, len(take), feed)
+
+
+def recorded(frames: list[LiveFrame], path: Path) -> Take:
+    """The take that a recording of these frames is."""
+    info = describe("stream", RATE, (1280, 720), "", "media")
+    if frames[-1].neutral is not None:
+        info |= {"measured": True, "calibration": frames[-1].neutral.to_dict()}
+    with TakeWriter(path, info) as writer:
+        for frame in frames:
+            writer.append(frame.time, frame.result)
+    return load_take(path)
+
+
+# What was sent, recorded and baked, to the precision of the protocol
+
+
+@pytest.mark.parametrize(("protocol", "precision"), [("own", 2e-5), ("vmc", 1e-5), ("livelink", 1e-5)])
+def test_a_recorded_stream_of_coefficients_bakes_to_what_was_sent(opened, tmp_path, protocol, precision):
+    take, source = acted(), opened(protocol)
+    sender, neutral = sender_to(source), coefficient_face().neutral
+    frames = streamed(source, take, lambda n: sender.send(take.times[n], take.result(n), neutral))
+    sender.close()
+    saved = recorded(frames, tmp_path / "stream.facetake")
+    np.testing.assert_allclose(np.diff(saved.times), np.diff(take.times), atol=1e-6)
+    np.testing.assert_allclose(arkit_coefficients(saved, calibrate(saved)), take.coefficients, atol=precision)
+    np.testing.assert_allclose(saved.pose[:, 1:4], take.pose[:, 1:4], atol=2e-5)
+    np.testing.assert_allclose(saved.shape, take.shape, atol=2e-4)
+
+
+@pytest.mark.parametrize("protocol", ["own", "openseeface"])
+def test_a_recorded_stream_of_landmarks_is_what_was_tracked(opened, tmp_path, protocol):
+    whole = performance()
+    take, source = whole.part(whole.found), opened(protocol)
+    sender = sender_to(source)
+    frames = streamed(source, take, lambda n: sender.send(take.times[n], take.result(n), None))
+    sender.close()
+    saved = recorded(frames, tmp_path / "stream.facetake")
+    np.testing.assert_allclose(saved.shape, take.shape, atol=2.0**-13)
+    np.testing.assert_allclose(np.diff(saved.times), np.diff(take.times), atol=1e-6)
+    if protocol == "own":
+        np.testing.assert_allclose(saved.pose, take.pose, rtol=1e-5, atol=1e-2)
+
+
+def phone_text(values: np.ndarray) -> bytes:
+    names = [name.replace("Left", "_L").replace("Right", "_R") for name in COEFFICIENT_INDEX]
+    parts = [f"{name}-{round(100 * value)}" for name, value in zip(names, values.tolist(), strict=True)]
+    return ("|".join(parts) + "|=head#5.0,-10.0,2.0,0.0,0.0,-0.5|rightEye#0,0,0|leftEye#0,0,0|").encode()
+
+
+def phone_json(values: np.ndarray) -> bytes:
+    entries = [{"k": name, "v": value} for name, value in zip(COEFFICIENT_INDEX, values.tolist(), strict=True)]
+    vector = {"x": 0.0, "y": 0.0, "z": 0.0}
+    stamp = int(1e3 * time.monotonic())
+    packet = {"Timestamp": stamp, "FaceFound": True, "Rotation": vector, "Position": vector, "BlendShapes": entries}
+    return json.dumps(packet).encode()
+
+
+class Phone(threading.Thread):
+    """A phone that sends only after it was asked, to where the question came from."""
+
+    def __init__(self, monkeypatch, protocol: str, packet, values: np.ndarray) -> None:
+        super().__init__(daemon=True)
+        self.asked: list[bytes] = []
+        self._packet, self._values, self._ended = packet, values, threading.Event()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.02)
+        changed = PROTOCOLS[protocol].__dict__ | {"phone_port": self._socket.getsockname()[1]}
+        monkeypatch.setitem(PROTOCOLS, protocol, type(PROTOCOLS[protocol])(**changed))
+
+    def run(self) -> None:
+        number, where = 0, None
+        while not self._ended.is_set():
+            try:
+                question, where = self._socket.recvfrom(4096)
+                self.asked.append(question)
+            except TimeoutError:
+                if where is not None:
+                    self._socket.sendto(self._packet(self._values[number % len(self._values)]), where)
+                    number += 1
+
+    def close(self) -> None:
+        self._ended.set()
+        self.join()
+        self._socket.close()
+
+
+@pytest.mark.parametrize(
+    ("protocol", "packet", "precision"),
+    [("ifacialmocap", phone_text, 0.0051), ("facemotion3d", phone_text, 0.0051), ("vtubestudio", phone_json, 1e-6)],
+)
+def test_a_phone_is_asked_and_what_it_sends_is_played(opened, monkeypatch, protocol, packet, precision):
+    values = acted(12).coefficients
+    phone = Phone(monkeypatch, protocol, packet, values)
+    phone.start()
+    try:
+        source = opened(protocol, phone="127.0.0.1")
+        frames = collected(source, 20)
+    finally:
+        phone.close()
+    first = frames[0].result.coefficients
+    at = int(np.abs(values - first).max(axis=1).argmin())
+    for number, frame in enumerate(frames):
+        np.testing.assert_allclose(frame.result.coefficients, values[(at + number) % len(values)], atol=precision)
+    assert phone.asked and (protocol != "vtubestudio" or json.loads(phone.asked[0])["ports"] == [source.address[1]])
+
+
+def test_face_cap_is_played(opened):
+    take, source = acted(), opened("facecap")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+
+        def send(number: int) -> None:
+            out.sendto(osc.encode_message("/HR", 0.0, 0.0, 0.0), source.address)
+            for place, name in enumerate(NAMES):
+                value = float(take.coefficients[number, COEFFICIENT_INDEX[name]])
+                out.sendto(osc.encode_message("/W", place, value), source.address)
+
+        frames = streamed(source, take, send)
+    for number, frame in enumerate(frames):
+        np.testing.assert_allclose(frame.result.coefficients, take.coefficients[number], atol=1e-6)
+
+
+# Lost and found
+
+
+def test_a_stream_that_ends_holds_then_comes_to_rest_and_is_back_by_itself(opened):
+    take, source = acted(), opened("livelink")
+    sender, neutral = sender_to(source), coefficient_face().neutral
+    streamed(source, take, lambda n: sender.send(take.times[n], take.result(n), neutral))
+    ended, rests = time.perf_counter(), []
+    while time.perf_counter() - ended < HOLD + EASE + 0.5:
+        frame = source.read(0.02)
+        if frame is not None and frame.filled:
+            rests.append((frame.taken - ended, frame.rest))
+    assert max(rest for at, rest in rests if at < 0.8 * HOLD) == 0.0
+    shares = [rest for _, rest in rests]
+    assert shares == sorted(shares) and shares[-1] == 1.0
+    sender.send(take.times[-1] + 2.0, take.result(5), neutral)
+    (back,) = collected(source, 1)
+    assert back.rest > 0.5 and back.time > take.times[-1]
+    again = streamed(source, acted(30), lambda n: sender.send(5.0 + take.times[n], take.result(n), neutral))
+    assert again[-1].rest == 0.0
+    sender.close()
+
+
+def test_a_puppet_returns_to_rest_in_the_worker_and_nothing_of_it_is_recorded(opened):
+    class Recorder:
+        times: list[float] = []
+
+        def append(self, moment, result, image):
+            self.times.append(moment)
+
+        def flush(self): ...
+
+        def close(self): ...
+
+    source, take = opened("livelink"), acted(20)
+    sender = sender_to(source)
+    worker = LiveWorker(source, heads=(LiveHead(built_in_rig(), DriveSettings()),), options=LiveOptions(smoothing=0.0))
+    worker.record(Recorder())
+    worker.start()
+    try:
+        began = time.monotonic()
+        while worker.latest is None or worker.latest.result.coefficients[COEFFICIENT_INDEX["jawOpen"]] < 0.1:
+            number = int((time.monotonic() - began) * RATE) % len(take)
+            sender.send(time.monotonic() - began, take.result(number), coefficient_face().neutral)
+            time.sleep(1.0 / RATE)
+            assert time.monotonic() - began < PATIENCE
+        while np.abs(worker.latest.result.shape - coefficient_face().neutral.shape).max() > 1e-9:
+            time.sleep(0.05)
+            assert time.monotonic() - began < PATIENCE
+        assert worker.neutral.measured
+        vertices = worker.latest.heads[0].vertices
+        assert np.abs(vertices - built_in_rig().all_vertices).max() < 1e-4
+        assert len(Recorder.times) < worker.counts.tracked and Recorder.times == sorted(set(Recorder.times))
+    finally:
+        worker.close()
+        sender.close()
+    assert not worker.running
+
+
+# Security, and strangers
+
+
+def test_with_a_key_only_those_who_have_it_get_through(opened, tmp_path):
+    for name in ("shared.key", "other.key"):
+        write_key(tmp_path / name)
+    source, take = opened(key=tmp_path / "shared.key"), acted()
+    stranger, anybody = sender_to(source, key=tmp_path / "other.key"), sender_to(source)
+    friend = sender_to(source, key=tmp_path / "shared.key")
+
+    def send(number: int) -> None:
+        for each in (stranger, anybody, friend):
+            each.send(take.times[number] + 1.0, take.result(number), None)
+
+    began = time.monotonic()
+
+    def feed() -> None:
+        send(min(int((time.monotonic() - began) * RATE) % len(take), len(take) - 1))
+        time.sleep(1.0 / RATE)
+
+    frames = collected(source, 5, feed)
+    assert stranger.sent == 0 and anybody.sent > 0 and friend.sent > 0
+    assert frames and source.counts.refused > 5 and len(source.senders) == 1
+    for each in (stranger, anybody, friend):
+        each.close()
+
+
+def test_senders_are_told_apart_and_one_is_followed_until_it_ends(opened):
+    source, take = opened("livelink"), acted()
+    neutral = coefficient_face().neutral
+    one, other = (sender_to(source, subject=name) for name in ("One", "Other"))
+
+    def both(number: int) -> None:
+        one.send(take.times[number], take.result(0), neutral)
+        other.send(take.times[number] + 50.0, take.result(20), neutral)
+
+    frames = streamed(source, take, both)
+    assert {float(frame.result.coefficients.sum()) for frame in frames} == {float(take.result(0).coefficients.sum())}
+    assert source.senders == ("127.0.0.1 One", "127.0.0.1 Other")
+    began = time.monotonic()
+
+    def only_other() -> None:
+        other.send(60.0 + time.monotonic() - began, take.result(20), neutral)
+        time.sleep(1.0 / RATE)
+
+    frames = collected(source, 10, only_other)
+    assert frames[-1].result.coefficients.sum() == pytest.approx(take.result(20).coefficients.sum(), abs=1e-5)
+    one.close()
+    other.close()
+
+
+def test_a_chosen_sender_is_the_only_one_that_is_played(opened):
+    source, take = opened("livelink", sender="Other"), acted()
+    neutral = coefficient_face().neutral
+    one, other = (sender_to(source, subject=name) for name in ("One", "Other"))
+
+    def both(number: int) -> None:
+        one.send(take.times[number], take.result(0), neutral)
+        other.send(take.times[number], take.result(20), neutral)
+
+    frames = streamed(source, take, both)
+    assert all(frame.result.coefficients.sum() > 0.5 for frame in frames)
+    one.close()
+    other.close()
+
+
+@pytest.mark.parametrize("protocol", ["own", "livelink", "vmc", "openseeface", "facecap"])
+def test_rubbish_is_counted_and_disturbs_nobody(opened, protocol):
+    source, take = opened(protocol), acted()
+    rng = np.random.default_rng(0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        for _ in range(300):
+            out.sendto(rng.bytes(int(rng.integers(0, 3000))), source.address)
+            source.read(0.0)
+    assert source.counts.malformed + source.counts.refused >= 290 and source.counts.accepted == 0
+    if protocol in SENT:
+        sender = sender_to(source)
+        frames = streamed(
+            source, take, lambda n: sender.send(take.times[n], take.result(n), coefficient_face().neutral)
+        )
+        assert len(frames) == len(take)
+        sender.close()
+
+
+def test_a_flood_is_not_looked_at(opened, monkeypatch):
+    source = opened("livelink")
+    monkeypatch.setattr("facemime.core.streams.source._RATE", 0.0)
+    monkeypatch.setattr("facemime.core.streams.source._BURST", 20.0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        for _ in range(200):
+            out.sendto(b"x" * 50, source.address)
+            source.read(0.0)
+    assert source.counts.malformed == 20 and source.counts.flooded == 180
+
+
+def test_packets_of_others_than_the_phone_are_refused(opened):
+    source = opened("ifacialmocap", phone="127.0.0.2", host="127.0.0.1")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        out.sendto(phone_text(np.zeros(N_COEFFICIENTS)), source.address)
+    for _ in range(50):
+        source.read(0.01)
+    assert source.counts.refused == 1 and source.counts.accepted == 0
+    assert ifacialmocap.PORT == 49983
+
+
+# Opening and closing
+
+
+def test_closing_wakes_a_reader_and_leaves_no_thread(opened):
+    before, source = threading.active_count(), opened()
+    reader = threading.Thread(target=source.read, args=(PATIENCE,))
+    reader.start()
+    time.sleep(0.05)
+    source.close()
+    reader.join(10.0)
+    assert not reader.is_alive() and threading.active_count() == before
+    assert source.read(1.0) is None
+    source.close()
+
+
+def test_a_port_that_is_taken_is_an_error_that_says_so(opened):
+    source = opened("livelink")
+    with pytest.raises(SourceError, match="Cannot listen"):
+        StreamSource(StreamSettings("livelink", port=source.address[1])).read(0.0)
+
+
+def test_the_first_frames_come_to_a_computer_that_was_not_listening_yet_without_an_error():
+    sender = StreamSender(SendSettings("livelink", port=free_port()))
+    for number in range(5):
+        sender.send(0.1 * number, acted(5).result(number), coefficient_face().neutral)
+    assert sender.message == ""
+    sender.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        (StreamSettings("nothing"), "no protocol"),
+        (StreamSettings(port=99_999), "no port"),
+        (StreamSettings(delay=-1.0), "delay"),
+        (StreamSettings(delay=float("nan")), "delay"),
+        (StreamSettings("livelink", angles="turns"), "radians"),
+        (StreamSettings("livelink", flip=("up",)), "radians"),
+        (StreamSettings("ifacialmocap"), "address of the phone"),
+        (StreamSettings(host="0.0.0.0"), "shared key"),
+        (StreamSettings(key=Path("/nowhere.key")), "no key"),
+    ],
+)
+def test_settings_that_cannot_be_used_are_refused(settings, match):
+    with pytest.raises(SourceError, match=match):
+        StreamSource(settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        (SendSettings("facecap"), "no protocol"),
+        (SendSettings(host="192.168.1.7"), "shared key"),
+        (SendSettings("vmc", host="no.such.host.invalid"), "no computer"),
+    ],
+)
+def test_senders_that_cannot_be_used_are_refused(settings, match):
+    with pytest.raises(SourceError, match=match):
+        StreamSender(settings)
+
+
+@pytest.mark.parametrize(
+    ("host", "local"),
+    [
+        ("127.0.0.1", True),
+        ("localhost", True),
+        ("::1", True),
+        ("127.9.9.9", True),
+        ("0.0.0.0", False),
+        ("::", False),
+        ("192.168.1.7", False),
+        ("phone.local", False),
+        ("localhost.example.org", False),
+        ("", False),
+        ("127.1", False),
+    ],
+)
+def test_only_addresses_of_this_computer_count_as_local(host, local):
+    assert is_loopback(host) == local
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("192.168.1.7:39539", ("192.168.1.7", 39539)),
+        ("phone.local", ("phone.local", 7)),
+        (":5", ("127.0.0.1", 5)),
+        ("[::1]:9", ("::1", 9)),
+        ("::1", ("::1", 7)),
+        ("", ("127.0.0.1", 7)),
+    ],
+)
+def test_addresses_are_parsed(text, wanted):
+    assert parse_address(text, 7) == wanted
+
+
+@pytest.mark.parametrize("text", ["host:x", "host:99999", "http://host:5", "a b:5", "host:-1", "user@host:1"])
+def test_what_is_no_address_is_refused(text):
+    with pytest.raises(SourceError):
+        parse_address(text)
+
+
+def test_turns_and_moves_of_a_performer_are_those_of_the_head():
+    neutral = calibrate(performance())
+    rest = performance().result(0)
+    np.testing.assert_allclose(turned_from(rest, neutral), 0.0, atol=1e-9)
+    np.testing.assert_allclose(moved_from(rest, neutral), 0.0, atol=1e-9)

@@ -1,0 +1,42 @@
+"""Packets of every protocol to fuzz: what a decoder does not refuse has to be a possible face."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from random import Random
+
+from bench.packets import INTACT, is_possible, packets, phone_json
+from facemime.core.errors import SourceError
+from facemime.core.streams.frames import PacketError
+
+from .mutators import mutated_bytes, mutated_json
+
+
+def mutated_packet(name: str, rng: Random) -> bytes:
+    """A damaged packet: changed, cut, joined with another, of another protocol, or noise."""
+    data = rng.choice(packets(name))
+    kind = rng.random()
+    if kind < 0.05:
+        return rng.randbytes(rng.choice((0, 1, 8, 100, 1500, 20_000)))
+    if kind < 0.1:
+        return rng.choice(packets(rng.choice(tuple(INTACT))))
+    if kind < 0.2:
+        return data + rng.choice(packets(name))[: rng.randrange(2000)]
+    if name == "vtubestudio" and kind < 0.7:
+        return mutated_json(rng, phone_json())
+    return mutated_bytes(rng, data)
+
+
+def read_packet(name: str, data: bytes) -> None:
+    """Decode a packet as a receiver does; SourceError if it is refused."""
+    try:
+        frames = INTACT[name][0]().decode(data)
+    except PacketError as error:
+        raise SourceError(f"refused: {error}") from None
+    assert all(map(is_possible, frames))
+
+
+def reader(name: str) -> Callable[[Path], None]:
+    """Read a packet from a file."""
+    return lambda path: read_packet(name, path.read_bytes())
