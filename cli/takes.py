@@ -14,13 +14,13 @@ from ..core.errors import FacemimeError
 from ..core.images import write_image
 from ..core.puppet.job import HeadFile
 from ..core.streams.sender import turned_from
-from ..core.takes.coefficient_table import from_coefficient_csv, has_coefficients, write_coefficient_csv
+from ..core.takes.coefficient_table import from_any_csv, write_coefficient_csv
 from ..core.takes.figure import draw_before_after
 from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.mending import Mending, mend
 from ..core.takes.neutral import calibrate
 from ..core.takes.smooth import CUTOFFS
-from ..core.takes.spreadsheet import from_csv, to_csv
+from ..core.takes.spreadsheet import to_csv
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
 from .terminal.console import tell
@@ -163,12 +163,8 @@ def run_import(arguments: argparse.Namespace) -> int:
     described = "the table that is imported" if is_table else "the animation that is imported"
     with outputs_of(((arguments.output, {SUFFIX}),), {described: source.path}):
         check_readable(source.path)
-        save_take(_table(source.path) if is_table else _sampled(source), arguments.output)
+        save_take(from_any_csv(source.path) if is_table else _sampled(source), arguments.output)
     return 0
-
-
-def _table(path: Path) -> Take:
-    return from_coefficient_csv(path) if has_coefficients(path) else from_csv(path)
 
 
 def _sampled(animation: HeadFile) -> Take:

@@ -9,8 +9,9 @@ from bpy.props import StringProperty
 
 from ..blender.animation.sampling import Sampling
 from ..core.errors import SourceError
+from ..core.takes.coefficient_table import from_any_csv
 from ..core.takes.file import SUFFIX, load_take, save_take
-from ..core.takes.spreadsheet import from_csv, to_csv
+from ..core.takes.spreadsheet import to_csv
 from ..sessions.session import Session
 from ..sessions.show import TakeShow
 from ..settings import takes_store
@@ -136,7 +137,7 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
         """Read the file and add it to the list."""
         path = self.path
         if path.suffix.lower() == ".csv":
-            takes_store.keep(context.scene, from_csv(path), path.stem)
+            takes_store.keep(context.scene, from_any_csv(path), path.stem)
             return
         take = load_take(path)
         takes_store.add(context.scene, path, take)

@@ -21,6 +21,7 @@ from ..reading import shown
 from ..rotation import from_face_axes, to_face_axes
 from .from_animation import IMAGE_SIZE
 from .from_coefficients import coefficient_face
+from .spreadsheet import from_csv
 from .take import Take, TakeRecorder, describe
 
 _LEAST_NAMES = 10
@@ -45,6 +46,11 @@ LIVE_LINK_ORDER: tuple[str, ...] = (
 )
 """The order of Live Link Face's tables, which is not that of its packets."""
 _EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw", "Pitch", "Roll"))
+
+
+def from_any_csv(path: Path) -> Take:
+    """Read a table of either kind: of coefficients, or as `to_csv` writes it; SourceError as for these."""
+    return from_coefficient_csv(path) if has_coefficients(path) else from_csv(path)
 
 
 def has_coefficients(path: Path) -> bool:

@@ -14,6 +14,7 @@ from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.streams.live_link import LiveLinkDecoder
 from facemime.core.streams.sender import SendSettings, StreamSender
+from facemime.core.takes.coefficient_table import write_coefficient_csv
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import running
@@ -115,6 +116,15 @@ def test_keys_are_driven_by_the_values_themselves(phone):
     moved = session.shown.heads[0].vertices - session.worker.heads[0].rig.all_vertices
     np.testing.assert_allclose(moved, wanted, atol=1e-6)
     bpy.ops.facemime.stop_puppet()
+
+
+def test_a_table_of_live_link_face_is_imported_into_the_list(takes, tmp_path):
+    sent = coefficient_take(30)
+    path = tmp_path / "MySlate.csv"
+    write_coefficient_csv(path, sent.times, sent.coefficients, sent.pose[:, 1:4], live_link=True)
+    assert bpy.ops.facemime.import_take(filepath=str(path)) == {"FINISHED"}
+    take = takes_store.read(takes.items[0])
+    np.testing.assert_allclose(arkit_coefficients(take, calibrate(take)), sent.coefficients, atol=2e-5)
 
 
 def test_what_is_tracked_is_sent_while_the_puppet_runs(take):
