@@ -130,6 +130,7 @@ def export_alembic(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], 
                     start=scene.frame_start,
                     end=scene.frame_end,
                     selected=True,
+                    evaluation_mode="VIEWPORT",
                     as_background_job=False,
                 )
         except RuntimeError as error:

@@ -13,6 +13,9 @@ from ..names import PART_OBJECTS, PART_PROPERTY, TONGUE_KEY, UV_MAP
 from .attached import attach
 from .materials import head_materials
 
+_RENDER_LEVELS = 2
+"""Levels of subdivision of the skin in renders."""
+
 
 def add_head(context: bpy.types.Context, *, units: bool = False, name: str = "Facemime Head") -> bpy.types.Object:
     """Add the built-in head at the origin, in a collection of its own, select it and make it active.
@@ -40,6 +43,7 @@ def add_head(context: bpy.types.Context, *, units: bool = False, name: str = "Fa
     collection = bpy.data.collections.new(name)
     context.collection.children.link(collection)
     collection.objects.link(skin)
+    _subdivide_in_renders(skin)
     write_regions(skin, head.regions)
     parts = [_add_part(collection, skin, part, materials[part.name]) for part in head.parts]
     attach(skin, {part.name: obj for part, obj in zip(head.parts, parts, strict=True)})
@@ -83,6 +87,12 @@ def _mesh(
     mesh.materials.append(material)
     mesh.update(calc_edges=True)
     return mesh
+
+
+def _subdivide_in_renders(obj: bpy.types.Object) -> None:
+    """Add a subdivision that renders only: in the viewport it would take far longer than all else of a live frame."""
+    modifier = obj.modifiers.new("Subdivision", "SUBSURF")
+    modifier.levels, modifier.render_levels, modifier.show_viewport = 1, _RENDER_LEVELS, False
 
 
 def _add_part(

@@ -16,6 +16,9 @@ from ..names import UV_MAP
 
 TEXTURES = ASSETS / "head"
 
+_SATURATION, _BRIGHTNESS = 1.25, 0.8
+"""Factors of the colours of skin and hair in Material Preview and renders."""
+
 Build = Callable[[bpy.types.NodeTree, bpy.types.Node], None]
 
 
@@ -100,7 +103,8 @@ def _skin(tree: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
     shader.inputs["Subsurface Weight"].default_value = 0.12
     shader.inputs["Subsurface Radius"].default_value = (1.0, 0.35, 0.18)
     shader.inputs["Subsurface Scale"].default_value = 0.004
-    shader.inputs["Specular IOR Level"].default_value = 0.42
+    shader.inputs["Specular IOR Level"].default_value = 0.35
+    _saturate(tree, shader)
     patches = _noise(tree, 90.0, (-850.0, -50.0))
     gloss = tree.nodes.new("ShaderNodeMapRange")
     gloss.location = (-600.0, -50.0)
@@ -108,6 +112,16 @@ def _skin(tree: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
     tree.links.new(patches.outputs[0], gloss.inputs["Value"])
     tree.links.new(gloss.outputs[0], shader.inputs["Roughness"])
     _bump(tree, shader, 1400.0, 0.10, 0.0004)
+
+
+def _saturate(tree: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
+    """Deepen the colours of the image, which are made for viewports: in daylight under AgX they would look pale."""
+    colour = shader.inputs["Base Color"]
+    node = tree.nodes.new("ShaderNodeHueSaturation")
+    node.location = (-250.0, 300.0)
+    node.inputs["Saturation"].default_value, node.inputs["Value"].default_value = _SATURATION, _BRIGHTNESS
+    tree.links.new(colour.links[0].from_socket, node.inputs["Color"])
+    tree.links.new(node.outputs[0], colour)
 
 
 def _wet(_: bpy.types.NodeTree, shader: bpy.types.Node) -> None:

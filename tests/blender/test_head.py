@@ -135,3 +135,18 @@ def test_applying_the_scale_of_a_head_also_scales_its_eyeballs():
     head.scale = (3.0, 3.0, 3.0)
     bpy.ops.object.transform_apply(location=False, rotation=False)
     assert read_rig(head).eyeballs == pytest.approx(3.0 * before, rel=1e-4)
+
+
+def test_the_skin_is_subdivided_in_renders_only():
+    head = add_head(bpy.context)
+    graph = bpy.context.evaluated_depsgraph_get()
+    assert len(head.evaluated_get(graph).data.vertices) == 1781
+    modifier = head.modifiers[0]
+    assert modifier.type == "SUBSURF" and modifier.show_render and modifier.render_levels == 2
+
+
+def test_materials_deepen_the_colours_of_the_skin_but_not_the_image_that_solid_shading_shows():
+    tree = add_head(bpy.context).data.materials[0].node_tree
+    shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
+    deeper = shader.inputs["Base Color"].links[0].from_node
+    assert deeper.type == "HUE_SAT" and deeper.inputs["Color"].links[0].from_node == tree.nodes.active
