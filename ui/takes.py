@@ -34,7 +34,7 @@ class FACEMIME_UL_key_rows(bpy.types.UIList):
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
         """Draw one row."""
         line = layout.split(factor=0.5, align=True)
-        line.prop(item, "source", text="", emboss=False)
+        line.label(text=item.source, translate=False)
         line.prop(item, "key", text="", emboss=False)
 
 
@@ -58,7 +58,9 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
             labels(layout, context, "Takes are stored in your user folder until you save the .blend file", "INFO")
         buttons = {"import_take": "IMPORT", "remove_take": "REMOVE"}
         draw_list(layout, "FACEMIME_UL_takes", takes, ("items", "index"), 3, buttons, menu="FACEMIME_MT_takes")
-        layout.row().prop(takes, "countdown")
+        column = layout.column()
+        split_labels(column)
+        column.prop(takes, "countdown")
         if not 0 <= takes.index < len(takes.items):
             return
         take = takes.items[takes.index]
@@ -141,10 +143,14 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
             "import_key_map": "IMPORT",
             "export_key_map": "EXPORT",
         }
-        draw_list(layout, "FACEMIME_UL_key_rows", bake, ("rows", "row"), 5, buttons)
+        layout.template_list("FACEMIME_UL_key_rows", "", bake, "rows", bake, "row", rows=5)
+        row = layout.row(align=True)
+        for operator, icon in buttons.items():
+            row.operator(f"facemime.{operator}", text="", icon=icon)
         if 0 <= bake.row < len(bake.rows):
             obj, line = context.active_object, bake.rows[bake.row]
             column = layout.column(align=True)
+            split_labels(column)
             column.prop(line, "source")
             if obj is not None and obj.type == "MESH" and obj.data.shape_keys is not None:
                 column.prop_search(line, "key", obj.data.shape_keys, "key_blocks")

@@ -212,4 +212,4 @@ def test_takes_and_the_key_table_are_listed_with_their_operators(tmp_path):
     FACEMIME_UL_takes.draw_item(None, bpy.context, layout, takes, takes.items[0], 0, takes, "index", 0)
     assert "0:02.4" in layout.texts() and "PACKAGE" in layout.texts()
     FACEMIME_UL_key_rows.draw_item(None, bpy.context, layout, takes.bake, takes.bake.rows[0], 0, takes.bake, "row", 0)
-    assert "source" in layout.texts() and "gain" in draw(FACEMIME_PT_key_map)
+    assert takes.bake.rows[0].source in layout.texts() and "gain" in draw(FACEMIME_PT_key_map)
