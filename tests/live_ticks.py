@@ -12,8 +12,8 @@ from facemime.operators.attached_parts import attend as attend_parts
 from facemime.operators.puppet import running
 from facemime.sessions.session import Session
 
-TIMER = SimpleNamespace(type="TIMER", value="NOTHING", ctrl=False, oskey=False)
-CLICK = SimpleNamespace(type="LEFTMOUSE", value="PRESS", ctrl=False, oskey=False)
+TIMER = SimpleNamespace(type="TIMER", value="NOTHING", ctrl=False, oskey=False, mouse_x=0, mouse_y=0)
+CLICK = SimpleNamespace(type="LEFTMOUSE", value="PRESS", ctrl=False, oskey=False, mouse_x=0, mouse_y=0)
 
 
 def let_a_frame_come() -> None:
