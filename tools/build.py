@@ -1,4 +1,4 @@
-"""Build the extension: download the wheels, pack a zip per platform with Blender's own tool, and validate each."""
+"""Build the extension: download the wheels, render the manual, pack a zip per platform with Blender's own tool, and validate each."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ def main() -> int:
     """Build into `dist/`; return the exit status."""
     manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
     fetch_wheels(manifest)
+    subprocess.run([sys.executable, str(ROOT / "tools" / "manual.py")], check=True)
     tool = blender_tool()
     shutil.rmtree(DIST, ignore_errors=True)
     DIST.mkdir()

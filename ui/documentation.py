@@ -1,17 +1,15 @@
 """Links to the documentation: in the headers of panels, and for Online Manual (F1) on Facemime's buttons.
 
-The pages of docs/ are published below the website of the extension's manifest.
+The extension brings its pages along, so that they open without a network; `tools/manual.py` renders them from docs/.
 """
 
 from __future__ import annotations
 
-import tomllib
-from functools import lru_cache
 from pathlib import Path
 
 import bpy
 
-_MANIFEST = Path(__file__).resolve().parents[1] / "blender_manifest.toml"
+_MANUAL_FOLDER = Path(__file__).resolve().parents[1] / "manual"
 _WEBCAM, _OWN_HEAD, _TAKES = "tutorials/webcam.html", "tutorials/own_head.html", "takes.html"
 PANELS = {
     "FACEMIME_PT_head": _OWN_HEAD,
@@ -62,20 +60,19 @@ _MANUAL = (
 """Pages of operators and properties, in lower case as Blender looks them up; the first that matches counts."""
 
 
-@lru_cache(maxsize=1)
-def website() -> str:
-    """Return the address below which the documentation is published, with a slash at the end."""
-    return tomllib.loads(_MANIFEST.read_text(encoding="utf-8"))["website"].rstrip("/") + "/"
+def address(page: str) -> str:
+    """Return the address of a page; "" stands for the folder of all pages."""
+    return f"{_MANUAL_FOLDER.as_uri()}/{page}"
 
 
 def draw_link(layout: bpy.types.UILayout, panel: str) -> None:
     """Draw an icon that opens the documentation of a panel, given the name of its class."""
-    layout.operator("wm.url_open", text="", icon="QUESTION", emboss=False).url = website() + PANELS[panel]
+    layout.operator("wm.url_open", text="", icon="QUESTION", emboss=False).url = address(PANELS[panel])
 
 
 def manual_map() -> tuple[str, tuple[tuple[str, str], ...]]:
     """Return the pages of operators and properties, as Blender's Online Manual expects them."""
-    return website(), _MANUAL
+    return address(""), _MANUAL
 
 
 def register() -> None:

@@ -8,7 +8,7 @@ import bpy
 import pytest
 from bl_operators.wm import WM_OT_doc_view_manual
 
-from facemime.ui.documentation import PANELS, manual_map, website
+from facemime.ui.documentation import PANELS, address, manual_map
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -37,7 +37,7 @@ def test_the_header_of_every_panel_links_to_its_page():
             menu=lambda *_, **__: None,
         )
         panel.draw_header_preset(type(panel.__name__, (), {"layout": layout})(), bpy.context)
-        assert drawn == ["wm.url_open"] and button.url == website() + PANELS[panel.__name__]
+        assert drawn == ["wm.url_open"] and button.url == address(PANELS[panel.__name__])
 
 
 def test_the_online_manual_knows_every_operator_and_setting():
@@ -46,9 +46,4 @@ def test_the_online_manual_knows_every_operator_and_setting():
     names += [f"bpy.types.{cls.__name__}.{prop.identifier}" for cls in groups for prop in cls.bl_rna.properties]
     assert len(names) > 80
     for name in names:
-        assert WM_OT_doc_view_manual._lookup_rna_url(name, verbose=False).startswith(website()), name
-
-
-def test_the_website_is_that_of_the_manifest():
-    manifest = (DOCS.parent / "blender_manifest.toml").read_text(encoding="utf-8")
-    assert f'website = "{website()}"' in manifest
+        assert WM_OT_doc_view_manual._lookup_rna_url(name, verbose=False).startswith(address("")), name
