@@ -1,4 +1,4 @@
-"""Build the extension: download the wheels, render the manual, pack a zip per platform with Blender's own tool, and validate each."""
+"""Build the extension: get wheels and manual, pack a zip per platform with Blender's own tool, and validate each."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ _DIRECTIVE = re.compile(r"^```\{.*?^```\n", re.DOTALL | re.MULTILINE)
 def main() -> int:
     """Render into `manual/`; return the exit status."""
     shutil.rmtree(MANUAL, ignore_errors=True)
-    pages = [page for page in (*DOCS.glob("*.md"), *DOCS.glob("tutorials/*.md"))]
+    pages = [*DOCS.glob("*.md"), *DOCS.glob("tutorials/*.md")]
     for page in pages:
         target = MANUAL / page.relative_to(DOCS).with_suffix(".html")
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -50,6 +50,11 @@ def main() -> int:
 def anchor(heading: str) -> str:
     """Return the anchor of a heading, as the documentation's site makes it: without a number in front."""
     return re.sub(r"[^a-z0-9]+", "-", heading.lower()).lstrip("-0123456789").rstrip("-")
+
+
+def _written_anchor(heading: str) -> str:
+    """Return the anchor of a heading by which pages refer to it, as code hosts make it."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-")
 
 
 def pictures(page: Path) -> list[Path]:
@@ -74,6 +79,8 @@ def render(page: Path, home: str) -> str:
     for token, following in zip(tokens, [*tokens[1:], Token("", "", 0)], strict=True):
         if token.type == "heading_open":
             token.attrSet("id", anchor(following.content))
+            written = Token("html_inline", "", 0, content=f'<a id="{_written_anchor(following.content)}"></a>')
+            following.children = [written, *(following.children or ())]
             title = following.content if token.tag == "h1" else title
         for part in token.children or ():
             if part.type == "link_open":
