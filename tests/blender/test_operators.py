@@ -16,6 +16,7 @@ from facemime.core.takes.file import load_take, save_take
 from facemime.operators.puppet_video import FACEMIME_OT_puppet_video
 from facemime.sessions.session import Session
 from facemime.sessions.tracking import TrackingSession
+from facemime.settings.values import SAMPLE as SHIPPED
 from facemime.settings.values import whole_file
 from takes import performance
 
@@ -190,7 +191,7 @@ def test_a_take_that_cannot_be_written_is_baked_all_the_same(tmp_path, monkeypat
 
 def test_whole_video_offers_the_file_that_is_chosen_as_source():
     source = bpy.context.scene.facemime.source
-    assert whole_file(source) == str(SAMPLE)
+    assert whole_file(source) == str(SHIPPED)
     source.kind = "CAMERA"
     assert whole_file(source) == ""
     source.kind, source.video = "VIDEO", "/clips/mine.mp4"
