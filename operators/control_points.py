@@ -168,7 +168,7 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
         seen = viewport_under(context, event.mouse_x, event.mouse_y)
         if seen is None:
             raise HeadError("The click was not in a 3D Viewport. Press the button again and click on the head.")
-        region, view = seen
+        region, view = seen.region, seen.view
         size = (region.width, region.height)
         places = landmark_places(
             context.active_object, context.evaluated_depsgraph_get(), np.array(view.perspective_matrix), size

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import bpy
-
 _PITCH, _SECONDS, _FADE, _VOLUME = 880.0, 0.2, 0.05, 0.3
 """Hertz; seconds of the sound, and of its fade at the end."""
 
@@ -19,10 +17,10 @@ class _Output:
 
 def beep() -> bool:
     """Play a short tone, and return whether there is an audio device for it."""
-    if not bpy.app.build_options.audaspace:
+    try:
+        import aud
+    except ImportError:  # Blender was built without it, as some of Debian's are
         return False
-    import aud
-
     try:
         _Output.device = _Output.device or aud.Device()
         tone = aud.Sound.sine(_PITCH).limit(0.0, _SECONDS).fadeout(_SECONDS - _FADE, _FADE).volume(_VOLUME)

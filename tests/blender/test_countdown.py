@@ -1,5 +1,6 @@
 """A recording may start after a countdown, which Esc cancels, and performers hear what they cannot see."""
 
+import sys
 import time
 from types import SimpleNamespace
 
@@ -81,3 +82,8 @@ def test_a_slow_redraw_is_named_as_the_slowest_step(puppet_running):
         time.sleep(0.06)
     session.step()
     assert session.stopwatch.slowest() == "redraw"
+
+
+def test_a_blender_without_sound_is_silent(monkeypatch):
+    monkeypatch.setitem(sys.modules, "aud", None)
+    assert not beep()
