@@ -26,7 +26,8 @@ from bench.report import Table, finish, parser
 from facemime.core.capture import VideoSource
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.heads.rig import built_in_rig
-from facemime.core.live.worker import LiveHead, LiveOptions, LiveWorker
+from facemime.core.live.head_drivers import LiveHead
+from facemime.core.live.worker import LiveOptions, LiveWorker
 from facemime.core.streams.frames import PacketError
 from facemime.core.streams.playout import Playout
 from facemime.core.streams.sender import SendSettings, StreamSender

@@ -14,10 +14,11 @@ from ..blender.media.sounds import beep
 from ..blender.messages import show_error
 from ..blender.undo import push_undo
 from ..core.errors import FacemimeError, HeadError, OutputError
+from ..core.live.head_drivers import LiveHead
 from ..core.live.outputs import Output
 from ..core.live.sources import LiveSource
 from ..core.live.timing import Delays, Stopwatch
-from ..core.live.worker import LiveHead, LiveOptions, LiveResult, LiveWorker
+from ..core.live.worker import LiveOptions, LiveResult, LiveWorker
 from ..core.takes.neutral import Neutral
 from ..settings.preferences import preferences
 from .punch_in import PunchIn

@@ -11,8 +11,9 @@ from ..blender.animation.live import Follow, LiveHeadObject
 from ..blender.animation.live_keys import KEYS, live_keys
 from ..blender.rigs import read_rig, rig_checks
 from ..core.errors import HeadError
+from ..core.live.head_drivers import LiveHead
 from ..core.live.key_driver import LiveKeys
-from ..core.live.worker import LiveHead, LiveOptions
+from ..core.live.worker import LiveOptions
 from ..core.streams.sender import StreamSender
 from ..settings.bake_table import read_table
 from ..settings.preferences import preferences

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -17,10 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drive.driver import HeadDriver, HeadFrame
-from ..drive.settings import DriveSettings
+from ..drive.driver import HeadFrame
 from ..errors import FacemimeError, OutputError
-from ..heads.rig import HeadRig
 from ..takes.between import at_rest, between
 from ..takes.neutral import Neutral
 from ..takes.take import Take, TakeRecorder
@@ -29,7 +27,7 @@ from ..tracking.result import TrackResult
 from ..tracking.smoothing import ResultSmoother
 from ..tracking.tracker import FaceTracker
 from .calibration import NeutralCalibration, Quality, RangeCalibration
-from .key_driver import KeyDriver, LiveKeys
+from .head_drivers import HeadDrivers, LiveHead
 from .outputs import Output, Recorder
 from .sources import LiveFrame, LiveSource
 
@@ -77,7 +75,7 @@ class LiveResult:
     heads : tuple of HeadFrame
         In the order of the heads; empty if there is no face.
     prepared : tuple
-        What `prepare` returned for each of them.
+        What `LiveHead.prepare` returned for each of them.
     taken, began, tracked, driven : float
         `time.perf_counter()` when the frame arrived, and when the worker had it, the landmarks, and the heads.
     preview : (H, W, 4) float32 or None
@@ -103,28 +101,6 @@ class Counts:
     tracked: int = 0
     lost: int = 0
     dropped: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class LiveHead:
-    """A head to drive.
-
-    Attributes
-    ----------
-    rig : HeadRig
-        If it is another object, the driver is prepared again.
-    options : DriveSettings
-        Its settings.
-    prepare : callable
-        Called in the thread with each `HeadFrame`, to prepare what would delay its display.
-    keys : LiveKeys, optional
-        Shape keys that drive its vertices instead of the landmarks.
-    """
-
-    rig: HeadRig
-    options: DriveSettings = field(default_factory=DriveSettings)
-    prepare: Callable[[HeadFrame], Any] = lambda frame: None
-    keys: LiveKeys | None = None
 
 
 class LiveWorker:
@@ -187,9 +163,7 @@ class LiveWorker:
         self._first = None if neutral is not None else NeutralCalibration(asked=False)
         self._recorder: Recorder | None = None
         self._recording = threading.Lock()
-        self._drivers: list[HeadDriver | KeyDriver] = []
-        self._driven_heads: tuple[LiveHead, ...] = ()
-        self._driven_by: Neutral | None = None
+        self._drivers = HeadDrivers()
         self._smoother = ResultSmoother()
         self._size: tuple[int, ...] = ()
         self._face: tuple[float, float] | None = None
@@ -315,8 +289,7 @@ class LiveWorker:
             self._calibrate(frame.time, result)
         if self.output is not None:
             self.output.send(frame.time, result, self.neutral)
-        heads = self._driven(result)
-        prepared = tuple(head.prepare(shown) for head, shown in zip(self._driven_heads, heads, strict=False))
+        heads, prepared = self._drivers.drive(self.heads, self.neutral, result)
         driven = perf_counter()
         preview = draw_preview(frame.image, result, options.preview) if options.preview else None
         self.counts.tracked += 1
@@ -388,21 +361,3 @@ class LiveWorker:
             self._first = None
         elif self._first is not None and (result.found or len(self._first)) and self._first.add(time, result):
             self.neutral, self._first = self._first.neutral(), None
-
-    def _driven(self, result: TrackResult) -> tuple[HeadFrame, ...]:
-        if self.neutral is None or not result.found:
-            return ()
-        if self._driven_heads is not self.heads or self._driven_by is not self.neutral:
-            self._prepare(self.heads, self.neutral)
-        return tuple(driver.frame(result) for driver in self._drivers)
-
-    def _prepare(self, heads: tuple[LiveHead, ...], neutral: Neutral) -> None:
-        """Prepare drivers for `heads`; the deformers of unchanged rigs are reused."""
-        earlier = [driver.head if isinstance(driver, KeyDriver) else driver for driver in self._drivers]
-        before = {id(driver.rig): driver for driver in earlier}
-        drivers: list[HeadDriver | KeyDriver] = []
-        for head in heads:
-            driver = HeadDriver(head.rig, neutral, head.options, reuse=before.get(id(head.rig)))
-            drivers.append(driver if head.keys is None else KeyDriver(driver, neutral, head.keys))
-        self._drivers = drivers
-        self._driven_heads, self._driven_by = heads, neutral

@@ -20,9 +20,10 @@ from facemime.core.heads.rig import built_in_rig
 from facemime.core.landmarks import LOWER_LIPS, UPPER_LIDS
 from facemime.core.live import worker as worker_module
 from facemime.core.live.calibration import RangeCalibration
+from facemime.core.live.head_drivers import LiveHead
 from facemime.core.live.sources import LiveFrame, LiveSource, TakePlayer, VideoPlayer
 from facemime.core.live.timing import STAGES, Delays, Stopwatch
-from facemime.core.live.worker import LiveHead, LiveOptions, LiveWorker
+from facemime.core.live.worker import LiveOptions, LiveWorker
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.tracker import FaceTracker
 from takes import make_take, performance
@@ -175,13 +176,13 @@ def test_options_and_heads_may_change_and_deformers_are_reused():
     worker = LiveWorker(source, neutral=calibrate(take), heads=(LiveHead(rig),))
     worker.start()
     wait_for(lambda: worker.latest is not None and worker.latest.heads)
-    deformer = worker._drivers[0].deformer
+    deformer = worker._drivers.drivers[0].deformer
     worker.heads = (LiveHead(rig, DriveSettings(strength_upper=0.0, strength_middle=0.0, strength_lower=0.0)),)
     at_rest = rig.vertices
     wait_for(lambda: worker.latest.heads and np.abs(worker.latest.heads[0].vertices - at_rest).max() < 1e-6)
-    assert worker._drivers[0].deformer is deformer
+    assert worker._drivers.drivers[0].deformer is deformer
     worker.heads = (LiveHead(rig, DriveSettings(kernel="gaussian")),)
-    wait_for(lambda: worker._drivers[0].deformer is not deformer)
+    wait_for(lambda: worker._drivers.drivers[0].deformer is not deformer)
     worker.close()
 
 

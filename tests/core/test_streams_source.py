@@ -17,8 +17,9 @@ from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.errors import SourceError
 from facemime.core.heads.rig import built_in_rig
+from facemime.core.live.head_drivers import LiveHead
 from facemime.core.live.sources import LiveFrame
-from facemime.core.live.worker import LiveHead, LiveOptions, LiveWorker
+from facemime.core.live.worker import LiveOptions, LiveWorker
 from facemime.core.streams import ifacialmocap, osc
 from facemime.core.streams.face_cap import NAMES
 from facemime.core.streams.security import write_key

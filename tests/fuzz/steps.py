@@ -237,10 +237,11 @@ def hide(stage: Stage) -> None:
 
 @pushed
 def append(stage: Stage) -> None:
-    """A head from the file that was saved."""
-    if not stage.files.blend.exists() or bpy.context.mode != "OBJECT":
+    """A head from the file that was saved; Blender refuses the file that is open."""
+    blend = stage.files.blend
+    if not blend.exists() or bpy.data.filepath == str(blend) or bpy.context.mode != "OBJECT":
         return
-    with bpy.data.libraries.load(str(stage.files.blend), link=bool(stage.rng.random() < 0.3)) as (found, chosen):
+    with bpy.data.libraries.load(str(blend), link=bool(stage.rng.random() < 0.3)) as (found, chosen):
         chosen.objects = found.objects[:1]
     for obj in chosen.objects:
         if obj is not None and bpy.context.scene.collection.is_editable:

@@ -173,6 +173,7 @@ def test_a_take_is_recorded_shown_edited_and_baked_by_clicks(blender, sidebar):
     start(sidebar)
     assert blender.get("Session.current.worker.source.name") == "mine.mp4"
     sidebar.open_panel("FACEMIME_PT_takes")
+    blender.do(f"from {MODULE}.settings import takes_store as store")
     sidebar.press("bpy.ops.facemime.record_take")
     blender.wait_for("Session.current.recording is not None and Session.current.recording.frames > 40")
     blender.shot("recording")
@@ -236,15 +237,15 @@ def choose_video(sidebar: Sidebar) -> None:
 
 
 def confirm(sidebar: Sidebar, button: str) -> None:
-    """Click a button that opens a dialog and confirm; wait for the new file of the take."""
+    """Click a button that opens a dialog and confirm; trimming and mending then add a take."""
     blender = sidebar.blender
-    blender.do(f"from {MODULE}.settings import takes_store as store")
-    before = blender.get(f"{LINE}.path")
+    takes = "len(bpy.context.scene.facemime_takes.items)"
+    before = blender.get(takes)
     sidebar.press(button)
     blender.key("Return")
     blender.redraw()
     if "rerecord" not in button:
-        blender.wait_for(f"{LINE}.path != {before!r}")
+        blender.wait_for(f"{takes} == {before + 1}")
 
 
 def test_settings_are_saved_and_loaded_as_a_preset_by_clicks(blender, sidebar):
