@@ -46,7 +46,7 @@ def viewport_under(context: bpy.types.Context, x: int, y: int) -> Viewport | Non
 
 
 def viewport_of(context: bpy.types.Context) -> Viewport | None:
-    """Return the 3D Viewport that the user works in, or else the largest one of the window; None if there is none."""
+    """Return the 3D Viewport that is in use, otherwise the largest one of the window; None without any."""
     found = list(viewports(context.screen))
     here = [viewport for viewport in found if viewport.area == context.area]
     return max(here or found, key=lambda viewport: viewport.region.width * viewport.region.height, default=None)

@@ -198,41 +198,44 @@ def _find_face() -> None:
             bpy.ops.facemime.bind_landmarks("INVOKE_DEFAULT")
 
 
-# The two buttons leave the undo step to the operator that they end, which is called next.
-class FACEMIME_OT_accept_points(ReportsErrors, bpy.types.Operator):
+class EndsPlacing(ReportsErrors):
+    """Mixin: a button that ends the placing of points; the operator that waits for clicks then adds the undo step."""
+
+    bl_options = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require that points are being placed."""
+        return placing_on(context.active_object) is not None
+
+    def end(self, placing: Placing) -> None:
+        """Keep or discard the points."""
+        raise NotImplementedError
+
+    def work(self, context: bpy.types.Context) -> None:
+        placing, Placing.current = Placing.current, None
+        self.end(placing)
+        redraw(context)
+
+
+class FACEMIME_OT_accept_points(EndsPlacing, bpy.types.Operator):
     """Keep the points as they are now"""
 
     bl_idname = "facemime.accept_points"
     bl_label = "Accept"
-    bl_options = {"INTERNAL"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require that points are being placed."""
-        return placing_on(context.active_object) is not None
-
-    def work(self, context: bpy.types.Context) -> None:
-        placing, Placing.current = Placing.current, None
+    def end(self, placing: Placing) -> None:
         _keep(placing)
-        redraw(context)
 
 
-class FACEMIME_OT_discard_points(ReportsErrors, bpy.types.Operator):
+class FACEMIME_OT_discard_points(EndsPlacing, bpy.types.Operator):
     """Put the points back to where they were"""
 
     bl_idname = "facemime.discard_points"
     bl_label = "Discard"
-    bl_options = {"INTERNAL"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require that points are being placed."""
-        return placing_on(context.active_object) is not None
-
-    def work(self, context: bpy.types.Context) -> None:
-        placing, Placing.current = Placing.current, None
+    def end(self, placing: Placing) -> None:
         placing.discard()
-        redraw(context)
 
 
 CLASSES = (

@@ -62,7 +62,7 @@ class FACEMIME_OT_trim_take(AddsEditedTake, bpy.types.Operator):
     end: FloatProperty(name="End", subtype="TIME_ABSOLUTE", min=0.0)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Show the dialog; by default the preview range is kept, or the whole take if there is none."""
+        """Show the dialog, set to the preview range if one is used, otherwise to the whole take."""
         self.start, self.end = 0.0, takes_store.chosen(context.scene).length
         self.keep = "TIMELINE" if context.scene.use_preview_range else "SECONDS"
         return super().invoke(context, event)

@@ -5,6 +5,14 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 
 from ..core.streams.settings import LOOPBACK
 
+_BOTH_WAYS = (
+    ("own", "Facemime", "Another computer with Facemime", 0),
+    ("livelink", "Live Link Face", "Epic's iPhone app in its mode ARKit, or Unreal Engine", 1),
+    ("vmc", "VMC", "VTuber programs that speak the VMC protocol", 2),
+    ("openseeface", "OpenSeeFace", "OpenSeeFace's tracker, or VTuber programs that listen to it", 3),
+)
+"""Protocols that come in and go out."""
+
 
 class FacemimeStream(bpy.types.PropertyGroup):
     """A stream from the network as the source of the performance."""
@@ -13,10 +21,7 @@ class FacemimeStream(bpy.types.PropertyGroup):
         name="From",
         description="App or program that sends the face",
         items=(
-            ("own", "Facemime", "Another computer with Facemime", 0),
-            ("livelink", "Live Link Face", "Epic's iPhone app in its mode ARKit, or Unreal Engine", 1),
-            ("vmc", "VMC", "VTuber programs that speak the VMC protocol", 2),
-            ("openseeface", "OpenSeeFace", "OpenSeeFace's tracker, or VTuber programs that listen to it", 3),
+            *_BOTH_WAYS,
             ("ifacialmocap", "iFacialMocap", "The app iFacialMocap on an iPhone", 4),
             ("facemotion3d", "Facemotion3d", "The app Facemotion3d on a phone", 5),
             ("vtubestudio", "VTube Studio, MeowFace", "VTube Studio on an iPhone, or MeowFace on Android", 6),
@@ -79,12 +84,7 @@ class FacemimeOutput(bpy.types.PropertyGroup):
     protocol: EnumProperty(
         name="To",
         description="Program that receives the face",
-        items=(
-            ("own", "Facemime", "Another computer with Facemime", 0),
-            ("livelink", "Live Link Face", "Epic's iPhone app in its mode ARKit, or Unreal Engine", 1),
-            ("vmc", "VMC", "VTuber programs that speak the VMC protocol", 2),
-            ("openseeface", "OpenSeeFace", "OpenSeeFace's tracker, or VTuber programs that listen to it", 3),
-        ),
+        items=_BOTH_WAYS,
     )
     host: StringProperty(name="Host", description="Address of the computer that receives the face", default=LOOPBACK)
     port: IntProperty(name="Port", description="Port of the stream; 0 for the usual one", min=0, max=65535)

@@ -103,7 +103,7 @@ class Placing:
             return
 
     def accept(self) -> None:
-        """Keep the landmarks; regions that were proposed from the former ones are proposed anew, painted ones stay."""
+        """Keep the landmarks. Regions that follow from the former ones are updated; painted ones stay."""
         obj = self.obj
         if obj is None or self._landmarks is None or not is_head(obj):
             return

@@ -63,7 +63,7 @@ class Packet:
     signed : bytes
         What is signed: all but the signature.
     tag : bytes
-        The signature; empty if there is none.
+        The signature; empty in packets without one.
     """
 
     kind: int

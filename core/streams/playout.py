@@ -83,7 +83,7 @@ class ClockFollower:
         time : float
             On the sender's clock, seconds.
         arrival : float
-            On this computer's clock, seconds.
+            Seconds on this computer's clock.
         step : float
             Largest change of `offset`, seconds.
 
@@ -143,9 +143,9 @@ class Playout:
         ----------
         result : TrackResult
         time : float or None
-            On the sender's clock, seconds; if there is none, the frames are taken to be sent evenly.
+            Seconds on the sender's clock; None if the packets carry no time, so that even intervals are assumed.
         arrival : float
-            On this computer's clock, seconds.
+            Seconds on this computer's clock.
 
         Returns
         -------
@@ -183,7 +183,7 @@ class Playout:
         return self._due(self._waiting[0].time) if self._waiting else self._gap()
 
     def pop(self, now: float) -> Shown | None:
-        """Take the next frame that is due at `now`; None if there is none."""
+        """Take the oldest frame that should be shown by `now`; None if it is too early for the next one."""
         due = self._due(self._waiting[0].time) if self._waiting else inf
         gap = self._gap()
         if gap is not None and gap <= now and gap < due:

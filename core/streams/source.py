@@ -370,7 +370,7 @@ class _Timeline:
         return time
 
     def due(self) -> float | None:
-        """When the next frame that is filled in is due; None if there is none."""
+        """Return when the next frame has to be filled in, or None while no face has to be held or brought to rest."""
         if self._last is None or self._last.result is None or not self._last.result.found or self._rest >= 1.0:
             return None
         return max(self._moment + HOLD, self._filled + _FILL_RATE)

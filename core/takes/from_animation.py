@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import HeadError
-from ..landmarks import N_LANDMARKS, outer_eye_distance
+from ..landmarks import outer_eye_distance
 from ..rotation import fit_rotation, matrix_to_euler
 from ..tracking.result import CAMERA_DISTANCE, TrackResult
 from .neutral import Neutral, shut_level
@@ -80,17 +80,8 @@ class PointTracker:
             _direction(rotation.T @ _turned(rest, eye)) if len(rest) else np.full(2, np.nan)
             for rest, eye in zip(self.rest.eyes, points.eyes, strict=True)
         )
-        return TrackResult(
-            found=True,
-            landmarks=pose[0] * (shape @ rotation.T)[:, :2] + pose[4:],
-            pose=pose,
-            shape_params=np.empty(0),
-            shape=shape,
-            confidence=1.0,
-            landmark_confidence=np.ones(N_LANDMARKS),
-            gaze=(right + left) / 2.0,
-            vergence=float(left[1] - right[1]),
-        )
+        gaze, vergence = (right + left) / 2.0, float(left[1] - right[1])
+        return TrackResult.exact(shape, pose, gaze=gaze, vergence=vergence)
 
     def neutral(self, take: Take) -> Neutral:
         """Return the face at rest as the neutral face of `take`, which this object tracked."""

@@ -14,7 +14,7 @@ from ..arrays import FloatArray
 from ..coefficient_names import FITTED, N_COEFFICIENTS
 from ..heads.built_in import load_head
 from ..heads.looks import LOOKS, gaze_of
-from ..landmarks import N_LANDMARKS, outer_eye_distance
+from ..landmarks import outer_eye_distance
 from ..rotation import euler_to_matrix
 from ..tracking.result import TrackResult
 from .from_animation import REST_POSITION, pose_of
@@ -62,20 +62,8 @@ class CoefficientFace:
     def posed(self, values: FloatArray, pose: FloatArray) -> TrackResult:
         """As `result`, for `values` (52,) from 0 to 1 and a `pose` (6,) as in `TrackResult`."""
         shape = self._rest + np.tensordot(values[FITTED], self._units, 1)
-        turn = euler_to_matrix(*pose[1:4])
         gaze, vergence = gaze_of(values[LOOKS])
-        return TrackResult(
-            found=True,
-            landmarks=pose[0] * (shape @ turn.T)[:, :2] + pose[4:],
-            pose=pose,
-            shape_params=np.empty(0),
-            shape=shape,
-            confidence=1.0,
-            landmark_confidence=np.ones(N_LANDMARKS),
-            gaze=gaze,
-            vergence=vergence,
-            coefficients=values,
-        )
+        return TrackResult.exact(shape, pose, gaze=gaze, vergence=vergence, coefficients=values)
 
 
 @lru_cache(maxsize=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import nan
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from ..apertures import eye_apertures, mouth_aperture
 from ..arrays import FloatArray
 from ..coefficient_names import N_COEFFICIENTS
 from ..landmarks import N_LANDMARKS
+from ..rotation import euler_to_matrix
 
 CAMERA_DISTANCE = 6.0
 """Assumed distance of the camera in eye distances (equation 4.4), about that of a webcam."""
@@ -84,6 +86,31 @@ class TrackResult:
             shape_params=_unknown(n_modes),
             shape=_unknown(N_LANDMARKS, 3),
             confidence=0.0,
+        )
+
+    @classmethod
+    def exact(cls, shape: FloatArray, pose: FloatArray, **values: Any) -> TrackResult:
+        """Return the result of a face that is known instead of seen, with full confidence.
+
+        Parameters
+        ----------
+        shape : (66, 3) array
+            As `shape`.
+        pose : (6,) array
+            As `pose`; it places the landmarks.
+        values
+            Further attributes.
+        """
+        turn = euler_to_matrix(*pose[1:4])
+        return cls(
+            found=True,
+            landmarks=pose[0] * (shape @ turn.T)[:, :2] + pose[4:],
+            pose=pose,
+            shape_params=np.empty(0),
+            shape=shape,
+            confidence=1.0,
+            landmark_confidence=np.ones(N_LANDMARKS),
+            **values,
         )
 
     @property

@@ -1,0 +1,237 @@
+"""Packets of apps on phones: as their specifications have them, and refused where they are wrong."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from stream_values import ANGLES, SHARES, distinct, value_of
+
+from facemime.core.coefficient_names import COEFFICIENTS
+from facemime.core.rotation import from_face_axes
+from facemime.core.streams import ifacialmocap, live_link, osc, vtube_studio
+from facemime.core.streams.face_cap import NAMES, FaceCapDecoder
+from facemime.core.streams.frames import (
+    MAX_DATAGRAM,
+    FaceValues,
+    PacketError,
+)
+from facemime.core.streams.ifacialmocap import IFacialMocapDecoder
+from facemime.core.streams.live_link import CURVES, LiveLinkDecoder
+from facemime.core.streams.vtube_studio import VTubeStudioDecoder
+
+# Live Link Face
+
+
+def golden_live_link(values=None, *, version=6, count=61) -> bytes:
+    """A packet by the published layout: version, device, subject, time, rate, count and floats."""
+    device, subject = b"12345678-1234-1234-1234-123456789abc", "iPhone 测试".encode()
+    head = bytes([version]) + struct.pack(">I", 36) + device + struct.pack(">I", len(subject)) + subject
+    head += struct.pack(">I", 1830) + struct.pack(">f", 0.5) + struct.pack(">II", 60, 1)
+    return head if values is None else head + bytes([count]) + struct.pack(f">{len(values)}f", *values)
+
+
+def test_live_link_face_is_read_as_published():
+    values = [0.01 * n for n in range(1, 53)] + [0.1, 0.2, 0.3] + [0.0] * 6
+    (frame,) = LiveLinkDecoder().decode(golden_live_link(values))
+    assert frame.subject == "iPhone 测试" and frame.time == pytest.approx(1830.5 / 60.0)
+    assert value_of(frame.face, "eyeBlinkLeft") == pytest.approx(0.01)
+    assert value_of(frame.face, "jawForward") == pytest.approx(0.15)
+    assert value_of(frame.face, "jawLeft") == pytest.approx(0.16)
+    assert value_of(frame.face, "jawOpen") == pytest.approx(0.18)
+    assert value_of(frame.face, "tongueOut") == pytest.approx(0.52)
+    yaw, pitch, roll = 0.1, 0.2, 0.3
+    np.testing.assert_allclose(frame.face.rotation, from_face_axes(pitch, yaw, roll), atol=1e-6)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("radians", 1.0), ("degrees", np.pi / 180.0), ("half-turns", np.pi)])
+def test_the_unit_of_live_link_faces_angles_can_be_chosen(unit, scale):
+    (frame,) = LiveLinkDecoder(unit).decode(golden_live_link([0.0] * 52 + [0.0, 0.25, 0.0] + [0.0] * 6))
+    assert frame.face.rotation[0] == pytest.approx(0.25 * scale, abs=1e-6)
+
+
+def test_live_link_face_without_values_has_no_face():
+    assert LiveLinkDecoder().decode(golden_live_link())[0].face is None
+
+
+@given(SHARES, ANGLES, st.floats(0.0, 1e5))
+def test_live_link_face_goes_there_and_back(values, angles, time):
+    face = FaceValues(np.array(values), np.array(angles))
+    (frame,) = LiveLinkDecoder().decode(live_link.encode(face, time, subject="a", device="b"))
+    np.testing.assert_allclose(frame.face.coefficients, values, atol=1e-7)
+    np.testing.assert_allclose(frame.face.rotation, angles, atol=1e-5)
+    assert frame.time == pytest.approx(time, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        golden_live_link([0.0] * 61)[:-1],
+        golden_live_link([0.0] * 61) + b"\0",
+        golden_live_link([0.0] * 61, version=5),
+        golden_live_link([0.0] * 61, count=60),
+        golden_live_link([0.0] * 60, count=60),
+        golden_live_link([float("nan")] + [0.0] * 60),
+        golden_live_link([0.0] * 60 + [float("inf")]),
+        golden_live_link([0.0] * 52 + [1e9] + [0.0] * 8),
+        b"\6" + struct.pack(">I", 2**32 - 1) + bytes(40),
+        b"\6" + bytes(30),
+    ],
+)
+def test_wrong_packets_of_live_link_face_are_refused(data):
+    with pytest.raises(PacketError):
+        LiveLinkDecoder().decode(data)
+
+
+# iFacialMocap
+
+FIRST = (
+    "mouthSmile_R-7|eyeLookOut_L-0|mouthUpperUp_L-11|eyeWide_R-0|mouthClose-8|mouthPucker-4|mouthRollLower-9|"
+    "eyeBlink_R-7|eyeLookDown_L-17|cheekSquint_R-11|eyeBlink_L-29|tongueOut-0|jawRight-0|jawOpen-12|custom_1-50|"
+    "=head#-21.5,-6.0,-6.6,-0.03,-0.1,-0.66|rightEye#6.0,2.4,0.25|leftEye#6.0,-1.6,-0.17|"
+)
+
+
+def test_both_versions_of_ifacialmocap_are_read():
+    second = FIRST.replace("-7|", "&7|").replace("-12|", "&12|").replace("_1-50", "_1&-50").replace("_L-29", "Left&29")
+    for text in (FIRST, second):
+        (frame,) = IFacialMocapDecoder().decode(text.encode())
+        assert value_of(frame.face, "jawOpen") == pytest.approx(0.12)
+        assert value_of(frame.face, "mouthSmileRight") == pytest.approx(0.07)
+        assert value_of(frame.face, "eyeBlinkLeft") == pytest.approx(0.29)
+        degrees = np.radians([-21.5, -6.0, -6.6])
+        np.testing.assert_allclose(frame.face.rotation, from_face_axes(*degrees), atol=1e-9)
+        np.testing.assert_allclose(frame.face.position, [-0.03, 0.1, 0.66])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "hello",
+        FIRST.replace("=head#-21.5", "=head#nan"),
+        FIRST.replace("=head#-21.5", "=head#1e999"),
+        FIRST.replace("-21.5,-6.0,", ""),
+        FIRST.replace("=head#", "=neck#"),
+        FIRST.replace("jawOpen-12", "jawOpen-1" + "2" * 30),
+        FIRST.replace("jawOpen-12", "jawOpen-x"),
+        FIRST + "a" * 20_000,
+        "|".join(["jawOpen-1"] * 1000),
+        "jawOpen-1|=head#0,0,0,0,0,0|",
+        FIRST.replace("custom", "cust\u00f6m"),
+    ],
+)
+def test_wrong_packets_of_ifacialmocap_are_refused(text):
+    with pytest.raises(PacketError):
+        IFacialMocapDecoder().decode(text.encode())
+
+
+def test_the_phone_is_asked_in_its_own_words():
+    assert ifacialmocap.START.startswith(b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719")
+    assert ifacialmocap.FACEMOTION_START == b"FACEMOTION3D_OtherStreaming"
+
+
+# VTube Studio's phone and MeowFace
+
+
+def golden_vtube_studio(**changed) -> bytes:
+    values = [
+        {"k": name[0].upper() + name[1:], "v": float(v)} for name, v in zip(COEFFICIENTS, distinct(), strict=True)
+    ]
+    packet = {
+        "Timestamp": 1_700_000_000_123,
+        "Hotkey": -1,
+        "FaceFound": True,
+        "Rotation": {"x": 10.0, "y": -20.0, "z": 5.0},
+        "Position": {"x": 1.0, "y": 2.0, "z": -30.0},
+        "VNyanPos": {"x": 0.0, "y": 0.0, "z": 0.0},
+        "EyeLeft": {"x": 1.0, "y": 2.0, "z": 0.0},
+        "EyeRight": {"x": 1.0, "y": 2.0, "z": 0.0},
+        "BlendShapes": values,
+    }
+    return json.dumps(packet | changed).encode()
+
+
+def test_vtube_studio_is_read_by_name_whatever_the_spelling():
+    (frame,) = VTubeStudioDecoder().decode(golden_vtube_studio())
+    np.testing.assert_allclose(frame.face.coefficients, distinct())
+    assert frame.time == pytest.approx(1_700_000_000.123)
+    np.testing.assert_allclose(frame.face.rotation, from_face_axes(*np.radians([10.0, -20.0, 5.0])), atol=1e-9)
+    meow = [{"k": name.replace("Left", "_L").replace("Right", "_R"), "v": 0.25} for name in COEFFICIENTS]
+    meow = [entry for entry in meow if "_" in entry["k"]] + [{"k": "unknown", "v": 1}]
+    (frame,) = VTubeStudioDecoder().decode(golden_vtube_studio(BlendShapes=meow))
+    assert value_of(frame.face, "eyeBlinkLeft") == 0.25
+
+
+def test_vtube_studio_says_when_there_is_no_face():
+    assert VTubeStudioDecoder().decode(golden_vtube_studio(FaceFound=False))[0].face is None
+
+
+def test_the_request_is_the_documented_one():
+    asked = json.loads(vtube_studio.request(50_000))
+    assert asked["messageType"] == "iOSTrackingDataRequest" and asked["ports"] == [50_000]
+    assert 0.5 <= asked["time"] <= 10.0 and 1 <= len(asked["sentBy"]) <= 32
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"{",
+        b"{}",
+        b"[" * 10_000,
+        b'{"a":' * 5_000,
+        golden_vtube_studio(Rotation={"x": 1e400, "y": 0, "z": 0}).replace(b"Infinity", b"1e400"),
+        golden_vtube_studio(Rotation={"x": "1", "y": 0, "z": 0}),
+        golden_vtube_studio(Rotation=[1, 2, 3]),
+        golden_vtube_studio(BlendShapes=[]),
+        golden_vtube_studio(BlendShapes=[{"k": "JawOpen"}] * 20),
+        golden_vtube_studio(BlendShapes=[{"k": "JawOpen", "v": True}] * 20),
+        golden_vtube_studio(Timestamp=-1),
+        golden_vtube_studio(FaceFound=1),
+        golden_vtube_studio() + b" " * MAX_DATAGRAM,
+        golden_vtube_studio() + b"x",
+    ],
+)
+def test_wrong_packets_of_vtube_studio_are_refused(data):
+    with pytest.raises(PacketError):
+        VTubeStudioDecoder().decode(data)
+
+
+# Face Cap
+
+
+def test_face_cap_is_read_by_number_in_single_messages_and_in_bundles():
+    order = dict(zip(NAMES, distinct(), strict=True))
+    messages = [osc.encode_message("/HT", 0.0, 0.0, -0.5), osc.encode_message("/HR", 10.0, 20.0, 5.0)]
+    messages += [osc.encode_message("/HRQ", 0.0, 0.0, 0.0, 1.0), osc.encode_message("/ELR", 0.0, 0.0)]
+    messages += [osc.encode_message("/W", number, value) for number, value in enumerate(order.values())]
+    single = FaceCapDecoder()
+    frames = [frame for message in messages for frame in single.decode(message)]
+    bundled = [frame for bundle in osc.encode_bundles(messages, 9000) for frame in FaceCapDecoder().decode(bundle)]
+    assert len(frames) == len(bundled) == 1
+    for frame in (*frames, *bundled):
+        for name, value in order.items():
+            assert value_of(frame.face, name) == pytest.approx(value)
+        np.testing.assert_allclose(frame.face.rotation, from_face_axes(*np.radians([10.0, 20.0, 5.0])), atol=1e-6)
+    # The first, the 25th and the last, as its documentation counts them.
+    assert (NAMES[0], NAMES[24], NAMES[51]) == ("browInnerUp", "jawOpen", "tongueOut")
+    assert sorted(NAMES) == sorted(COEFFICIENTS) == sorted(CURVES)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        osc.encode_message("/W", 52, 0.5),
+        osc.encode_message("/W", -1, 0.5),
+        osc.encode_message("/W", True, 0.5),
+        osc.encode_message("/W", 1),
+        osc.encode_message("/HR", 1.0, 2.0),
+        osc.encode_message("/HR", 1.0, 2.0, "x"),
+        osc.encode_message("/X", 1.0),
+    ],
+)
+def test_wrong_messages_of_face_cap_are_refused(message):
+    with pytest.raises(PacketError):
+        FaceCapDecoder().decode(message)

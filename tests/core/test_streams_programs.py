@@ -1,0 +1,209 @@
+"""Packets of programs on computers: as specified, there and back, and refused where they are wrong."""
+
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pythonosc.osc_packet import OscPacket
+from stream_values import ANGLES, SHARES, value_of
+
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from facemime.core.landmarks import IBUG68_INDICES, MOUTH_CORNERS
+from facemime.core.rotation import euler_to_matrix
+from facemime.core.streams import openseeface, osc, vmc
+from facemime.core.streams.frames import (
+    FaceValues,
+    PacketError,
+    to_quaternion,
+)
+from facemime.core.streams.openseeface import OpenSeeFaceDecoder, fit_pose
+from facemime.core.streams.vmc import VmcDecoder
+from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.timing import project
+from takes import performance
+
+# VMC
+
+
+def test_vmc_takes_arkits_names_of_any_case_and_the_heads_bone():
+    decoder = VmcDecoder()
+    messages = [osc.encode_message("/VMC/Ext/OK", 1), osc.encode_message("/VMC/Ext/T", 2.5)]
+    turn = to_quaternion(euler_to_matrix(0.1, -0.2, 0.3))
+    messages += [osc.encode_message("/VMC/Ext/Bone/Pos", "Head", 0.0, 0.0, 0.0, *turn)]
+    messages += [osc.encode_message("/VMC/Ext/Blend/Val", "JawOpen", 0.5)]
+    messages += [osc.encode_message("/VMC/Ext/Blend/Val", "eyeblinkleft", 0.25)]
+    assert not [frame for message in messages for frame in decoder.decode(message)]
+    (frame,) = decoder.decode(osc.encode_message("/VMC/Ext/Blend/Apply"))
+    assert frame.time == 2.5 and value_of(frame.face, "jawOpen") == 0.5 and value_of(frame.face, "eyeBlinkLeft") == 0.25
+    np.testing.assert_allclose(frame.face.rotation, [0.1, -0.2, 0.3], atol=1e-6)
+
+
+def test_vmc_takes_vrms_names_where_there_are_no_others():
+    decoder = VmcDecoder()
+    for name, value in (("A", 0.6), ("Blink_L", 1.0), ("Joy", 0.5), ("LookUp", 0.25)):
+        decoder.decode(osc.encode_message("/VMC/Ext/Blend/Val", name, value))
+    (frame,) = decoder.decode(osc.encode_message("/VMC/Ext/Blend/Apply"))
+    assert value_of(frame.face, "jawOpen") == pytest.approx(0.6) and value_of(frame.face, "eyeBlinkLeft") == 1.0
+    assert value_of(frame.face, "mouthSmileLeft") == 0.5 and value_of(frame.face, "eyeLookUpRight") == 0.25
+
+
+def test_vmc_without_tracking_has_no_face():
+    decoder = VmcDecoder()
+    decoder.decode(osc.encode_message("/VMC/Ext/OK", 1, 3, 0, 0))
+    assert decoder.decode(osc.encode_message("/VMC/Ext/Blend/Apply"))[0].face is None
+
+
+@given(SHARES, ANGLES)
+def test_vmc_goes_there_and_back_in_bundles_that_fit_a_packet_and_applies_last(values, angles):
+    bundles = list(vmc.encode(FaceValues(np.array(values), np.array(angles)), 1.5))
+    assert len(bundles) > 1 and all(len(bundle) <= 1400 for bundle in bundles)
+    addresses = [timed.message.address for bundle in bundles for timed in OscPacket(bundle).messages]
+    assert addresses[-1] == "/VMC/Ext/Blend/Apply" and addresses.count("/VMC/Ext/Blend/Apply") == 1
+    decoder = VmcDecoder()
+    frames = [frame for bundle in bundles for frame in decoder.decode(bundle)]
+    assert len(frames) == 1
+    np.testing.assert_allclose(frames[0].face.coefficients, values, atol=1e-7)
+    np.testing.assert_allclose(frames[0].face.rotation, angles, atol=1e-6)
+
+
+def test_vmc_sends_vrm_0_and_vrm_1_names_as_well_in_their_own_case():
+    coefficients = np.zeros(N_COEFFICIENTS)
+    coefficients[COEFFICIENT_INDEX["eyeBlinkLeft"]] = 0.75
+    sent = {
+        timed.message.params[0]: timed.message.params[1]
+        for bundle in vmc.encode(FaceValues(coefficients, np.zeros(3)), 0.0)
+        for timed in OscPacket(bundle).messages
+        if timed.message.address.endswith("Val")
+    }
+    assert sent["Blink_L"] == sent["blinkLeft"] == sent["EyeBlinkLeft"] == 0.75
+    assert {"A", "aa", "Joy", "happy"} <= sent.keys()
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        osc.encode_message("/other", 1),
+        osc.encode_message("/VMC/Ext/Blend/Val", "JawOpen"),
+        osc.encode_message("/VMC/Ext/Blend/Val", 1, 0.5),
+        osc.encode_message("/VMC/Ext/Blend/Val", "JawOpen", "x"),
+        osc.encode_message("/VMC/Ext/Bone/Pos", "Head", 0.0),
+        osc.encode_message("/VMC/Ext/Bone/Pos", "Head", *[0.0] * 7),
+    ],
+)
+def test_wrong_messages_of_vmc_are_refused(message):
+    with pytest.raises(PacketError):
+        VmcDecoder().decode(message)
+
+
+def test_vmc_remembers_a_limited_number_of_names():
+    decoder = VmcDecoder()
+    with pytest.raises(PacketError):
+        for number in range(1000):
+            decoder.decode(osc.encode_message("/VMC/Ext/Blend/Val", f"name{number}", 0.5))
+
+
+# OpenSeeFace
+
+
+def golden_openseeface(points, places, *, found=1) -> bytes:
+    """A packet by the layout of OpenSeeFace's own receiver, for 68 points in the image and 70 on the face."""
+    data = struct.pack("<di", 12.5, 3) + struct.pack("<2f", 640.0, 480.0) + struct.pack("<2f", 0.9, 0.8)
+    data += struct.pack("<B", found) + struct.pack("<f", 1.0) + struct.pack("<4f", 0.0, 0.0, 0.0, 1.0)
+    data += struct.pack("<3f", 0.0, 0.0, 90.0) + struct.pack("<3f", 0.0, 0.0, 5.0) + struct.pack("<68f", *[0.9] * 68)
+    data += struct.pack("<136f", *np.ravel(points)) + struct.pack("<210f", *np.ravel(places))
+    return data + struct.pack("<14f", *[0.0] * 14)
+
+
+def ibug_of_openseeface() -> list[int]:
+    """The iBUG numbers of OpenSeeFace's 66 points: 58 and 62 are the inner corners of the mouth."""
+    return [*range(48), *range(49, 54), *range(55, 60), 60, 61, 62, 63, 64, 65, 66, 67]
+
+
+def test_points_of_openseeface_are_remapped_so_that_no_mouth_is_scrambled():
+    rng = np.random.default_rng(0)
+    points, places = rng.uniform(0, 400, (68, 2)), rng.normal(size=(70, 3))
+    (frame,) = OpenSeeFaceDecoder().decode(golden_openseeface(points, places))
+    theirs = ibug_of_openseeface()
+    for ours, ibug in enumerate(IBUG68_INDICES.tolist()):
+        # The inner corners stand for the outer ones, which do not come.
+        number = theirs.index({48: 60, 54: 64}.get(ibug, ibug))
+        np.testing.assert_allclose(frame.face.landmarks[ours], points[number], rtol=1e-6)
+        np.testing.assert_allclose(frame.face.shape[ours] * 0.74, places[number] * (-1, 1, 1), rtol=1e-5)
+    np.testing.assert_allclose(frame.face.landmarks[MOUTH_CORNERS], points[[58, 62]], rtol=1e-6)
+    assert frame.subject == "3" and frame.time == 12.5
+
+
+def test_openseeface_without_points_in_space_has_no_face():
+    assert (
+        OpenSeeFaceDecoder().decode(golden_openseeface(np.zeros((68, 2)), np.zeros((70, 3)), found=0))[0].face is None
+    )
+
+
+def test_several_faces_of_openseeface_are_told_apart():
+    take = performance()
+    one = openseeface.encode(take.result(0), 1.0)
+    other = one[:8] + struct.pack("<i", 7) + one[12:]
+    assert [frame.subject for frame in OpenSeeFaceDecoder().decode(one + other)] == ["0", "7"]
+
+
+@given(ANGLES, st.floats(30.0, 300.0), st.floats(0.0, 1200.0), st.floats(0.0, 700.0))
+def test_the_pose_is_found_in_points_without_it(angles, scale, x, y):
+    shape = coefficient_face().neutral.shape
+    landmarks = scale * (shape @ euler_to_matrix(*angles).T)[:, :2] + (x, y)
+    pose = fit_pose(shape, landmarks)
+    np.testing.assert_allclose(pose, [scale, *angles, x, y], atol=1e-6)
+
+
+def test_openseeface_goes_there_and_back():
+    take = performance()
+    for frame in (0, 20, 40):
+        result = take.result(frame)
+        result = replace(result, landmarks=project(result.shape[None], result.pose[None])[0])
+        (found,) = OpenSeeFaceDecoder().decode(openseeface.encode(result, 3.0))
+        np.testing.assert_allclose(found.face.shape, result.shape, atol=1e-6)
+        np.testing.assert_allclose(found.face.pose, result.pose, rtol=1e-4, atol=1e-3)
+
+
+def test_the_gaze_survives_openseeface():
+    values = np.zeros(N_COEFFICIENTS)
+    values[[COEFFICIENT_INDEX[name] for name in ("eyeLookOutLeft", "eyeLookInRight", "eyeLookDownLeft")]] = (
+        0.5,
+        0.4,
+        0.2,
+    )
+    result = coefficient_face().result(values, np.zeros(3))
+    (found,) = OpenSeeFaceDecoder().decode(openseeface.encode(result, 0.0))
+    np.testing.assert_allclose(found.face.gaze, result.gaze, atol=1e-4)
+    assert found.face.vergence == pytest.approx(result.vergence, abs=1e-4)
+
+
+def test_a_frontal_face_has_the_rotation_that_openseefaces_receivers_expect():
+    """They take 90 degrees from z, and turn x by 180; what is left is straight ahead, in front of the camera."""
+    values, angles = np.zeros(N_COEFFICIENTS), np.array([0.01, 0.01, 0.01])
+    data = openseeface.encode(coefficient_face().result(values, angles), 0.0)
+    x, y, z, *moved = struct.unpack_from("<6f", data, 8 + 4 + 8 + 8 + 1 + 4 + 16)
+    assert abs(x) == pytest.approx(180.0, abs=1.0)
+    assert y == pytest.approx(0.0, abs=1.0) and z == pytest.approx(90.0, abs=1.0)
+    assert -moved[2] > 0.0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda d: d[:-1],
+        lambda d: d + b"\0",
+        lambda d: d * 5,
+        lambda d: b"",
+        lambda d: d[:28] + b"\7" + d[29:],
+        lambda d: d[:73] + struct.pack("<f", float("nan")) + d[77:],
+        lambda d: d[:500] + struct.pack("<f", 1e30) + d[504:],
+        lambda d: d[:-900] + bytes(844) + d[-56:],
+    ],
+)
+def test_wrong_packets_of_openseeface_are_refused(change):
+    data = openseeface.encode(performance().result(0), 1.0)
+    with pytest.raises(PacketError):
+        OpenSeeFaceDecoder().decode(change(data))
