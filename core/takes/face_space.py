@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..archives import shipped
 from ..arrays import FloatArray
 from ..assets import ASSETS
-from ..landmarks import JAW, N_LANDMARKS
+from ..landmarks import BROWS, JAW, N_LANDMARKS
 
 FORMAT = "facemime-face-space-1"
 FACE_SPACE_FILE = ASSETS / "expressions" / "face_space.npz"
@@ -95,6 +96,12 @@ class FaceSpace:
         """(N,) amount of expression of activations (N, U): length of all displacements in x and y, eye distances."""
         across = self.units[..., :2].reshape(len(self.units), -1)
         return np.asarray(np.sqrt(np.square(activations @ across).sum(axis=1)))
+
+    @cached_property
+    def of_brows(self) -> NDArray[np.bool_]:
+        """(U,) whether a unit moves the brows more than all else."""
+        moved = np.square(self.units).sum(axis=2)
+        return np.asarray(moved[:, BROWS].sum(axis=1) > 0.5 * moved.sum(axis=1))
 
     @cached_property
     def _scaled(self) -> tuple[FloatArray, FloatArray]:

@@ -28,13 +28,18 @@ _OPTIONAL = ("gaze", "open_mouth", "vergence", "actions")
 """Values that may be NaN."""
 _ADDED = {"removed": 0.0, "vergence": np.nan, "actions": [np.nan] * N_ACTIONS, "measured": 0.0}
 """Values that files of earlier versions lack."""
-_MAX_FRAMES, _MOMENT = 300, 0.3
+_MAX_FRAMES, _MOMENT = 300, 0.2
 """Frames of a take that are looked at for a neutral face, and seconds that it has to last. A second is too long: strong
 performers seldom rest for one. From 0.15 to 0.5 the bench of expressions hardly changes."""
 _TURNED, _LEAST_TRUST = 0.5, 1e-3
 """Radians of pitch and yaw at which a frame counts 1/e, and what it counts at least."""
 _DOUBT = 0.2
 """Amount of expression, in eye distances, that a confidence of 0 counts as."""
+_USUAL = 0.35
+"""Share of a take in which brows are lower than at rest at most. From 0.3 to 0.35 the same moments are found."""
+_LIDS, _LIDS_AT_REST = 0.5, 0.1
+"""Amount of expression, in eye distances, of lids that are open twice as far as usual, and how much may be rest:
+lids move little, and yet half-shut eyes are no neutral face."""
 _WEAK, _MUCH_REMOVED = 0.3, 0.35
 """Activations up to which an expression may be the face of that person, and above which a removed one is reported."""
 _MAX_VALUES, _MAX_VALUE = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0, "vergence": 10.0, "actions": 100.0}, 1e7
@@ -242,13 +247,17 @@ def _calmest(take: Take) -> Neutral:
     turned = np.square(take.pose[chosen, 1:3] / _TURNED).sum(axis=1)
     space = load_face_space()
     activations = space.explain(shapes, take.confidence[chosen] * np.exp(-turned) + _LEAST_TRUST)
-    amount = space.amount(activations) + _DOUBT * (1.0 - take.confidence[chosen])
+    # How high brows are at rest differs more between people than the space knows, so the take itself says it.
+    usual = np.where(space.of_brows, np.quantile(activations, _USUAL, axis=0), 0.0)
+    opening = eye_apertures(shapes).mean(axis=1)
+    amount = space.amount(activations - usual) + _DOUBT * (1.0 - take.confidence[chosen])
+    amount += _LIDS * np.maximum(np.abs(opening / np.median(opening) - 1.0) - _LIDS_AT_REST, 0.0)
     # The moment whose calmer half shows least.
     spans = [np.arange(i, end) for i, end in enumerate(np.searchsorted(times, times + _MOMENT, side="right"))]
     calmer = [span[np.argsort(amount[span])[: (len(span) + 1) // 2]] for span in spans]
     calm = min(calmer, key=lambda frames: float(amount[frames].mean()))
     # Weak activations may be the person's own face; strong ones are an expression, which a rested face would not show.
-    strong = np.maximum(activations[calm] - _WEAK, 0.0)
+    strong = np.maximum(activations[calm] - np.maximum(usual, _WEAK), 0.0)
     shape = (shapes[calm] - np.tensordot(strong, space.units, 1)).mean(axis=0)
     neutral = _neutral(take, shape, chosen[np.sort(calm)], np.eye(3))
     return replace(neutral, removed=float(strong.mean(axis=0).max()))

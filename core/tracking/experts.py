@@ -66,6 +66,15 @@ class ResponseMaps:
         place = self.corner + self.stride * (mean + _middle(width, height))
         return place.astype(np.float64), (self.stride[:, 0] ** 2 * variance).astype(np.float64)
 
+    def replaced(self, other: ResponseMaps, chosen: NDArray[np.bool_]) -> ResponseMaps:
+        """These maps, with those of the landmarks `chosen` (n,) taken from `other`, which has the same size."""
+        return ResponseMaps(
+            self.landmarks,
+            np.where(chosen[:, None, None], other.likelihood, self.likelihood),
+            np.where(chosen[:, None], other.corner, self.corner),
+            self.stride,
+        )
+
     def shifts(self, places: FloatArray, variance: float) -> FloatArray:
         """Mean-shift vectors of landmarks (equation 3.3).
 
@@ -308,7 +317,9 @@ class PartExperts:
     def _stride(self) -> NDArray[np.float32]:
         return np.full((self._sides.size, 1), PART_STRIDE / self.scale, np.float32)
 
-    def respond(self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> ResponseMaps:
+    def respond(
+        self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray, *, higher: float = 0.0
+    ) -> ResponseMaps:
         """Compute the response maps of the landmarks of the part.
 
         Parameters
@@ -319,6 +330,8 @@ class PartExperts:
             Approximate pose of the face, image frame.
         shape : (66, 2) float64
             Approximate landmarks in the face frame of `pose`.
+        higher : float
+            How far above these landmarks to look, in outer-eye distances.
 
         Returns
         -------
@@ -326,7 +339,7 @@ class PartExperts:
             In the face frame of `pose`, around these landmarks.
         """
         sides = self._sides
-        centres = self._averages @ shape
+        centres = self._averages @ shape - (0.0, higher)
         pictures = np.empty((len(sides), *self.size[::-1]), np.float32)
         for picture, centre in zip(pictures, centres.tolist(), strict=True):
             picture[...] = part_picture(grey, translate_pose(pose, *centre), self.scale, self.size)

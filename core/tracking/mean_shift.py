@@ -25,11 +25,14 @@ class Evidence:
         The diagonal of `W`.
     coarse : bool
         Whether the maps are so coarse that only their means are used, whatever the variance.
+    tolerance : float or (n,) float64
+        Factor of `MeanShiftOptions.outlier_scale`, for landmarks that may move far at once.
     """
 
     maps: ResponseMaps
     weights: FloatArray
     coarse: bool = False
+    tolerance: FloatArray | float = 1.0
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,7 @@ def regularised_mean_shift(
     np.divide(options.regularisation, model.eigenvalues, out=prior[N_POSE:])
     of = np.concatenate([e.maps.landmarks for e in evidence])
     weights = trusted = np.concatenate([e.weights for e in evidence])
+    scale = options.outlier_scale * np.concatenate([np.broadcast_to(e.tolerance, len(e.weights)) for e in evidence])
     normal = _normal_matrix(flat, prior, of, weights)
     # Equation 3.1 at the start: the derivative by the scale, times the scale, is the landmarks without translation.
     landmarks = (start.pose[0] * jacobian[:, :, 0] + start.pose[4:6, None]).T
@@ -97,7 +101,7 @@ def regularised_mean_shift(
         # Equation 3.5, from the second iteration on: once the shape is near, maps that disagree with it are outliers.
         if i and options.outlier_scale < inf:
             away = shifts if variance == inf else _shifts(evidence, places, inf)
-            weights = trusted * (options.outlier_scale**2 / (options.outlier_scale**2 + np.square(away).sum(axis=1)))
+            weights = trusted / (1.0 + np.square(away / scale[:, None]).sum(axis=1))
             normal = _normal_matrix(flat, prior, of, weights)
         # J^T W v, summed over the maps of each landmark; then the right-hand side of equation 3.4.
         pull = [np.bincount(of, weights * shift, len(landmarks)) for shift in shifts.T]

@@ -110,6 +110,19 @@ def test_an_open_mouth_raised_brows_and_shut_eyes_are_not_the_neutral_face(space
     assert np.abs(eye_apertures(neutral.shape) - eye_apertures(face)).max() < 0.01
 
 
+def test_high_brows_are_the_persons_own_where_they_stay_high(space: FaceSpace) -> None:
+    raised = [unit for unit in space.units[space.of_brows] if unit[BROWS, 1].mean() < -0.01]
+    face = somebody(space, 4) + 0.8 * np.sum(raised, axis=0)
+    found = calibrate(make_take(acting(face, space, 4, 400)))
+    assert abs((found.shape - face)[BROWS, 1].mean()) < 0.02
+
+
+def test_half_shut_eyes_are_not_the_neutral_face(space: FaceSpace) -> None:
+    face = somebody(space, 6)
+    found = calibrate(make_take(acting(face, space, 6, 400, restless=0.3)))
+    assert eye_apertures(found.shape).mean() > 0.95 * eye_apertures(face).mean()
+
+
 def test_a_blink_within_a_given_second_does_not_half_close_the_eyes(space: FaceSpace) -> None:
     face = somebody(space, 2)
     shapes = np.tile(face, (25, 1, 1))

@@ -50,6 +50,35 @@ def test_the_size_of_a_photograph_makes_little_difference(tracker, scale):
     assert np.linalg.norm(one - other, axis=1).mean() < 0.03 * outer_eye_distance(one)
 
 
+def with_raised_brows(image: np.ndarray, landmarks: np.ndarray, height: float, sides: tuple[int, ...]) -> np.ndarray:
+    """The photograph with the skin of the brows moved up by `height` eye distances, in the given sides of the face."""
+    unit = outer_eye_distance(landmarks)
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32)
+    shift = np.zeros_like(y)
+    for side in sides:
+        brow = landmarks[from_ibug(range(17, 22) if side == 0 else range(22, 27))]
+        lid = landmarks[from_ibug((37, 38) if side == 0 else (43, 44))]
+        across = np.exp(-(np.maximum(np.abs(x - brow[:, 0].mean()) / unit - 0.3, 0.0) ** 2) / (2 * 0.1**2))
+        # From nothing at the upper lid to all of it at the brow, and less again up the forehead.
+        low, high = lid[:, 1].mean() - 0.03 * unit, brow[:, 1].mean() - (height - 0.05) * unit
+        up = np.interp(y, [high - 3.0 * height * unit, high, low], [0.0, 1.0, 0.0])
+        shift = np.maximum(shift, across * up * height * unit)
+    return cv2.remap(image, x, (y + shift).astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+@pytest.mark.parametrize(("sides", "height"), [((0,), 0.2), ((1,), 0.2), ((0, 1), 0.25)])
+def test_brows_that_are_raised_high_at_once_are_followed(tracker, sides, height):
+    image = read_image(PORTRAITS / "collins.jpg")
+    tracker.reset()
+    rest = tracker.track(image).landmarks
+    raised = with_raised_brows(image, rest, height, sides)
+    for _ in range(3):
+        followed = tracker.track(raised).landmarks
+    for side, brow in enumerate((from_ibug(range(18, 21)), from_ibug(range(23, 26)))):
+        risen = (rest[brow, 1] - followed[brow, 1]).mean() / outer_eye_distance(rest)
+        assert risen > 0.1 if side in sides else abs(risen) < 0.05
+
+
 def lying(image: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.rot90(image))
 
