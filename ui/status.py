@@ -7,6 +7,7 @@ import bpy
 from ..blender.messages import interface as _
 from ..core.streams.sender import StreamSender
 from ..core.streams.source import StreamSource
+from ..core.tracking.hidden_mouth import is_hidden
 from ..sessions.live import LiveSession
 from ..sessions.tracking import TrackingSession
 
@@ -74,6 +75,8 @@ def status_lines(session: LiveSession) -> list[tuple[str, str]]:
         lines.append((_("No face in view"), "QUESTION"))
     elif worker.neutral is None:
         lines.append((_("Using the first second as the neutral face"), "TIME"))
+    elif is_hidden(latest.result.landmark_confidence):
+        lines.append((_("The mouth is covered and stays as it was"), "HIDE_ON"))
     counts = worker.counts
     lines.append((latency_text(session), "PREVIEW_RANGE"))
     if slowest := session.stopwatch.slowest():

@@ -17,9 +17,8 @@ from ..apertures import eye_apertures, mouth_aperture
 from ..arrays import FloatArray
 from ..coefficient_names import N_COEFFICIENTS
 from ..landmarks import N_LANDMARKS
-from ..rotation import euler_to_matrix
 from ..takes.from_coefficients import coefficient_face
-from ..tracking.result import TrackResult
+from ..tracking.result import TrackResult, project_shape
 from .frames import PacketError, StreamFrame
 from .security import NONCE_BYTES, SESSION_BYTES, TAG_BYTES
 
@@ -158,7 +157,7 @@ def _landmarks(body: bytes, pose: FloatArray) -> TrackResult:
     actions: NDArray[np.float64] = np.frombuffer(body, np.uint8, N_ACTIONS, 2 * count).astype(np.float64)
     return TrackResult(
         found=True,
-        landmarks=pose[0] * (shape @ euler_to_matrix(*pose[1:4]).T)[:, :2] + pose[4:],
+        landmarks=project_shape(shape, pose),
         pose=pose,
         shape_params=np.empty(0),
         shape=shape,

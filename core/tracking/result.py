@@ -23,6 +23,11 @@ def _unknown(*shape: int) -> FloatArray:
     return np.full(shape, np.nan)
 
 
+def project_shape(shape: FloatArray, pose: FloatArray) -> FloatArray:
+    """Project a shape (66, 3) in the head frame to landmarks (66, 2) in the image, by a `pose` as in `TrackResult`."""
+    return np.asarray(pose[0] * (shape @ euler_to_matrix(*pose[1:4]).T)[:, :2] + pose[4:])
+
+
 @dataclass(frozen=True)
 class TrackResult:
     """The face in one frame, or that there is none.
@@ -101,10 +106,9 @@ class TrackResult:
         values
             Further attributes.
         """
-        turn = euler_to_matrix(*pose[1:4])
         return cls(
             found=True,
-            landmarks=pose[0] * (shape @ turn.T)[:, :2] + pose[4:],
+            landmarks=project_shape(shape, pose),
             pose=pose,
             shape_params=np.empty(0),
             shape=shape,

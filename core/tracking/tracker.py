@@ -16,10 +16,11 @@ from .action_experts import ActionExperts, measure_actions
 from .choice import FaceChoice
 from .fitter import FaceFitter
 from .gaze import find_gaze
+from .hidden_mouth import HiddenMouth
 from .identity import Identity, describe_face
 from .model_file import TrackerModel, load_model
 from .pdm import FittedShape, PointDistributionModel
-from .result import TrackResult
+from .result import TrackResult, project_shape
 from .search import Candidate, FaceSearch, largest
 
 DEFAULT_MODEL = ASSETS / "tracker" / "face.tracker"
@@ -58,6 +59,7 @@ class FaceTracker:
         self._last: FittedShape | None = None
         self._switch_requested = False
         self._actions: FloatArray | None = None
+        self._mouth = HiddenMouth()
 
     @classmethod
     def load(cls, path: Path | None = None, *, gradual: bool = False) -> FaceTracker:
@@ -89,6 +91,7 @@ class FaceTracker:
         self._last, self._actions, self._switch_requested = None, None, False
         self._choice = FaceChoice()
         self._identity.reset()
+        self._mouth.reset()
 
     def choose(self, x: float, y: float) -> None:
         """Track the face nearest to a point, from the next `track` on.
@@ -115,6 +118,7 @@ class FaceTracker:
         # 1. Switch to another face if that was requested and one is in view.
         if self._switch_requested and (another := self._next_face(grey)) is not None:
             self._identity.reset()
+            self._mouth.reset()
             return self._accept(grey, another)
         # 2. Fit from the face of the previous frame; keep the result while it is a face (3.6), and the same one (3.7).
         if self._last is not None:
@@ -128,6 +132,7 @@ class FaceTracker:
         chosen = self._choice.pick(grey, found, self._identity)
         if chosen is None:
             self._last = self._actions = None
+            self._mouth.reset()
             self._choice.misses += 1
             return TrackResult.nothing(self.pdm.n_modes)
         return self._accept(grey, chosen)
@@ -181,7 +186,7 @@ class FaceTracker:
         if self._search.gradual and before is not None:
             turn = self._identity.frame % len(parts)
             parts = parts[turn : turn + 1]
-        result = self._result(grey, candidate, parts, before)
+        result = self._result(grey, candidate, parts, before, self._mouth)
         self._actions = result.actions
         return result
 
@@ -191,10 +196,13 @@ class FaceTracker:
         candidate: Candidate,
         parts: Sequence[ActionExperts],
         before: FloatArray | None = None,
+        mouth: HiddenMouth | None = None,
     ) -> TrackResult:
         """The result for a face, with the actions of `parts`, and those of others as `before`."""
         pose, shape_params = candidate.fit.fitted.pose, candidate.fit.fitted.shape_params
         landmarks, shape = self.pdm.project(pose, shape_params), self.pdm.shape(shape_params)
+        if mouth is not None and (held := mouth.hold(shape, candidate.fit.certainty)) is not shape:
+            shape, landmarks = held, project_shape(held, pose)
         began = perf_counter()
         gaze = find_gaze(grey, pose, landmarks, shape)
         looked = perf_counter()

@@ -11,8 +11,9 @@ import pytest
 
 from facemime.core.actions import N_ACTIONS
 from facemime.core.images import read_image
-from facemime.core.landmarks import MIRROR, from_ibug, outer_eye_distance
+from facemime.core.landmarks import LIPS, MIRROR, from_ibug, outer_eye_distance
 from facemime.core.tracking.detect import BoxDetector
+from facemime.core.tracking.hidden_mouth import is_hidden
 from facemime.core.tracking.tracker import FaceTracker
 
 PORTRAITS = Path(__file__).resolve().parents[1] / "data" / "portraits"
@@ -77,6 +78,33 @@ def test_brows_that_are_raised_high_at_once_are_followed(tracker, sides, height)
     for side, brow in enumerate((from_ibug(range(18, 21)), from_ibug(range(23, 26)))):
         risen = (rest[brow, 1] - followed[brow, 1]).mean() / outer_eye_distance(rest)
         assert risen > 0.1 if side in sides else abs(risen) < 0.05
+
+
+def with_a_hand(image: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
+    """The photograph with four skin-coloured fingers over the mouth."""
+    unit, out = outer_eye_distance(landmarks), image.copy()
+    centre, skin = landmarks[LIPS].mean(axis=0), image[tuple(landmarks[12].astype(int)[::-1])]
+    for row in range(-2, 3):
+        middle = centre + (0.0, 0.16 * row * unit)
+        first, last = ((middle + (across * unit, 0.0)).astype(int).tolist() for across in (-0.9, 0.45))
+        for width, shade in ((0.17, 0.45), (0.13, 0.8 + 0.05 * row)):
+            colour = [min(float(value) * shade, 255.0) for value in skin]
+            cv2.line(out, first, last, colour, max(int(width * unit), 1), cv2.LINE_AA)
+    return out
+
+
+def test_a_mouth_behind_a_hand_keeps_its_shape_and_is_back_with_the_next_picture(tracker):
+    image = read_image(PORTRAITS / "collins.jpg")
+    tracker.reset()
+    before = tracker.track(image)
+    covered = [tracker.track(with_a_hand(image, before.landmarks)) for _ in range(5)]
+    assert all(result.found and is_hidden(result.landmark_confidence) for result in covered)
+    assert max(abs(result.mouth_aperture - before.mouth_aperture) for result in covered) < 0.02
+    again = [tracker.track(image) for _ in range(2)][-1]
+    assert not is_hidden(again.landmark_confidence)
+    assert np.linalg.norm(again.landmarks - before.landmarks, axis=1).mean() < 0.01 * outer_eye_distance(
+        again.landmarks
+    )
 
 
 def lying(image: np.ndarray) -> np.ndarray:
