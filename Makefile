@@ -6,7 +6,7 @@ BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
 
-.PHONY: setup check test test-all test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-expressions bench-actions bench-coefficients bench-remote model expressions coefficients head sample try lock clean blenders windows docs
+.PHONY: setup check test test-all test-share test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-expressions bench-actions bench-coefficients bench-remote model expressions coefficients head sample try lock clean blenders windows docs
 
 setup: $(STAMP)
 
@@ -36,6 +36,11 @@ test: setup build blenders windows build/head/.ready
 # And the rest: all other versions of Blender and their windows, fuzzers, random sequences.
 test-all: test
 	$(PYTEST) $(SUITES) -m thorough
+
+# A share of the rest, so that a change does not wait for all of it: SHARE=2/3 is the second third.
+SHARE ?= 1/3
+test-share: setup build blenders windows build/head/.ready
+	$(PYTEST) $(SUITES) -m thorough --share $(SHARE)
 
 # Every live and window test again and again on a machine that is busy with other things.
 RUNS ?= 50

@@ -1,7 +1,35 @@
 """What all tests share."""
 
+from __future__ import annotations
+
+import re
 import signal
+
+import pytest
 
 # A shell ignores Ctrl-C for what it starts in the background, and so would the commands that tests interrupt.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+_PLACE = re.compile(r"\b(4\.2|4\.5|5\.0|5\.2|trixie|sid)\b")
+"""Versions of Blender, and systems whose Blender has a window."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--share", metavar="K/N", help="run only a share of the thorough tests, the K-th of N")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the thorough tests of other shares; what starts the same Blender is in the same share."""
+    if not (share := config.getoption("--share")):
+        return
+    chosen, of = (int(number) for number in share.split("/"))
+
+    def group(item: pytest.Item) -> tuple[str, ...]:
+        return item.path.as_posix(), *_PLACE.findall(item.name.partition("[")[2])
+
+    groups = sorted({group(item) for item in items if item.get_closest_marker("thorough")})
+    kept = set(groups[chosen % of :: of])
+    left = [item for item in items if item.get_closest_marker("thorough") and group(item) not in kept]
+    config.hook.pytest_deselected(items=left)
+    items[:] = [item for item in items if item not in set(left)]

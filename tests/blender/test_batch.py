@@ -68,6 +68,7 @@ def test_good_clips_succeed_bad_ones_are_reported_and_finished_ones_are_skipped(
     assert json.loads((out / "report.json").read_text())["counts"]["skipped"] == 2
 
 
+@pytest.mark.thorough
 def test_ctrl_c_stops_the_batch_and_the_next_run_finishes_it(tmp_path):
     clips, out = write_clips(tmp_path / "clips", 3), tmp_path / "out"
     command = [BIN / "facemime", "batch", clips, "-o", out, "--jobs", "1"]
@@ -106,6 +107,7 @@ def scheduler(tmp_path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
             process.wait()
 
 
+@pytest.mark.thorough
 def test_killing_a_worker_loses_no_clip_and_repeats_none(tmp_path, scheduler):
     address, workers = scheduler
     clips, out = write_clips(tmp_path / "clips", 4), tmp_path / "out"
@@ -176,6 +178,7 @@ def test_the_flamenco_job_declares_its_settings():
     assert [item["key"] for item in settings if item.get("required")] == ["clips", "count", "output"]
 
 
+@pytest.mark.thorough
 def test_the_open_job_description_processes_every_clip_and_writes_the_report(tmp_path):
     clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
     template = ROOT / "farm" / "facemime.openjd.yaml"

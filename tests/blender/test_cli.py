@@ -61,6 +61,7 @@ def faceless(tmp_path_factory) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_puppet_writes_a_blend_a_video_a_contact_sheet_and_a_take(clip, tmp_path):
     out = {name: tmp_path / name for name in ("out.blend", "out.mp4", "out.png", "take.facetake")}
     done = run(

@@ -160,6 +160,7 @@ def small_disk(tmp_path) -> Iterator[Path]:
     subprocess.run(["umount", folder], check=True)
 
 
+@pytest.mark.thorough
 def test_a_full_disk_is_one_clear_error_wherever_it_is(take, small_disk, tmp_path):
     done = run(
         "puppet", take, "-o", tmp_path / "out.blend", "--sheet", tmp_path / "out.png",
@@ -187,6 +188,7 @@ def test_a_disk_that_is_full_from_the_start_is_reported_for_videos_and_reports(s
     )
 
 
+@pytest.mark.thorough
 def test_the_processes_of_a_killed_batch_end_and_the_next_run_cleans_up(tmp_path):
     out = tmp_path / "out"
     with subprocess.Popen([COMMAND, "batch", SAMPLE, "-o", out, "--jobs", "1"], stderr=subprocess.DEVNULL) as process:

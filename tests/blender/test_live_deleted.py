@@ -296,6 +296,7 @@ print("alive")
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("nla", [False, True])
 @pytest.mark.parametrize("deletion", _DELETIONS, ids=str)
 def test_deleting_a_muted_bake_does_not_crash_blender(deletion, nla, tmp_path):

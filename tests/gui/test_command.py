@@ -30,6 +30,8 @@ bpy.ops.wm.save_as_mainfile(filepath="blocked.blend")
 """
 """This driver keeps Blender from quitting."""
 
+pytestmark = pytest.mark.thorough
+
 
 class Installed:
     """Blender without a window in a separate folder, with the extension installed from the command line."""
@@ -117,7 +119,6 @@ def test_a_signal_quits_blender_and_keeps_the_tracked_part(installed, by, status
     part.unlink()
 
 
-@pytest.mark.thorough
 def test_a_batch_runs_its_clips_in_blender_and_killing_it_ends_them(installed):
     done = installed.run("--command", "facemime", "batch", "clip.mp4", "-o", "batch", timeout=600)
     assert done.returncode == 0, done.stderr

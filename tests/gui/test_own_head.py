@@ -23,6 +23,8 @@ from facemime.core.takes.file import save_take
 from takes import performance
 from window import Blender
 
+pytestmark = pytest.mark.thorough
+
 
 def test_a_brush_stroke_takes_effect_while_the_puppet_is_running(blender, sidebar):
     add_head(sidebar)
@@ -72,7 +74,6 @@ def import_scan(blender: Blender) -> int:
     return len(places)
 
 
-@pytest.mark.thorough
 def test_an_imported_scan_becomes_a_head_with_open_mouth_and_eyes_by_clicks(blender, sidebar):
     count = import_scan(blender)
     blender.redraw()
@@ -155,7 +156,6 @@ def test_escape_ends_the_search_for_a_face_and_leaves_nothing(blender, sidebar):
     assert not blender.get("[key for key in bpy.data.objects['scan'].data.keys() if key.startswith('facemime')]")
 
 
-@pytest.mark.thorough
 def test_control_points_are_selected_from_a_take_picked_on_the_head_removed_and_undone(blender, sidebar):
     add_head(sidebar)
     save_take(performance(), blender.folder / "take.facetake")

@@ -19,6 +19,8 @@ from sidebar import Sidebar
 from takes import coefficient_take
 from window import Blender
 
+pytestmark = pytest.mark.thorough
+
 _SETTINGS = """
 settings = bpy.context.scene.facemime
 settings.source.kind, settings.source.stream.protocol, settings.source.stream.port = "STREAM", "livelink", {port}

@@ -77,6 +77,7 @@ value = [region.x + box.left, bpy.context.window.height - region.y - box.bottom 
 """
 
 
+@pytest.mark.thorough
 def test_the_preview_is_moved_and_sized_by_the_mouse_and_stays_sharp(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
@@ -96,6 +97,7 @@ def test_the_preview_is_moved_and_sized_by_the_mouse_and_stays_sharp(blender, si
     stop(sidebar)
 
 
+@pytest.mark.thorough
 def test_deleting_the_moving_head_stops_the_puppet_and_can_be_undone(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
@@ -149,6 +151,7 @@ def test_a_performer_is_calibrated_by_a_click_and_stored_by_name(blender, sideba
     stop(sidebar)
 
 
+@pytest.mark.thorough
 def test_a_video_is_tracked_in_the_background_and_escape_bakes_the_tracked_frames(blender, sidebar):
     add_head(sidebar)
     shutil.copy(CLIP, blender.folder / "mine.mp4")
@@ -248,6 +251,7 @@ def confirm(sidebar: Sidebar, button: str) -> None:
         blender.wait_for(f"{takes} == {before + 1}")
 
 
+@pytest.mark.thorough
 def test_settings_are_saved_and_loaded_as_a_preset_by_clicks(blender, sidebar):
     add_head(sidebar)
     sidebar.open_panel("FACEMIME_PT_expression")
@@ -292,6 +296,7 @@ def test_closing_a_second_window_stops_its_puppet(blender, sidebar):
     blender.wait_for(f"Session.current is None and workers() == [] and moved({HEAD}) == 0.0")
 
 
+@pytest.mark.thorough
 def test_the_extension_is_disabled_while_running_and_enabled_again_and_blender_quits(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
