@@ -24,7 +24,7 @@ from .settings import Mode
 
 _MEETING_RIMS = ((UPPER_LIDS, LOWER_LIDS), (UPPER_LIPS, LOWER_LIPS))
 """Upper and lower landmarks that must not cross."""
-_LIP_GAIN, _CORNER_GAIN = (1.35, 1.3), 1.1
+_LIP_GAIN, _CORNER_GAIN = (1.4, 1.3), 1.1
 """Gains of the lips' motion across and down, and of the corners' down. The tracker sees less of it than there is, as
 its experts are unsure about lips and its shape model draws them towards the mean: in nine clips of eight people, by
 the median, openings of the mouth are 0.73 times as large as by MediaPipe's landmarks, changes of its width 0.68."""
