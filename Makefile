@@ -6,7 +6,9 @@ BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
 
-.PHONY: setup check test test-all test-share test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-expressions bench-actions bench-coefficients bench-remote model expressions coefficients head sample try lock clean blenders windows docs
+VIEWER := assets/viewer/three/three.core.js
+
+.PHONY: setup check test test-all test-share test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-expressions bench-actions bench-coefficients bench-remote model expressions coefficients head sample try lock clean blenders windows browser viewer docs
 
 setup: $(STAMP)
 
@@ -29,8 +31,8 @@ check: setup
 # is not replaced: the others would wait for its tests for ever.
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --max-worker-restart 0
 # What is long and of one piece comes first.
-SUITES := tests/gui tests/blender tests/fuzz tests/core tests/bench
-test: setup build blenders windows build/head/.ready
+SUITES := tests/gui tests/blender tests/fuzz tests/core tests/viewer tests/bench
+test: setup build blenders windows browser build/head/.ready
 	$(PYTEST) $(SUITES) -m "not thorough"
 
 # And the rest: all other versions of Blender and their windows, fuzzers, random sequences.
@@ -67,7 +69,7 @@ demo: setup
 	@sh tools/demo.sh "$(VIDEO)"
 
 # The extension, one zip a platform.
-build: setup
+build: setup viewer
 	$(BIN)/python tools/build.py
 
 # Blender in the versions that the extension is tested with, each in an environment of its own.
@@ -77,6 +79,17 @@ blenders: setup
 # Blender with a window but without a screen, from Debian's packages.
 windows:
 	sh tools/windows.sh
+
+# What the viewer's page takes from others.
+viewer: $(VIEWER)
+
+$(VIEWER): requirements/viewer/package-lock.json tools/viewer.sh | setup
+	sh tools/viewer.sh
+	touch $@
+
+# A browser without a screen, from Debian's packages.
+browser:
+	sh tools/browser.sh
 
 bench: setup
 	mkdir -p build/bench

@@ -7,6 +7,7 @@ uv() { ../.venv/bin/uv pip compile --quiet --no-header --generate-hashes "$@"; }
 uv --universal --python-version 3.11 dev.in -o dev.txt
 uv --universal --python-version 3.11 farm.in -o farm.txt
 uv --python-version 3.11 training.in -o training.txt
+uv --python-version 3.11 --no-deps node.in -o node.txt
 uv --python-version 3.11 --allow-unsafe peers.in -o peers.txt
 uv --universal --python-version 3.11 docs.in -o docs.txt
 uv --universal --python-version 3.11 --no-deps wheels.in -o wheels.txt
@@ -15,3 +16,4 @@ for version in 4.2 4.5 5.0; do
     uv --python-version 3.11 "bpy-$version.in" -o "bpy-$version.txt"
 done
 uv --python-version 3.13 bpy-5.2.in -o bpy-5.2.txt
+(cd viewer && npm install --package-lock-only --ignore-scripts --omit-lockfile-registry-resolved --no-audit --no-fund)

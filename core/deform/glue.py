@@ -55,6 +55,22 @@ class Glue:
         self._middle = middle[self._places].astype(np.float32)
         self._arms = (places - middle[self._places]).astype(np.float32)
 
+    def tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """What `move` computes with, for another program.
+
+        Returns
+        -------
+        points : (N, 4) float32
+            Middle of the neighbourhood of each point, and the number of its root.
+        roots : (R, K, 3, 4) float32
+            For each neighbour of each root, the matrix from its displacement to the turn; in the fourth column, the
+            vertex of the skin, its weight, and 0.
+        """
+        roots = np.zeros((*self._rows.shape, 3, 4), dtype=np.float32)
+        roots[..., :3] = self._turns
+        roots[..., 0, 3], roots[..., 1, 3] = self._rows, self._weights
+        return np.column_stack([self._middle, self._places]).astype(np.float32), roots
+
     def move(self, displacements: NDArray[np.float32]) -> NDArray[np.float32]:
         """Move the points.
 

@@ -47,6 +47,10 @@ class HeadFrame:
         Rotations of the right and left eyeball about their centres, within the head.
     actions : (15,) float64
         Activations of `actions.ACTIONS`; `vertices` contain all but that of the tongue.
+    displacements : (66, 3) float64
+        Of the landmarks, which move the skin: head frame, unit of the mesh.
+    keys : (K,) float64
+        Values of the shape keys that move the vertices instead, in the order of `LiveKeys.offsets`; empty without.
     """
 
     vertices: NDArray[np.float32]
@@ -55,6 +59,8 @@ class HeadFrame:
     jaw: FloatArray
     gaze: FloatArray
     actions: FloatArray
+    displacements: FloatArray
+    keys: FloatArray
 
     @property
     def tongue(self) -> float:
@@ -141,6 +147,8 @@ class HeadDriver:
             jaw=jaw,
             gaze=eyes,
             actions=actions,
+            displacements=displacements,
+            keys=np.empty(0),
         )
 
     def _translation(self, pose: FloatArray) -> FloatArray:

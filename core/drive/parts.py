@@ -51,6 +51,24 @@ class PartDriver:
         self._riding = np.flatnonzero(kinds == Part.ON_SKIN)
         self._glue = self._glued(rig, deformed) if len(self._riding) else None
 
+    @property
+    def riding(self) -> tuple[NDArray[np.intp], Glue | None]:
+        """The vertices that ride on the skin, and how."""
+        return self._riding, self._glue
+
+    @property
+    def copies(self) -> NDArray[np.intp]:
+        """(A,) the vertex of the skin that each vertex is; -1 for other parts."""
+        of = np.full(len(self.rest), -1)
+        of[self._skin_rows] = self._copies
+        return of
+
+    @property
+    def turning(self) -> list[tuple[str, NDArray[np.intp], NDArray[np.float32]]]:
+        """Name, vertices and centre of what turns: `eye_right`, `eye_left` and `jaw`."""
+        eyes = [(("eye_right", "eye_left")[side], rows, centre) for side, rows, centre in self._eyes]
+        return [*eyes, ("jaw", self._teeth, self._hinge)]
+
     def pose(self, skin: NDArray[np.float32], jaw: FloatArray, gaze: FloatArray) -> NDArray[np.float32]:
         """Pose all vertices.
 

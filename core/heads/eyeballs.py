@@ -95,6 +95,12 @@ class EyeballContact:
         self._products = np.empty_like(self._centres)
         self._ones = np.ones(3, dtype=np.float32)
 
+    def spheres(self, count: int) -> NDArray[np.float32]:
+        """(count, 4) for each of `count` vertices: the centre, and the least distance from it; 0 where there is none."""
+        table = np.zeros((count, 4), dtype=np.float32)
+        table[self._rows] = np.column_stack([self._centres, self._nearest])
+        return table
+
     def resolve(self, vertices: NDArray[np.float32]) -> None:
         """Push `vertices`, (V, 3) float32, that are too deep out along the radius, in place."""
         outward = vertices.take(self._rows, axis=0, out=self._outward, mode="clip")

@@ -41,18 +41,24 @@ class KeyDriver:
     neutral : Neutral
         That of `head`, not mirrored.
     keys : LiveKeys
+
+    Attributes
+    ----------
+    head : HeadDriver
+    keys : LiveKeys
     """
 
     def __init__(self, head: HeadDriver, neutral: Neutral, keys: LiveKeys) -> None:
-        self.head, self._keys = head, keys
+        self.head, self.keys = head, keys
         self._coefficients = FrameCoefficients(neutral, head.options)
 
     def frame(self, result: TrackResult) -> HeadFrame:
         """Compute the head for a tracking result with a face."""
         posed = self.head.frame(result)
-        values = self._keys.table.apply(self._coefficients.of(result)[None], self._keys.ranges)
+        values = self.keys.table.apply(self._coefficients.of(result)[None], self.keys.ranges)
         vertices = np.array(self.head.rest, dtype=np.float32)
         for name, (value,) in values.items():
             if value != 0.0:
-                vertices += np.float32(value) * self._keys.offsets[name]
-        return replace(posed, vertices=vertices)
+                vertices += np.float32(value) * self.keys.offsets[name]
+        amounts = np.array([float(values[name][0]) if name in values else 0.0 for name in self.keys.offsets])
+        return replace(posed, vertices=vertices, keys=amounts)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..drive.driver import HeadDriver, HeadFrame
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
+
+if TYPE_CHECKING:
+    from .key_driver import KeyDriver
 
 
 class Recorder(Protocol):
@@ -52,3 +57,20 @@ class Output(Protocol):
 
     def close(self) -> None:
         """End the output."""
+
+
+class Display(Protocol):
+    """Interface of what shows the driven heads elsewhere, such as a viewer; it must neither wait nor raise."""
+
+    def show(self, taken: float, drivers: Sequence[HeadDriver | KeyDriver], frames: Sequence[HeadFrame]) -> None:
+        """Show a frame.
+
+        Parameters
+        ----------
+        taken : float
+            `time.perf_counter()` of its arrival.
+        drivers : sequence of HeadDriver or KeyDriver
+            Of the heads.
+        frames : sequence of HeadFrame
+            One for each; empty if there is no face.
+        """

@@ -28,7 +28,7 @@ from ..tracking.smoothing import ResultSmoother
 from ..tracking.tracker import FaceTracker
 from .calibration import NeutralCalibration, Quality, RangeCalibration
 from .head_drivers import HeadDrivers, LiveHead
-from .outputs import Output, Recorder
+from .outputs import Display, Output, Recorder
 from .sources import LiveFrame, LiveSource
 
 _PATIENCE = 0.1
@@ -124,7 +124,9 @@ class LiveWorker:
     Attributes
     ----------
     options : LiveOptions
-        May be assigned at any time, as may `heads`.
+        May be assigned at any time, as may `heads` and `display`.
+    display : Display or None
+        Shows every frame of the heads; it is not closed with the worker.
     latest : LiveResult or None
     counts : Counts
     message : str
@@ -158,6 +160,7 @@ class LiveWorker:
         self.quality: Quality | None = None
         self.neutral = neutral
         self._load_tracker, self.output = load_tracker, output
+        self.display: Display | None = None
         self._calibration: NeutralCalibration | RangeCalibration | None = None
         self._stated: Neutral | None = None
         self._first = None if neutral is not None else NeutralCalibration(asked=False)
@@ -291,6 +294,8 @@ class LiveWorker:
             self.output.send(frame.time, result, self.neutral)
         heads, prepared = self._drivers.drive(self.heads, self.neutral, result)
         driven = perf_counter()
+        if (display := self.display) is not None:
+            display.show(frame.taken, self._drivers.drivers, heads)
         preview = draw_preview(frame.image, result, options.preview) if options.preview else None
         self.counts.tracked += 1
         self.counts.lost += not result.found

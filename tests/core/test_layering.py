@@ -22,6 +22,7 @@ FLOORS = (
     "core/puppet",
     "core/live",
     "core/streams",
+    "core/viewer",
     "blender",
     "blender/media",
     "blender/heads",
@@ -39,7 +40,7 @@ FLOORS = (
 """From the ground up; a folder without those in it, or a module of the root. A room knows itself and what is below."""
 ROOMS = tuple(path.name for path in ROOT.iterdir() if path.is_dir() and f"{path.name}" in FLOORS)
 MODULES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
-LIBRARIES = {"numpy", "cv2"}
+LIBRARIES = {"numpy", "cv2", "websockets"}
 BLENDERS = {"bpy", "bpy_extras", "bmesh", "mathutils", "gpu", "gpu_extras", "blf", "aud"}
 
 

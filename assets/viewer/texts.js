@@ -1,0 +1,31 @@
+// What the page says, in the language of the browser.
+
+const ENGLISH = {
+    reset: "Reset View",
+    immersive: "Augmented Reality",
+    waiting: "Waiting for a face",
+    lost: "The connection is lost. Trying again",
+    gone: "The head has changed. Reload the page",
+    rate: "fps",
+    graphics: "This browser cannot draw the head: it needs WebGL 2",
+    insecure: "Augmented reality needs HTTPS, or localhost",
+    unknown: "This browser has no augmented reality (WebXR)",
+    unsupported: "This device has no augmented reality",
+};
+const CHINESE = {
+    reset: "重置视图",
+    immersive: "增强现实",
+    waiting: "正在等待人脸",
+    lost: "连接已断开，正在重试",
+    gone: "头部已更改，请重新加载页面",
+    rate: "fps",
+    graphics: "此浏览器无法绘制头部：需要 WebGL 2",
+    insecure: "增强现实需要 HTTPS 或 localhost",
+    unknown: "此浏览器不支持增强现实 (WebXR)",
+    unsupported: "此设备不支持增强现实",
+};
+
+const texts = navigator.language.startsWith("zh") ? { ...ENGLISH, ...CHINESE } : ENGLISH;
+document.documentElement.lang = navigator.language.startsWith("zh") ? "zh-Hans" : "en";
+
+export const text = (name) => texts[name];

@@ -1,0 +1,160 @@
+// The page: it connects, loads the heads, and draws them.
+
+import * as THREE from "three";
+import { Avatar } from "./avatar.js";
+import { toggle, whyNot } from "./immersive.js";
+import { light, seat } from "./room.js";
+import { Stream } from "./stream.js";
+import { OrbitControls } from "./three/OrbitControls.js";
+import { text } from "./texts.js";
+
+const RATE_OVER = 1000; // milliseconds
+const place = (name) => document.getElementById(name);
+
+class Viewer {
+    constructor() {
+        this.renderer = new THREE.WebGLRenderer({ canvas: place("picture"), antialias: true, alpha: true });
+        this.renderer.xr.enabled = true;
+        this.scene = new THREE.Scene();
+        this.scene.background = new THREE.Color(0x23262b);
+        light(this.scene);
+        this.camera = new THREE.PerspectiveCamera(30, 1, 0.01, 50);
+        this.controls = new OrbitControls(this.camera, this.renderer.domElement);
+        this.controls.enableDamping = true;
+        this.controls.addEventListener("change", () => (this.stale = true));
+        this.stale = true; // whether the picture has to be drawn again
+        this.avatars = [];
+        this.room = this.loaded = null;
+        this.updates = this.drawn = this.shown = 0;
+        this.rate = this.latency = null;
+        this._counted = { at: performance.now(), updates: 0 };
+        this.stream = new Stream(new URL("stream", location.href).href.replace(/^http/, "ws"));
+        place("reset").textContent = text("reset");
+        place("reset").onclick = () => this.frame();
+        place("immersive").textContent = text("immersive");
+        place("immersive").onclick = () => this.immerse();
+        whyNot().then((reason) => {
+            place("immersive").hidden = reason !== "";
+            place("reason").textContent = reason && text(reason);
+        });
+        this.renderer.setAnimationLoop(() => this.draw());
+    }
+
+    // Put the camera where it sees everything.
+    frame() {
+        if (!this.room) return;
+        this.camera.position.copy(this.room.eye);
+        this.controls.target.copy(this.room.target);
+        this.controls.update();
+    }
+
+    async immerse() {
+        try {
+            await toggle(this.renderer, this.scene, this.room);
+        } catch (error) {
+            place("reason").textContent = error.message;
+        }
+    }
+
+    draw() {
+        const { scene } = this.stream;
+        if (scene && scene !== this.loaded) this.load(scene);
+        const frame = this.room && !this.loading ? this.stream.take() : null;
+        if (frame && frame.scene === this.loaded.scene) this.show(frame);
+        this.resize();
+        if (!this.renderer.xr.isPresenting) this.controls.update();
+        if (this.stale || this.renderer.xr.isPresenting) {
+            this.stale = false;
+            this.renderer.render(this.scene, this.camera);
+            this.drawn++;
+        }
+        this.tell();
+    }
+
+    show({ view, offset, heads, taken, number }) {
+        for (const avatar of this.avatars.slice(0, heads)) {
+            if (offset + avatar.bytes > view.byteLength) return;
+            avatar.show(view, offset);
+            avatar.compute(this.renderer);
+            offset += avatar.bytes;
+        }
+        this.shown = number;
+        this.updates++;
+        this.stale = true;
+        this.latency = this.stream.since(taken);
+    }
+
+    // Load the heads of another scene. Those of the last one stay until all are there.
+    async load(scene) {
+        this.loaded = scene;
+        if (!scene.images.length) return;
+        this.loading = scene;
+        try {
+            const avatars = await Promise.all(scene.images.map((count, i) => this.head(`${scene.path}/${i}`, count)));
+            if (this.loading !== scene) return avatars.forEach((avatar) => avatar.dispose());
+            this.place(avatars);
+        } catch (error) {
+            if (this.stream.scene === scene) place("message").textContent = this.failure = error.message;
+        }
+        if (this.loading === scene) this.loading = null;
+    }
+
+    async head(path, count) {
+        const load = async (name) => {
+            const answer = await fetch(`${path}/${name}`);
+            if (!answer.ok) throw new Error(text("gone"));
+            return answer;
+        };
+        const image = async (number) => createImageBitmap(await (await load(number)).blob(), { imageOrientation: "flipY" });
+        const [data, ...images] = await Promise.all([
+            load("model").then((answer) => answer.arrayBuffer()),
+            ...Array.from({ length: count }, (_, number) => image(number)),
+        ]);
+        return new Avatar(this.renderer, data, images);
+    }
+
+    place(avatars) {
+        const first = !this.room || avatars.length !== this.avatars.length;
+        if (this.room) this.scene.remove(this.room.group);
+        this.avatars.forEach((avatar) => avatar.dispose());
+        this.avatars = avatars;
+        this.room = seat(avatars.map(({ object }) => object));
+        this.scene.add(this.room.group);
+        document.title = `${avatars.map(({ name }) => name).join(", ")} – Facemime`;
+        this.stale = true;
+        if (first) this.frame();
+    }
+
+    resize() {
+        const { clientWidth, clientHeight } = this.renderer.domElement, ratio = Math.min(devicePixelRatio, 2);
+        const size = `${clientWidth}x${clientHeight}x${ratio}`;
+        if (this.renderer.xr.isPresenting || size === this.size) return;
+        this.size = size;
+        this.renderer.setPixelRatio(ratio);
+        this.renderer.setSize(clientWidth, clientHeight, false);
+        this.camera.aspect = clientWidth / Math.max(clientHeight, 1);
+        this.camera.updateProjectionMatrix();
+        this.stale = true;
+    }
+
+    // Frame rate and latency once a second, and what is missing.
+    tell() {
+        const now = performance.now(), { at, updates } = this._counted;
+        if (now - at > RATE_OVER) {
+            this.rate = (1000 * (this.updates - updates)) / (now - at);
+            this._counted = { at: now, updates: this.updates };
+            const parts = [`${this.rate.toFixed(0)} ${text("rate")}`];
+            if (this.latency !== null && this.rate > 0) parts.push(`${Math.max(this.latency, 0).toFixed(0)} ms`);
+            place("numbers").textContent = this.avatars.length ? parts.join("   ") : "";
+        }
+        const waiting = this.failure && this.loaded === this.stream.scene ? this.failure : this.room ? "" : text("waiting");
+        const message = this.stream.connected ? waiting : text("lost");
+        if (place("message").textContent !== message) place("message").textContent = message;
+    }
+}
+
+try {
+    globalThis.viewer = new Viewer();
+} catch (error) {
+    place("message").textContent = `${text("graphics")} (${error.message})`;
+}

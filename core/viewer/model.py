@@ -1,0 +1,221 @@
+"""What the page loads once of a head: its vertices, and all that moves them, in the order of the graphics card.
+
+The page computes what `HeadDriver` does. The skin is ``rest + W d + sum a_k M_k``, with the displacements `d` of the
+landmarks and the amounts `a` of the actions; lids then slide over the eyeballs; eyes and lower teeth turn, and what
+rides on the skin follows it. A head that is driven by shape keys has no `W`, and `a` are their values.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray
+from ..deform.rbf import RBFDeformer
+from ..drive.driver import HeadDriver
+from ..errors import HeadError
+from ..heads.appearance import Appearance, AttachedPart, Patch, Surface
+from ..heads.rig import neck_of
+from ..landmarks import N_LANDMARKS
+from ..live.key_driver import KeyDriver
+
+MAGIC = b"FMVM"
+STILL, SKIN, EYE_RIGHT, EYE_LEFT, JAW, RIDING, TONGUE = range(7)
+"""What a vertex of the page follows."""
+MAX_AMOUNTS = 512
+"""Shape keys that a page can mix: each four need one of the 224 uniforms that every graphics card has."""
+_TURNS = {"eye_right": EYE_RIGHT, "eye_left": EYE_LEFT, "jaw": JAW, "head": STILL}
+
+
+@dataclass(frozen=True, eq=False)
+class ViewerModel:
+    """A head for the page.
+
+    Attributes
+    ----------
+    data : bytes
+        Header and arrays, as docs/viewer.md describes them.
+    images : tuple of bytes
+        PNG or JPEG files, which the header numbers.
+    unit : float
+        Outer-eye distance, in the unit of the mesh.
+    landmarks : int
+        Displacements that a frame has: 66, or 0 for a head that is driven by shape keys.
+    amounts : int
+        Activations or values of keys that a frame has.
+    """
+
+    data: bytes
+    images: tuple[bytes, ...]
+    unit: float
+    landmarks: int
+    amounts: int
+
+
+def viewer_model(driver: HeadDriver | KeyDriver, appearance: Appearance) -> ViewerModel:
+    """Prepare a head for the page.
+
+    Parameters
+    ----------
+    driver : HeadDriver or KeyDriver
+    appearance : Appearance
+        Its patches index `HeadRig.all_vertices`.
+
+    Raises
+    ------
+    HeadError
+        If the head is driven in a way that is not linear, or by too many keys.
+    """
+    head = driver.head if isinstance(driver, KeyDriver) else driver
+    rig, unit = head.rig, head.rig.eye_distance
+    parts = appearance.parts
+    arrays = _skin_of_keys(driver) if isinstance(driver, KeyDriver) else _skin_of(head)
+    rest = np.concatenate([head.rest, *(part.vertices for part in parts)]).astype(np.float32)
+    kinds, sources = _follows(head, parts, driven_by_keys=isinstance(driver, KeyDriver))
+    arrays |= {"rest": rest, "kinds": kinds, "sources": sources}
+    riding, glue = (np.empty(0), None) if head.parts is None or driver is not head else head.parts.riding
+    if glue is not None and len(riding):
+        arrays["riding"], arrays["roots"] = glue.tables()
+    out = [part.out for part in parts if part.out is not None]
+    arrays["tongue"] = np.concatenate([np.empty((0, 3), dtype=np.float32), *out]).astype(np.float32)
+    surfaces, drawn = _drawn(appearance, len(head.rest))
+    landmarks = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
+    images = [surface.image for surface in surfaces if surface.image]
+    header = {
+        "name": appearance.name,
+        "unit": unit,
+        "neck": neck_of(landmarks).tolist(),
+        "face": landmarks.mean(axis=0).tolist(),
+        "pivots": _pivots(head, parts),
+        "columns": int(arrays["weights"].shape[1]),
+        "amounts": int(arrays["modes"].shape[1]),
+        "surfaces": [_described(surface, images) for surface in surfaces],
+    }
+    return ViewerModel(
+        pack(header, arrays | drawn),
+        tuple(images),
+        unit,
+        N_LANDMARKS if driver is head else 0,
+        int(arrays["modes"].shape[1]),
+    )
+
+
+def pack(header: dict[str, object], arrays: dict[str, NDArray[np.generic]]) -> bytes:
+    """Serialise a header, extended by the places of the arrays, and the arrays, each aligned to 4 bytes."""
+    places, chunks, offset = {}, [], 0
+    for name, array in arrays.items():
+        little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+        data = np.ascontiguousarray(little).tobytes()
+        places[name] = [little.dtype.str[1:], offset, int(array.size)]
+        chunks += [data, b"\0" * (-len(data) % 4)]
+        offset += len(data) + (-len(data) % 4)
+    text = json.dumps(header | {"arrays": places}).encode()
+    text += b" " * (-len(text) % 4)
+    return b"".join((MAGIC, len(text).to_bytes(4, "little"), text, *chunks))
+
+
+def _skin_of(head: HeadDriver) -> dict[str, NDArray[np.generic]]:
+    """The deformer as arrays: rest (U, 3), spheres (U, 4), weights (U, 66 and padding), modes (U, K, 4)."""
+    if not isinstance(head.deformer, RBFDeformer):
+        raise HeadError("The method of Yao et al. 2019 cannot be viewed. Choose another one under Deformation.")
+    rest = head.deformer.rest
+    weights = np.zeros((len(rest), -(-N_LANDMARKS // 4) * 4), dtype=np.float16)
+    weights[:, :N_LANDMARKS] = head.deformer.matrix()
+    modes = np.zeros((len(rest), 0 if head.modes is None else len(head.modes), 4), dtype=np.float16)
+    if head.modes is not None:
+        modes[..., :3] = np.moveaxis(head.modes, 0, 1)
+    return {"skin": rest, "spheres": head.contact.spheres(len(rest)), "weights": weights, "modes": modes}
+
+
+def _skin_of_keys(driver: KeyDriver) -> dict[str, NDArray[np.generic]]:
+    rest, offsets = driver.head.rest, driver.keys.offsets
+    if len(offsets) > MAX_AMOUNTS:
+        raise HeadError(f"The head is driven by {len(offsets)} shape keys, and the viewer mixes {MAX_AMOUNTS} at most.")
+    modes = np.zeros((len(rest), len(offsets), 4), dtype=np.float16)
+    for number, motion in enumerate(offsets.values()):
+        modes[:, number, :3] = motion
+    return {
+        "skin": rest,
+        "spheres": np.zeros((len(rest), 4), dtype=np.float32),
+        "weights": np.zeros((len(rest), 0), dtype=np.float16),
+        "modes": modes,
+    }
+
+
+def _follows(
+    head: HeadDriver, parts: tuple[AttachedPart, ...], *, driven_by_keys: bool
+) -> tuple[NDArray[np.uint8], NDArray[np.uint32]]:
+    """What each vertex follows, and the vertex of the skin, the riding point, or that of the tongue which it is."""
+    count = len(head.rest)
+    kinds, sources = np.full(count, SKIN, dtype=np.uint8), np.arange(count, dtype=np.uint32)
+    if head.parts is not None and not driven_by_keys:
+        copies = head.parts.copies
+        kinds[copies < 0], sources = STILL, np.maximum(copies, 0).astype(np.uint32)
+        for name, rows, _ in head.parts.turning:
+            kinds[rows] = _TURNS[name]
+        riding, _ = head.parts.riding
+        kinds[riding], sources[riding] = RIDING, np.arange(len(riding))
+    own, tongue = [kinds], 0
+    numbers = [sources]
+    for part in parts:
+        size = len(part.vertices)
+        own.append(np.full(size, _TURNS[part.follows] if part.out is None else TONGUE, dtype=np.uint8))
+        numbers.append(np.arange(size, dtype=np.uint32) + np.uint32(tongue))
+        tongue += size if part.out is not None else 0
+    return np.concatenate(own), np.concatenate(numbers)
+
+
+def _pivots(head: HeadDriver, parts: tuple[AttachedPart, ...]) -> dict[str, list[float]]:
+    pivots = {"jaw": np.asarray(head.rig.jaw_pivot, dtype=np.float64).tolist()}
+    for name, _, centre in [] if head.parts is None else head.parts.turning:
+        pivots[name] = centre.tolist()
+    return pivots | {part.follows: np.asarray(part.pivot, np.float64).tolist() for part in parts}
+
+
+def _drawn(appearance: Appearance, count: int) -> tuple[list[Surface], dict[str, NDArray[np.generic]]]:
+    """Surfaces, and corners as the graphics card draws them: a vertex for each pair of vertex and texture coordinate."""
+    patches, first = list(appearance.patches), count
+    for part in appearance.parts:
+        patches += [Patch(p.surface, np.where(p.faces >= 0, p.faces + first, -1), p.uv) for p in part.patches]
+        first += len(part.vertices)
+    surfaces = list(dict.fromkeys(patch.surface for patch in patches))
+    rows: list[IntArray] = [np.empty(0, dtype=np.int64)]
+    places: list[FloatArray] = [np.empty((0, 2))]
+    numbers = [np.empty(0, dtype=np.int64)]
+    for patch in patches:
+        corners, uv = _triangles(patch)
+        rows.append(corners)
+        places.append(uv)
+        numbers.append(np.full(len(corners) // 3, surfaces.index(patch.surface)))
+    row, uv = np.concatenate(rows), np.concatenate(places).astype(np.float32)
+    keys = np.column_stack([row, np.rint(uv * 16384.0).astype(np.int64)])
+    _, kept, corner = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    surface = np.concatenate(numbers)
+    order = np.argsort(surface, kind="stable")
+    return surfaces, {
+        "rows": row[kept].astype(np.uint32),
+        "uv": uv[kept],
+        "triangles": corner.reshape(-1, 3)[order].astype(np.uint32),
+        "sizes": np.bincount(surface, minlength=len(surfaces)).astype(np.uint32),
+    }
+
+
+def _triangles(patch: Patch) -> tuple[IntArray, FloatArray]:
+    """(3 T,) vertices of triangles, anticlockwise as the patch is, and (3 T, 2) texture coordinates."""
+    faces = np.asarray(patch.faces)
+    uv = np.zeros((*faces.shape, 2)) if patch.uv is None else np.asarray(patch.uv)
+    rows, places = [np.empty(0, dtype=np.int64)], [np.empty((0, 2))]
+    for corner in range(2, faces.shape[1]):
+        there = faces[:, corner] >= 0
+        fan = [0, corner - 1, corner]
+        rows.append(faces[there][:, fan].ravel().astype(np.int64))
+        places.append(uv[there][:, fan].reshape(-1, 2).astype(np.float64))
+    return np.concatenate(rows), np.concatenate(places)
+
+
+def _described(surface: Surface, images: list[bytes]) -> dict[str, object]:
+    number = next((number for number, image in enumerate(images) if image is surface.image), -1)
+    return {"colour": list(surface.colour), "roughness": surface.roughness, "image": number}

@@ -1,0 +1,285 @@
+"""The server of the viewer: one page, and a stream of frames to everybody who has its address.
+
+It runs in a thread of its own. The worker hands over a frame and goes on; a viewer that is slow gets the newest frame
+when it is ready, and never an old one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
+from http import HTTPStatus
+from time import perf_counter
+from types import TracebackType
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from ..drive.driver import HeadDriver, HeadFrame
+from ..errors import FacemimeError, SourceError
+from ..heads.appearance import Appearance
+from ..live.key_driver import KeyDriver
+from .messages import CLOCK_REQUEST, encode_clock, encode_frame
+from .model import ViewerModel, viewer_model
+from .page import page_files, security_headers
+from .settings import MAX_VIEWERS, ViewerSettings, new_token, same_token
+
+_STREAM = "stream"
+_MAX_MESSAGE = 64
+"""Bytes of a message of a page, which only asks for the time."""
+_LEAST_PAUSE = 0.05
+"""Seconds between two such messages; a page that asks more often is disconnected."""
+_STARTING, _ENDING = 10.0, 5.0
+_SEND_BUFFER = 65536
+"""Bytes that may wait for a viewer, beyond those in the system's buffer, before frames are left out."""
+_LOG = logging.getLogger("facemime.viewer")
+_LOG.addHandler(logging.NullHandler())
+_LOG.propagate = False
+
+
+class ViewerServer:
+    """Serves the page until `close`.
+
+    Parameters
+    ----------
+    settings : ViewerSettings
+    appearances : sequence of Appearance
+        Of each head, in the order of the worker's.
+
+    Attributes
+    ----------
+    address : str
+        Of the page, with the token; whoever has it can watch.
+    follow : (bool, bool)
+        Whether the heads follow the performer's rotation and translation.
+    viewers : int
+        Pages that are connected.
+    sent : int
+        Frames that were handed to the server.
+    message : str
+        Why nothing is shown; otherwise "".
+
+    Raises
+    ------
+    SourceError
+        If the address cannot be listened on, or the certificate cannot be used.
+    ModelError
+        If the page is incomplete.
+    """
+
+    def __init__(self, settings: ViewerSettings, appearances: Sequence[Appearance]) -> None:
+        self.settings, self.appearances = settings, tuple(appearances)
+        self.follow = (True, False)
+        self.viewers = self.sent = 0
+        self.message = self.address = ""
+        self._token = settings.token or new_token()
+        self._models: tuple[ViewerModel, ...] = ()
+        self._made_of: list[object] = []
+        self._scene = 0
+        self._frame = b""
+        self._files = page_files()
+        self._context = settings.context()
+        self._loop = asyncio.new_event_loop()
+        self._served: tuple[int, tuple[ViewerModel, ...]] = (0, ())
+        self._wakes: set[asyncio.Event] = set()
+        self._over = asyncio.Event()
+        self._ready, self._error = threading.Event(), ""
+        self._thread = threading.Thread(target=self._serve, name="facemime-viewer", daemon=True)
+        self._thread.start()
+        if not self._ready.wait(_STARTING) or self._error:
+            self.close()
+            raise SourceError(self._error or f"The viewer does not start on {settings.host}.")
+
+    def __enter__(self) -> ViewerServer:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def show(self, taken: float, drivers: Sequence[HeadDriver | KeyDriver], frames: Sequence[HeadFrame]) -> None:
+        """Show a frame; as `core.live.outputs.Display`."""
+        if not frames:
+            return
+        made_of = [part for driver in drivers for part in _made_of(driver)]
+        if len(made_of) != len(self._made_of) or any(a is not b for a, b in zip(made_of, self._made_of, strict=True)):
+            self._made_of = made_of
+            self._prepare(drivers)
+        if not self._models:
+            return
+        self.sent += 1
+        frame = encode_frame(self._scene, self.sent, taken, self._models, frames, self.follow)
+        self._call(partial(self._publish, frame))
+
+    def close(self) -> None:
+        """End the server; may be called twice."""
+        self._call(self._over.set)
+        self._thread.join(_ENDING)
+
+    def _prepare(self, drivers: Sequence[HeadDriver | KeyDriver]) -> None:
+        """Make what the pages load, as the heads or their deformers are others."""
+        try:
+            models = tuple(map(viewer_model, drivers, self.appearances))
+            self.message = ""
+        except FacemimeError as error:
+            models, self.message = (), str(error)
+        self._scene, self._models = self._scene + 1, models
+        self._call(partial(self._replace, self._scene, models))
+
+    def _call(self, task: Callable[[], object]) -> None:
+        with suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(task)
+
+    # What follows runs in the server's thread.
+
+    def _serve(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._run())
+        except OSError as error:
+            where = f"{self.settings.host}:{self.settings.port}"
+            self._error = f"Cannot listen on {where}: {error.strerror or error}. Is a viewer running already?"
+        finally:
+            self._ready.set()
+            self._loop.close()
+
+    async def _run(self) -> None:
+        async with serve(
+            self._watch,
+            self.settings.host,
+            self.settings.port,
+            ssl=self._context,
+            process_request=self._answer,
+            compression=None,
+            max_size=_MAX_MESSAGE,
+            max_queue=4,
+            write_limit=_SEND_BUFFER,
+            server_header=None,
+            logger=_LOG,
+        ) as server:
+            self.address = self._address(server)
+            self._ready.set()
+            await self._over.wait()
+
+    def _address(self, server: Server) -> str:
+        port = next(iter(server.sockets)).getsockname()[1]
+        return f"{self.settings.scheme}://{self.settings.shown_host()}:{port}/{self._token}/"
+
+    def _publish(self, frame: bytes) -> None:
+        self._frame = frame
+        for wake in self._wakes:
+            wake.set()
+
+    def _replace(self, scene: int, models: tuple[ViewerModel, ...]) -> None:
+        self._served = scene, models
+        self._publish(b"")
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Answer a request, or return None to begin a stream."""
+        host = request.headers.get("Host", "")
+        if not self.settings.allows(host):
+            return _response(HTTPStatus.MISDIRECTED_REQUEST, "text/plain", b"This is not a name of this computer.\n")
+        _, token, path = (*request.path.split("?")[0].split("/", 2), "", "")[:3]
+        if not same_token(token, self._token):
+            return _response(HTTPStatus.NOT_FOUND, "text/plain", b"There is nothing here.\n")
+        if path == _STREAM:
+            return self._refused(request, host)
+        found = self._content(path)
+        if found is None:
+            return _response(HTTPStatus.NOT_FOUND, "text/plain", b"There is nothing here.\n")
+        return _response(HTTPStatus.OK, *found, security_headers(host, secure=self._context is not None))
+
+    def _refused(self, request: Request, host: str) -> Response | None:
+        """Refuse a stream to another site's page, or to one viewer too many."""
+        origin = request.headers.get("Origin", "")
+        if origin and origin.lower() != f"{self.settings.scheme}://{host}".lower():
+            return _response(HTTPStatus.FORBIDDEN, "text/plain", b"Another site asks.\n")
+        if self.viewers >= MAX_VIEWERS:
+            return _response(HTTPStatus.SERVICE_UNAVAILABLE, "text/plain", b"There are too many viewers.\n")
+        return None
+
+    def _content(self, path: str) -> tuple[str, bytes] | None:
+        """A file of the page, or `SCENE/HEAD/model` or `SCENE/HEAD/IMAGE` of the heads that are served."""
+        if path in self._files:
+            return self._files[path]
+        scene, models = self._served
+        parts = path.split("/")
+        if len(parts) != 3 or parts[0] != str(scene):
+            return None
+        number = _index(parts[1], len(models))
+        if number is None:
+            return None
+        if parts[2] == "model":
+            return "application/octet-stream", models[number].data
+        image = _index(parts[2], len(models[number].images))
+        return None if image is None else _image(models[number].images[image])
+
+    async def _watch(self, connection: ServerConnection) -> None:
+        if self.viewers >= MAX_VIEWERS:  # several came at once
+            return
+        self.viewers += 1
+        stream = self._loop.create_task(self._stream(connection))
+        try:
+            with suppress(ConnectionClosed):
+                await self._tell_time(connection)
+        finally:
+            self.viewers -= 1
+            stream.cancel()
+
+    async def _stream(self, connection: ServerConnection) -> None:
+        """Send the list of heads, then the newest frame whenever the last one is through, until the page is closed."""
+        scene, last, wake = -1, b"", asyncio.Event()
+        self._wakes.add(wake)
+        try:
+            while True:
+                wake.clear()
+                if scene != self._served[0]:
+                    scene, models = self._served
+                    images = [len(model.images) for model in models]
+                    await connection.send(json.dumps({"scene": scene & 0xFFFF, "path": scene, "images": images}))
+                elif self._frame and self._frame is not last:
+                    last = self._frame
+                    await connection.send(last)
+                else:
+                    await wake.wait()
+        except ConnectionClosed:
+            pass
+        finally:
+            self._wakes.discard(wake)
+
+    async def _tell_time(self, connection: ServerConnection) -> None:
+        """Answer what the page asks, until it is closed; disconnect it if it is anything else, or asks too often."""
+        last = float("-inf")
+        async for message in connection:
+            now = perf_counter()
+            if not isinstance(message, bytes) or len(message) != CLOCK_REQUEST.size or now - last < _LEAST_PAUSE:
+                await connection.close(1008)
+                return
+            last = now
+            (sent,) = CLOCK_REQUEST.unpack(message)
+            await connection.send(encode_clock(sent, now))
+
+
+def _made_of(driver: HeadDriver | KeyDriver) -> tuple[object, ...]:
+    """What a model depends on, by identity; a new calibration keeps it."""
+    head = driver.head if isinstance(driver, KeyDriver) else driver
+    return driver.keys if isinstance(driver, KeyDriver) else None, head.rig, head.deformer
+
+
+def _index(text: str, count: int) -> int | None:
+    return int(text) if text.isdecimal() and len(text) < 5 and int(text) < count else None
+
+
+def _image(data: bytes) -> tuple[str, bytes]:
+    return ("image/png" if data.startswith(b"\x89PNG") else "image/jpeg"), data
+
+
+def _response(status: HTTPStatus, kind: str, body: bytes, extra: dict[str, str] | None = None) -> Response:
+    headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close", **(extra or {})}
+    return Response(status.value, status.phrase, Headers(headers), body)

@@ -1,0 +1,160 @@
+"""Where the viewer is served, and who may ask for it."""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import os
+import secrets
+import socket
+import ssl
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import OutputError, SourceError
+from ..reading import read_bytes
+from ..streams.settings import EVERYWHERE, LOOPBACK, is_loopback
+
+PORT = 21574
+MAX_VIEWERS = 16
+"""Pages that may watch at a time."""
+_LEAST_TOKEN, _MOST_TOKEN = 16, 128
+_EVERYWHERE = {EVERYWHERE, "::"}
+
+
+@dataclass(frozen=True)
+class ViewerSettings:
+    """Where the viewer is served.
+
+    Attributes
+    ----------
+    host : str
+        Address of this computer; only this computer can open a loopback address.
+    port : int
+        0 for any that is free.
+    token : str
+        The secret in the address of the page; "" for a new one.
+    certificate, key : Path or None
+        PEM files of a certificate and its private key, for HTTPS.
+    """
+
+    host: str = LOOPBACK
+    port: int = PORT
+    token: str = ""
+    certificate: Path | None = None
+    key: Path | None = None
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this computer can open the page."""
+        return is_loopback(self.host)
+
+    @property
+    def scheme(self) -> str:
+        """The scheme of the address of the page."""
+        return "http" if self.certificate is None else "https"
+
+    def context(self) -> ssl.SSLContext | None:
+        """Load the certificate, if there is one; SourceError if it cannot be used."""
+        if self.certificate is None:
+            if self.key is not None:
+                raise SourceError("A private key alone is of no use. Give the certificate, too.")
+            return None
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        try:
+            context.load_cert_chain(self.certificate, self.key, password=_no_password)
+        except FileNotFoundError as error:
+            raise SourceError(f"There is no certificate {self.certificate}, or no key {self.key}.") from error
+        except (OSError, ValueError) as error:
+            raise SourceError(
+                f"The certificate {self.certificate} and its key cannot be used ({error}). "
+                "Choose the PEM files that belong together; the key must have no password."
+            ) from error
+        return context
+
+    def allows(self, host: str) -> bool:
+        """Whether the Host of a request is a name of this computer or an address, rather than a name that somebody
+        else's page has pointed here (DNS rebinding).
+
+        Parameters
+        ----------
+        host : str
+            With or without a port.
+        """
+        name = _without_port(host).lower().rstrip(".")
+        own = socket.gethostname().lower()
+        if name in {"localhost", own, own.partition(".")[0], f"{own.partition('.')[0]}.local"}:
+            return True
+        try:
+            address = ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return address.is_loopback or not self.is_local
+
+    def shown_host(self) -> str:
+        """The address to enter in a browser; of a computer that listens on all of its networks, the one that leads
+        outside.
+        """
+        host = _way_out() if self.host in _EVERYWHERE else self.host
+        return f"[{host}]" if ":" in host else host
+
+
+def new_token() -> str:
+    """Return a random token of 128 bits."""
+    return secrets.token_urlsafe(16)
+
+
+def kept_token(path: Path) -> str:
+    """Read a token from a file, which is made if it does not exist, so that an address stays valid.
+
+    Raises
+    ------
+    SourceError
+        If the file cannot be read, or is not a token.
+    OutputError
+        If it cannot be written.
+    """
+    try:
+        text = read_bytes(path, _MOST_TOKEN).decode("ascii").strip()
+    except FileNotFoundError:
+        return _written_token(path)
+    except (OSError, ValueError) as error:
+        raise SourceError(f"The token {path} cannot be read ({error}). Choose another file.") from error
+    if len(text) < _LEAST_TOKEN or not text.replace("-", "").replace("_", "").isalnum():
+        raise SourceError(f"{path} is not a token, which is at least {_LEAST_TOKEN} letters and digits.")
+    return text
+
+
+def same_token(given: str, token: str) -> bool:
+    """Whether a token is the right one, in a time that says nothing of the difference."""
+    return hmac.compare_digest(given.encode(), token.encode())
+
+
+def _written_token(path: Path) -> str:
+    token = new_token()
+    try:
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+            file.write(token + "\n")
+    except OSError as error:
+        raise OutputError(f"The token {path} cannot be written ({error.strerror}). Choose another place.") from error
+    return token
+
+
+def _no_password() -> str:
+    raise ValueError("the key has a password")
+
+
+def _without_port(host: str) -> str:
+    if host.startswith("["):
+        return host[1:].partition("]")[0]
+    return host.rpartition(":")[0] if host.count(":") == 1 else host
+
+
+def _way_out() -> str:
+    """The address of this computer in the network that leads outside; nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # an address that is reserved for documentation (RFC 5737)
+        except OSError:
+            return LOOPBACK
+        return str(probe.getsockname()[0])

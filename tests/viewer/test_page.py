@@ -1,0 +1,185 @@
+"""The page in a real browser: it draws the heads, moves them as Blender does, and comes back by itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from parted_heads import with_parts
+
+from facemime.core.bake.key_map import KeyMap, KeyRow
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.parts import FaceParts, Part
+from facemime.core.heads.rig import built_in_rig
+from facemime.core.landmarks import UPPER_LIDS
+from facemime.core.live.key_driver import KeyDriver, LiveKeys
+from watching import NEUTRAL, built_in, face, loaded, plain, shown_on, until, vertices_of
+
+TOLERANCE = 1e-3
+"""Of the outer-eye distance."""
+
+
+def with_lashes():
+    """The built-in head with parts, and lashes that ride on its upper lids."""
+    rig = with_parts()
+    roots = rig.vertices[rig.landmarks[list(UPPER_LIDS)]]
+    lashes = np.concatenate([roots, roots + (0.004, 0.0, -0.01), roots + (0.0, -0.002, -0.01)]).astype(np.float32)
+    first, count = len(rig.all_vertices), len(roots)
+    faces = first + np.arange(count)[:, None] + count * np.arange(3)
+    padded = np.pad(faces, ((0, 0), (0, rig.parts.faces.shape[1] - 3)), constant_values=-1)
+    kinds = np.concatenate([rig.parts.kinds, np.full(3 * count, Part.ON_SKIN, dtype=np.int8)])
+    others = np.concatenate([rig.parts.others, lashes])
+    return replace(rig, parts=FaceParts(kinds, others, np.concatenate([rig.parts.faces, padded])))
+
+
+def with_keys():
+    """The built-in head, driven by its face units as shape keys."""
+    head, rig = load_head(), built_in_rig()
+    names = head.unit_names
+    table = KeyMap("ARKit", tuple(KeyRow(name, name) for name in names))
+    keys = LiveKeys(table, dict(zip(names, head.units, strict=True)), dict.fromkeys(names, (0.0, 1.0)))
+    return KeyDriver(HeadDriver(rig, NEUTRAL), NEUTRAL, keys), plain(rig)
+
+
+def picture(page) -> np.ndarray:
+    """The canvas alone, (160, 160, 3), BGR."""
+    page.evaluate("for (const text of document.querySelectorAll('p, footer')) text.style.display = 'none'")
+    return cv2.imdecode(np.frombuffer(page.locator("canvas").screenshot(), np.uint8), 1).astype(int)
+
+
+def test_the_page_draws_a_head_that_moves_with_the_stream(open_page, watched):
+    shown = watched()
+    shown.show(face())
+    page = loaded(open_page(shown.address))
+    shown_on(page, 1)
+    rest = picture(page)
+    middle, corner = rest[60:90, 60:100].mean(axis=(0, 1)), rest[:10, :10].mean(axis=(0, 1))
+    assert middle[2] > middle[0] + 20, "skin is redder than blue"
+    assert np.abs(corner - (43, 38, 35)).max() < 4, "the background is behind it"
+    shown.show(face(jawOpen=0.9, eyeBlinkLeft=1.0))
+    shown_on(page, 2)
+    changed = np.abs(picture(page) - rest).max(axis=2) > 25
+    assert 0.005 < changed.mean() < 0.2
+    assert changed[:40].mean() < 0.01, "the forehead stays"
+
+
+def test_vertices_on_the_graphics_card_are_those_of_the_driver(open_page, watched):
+    lashes = with_lashes()
+    shown = watched(built_in(), (HeadDriver(lashes, NEUTRAL), plain(lashes)), with_keys())
+    shown.show(face())
+    page = loaded(open_page(shown.address))
+    unit, head = built_in_rig().eye_distance, load_head()
+    rest = shown.drivers[1].rest
+    for number, seed in enumerate((1, 2, 3), start=2):
+        frames = shown.show(face(seed, eyeBlinkLeft=1.0, eyeBlinkRight=1.0, tongueOut=1.0))
+        shown_on(page, number)
+        for place, frame in enumerate(frames):
+            off = vertices_of(page, place)[: len(frame.vertices)] - frame.vertices
+            assert np.linalg.norm(off, axis=1).max() < TOLERANCE * unit
+            assert np.linalg.norm(frame.vertices - rest[: len(frame.vertices)], axis=1).max() > 0.1 * unit
+        attached = vertices_of(page)[len(head.vertices) :]
+        assert np.linalg.norm(attached - attached_to(head, frames[0]), axis=1).max() < TOLERANCE * unit
+
+
+def attached_to(head, frame) -> np.ndarray:
+    """Where eyes, teeth and tongue of the built-in head are."""
+    turns = {"eye_right": frame.gaze[0], "eye_left": frame.gaze[1], "teeth_upper": np.eye(3)}
+    out = frame.tongue * np.array([part.units[head.unit_names.index("tongueOut")] for part in head.parts[-1:]])[0]
+    rests = [part.vertices + (out if part.name == "tongue" else 0.0) for part in head.parts]
+    pairs = zip(head.parts, rests, strict=True)
+    return np.concatenate([p.pivot + (rest - p.pivot) @ turns.get(p.name, frame.jaw).T for p, rest in pairs])
+
+
+@pytest.mark.thorough
+def test_normals_point_out_of_the_head(open_page, watched):
+    shown = watched()
+    shown.show(face(2))
+    page = loaded(open_page(shown.address))
+    shown_on(page, 1)
+    read = "a.normalTarget, 0, 0, a.normalTarget.width, a.normalTarget.height, v"
+    values = page.evaluate(
+        "(() => { const a = viewer.avatars[0], v = new Float32Array(4 * a.normalTarget.width * a.normalTarget.height);"
+        f"viewer.renderer.readRenderTargetPixels({read}); return Array.from(v); }})()"
+    )
+    rig = built_in_rig()
+    normals = np.array(values).reshape(-1, 4)[: len(rig.vertices), :3]
+    assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
+    assert normals[rig.landmarks][:, 2].mean() < -0.5, "the face looks along -z"
+
+
+def test_the_page_comes_back_when_the_server_is_restarted(open_page, watched):
+    shown = watched(token="a-token-that-is-kept")
+    shown.show(face())
+    page = loaded(open_page(shown.address))
+    port = int(shown.address.split(":")[2].split("/")[0])
+    shown.close()
+    until(page, "!viewer.stream.connected && document.getElementById('message').textContent !== ''")
+    again = watched(token="a-token-that-is-kept", port=port)
+    again.show(face())
+    until(page, "viewer.stream.connected")
+    loaded(page)
+    (frame,) = again.show(face(3))
+    shown_on(page, 2)
+    assert np.abs(vertices_of(page)[: len(frame.vertices)] - frame.vertices).max() < TOLERANCE
+    assert page.inner_text("#message") == ""
+
+
+@pytest.mark.thorough
+def test_five_viewers_see_the_same(open_page, watched):
+    shown = watched()
+    shown.show(face())
+    pages = [open_page(shown.address) for _ in range(5)]
+    for page in pages:
+        loaded(page)
+    assert shown.server.viewers == 5
+    shown.show(face(4))
+    for page in pages:
+        shown_on(page, 2)
+    first, *others = (vertices_of(page) for page in pages)
+    assert all(np.array_equal(first, other) for other in others)
+    pages[0].close()
+    until(pages[1], "viewer.stream.connected")
+
+
+@pytest.mark.thorough
+def test_several_heads_sit_round_a_table(open_page, watched):
+    shown = watched(built_in(), built_in(), built_in())
+    shown.show(face())
+    page = loaded(open_page(shown.address))
+    shown_on(page, 1)
+    places = np.array(page.evaluate("viewer.avatars.map((a) => a.object.position.toArray())"))
+    away = np.linalg.norm(places[:, [0, 2]], axis=1)
+    assert np.ptp(away) < 1e-6 and np.allclose(places[:, 1], places[0, 1])
+    assert np.linalg.norm(places[0] - places[1]) > 0.4
+    facing = np.array(
+        page.evaluate("viewer.avatars.map((a) => a.object.getWorldDirection(a.neck.position.clone()).toArray())")
+    )
+    assert (np.einsum("nc,nc->n", facing[:, [0, 2]], places[:, [0, 2]]) < -0.9 * away).all(), "they face the middle"
+
+
+@pytest.mark.thorough
+def test_a_head_that_changes_is_loaded_again(open_page, watched):
+    shown = watched()
+    shown.show(face())
+    page = loaded(open_page(shown.address))
+    rig = built_in_rig()
+    shown.drivers = [HeadDriver(replace(rig, vertices=1.5 * rig.vertices), NEUTRAL)]
+    (frame,) = shown.show(face(6))
+    until(page, "viewer.stream.scene?.path === 2")
+    loaded(page)
+    shown.show(face(6))
+    shown_on(page, 3)
+    assert np.abs(vertices_of(page)[: len(frame.vertices)] - frame.vertices).max() < TOLERANCE
+
+
+@pytest.mark.thorough
+def test_the_page_says_how_fast_it_is(open_page, watched):
+    shown = watched()
+    shown.show(face())
+    page = loaded(open_page(shown.address))
+    until(page, "viewer.stream.since(0) !== null")
+    shown.show(face(1))
+    until(page, "/\\d+ fps +\\d+ ms/.test(document.getElementById('numbers').textContent)")
