@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from ..core.errors import FacemimeError
 from ..core.version import version
-from . import bind, landmarks, select, streams, takes
+from . import bind, landmarks, select, serve, streams, takes
 from .batch import command as batch
 from .puppet import command as puppeting
 from .terminal.console import tell
@@ -51,6 +51,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"facemime {version()}")
     commands = parser.add_subparsers(dest="command", required=True)
 
-    for module in (landmarks, bind, puppeting, select, takes, streams, batch):
+    for module in (landmarks, bind, puppeting, select, takes, streams, serve, batch):
         module.add_commands(commands)
     return parser

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import time
 from pathlib import Path
 from time import monotonic
 
 from ..core.errors import FacemimeError, OutputError
 from ..core.files import settle
-from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
-from ..core.live.sources import LiveFrame, LiveSource, TakePlayer, VideoPlayer
-from ..core.live.worker import LiveOptions, LiveWorker
+from ..core.live.sources import LiveFrame
+from ..core.live.worker import LiveWorker
 from ..core.streams.live_link import ANGLES
 from ..core.streams.security import write_key
 from ..core.streams.sender import SENT, SendSettings, StreamSender
@@ -19,17 +17,14 @@ from ..core.streams.settings import AXES, LOOPBACK, OWN, PROTOCOLS, StreamSettin
 from ..core.streams.source import StreamSource
 from ..core.takes.file import SUFFIX, TakeWriter
 from ..core.takes.from_animation import IMAGE_SIZE
-from ..core.takes.neutral import Neutral
 from ..core.takes.take import describe
+from .performance import LOOK, add_source, live_options, open_source, watch
 from .puppet.tracked import growing, unfinished_beside
 from .terminal.console import Progress, tell
-from .terminal.options import Commands, add_command, add_face_option, face_of, number
+from .terminal.options import Commands, add_command, number
 from .terminal.outputs import outputs_of
 from .terminal.stopping import STOPPING
-from .terminal.takes import load_with_warnings
 
-_LOOK = 0.1
-"""Seconds between two looks at what the worker does."""
 _FLUSH = 1.0
 """Seconds after which what was received is on the disk."""
 
@@ -37,19 +32,11 @@ _FLUSH = 1.0
 def add_commands(commands: Commands) -> None:
     """Add the commands to the parser."""
     send = add_command(commands, "send", "track a face, and send it to another computer or program")
-    source = send.add_mutually_exclusive_group(required=True)
-    source.add_argument("--camera", metavar="N|NAME", help="a camera, by number or name")
-    source.add_argument("--video", type=Path, metavar="VIDEO|TAKE", help="a video or a take, played in real time")
+    add_source(send)
     send.add_argument("--to", required=True, metavar="HOST[:PORT]", help="where to, as in 192.168.1.7:39539")
     send.add_argument("--protocol", choices=tuple(SENT), default=OWN, help=f"protocol ({OWN})")
     _add_key(send)
     send.add_argument("--subject", default="Facemime", metavar="NAME", help="name of the face in Unreal (Facemime)")
-    send.add_argument("--loop", action="store_true", help="start the video again at its end")
-    send.add_argument(
-        "--smoothing", type=number, default=1.0, metavar="AMOUNT", help="jitter smoothing; 0 for none (1)"
-    )
-    send.add_argument("--seconds", type=number, metavar="S", help="stop after this time (Ctrl-C, or the video's end)")
-    add_face_option(send)
     send.set_defaults(run=run_send)
 
     receive = add_command(commands, "receive", "record the faces that another computer, program or phone sends")
@@ -78,50 +65,23 @@ def _add_key(parser: argparse.ArgumentParser) -> None:
 
 def run_send(arguments: argparse.Namespace) -> int:
     """Run `facemime send`: track and send until the end, Ctrl-C, or the time is over; returns the exit status."""
-    if arguments.smoothing < 0.0:
-        raise FacemimeError(f"--smoothing cannot be {arguments.smoothing:g}. Use 0 or more.")
-    face = face_of(arguments.face)
+    options = live_options(arguments)
     host, port = parse_address(arguments.to)
     settings = SendSettings(arguments.protocol, host, port, arguments.key, arguments.subject)
-    source, neutral = _source(arguments)
-    options = LiveOptions(smoothing=arguments.smoothing, face=face)
+    source, neutral = open_source(arguments)
     sender = StreamSender(settings)
     worker = LiveWorker(source, neutral=neutral, options=options, output=sender)
     progress = Progress(f"Sending {source.name} to {arguments.to}")
     with STOPPING.noting():
         worker.start()
         try:
-            _watch(worker, sender, progress, arguments.seconds)
+            watch(worker, lambda: (sender.sent, sender.message), progress, arguments.seconds)
         finally:
             worker.close()
     if worker.error is not None:
         raise worker.error
     progress.finish(sender.message or ("" if sender.sent else "nothing was sent, as nobody answered"))
     return 0
-
-
-def _watch(worker: LiveWorker, sender: StreamSender, progress: Progress, seconds: float | None) -> None:
-    """Show progress until the worker ends, a signal comes, or the time is over."""
-    end, told = monotonic() + (seconds if seconds is not None else float("inf")), ""
-    while worker.running and not STOPPING.heard and monotonic() < end:
-        time.sleep(_LOOK)
-        progress.update(sender.sent)
-        if (message := worker.message or sender.message) != told:
-            told = message
-            if message:
-                tell(f"facemime: {message}")
-    progress.update(sender.sent)
-
-
-def _source(arguments: argparse.Namespace) -> tuple[LiveSource, Neutral | None]:
-    if arguments.camera is not None:
-        return Camera(CameraSettings(parse_device(arguments.camera, list_cameras()))), None
-    if arguments.video.suffix.lower() == SUFFIX:
-        take = load_with_warnings(arguments.video)
-        stored = take.info.get("calibration")
-        neutral = None if stored is None else Neutral.from_dict(stored)
-        return TakePlayer(take, arguments.video.name, loop=arguments.loop), neutral
-    return VideoPlayer(arguments.video, loop=arguments.loop), None
 
 
 def run_receive(arguments: argparse.Namespace) -> int:
@@ -167,7 +127,7 @@ def _record(source: StreamSource, path: Path, seconds: float | None) -> int:
     count, first, last = 0, 0.0, monotonic()
     with STOPPING.noting():
         while not STOPPING.heard and monotonic() < end:
-            frame = source.read(_LOOK)
+            frame = source.read(LOOK)
             if frame is not None and not frame.filled and frame.result is not None:
                 writer = writer or TakeWriter(path, _description(source, frame))
                 first = first if count else frame.time

@@ -1,4 +1,4 @@
-"""How a head looks where Blender does not draw it: its faces, colours and images, and the parts that are attached to it."""
+"""How a head looks where Blender does not draw it: faces, colours and images, and the parts that are attached to it."""
 
 from __future__ import annotations
 

@@ -176,7 +176,7 @@ def _pivots(head: HeadDriver, parts: tuple[AttachedPart, ...]) -> dict[str, list
 
 
 def _drawn(appearance: Appearance, count: int) -> tuple[list[Surface], dict[str, NDArray[np.generic]]]:
-    """Surfaces, and corners as the graphics card draws them: a vertex for each pair of vertex and texture coordinate."""
+    """Surfaces, and what the graphics card draws: a corner for each pair of vertex and texture coordinate."""
     patches, first = list(appearance.patches), count
     for part in appearance.parts:
         patches += [Patch(p.surface, np.where(p.faces >= 0, p.faces + first, -1), p.uv) for p in part.patches]

@@ -1,0 +1,71 @@
+"""The command `serve`: the built-in head in any browser, moved by a camera or a video, without Blender."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..core.heads.appearance import built_in_appearance
+from ..core.heads.rig import built_in_rig
+from ..core.live.head_drivers import LiveHead
+from ..core.live.worker import LiveWorker
+from ..core.streams.settings import LOOPBACK, parse_address
+from ..core.viewer.qr import as_text, qr_code
+from ..core.viewer.server import ViewerServer
+from ..core.viewer.settings import PORT, ViewerSettings, kept_token
+from .performance import add_source, live_options, open_source, watch
+from .terminal.console import Progress, say, tell
+from .terminal.options import Commands, add_command
+from .terminal.stopping import STOPPING
+
+
+def add_commands(commands: Commands) -> None:
+    """Add the command to the parser."""
+    serve = add_command(commands, "serve", "show the built-in head in browsers, moved by a face")
+    add_source(serve)
+    serve.add_argument(
+        "--listen",
+        default="",
+        metavar="HOST[:PORT]",
+        help=f"address of this computer; 0.0.0.0 for all of its networks (this computer alone, port {PORT})",
+    )
+    serve.add_argument("--cert", type=Path, metavar="FILE.pem", help="certificate, for HTTPS")
+    serve.add_argument("--key", type=Path, metavar="FILE.pem", help="private key of the certificate")
+    serve.add_argument(
+        "--token", type=Path, metavar="FILE", help="keep the secret in the address in this file (a new one each time)"
+    )
+    serve.add_argument("--translation", action="store_true", help="move the head, too, rather than only turn it")
+    serve.set_defaults(run=run_serve)
+
+
+def run_serve(arguments: argparse.Namespace) -> int:
+    """Run `facemime serve` until the end, Ctrl-C, or the time is over; returns the exit status."""
+    options = live_options(arguments)
+    host, port = parse_address(arguments.listen or LOOPBACK, PORT)
+    token = "" if arguments.token is None else kept_token(arguments.token)
+    settings = ViewerSettings(host, port, token, arguments.cert, arguments.key)
+    source, neutral = open_source(arguments)
+    with ViewerServer(settings, [built_in_appearance()]) as server, STOPPING.noting():
+        server.follow = (True, arguments.translation)
+        worker = LiveWorker(source, neutral=neutral, heads=(LiveHead(built_in_rig()),), options=options)
+        worker.display = server
+        _announce(server)
+        progress = Progress(f"Serving {source.name}")
+        worker.start()
+        try:
+            watch(worker, lambda: (server.sent, server.message), progress, arguments.seconds)
+        finally:
+            worker.close()
+    if worker.error is not None:
+        raise worker.error
+    progress.finish(server.message)
+    return 0
+
+
+def _announce(server: ViewerServer) -> None:
+    """Say where the page is; whoever gets the address can watch."""
+    say(server.address)
+    if not server.settings.is_local:
+        for line in as_text(qr_code(server.address)).split("\n"):
+            tell(line)
+    tell("facemime: open this address in a browser. Whoever has it can watch.")
