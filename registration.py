@@ -21,6 +21,7 @@ from .operators import (
     regions,
     take_edits,
     takes,
+    viewer,
 )
 from .sessions import session, show
 from .settings import panel_properties, preferences, properties, stream_properties, takes_properties, takes_store
@@ -35,6 +36,7 @@ from .ui import regions as regions_panel
 from .ui import source as source_panel
 from .ui import start as start_panel
 from .ui import takes as takes_panels
+from .ui import viewer as viewer_panel
 
 _MODULES = (
     translations,
@@ -54,6 +56,7 @@ _MODULES = (
     control_points,
     puppet_video,
     puppet,
+    viewer,
     camera,
     calibrate,
     presets,
@@ -73,6 +76,7 @@ _MODULES = (
     control_points_panel,
     expression_panel,
     puppet_panel,
+    viewer_panel,
     takes_panels,
     preview,
     region_overlay,

@@ -20,6 +20,7 @@ from ..core.live.sources import LiveSource
 from ..core.live.timing import Delays, Stopwatch
 from ..core.live.worker import LiveOptions, LiveResult, LiveWorker
 from ..core.takes.neutral import Neutral
+from ..core.viewer.server import ViewerServer
 from ..settings.preferences import preferences
 from .punch_in import PunchIn
 from .recording import Recording
@@ -101,6 +102,7 @@ class LiveSession(Session):
         self._range = False
         self._waiting = False
         self._number = 0
+        self._viewer: ViewerServer | None = None
         driven = tuple(head for _, head in heads)
         self.worker = LiveWorker(source, neutral=neutral, heads=driven, options=options, output=output)
         try:
@@ -142,6 +144,18 @@ class LiveSession(Session):
         self._measure(latest, fetched)
         self._displayed_at = perf_counter()
         return True
+
+    @property
+    def viewer(self) -> ViewerServer | None:
+        """Shows the heads in browsers, if it is switched on."""
+        return self._viewer
+
+    def view(self, viewer: ViewerServer | None) -> None:
+        """Replace the viewer, and end the last one."""
+        before, self._viewer = self._viewer, viewer
+        self.worker.display = viewer
+        if before is not None:
+            before.close()
 
     @property
     def ended(self) -> bool:
@@ -286,6 +300,7 @@ class LiveSession(Session):
         self._number = 0
 
     def _stop(self) -> None:
+        self.view(None)
         try:
             self.worker.close()
         except OutputError as error:

@@ -29,6 +29,7 @@ from ..settings.values import (
     write_calibration,
 )
 from .live import LiveSession
+from .viewing import follow_viewer, open_viewer
 
 
 def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> LiveSession:
@@ -82,6 +83,11 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
         output=output,
     )
     session.keep, session.drive_by = settings.keep_pose, settings.drive_by
+    try:
+        session.view(open_viewer(settings, objects))
+    except Exception:
+        session.close()
+        raise
     return session
 
 
@@ -128,6 +134,7 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
         session.update([replace(head, options=options) for head in worker.heads])
     if isinstance(worker.output, StreamSender):
         worker.output.options = options
+    follow_viewer(session, settings)
     for shown in session.objects:
         shown.follow = _follow(settings)
 

@@ -14,7 +14,7 @@ from bpy.props import (
 from ..core.drive.settings import DriveSettings, PosingSettings
 from ..core.puppet.settings import PuppetSettings
 from .rna import with_settings
-from .stream_properties import FacemimeOutput, FacemimeStream
+from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer
 
 
 class FacemimeSource(bpy.types.PropertyGroup):
@@ -119,6 +119,7 @@ class FacemimeSettings(bpy.types.PropertyGroup):
     source: PointerProperty(type=FacemimeSource)
     posing: PointerProperty(type=FacemimePosing)
     output: PointerProperty(type=FacemimeOutput)
+    viewer: PointerProperty(type=FacemimeViewer)
 
 
 CLASSES = (FacemimeSource, FacemimePosing, FacemimePerformer, FacemimeSettings)

@@ -4,6 +4,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..core.streams.settings import LOOPBACK
+from ..core.viewer.settings import PORT
 
 _BOTH_WAYS = (
     ("own", "Facemime", "Another computer with Facemime", 0),
@@ -94,4 +95,24 @@ class FacemimeOutput(bpy.types.PropertyGroup):
     subject: StringProperty(name="Subject", description="Name of the face in Unreal Engine", default="Facemime")
 
 
-CLASSES = (FacemimeStream, FacemimeOutput)
+class FacemimeViewer(bpy.types.PropertyGroup):
+    """Where the running puppet is shown in browsers."""
+
+    enabled: BoolProperty(
+        name="Viewer", description="Show the running puppet in browsers, on this computer or on others"
+    )
+    host: StringProperty(
+        name="Listen On",
+        description="Address of this computer at which browsers find the page; 0.0.0.0 for all of its networks",
+        default=LOOPBACK,
+    )
+    port: IntProperty(name="Port", description="Port of the page; 0 for any", default=PORT, min=0, max=65535)
+    certificate: StringProperty(
+        name="Certificate", description="Certificate for HTTPS, a PEM file; HTTP without it", subtype="FILE_PATH"
+    )
+    key: StringProperty(
+        name="Private Key", description="Private key of the certificate, a PEM file", subtype="FILE_PATH"
+    )
+
+
+CLASSES = (FacemimeStream, FacemimeOutput, FacemimeViewer)

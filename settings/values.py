@@ -26,12 +26,13 @@ from ..core.streams.source import StreamSource
 from ..core.takes.file import load_take
 from ..core.takes.neutral import Neutral
 from ..core.tracking.choice import LEFTMOST, RIGHTMOST
+from ..core.viewer.settings import ViewerSettings
 from .bake_table import read_table
 from .preferences import preferences
 from .properties import FacemimePosing, FacemimeSettings, FacemimeSource
 from .rna import read
 from .storage import project_folder
-from .stream_properties import FacemimeStream
+from .stream_properties import FacemimeStream, FacemimeViewer
 from .takes_properties import FacemimeBake
 
 _DEFAULT_BAKE = BakeSettings()
@@ -176,6 +177,29 @@ def open_sender(settings: FacemimeSettings) -> StreamSender | None:
     if not wanted.is_local:
         _require_online(wanted.host)
     return StreamSender(wanted, drive_settings(settings))
+
+
+def viewer_settings(viewer: FacemimeViewer, token: str) -> ViewerSettings | None:
+    """Return where the puppet is shown in browsers; None if it is not.
+
+    Parameters
+    ----------
+    viewer : FacemimeViewer
+    token : str
+        The secret in the address.
+
+    Raises
+    ------
+    SourceError
+        If other computers may look, and Blender's online access is turned off.
+    """
+    if not viewer.enabled:
+        return None
+    host = viewer.host.strip() or LOOPBACK
+    wanted = ViewerSettings(host, viewer.port, token, _key(viewer.certificate), _key(viewer.key))
+    if not wanted.is_local:
+        _require_online(host)
+    return wanted
 
 
 def _key(path: str) -> Path | None:

@@ -96,7 +96,7 @@ class EyeballContact:
         self._ones = np.ones(3, dtype=np.float32)
 
     def spheres(self, count: int) -> NDArray[np.float32]:
-        """(count, 4) centre of each vertex, and its least distance from there; 0 for vertices that nothing keeps away."""
+        """(count, 4) centre of each vertex and its least distance from there; 0 for those that nothing keeps away."""
         table = np.zeros((count, 4), dtype=np.float32)
         table[self._rows] = np.column_stack([self._centres, self._nearest])
         return table

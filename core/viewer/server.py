@@ -36,7 +36,8 @@ _MAX_MESSAGE = 64
 """Bytes of a message of a page, which only asks for the time."""
 _LEAST_PAUSE = 0.05
 """Seconds between two such messages; a page that asks more often is disconnected."""
-_STARTING, _ENDING = 10.0, 5.0
+_STARTING, _ENDING, _CLOSING = 10.0, 5.0, 1.0
+"""Seconds to wait for the server, for its thread, and for a page that should close."""
 _SEND_BUFFER = 65536
 """Bytes that may wait for a viewer, beyond those in the system's buffer, before frames are left out."""
 _LOG = logging.getLogger("facemime.viewer")
@@ -159,6 +160,7 @@ class ViewerServer:
             compression=None,
             max_size=_MAX_MESSAGE,
             max_queue=4,
+            close_timeout=_CLOSING,
             write_limit=_SEND_BUFFER,
             server_header=None,
             logger=_LOG,

@@ -10,7 +10,7 @@ import struct
 import subprocess
 import threading
 import time
-from contextlib import closing
+from contextlib import ExitStack, closing
 from time import perf_counter
 from urllib.parse import urlsplit
 
@@ -86,14 +86,14 @@ def test_anything_else_is_not_there(shown, path):
 
 
 @pytest.mark.parametrize(
-    "change", (lambda t: "", lambda t: t[:-1], lambda t: t + "a", lambda t: "a" + t[1:], lambda t: "é")
+    "change", (lambda t: "", lambda t: t[:-1], lambda t: t + "a", lambda t: "a" + t[1:], lambda t: "=" + t)
 )
 def test_without_the_token_there_is_nothing(shown, change):
     token = urlsplit(shown.address).path.strip("/")
-    address = shown.address.replace(token, change(token).encode("unicode_escape").decode())
+    address = shown.address.replace(token, change(token))
     assert get(address)[0] == 404
-    with pytest.raises(InvalidStatus, match="404"):
-        stream(address)
+    with pytest.raises(InvalidStatus, match="404"), stream(address):
+        pass
 
 
 @pytest.mark.parametrize("host", ("evil.example", "evil.example:21574", "192.168.1.7", "127.0.0.1.evil.example", ""))
@@ -107,8 +107,8 @@ def test_names_of_this_computer_are_not(shown, host):
 
 
 def test_a_page_of_another_site_cannot_watch(shown):
-    with pytest.raises(InvalidStatus, match="403"):
-        stream(shown.address, origin="http://evil.example")
+    with pytest.raises(InvalidStatus, match="403"), stream(shown.address, origin="http://evil.example"):
+        pass
     own = urlsplit(shown.address)
     with stream(shown.address, origin=f"http://{own.netloc}") as viewer:
         assert json.loads(viewer.recv(timeout=PATIENCE))["images"] == [4]
@@ -125,9 +125,8 @@ def test_a_frame_is_small_and_as_exact_as_documented(shown):
     unit = shown.drivers[0].rig.eye_distance
     moved = np.frombuffer(data, "<i2", 198, 80).reshape(66, 3) * 2.0**-14 * unit
     np.testing.assert_allclose(moved, frame.displacements, atol=2.0**-15 * unit * 1.01)
-    np.testing.assert_allclose(
-        cv2.Rodrigues(np.frombuffer(data, "<f4", 3, 16).astype(float))[0], frame.rotation, atol=1e-6
-    )
+    turned = np.frombuffer(data, "<f4", 3, 16).astype(float)
+    np.testing.assert_allclose(cv2.Rodrigues(turned)[0], frame.rotation, atol=1e-6)
     np.testing.assert_allclose(np.frombuffer(data, "<i2", 15, 476) * 2.0**-13, frame.actions, atol=2.0**-14 * 1.01)
 
 
@@ -158,18 +157,19 @@ def test_a_page_that_asks_all_the_time_is_disconnected(shown):
 
 
 def test_the_number_of_viewers_is_limited(shown):
-    viewers = [stream(shown.address) for _ in range(MAX_VIEWERS)]
-    assert waiting_for(lambda: shown.server.viewers == MAX_VIEWERS)
-    with pytest.raises(InvalidStatus, match="503"):
-        stream(shown.address)
-    viewers.pop().close()
-    assert waiting_for(lambda: shown.server.viewers == MAX_VIEWERS - 1)
-    with stream(shown.address):
-        pass
-    for viewer in viewers:
-        viewer.close()
+    with ExitStack() as open_pages:
+        for _ in range(MAX_VIEWERS - 1):
+            open_pages.enter_context(stream(shown.address))
+        with stream(shown.address):
+            assert waiting_for(lambda: shown.server.viewers == MAX_VIEWERS)
+            with pytest.raises(InvalidStatus, match="503"), stream(shown.address):
+                pass
+        assert waiting_for(lambda: shown.server.viewers == MAX_VIEWERS - 1)
+        with stream(shown.address):
+            pass
 
 
+@pytest.mark.thorough
 def test_a_viewer_that_does_not_read_gets_the_newest_frame_and_delays_nobody(shown):
     with stream(shown.address) as quick, stream(shown.address, max_queue=1) as slow:
         frames = shown.drivers[0].frame(face(1))

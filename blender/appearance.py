@@ -1,0 +1,147 @@
+"""How a head in Blender looks, for a viewer outside: its faces, colours, images, and the parts that come along."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+from numpy.typing import NDArray
+
+from ..core.heads.appearance import Appearance, AttachedPart, Patch, Surface
+from ..core.reading import read_bytes
+from .animation.bake import EYE_PARTS, JAW_PARTS, has_tongue
+from .characters import members_of, objects_of, rest_matrix
+from .frames import from_blender, to_blender
+from .meshes import read_faces, read_vertices
+from .names import PART_PROPERTY, TONGUE_KEY
+
+_MAX_IMAGE = 32_000_000
+"""Bytes of an image beyond which a surface has its plain colour."""
+_SIGNATURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff")
+"""Beginnings of the images that a browser shows: PNG and JPEG."""
+_NEUTRAL = Surface((0.8, 0.8, 0.8), 0.5)
+
+
+def read_appearance(head: bpy.types.Object) -> Appearance:
+    """Read how a head looks, at rest.
+
+    Parameters
+    ----------
+    head : bpy.types.Object
+        A mesh with landmarks.
+
+    Raises
+    ------
+    HeadError
+        If one of its meshes is in Edit Mode.
+    """
+    surfaces: dict[bpy.types.Material | None, Surface] = {}
+    patches: list[Patch] = []
+    members = members_of(head)
+    for member in members:
+        patches += _patches(member.obj, surfaces, member.part.start)
+    moved = {member.obj for member in members}
+    others = [obj for obj in objects_of(head) if obj not in moved]
+    children = [child for child in head.children if PART_PROPERTY in child and child.type == "MESH"]
+    parts = [_attached(head, obj, surfaces) for obj in dict.fromkeys([*others, *children])]
+    return Appearance(head.name, tuple(patches), tuple(parts))
+
+
+def _attached(
+    head: bpy.types.Object, obj: bpy.types.Object, surfaces: dict[bpy.types.Material | None, Surface]
+) -> AttachedPart:
+    kind = str(obj.get(PART_PROPERTY, ""))
+    follows = "jaw" if kind in JAW_PARTS else kind if kind in EYE_PARTS else "head"
+    to_head = rest_matrix(head).inverted_safe() @ rest_matrix(obj)
+    vertices = read_vertices(obj.data)
+    out = None
+    if has_tongue(obj):
+        flat = np.empty(3 * len(vertices), dtype=np.float32)
+        obj.data.shape_keys.key_blocks[TONGUE_KEY].points.foreach_get("co", flat)
+        put_out = from_blender(flat.reshape(-1, 3))
+        out = (_placed(to_head, put_out) - _placed(to_head, vertices)).astype(np.float32)
+    return AttachedPart(
+        follows,
+        _placed(to_head, vertices),
+        from_blender(np.array(to_head.translation)).astype(np.float32),
+        tuple(_patches(obj, surfaces, 0)),
+        out,
+    )
+
+
+def _placed(matrix: Matrix, points: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Move (N, 3) points of the head frame by a matrix of Blender's."""
+    move = np.array(matrix)
+    return from_blender(to_blender(points) @ move[:3, :3].T + move[:3, 3]).astype(np.float32)
+
+
+def _patches(obj: bpy.types.Object, surfaces: dict[bpy.types.Material | None, Surface], first: int) -> Iterator[Patch]:
+    """Yield the faces of a mesh by material; vertices are counted from `first`."""
+    mesh = obj.data
+    faces = read_faces(mesh)
+    numbers = np.empty(len(faces), dtype=np.int32)
+    mesh.polygons.foreach_get("material_index", numbers)
+    uv = _coordinates(mesh, faces)
+    slots = [slot.material for slot in obj.material_slots] or [None]
+    for number, material in enumerate(slots):
+        own = np.minimum(numbers, len(slots) - 1) == number
+        if own.any():
+            surface = surfaces.setdefault(material, _surface(material))
+            shifted = np.where(faces[own] >= 0, faces[own] + first, -1)
+            yield Patch(surface, shifted, None if uv is None else uv[own])
+
+
+def _coordinates(mesh: bpy.types.Mesh, faces: NDArray[np.int32]) -> NDArray[np.float32] | None:
+    """Return the (F, K, 2) texture coordinates of the corners, or None."""
+    layer = mesh.uv_layers.active
+    if layer is None or len(layer.data) != len(mesh.loops):
+        return None
+    flat = np.empty(2 * len(mesh.loops), dtype=np.float32)
+    layer.data.foreach_get("uv", flat)
+    uv = np.zeros((*faces.shape, 2), dtype=np.float32)
+    uv[faces >= 0] = flat.reshape(-1, 2)
+    return uv
+
+
+def _surface(material: bpy.types.Material | None) -> Surface:
+    """Return the colour and image of a material, as its Principled BSDF or the viewport shows them."""
+    if material is None:
+        return _NEUTRAL
+    image = b""
+    for node in material.node_tree.nodes if material.node_tree is not None else ():
+        if node.type != "BSDF_PRINCIPLED":
+            continue
+        image = _linked_image(node.inputs["Base Color"])
+        if not image and not node.inputs["Base Color"].is_linked:
+            colour, roughness = node.inputs["Base Color"].default_value, node.inputs["Roughness"].default_value
+            return Surface(tuple(colour[:3]), float(roughness))
+    return Surface(tuple(material.diffuse_color[:3]), float(material.roughness), image)
+
+
+def _linked_image(socket: bpy.types.NodeSocket) -> bytes:
+    """Return the image that a socket shows, also through one node of colour correction; empty if there is none."""
+    for _ in range(3):
+        if not socket.is_linked:
+            return b""
+        node = socket.links[0].from_node
+        if node.type == "TEX_IMAGE":
+            return _encoded(node.image)
+        socket = next((one for one in node.inputs if one.type == "RGBA"), socket)
+    return b""
+
+
+def _encoded(image: bpy.types.Image | None) -> bytes:
+    """Return the file of an image that a browser can show; empty otherwise, such as for a generated one."""
+    if image is None or image.source != "FILE":
+        return b""
+    try:
+        if image.packed_file is not None:
+            data = bytes(image.packed_file.data)
+        else:
+            data = read_bytes(Path(bpy.path.abspath(image.filepath, library=image.library)), _MAX_IMAGE)
+    except (OSError, ValueError):  # a missing file has its colour alone, as in Blender's viewport
+        return b""
+    return data if len(data) <= _MAX_IMAGE and data.startswith(_SIGNATURES) else b""

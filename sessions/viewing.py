@@ -1,0 +1,71 @@
+"""The viewer of a live session: its server follows the settings of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import bpy
+
+from ..blender.appearance import read_appearance
+from ..blender.messages import show_error
+from ..core.errors import FacemimeError
+from ..core.heads.appearance import Appearance
+from ..core.viewer.server import ViewerServer
+from ..core.viewer.settings import new_token
+from ..settings.properties import FacemimeSettings
+from ..settings.values import viewer_settings
+from .live import LiveSession
+
+
+@lru_cache(maxsize=1)
+def token() -> str:
+    """Return the secret in the address, which stays the same until Blender quits, so that open pages come back."""
+    return new_token()
+
+
+def open_viewer(settings: FacemimeSettings, objects: Sequence[bpy.types.Object | None]) -> ViewerServer | None:
+    """Start the server if it is switched on.
+
+    Parameters
+    ----------
+    settings : FacemimeSettings
+    objects : sequence of bpy.types.Object or None
+        The heads, in the order of the session; None for one that was deleted.
+
+    Raises
+    ------
+    FacemimeError
+        If it cannot be started, or other computers may look and Blender's online access is turned off.
+    """
+    wanted = viewer_settings(settings.viewer, token())
+    if wanted is None:
+        return None
+    looks = [Appearance("", ()) if obj is None else read_appearance(obj) for obj in objects]
+    server = ViewerServer(wanted, looks)
+    server.follow = (settings.rotation, settings.translation)
+    return server
+
+
+def follow_viewer(session: LiveSession, settings: FacemimeSettings) -> None:
+    """Start or stop the server of a running session if the settings ask for it.
+
+    An error is shown, and switches the viewer off rather than ending the puppet.
+
+    Parameters
+    ----------
+    session : LiveSession
+    settings : FacemimeSettings
+    """
+    server = session.viewer
+    if server is not None and server.follow != (follow := (settings.rotation, settings.translation)):
+        server.follow = follow
+    try:
+        wanted = viewer_settings(settings.viewer, token())
+        if wanted == (None if server is None else server.settings):
+            return
+        session.view(None)
+        session.view(open_viewer(settings, [None if shown.gone else shown.obj for shown in session.objects]))
+    except FacemimeError as error:
+        settings.viewer.enabled = False
+        show_error(str(error))

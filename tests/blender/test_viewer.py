@@ -1,0 +1,132 @@
+"""The viewer of a running puppet: served while it runs, to whom the settings say, and with what the head looks like."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+from clocks import PATIENCE
+from websockets.sync.client import connect
+
+from facemime.blender.appearance import read_appearance
+from facemime.blender.heads.built_in import add_head
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.errors import SourceError
+from facemime.core.heads.appearance import built_in_appearance
+from facemime.core.heads.rig import built_in_rig
+from facemime.core.streams.settings import EVERYWHERE
+from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.viewer.model import viewer_model
+from facemime.core.viewer.page import PAGE
+from facemime.operators.puppet import running
+from facemime.settings.values import viewer_settings
+from live_ticks import some_frames, start, tick, ticks_until
+
+pytestmark = [
+    pytest.mark.usefixtures("nothing_left_over"),
+    pytest.mark.skipif(not (PAGE / "three").is_dir(), reason="three.js is missing: make viewer"),
+]
+
+
+@pytest.fixture
+def viewer():
+    """The settings of the viewer, switched on, on any port."""
+    settings = bpy.context.scene.facemime.viewer
+    settings.enabled, settings.port = True, 0
+    return settings
+
+
+def images_of(head) -> list[int]:
+    """Length of the images of a head's surfaces and parts."""
+    patches = [*head.patches, *(patch for part in head.parts for patch in part.patches)]
+    return [len(patch.surface.image) for patch in patches]
+
+
+def test_a_browser_gets_the_running_puppet(viewer):
+    add_head(bpy.context)
+    start()
+    some_frames()
+    server = running().viewer
+    with connect(server.address.replace("http", "ws", 1) + "stream") as page:
+        ticks_until(lambda: server.viewers == 1)
+        scene = json.loads(page.recv(timeout=PATIENCE))
+        while not scene["images"]:
+            scene = json.loads(page.recv(timeout=PATIENCE))
+        assert scene["images"] == [4]
+        first = page.recv(timeout=PATIENCE)
+        assert len(first) == 508
+        some_frames()
+        assert page.recv(timeout=PATIENCE) != first
+        assert bpy.ops.facemime.copy_viewer_address() == {"FINISHED"}
+        bpy.ops.facemime.stop_puppet()
+
+
+def test_the_viewer_starts_and_stops_during_a_puppet_at_the_same_address(viewer):
+    add_head(bpy.context)
+    viewer.enabled = False
+    start()
+    tick()
+    assert running().viewer is None
+    assert not bpy.ops.facemime.open_viewer.poll()
+    viewer.enabled = True
+    ticks_until(lambda: running().viewer is not None)
+    secret = running().viewer.address.split("/")[3]
+    viewer.enabled = False
+    ticks_until(lambda: running().viewer is None)
+    viewer.enabled = True
+    ticks_until(lambda: running().viewer is not None)
+    assert running().viewer.address.split("/")[3] == secret
+    assert bpy.ops.facemime.open_viewer.poll()
+    bpy.ops.facemime.stop_puppet()
+
+
+def test_other_computers_need_online_access(viewer):
+    system = bpy.context.preferences.system
+    before, system.use_online_access = system.use_online_access, False
+    try:
+        viewer.host = EVERYWHERE
+        with pytest.raises(SourceError, match="online access is turned off"):
+            viewer_settings(viewer, "token")
+        viewer.host = "localhost"
+        assert viewer_settings(viewer, "token").is_local
+    finally:
+        system.use_online_access = before
+
+
+def test_what_goes_wrong_during_a_puppet_switches_only_the_viewer_off(viewer):
+    add_head(bpy.context)
+    start()
+    tick()
+    viewer.certificate = "/none.pem"
+    ticks_until(lambda: not viewer.enabled)
+    assert running() is not None and running().viewer is None
+    bpy.ops.facemime.stop_puppet()
+
+
+def test_the_built_in_head_looks_in_the_browser_as_it_does_in_blender():
+    head = add_head(bpy.context)
+    ours, built_in = read_appearance(head), built_in_appearance(head.name)
+    driver = HeadDriver(built_in_rig(), coefficient_face().neutral)
+    assert sorted(images_of(ours)) == sorted(images_of(built_in))
+    found = {part.follows: part for part in ours.parts if part.out is None and part.follows != "jaw"}
+    for part in built_in.parts:
+        if part.follows in found:
+            np.testing.assert_allclose(found[part.follows].vertices, part.vertices, atol=1e-6)
+            np.testing.assert_allclose(found[part.follows].pivot, part.pivot, atol=1e-6)
+    (tongue,) = (part for part in ours.parts if part.out is not None)
+    expected = next(part for part in built_in.parts if part.out is not None)
+    np.testing.assert_allclose(tongue.out, expected.out, atol=1e-4)
+    assert abs(len(viewer_model(driver, ours).data) - len(viewer_model(driver, built_in).data)) < 1000
+
+
+def test_a_plain_material_has_its_colour():
+    head = add_head(bpy.context)
+    material = bpy.data.materials.new("Green")
+    if material.node_tree is None:
+        material.use_nodes = True
+    shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    shader.inputs["Base Color"].default_value = (0.1, 0.6, 0.2, 1.0)
+    head.data.materials[0] = material
+    surface = read_appearance(head).patches[0].surface
+    np.testing.assert_allclose(surface.colour, (0.1, 0.6, 0.2), atol=1e-6)
+    assert surface.image == b""
