@@ -48,7 +48,7 @@ def run_serve(arguments: argparse.Namespace) -> int:
     with ViewerServer(settings, [built_in_appearance()]) as server, STOPPING.noting():
         server.follow = (True, arguments.translation)
         worker = LiveWorker(source, neutral=neutral, heads=(LiveHead(built_in_rig()),), options=options)
-        worker.display = server
+        worker.displays = (server,)
         _announce(server)
         progress = Progress(f"Serving {source.name}")
         worker.start()

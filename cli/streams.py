@@ -8,6 +8,9 @@ from time import monotonic
 
 from ..core.errors import FacemimeError, OutputError
 from ..core.files import settle
+from ..core.heads.appearance import built_in_appearance
+from ..core.heads.rig import built_in_rig
+from ..core.live.head_drivers import LiveHead
 from ..core.live.sources import LiveFrame
 from ..core.live.worker import LiveWorker
 from ..core.streams.live_link import ANGLES
@@ -15,6 +18,7 @@ from ..core.streams.security import write_key
 from ..core.streams.sender import SENT, SendSettings, StreamSender
 from ..core.streams.settings import AXES, LOOPBACK, OWN, PROTOCOLS, StreamSettings, parse_address
 from ..core.streams.source import StreamSource
+from ..core.streams.vertices import VERTICES, VertexSender
 from ..core.takes.file import SUFFIX, TakeWriter
 from ..core.takes.from_animation import IMAGE_SIZE
 from ..core.takes.take import describe
@@ -34,7 +38,7 @@ def add_commands(commands: Commands) -> None:
     send = add_command(commands, "send", "track a face, and send it to another computer or program")
     add_source(send)
     send.add_argument("--to", required=True, metavar="HOST[:PORT]", help="where to, as in 192.168.1.7:39539")
-    send.add_argument("--protocol", choices=tuple(SENT), default=OWN, help=f"protocol ({OWN})")
+    send.add_argument("--protocol", choices=(*SENT, VERTICES), default=OWN, help=f"protocol ({OWN})")
     _add_key(send)
     send.add_argument("--subject", default="Facemime", metavar="NAME", help="name of the face in Unreal (Facemime)")
     send.set_defaults(run=run_send)
@@ -69,8 +73,8 @@ def run_send(arguments: argparse.Namespace) -> int:
     host, port = parse_address(arguments.to)
     settings = SendSettings(arguments.protocol, host, port, arguments.key, arguments.subject)
     source, neutral = open_source(arguments)
-    sender = StreamSender(settings)
-    worker = LiveWorker(source, neutral=neutral, options=options, output=sender)
+    worker = LiveWorker(source, neutral=neutral, options=options)
+    sender = _send_from(worker, settings)
     progress = Progress(f"Sending {source.name} to {arguments.to}")
     with STOPPING.noting():
         worker.start()
@@ -78,10 +82,21 @@ def run_send(arguments: argparse.Namespace) -> int:
             watch(worker, lambda: (sender.sent, sender.message), progress, arguments.seconds)
         finally:
             worker.close()
+            sender.close()
     if worker.error is not None:
         raise worker.error
     progress.finish(sender.message or ("" if sender.sent else "nothing was sent, as nobody answered"))
     return 0
+
+
+def _send_from(worker: LiveWorker, settings: SendSettings) -> StreamSender | VertexSender:
+    """Make a worker send what it tracks, or the built-in head that it drives."""
+    if settings.protocol == VERTICES:
+        vertices = VertexSender(settings.host, settings.port, [built_in_appearance()])
+        worker.heads, worker.displays = (LiveHead(built_in_rig()),), (vertices,)
+        return vertices
+    worker.output = sender = StreamSender(settings)
+    return sender
 
 
 def run_receive(arguments: argparse.Namespace) -> int:

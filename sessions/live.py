@@ -19,6 +19,7 @@ from ..core.live.outputs import Output
 from ..core.live.sources import LiveSource
 from ..core.live.timing import Delays, Stopwatch
 from ..core.live.worker import LiveOptions, LiveResult, LiveWorker
+from ..core.streams.vertices import VertexSender
 from ..core.takes.neutral import Neutral
 from ..core.viewer.server import ViewerServer
 from ..settings.preferences import preferences
@@ -103,6 +104,7 @@ class LiveSession(Session):
         self._waiting = False
         self._number = 0
         self._viewer: ViewerServer | None = None
+        self._vertices: VertexSender | None = None
         driven = tuple(head for _, head in heads)
         self.worker = LiveWorker(source, neutral=neutral, heads=driven, options=options, output=output)
         try:
@@ -153,7 +155,19 @@ class LiveSession(Session):
     def view(self, viewer: ViewerServer | None) -> None:
         """Replace the viewer, and end the last one."""
         before, self._viewer = self._viewer, viewer
-        self.worker.display = viewer
+        self._show_elsewhere()
+        if before is not None:
+            before.close()
+
+    @property
+    def vertices(self) -> VertexSender | None:
+        """Sends the moved vertices, if they are sent."""
+        return self._vertices
+
+    def send_vertices(self, sender: VertexSender | None) -> None:
+        """Replace the sender of the moved vertices, and end the last one."""
+        before, self._vertices = self._vertices, sender
+        self._show_elsewhere()
         if before is not None:
             before.close()
 
@@ -301,6 +315,7 @@ class LiveSession(Session):
 
     def _stop(self) -> None:
         self.view(None)
+        self.send_vertices(None)
         try:
             self.worker.close()
         except OutputError as error:
@@ -322,6 +337,9 @@ class LiveSession(Session):
             push_undo("Stop Puppet")
         elif self.keep and blocks:
             push_undo("Puppet")
+
+    def _show_elsewhere(self) -> None:
+        self.worker.displays = tuple(one for one in (self._viewer, self._vertices) if one is not None)
 
     def _require_no_recording(self) -> None:
         if self.recording is not None:

@@ -29,7 +29,7 @@ from ..settings.values import (
     write_calibration,
 )
 from .live import LiveSession
-from .viewing import follow_viewer, open_viewer
+from .viewing import follow_viewer, open_vertices, open_viewer
 
 
 def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> LiveSession:
@@ -85,6 +85,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
     session.keep, session.drive_by = settings.keep_pose, settings.drive_by
     try:
         session.view(open_viewer(settings, objects))
+        session.send_vertices(open_vertices(settings.output, objects))
     except Exception:
         session.close()
         raise

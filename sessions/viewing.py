@@ -1,4 +1,4 @@
-"""The viewer of a live session: its server follows the settings of the scene."""
+"""Where else a live session shows its heads: in browsers, and as moved vertices in other programs."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from ..blender.appearance import read_appearance
 from ..blender.messages import show_error
 from ..core.errors import FacemimeError
 from ..core.heads.appearance import Appearance
+from ..core.streams.settings import LOOPBACK
+from ..core.streams.vertices import VertexSender
 from ..core.viewer.server import ViewerServer
 from ..core.viewer.settings import new_token
 from ..settings.properties import FacemimeSettings
-from ..settings.values import viewer_settings
+from ..settings.stream_properties import FacemimeOutput
+from ..settings.values import sends_vertices, viewer_settings
 from .live import LiveSession
 
 
@@ -45,6 +48,25 @@ def open_viewer(settings: FacemimeSettings, objects: Sequence[bpy.types.Object |
     server = ViewerServer(wanted, looks)
     server.follow = (settings.rotation, settings.translation)
     return server
+
+
+def open_vertices(output: FacemimeOutput, objects: Sequence[bpy.types.Object]) -> VertexSender | None:
+    """Start sending the moved vertices if that is switched on.
+
+    Parameters
+    ----------
+    output : FacemimeOutput
+    objects : sequence of bpy.types.Object
+        The heads, in the order of the session.
+
+    Raises
+    ------
+    FacemimeError
+        If the receiver is not known, or is another computer and Blender's online access is turned off.
+    """
+    if not sends_vertices(output):
+        return None
+    return VertexSender(output.host.strip() or LOOPBACK, output.port, [read_appearance(obj) for obj in objects])
 
 
 def follow_viewer(session: LiveSession, settings: FacemimeSettings) -> None:

@@ -85,7 +85,10 @@ class FacemimeOutput(bpy.types.PropertyGroup):
     protocol: EnumProperty(
         name="To",
         description="Program that receives the face",
-        items=_BOTH_WAYS,
+        items=(
+            *_BOTH_WAYS,
+            ("vertices", "Vertices", "An engine that receives the moved vertices over TCP", 4),
+        ),
     )
     host: StringProperty(name="Host", description="Address of the computer that receives the face", default=LOOPBACK)
     port: IntProperty(name="Port", description="Port of the stream; 0 for the usual one", min=0, max=65535)

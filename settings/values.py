@@ -21,8 +21,9 @@ from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_devic
 from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
 from ..core.puppet.settings import PuppetSettings
 from ..core.streams.sender import SendSettings, StreamSender
-from ..core.streams.settings import LOOPBACK, OWN, PROTOCOLS, StreamSettings
+from ..core.streams.settings import LOOPBACK, OWN, PROTOCOLS, StreamSettings, is_loopback
 from ..core.streams.source import StreamSource
+from ..core.streams.vertices import VERTICES
 from ..core.takes.file import load_take
 from ..core.takes.neutral import Neutral
 from ..core.tracking.choice import LEFTMOST, RIGHTMOST
@@ -32,7 +33,7 @@ from .preferences import preferences
 from .properties import FacemimePosing, FacemimeSettings, FacemimeSource
 from .rna import read
 from .storage import project_folder
-from .stream_properties import FacemimeStream, FacemimeViewer
+from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer
 from .takes_properties import FacemimeBake
 
 _DEFAULT_BAKE = BakeSettings()
@@ -169,7 +170,7 @@ def open_sender(settings: FacemimeSettings) -> StreamSender | None:
         If the receiver is not known, or is another computer and Blender's online access is turned off.
     """
     output = settings.output
-    if not output.enabled:
+    if not output.enabled or output.protocol == VERTICES:
         return None
     key = _key(output.key) if output.protocol == OWN else None
     host = output.host.strip() or LOOPBACK
@@ -177,6 +178,21 @@ def open_sender(settings: FacemimeSettings) -> StreamSender | None:
     if not wanted.is_local:
         _require_online(wanted.host)
     return StreamSender(wanted, drive_settings(settings))
+
+
+def sends_vertices(output: FacemimeOutput) -> bool:
+    """Return whether the moved vertices are sent.
+
+    Raises
+    ------
+    SourceError
+        If they would go to another computer, and Blender's online access is turned off.
+    """
+    if not output.enabled or output.protocol != VERTICES:
+        return False
+    if not is_loopback(host := output.host.strip() or LOOPBACK):
+        _require_online(host)
+    return True
 
 
 def viewer_settings(viewer: FacemimeViewer, token: str) -> ViewerSettings | None:

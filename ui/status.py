@@ -7,6 +7,7 @@ import bpy
 from ..blender.messages import interface as _
 from ..core.streams.sender import StreamSender
 from ..core.streams.source import StreamSource
+from ..core.streams.vertices import VertexSender
 from ..core.tracking.hidden_mouth import is_hidden
 from ..sessions.live import LiveSession
 from ..sessions.tracking import TrackingSession
@@ -94,8 +95,10 @@ def _stream_lines(session: LiveSession) -> list[tuple[str, str]]:
         wrong = counts.malformed + counts.refused + counts.flooded
         numbers = {"received": counts.received, "wrong": wrong, "lost": counts.lost}
         lines.append((_("{received} packets, {wrong} refused, {lost} frames lost").format(**numbers), "URL"))
-        lines += [(sender, "USER") for sender in source.senders]
-    if isinstance(output, StreamSender):
-        text = output.message or _("{count} frames sent").format(count=output.sent)
-        lines.append((text, "ERROR" if output.message else "EXPORT"))
+        lines += [(name, "USER") for name in source.senders]
+    for sender in (output, session.vertices):
+        if not isinstance(sender, StreamSender | VertexSender):
+            continue
+        text = sender.message or _("{count} frames sent").format(count=sender.sent)
+        lines.append((text, "ERROR" if sender.message else "EXPORT"))
     return lines

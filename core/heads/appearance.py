@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import IntArray
+from ..arrays import FloatArray, IntArray
 from ..assets import ASSETS
 from ..errors import ModelError
 from ..reading import read_bytes
@@ -56,6 +56,26 @@ class Patch:
     faces: IntArray
     uv: NDArray[np.float32] | None = None
 
+    def triangles(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Cut the faces into triangles, which run round as the faces do.
+
+        Returns
+        -------
+        corners : (3 T,) int64
+            Vertices of the triangles.
+        uv : (3 T, 2) float64
+            Their texture coordinates; 0 without any.
+        """
+        faces = np.asarray(self.faces)
+        uv = np.zeros((*faces.shape, 2)) if self.uv is None else np.asarray(self.uv)
+        rows, places = [np.empty(0, dtype=np.int64)], [np.empty((0, 2))]
+        for corner in range(2, faces.shape[1]):
+            there = faces[:, corner] >= 0
+            fan = [0, corner - 1, corner]
+            rows.append(faces[there][:, fan].ravel().astype(np.int64))
+            places.append(uv[there][:, fan].reshape(-1, 2).astype(np.float64))
+        return np.concatenate(rows), np.concatenate(places)
+
 
 @dataclass(frozen=True, eq=False)
 class AttachedPart:
@@ -80,6 +100,28 @@ class AttachedPart:
     patches: tuple[Patch, ...]
     out: NDArray[np.float32] | None = None
 
+    def posed(self, jaw: FloatArray, gaze: FloatArray, tongue: float) -> NDArray[np.float32]:
+        """Pose the vertices.
+
+        Parameters
+        ----------
+        jaw : (3, 3) float64
+        gaze : (2, 3, 3) float64
+            Of the right and left eye.
+        tongue : float
+            How far it is out.
+
+        Returns
+        -------
+        (N, 3) float32
+            Head frame.
+        """
+        turn = {"jaw": jaw, "eye_right": gaze[0], "eye_left": gaze[1]}.get(self.follows)
+        rest = self.vertices if self.out is None else self.vertices + np.float32(tongue) * self.out
+        if turn is None:
+            return rest
+        return np.asarray(self.pivot + (rest - self.pivot) @ turn.T, dtype=np.float32)
+
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
@@ -96,6 +138,14 @@ class Appearance:
     name: str
     patches: tuple[Patch, ...]
     parts: tuple[AttachedPart, ...] = ()
+
+    def all_patches(self, count: int) -> list[Patch]:
+        """All patches, whose faces index the `count` vertices of the rig, then those of each part."""
+        patches = list(self.patches)
+        for part in self.parts:
+            patches += [Patch(p.surface, np.where(p.faces >= 0, p.faces + count, -1), p.uv) for p in part.patches]
+            count += len(part.vertices)
+        return patches
 
 
 def built_in_appearance(name: str = "Facemime Head") -> Appearance:

@@ -124,9 +124,9 @@ class LiveWorker:
     Attributes
     ----------
     options : LiveOptions
-        May be assigned at any time, as may `heads` and `display`.
-    display : Display or None
-        Shows every frame of the heads; it is not closed with the worker.
+        May be assigned at any time, as may `heads` and `displays`.
+    displays : tuple of Display
+        Get every frame of the heads; they are not closed with the worker.
     latest : LiveResult or None
     counts : Counts
     message : str
@@ -160,7 +160,7 @@ class LiveWorker:
         self.quality: Quality | None = None
         self.neutral = neutral
         self._load_tracker, self.output = load_tracker, output
-        self.display: Display | None = None
+        self.displays: tuple[Display, ...] = ()
         self._calibration: NeutralCalibration | RangeCalibration | None = None
         self._stated: Neutral | None = None
         self._first = None if neutral is not None else NeutralCalibration(asked=False)
@@ -294,7 +294,7 @@ class LiveWorker:
             self.output.send(frame.time, result, self.neutral)
         heads, prepared = self._drivers.drive(self.heads, self.neutral, result)
         driven = perf_counter()
-        if (display := self.display) is not None:
+        for display in self.displays:
             display.show(frame.taken, self._drivers.drivers, heads)
         preview = draw_preview(frame.image, result, options.preview) if options.preview else None
         self.counts.tracked += 1

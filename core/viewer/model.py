@@ -17,7 +17,7 @@ from ..arrays import FloatArray, IntArray
 from ..deform.rbf import RBFDeformer
 from ..drive.driver import HeadDriver
 from ..errors import HeadError
-from ..heads.appearance import Appearance, AttachedPart, Patch, Surface
+from ..heads.appearance import Appearance, AttachedPart, Surface
 from ..heads.rig import neck_of
 from ..landmarks import N_LANDMARKS
 from ..live.key_driver import KeyDriver
@@ -177,16 +177,13 @@ def _pivots(head: HeadDriver, parts: tuple[AttachedPart, ...]) -> dict[str, list
 
 def _drawn(appearance: Appearance, count: int) -> tuple[list[Surface], dict[str, NDArray[np.generic]]]:
     """Surfaces, and what the graphics card draws: a corner for each pair of vertex and texture coordinate."""
-    patches, first = list(appearance.patches), count
-    for part in appearance.parts:
-        patches += [Patch(p.surface, np.where(p.faces >= 0, p.faces + first, -1), p.uv) for p in part.patches]
-        first += len(part.vertices)
+    patches = appearance.all_patches(count)
     surfaces = list(dict.fromkeys(patch.surface for patch in patches))
     rows: list[IntArray] = [np.empty(0, dtype=np.int64)]
     places: list[FloatArray] = [np.empty((0, 2))]
     numbers = [np.empty(0, dtype=np.int64)]
     for patch in patches:
-        corners, uv = _triangles(patch)
+        corners, uv = patch.triangles()
         rows.append(corners)
         places.append(uv)
         numbers.append(np.full(len(corners) // 3, surfaces.index(patch.surface)))
@@ -201,19 +198,6 @@ def _drawn(appearance: Appearance, count: int) -> tuple[list[Surface], dict[str,
         "triangles": corner.reshape(-1, 3)[order].astype(np.uint32),
         "sizes": np.bincount(surface, minlength=len(surfaces)).astype(np.uint32),
     }
-
-
-def _triangles(patch: Patch) -> tuple[IntArray, FloatArray]:
-    """(3 T,) vertices of triangles, anticlockwise as the patch is, and (3 T, 2) texture coordinates."""
-    faces = np.asarray(patch.faces)
-    uv = np.zeros((*faces.shape, 2)) if patch.uv is None else np.asarray(patch.uv)
-    rows, places = [np.empty(0, dtype=np.int64)], [np.empty((0, 2))]
-    for corner in range(2, faces.shape[1]):
-        there = faces[:, corner] >= 0
-        fan = [0, corner - 1, corner]
-        rows.append(faces[there][:, fan].ravel().astype(np.int64))
-        places.append(uv[there][:, fan].reshape(-1, 2).astype(np.float64))
-    return np.concatenate(rows), np.concatenate(places)
 
 
 def _described(surface: Surface, images: list[bytes]) -> dict[str, object]:

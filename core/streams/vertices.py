@@ -1,0 +1,178 @@
+"""The moved vertices of heads over TCP, for engines that deform nothing themselves (docs/streams.md).
+
+The receiver listens, and the sender connects to it, again and again until somebody is there. A thread of its own sends
+the newest frame when the last one is through.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+from collections.abc import Sequence
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+from ..drive.driver import HeadDriver, HeadFrame
+from ..heads.appearance import Appearance
+from ..live.key_driver import KeyDriver
+from .settings import resolve
+
+PORT = 21575
+VERTICES = "vertices"
+"""Name of the protocol."""
+VERSION = 1
+MESH, FRAME = 1, 2
+"""Kinds of messages."""
+_LENGTH = struct.Struct("<I")
+_MESH = struct.Struct("<BBHIIH")
+_FRAME = struct.Struct("<BBHId")
+_TO_RECEIVER = np.array([1.0, -1.0, -1.0])
+"""From the head frame to x right, y up, z towards the viewer."""
+_AGAIN, _PATIENCE, _ENDING = 0.5, 3.0, 5.0
+"""Seconds between attempts, until a receiver that does not read is left, and for which `close` waits."""
+
+
+def encode_mesh(number: int, appearance: Appearance, rest: NDArray[np.float32]) -> bytes:
+    """Encode what is sent once: the head's name, its vertices at rest, and its triangles.
+
+    Parameters
+    ----------
+    number : int
+        Of the head.
+    appearance : Appearance
+    rest : (A, 3) float32
+        Vertices of the rig at rest, head frame.
+    """
+    patches = [patch.triangles()[0] for patch in appearance.all_patches(len(rest))]
+    corners = np.concatenate([np.empty(0, dtype=np.int64), *patches]).astype("<u4")
+    points = _points(rest, *(part.vertices for part in appearance.parts))
+    name = appearance.name.encode()[:1000]
+    header = _MESH.pack(MESH, VERSION, number, len(points), len(corners) // 3, len(name))
+    return _with_length(header + name + points.tobytes() + corners.tobytes())
+
+
+def encode_frame(number: int, time: float, appearance: Appearance, frame: HeadFrame) -> bytes:
+    """Encode a frame of a head.
+
+    Parameters
+    ----------
+    number : int
+        Of the head.
+    time : float
+        Seconds; only differences mean anything.
+    appearance : Appearance
+    frame : HeadFrame
+    """
+    parts = [part.posed(frame.jaw, frame.gaze, frame.tongue) for part in appearance.parts]
+    points = _points(frame.vertices, *parts)
+    turn = (_TO_RECEIVER[:, None] * frame.rotation * _TO_RECEIVER).astype("<f4")
+    moved = (_TO_RECEIVER * frame.translation).astype("<f4")
+    header = _FRAME.pack(FRAME, VERSION, number, len(points), time)
+    return _with_length(header + turn.tobytes() + moved.tobytes() + points.tobytes())
+
+
+class VertexSender:
+    """Sends the moved vertices of all heads of a session.
+
+    Parameters
+    ----------
+    host : str
+    port : int
+        0 for the usual one.
+    appearances : sequence of Appearance
+        Of each head, in the order of the worker's.
+
+    Attributes
+    ----------
+    sent : int
+        Frames that were sent, of all heads together.
+    message : str
+        Why nothing is being sent; otherwise "".
+
+    Raises
+    ------
+    SourceError
+        If the host is not known.
+    """
+
+    def __init__(self, host: str, port: int, appearances: Sequence[Appearance]) -> None:
+        self.appearances = tuple(appearances)
+        self.sent, self.message = 0, ""
+        self._family, self._address = resolve(host, port or PORT)
+        self._rests: list[NDArray[np.float32]] = []
+        self._newest: tuple[float, Sequence[HeadFrame]] | None = None
+        self._news = threading.Condition()
+        self._over = False
+        self._thread = threading.Thread(target=self._work, name="facemime-vertices", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> VertexSender:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def show(self, taken: float, drivers: Sequence[HeadDriver | KeyDriver], frames: Sequence[HeadFrame]) -> None:
+        """Send a frame; as `core.live.outputs.Display`."""
+        if not frames:
+            return
+        heads = [driver.head if isinstance(driver, KeyDriver) else driver for driver in drivers]
+        with self._news:
+            if len(heads) != len(self._rests) or any(h.rest is not r for h, r in zip(heads, self._rests, strict=True)):
+                self._rests = [head.rest for head in heads]
+            self._newest = taken, frames
+            self._news.notify()
+
+    def close(self) -> None:
+        """End the thread; may be called twice."""
+        with self._news:
+            self._over = True
+            self._news.notify()
+        self._thread.join(_ENDING)
+
+    def _work(self) -> None:
+        where = f"{self._address[0]}:{self._address[1]}"
+        while not self._over:
+            try:
+                with socket.socket(self._family, socket.SOCK_STREAM) as connection:
+                    connection.settimeout(_PATIENCE)
+                    connection.connect(self._address)
+                    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    self.message = ""
+                    self._feed(connection)
+            except OSError as error:
+                self.message = f"Cannot send to {where}: {error.strerror or error}."
+            with self._news:
+                if not self._over:
+                    self._news.wait_for(lambda: self._over, _AGAIN)
+
+    def _feed(self, connection: socket.socket) -> None:
+        """Send meshes whenever they are others, and frames, until the connection or the sender ends."""
+        known: list[NDArray[np.float32]] = []
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._over or self._newest is not None)
+                if self._over:
+                    return
+                assert self._newest is not None
+                (taken, frames), self._newest = self._newest, None
+                rests = self._rests
+            if rests is not known:
+                for number, (appearance, rest) in enumerate(zip(self.appearances, rests, strict=False)):
+                    connection.sendall(encode_mesh(number, appearance, rest))
+                known = rests
+            for number, (appearance, frame) in enumerate(zip(self.appearances, frames, strict=False)):
+                connection.sendall(encode_frame(number, taken, appearance, frame))
+                self.sent += 1
+
+
+def _points(*parts: NDArray[np.float32]) -> FloatArray:
+    return np.asarray(np.concatenate(parts) * _TO_RECEIVER.astype(np.float32), dtype="<f4")
+
+
+def _with_length(message: bytes) -> bytes:
+    return _LENGTH.pack(len(message)) + message

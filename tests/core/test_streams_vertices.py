@@ -1,0 +1,167 @@
+"""The moved vertices over TCP: they are those of the driver, for the receivers that the documentation has."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clocks import PATIENCE
+
+from commands import run
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.heads.rig import built_in_rig
+from facemime.core.streams.vertices import VertexSender
+from links import free_port
+from watching import NEUTRAL, built_in, face
+
+RECEIVERS = Path(__file__).resolve().parents[2] / "docs" / "receivers"
+PROGRAM = """
+using System;
+public static class Program {
+    public static void Main(string[] arguments) {
+        using (FacemimeStream stream = new FacemimeStream(System.Net.IPAddress.Loopback, int.Parse(arguments[0]))) {
+            Console.WriteLine("ready");
+            bool done = false;
+            while (!done) {
+                stream.Update(
+                    mesh => Console.WriteLine("{0} {1} {2}", mesh.Name, mesh.Rest.Length / 3, mesh.Corners.Length / 3),
+                    frame => {
+                        double sum = 0.0;
+                        foreach (float value in frame.Vertices) sum += Math.Abs(value);
+                        Console.WriteLine("{0:R} {1:R}", sum, frame.Rotation[1]);
+                        done = true;
+                    });
+                System.Threading.Thread.Sleep(5);
+            }
+        }
+    }
+}
+"""
+
+
+def python_receiver():
+    """The documented script as a module."""
+    spec = importlib.util.spec_from_file_location("receive_vertices", RECEIVERS / "receive_vertices.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def listener():
+    with socket.create_server(("127.0.0.1", 0)) as opened:
+        opened.settimeout(PATIENCE)
+        yield opened
+
+
+def in_receivers_axes(points: np.ndarray) -> np.ndarray:
+    return points * (1.0, -1.0, -1.0)
+
+
+def test_what_arrives_is_what_the_driver_moved_with_eyes_teeth_and_tongue(listener):
+    receiver = python_receiver()
+    driver, looks = built_in()
+    with VertexSender(*listener.getsockname(), [looks]) as sender:
+        connection, _ = listener.accept()
+        frame = driver.frame(face(1, tongueOut=1.0))
+        sender.show(12.5, [driver], [frame])
+        with connection:
+            messages = receiver.receive(connection)
+            mesh, moved = next(messages), next(messages)
+            sender.close()
+            assert next(messages, None) is None
+    count = len(frame.vertices)
+    assert (mesh.head, mesh.name, moved.head, moved.time) == (0, looks.name, 0, 12.5)
+    np.testing.assert_array_equal(in_receivers_axes(moved.vertices[:count]), frame.vertices)
+    assert len(mesh.rest) == len(moved.vertices) == count + sum(len(part.vertices) for part in looks.parts)
+    assert mesh.triangles.max() == len(mesh.rest) - 1
+    (tongue,) = (part for part in looks.parts if part.out is not None)
+    first = count + sum(len(part.vertices) for part in looks.parts[: looks.parts.index(tongue)])
+    expected = tongue.posed(frame.jaw, frame.gaze, frame.tongue)
+    np.testing.assert_allclose(in_receivers_axes(moved.vertices[first:][: len(expected)]), expected, atol=1e-6)
+    turned = np.diag((1.0, -1.0, -1.0)) @ frame.rotation @ np.diag((1.0, -1.0, -1.0))
+    np.testing.assert_allclose(moved.rotation, turned, atol=1e-6)
+
+
+def test_a_receiver_that_comes_back_gets_the_mesh_again_and_one_that_changes_another(listener):
+    receiver = python_receiver()
+    driver, looks = built_in()
+    larger = HeadDriver(replace(built_in_rig(), vertices=2.0 * built_in_rig().vertices), NEUTRAL)
+    over = threading.Event()
+    driven = [driver]
+
+    def keep_on(sender: VertexSender) -> None:
+        while not over.wait(0.01):
+            sender.show(0.0, driven, [driven[0].frame(face(1))])
+
+    with VertexSender(*listener.getsockname(), [looks]) as sender:
+        feeding = threading.Thread(target=keep_on, args=(sender,))
+        feeding.start()
+        try:
+            for _ in range(2):
+                connection, _ = listener.accept()
+                with connection:
+                    messages = receiver.receive(connection)
+                    assert isinstance(next(messages), receiver.Mesh) and isinstance(next(messages), receiver.Frame)
+            connection, _ = listener.accept()
+            with connection:
+                messages = receiver.receive(connection)
+                before = next(messages)
+                driven[0] = larger
+                after = next(message for message in messages if isinstance(message, receiver.Mesh))
+        finally:
+            over.set()
+            feeding.join()
+    count = len(driver.rest)
+    np.testing.assert_allclose(after.rest[:count], 2.0 * before.rest[:count], rtol=1e-6)
+
+
+def test_nobody_who_listens_is_a_message_and_no_error():
+    driver, looks = built_in()
+    with VertexSender("127.0.0.1", free_port(), [looks]) as sender:
+        sender.show(0.0, [driver], [driver.frame(face(1))])
+        waiting = threading.Event()
+        while not sender.message:
+            waiting.wait(0.01)
+        assert "Cannot send to 127.0.0.1:" in sender.message and sender.sent == 0
+
+
+def test_the_command_sends_to_the_documented_script(take):
+    port = free_port()
+    script = [sys.executable, "-u", str(RECEIVERS / "receive_vertices.py"), str(port)]
+    with subprocess.Popen(script, stdout=subprocess.PIPE, text=True) as receiver:
+        sending = run("send", "--video", take, "--to", f"127.0.0.1:{port}", "--protocol", "vertices")
+        said = receiver.stdout.read()
+    assert sending.returncode == 0, sending.stderr
+    first, *frames = said.splitlines()
+    assert first.startswith("Facemime Head: ") and first.endswith(" vertices from 127.0.0.1")
+    assert len(frames) > 5 and max(float(line.split()[-1]) for line in frames) > 0.002
+
+
+@pytest.mark.skipif(shutil.which("mcs") is None, reason="mono is missing, which compiles C#")
+def test_the_script_for_unity_receives_the_same(tmp_path):
+    (tmp_path / "Program.cs").write_text(PROGRAM)
+    program, port = tmp_path / "receive.exe", free_port()
+    sources = [str(RECEIVERS / "FacemimeReceiver.cs"), str(tmp_path / "Program.cs")]
+    subprocess.run(["mcs", "-warnaserror", f"-out:{program}", *sources], check=True)
+    driver, looks = built_in()
+    frame = driver.frame(face(1))
+    with subprocess.Popen(["mono", str(program), str(port)], stdout=subprocess.PIPE, text=True) as receiver:
+        assert receiver.stdout.readline() == "ready\n"
+        with VertexSender("127.0.0.1", port, [looks]) as sender:
+            sender.show(0.0, [driver], [frame])
+            name = receiver.stdout.readline()
+            total, turned = map(float, receiver.stdout.readline().split())
+    parts = [part.posed(frame.jaw, frame.gaze, frame.tongue) for part in looks.parts]
+    expected = np.abs(np.concatenate([frame.vertices, *parts]).astype(float)).sum()
+    assert name.startswith(f"{looks.name} {len(frame.vertices) + sum(map(len, parts))} ")
+    assert total == pytest.approx(expected, rel=1e-6) and turned == pytest.approx(-frame.rotation[0, 1], abs=1e-6)
