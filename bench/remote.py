@@ -23,6 +23,7 @@ import facemime
 from bench.link import Link
 from bench.packets import INTACT, is_possible, packets
 from bench.report import Table, finish, parser
+from bench.viewer import Viewed, view
 from facemime.core.capture import VideoSource
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.heads.rig import built_in_rig
@@ -45,6 +46,15 @@ _RATE = 30.0
 _DELAY = StreamSettings().delay
 _LINK = Link(0.02, 0.01)
 _SEEDS = 8
+_VIEWED = (
+    "vertices",
+    "updates/s",
+    "computed/s",
+    "kB/s",
+    "loaded MB",
+    "worst vertex, % of the eye distance",
+    "latency ms",
+)
 
 
 class Relay(threading.Thread):
@@ -113,6 +123,7 @@ def main() -> int:
     ratios = {smoothing: loss_jerk(take, smoothing) for smoothing in (0.0, 1.0)}
     growth, drift = day(take.result(int(np.flatnonzero(take.found)[0])), arguments.hours)
     fuzzed = {name: fuzz(name, arguments.packets) for name in INTACT}
+    viewed = view(take, arguments.seconds)
     added = 1e3 * float(np.median(live.delays))
     figures = [
         ("frame to moved vertex, median, ms", added, "40"),
@@ -129,6 +140,7 @@ def main() -> int:
     tables = [
         Table("Streams", ("figure", "measured", "at most"), figures),
         Table("Damaged packets", ("protocol", "packets", "tracebacks", "accepted wrongly", "median µs"), rows),
+        Table("Viewer", _VIEWED, [_viewed_row(head) for head in viewed]),
     ]
     numbers = {
         "latency_added_ms": added,
@@ -138,11 +150,30 @@ def main() -> int:
         "waiting_at_most": growth,
         "drift_ms": 1e3 * drift,
         "fuzz": fuzzed,
+        "viewer": _worst_of(viewed),
     }
     if arguments.figure is not None:
         draw(arguments.figure, live.delays)
     finish(arguments, tables, numbers)
     return 0
+
+
+def _viewed_row(head: Viewed) -> tuple[object, ...]:
+    kilobytes, megabytes = 1e-3 * head.bytes_per_s, 1e-6 * head.loaded_bytes
+    share = 100.0 * head.worst_vertex
+    return head.vertices, head.updates_per_s, head.moved_per_s, kilobytes, megabytes, share, head.latency_ms
+
+
+def _worst_of(viewed: list[Viewed]) -> dict[str, object]:
+    """The figures of the viewer: the worst of all heads, and each."""
+    if not viewed:
+        return {}
+    return {
+        "updates_per_s": min(head.updates_per_s for head in viewed),
+        "bytes_per_s": max(head.bytes_per_s for head in viewed),
+        "worst_vertex": max(head.worst_vertex for head in viewed),
+        "heads": [vars(head) for head in viewed],
+    }
 
 
 def draw(path: Path, delays: list[float]) -> None:
