@@ -46,15 +46,7 @@ _RATE = 30.0
 _DELAY = StreamSettings().delay
 _LINK = Link(0.02, 0.01)
 _SEEDS = 8
-_VIEWED = (
-    "vertices",
-    "updates/s",
-    "computed/s",
-    "kB/s",
-    "loaded MB",
-    "worst vertex, % of the eye distance",
-    "latency ms",
-)
+_VIEWED = ("vertices", "updates/s", "drawn/s", "kB/s", "loaded MB", "worst vertex, %", "latency ms")
 
 
 class Relay(threading.Thread):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..core.heads.appearance import built_in_appearance
 from ..core.heads.rig import built_in_rig
@@ -11,12 +12,14 @@ from ..core.live.head_drivers import LiveHead
 from ..core.live.worker import LiveWorker
 from ..core.streams.settings import LOOPBACK, parse_address
 from ..core.viewer.qr import as_text, qr_code
-from ..core.viewer.server import ViewerServer
 from ..core.viewer.settings import PORT, ViewerSettings, kept_token
 from .performance import add_source, live_options, open_source, watch
 from .terminal.console import Progress, say, tell
 from .terminal.options import Commands, add_command
 from .terminal.stopping import STOPPING
+
+if TYPE_CHECKING:
+    from ..core.viewer.server import ViewerServer
 
 
 def add_commands(commands: Commands) -> None:
@@ -40,6 +43,8 @@ def add_commands(commands: Commands) -> None:
 
 def run_serve(arguments: argparse.Namespace) -> int:
     """Run `facemime serve` until the end, Ctrl-C, or the time is over; returns the exit status."""
+    from ..core.viewer.server import ViewerServer  # its libraries would delay the other commands
+
     options = live_options(arguments)
     host, port = parse_address(arguments.listen or LOOPBACK, PORT)
     token = "" if arguments.token is None else kept_token(arguments.token)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
@@ -21,11 +21,13 @@ from ..core.live.timing import Delays, Stopwatch
 from ..core.live.worker import LiveOptions, LiveResult, LiveWorker
 from ..core.streams.vertices import VertexSender
 from ..core.takes.neutral import Neutral
-from ..core.viewer.server import ViewerServer
 from ..settings.preferences import preferences
 from .punch_in import PunchIn
 from .recording import Recording
 from .session import Session
+
+if TYPE_CHECKING:
+    from ..core.viewer.server import ViewerServer
 
 TICK = 1.0 / 120.0
 """Seconds between two calls of `LiveSession.step`."""

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import bpy
 
-from ..blender.appearance import read_appearance
+from ..blender.animation.appearance import read_appearance
 from ..blender.messages import show_error
 from ..core.errors import FacemimeError
 from ..core.heads.appearance import Appearance
 from ..core.streams.settings import LOOPBACK
 from ..core.streams.vertices import VertexSender
-from ..core.viewer.server import ViewerServer
 from ..core.viewer.settings import new_token
 from ..settings.properties import FacemimeSettings
 from ..settings.stream_properties import FacemimeOutput
 from ..settings.values import sends_vertices, viewer_settings
 from .live import LiveSession
+
+if TYPE_CHECKING:
+    from ..core.viewer.server import ViewerServer
 
 
 @lru_cache(maxsize=1)
@@ -41,6 +44,8 @@ def open_viewer(settings: FacemimeSettings, objects: Sequence[bpy.types.Object |
     FacemimeError
         If it cannot be started, or other computers may look and Blender's online access is turned off.
     """
+    from ..core.viewer.server import ViewerServer  # its libraries take a tenth of a second
+
     wanted = viewer_settings(settings.viewer, token())
     if wanted is None:
         return None

@@ -120,7 +120,7 @@ def pack(header: dict[str, object], arrays: dict[str, NDArray[np.generic]]) -> b
 def _skin_of(head: HeadDriver) -> dict[str, NDArray[np.generic]]:
     """The deformer as arrays: rest (U, 3), spheres (U, 4), weights (U, 66 and padding), modes (U, K, 4)."""
     if not isinstance(head.deformer, RBFDeformer):
-        raise HeadError("The method of Yao et al. 2019 cannot be viewed. Choose another one under Deformation.")
+        raise HeadError("A head that is fitted anew in each frame cannot be viewed. Turn the incremental method off.")
     rest = head.deformer.rest
     weights = np.zeros((len(rest), -(-N_LANDMARKS // 4) * 4), dtype=np.float16)
     weights[:, :N_LANDMARKS] = head.deformer.matrix()

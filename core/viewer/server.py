@@ -91,12 +91,17 @@ class ViewerServer:
         self._served: tuple[int, tuple[ViewerModel, ...]] = (0, ())
         self._wakes: set[asyncio.Event] = set()
         self._over = asyncio.Event()
-        self._ready, self._error = threading.Event(), ""
+        self._ready = threading.Event()
+        self._error: OSError | None = None
         self._thread = threading.Thread(target=self._serve, name="facemime-viewer", daemon=True)
         self._thread.start()
-        if not self._ready.wait(_STARTING) or self._error:
+        if not self._ready.wait(_STARTING) or self._error is not None:
             self.close()
-            raise SourceError(self._error or f"The viewer does not start on {settings.host}.")
+            host, port, strerror = settings.host, settings.port, self._error and (self._error.strerror or self._error)
+            raise SourceError(
+                f"Cannot listen on {host}:{port} ({strerror}). "
+                "Close the program that uses the port, or choose another port."
+            )
 
     def __enter__(self) -> ViewerServer:
         return self
@@ -144,8 +149,7 @@ class ViewerServer:
         try:
             self._loop.run_until_complete(self._run())
         except OSError as error:
-            where = f"{self.settings.host}:{self.settings.port}"
-            self._error = f"Cannot listen on {where}: {error.strerror or error}. Is a viewer running already?"
+            self._error = error
         finally:
             self._ready.set()
             self._loop.close()

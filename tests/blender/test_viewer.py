@@ -8,7 +8,7 @@ import pytest
 from clocks import PATIENCE
 from websockets.sync.client import connect
 
-from facemime.blender.appearance import read_appearance
+from facemime.blender.animation.appearance import read_appearance
 from facemime.blender.heads.built_in import add_head
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import SourceError

@@ -10,13 +10,13 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ..core.heads.appearance import Appearance, AttachedPart, Patch, Surface
-from ..core.reading import read_bytes
-from .animation.bake import EYE_PARTS, JAW_PARTS, has_tongue
-from .characters import members_of, objects_of, rest_matrix
-from .frames import from_blender, to_blender
-from .meshes import read_faces, read_vertices
-from .names import PART_PROPERTY, TONGUE_KEY
+from ...core.heads.appearance import Appearance, AttachedPart, Patch, Surface
+from ...core.reading import read_bytes
+from ..characters import members_of, objects_of, rest_matrix
+from ..frames import from_blender, to_blender
+from ..meshes import read_faces, read_vertices
+from ..names import PART_PROPERTY, TONGUE_KEY
+from .bake import EYE_PARTS, JAW_PARTS, has_tongue
 
 _MAX_IMAGE = 32_000_000
 """Bytes of an image beyond which a surface has its plain colour."""
