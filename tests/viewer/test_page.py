@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from facemime.core.landmarks import UPPER_LIDS
 from facemime.core.live.key_driver import KeyDriver, LiveKeys
 from watching import NEUTRAL, built_in, face, loaded, plain, shown_on, until, vertices_of
 
+ROOT = Path(__file__).resolve().parents[2]
 TOLERANCE = 1e-3
 """Of the outer-eye distance."""
 
@@ -183,3 +185,42 @@ def test_the_page_says_how_fast_it_is(open_page, watched):
     until(page, "viewer.stream.since(0) !== null")
     shown.show(face(1))
     until(page, "/\\d+ fps +\\d+ ms/.test(document.getElementById('numbers').textContent)")
+
+
+@pytest.mark.thorough
+def test_a_headset_shows_the_head_in_the_room_and_gives_it_back(browser, watched):
+    emulated = ROOT / "build" / "viewer" / "node_modules" / "iwer" / "build" / "iwer.min.js"
+    if not emulated.exists():
+        pytest.skip("the emulated headset is missing: make viewer")
+    shown = watched()
+    shown.show(face())
+    context = browser.new_context(viewport={"width": 160, "height": 160})
+    context.add_init_script(path=emulated)
+    context.add_init_script("globalThis.headset = new IWER.XRDevice(IWER.metaQuest3); headset.installRuntime({ forceInstall: true });")
+    page = context.new_page()
+    page.goto(shown.address)
+    loaded(page)
+    until(page, "!document.getElementById('immersive').hidden")
+    page.evaluate("document.getElementById('immersive').click()")
+    until(page, "viewer.renderer.xr.isPresenting")
+    place = page.evaluate("viewer.room.group.position.toArray()")
+    assert place[2] < -0.5 and page.evaluate("viewer.scene.background === null"), "in front of the viewer, in the room"
+    drawn = page.evaluate("viewer.drawn")
+    (frame,) = shown.show(face(1))
+    shown_on(page, 2)
+    until(page, f"viewer.drawn > {drawn + 2}")
+    off = vertices_of(page)[: len(frame.vertices)] - frame.vertices
+    assert np.abs(off).max() < TOLERANCE
+    page.evaluate("viewer.renderer.xr.getSession().end()")
+    until(page, "!viewer.renderer.xr.isPresenting && viewer.scene.background !== null")
+    assert page.evaluate("viewer.room.group.position.toArray()") == [0, 0, 0]
+    context.close()
+
+
+@pytest.mark.thorough
+def test_without_augmented_reality_the_page_says_why(open_page, watched):
+    shown = watched()
+    page = open_page(shown.address)
+    until(page, "document.getElementById('reason').textContent !== ''")
+    assert "augmented reality" in page.inner_text("#reason")
+    assert not page.is_visible("#immersive")
