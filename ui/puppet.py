@@ -92,6 +92,7 @@ class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
 
     bl_label = "Whole Video"
     bl_parent_id = "FACEMIME_PT_puppet"
+    bl_order = 1
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:

@@ -196,7 +196,9 @@ def test_a_headset_shows_the_head_in_the_room_and_gives_it_back(browser, watched
     shown.show(face())
     context = browser.new_context(viewport={"width": 160, "height": 160})
     context.add_init_script(path=emulated)
-    context.add_init_script("globalThis.headset = new IWER.XRDevice(IWER.metaQuest3); headset.installRuntime({ forceInstall: true });")
+    context.add_init_script(
+        "globalThis.headset = new IWER.XRDevice(IWER.metaQuest3); headset.installRuntime({ forceInstall: true });"
+    )
     page = context.new_page()
     page.goto(shown.address)
     loaded(page)
