@@ -8,6 +8,7 @@ import json
 import os
 import sys
 import tempfile
+import urllib.request
 from pathlib import Path
 
 ARCHIVE, CLIP = sys.argv[1:3]
@@ -36,7 +37,12 @@ def main() -> dict:
     for frame in range(bpy.context.scene.frame_start, bpy.context.scene.frame_end + 1, 5):
         bpy.context.scene.frame_set(frame)
         moved = max(moved, *(abs(keys[name].value) for name in baked))
+    viewer = importlib.import_module(f"{MODULE}.core.viewer.server")
+    settings = importlib.import_module(f"{MODULE}.core.viewer.settings").ViewerSettings(port=0)
+    with viewer.ViewerServer(settings, []) as server, urllib.request.urlopen(server.address) as answer:
+        page = answer.read().decode()
     measured = {
+        "page": page,
         "blender": bpy.app.version_string,
         "python": sys.version.split()[0],
         "vertices": len(head.data.vertices),

@@ -36,12 +36,14 @@ def test_the_zip_installs_puppets_a_head_and_uninstalls_cleanly(version):
     assert measured["blender"].startswith(version)
     assert measured["vertices"] == 1781 and measured["units"] == 52
     assert 3 <= measured["baked"] <= 64 and measured["largest"] > 0.9 and measured["frames"] > 200
+    assert "viewer.js" in measured["page"]
 
 
 @pytest.mark.parametrize("platform", ["linux_x64", "windows_x64", "macos_arm64", "macos_x64"])
-def test_each_zip_contains_its_wheel_and_the_assets_but_no_development_files(platform):
+def test_each_zip_contains_its_wheels_and_the_assets_but_no_development_files(platform):
     names = zipfile.ZipFile(archive(platform)).namelist()
-    wheels = [name for name in names if name.endswith(".whl")]
+    wheels = [name for name in names if name.endswith(".whl") and not name.endswith("-none-any.whl")]
+    assert [name for name in names if name.startswith("wheels/websockets-") and name.endswith("-none-any.whl")]
     marks = {"linux_x64": "linux", "windows_x64": "win_amd64", "macos_arm64": "arm64", "macos_x64": "macosx_13_0_x86"}
     assert len(wheels) == 1 and marks[platform] in wheels[0]
     for needed in (
@@ -50,6 +52,9 @@ def test_each_zip_contains_its_wheel_and_the_assets_but_no_development_files(pla
         "assets/sample/sample.mp4",
         "assets/head/head.npz",
         "assets/MODEL_CARD.md",
+        "assets/viewer/index.html",
+        "assets/viewer/three/three.core.js",
+        "assets/viewer/three/LICENSE",
     ):
         assert needed in names
     for unwanted in ("training/", "tests/", "bench/", "docs/", "tools/", ".", "Makefile", "pyproject.toml"):
