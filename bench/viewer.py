@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bench.deform_speed import finer
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.heads.appearance import Appearance, Patch, Surface, built_in_appearance
+from facemime.core.heads.appearance import Appearance, Material, Patch, built_in_appearance
 from facemime.core.heads.rig import HeadRig, built_in_rig
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
@@ -69,7 +69,7 @@ def view(take: Take, seconds: float) -> list[Viewed]:
 
     rig = built_in_rig()
     dense = finer(finer(finer(rig)))
-    heads = ((rig, built_in_appearance()), (dense, Appearance("Dense", (Patch(Surface(), dense.faces),))))
+    heads = ((rig, built_in_appearance()), (dense, Appearance("Dense", (Patch(Material(), dense.faces),))))
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=list(_SOFTWARE))
         found = [_viewed(browser, take, head, looks, seconds) for head, looks in heads]

@@ -10,7 +10,7 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ...core.heads.appearance import Appearance, AttachedPart, Patch, Surface
+from ...core.heads.appearance import Appearance, AttachedPart, Material, Patch
 from ...core.reading import read_bytes
 from ..characters import members_of, objects_of, rest_matrix
 from ..frames import from_blender, to_blender
@@ -22,7 +22,7 @@ _MAX_IMAGE = 32_000_000
 """Bytes of an image beyond which a surface has its plain colour."""
 _SIGNATURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff")
 """Beginnings of the images that a browser shows: PNG and JPEG."""
-_NEUTRAL = Surface((0.8, 0.8, 0.8), 0.5)
+_NEUTRAL = Material((0.8, 0.8, 0.8), 0.5)
 
 
 def read_appearance(head: bpy.types.Object) -> Appearance:
@@ -38,7 +38,7 @@ def read_appearance(head: bpy.types.Object) -> Appearance:
     HeadError
         If one of its meshes is in Edit Mode.
     """
-    surfaces: dict[bpy.types.Material | None, Surface] = {}
+    surfaces: dict[bpy.types.Material | None, Material] = {}
     patches: list[Patch] = []
     members = members_of(head)
     for member in members:
@@ -51,7 +51,7 @@ def read_appearance(head: bpy.types.Object) -> Appearance:
 
 
 def _attached(
-    head: bpy.types.Object, obj: bpy.types.Object, surfaces: dict[bpy.types.Material | None, Surface]
+    head: bpy.types.Object, obj: bpy.types.Object, surfaces: dict[bpy.types.Material | None, Material]
 ) -> AttachedPart:
     kind = str(obj.get(PART_PROPERTY, ""))
     follows = "jaw" if kind in JAW_PARTS else kind if kind in EYE_PARTS else "head"
@@ -78,7 +78,7 @@ def _placed(matrix: Matrix, points: NDArray[np.floating]) -> NDArray[np.float32]
     return from_blender(to_blender(points) @ move[:3, :3].T + move[:3, 3]).astype(np.float32)
 
 
-def _patches(obj: bpy.types.Object, surfaces: dict[bpy.types.Material | None, Surface], first: int) -> Iterator[Patch]:
+def _patches(obj: bpy.types.Object, surfaces: dict[bpy.types.Material | None, Material], first: int) -> Iterator[Patch]:
     """Yield the faces of a mesh by material; vertices are counted from `first`."""
     mesh = obj.data
     faces = read_faces(mesh)
@@ -106,7 +106,7 @@ def _coordinates(mesh: bpy.types.Mesh, faces: NDArray[np.int32]) -> NDArray[np.f
     return uv
 
 
-def _surface(material: bpy.types.Material | None) -> Surface:
+def _surface(material: bpy.types.Material | None) -> Material:
     """Return the colour and image of a material, as its Principled BSDF or the viewport shows them."""
     if material is None:
         return _NEUTRAL
@@ -117,8 +117,8 @@ def _surface(material: bpy.types.Material | None) -> Surface:
         image = _linked_image(node.inputs["Base Color"])
         if not image and not node.inputs["Base Color"].is_linked:
             colour, roughness = node.inputs["Base Color"].default_value, node.inputs["Roughness"].default_value
-            return Surface(tuple(colour[:3]), float(roughness))
-    return Surface(tuple(material.diffuse_color[:3]), float(material.roughness), image)
+            return Material(tuple(colour[:3]), float(roughness))
+    return Material(tuple(material.diffuse_color[:3]), float(material.roughness), image)
 
 
 def _linked_image(socket: bpy.types.NodeSocket) -> bytes:

@@ -22,7 +22,7 @@ _FINISH = {"skin": 0.46, "eye": 0.06, "teeth": 0.18, "tongue": 0.3}
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class Material:
     """A material.
 
     Attributes
@@ -45,14 +45,14 @@ class Patch:
 
     Attributes
     ----------
-    surface : Surface
+    surface : Material
     faces : (F, K) int
         Vertices of each face, padded with -1.
     uv : (F, K, 2) float32 or None
         Texture coordinates of the corners, v up.
     """
 
-    surface: Surface
+    surface: Material
     faces: IntArray
     uv: NDArray[np.float32] | None = None
 
@@ -151,17 +151,17 @@ class Appearance:
 def built_in_appearance(name: str = "Facemime Head") -> Appearance:
     """The built-in head with its eyes, teeth and tongue; ModelError if an image is missing."""
     head = load_head()
-    surfaces: dict[str, Surface] = {}
+    surfaces: dict[str, Material] = {}
 
-    def surface(kind: str) -> Surface:
-        return surfaces.setdefault(kind, Surface(roughness=_FINISH[kind], image=_image(kind)))
+    def surface(kind: str) -> Material:
+        return surfaces.setdefault(kind, Material(roughness=_FINISH[kind], image=_image(kind)))
 
     tongue = head.unit_names.index(_TONGUE)
     parts = tuple(_attached(part, surface, tongue) for part in head.parts)
     return Appearance(name, (Patch(surface("skin"), head.faces, head.uv),), parts)
 
 
-def _attached(part: HeadPart, surface: Callable[[str], Surface], tongue: int) -> AttachedPart:
+def _attached(part: HeadPart, surface: Callable[[str], Material], tongue: int) -> AttachedPart:
     kind = part.name.split("_")[0]
     out = part.units[tongue] if part.name == "tongue" else None
     patch = Patch(surface(kind), part.faces, part.uv)

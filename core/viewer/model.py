@@ -17,7 +17,7 @@ from ..arrays import FloatArray, IntArray
 from ..deform.rbf import RBFDeformer
 from ..drive.driver import HeadDriver
 from ..errors import HeadError
-from ..heads.appearance import Appearance, AttachedPart, Surface
+from ..heads.appearance import Appearance, AttachedPart, Material
 from ..heads.rig import neck_of
 from ..landmarks import N_LANDMARKS
 from ..live.key_driver import KeyDriver
@@ -175,7 +175,7 @@ def _pivots(head: HeadDriver, parts: tuple[AttachedPart, ...]) -> dict[str, list
     return pivots | {part.follows: np.asarray(part.pivot, np.float64).tolist() for part in parts}
 
 
-def _drawn(appearance: Appearance, count: int) -> tuple[list[Surface], dict[str, NDArray[np.generic]]]:
+def _drawn(appearance: Appearance, count: int) -> tuple[list[Material], dict[str, NDArray[np.generic]]]:
     """Surfaces, and what the graphics card draws: a corner for each pair of vertex and texture coordinate."""
     patches = appearance.all_patches(count)
     surfaces = list(dict.fromkeys(patch.surface for patch in patches))
@@ -200,6 +200,6 @@ def _drawn(appearance: Appearance, count: int) -> tuple[list[Surface], dict[str,
     }
 
 
-def _described(surface: Surface, images: list[bytes]) -> dict[str, object]:
+def _described(surface: Material, images: list[bytes]) -> dict[str, object]:
     number = next((number for number, image in enumerate(images) if image is surface.image), -1)
     return {"colour": list(surface.colour), "roughness": surface.roughness, "image": number}

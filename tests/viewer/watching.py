@@ -13,7 +13,7 @@ from playwright.sync_api import Page
 from facemime.core.actions import N_ACTIONS
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from facemime.core.drive.driver import HeadDriver, HeadFrame
-from facemime.core.heads.appearance import Appearance, Patch, Surface, built_in_appearance
+from facemime.core.heads.appearance import Appearance, Material, Patch, built_in_appearance
 from facemime.core.heads.rig import HeadRig, built_in_rig
 from facemime.core.live.key_driver import KeyDriver
 from facemime.core.takes.from_coefficients import coefficient_face
@@ -31,7 +31,7 @@ def built_in() -> tuple[HeadDriver, Appearance]:
 
 def plain(rig: HeadRig, name: str = "Head") -> Appearance:
     """A head of one colour."""
-    return Appearance(name, (Patch(Surface(), rig.all_faces),))
+    return Appearance(name, (Patch(Material(), rig.all_faces),))
 
 
 def face(seed: int | None = None, **values: float) -> TrackResult:
