@@ -41,7 +41,7 @@ test-all: test
 
 # A share of the rest, so that a change does not wait for all of it: SHARE=2/3 is the second third.
 SHARE ?= 1/3
-test-share: setup build blenders windows build/head/.ready
+test-share: setup build blenders windows browser build/head/.ready
 	$(PYTEST) $(SUITES) -m thorough --share $(SHARE)
 
 # Every live and window test again and again on a machine that is busy with other things.
