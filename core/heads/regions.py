@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..landmarks import (
     BROWS,
     EYE_CORNERS,
@@ -77,6 +77,46 @@ def membership() -> NDArray[np.bool_]:
     for row, region in zip(table, REGIONS, strict=True):
         row[region.landmarks] = True
     return table
+
+
+def sharp_regions(region_weights: FloatArray, landmarks: IntArray, faces: IntArray | None) -> FloatArray:
+    """Turn painted weights into the sets of vertices of the paper, whose borders belong to both sides.
+
+    Parameters
+    ----------
+    region_weights, landmarks, faces : (3, V), (66,), (F, K) array
+        As in `HeadRig`. Without faces, only landmarks lie on a border.
+
+    Returns
+    -------
+    (3, V) float64
+        Weights of 0 and 1. A vertex that is painted at all belongs to the region with the largest weight; of two
+        neighbours in different regions, the one that is painted more evenly belongs to both. The vertex of a landmark
+        belongs to the regions of the landmark, so that these meet it exactly.
+    """
+    painted = np.asarray(region_weights, dtype=np.float64)
+    moving = painted.any(axis=0)
+    own = painted.argmax(axis=0)
+    sharp = moving & (own == np.arange(len(painted))[:, None])
+    if faces is not None:
+        a, b = _edges(np.asarray(faces)).T
+        crossing = moving[a] & moving[b] & (own[a] != own[b])
+        a, b = a[crossing], b[crossing]
+        excess = (painted[own[v], v] - painted[own[w], v] for v, w in ((a, b), (b, a)))
+        nearer = np.greater(*excess)
+        sharp[own[np.where(nearer, a, b)], np.where(nearer, b, a)] = True
+    bound = np.asarray(landmarks)[moving[landmarks]]
+    sharp[:, bound] = membership()[:, moving[landmarks]]
+    return np.asarray(sharp, dtype=np.float64)
+
+
+def _edges(faces: IntArray) -> NDArray[np.intp]:
+    """(E, 2) edges of faces (F, K) that are padded with -1."""
+    following: NDArray[np.intp] = np.roll(faces, -1, axis=1)
+    last = (faces >= 0) & (following < 0)
+    following = np.where(last, faces[:, :1], following)
+    pairs = np.stack([faces, following], axis=-1).reshape(-1, 2)
+    return np.asarray(pairs[(pairs >= 0).all(axis=1)], dtype=np.intp)
 
 
 def region_sigmas(landmarks: FloatArray, kernel: Kernel) -> FloatArray:
