@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.deformers import Method, triangles_of
+from bench.deformers import Method, Predict, triangles_of
 from bench.heads import TrueHead
 from facemime.core.control_points.greedy import GreedySelection
 from facemime.core.landmarks import EDGES
@@ -44,7 +45,10 @@ def draw_head(folder: Path, head: TrueHead, methods: list[Method], selection: Gr
     name = "ict" if head.title.startswith("ICT") else "built-in"
     by_name = {method.name: method for method in methods}
     write(folder / f"deformation-sheet-{name}.jpg", _sheet(head, by_name["informed"]))
-    write(folder / f"deformation-methods-{name}.jpg", _comparison(head, by_name))
+    write(
+        folder / f"deformation-methods-{name}.jpg",
+        comparison(head, {column: by_name[column].predict for column in _COLUMNS}),
+    )
     _curve(folder / f"deformation-greedy-{name}.png", head, selection)
 
 
@@ -72,13 +76,32 @@ def _sheet(head: TrueHead, method: Method) -> Image:
     return np.vstack(rows)
 
 
-def _comparison(head: TrueHead, methods: dict[str, Method]) -> Image:
+def comparison(
+    head: TrueHead,
+    methods: dict[str, Predict],
+    expressions: Sequence[str] = _COMPARED,
+) -> Image:
+    """Draw true expressions, a row each, beside what methods make of them, with the errors as colours.
+
+    Parameters
+    ----------
+    head : TrueHead
+    methods : mapping of str to callable
+        `Method.predict` by title.
+    expressions : sequence of str
+        Keys of `EXPRESSIONS`.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        BGR.
+    """
     rows = []
-    for title in _COMPARED:
+    for title in expressions:
         true = head.true(weights_of(head, EXPRESSIONS[title])[None])
         row = [titled(render(head, true[0]), f"true: {title}")]
-        for name in _COLUMNS:
-            found = methods[name].predict(true[:, head.landmarks])[0]
+        for name, predict in methods.items():
+            found = predict(true[:, head.landmarks])[0]
             off = np.linalg.norm(found - true[0], axis=1)
             share = off.sum() / np.linalg.norm(true[0], axis=1).sum()
             row.append(titled(render(head, found, off / WORST), f"{name} {share:.2f}"))
@@ -86,13 +109,13 @@ def _comparison(head: TrueHead, methods: dict[str, Method]) -> Image:
     return np.vstack(rows)
 
 
-def project(points: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Project head-frame points to pixels, slightly from the side and above, to show depth."""
+def project(points: NDArray[np.floating], size: tuple[int, int] = _SIDE) -> NDArray[np.float64]:
+    """Project head-frame points to pixels of a picture of that size, slightly from the side and above."""
     yaw, pitch = 0.35, -0.08
     turn = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
     tilt = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
-    turned = (np.asarray(points, dtype=np.float64) @ (tilt @ turn).T - (*_MIDDLE, 0.0)) * (_ZOOM * _SIDE[0])
-    turned[..., :2] += np.array(_SIDE) / 2.0
+    turned = (np.asarray(points, dtype=np.float64) @ (tilt @ turn).T - (*_MIDDLE, 0.0)) * (_ZOOM * size[0])
+    turned[..., :2] += np.array(size) / 2.0
     return turned
 
 
@@ -101,6 +124,7 @@ def render(
     moved: NDArray[np.floating],
     error: NDArray[np.floating] | None = None,
     skin: NDArray[np.floating] | None = None,
+    size: tuple[int, int] = _SIDE,
 ) -> Image:
     """Draw a deformed head as flat triangles from back to front.
 
@@ -113,14 +137,16 @@ def render(
         From 0 to 1, drawn as colours.
     skin : (V, 3) array, optional
         Colours, BGR from 0 to 255, instead of that of skin.
+    size : (int, int)
+        Width and height in pixels.
 
     Returns
     -------
-    (290, 230, 3) uint8
+    (height, width, 3) uint8
         BGR.
     """
     scale = 2
-    points = project(head.vertices + moved)
+    points = project(head.vertices + moved, size)
     triangles = triangles_of(head.faces)
     corners = points[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -131,13 +157,13 @@ def render(
         level = np.clip(error[triangles].mean(axis=1) * 255.0, 0, 255).astype(np.uint8)
         colours = cv2.applyColorMap(level[:, None], cv2.COLORMAP_TURBO)[:, 0].astype(float)
     colours = np.clip(colours * light[:, None], 0, 255)
-    canvas = np.full((scale * _SIDE[1], scale * _SIDE[0], 3), _BACKGROUND, np.uint8)
+    canvas = np.full((scale * size[1], scale * size[0], 3), _BACKGROUND, np.uint8)
     pixels = np.round(corners[..., :2] * scale * 16).astype(np.int32)
     towards = normals[:, 2] < 0.0
     for i in np.argsort(-corners[..., 2].mean(axis=1)):
         if towards[i]:
             cv2.fillConvexPoly(canvas, pixels[i], colours[i].tolist(), cv2.LINE_AA, 4)
-    return np.asarray(cv2.resize(canvas, _SIDE, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return np.asarray(cv2.resize(canvas, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _landmarks(head: TrueHead, moved: NDArray[np.float32], title: str) -> Image:

@@ -21,11 +21,14 @@ from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer
 from facemime.core.heads.regions import DEFAULT_KERNEL, sharp_regions
 from facemime.core.heads.rig import HeadRig
 from facemime.core.landmarks import N_LANDMARKS, from_ibug
+from facemime.core.mesh.pieces import islands
 
 Predict = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 _RIDGE = 1e-4
 SIGMAS = tuple(np.linspace(0.06, 0.3, 13).tolist())
 """Widths of a single Gaussian that are tried, in outer-eye distances."""
+_DEEP = 0.4
+"""Outer-eye distances behind the lips from which Laplacian deformation holds the mouth's wall; the best for it."""
 _STEPS = 10
 """Frames from rest to an expression."""
 
@@ -253,7 +256,18 @@ def _linear(matrix: NDArray[np.float32]) -> Predict:
 
 
 def _anchors(head: TrueHead) -> NDArray[np.int64]:
-    return np.union1d(np.flatnonzero(~head.regions.any(axis=0)), head.landmarks)
+    fixed = ~head.regions.any(axis=0) | _deep_in_mouth(head)
+    return np.union1d(np.flatnonzero(fixed), head.landmarks)
+
+
+def _deep_in_mouth(head: TrueHead) -> NDArray[np.bool_]:
+    """Vertices of the mouth's wall far behind the rim of the lips; if nothing holds them, they swing with the lips."""
+    rim = head.rims["mouth"]
+    piece = islands(len(head.vertices), head.faces[~np.isin(head.faces, rim).any(axis=1)])
+    inside = piece != np.bincount(piece).argmax()
+    inside[rim] = False
+    away = np.linalg.norm(head.vertices[:, None] - head.vertices[rim], axis=2).min(axis=1)
+    return np.asarray(inside & (away > _DEEP))
 
 
 def _cotangent(head: TrueHead) -> tuple[csc_matrix, Points]:

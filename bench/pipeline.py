@@ -15,11 +15,13 @@ import cv2
 import numpy as np
 
 from bench.report import Table, bars, finish, parser
+from facemime.blender.animation.live import LiveHeadObject
+from facemime.blender.animation.targets import own_targets
 from facemime.blender.heads.built_in import add_head
-from facemime.blender.meshes import write_vertices
 from facemime.blender.rigs import read_rig
 from facemime.core.capture import VideoSource
 from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.settings import DriveSettings
 from facemime.core.takes.from_video import track_video
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.tracker import FaceTracker
@@ -29,9 +31,8 @@ STAGES = {
     "decode": "decode",
     "detect": "detect (Viola-Jones), first frame",
     "track": "track, frame to frame",
-    "retarget": "retarget",
-    "deform": "deform, 1,781 vertices",
-    "write": "write to the mesh",
+    "drive": "drive, 1,781 vertices",
+    "write": "write to the shape key",
 }
 
 
@@ -65,15 +66,19 @@ def main() -> int:
     return 0
 
 
-def measure(video: Path) -> tuple[dict[str, list[float]], int, float]:
-    """Seconds of each stage and frame, the number of frames, and seconds in total."""
+def measure(video: Path, options: DriveSettings | None = None) -> tuple[dict[str, list[float]], int, float]:
+    """Seconds of each stage and frame, the number of frames, and seconds in total.
+
+    A frame is driven and written as by a live puppet, without its drawing.
+    """
     tracker = FaceTracker.load()
     neutral = calibrate(track_video(video, tracker).finish())
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     head = add_head(bpy.context)
-    driver = HeadDriver(read_rig(head), neutral)
+    driver = HeadDriver(read_rig(head), neutral, options or DriveSettings())
+    shown = LiveHeadObject(head, own_targets(head))
+    shown.attach()
     times: dict[str, list[float]] = defaultdict(list)
-    out = np.empty_like(driver.deformer.rest)
     frames = 0
     with VideoSource(video) as source:
         for frame in source:
@@ -97,12 +102,10 @@ def measure(video: Path) -> tuple[dict[str, list[float]], int, float]:
                 lap("track")
             if result.found:
                 last = perf_counter()
-                displacements = driver.retargeter.displacements(result.shape)
-                lap("retarget")
-                driver.deformer.deform(displacements, out)
-                driver.contact.resolve(out)
-                lap("deform")
-                write_vertices(head.data, out)
+                moved = driver.frame(result)
+                flat = shown.prepare(moved)
+                lap("drive")
+                shown.write(moved, flat)
                 bpy.context.view_layer.update()
                 lap("write")
             frames += 1

@@ -26,8 +26,9 @@ from ..landmarks import (
     UPPER_LIDS,
     UPPER_LIP,
     UPPER_LIPS,
+    outer_eye_distance,
 )
-from ..mesh.kernels import Kernel, distances
+from ..mesh.kernels import Kernel, distances, wendland
 
 UPPER, MIDDLE, LOWER = 0, 1, 2
 
@@ -71,6 +72,10 @@ REGIONS: tuple[Region, Region, Region] = (
 )
 
 
+_HOLD = 0.3
+"""Radius in outer-eye distances within which weights change for a landmark."""
+
+
 def membership() -> NDArray[np.bool_]:
     """(3, 66) whether a landmark controls a region; corners of eyes and mouth, and the nose bridge, control two."""
     table = np.zeros((len(REGIONS), N_LANDMARKS), dtype=np.bool_)
@@ -108,6 +113,35 @@ def sharp_regions(region_weights: FloatArray, landmarks: IntArray, faces: IntArr
     bound = np.asarray(landmarks)[moving[landmarks]]
     sharp[:, bound] = membership()[:, moving[landmarks]]
     return np.asarray(sharp, dtype=np.float64)
+
+
+def hold_landmarks(region_weights: FloatArray, vertices: FloatArray, landmarks: IntArray) -> FloatArray:
+    """Change weights around landmarks so that the vertex of each follows its landmark exactly.
+
+    Parameters
+    ----------
+    region_weights, vertices, landmarks : (3, V), (V, 3), (66,) array
+        As in `HeadRig`, with weights whose sum is at most 1.
+
+    Returns
+    -------
+    (3, V) float64
+        Weights which at the vertex of each landmark are 0 for regions to which it does not belong, and otherwise have
+        the sum 1. They change within `_HOLD` outer-eye distances of landmarks where that was not so.
+    """
+    painted = np.asarray(region_weights, dtype=np.float64)
+    places = np.asarray(vertices, dtype=np.float64)
+    points, members = places[landmarks], membership()
+    at = painted[:, landmarks]
+    own = np.where(members, np.maximum(at, 1e-9), 0.0)
+    lacking = own / own.sum(axis=0) - at
+    radius = _HOLD * outer_eye_distance(points)
+    # Residuals are interpolated with Wendland's function, which is 0 beyond the radius.
+    between = wendland(distances(points, points), radius / 4.0)
+    amounts = np.linalg.solve(between, lacking.T)
+    moved = painted + (wendland(distances(places, points), radius / 4.0) @ amounts).T
+    moved = np.clip(moved, 0.0, 1.0)
+    return np.asarray(moved / np.maximum(moved.sum(axis=0), 1.0))
 
 
 def _edges(faces: IntArray) -> NDArray[np.intp]:
