@@ -1,4 +1,4 @@
-"""Pictures of docs/paper.md: regions, control points, expressions, openings, and errors beside Laplacian deformation."""
+"""Pictures of docs/paper.md."""
 
 from __future__ import annotations
 

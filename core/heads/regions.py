@@ -72,8 +72,8 @@ REGIONS: tuple[Region, Region, Region] = (
 )
 
 
-_HOLD = 0.3
-"""Radius in outer-eye distances within which weights change for a landmark."""
+_HOLD, _LEAST = 0.3, 0.01
+"""Radius in outer-eye distances within which weights change for a landmark, and the least weight there is then."""
 
 
 def membership() -> NDArray[np.bool_]:
@@ -115,13 +115,22 @@ def sharp_regions(region_weights: FloatArray, landmarks: IntArray, faces: IntArr
     return np.asarray(sharp, dtype=np.float64)
 
 
-def hold_landmarks(region_weights: FloatArray, vertices: FloatArray, landmarks: IntArray) -> FloatArray:
+def own_weights(region_weights: FloatArray, landmarks: IntArray) -> FloatArray:
+    """(66,) sum of the weights that the vertex of each landmark has in the landmark's own regions."""
+    return np.asarray((np.asarray(region_weights, dtype=np.float64)[:, landmarks] * membership()).sum(axis=0))
+
+
+def hold_landmarks(
+    region_weights: FloatArray, vertices: FloatArray, landmarks: IntArray, held: NDArray[np.bool_] | None = None
+) -> FloatArray:
     """Change weights around landmarks so that the vertex of each follows its landmark exactly.
 
     Parameters
     ----------
     region_weights, vertices, landmarks : (3, V), (V, 3), (66,) array
         As in `HeadRig`, with weights whose sum is at most 1.
+    held : (66,) array of bool, optional
+        The landmarks for which weights are changed; by default all.
 
     Returns
     -------
@@ -135,12 +144,14 @@ def hold_landmarks(region_weights: FloatArray, vertices: FloatArray, landmarks: 
     at = painted[:, landmarks]
     own = np.where(members, np.maximum(at, 1e-9), 0.0)
     lacking = own / own.sum(axis=0) - at
+    if held is not None:
+        lacking[:, ~held] = 0.0
     radius = _HOLD * outer_eye_distance(points)
     # Residuals are interpolated with Wendland's function, which is 0 beyond the radius.
     between = wendland(distances(points, points), radius / 4.0)
-    amounts = np.linalg.solve(between, lacking.T)
+    amounts = np.linalg.lstsq(between, lacking.T, rcond=1e-9)[0]
     moved = painted + (wendland(distances(places, points), radius / 4.0) @ amounts).T
-    moved = np.clip(moved, 0.0, 1.0)
+    moved = np.clip(np.where(moved < _LEAST, 0.0, moved), 0.0, 1.0)
     return np.asarray(moved / np.maximum(moved.sum(axis=0), 1.0))
 
 
