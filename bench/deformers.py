@@ -65,7 +65,6 @@ def all_methods(head: TrueHead, model: ExpressionModel, selection: GreedySelecti
         "split": (N_LANDMARKS, lambda: split(head)),
         "gaussian": (N_LANDMARKS, lambda: regions(head, kernel="gaussian")),
         "paper": (N_LANDMARKS, lambda: regions(head, kernel="gaussian", sharp=True, exact=True)),
-        "refitted": (N_LANDMARKS, lambda: refitted(head)),
         "regions": (N_LANDMARKS, lambda: regions(head)),
         "paper_greedy": (len(papers.landmarks), lambda: regions(head, papers, "gaussian", sharp=True, exact=True)),
         "regions_greedy": (len(selection.landmarks), lambda: regions(head, selection)),
