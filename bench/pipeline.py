@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
@@ -66,7 +67,9 @@ def main() -> int:
     return 0
 
 
-def measure(video: Path, options: DriveSettings | None = None) -> tuple[dict[str, list[float]], int, float]:
+def measure(
+    video: Path, options: DriveSettings | None = None, clock: Callable[[], float] = perf_counter
+) -> tuple[dict[str, list[float]], int, float]:
     """Seconds of each stage and frame, the number of frames, and seconds in total.
 
     A frame is driven and written as by a live puppet, without its drawing.
@@ -86,11 +89,11 @@ def measure(video: Path, options: DriveSettings | None = None) -> tuple[dict[str
                 tracker.locate(frame.image)
                 times["detect"].append(tracker.timings["detect"])
     tracker.reset()
-    begin = last = perf_counter()
+    begin = last = clock()
 
     def lap(name: str) -> None:
         nonlocal last
-        now = perf_counter()
+        now = clock()
         times[name].append(now - last)
         last = now
 
@@ -101,7 +104,7 @@ def measure(video: Path, options: DriveSettings | None = None) -> tuple[dict[str
             if frame.index > 0:
                 lap("track")
             if result.found:
-                last = perf_counter()
+                last = clock()
                 moved = driver.frame(result)
                 flat = shown.prepare(moved)
                 lap("drive")
@@ -109,8 +112,8 @@ def measure(video: Path, options: DriveSettings | None = None) -> tuple[dict[str
                 bpy.context.view_layer.update()
                 lap("write")
             frames += 1
-            last = perf_counter()
-    return times, frames, perf_counter() - begin
+            last = clock()
+    return times, frames, clock() - begin
 
 
 if __name__ == "__main__":
