@@ -93,7 +93,7 @@ def judge(head: TrueHead, method: Method, weights: NDArray[np.float64]) -> dict[
             motion[area] += float(size[:, mask].sum())
         worst = max(worst, float(off.max()))
         for name, rim in head.rims.items():
-            truth, ours = (_opening(head.vertices[rim] + moved[:, rim]) for moved in (true, found))
+            truth, ours = (opening(head.vertices[rim] + moved[:, rim]) for moved in (true, found))
             chosen = truth > _OPEN
             total = openings["mouth" if name == "mouth" else "eyes"]
             total[0] += float(ours[chosen].sum())
@@ -113,7 +113,7 @@ def judge(head: TrueHead, method: Method, weights: NDArray[np.float64]) -> dict[
     }
 
 
-def _opening(outline: NDArray[np.float64]) -> NDArray[np.float64]:
+def opening(outline: NDArray[np.float64]) -> NDArray[np.float64]:
     """(N,) areas of outlines (N, K, 3) in the front view, at least 0, as rims that cross leave nothing open."""
     x, y = outline[..., 0], outline[..., 1]
     return np.maximum((x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y).sum(axis=1) / 2.0, 0.0)

@@ -14,15 +14,23 @@ from scipy.sparse.linalg import splu
 
 from bench.heads import Points, TrueHead, random_mixtures
 from facemime.core.control_points.greedy import GreedySelection, greedy_select
+from facemime.core.control_points.settings import Search
 from facemime.core.deform.expressions import ExpressionModel
 from facemime.core.deform.head_deformer import head_deformer
-from facemime.core.deform.rbf import RBFDeformer
-from facemime.core.heads.regions import DEFAULT_KERNEL
+from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer
+from facemime.core.heads.regions import DEFAULT_KERNEL, sharp_regions
 from facemime.core.heads.rig import HeadRig
 from facemime.core.landmarks import N_LANDMARKS, from_ibug
+from facemime.core.mesh.pieces import islands
 
 Predict = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 _RIDGE = 1e-4
+SIGMAS = tuple(np.linspace(0.06, 0.3, 13).tolist())
+"""Widths of a single Gaussian that are tried, in outer-eye distances."""
+_DEEP = 0.4
+"""Outer-eye distances behind the lips from which Laplacian deformation holds the mouth's wall; the best for it."""
+_STEPS = 10
+"""Frames from rest to an expression."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +59,14 @@ class Method:
 
 def all_methods(head: TrueHead, model: ExpressionModel, selection: GreedySelection) -> list[Method]:
     """All rows; `model` was learnt on another head."""
+    papers = greedy_points(head, len(selection.landmarks), "paper")
     builders: dict[str, tuple[int, Callable[[], Predict]]] = {
         "whole": (N_LANDMARKS, lambda: whole(head)),
         "split": (N_LANDMARKS, lambda: split(head)),
         "gaussian": (N_LANDMARKS, lambda: regions(head, kernel="gaussian")),
+        "paper": (N_LANDMARKS, lambda: regions(head, kernel="gaussian", sharp=True, exact=True)),
         "regions": (N_LANDMARKS, lambda: regions(head)),
+        "paper_greedy": (len(papers.landmarks), lambda: regions(head, papers, "gaussian", sharp=True, exact=True)),
         "regions_greedy": (len(selection.landmarks), lambda: regions(head, selection)),
         "informed": (N_LANDMARKS, lambda: informed(head, model)),
         "informed_greedy": (len(selection.landmarks), lambda: informed(head, model, selection)),
@@ -73,18 +84,20 @@ def all_methods(head: TrueHead, model: ExpressionModel, selection: GreedySelecti
     return methods
 
 
-def greedy_points(head: TrueHead, count: int) -> GreedySelection:
+def greedy_points(head: TrueHead, count: int, search: Search = "take") -> GreedySelection:
     """Control points chosen on single expressions of the head and mixtures, other than those of the evaluation."""
     weights = np.concatenate([np.eye(len(head.names)), random_mixtures(len(head.names), 250, seed=1)])
     motion = head.true(weights)[:, head.landmarks]
     skin = head.vertices, head.regions
-    return greedy_select(head.vertices[head.landmarks], motion, tolerance=0.002, max_points=count, skin=skin)
+    points = head.vertices[head.landmarks]
+    return greedy_select(points, motion, tolerance=0.002, max_points=count, search=search, skin=skin)
 
 
-def whole(head: TrueHead) -> Predict:
-    """One Gaussian over the whole face (Yu & Li 2005), with the best sigma for these expressions."""
-    best = min(np.linspace(0.06, 0.3, 13), key=lambda sigma: _error_alone(head, _one_region(head, float(sigma))))
-    return _rbf(_one_region(head, float(best)))
+def whole(head: TrueHead, sigma: float | None = None) -> Predict:
+    """One Gaussian over the whole face (Yu & Li 2005), by default with the best sigma for these expressions."""
+    if sigma is None:
+        sigma = min(SIGMAS, key=lambda each: _error_alone(head, _one_region(head, each)))
+    return _rbf(_one_region(head, sigma))
 
 
 def split(head: TrueHead) -> Predict:
@@ -99,9 +112,37 @@ def split(head: TrueHead) -> Predict:
     return _rbf(RBFDeformer(head.vertices, points, weights, bands(points[:, 1])))
 
 
-def regions(head: TrueHead, chosen: GreedySelection | None = None, kernel: str = DEFAULT_KERNEL) -> Predict:
-    """Our deformer with a kernel of distance alone."""
-    return _rbf(head_deformer(_rig(head, chosen), kernel))
+def regions(
+    head: TrueHead,
+    chosen: GreedySelection | None = None,
+    kernel: str = DEFAULT_KERNEL,
+    *,
+    sharp: bool = False,
+    exact: bool = False,
+) -> Predict:
+    """Our deformer with a kernel of distance alone; the paper's is a Gaussian, sharp and exact."""
+    return _rbf(head_deformer(_rig(head, chosen, sharp=sharp), kernel, exact=exact))
+
+
+def refitted(head: TrueHead, chosen: GreedySelection | None = None) -> Predict:
+    """The paper's deformer, refitted in each of ten equal steps from rest."""
+    deformer = head_deformer(_rig(head, chosen, sharp=True), "gaussian", exact=True, incremental=True)
+    assert isinstance(deformer, IncrementalDeformer)
+
+    def predict(displacements: NDArray[np.float32]) -> NDArray[np.float32]:
+        out = np.empty((len(displacements), *deformer.rest.shape), np.float32)
+        for moved, row in zip(displacements, out, strict=True):
+            deformer.reset()
+            for step in range(1, _STEPS + 1):
+                deformer.deform(moved * (step / _STEPS), row)
+        return out - deformer.rest
+
+    return predict
+
+
+def planar(predict: Predict) -> Predict:
+    """The same without depth."""
+    return lambda displacements: predict(displacements * np.float32((1.0, 1.0, 0.0)))
 
 
 def informed(head: TrueHead, model: ExpressionModel, chosen: GreedySelection | None = None) -> Predict:
@@ -109,10 +150,11 @@ def informed(head: TrueHead, model: ExpressionModel, chosen: GreedySelection | N
     return _rbf(head_deformer(_rig(head, chosen), expressions=(model,)))
 
 
-def _rig(head: TrueHead, chosen: GreedySelection | None) -> HeadRig:
-    if chosen is None:
-        return head.rig
-    return replace(head.rig, control_points=chosen.membership, covariance=chosen.covariance)
+def _rig(head: TrueHead, chosen: GreedySelection | None, *, sharp: bool = False) -> HeadRig:
+    rig = head.rig
+    if sharp:
+        rig = replace(rig, region_weights=sharp_regions(rig.region_weights, rig.landmarks, rig.faces))
+    return rig if chosen is None else replace(rig, control_points=chosen.membership, covariance=chosen.covariance)
 
 
 def laplacian(head: TrueHead) -> Predict:
@@ -213,7 +255,18 @@ def _linear(matrix: NDArray[np.float32]) -> Predict:
 
 
 def _anchors(head: TrueHead) -> NDArray[np.int64]:
-    return np.union1d(np.flatnonzero(~head.regions.any(axis=0)), head.landmarks)
+    fixed = ~head.regions.any(axis=0) | _deep_in_mouth(head)
+    return np.union1d(np.flatnonzero(fixed), head.landmarks)
+
+
+def _deep_in_mouth(head: TrueHead) -> NDArray[np.bool_]:
+    """Vertices of the mouth's wall far behind the rim of the lips; if nothing holds them, they swing with the lips."""
+    rim = head.rims["mouth"]
+    piece = islands(len(head.vertices), head.faces[~np.isin(head.faces, rim).any(axis=1)])
+    inside = piece != np.bincount(piece).argmax()
+    inside[rim] = False
+    away = np.linalg.norm(head.vertices[:, None] - head.vertices[rim], axis=2).min(axis=1)
+    return np.asarray(inside & (away > _DEEP))
 
 
 def _cotangent(head: TrueHead) -> tuple[csc_matrix, Points]:

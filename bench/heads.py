@@ -202,7 +202,7 @@ def landmark_errors(head: LabelledHead, found: NDArray[np.intp]) -> list[float]:
 
 
 def built_in_head() -> TrueHead:
-    """The built-in head and those of its 52 units that move its skin, with regions proposed as for any mesh."""
+    """The built-in head as it ships, and those of its 52 units that move its skin."""
     head = load_head()
     chosen = [i for i, unit in enumerate(head.units) if np.abs(unit).max() > 1e-5]
     return _head(
@@ -212,16 +212,23 @@ def built_in_head() -> TrueHead:
         head.landmarks,
         [head.unit_names[i] for i in chosen],
         head.units[chosen],
+        head.regions,
     )
 
 
 def _head(
-    title: str, vertices: Points, faces: Points, landmarks: Points, names: list[str], motions: Points
+    title: str,
+    vertices: Points,
+    faces: Points,
+    landmarks: Points,
+    names: list[str],
+    motions: Points,
+    regions: Points | None = None,
 ) -> TrueHead:
     corners = vertices[landmarks[OUTER_EYE_CORNERS]].astype(np.float64)
     unit = float(np.linalg.norm(corners[0] - corners[1]))
     vertices = (vertices - vertices[landmarks].mean(axis=0, dtype=np.float64)) / unit
-    regions = propose_regions(vertices, faces, landmarks)
+    regions = propose_regions(vertices, faces, landmarks) if regions is None else np.asarray(regions, dtype=np.float64)
     graph = SurfaceGraph(vertices, faces)
     return TrueHead(
         title=title,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
@@ -15,11 +16,13 @@ import cv2
 import numpy as np
 
 from bench.report import Table, bars, finish, parser
+from facemime.blender.animation.live import LiveHeadObject
+from facemime.blender.animation.targets import own_targets
 from facemime.blender.heads.built_in import add_head
-from facemime.blender.meshes import write_vertices
 from facemime.blender.rigs import read_rig
 from facemime.core.capture import VideoSource
 from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.settings import DriveSettings
 from facemime.core.takes.from_video import track_video
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.tracker import FaceTracker
@@ -29,9 +32,8 @@ STAGES = {
     "decode": "decode",
     "detect": "detect (Viola-Jones), first frame",
     "track": "track, frame to frame",
-    "retarget": "retarget",
-    "deform": "deform, 1,781 vertices",
-    "write": "write to the mesh",
+    "drive": "drive, 1,781 vertices",
+    "write": "write to the shape key",
 }
 
 
@@ -65,15 +67,21 @@ def main() -> int:
     return 0
 
 
-def measure(video: Path) -> tuple[dict[str, list[float]], int, float]:
-    """Seconds of each stage and frame, the number of frames, and seconds in total."""
+def measure(
+    video: Path, options: DriveSettings | None = None, clock: Callable[[], float] = perf_counter
+) -> tuple[dict[str, list[float]], int, float]:
+    """Seconds of each stage and frame, the number of frames, and seconds in total.
+
+    A frame is driven and written as by a live puppet, without its drawing.
+    """
     tracker = FaceTracker.load()
     neutral = calibrate(track_video(video, tracker).finish())
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     head = add_head(bpy.context)
-    driver = HeadDriver(read_rig(head), neutral)
+    driver = HeadDriver(read_rig(head), neutral, options or DriveSettings())
+    shown = LiveHeadObject(head, own_targets(head))
+    shown.attach()
     times: dict[str, list[float]] = defaultdict(list)
-    out = np.empty_like(driver.deformer.rest)
     frames = 0
     with VideoSource(video) as source:
         for frame in source:
@@ -81,11 +89,11 @@ def measure(video: Path) -> tuple[dict[str, list[float]], int, float]:
                 tracker.locate(frame.image)
                 times["detect"].append(tracker.timings["detect"])
     tracker.reset()
-    begin = last = perf_counter()
+    begin = last = clock()
 
     def lap(name: str) -> None:
         nonlocal last
-        now = perf_counter()
+        now = clock()
         times[name].append(now - last)
         last = now
 
@@ -96,18 +104,16 @@ def measure(video: Path) -> tuple[dict[str, list[float]], int, float]:
             if frame.index > 0:
                 lap("track")
             if result.found:
-                last = perf_counter()
-                displacements = driver.retargeter.displacements(result.shape)
-                lap("retarget")
-                driver.deformer.deform(displacements, out)
-                driver.contact.resolve(out)
-                lap("deform")
-                write_vertices(head.data, out)
+                last = clock()
+                moved = driver.frame(result)
+                flat = shown.prepare(moved)
+                lap("drive")
+                shown.write(moved, flat)
                 bpy.context.view_layer.update()
                 lap("write")
             frames += 1
-            last = perf_counter()
-    return times, frames, perf_counter() - begin
+            last = clock()
+    return times, frames, clock() - begin
 
 
 if __name__ == "__main__":

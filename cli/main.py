@@ -18,7 +18,7 @@ from . import bind, landmarks, select, serve, streams, takes
 from .batch import command as batch
 from .puppet import command as puppeting
 from .terminal.console import tell
-from .terminal.options import Parser
+from .terminal.options import Parser, parse
 from .terminal.stopping import INTERRUPTED, STOPPING
 
 
@@ -34,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if sys.stderr is None:  # closed by the caller
             stack.enter_context(contextlib.redirect_stderr(stack.enter_context(open(os.devnull, "w"))))
         try:
-            arguments = _parser().parse_args(argv)
+            arguments = parse(_parser(), argv)
             status = int(arguments.run(arguments))
         except FacemimeError as error:
             tell(f"facemime: {error}")

@@ -7,37 +7,35 @@ from pathlib import Path
 
 from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import parse_landmarks, select_for_take, to_json
+from ..core.control_points.settings import SelectionSettings
+from ..core.drive.settings import DriveSettings
 from ..core.errors import FacemimeError
 from ..core.files import replacing
 from ..core.heads.regions import REGIONS
-from ..core.heads.rig import built_in_rig
-from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
+from ..core.heads.rig import HeadRig, built_in_rig
+from ..core.landmarks import IBUG68_INDICES
+from ..core.puppet.job import HeadFile
+from ..core.settings import settings_of
 from ..core.takes.neutral import calibrate
 from .terminal.console import say, tell
-from .terminal.options import Commands, add_command, number, whole_number
+from .terminal.options import Commands, add_command, add_preset_option, add_settings, head_file, number
 from .terminal.outputs import outputs_of
+from .terminal.stopping import STOPPING
 from .terminal.takes import load_with_warnings
 
 
 def add_commands(commands: Commands) -> None:
     """Add the command to the parser."""
-    select = add_command(commands, "select", "choose the control points that a take needs on the built-in head")
+    select = add_command(commands, "select", "choose the control points that a take needs on a head")
     select.add_argument("take", type=Path, metavar="TAKE.facetake", help="a take, from track")
     select.add_argument("-o", "--output", type=Path, metavar="POINTS.json", help="file for puppet --points")
     select.add_argument(
-        "--tolerance",
-        type=number,
-        default=1.0,
-        metavar="PERCENT",
-        help="error allowed at the other landmarks, relative to the face's width (1)",
+        "--head", type=head_file, metavar="FILE[:OBJECT]", help="your own head, as for bind (the built-in head)"
     )
-    select.add_argument(
-        "--max-points",
-        type=whole_number,
-        default=N_LANDMARKS,
-        metavar="N",
-        help=f"maximum number of points ({N_LANDMARKS})",
-    )
+    add_preset_option(select)
+    add_settings(select, SelectionSettings)
+    kernels = settings_of(DriveSettings)["kernel"].values
+    select.add_argument("--kernel", choices=kernels, help="skinning that the points are meant for (that of the search)")
     select.add_argument("--add", default="", metavar="17,19-21", help="landmarks to include, by iBUG number")
     select.add_argument("--remove", default="", metavar="0-3,30", help="landmarks to exclude")
     select.add_argument(
@@ -51,19 +49,19 @@ def add_commands(commands: Commands) -> None:
 
 def run_select(arguments: argparse.Namespace) -> int:
     """Run `facemime select`: choose control points, and print a line per step."""
-    if not arguments.tolerance > 0:
-        raise FacemimeError(f"The tolerance must be above 0 %; got {arguments.tolerance}. Use 1, for instance.")
     always, never = parse_landmarks(arguments.add), parse_landmarks(arguments.remove)
-    with outputs_of(((arguments.output, {".json"}),), {"the take that is read": arguments.take}):
+    with outputs_of(((arguments.output, {".json"}),), _inputs(arguments)):
         take = load_with_warnings(arguments.take)
         selection = select_for_take(
-            built_in_rig(),
+            built_in_rig() if arguments.head is None else _rig_of(arguments.head),
             take,
             neutral=calibrate(take, arguments.neutral),
-            tolerance=arguments.tolerance / 100.0,
+            tolerance=arguments.tolerance,
             max_points=arguments.max_points,
             always=always,
             never=never,
+            search=arguments.search,
+            kernel=arguments.kernel,
         )
         if arguments.output is not None:
             with replacing(arguments.output) as temporary:
@@ -72,6 +70,30 @@ def run_select(arguments: argparse.Namespace) -> int:
     if not selection.reached:
         tell("facemime: the tolerance was not reached. Raise --max-points or --tolerance.")
     return 0
+
+
+def _inputs(arguments: argparse.Namespace) -> dict[str, Path | None]:
+    head = None if arguments.head is None else arguments.head.path
+    return {"the take that is read": arguments.take, "the file of the head": head}
+
+
+def _rig_of(head: HeadFile) -> HeadRig:
+    """Return the rig of a head in a file.
+
+    Raises
+    ------
+    FacemimeError
+        If Blender is missing, or the file has no head and no face.
+    """
+    try:
+        with STOPPING.importing():
+            from ..blender.rigs import read_rig
+            from .puppet.files import open_head
+    except ImportError as error:
+        raise FacemimeError(
+            f"select --head needs Blender ({error}). Run: blender --command facemime select ..., or install bpy."
+        ) from error
+    return read_rig(open_head(head))
 
 
 def _table(selection: GreedySelection) -> str:

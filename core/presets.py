@@ -52,10 +52,12 @@ def from_json(text: str, known: Settings) -> Values:
         data = as_object(parse_json(text), "the text")
         if data.get("format") != _FORMAT:
             raise ValueError("it has another format")
+        if not data.keys() & known.keys():
+            raise ValueError("it has no settings")
         return {
             group: {name: setting.checked(given[name], name) for name, setting in settings.items() if name in given}
             for group, settings in known.items()
-            for given in [as_object(data.get(group), group)]
+            for given in [as_object(data.get(group, {}), group)]
         }
     except ValueError as error:
         raise SourceError(f"This is not a Facemime preset ({error}). Choose another file.") from error

@@ -3,53 +3,47 @@
 import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as _
-from bpy.props import FloatProperty, IntProperty, StringProperty
+from bpy.props import StringProperty
 
 from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
 from ..blender.meshes import is_head, read_selection, write_selection
 from ..blender.rigs import read_rig
 from ..blender.viewports import redraw, viewport_under
 from ..core.control_points.select import parse_landmarks, select_for_take
+from ..core.control_points.settings import SelectionSettings
 from ..core.control_points.table import add_by_hand, drop_by_hand
 from ..core.errors import HeadError
 from ..core.landmarks import N_LANDMARKS
 from ..core.takes.file import load_take
 from ..core.takes.neutral import Neutral, calibrate
 from ..core.takes.take import Take
+from ..settings.rna import read, with_settings
 from ..settings.values import puppet_settings
 from .puppet import require_puppet, running
 from .shared import AsksForFile, OnHead, OnMesh, report
 
 
+@with_settings(SelectionSettings)
 class SelectsPoints(OnMesh):
     """Mixin: selects control points for the operator's `performance`."""
 
-    tolerance: FloatProperty(
-        name="Tolerance",
-        description="Error allowed at the other landmarks, relative to the width of the face",
-        subtype="PERCENTAGE",
-        default=1.0,
-        min=0.01,
-        max=100.0,
-        soft_max=10.0,
-    )
-    max_points: IntProperty(
-        name="Max Points", description="Maximum number of control points", default=N_LANDMARKS, min=3, max=N_LANDMARKS
-    )
     add: StringProperty(name="Add", description="Landmarks to select in any case, by iBUG number: 17,19-21")
     remove: StringProperty(name="Remove", description="Landmarks never to select, by iBUG number: 0-3,30")
 
     def work(self, context: bpy.types.Context) -> None:
         obj = context.active_object
         take, neutral = self.performance(context)
+        chosen = read(SelectionSettings, self)
         selection = select_for_take(
             read_rig(obj),
             take,
             neutral=neutral,
-            tolerance=self.tolerance / 100.0,
-            max_points=self.max_points,
+            tolerance=chosen.tolerance,
+            max_points=chosen.max_points,
             always=parse_landmarks(self.add),
             never=parse_landmarks(self.remove),
+            search=chosen.search,
+            kernel=context.scene.facemime.kernel,
         )
         write_selection(obj.data, selection)
         worst = selection.steps[-1]

@@ -3,6 +3,7 @@
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
+from ..core.puppet.presets import built_in_path
 from ..settings import presets
 from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors
 
@@ -36,7 +37,7 @@ class FACEMIME_OT_load_preset(ReportsErrors, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         """Load the preset."""
-        path = presets.built_in_path(self.name) if self.built_in else presets.path_of(self.name)
+        path = built_in_path(self.name) if self.built_in else presets.path_of(self.name)
         presets.load(context.scene.facemime, path)
 
 

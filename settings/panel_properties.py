@@ -13,11 +13,13 @@ from bpy.props import (
 
 from ..blender.characters import head_of
 from ..blender.registering import watch
-from ..core.control_points.greedy import DEFAULT_TOLERANCE
+from ..core.control_points.settings import SelectionSettings
 from ..core.heads.checks import Finding
 from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
+from .rna import with_settings
 
 
+@with_settings(SelectionSettings)
 class FacemimeSteps(bpy.types.PropertyGroup):
     """Display of regions and landmarks, and selection of control points."""
 
@@ -30,18 +32,6 @@ class FacemimeSteps(bpy.types.PropertyGroup):
     smooth_repeat: IntProperty(name="Repeat", description="Number of smoothing iterations", default=3, min=1, max=50)
     show_points: BoolProperty(
         name="Show Points", description="Show the landmarks on the head, with coloured control points"
-    )
-    tolerance: FloatProperty(
-        name="Tolerance",
-        description="Error allowed at the other landmarks, relative to the width of the face",
-        subtype="PERCENTAGE",
-        default=100.0 * DEFAULT_TOLERANCE,
-        min=0.01,
-        max=100.0,
-        soft_max=10.0,
-    )
-    max_points: IntProperty(
-        name="Max Points", description="Maximum number of control points", default=N_LANDMARKS, min=3, max=N_LANDMARKS
     )
     landmark: IntProperty(
         name="Landmark", description="Landmark selected in the list or on the head", min=-1, default=-1

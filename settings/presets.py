@@ -6,24 +6,12 @@ from pathlib import Path
 
 import bpy
 
-from ..core.assets import ASSETS
-from ..core.drive.settings import DriveSettings, PosingSettings
-from ..core.errors import OutputError, SourceError
+from ..core.errors import OutputError
 from ..core.files import replacing
-from ..core.presets import SUFFIX, file_name, from_json, to_json
-from ..core.puppet.settings import PuppetSettings
-from ..core.reading import read_text
-from ..core.settings import settings_of
+from ..core.presets import SUFFIX, file_name, to_json
+from ..core.puppet.presets import CONTENTS, read_preset
 from .properties import FacemimeSettings
 from .storage import user_folder
-
-BUILT_IN = {"calm_speech": "Calm Speech", "strong": "Strong", "cartoon": "Cartoon", "yao_2019": "Yao et al. 2019"}
-"""Labels of the presets that are shipped with Facemime, by file name; they cannot be removed."""
-_CONTENTS = {
-    "settings": {**settings_of(DriveSettings), **settings_of(PuppetSettings)},
-    "posing": settings_of(PosingSettings),
-}
-"""Settings in a preset, by property group."""
 
 
 def folder() -> Path:
@@ -34,11 +22,6 @@ def folder() -> Path:
 def names() -> list[str]:
     """Return the names of all presets, sorted."""
     return sorted((path.stem for path in folder().glob(f"[!.]*{SUFFIX}")), key=str.casefold)
-
-
-def built_in_path(name: str) -> Path:
-    """Return the path of a preset that is shipped with Facemime, a key of `BUILT_IN`."""
-    return ASSETS / "presets" / f"{name}{SUFFIX}"
 
 
 def path_of(name: str) -> Path:
@@ -61,7 +44,7 @@ def save(settings: FacemimeSettings, path: Path) -> None:
         If the file cannot be written.
     """
     owners = _owners(settings)
-    values = {group: {name: getattr(owners[group], name) for name in names} for group, names in _CONTENTS.items()}
+    values = {group: {name: getattr(owners[group], name) for name in names} for group, names in CONTENTS.items()}
     with replacing(path) as temporary:
         temporary.write_text(to_json(values), encoding="utf-8")
 
@@ -75,12 +58,7 @@ def load(settings: FacemimeSettings, path: Path) -> None:
         If the file is missing or not a preset. No setting is changed in that case.
     """
     owners = _owners(settings)
-    try:
-        values = from_json(read_text(path), _CONTENTS)
-    except (OSError, ValueError) as error:
-        raise SourceError(f"{path} is not a valid preset ({error}). Choose another file.") from error
-    except SourceError as error:
-        raise SourceError(f"{path}: {error}") from error
+    values = read_preset(path)
     for group, chosen in values.items():
         for name, value in chosen.items():
             setattr(owners[group], name, value)
@@ -103,4 +81,4 @@ def remove(name: str) -> None:
 
 
 def _owners(settings: FacemimeSettings) -> dict[str, bpy.types.PropertyGroup]:
-    return {"settings": settings, "posing": settings.posing}
+    return {"settings": settings, "posing": settings.posing, "selection": settings.id_data.facemime_steps}

@@ -46,6 +46,8 @@ _FUNCTIONS = {"explained", "missing_parts", "summary"}
 """Functions that return messages."""
 _TABLES = {"MARKS", "START", "PART_NAMES", "_DESCRIPTIONS", "BONES", "_EXPLANATIONS", "_STAGES", "_TASKS", "BUILT_IN"}
 """Dictionaries, or tuples of them, whose values are messages."""
+_ITEMS = {"_BOTH_WAYS"}
+"""Variables to which items of enumerations are assigned."""
 _LABELS = {"MARKS"}
 """Those that are shown with a capital letter."""
 _VARIABLES = {"reason", "recovered", "warning"}
@@ -80,6 +82,8 @@ def strings(path: Path) -> Iterator[str]:
             yield from _of_class(node)
         elif isinstance(node, ast.Call):
             yield from _of_call(node)
+        elif isinstance(node, ast.Assign) and _target(node) in _ITEMS:
+            yield from _of_items(node.value)
 
 
 def _of_class(node: ast.ClassDef) -> Iterator[str]:

@@ -102,6 +102,7 @@ class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
 def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) -> None:
     column = layout.column()
     split_labels(column)
+    column.prop(steps, "search")
     column.prop(steps, "tolerance")
     column.prop(steps, "max_points")
     buttons = layout.column(align=True)
@@ -109,7 +110,7 @@ def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) 
         buttons.operator("facemime.select_control_points", text="Select from a Take", icon="CURVE_DATA"),
         buttons.operator("facemime.select_live_points", text="Select from Live", icon="REC"),
     ):
-        button.tolerance, button.max_points = steps.tolerance, steps.max_points
+        button.tolerance, button.max_points, button.search = steps.tolerance, steps.max_points, steps.search
 
 
 def _draw_curve(layout: bpy.types.UILayout, text: str, selection: GreedySelection) -> None:

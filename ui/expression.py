@@ -3,6 +3,7 @@
 import bpy
 
 from ..blender.messages import CONTEXT
+from ..core.puppet.presets import BUILT_IN
 from ..settings import presets
 from .sidebar import Sidebar, place, split_labels
 
@@ -15,7 +16,7 @@ class FACEMIME_MT_presets(bpy.types.Menu):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the presets and the operators on them."""
         layout, names = self.layout, presets.names()
-        for name, label in presets.BUILT_IN.items():
+        for name, label in BUILT_IN.items():
             button = layout.operator("facemime.load_preset", text=label)
             button.name, button.built_in = name, True
         layout.separator()
@@ -68,4 +69,23 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
         layout.prop(settings, "only_landmarks")
 
 
-CLASSES = (FACEMIME_MT_remove_preset, FACEMIME_MT_presets, FACEMIME_PT_expression)
+class FACEMIME_PT_fit(Sidebar, bpy.types.Panel):
+    """How the skin is fitted to the landmarks."""
+
+    bl_label = "Fit"
+    bl_parent_id = "FACEMIME_PT_expression"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        split_labels(layout)
+        settings = context.scene.facemime
+        layout.prop(settings, "borders")
+        layout.prop(settings, "exact")
+        layout.prop(settings, "incremental")
+        row = layout.row()
+        row.active = settings.mode != "planar"
+        row.prop(settings, "contact")
+
+
+CLASSES = (FACEMIME_MT_remove_preset, FACEMIME_MT_presets, FACEMIME_PT_expression, FACEMIME_PT_fit)

@@ -6,10 +6,13 @@ import bpy
 
 from ...core.errors import HeadError
 from ...core.heads.region_edit import Side, mirror_regions, smooth_regions
+from ...core.heads.regions import hold_landmarks, own_weights
 from ..meshes import mesh_of, read_faces, read_landmarks, read_regions, read_vertices, require_own, write_regions
 from ..names import REGION_GROUPS
 
 _BRUSH = "Facemime Paint"
+_FULL = 0.99
+"""Weight from which a landmark counts as held by its regions; smoothing keeps it so."""
 
 
 def paint_region(context: bpy.types.Context, obj: bpy.types.Object, region: int) -> None:
@@ -67,7 +70,7 @@ def mirror_painted(obj: bpy.types.Object, source: Side) -> None:
 
 
 def smooth_painted(obj: bpy.types.Object, repeat: int) -> None:
-    """Smooth the borders of the regions `repeat` times; raises HeadError if regions are missing.
+    """Smooth the borders of the regions `repeat` times, except at landmarks; raises HeadError if regions are missing.
 
     Parameters
     ----------
@@ -76,4 +79,6 @@ def smooth_painted(obj: bpy.types.Object, repeat: int) -> None:
         Number of iterations.
     """
     mesh = mesh_of(obj)
-    write_regions(obj, smooth_regions(read_vertices(mesh), read_faces(mesh), read_regions(obj), repeat))
+    vertices, landmarks, painted = read_vertices(mesh), read_landmarks(obj), read_regions(obj)
+    smooth = smooth_regions(vertices, read_faces(mesh), painted, repeat)
+    write_regions(obj, hold_landmarks(smooth, vertices, landmarks, own_weights(painted, landmarks) > _FULL))

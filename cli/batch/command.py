@@ -23,6 +23,7 @@ from ..terminal.options import (
     Commands,
     add_command,
     add_output,
+    add_preset_option,
     add_puppet_options,
     as_options,
     puppet_job,
@@ -47,6 +48,7 @@ def add_commands(commands: Commands) -> None:
         "--number", type=whole_number, metavar="N", help="number of the clip in the folder or the list, from 1"
     )
     add_output(clip, "DIR", _OUTPUT)
+    add_preset_option(clip)
     add_puppet_options(clip)
     clip.set_defaults(run=lambda a: run_clip(puppet_job(a, a.source, a.output), a.number))
 
@@ -62,6 +64,7 @@ def add_commands(commands: Commands) -> None:
         help=f"number of clips to process at a time ({jobs}, half the cores)",
     )
     batch.add_argument("--dask", metavar="ADDRESS", help="use the workers of this Dask scheduler")
+    add_preset_option(batch)
     add_puppet_options(batch)
     batch.set_defaults(run=lambda a: run_batch(puppet_job(a, a.sources[0], a.output), a.sources, a.jobs, a.dask))
 

@@ -17,6 +17,7 @@ from ..terminal.options import (
     add_command,
     add_face_option,
     add_output,
+    add_preset_option,
     add_puppet_options,
     face_of,
     number,
@@ -53,6 +54,7 @@ def add_commands(commands: Commands) -> None:
         metavar="SECONDS",
         help="start of a second with a neutral face (found or estimated)",
     )
+    add_preset_option(puppet)
     add_puppet_options(puppet)
     puppet.set_defaults(run=lambda a: run_puppet(_job(a)))
 

@@ -7,15 +7,17 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import IO, Any
 
 from ...core.bake.settings import BakeSettings
 from ...core.drive.settings import DriveSettings, PosingSettings
-from ...core.errors import FacemimeError
+from ...core.errors import FacemimeError, SourceError
 from ...core.puppet.job import HeadFile, PuppetJob
+from ...core.puppet.presets import COMMAND_NAMES, built_in_path, read_preset
 from ...core.puppet.settings import PuppetSettings
+from ...core.reading import shown
 from ...core.settings import Setting, changed, settings_of
 from ...core.tracking.choice import LEFTMOST, RIGHTMOST
 from .console import printable, say, write_error
@@ -126,9 +128,9 @@ def add_puppet_options(parser: argparse.ArgumentParser) -> None:
         "--pose", choices=tuple(_POSES), default="rotation", help="how much of the head's pose to follow (rotation)"
     )
     for group in (PuppetSettings, DriveSettings, PosingSettings):
-        _add_settings(how, group, without=_FOLLOWED)
+        add_settings(how, group, without=_FOLLOWED)
     bake = parser.add_argument_group("baking")
-    _add_settings(bake, BakeSettings)
+    add_settings(bake, BakeSettings)
     bake.add_argument(
         "--map",
         type=_path,
@@ -137,8 +139,64 @@ def add_puppet_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_settings(parser: argparse._ArgumentGroup, group: type, without: Collection[str] = ()) -> None:
-    """Add an option for each setting of a group, named after its field."""
+class _ReadPreset(argparse.Action):
+    """Makes the settings of a preset the defaults of the other options, for the parser's next pass."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
+    ) -> None:
+        """Read the preset; raises SourceError if that is not possible."""
+        setattr(namespace, self.dest, values)
+        options = {action.dest for action in parser._actions}
+        chosen = read_preset(_preset_path(values))
+        for group in chosen.values():
+            parser.set_defaults(**{name: value for name, value in group.items() if name in options})
+
+
+def _preset_path(text: str) -> Path:
+    if text in COMMAND_NAMES:
+        return built_in_path(COMMAND_NAMES[text])
+    if not Path(text).is_file():
+        raise SourceError(f"There is no preset {shown(text)}. Use {', '.join(COMMAND_NAMES)}, or a file.")
+    return Path(text)
+
+
+def add_preset_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option for a preset, which is read by `parse`."""
+    names = ", ".join(COMMAND_NAMES)
+    parser.add_argument(
+        "--preset",
+        action=_ReadPreset,
+        metavar="NAME|FILE.json",
+        help=f"settings that other options override: {names}, or a preset exported from Blender",
+    )
+
+
+def parse(parser: argparse.ArgumentParser, line: Sequence[str] | None) -> argparse.Namespace:
+    """Parse a command line, in a second pass with the defaults of its preset.
+
+    Raises
+    ------
+    SourceError
+        If the preset cannot be read.
+    """
+    arguments = parser.parse_args(line)
+    return arguments if getattr(arguments, "preset", None) is None else parser.parse_args(line)
+
+
+def add_settings(
+    parser: argparse.ArgumentParser | argparse._ArgumentGroup, group: type, without: Collection[str] = ()
+) -> None:
+    """Add an option for each setting of a group, named after its field.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser or argument group
+    group : type
+        The group.
+    without : collection of str
+        Names of fields to leave out.
+    """
     for name, setting in settings_of(group).items():
         if name in without:
             continue

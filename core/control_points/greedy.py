@@ -13,20 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray, as_points
-from ..deform.follow import follow_in_region, landmark_covariance
+from ..deform.follow import REGULARISATION, follow_in_region, landmark_covariance
 from ..errors import HeadError
 from ..heads.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
 from ..landmarks import N_LANDMARKS, from_ibug
 from ..mesh.kernels import distances, get_kernel
 from .difference import SkinDifference
+from .settings import DEFAULT_TOLERANCE, Search
 
-DEFAULT_TOLERANCE = 0.01
 _FACE_SIDES = from_ibug((0, 16))
 _EXCHANGE_CANDIDATES = 8
 """The least needed points, which an exchange tries to give up. With exchanges, half the points raised the error by 12
 instead of 17 % on ICT-FaceKit."""
 _MIN_GAIN = 1e-4
 """Share of the difference that an exchange has to remove."""
+
+KERNEL_OF: Mapping[Search, str] = {"take": DEFAULT_KERNEL, "paper": "gaussian"}
+"""Default kernel of each search."""
 
 START: tuple[Mapping[int, str], ...] = (
     {
@@ -126,7 +129,8 @@ def greedy_select(
     max_points: int = N_LANDMARKS,
     always: Iterable[int] = (),
     never: Iterable[int] = (),
-    kernel: str = DEFAULT_KERNEL,
+    search: Search = "take",
+    kernel: str | None = None,
     skin: tuple[FloatArray, FloatArray] | None = None,
 ) -> GreedySelection:
     """Choose control points among the landmarks of a head for the motion of a take.
@@ -144,8 +148,10 @@ def greedy_select(
         Largest number of control points.
     always, never : iterable of int
         Landmarks (positions in the 66) that the user requires or excludes.
-    kernel : str
-        Key in `KERNELS`.
+    search : {"take", "paper"}
+        As in `SelectionSettings`.
+    kernel : str, optional
+        Key in `KERNELS`; by default that of the search.
     skin : tuple of (V, 3) array and (3, V) array, optional
         Vertices and their region weights, by which exchanges are judged; by default the landmarks.
 
@@ -161,8 +167,9 @@ def greedy_select(
 
     Notes
     -----
-    The steps of docs/method.md, section 6.2, after Yao et al. 2019, section 4.2, and Rendall & Allen 2010. Ties go to
-    the lower number, so that the same take gives the same points.
+    The steps of docs/method.md, section 6.2, after Yao et al. 2019, section 4.2, and Rendall & Allen 2010; the search
+    of the paper consists of the first three, without covariance and ridge. Ties go to the lower number, so that the
+    same take gives the same points.
     """
     points = as_points(landmarks, "landmarks", count=N_LANDMARKS, error=HeadError)
     motion = np.asarray(displacements, dtype=np.float64)
@@ -170,41 +177,51 @@ def greedy_select(
         raise HeadError(f"displacements must be finite and of shape (N, {N_LANDMARKS}, 3); got {motion.shape}.")
     if max_points < len(REGIONS):
         raise HeadError(f"At least {len(REGIONS)} control points are needed, one per region; got {max_points}.")
-    search = _Search(points, motion, kernel, frozenset(always), frozenset(never))
-    at_landmarks = points, membership().astype(np.float64)
-    difference = SkinDifference(points, search.kernel, search.sigmas, motion, *(skin or at_landmarks))
+    plain = search == "paper"
+    state = _State(points, motion, kernel or KERNEL_OF[search], frozenset(always), frozenset(never), plain=plain)
     # 1. Points of the muscles, and those that the user asked for.
-    search.start(max_points)
+    state.start(max_points)
     # 2. and 3. Add the landmark with the largest predicted error, until all are within the tolerance.
-    while search.worst() > tolerance and search.grow(max_points):
+    while state.worst() > tolerance and state.grow(max_points):
         pass
-    # 4. If the allowed number is used up, exchange points.
-    while search.worst() > tolerance and search.exchange(difference):
-        pass
-    # 5. If the tolerance was reached, drop points that are not needed.
-    reached = search.worst() <= tolerance
-    while reached and search.shrink(tolerance):
-        pass
-    return GreedySelection(search.members, tuple(search.steps), tolerance, reached, search.covariance)
+    if not plain:
+        at_landmarks = points, membership().astype(np.float64)
+        difference = SkinDifference(points, state.kernel, state.sigmas, motion, *(skin or at_landmarks))
+        # 4. If the allowed number is used up, exchange points.
+        while state.worst() > tolerance and state.exchange(difference):
+            pass
+        # 5. If the tolerance was reached, drop points that are not needed.
+        while state.worst() <= tolerance and state.shrink(tolerance):
+            pass
+    reached = state.worst() <= tolerance
+    return GreedySelection(state.members, tuple(state.steps), tolerance, reached, state.covariance)
 
 
-class _Search:
+class _State:
     """The selection during the search: `members` (3, 66), and each landmark's worst `error` (3, 66) and its `frame`."""
 
     def __init__(
-        self, points: FloatArray, motion: FloatArray, kernel: str, always: frozenset[int], never: frozenset[int]
+        self,
+        points: FloatArray,
+        motion: FloatArray,
+        kernel: str,
+        always: frozenset[int],
+        never: frozenset[int],
+        *,
+        plain: bool,
     ) -> None:
         self.kernel = get_kernel(kernel)
         self.motion = np.ascontiguousarray(motion.transpose(1, 0, 2))
         self.width = float(np.linalg.norm(np.subtract(*points[_FACE_SIDES])))
         self.sigmas = region_sigmas(points, self.kernel)
-        self.covariance = landmark_covariance(motion)
+        self.covariance = None if plain else landmark_covariance(motion)
+        self.regularisation = 0.0 if plain else REGULARISATION
         own = [region.landmarks for region in REGIONS]
         self.phi = [
             self.kernel.phi(distances(points[each], points[each]), sigma)
             for each, sigma in zip(own, self.sigmas.tolist(), strict=True)
         ]
-        self.covariances = [self.covariance[np.ix_(each, each)] for each in own]
+        self.covariances = [None if self.covariance is None else self.covariance[np.ix_(each, each)] for each in own]
         self.candidates = membership()
         self.candidates[:, sorted(never)] = False
         self.always = always - never
@@ -339,7 +356,7 @@ class _Search:
         """
         own = REGIONS[row].landmarks
         chosen = np.flatnonzero(known[own])
-        matrix = follow_in_region(self.phi[row], self.covariances[row], chosen)
+        matrix = follow_in_region(self.phi[row], self.covariances[row], chosen, self.regularisation)
         motion = self.motion[own]
         off = np.tensordot(matrix, motion[chosen], axes=1) - motion
         squared = np.einsum("pnk,pnk->pn", off, off)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
+from ..deform.head_deformer import INFORMED
 from ..drive.retarget import retargeter_for
 from ..errors import HeadError, SourceError
 from ..heads.regions import REGIONS
@@ -20,7 +21,8 @@ from ..landmarks import IBUG68_INDICES, N_LANDMARKS, from_ibug
 from ..reading import as_list, as_number, as_object, as_text, as_whole, parse_json, shown
 from ..takes.neutral import Neutral, calibrate
 from ..takes.take import Take
-from .greedy import DEFAULT_TOLERANCE, GreedySelection, GreedyStep, greedy_select
+from .greedy import GreedySelection, GreedyStep, greedy_select
+from .settings import DEFAULT_TOLERANCE, Search
 
 _LEFT_OUT = frozenset(range(68)) - frozenset(IBUG68_INDICES.tolist())
 _LAST = int(IBUG68_INDICES[-1])
@@ -43,6 +45,8 @@ def select_for_take(
     max_points: int = N_LANDMARKS,
     always: Iterable[int] = (),
     never: Iterable[int] = (),
+    search: Search = "take",
+    kernel: str | None = None,
 ) -> GreedySelection:
     """Choose the control points that a head needs for a take.
 
@@ -60,6 +64,10 @@ def select_for_take(
         As for `greedy_select`.
     always, never : iterable of int
         As for `greedy_select`.
+    search : {"take", "paper"}
+        As for `greedy_select`.
+    kernel : str, optional
+        As in `DriveSettings`; by default that of the search.
 
     Returns
     -------
@@ -83,6 +91,8 @@ def select_for_take(
         max_points=max_points,
         always=always,
         never=never,
+        search=search,
+        kernel=None if kernel == INFORMED else kernel,
         skin=(rig.vertices, rig.region_weights),
     )
     return replace(selection, steps=tuple(replace(step, frame=int(found[step.frame])) for step in selection.steps))

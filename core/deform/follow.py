@@ -27,7 +27,9 @@ def landmark_covariance(displacements: FloatArray) -> FloatArray:
     return np.asarray(moved @ moved.T / moved.shape[1])
 
 
-def follow_in_region(phi: FloatArray, covariance: FloatArray | None, chosen: NDArray[np.intp]) -> FloatArray:
+def follow_in_region(
+    phi: FloatArray, covariance: FloatArray | None, chosen: NDArray[np.intp], regularisation: float = REGULARISATION
+) -> FloatArray:
     """Matrix from the displacements of a region's control points to those of all its landmarks.
 
     Parameters
@@ -38,6 +40,8 @@ def follow_in_region(phi: FloatArray, covariance: FloatArray | None, chosen: NDA
         Covariance of their displacements in a take; without it, distance alone decides.
     chosen : (C,) array of int
         Which of the P landmarks are control points.
+    regularisation : float
+        As for `RBFDeformer`.
 
     Returns
     -------
@@ -46,7 +50,7 @@ def follow_in_region(phi: FloatArray, covariance: FloatArray | None, chosen: NDA
     """
     pairs = np.ix_(chosen, chosen)
     # F_0: by distance alone.
-    matrix = np.linalg.solve(phi[pairs] + REGULARISATION * np.eye(len(chosen)), phi[chosen]).T
+    matrix = np.linalg.solve(phi[pairs] + regularisation * np.eye(len(chosen)), phi[chosen]).T
     if covariance is not None and (spread := covariance[pairs]).any():
         # Equation 6.1: regress what F_0 gets wrong on the control points.
         ridge = _RIDGE * np.trace(spread) / len(chosen)
@@ -62,6 +66,7 @@ def follow_matrix(
     covariance: FloatArray | None,
     kernel: Kernel,
     sigmas: FloatArray,
+    regularisation: float = REGULARISATION,
 ) -> FloatArray:
     """Matrix from the displacements of the control points to those of all landmarks.
 
@@ -77,6 +82,8 @@ def follow_matrix(
         Of the regions' functions.
     sigmas : (3,) array
         Width of the kernel in each region.
+    regularisation : float
+        As for `RBFDeformer`.
 
     Returns
     -------
@@ -102,5 +109,5 @@ def follow_matrix(
         # A landmark of two regions takes the mean of both predictions.
         phi = kernel.phi(distances(landmarks[own], landmarks[own]), sigma)
         among = None if covariance is None else covariance[np.ix_(own, own)]
-        matrix[np.ix_(own, own[chosen])] += follow_in_region(phi, among, chosen) / said[own, None]
+        matrix[np.ix_(own, own[chosen])] += follow_in_region(phi, among, chosen, regularisation) / said[own, None]
     return matrix

@@ -10,7 +10,7 @@ from ..heads.regions import DEFAULT_KERNEL, membership, region_sigmas
 from ..heads.rig import HeadRig
 from ..mesh.kernels import get_kernel
 from .expressions import ExpressionModel, learnt_covariance, shipped_expressions
-from .follow import follow_matrix
+from .follow import REGULARISATION, follow_matrix
 from .rbf import IncrementalDeformer, RBFDeformer
 
 INFORMED = "informed"
@@ -22,6 +22,7 @@ def head_deformer(
     kernel: str = INFORMED,
     *,
     incremental: bool = False,
+    exact: bool = False,
     expressions: tuple[ExpressionModel, ...] | None = None,
 ) -> RBFDeformer | IncrementalDeformer:
     """Prepare the deformer of a head.
@@ -32,7 +33,7 @@ def head_deformer(
         The head.
     kernel : str
         As in `DriveSettings`.
-    incremental : bool
+    incremental, exact : bool
         As in `DriveSettings`.
     expressions : tuple of ExpressionModel, optional
         Known heads for the informed kernel; by default those that are shipped.
@@ -46,17 +47,21 @@ def head_deformer(
     places = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
     plain = DEFAULT_KERNEL if kernel == INFORMED else kernel
     sigma = region_sigmas(places, get_kernel(plain))
-    follow = None
-    if rig.control_points is not None:
-        follow = follow_matrix(places, rig.control_points, rig.covariance, get_kernel(plain), sigma)
+    regularisation = 0.0 if exact else REGULARISATION
+    follow, members = None, membership()
+    if rig.control_points is not None and incremental and rig.covariance is None:
+        members &= rig.control_points.any(axis=0)
+    elif rig.control_points is not None:
+        follow = follow_matrix(places, rig.control_points, rig.covariance, get_kernel(plain), sigma, regularisation)
     fit = partial(
         IncrementalDeformer if incremental else RBFDeformer,
         rig.vertices,
         places,
         rig.region_weights,
-        membership(),
+        members,
         kernel=plain,
         sigma=sigma,
+        regularisation=regularisation,
         follow=follow,
     )
     if kernel != INFORMED or rig.faces is None or incremental:

@@ -19,6 +19,7 @@ from ..arrays import FloatArray, as_points
 from ..errors import HeadError
 from ..mesh.kernels import Kernel, distances, get_kernel
 from .blocks import BlockProduct, RegionMatrix
+from .follow import REGULARISATION
 from .skin import SkinCovariance
 
 MAX_CONDITION = 1e10
@@ -114,7 +115,7 @@ class RBFDeformer:
         kernel: str = "gaussian",
         sigma: ArrayLike | None = None,
         spacing_factor: ArrayLike = 0.8,
-        regularisation: float = 1e-3,
+        regularisation: float = REGULARISATION,
         skin: SkinCovariance | None = None,
         follow: ArrayLike | None = None,
     ) -> None:
@@ -186,14 +187,25 @@ class RBFDeformer:
 
 
 class IncrementalDeformer:
-    """The method of the paper (its section 3.2): each frame is fitted from the coordinates of the previous one.
+    """The method of the paper (its section 3.2): each frame is fitted to the coordinates of the previous one.
 
-    It is a hundred times slower than `RBFDeformer`, and errors accumulate. Kept for comparison.
+    It is some fifty times slower than `RBFDeformer`, and the result depends on all frames since `reset`.
 
     Parameters
     ----------
     vertices, control_points, region_weights, membership, **options
-        As for `RBFDeformer`.
+        As for `RBFDeformer`, without `skin`.
+
+    Raises
+    ------
+    HeadError
+        As `RBFDeformer`, at rest.
+
+    Notes
+    -----
+    With coordinates x' and control points c' of the previous frame, ``x = x' + sum_j w_j phi(|x' - c'_j|)``, where the
+    weights fit the steps of the control points (equations 1 to 3). Moving points may come close to one another; so that
+    no frame is refused, singular values below 1e-10 of the largest are left out.
     """
 
     def __init__(
@@ -204,11 +216,16 @@ class IncrementalDeformer:
         membership: ArrayLike,
         **options: Any,
     ) -> None:
+        at_rest = RBFDeformer(vertices, control_points, region_weights, membership, **options)
+        self.rest = at_rest.rest
+        self.n_control_points = at_rest.n_control_points
+        self.fits = at_rest.fits
         self._points = as_points(control_points, "control_points", error=HeadError)
-        self._regions = np.asarray(region_weights), np.asarray(membership)
-        self._options = options
-        self.rest: NDArray[np.float32] = as_points(vertices, "vertices", error=HeadError).astype(np.float32)
-        self.n_control_points = len(self._points)
+        shares = _normalise_weights(region_weights, len(np.asarray(membership)), len(self.rest))
+        self._shares = shares[shares.any(axis=1)]
+        self._kernel = get_kernel(options.get("kernel", "gaussian"))
+        self._ridge = float(options.get("regularisation", REGULARISATION))
+        self._follow = None if options.get("follow") is None else np.asarray(options["follow"], dtype=np.float64)
         self.reset()
 
     def reset(self) -> None:
@@ -219,9 +236,19 @@ class IncrementalDeformer:
     def deform(self, displacements: ArrayLike, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """As `RBFDeformer.deform`, from the coordinates of the previous frame; depends on all frames since `reset`."""
         moved = as_points(displacements, "displacements", count=self.n_control_points)
-        step = RBFDeformer(self._vertices, self._points + self._moved, *self._regions, **self._options)
-        result = step.deform(moved - self._moved, out)
-        self._vertices, self._moved = result.astype(np.float64), np.asarray(moved)
+        if self._follow is not None:
+            moved = self._follow @ moved
+        before, after = self._vertices, self._vertices.copy()
+        for fit, share in zip(self.fits, self._shares, strict=True):
+            centres = self._points[fit.columns] + self._moved[fit.columns]
+            system = self._kernel.phi(distances(centres, centres), fit.sigma) + self._ridge * np.eye(len(centres))
+            step = moved[fit.columns] - self._moved[fit.columns]
+            weights = np.linalg.lstsq(system, step, rcond=1.0 / MAX_CONDITION)[0]
+            reach = self._kernel.phi(distances(before[fit.rows], centres), fit.sigma)
+            after[fit.rows] += share[fit.rows, None] * (reach @ weights)
+        self._vertices, self._moved = after, np.asarray(moved)
+        result = np.empty_like(self.rest) if out is None else out
+        result[...] = after
         return result
 
 
@@ -280,7 +307,7 @@ class _Fit:
         if not condition <= MAX_CONDITION:
             raise HeadError(
                 f"The fit is ill-conditioned (condition number {condition:.1e} {where}). "
-                "Lower sigma, or raise the regularisation."
+                "Turn off Exact Fit, lower sigma, or raise the regularisation."
             )
         return system, condition
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from ..deform.action_modes import action_modes
 from ..deform.head_deformer import INFORMED, head_deformer
 from ..deform.rbf import IncrementalDeformer, RBFDeformer
 from ..heads.eyeballs import EyeballContact
+from ..heads.regions import sharp_regions
 from ..heads.rig import HeadRig
 from ..landmarks import CHIN, outer_eye_distance
 from ..rotation import euler_to_matrix, fit_rotation
@@ -105,7 +106,10 @@ class HeadDriver:
             self.modes, self.parts = reuse.modes, reuse.parts
         else:
             alone, skin = rig.skin()
-            self.deformer = head_deformer(alone, options.kernel, incremental=options.incremental)
+            if options.borders == "sharp":
+                sharp = sharp_regions(alone.region_weights, alone.landmarks, alone.faces)
+                alone = replace(alone, region_weights=sharp)
+            self.deformer = head_deformer(alone, options.kernel, incremental=options.incremental, exact=options.exact)
             self.modes = _modes(alone, self.deformer, options)
             self.contact = EyeballContact(alone.vertices, alone.region_weights.sum(axis=0), rig.eyeballs)
             self.parts = None if skin is None else PartDriver(rig, skin, alone)
@@ -122,7 +126,7 @@ class HeadDriver:
     def frame(self, result: TrackResult) -> HeadFrame:
         """Compute the head for a tracking result with a face."""
         result = mirror_result(result, MIRROR_WIDTH) if self.options.mirror else result
-        posing = self.options.posing
+        posing, planar = self.options.posing, self.options.mode == "planar"
         # Sections 4.1 to 4.4: landmarks; 4.5: pose within the user's limits.
         displacements = self.retargeter.displacements(result.shape)
         turned = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
@@ -135,12 +139,15 @@ class HeadDriver:
         if self.modes is not None:
             for k in np.flatnonzero(actions):
                 vertices += np.float32(actions[k]) * self.modes[k]
-        self.contact.resolve(vertices)
+        if planar:
+            vertices[:, 2] = self.deformer.rest[:, 2]
+        elif self.options.contact:
+            self.contact.resolve(vertices)
         gaze = self.eyes.rotations(result.gaze, result.vergence, rotation)
         jaw = fit_rotation(self._chin, self._chin + displacements[CHIN])
         eyes = np.stack([limit_rotation(eye, posing.eyes_strength, posing.eyes_limit) for eye in gaze])
         return HeadFrame(
-            vertices=vertices if self.parts is None else self.parts.pose(vertices, jaw, eyes),
+            vertices=vertices if self.parts is None else self.parts.pose(vertices, jaw, eyes, planar=planar),
             rotation=rotation,
             translation=self._unit
             * limit_vector(self._translation(result.pose), posing.location_strength, posing.location_limit),
@@ -169,4 +176,5 @@ def _modes(
 
 
 def _same_deformer(one: DriveSettings, other: DriveSettings) -> bool:
-    return one.kernel == other.kernel and not one.incremental and not other.incremental
+    kept = (one.kernel, one.borders, one.exact) == (other.kernel, other.borders, other.exact)
+    return kept and not one.incremental and not other.incremental

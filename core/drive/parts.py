@@ -69,7 +69,9 @@ class PartDriver:
         eyes = [(("eye_right", "eye_left")[side], rows, centre) for side, rows, centre in self._eyes]
         return [*eyes, ("jaw", self._teeth, self._hinge)]
 
-    def pose(self, skin: NDArray[np.float32], jaw: FloatArray, gaze: FloatArray) -> NDArray[np.float32]:
+    def pose(
+        self, skin: NDArray[np.float32], jaw: FloatArray, gaze: FloatArray, *, planar: bool = False
+    ) -> NDArray[np.float32]:
         """Pose all vertices.
 
         Parameters
@@ -80,6 +82,8 @@ class PartDriver:
             Rotation of the lower teeth about the hinge of the jaw.
         gaze : (2, 3, 3) float64
             Rotations of the right and left eye about their centres.
+        planar : bool
+            Whether what rides on the skin keeps its depth.
 
         Returns
         -------
@@ -93,6 +97,8 @@ class PartDriver:
         out[self._teeth] = _turned(self.rest[self._teeth], self._hinge, jaw)
         if self._glue is not None:
             out[self._riding] = self._glue.move(skin - self._skin_rest)
+        if planar:
+            out[self._riding, 2] = self.rest[self._riding, 2]
         return out
 
     def _glued(self, rig: HeadRig, deformed: HeadRig) -> Glue:

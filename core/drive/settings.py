@@ -10,6 +10,7 @@ from ..deform.head_deformer import INFORMED
 from ..settings import Choice, setting
 
 Mode = Literal["3d", "planar"]
+Borders = Literal["soft", "sharp"]
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,15 @@ class DriveSettings:
         Whether the head moves like the performer's mirror image.
     only_landmarks : bool
         Ignore what no landmark shows, as the paper does.
+    borders : {"soft", "sharp"}
+        How regions meet: "sharp" is the paper's rule, weights of 0 and 1 and the mean for vertices on a border.
+    exact : bool
+        Fit without a ridge, as the paper does, so that each region meets its control points exactly.
     incremental : bool
-        Fit each frame starting from the previous one, as the paper does.
+        Fit each frame to the coordinates of the previous one, as the paper does.
+    contact : bool
+        Keep the lids outside the eyeballs, which the paper does not; never in mode "planar", where it would change
+        depths.
     posing : PosingSettings
         Strength and limits of the pose of the head and the eyes.
     """
@@ -115,7 +123,26 @@ class DriveSettings:
         "Only Landmarks",
         "Ignore what no landmark shows: the tongue, puffed cheeks, pressed lips, and wrinkles of the nose",
     )
-    incremental: bool = False
+    borders: Borders = setting(
+        "soft",
+        "Borders",
+        "How neighbouring regions meet",
+        choices=(
+            Choice("soft", "Soft", "Regions blend as they are painted"),
+            Choice("sharp", "Sharp", "A vertex belongs to a region or not, and on a border to both, as in the paper"),
+        ),
+    )
+    exact: bool = setting(
+        False, "Exact Fit", "Meet the landmarks exactly, as in the paper; the skin between them is less smooth"
+    )
+    incremental: bool = setting(
+        False,
+        "Refit Every Frame",
+        "Fit each frame to the previous one, as in the paper; slower, and the face does not fully return to rest",
+    )
+    contact: bool = setting(
+        True, "Lids on Eyeballs", "Let the eyelids slide over the eyeballs; has no effect if the depth is planar"
+    )
     posing: PosingSettings = field(default_factory=PosingSettings)
 
     @property

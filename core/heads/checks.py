@@ -10,9 +10,11 @@ from ..arrays import FloatArray, IntArray
 from ..landmarks import IBUG68_INDICES
 from ..mesh.surface import SurfaceGraph, lips_joined
 from .lids import eyes_joined
-from .regions import REGIONS, membership
+from .regions import REGIONS, membership, own_weights
 
 _MIN_WEIGHT = 0.01
+_HELD = 0.95
+"""Weight in its own regions that a landmark needs for its vertex to follow it."""
 _MAX_LISTED = 8
 
 
@@ -52,6 +54,14 @@ def _region_findings(landmarks: IntArray, region_weights: FloatArray) -> list[Fi
         findings.append(
             Finding(
                 f"Landmarks {_list(outside)} lie in no region.", "Paint their regions over them, or bind them again."
+            )
+        )
+    partly = np.setdiff1d(np.flatnonzero(own_weights(region_weights, landmarks) < _HELD), outside)
+    if len(partly):
+        findings.append(
+            Finding(
+                f"Landmarks {_list(partly)} are moved only partly by their regions.",
+                "Paint these regions over them in full, or propose the regions again.",
             )
         )
     for region, members, row, whole in zip(REGIONS, membership(), weights, region_weights, strict=True):

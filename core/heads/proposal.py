@@ -30,6 +30,7 @@ from ..landmarks import (
     outer_eye_distance,
 )
 from ..mesh.surface import SurfaceGraph
+from .regions import hold_landmarks
 
 _UPPER_LIDS = EYE_RIGHT[:4], EYE_LEFT[:4]
 _LOWER_LIDS = EYE_RIGHT[[3, 4, 5, 0]], EYE_LEFT[[3, 4, 5, 0]]
@@ -85,7 +86,8 @@ def propose_regions(vertices: FloatArray, faces: IntArray, landmarks: IntArray) 
     shares = np.stack([above_eyes, (1.0 - above_eyes) * above_mouth, (1.0 - above_eyes) * (1.0 - above_mouth)])
     shares *= _moving(place, points)
     shares[shares < 0.01] = 0.0
-    return np.asarray(shares)
+    # 4. The vertex of each landmark follows it exactly.
+    return hold_landmarks(shares, place, landmarks)
 
 
 def _slit(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..landmarks import (
     BROWS,
     EYE_CORNERS,
@@ -26,8 +26,9 @@ from ..landmarks import (
     UPPER_LIDS,
     UPPER_LIP,
     UPPER_LIPS,
+    outer_eye_distance,
 )
-from ..mesh.kernels import Kernel, distances
+from ..mesh.kernels import Kernel, distances, wendland
 
 UPPER, MIDDLE, LOWER = 0, 1, 2
 
@@ -71,12 +72,96 @@ REGIONS: tuple[Region, Region, Region] = (
 )
 
 
+_HOLD, _LEAST = 0.3, 0.01
+"""Radius in outer-eye distances within which weights change for a landmark, and the least weight there is then."""
+
+
 def membership() -> NDArray[np.bool_]:
     """(3, 66) whether a landmark controls a region; corners of eyes and mouth, and the nose bridge, control two."""
     table = np.zeros((len(REGIONS), N_LANDMARKS), dtype=np.bool_)
     for row, region in zip(table, REGIONS, strict=True):
         row[region.landmarks] = True
     return table
+
+
+def sharp_regions(region_weights: FloatArray, landmarks: IntArray, faces: IntArray | None) -> FloatArray:
+    """Turn painted weights into the sets of vertices of the paper, whose borders belong to both sides.
+
+    Parameters
+    ----------
+    region_weights, landmarks, faces : (3, V), (66,), (F, K) array
+        As in `HeadRig`. Without faces, only landmarks lie on a border.
+
+    Returns
+    -------
+    (3, V) float64
+        Weights of 0 and 1. A vertex that is painted at all belongs to the region with the largest weight; of two
+        neighbours in different regions, the one that is painted more evenly belongs to both. The vertex of a landmark
+        belongs to the regions of the landmark, so that these meet it exactly.
+    """
+    painted = np.asarray(region_weights, dtype=np.float64)
+    moving = painted.any(axis=0)
+    own = painted.argmax(axis=0)
+    sharp = moving & (own == np.arange(len(painted))[:, None])
+    if faces is not None:
+        a, b = _edges(np.asarray(faces)).T
+        crossing = moving[a] & moving[b] & (own[a] != own[b])
+        a, b = a[crossing], b[crossing]
+        excess = (painted[own[v], v] - painted[own[w], v] for v, w in ((a, b), (b, a)))
+        nearer = np.greater(*excess)
+        sharp[own[np.where(nearer, a, b)], np.where(nearer, b, a)] = True
+    bound = np.asarray(landmarks)[moving[landmarks]]
+    sharp[:, bound] = membership()[:, moving[landmarks]]
+    return np.asarray(sharp, dtype=np.float64)
+
+
+def own_weights(region_weights: FloatArray, landmarks: IntArray) -> FloatArray:
+    """(66,) sum of the weights that the vertex of each landmark has in the landmark's own regions."""
+    return np.asarray((np.asarray(region_weights, dtype=np.float64)[:, landmarks] * membership()).sum(axis=0))
+
+
+def hold_landmarks(
+    region_weights: FloatArray, vertices: FloatArray, landmarks: IntArray, held: NDArray[np.bool_] | None = None
+) -> FloatArray:
+    """Change weights around landmarks so that the vertex of each follows its landmark exactly.
+
+    Parameters
+    ----------
+    region_weights, vertices, landmarks : (3, V), (V, 3), (66,) array
+        As in `HeadRig`, with weights whose sum is at most 1.
+    held : (66,) array of bool, optional
+        The landmarks for which weights are changed; by default all.
+
+    Returns
+    -------
+    (3, V) float64
+        Weights which at the vertex of each landmark are 0 for regions to which it does not belong, and otherwise have
+        the sum 1. They change within `_HOLD` outer-eye distances of landmarks where that was not so.
+    """
+    painted = np.asarray(region_weights, dtype=np.float64)
+    places = np.asarray(vertices, dtype=np.float64)
+    points, members = places[landmarks], membership()
+    at = painted[:, landmarks]
+    own = np.where(members, np.maximum(at, 1e-9), 0.0)
+    lacking = own / own.sum(axis=0) - at
+    if held is not None:
+        lacking[:, ~held] = 0.0
+    radius = _HOLD * outer_eye_distance(points)
+    # Residuals are interpolated with Wendland's function, which is 0 beyond the radius.
+    between = wendland(distances(points, points), radius / 4.0)
+    amounts = np.linalg.lstsq(between, lacking.T, rcond=1e-9)[0]
+    moved = painted + (wendland(distances(places, points), radius / 4.0) @ amounts).T
+    moved = np.clip(np.where(moved < _LEAST, 0.0, moved), 0.0, 1.0)
+    return np.asarray(moved / np.maximum(moved.sum(axis=0), 1.0))
+
+
+def _edges(faces: IntArray) -> NDArray[np.intp]:
+    """(E, 2) edges of faces (F, K) that are padded with -1."""
+    following: NDArray[np.intp] = np.roll(faces, -1, axis=1)
+    last = (faces >= 0) & (following < 0)
+    following = np.where(last, faces[:, :1], following)
+    pairs = np.stack([faces, following], axis=-1).reshape(-1, 2)
+    return np.asarray(pairs[(pairs >= 0).all(axis=1)], dtype=np.intp)
 
 
 def region_sigmas(landmarks: FloatArray, kernel: Kernel) -> FloatArray:

@@ -125,9 +125,12 @@ def _skin_of(head: HeadDriver) -> dict[str, NDArray[np.generic]]:
     weights = np.zeros((len(rest), -(-N_LANDMARKS // 4) * 4), dtype=np.float16)
     weights[:, :N_LANDMARKS] = head.deformer.matrix()
     modes = np.zeros((len(rest), 0 if head.modes is None else len(head.modes), 4), dtype=np.float16)
+    planar = head.options.mode == "planar"
     if head.modes is not None:
-        modes[..., :3] = np.moveaxis(head.modes, 0, 1)
-    return {"skin": rest, "spheres": head.contact.spheres(len(rest)), "weights": weights, "modes": modes}
+        modes[..., : 2 if planar else 3] = np.moveaxis(head.modes, 0, 1)[..., : 2 if planar else 3]
+    touching = head.options.contact and not planar
+    spheres = head.contact.spheres(len(rest)) if touching else np.zeros((len(rest), 4), dtype=np.float32)
+    return {"skin": rest, "spheres": spheres, "weights": weights, "modes": modes}
 
 
 def _skin_of_keys(driver: KeyDriver) -> dict[str, NDArray[np.generic]]:

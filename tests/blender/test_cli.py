@@ -18,7 +18,10 @@ import pytest
 import facemime
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.media import rendering
+from facemime.blender.rigs import read_rig
+from facemime.core.control_points.select import from_json, select_for_take
 from facemime.core.errors import OutputError
+from facemime.core.heads.rig import built_in_rig
 from facemime.core.takes.file import load_take, save_take
 from takes import performance
 
@@ -291,18 +294,34 @@ def test_select_prints_the_curve_and_puppet_uses_the_points(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "status", "message"),
     [
-        (["--max-points", "2"], "At least 3 control points"),
-        (["--tolerance", "0"], "must be above 0"),
-        (["--add", "nose"], "not a list of landmarks"),
-        (["-o", "points.txt"], "json"),
+        (["--max-points", "2"], 2, "'2' is not between 3 and 66"),
+        (["--tolerance", "0"], 2, "'0' is not between 0.01 and 100"),
+        (["--add", "nose"], 1, "not a list of landmarks"),
+        (["-o", "points.txt"], 1, "json"),
     ],
 )
-def test_select_reports_invalid_arguments(tmp_path, arguments, message):
+def test_select_reports_invalid_arguments(tmp_path, arguments, status, message):
     save_take(performance(), tmp_path / "take.facetake")
     done = run("select", tmp_path / "take.facetake", *arguments)
-    assert done.returncode == 1 and message in done.stderr and "Traceback" not in done.stderr
+    assert done.returncode == status and message in done.stderr and "Traceback" not in done.stderr
+
+
+def test_select_takes_the_head_in_a_file(tmp_path):
+    save_take(performance(), tmp_path / "take.facetake")
+    obj = add_head(bpy.context)
+    for vertex in obj.data.vertices:
+        vertex.co.x *= 1.6
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "head.blend"))
+    points = tmp_path / "points.json"
+    done = run("select", tmp_path / "take.facetake", "--head", tmp_path / "head.blend", "-o", points)
+    assert done.returncode == 0, done.stderr
+    found, take = from_json(points.read_text()), load_take(tmp_path / "take.facetake")
+    expected, usual = (select_for_take(rig, take) for rig in (read_rig(obj), built_in_rig()))
+    np.testing.assert_array_equal(found.membership, expected.membership)
+    np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-3, atol=1e-9)
+    assert not np.allclose(found.covariance, usual.covariance, rtol=1e-2)
 
 
 def test_invalid_points_are_rejected_before_anything_is_written(tmp_path):

@@ -5,6 +5,7 @@ import json
 import bpy
 import pytest
 
+from facemime.core.puppet.presets import BUILT_IN, built_in_path
 from facemime.settings import presets
 
 
@@ -27,7 +28,7 @@ def test_loading_a_preset_restores_all_settings():
     assert bpy.ops.facemime.remove_preset(name="Lively") == {"FINISHED"} and presets.names() == []
 
 
-@pytest.mark.parametrize("name", presets.BUILT_IN)
+@pytest.mark.parametrize("name", BUILT_IN)
 def test_built_in_presets_set_every_setting_of_the_panel_expression(name):
     settings = bpy.context.scene.facemime
     settings.strength_upper = settings.strength_middle = settings.strength_lower = 4.0
@@ -35,8 +36,13 @@ def test_built_in_presets_set_every_setting_of_the_panel_expression(name):
     assert bpy.ops.facemime.load_preset(name=name, built_in=True) == {"FINISHED"}
     assert 0.5 < settings.strength_lower < 3.0 and 0.5 < settings.strength_upper < 3.0
     assert settings.smoothing < 3.0 and settings.posing.rotation_strength < 2.0 > settings.posing.eyes_strength
-    chosen = (settings.mode, settings.kernel, settings.only_landmarks)
-    assert chosen == (("planar", "gaussian", True) if name == "yao_2019" else ("3d", "informed", False))
+    names = ("mode", "kernel", "only_landmarks", "borders", "exact", "incremental", "contact")
+    usual, papers = (
+        ("3d", "informed", False, "soft", False, False, True),
+        ("planar", "gaussian", True, "sharp", True, True, False),
+    )
+    assert tuple(getattr(settings, each) for each in names) == (papers if name == "yao_2019" else usual)
+    assert bpy.context.scene.facemime_steps.search == ("paper" if name == "yao_2019" else "take")
 
 
 def test_built_in_presets_cannot_be_removed_and_are_not_hidden_by_your_own():
@@ -47,7 +53,7 @@ def test_built_in_presets_cannot_be_removed_and_are_not_hidden_by_your_own():
     assert settings.strength_lower == pytest.approx(1.25)
     assert bpy.ops.facemime.remove_preset(name="strong") == {"FINISHED"}
     assert bpy.ops.facemime.remove_preset(name="strong") == {"FINISHED"}
-    assert presets.names() == [] and presets.built_in_path("strong").is_file()
+    assert presets.names() == [] and built_in_path("strong").is_file()
 
 
 def test_a_preset_is_exported_and_imported(tmp_path):

@@ -1,5 +1,7 @@
 """Landmarks, regions and checks on unlabelled meshes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,10 +9,13 @@ from hypothesis import strategies as st
 from scans import scanned
 
 from facemime.core.binding.bind import MARKS, bind_landmarks
+from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.errors import HeadError
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.checks import check_head
 from facemime.core.heads.proposal import propose_regions
+from facemime.core.heads.regions import hold_landmarks, membership
+from facemime.core.heads.rig import built_in_rig
 from facemime.core.landmarks import INNER, MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, OUTER_EYE_CORNERS, from_ibug
 from facemime.core.mesh.surface import SurfaceGraph, lips_joined
 from facemime.core.mesh.warp import Warp
@@ -207,11 +212,41 @@ def test_the_check_names_what_is_wrong_and_what_to_do():
     twins[0] = twins[1]
     weights = HEAD.regions.copy()
     weights[:, HEAD.landmarks[from_ibug([30])]] = 0.0
+    assert "Landmarks 30 lie in no region" in check_head(VERTICES, HEAD.faces, HEAD.landmarks, weights)[0].problem
     weights[2] = 0.0
     findings = check_head(VERTICES, HEAD.faces, twins, weights)
     told = " ".join(finding.problem for finding in findings)
-    assert "Landmarks 0, 1 share vertices" in told and "The region lower is empty" in told and "30" in told
+    assert "Landmarks 0, 1 share vertices" in told and "The region lower is empty" in told
     assert all(finding.remedy.endswith(".") for finding in findings)
+
+
+def test_landmarks_whose_weight_fades_out_are_found():
+    weights = HEAD.regions.copy()
+    weights[:, HEAD.landmarks[from_ibug([4])]] *= 0.34
+    findings = check_head(VERTICES, HEAD.faces, HEAD.landmarks, weights)
+    assert [finding.problem for finding in findings] == ["Landmarks 4 are moved only partly by their regions."]
+    assert check_head(VERTICES, HEAD.faces, HEAD.landmarks, hold_landmarks(weights, VERTICES, HEAD.landmarks)) == []
+
+
+@pytest.mark.parametrize("weights", [HEAD.regions, propose_regions(VERTICES, HEAD.faces, HEAD.landmarks)])
+def test_the_vertex_of_each_landmark_follows_it_exactly(weights):
+    rig = replace(built_in_rig(), region_weights=weights)
+    opened = HEAD.units[HEAD.unit_names.index("jawOpen")][HEAD.landmarks].astype(float)
+    deformer = head_deformer(rig, "gaussian", exact=True)
+    found = (deformer.deform(opened) - deformer.rest)[HEAD.landmarks]
+    np.testing.assert_allclose(found, opened, atol=1e-6)
+    np.testing.assert_allclose((weights[:, HEAD.landmarks] * ~membership()).sum(axis=0), 0.0, atol=1e-6)
+
+
+def test_holding_landmarks_changes_only_what_is_near_and_keeps_weights_in_bounds():
+    weights = np.array(HEAD.regions, dtype=float)
+    weights[:, HEAD.landmarks[from_ibug([3, 4, 5])]] *= 0.1
+    held = hold_landmarks(weights, VERTICES, HEAD.landmarks)
+    away = np.linalg.norm(VERTICES[:, None] - VERTICES[HEAD.landmarks[from_ibug([3, 4, 5])]], axis=2).min(axis=1)
+    assert held.min() >= 0.0 and held.sum(axis=0).max() <= 1.0 + 1e-9
+    np.testing.assert_allclose(held[:, away > UNIT], weights[:, away > UNIT], atol=0.05)
+    unheld = hold_landmarks(weights, VERTICES, HEAD.landmarks, np.zeros(66, dtype=bool))
+    np.testing.assert_allclose(unheld, weights, atol=1e-6)
 
 
 def test_joined_lips_are_found():

@@ -6,7 +6,16 @@ import re
 import textwrap
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from facemime.core.bake.settings import BakeSettings
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.settings import DriveSettings, PosingSettings
+from facemime.core.heads.rig import built_in_rig
+from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.takes.neutral import calibrate
+from takes import performance
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted(
@@ -14,6 +23,8 @@ DOCUMENTS = sorted(
 )
 _LINK = re.compile(r"\]\((?![a-z]+:)([^)#\s]*)(?:#([^)\s]+))?\)")
 _SOURCE = re.compile(r"`((?:bench|blender|cli|core|farm|operators|sessions|settings|tests|tools|training|ui)/[\w/.]*)`")
+_CALL = re.compile(r"`([A-Z]\w+\([^`]*\))`")
+"""A call of one of Facemime's classes."""
 _FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 
 
@@ -50,3 +61,20 @@ def test_the_example_of_the_reference_runs(monkeypatch, capsys):
     code = textwrap.dedent(text.split(".. code-block:: python\n")[1].split("\nThe interface")[0])
     exec(code, {})
     assert capsys.readouterr().out.strip() == code.rsplit("# ", 1)[1].strip()
+
+
+DOCUMENTED = sorted({call for path in DOCUMENTS for call in _CALL.findall(path.read_text(encoding="utf-8"))})
+
+
+@pytest.mark.parametrize("call", DOCUMENTED)
+def test_calls_in_documents_run_and_their_settings_drive_a_head(call):
+    known = {group.__name__: group for group in (DriveSettings, PosingSettings, PuppetSettings, BakeSettings)}
+    made = eval(call.replace("...", "1.0"), dict(known))
+    options = made if isinstance(made, DriveSettings) else DriveSettings()
+    take = performance()
+    frame = HeadDriver(built_in_rig(), calibrate(take), options).frame(take.result(50))
+    assert np.isfinite(frame.vertices).all()
+
+
+def test_documents_contain_calls():
+    assert any(call.startswith("DriveSettings(") for call in DOCUMENTED)

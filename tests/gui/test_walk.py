@@ -269,6 +269,23 @@ def test_settings_are_saved_and_loaded_as_a_preset_by_clicks(blender, sidebar):
     blender.wait_for("bpy.context.scene.facemime.strength_lower == 1.5")
 
 
+def test_the_papers_preset_is_chosen_by_clicks_and_moves_the_head_live(blender, sidebar):
+    add_head(sidebar)
+    sidebar.open_panel("FACEMIME_PT_expression", children=True)
+    sidebar.open_presets()
+    blender.key("y")
+    blender.wait_for("bpy.context.scene.facemime.incremental")
+    blender.redraw()
+    blender.shot("paper")
+    depth = "[round(v.co.y, 6) for v in {}.data.vertices]"
+    rest = blender.get(depth.format(HEAD))
+    start(sidebar)
+    blender.wait_for(f"moved({HEAD}) > 0.0")
+    shown = f"[round(p.co.y, 6) for p in {HEAD}.data.shape_keys.key_blocks[-1].points]"
+    assert blender.get(shown) == rest
+    stop(sidebar)
+
+
 _IN_WINDOW = """
 window = bpy.context.window_manager.windows[1]
 area = max((a for a in window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width)

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from facemime.core.landmarks import from_ibug
+from facemime.core.heads.regions import hold_landmarks
+from facemime.core.landmarks import from_ibug, outer_eye_distance
 
 from . import anatomy
 from .cut import CAVITY
 from .surface import Surface
 
 _EYE_SOFTNESS, _MOUTH_SOFTNESS = 0.0070, 0.0190
-_CAVITY_REACH = 0.045
 
 
 def region_weights(
@@ -39,7 +39,7 @@ def region_weights(
     lower = (1.0 - above_eyes) * (1.0 - above_mouth)
     weights = np.stack([upper, middle, lower]) * (1.0 - stays)
     weights[weights < 0.01] = 0.0
-    return weights
+    return hold_landmarks(weights, vertices, landmarks)
 
 
 def smooth_step(value: NDArray[np.float64], start: float, end: float) -> NDArray[np.float64]:
@@ -121,16 +121,12 @@ def _way(surface: Surface, vertices: NDArray[np.float64], seeds: NDArray[np.int6
 
 
 def _fade(surface: Surface, vertices: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """1 on the face, 0 on skull, ears and the neck's cut, and deep inside the mouth."""
+    """1 on the face and inside the mouth, 0 on skull, ears and the neck's cut."""
     x, y, z = vertices.T
-    tragus = points[0]
+    tragus, unit = points[0], outer_eye_distance(points)
     brow = points[from_ibug(range(17, 27)), 1].min()
-    side = smooth_step(z, tragus[2] + 0.008, tragus[2] - 0.024)
+    side = smooth_step(z, tragus[2] + 0.3 * unit, tragus[2] - 0.15 * unit)
     scalp = smooth_step(y, brow - 0.062, brow - 0.026)
-    throat = smooth_step(y + 0.25 * (z - points[8, 2]), points[8, 1] + 0.034, points[8, 1] + 0.012)
+    throat = smooth_step(y + 0.25 * (z - points[8, 2]), points[8, 1] + 0.65 * unit, points[8, 1] + 0.2 * unit)
     ears = np.abs(x) < np.abs(tragus[0]) + 0.004
-    fade = side * scalp * throat * ears
-    cavity = _cavity(surface)
-    lips = _both_sides(surface, (*anatomy.UPPER_LIP_INSIDE, *anatomy.LOWER_LIP_INSIDE))
-    depth = smooth_step(_way(surface, vertices, lips), _CAVITY_REACH, 0.008)
-    return np.where(cavity, np.where(depth > 0, depth, 0.0), fade)
+    return np.where(_cavity(surface), 1.0, side * scalp * throat * ears)

@@ -1,0 +1,100 @@
+"""The claims of Yao, Li, Li & Su (2019) beside what is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from bench.report import Table
+
+_PAPERS, _DEEP, _WHOLE, _WIDE = "the paper's way", "with depth", "one function", "one wide function"
+_FULL = 0.95
+"""Share of an opening from which it counts as full."""
+_LITTLE = 1.1
+"""Factor up to which an error counts as hardly greater."""
+_CORRELATED, _RATE, _STARTING = 0.8, 24.0, 12
+
+Claim = tuple[str, str, str, str]
+
+
+def claims(tables: Mapping[str, Table]) -> Table:
+    """A row for each claim: where it is, what the paper says, what is measured, and whether that holds.
+
+    Parameters
+    ----------
+    tables : mapping of str to Table
+        "errors", "openings", "clip", "greedy", "twelve" and "speed" of `bench.paper`.
+    """
+    errors = tables["errors"]
+    rows = [
+        _less("figure 6", "three regions move a face better than one function", errors, "all", _DEEP, _WHOLE),
+        _points(tables["greedy"], tables["twelve"]),
+        _expressions(tables["clip"]),
+        *(_opening(tables["openings"], slit) for slit in ("mouth", "eyes")),
+        _less("figure 10", "three regions move the skin of the eyes better", errors, "eyes", _DEEP, _WHOLE),
+        *(
+            _less("figure 11", f"better than Laplacian: {area}", errors, area, _DEEP, "bi-Laplacian editing")
+            for area in ("eyes", "brows", "lips", "cheeks", "jaw")
+        ),
+        _less("outlook", "the missing depth is the main weakness", errors, "all", _DEEP, _PAPERS),
+        _rate(tables["speed"]),
+    ]
+    return Table("Claims", ("in the paper", "what it says", "what we measure", "holds"), rows)
+
+
+def cell(table: Table, row: str, column: str) -> float:
+    """A number in a table."""
+    return float(str(next(each for each in table.rows if each[0] == row)[list(table.columns).index(column)]))
+
+
+def _less(place: str, claim: str, errors: Table, area: str, one: str, other: str) -> Claim:
+    """A claim that `one` has a smaller error in an area than `other`."""
+    less, more = cell(errors, one, area), cell(errors, other, area)
+    return place, claim, f"error {less:.2f} against {more:.2f}", _answer(less < more)
+
+
+def _points(greedy: Table, twelve: Table) -> Claim:
+    fewer = "12 of 20 in the upper region"
+    grown = {area: (cell(twelve, "all 66", area), cell(twelve, fewer, area)) for area in ("eyes", "brows")}
+    enough = [str(row[0]) for row in greedy.rows if int(str(row[2])) <= _STARTING]
+    measured = "; ".join(
+        f"error of the {area} {more:.2f} instead of {less:.2f}" for area, (less, more) in grown.items()
+    )
+    on_clip = f"on the clip enough within {' and '.join(enough)}" if enough else "on the clip never enough"
+    little = all(more < _LITTLE * less for less, more in grown.values())
+    return (
+        "figures 7, 8",
+        "12 of the upper region's 20 points suffice",
+        f"{measured}; {on_clip}",
+        _part(little, bool(enough)),
+    )
+
+
+def _expressions(clip: Table) -> Claim:
+    least = min(clip.rows, key=lambda row: float(str(row[1])))
+    value = float(str(least[1]))
+    measured = f"correlation with the performer at least {value:.2f} ({least[0]})"
+    return "figure 9", "common expressions are reproduced", measured, _answer(value > _CORRELATED)
+
+
+def _opening(openings: Table, slit: str) -> Claim:
+    parts, best, wide = (cell(openings, row, slit) for row in (_PAPERS, _WHOLE, _WIDE))
+    measured = f"{parts:.2f} of the opening; with one function {best:.2f}, with a wide one {wide:.2f}"
+    return (
+        "figure 10",
+        f"three regions open the {slit} fully, one function does not",
+        measured,
+        _answer(parts > _FULL > max(best, wide)),
+    )
+
+
+def _rate(speed: Table) -> Claim:
+    rate = cell(speed, _PAPERS, "frames per second")
+    return "section 5.1", "24 frames per second at 1,781 vertices", f"{rate:.0f} on one core", _answer(rate >= _RATE)
+
+
+def _answer(holds: bool) -> str:
+    return "yes" if holds else "no"
+
+
+def _part(*holds: bool) -> str:
+    return "yes" if all(holds) else "partly" if any(holds) else "no"

@@ -1,0 +1,47 @@
+"""Presets that are shipped with Facemime, and what presets contain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from ..assets import ASSETS
+from ..control_points.settings import SelectionSettings
+from ..drive.settings import DriveSettings, PosingSettings
+from ..errors import SourceError
+from ..presets import SUFFIX, Values, from_json
+from ..reading import read_text
+from ..settings import Setting, settings_of
+from .settings import PuppetSettings
+
+BUILT_IN = {"calm_speech": "Calm Speech", "strong": "Strong", "cartoon": "Cartoon", "yao_2019": "Yao et al. 2019"}
+"""Labels of the presets that are shipped with Facemime, by file name; they cannot be removed."""
+COMMAND_NAMES = {"calm-speech": "calm_speech", "strong": "strong", "cartoon": "cartoon", "paper": "yao_2019"}
+"""Their names on the command line."""
+CONTENTS: Mapping[str, Mapping[str, Setting]] = {
+    "settings": {**settings_of(DriveSettings), **settings_of(PuppetSettings)},
+    "posing": settings_of(PosingSettings),
+    "selection": {"search": settings_of(SelectionSettings)["search"]},
+}
+"""Settings in a preset, by group."""
+
+
+def built_in_path(name: str) -> Path:
+    """Path of a preset that is shipped with Facemime, a key of `BUILT_IN`."""
+    return ASSETS / "presets" / f"{name}{SUFFIX}"
+
+
+def read_preset(path: Path) -> Values:
+    """Read a preset; returns the values of its settings by group.
+
+    Raises
+    ------
+    SourceError
+        If the file is missing or not a preset.
+    """
+    try:
+        return from_json(read_text(path), CONTENTS)
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{path} is not a valid preset ({error}). Choose another file.") from error
+    except SourceError as error:
+        raise SourceError(f"{path}: {error}") from error
