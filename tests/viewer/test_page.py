@@ -12,6 +12,7 @@ from parted_heads import with_parts
 
 from facemime.core.bake.key_map import KeyMap, KeyRow
 from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.settings import DriveSettings
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.parts import FaceParts, Part
 from facemime.core.heads.rig import built_in_rig
@@ -46,6 +47,13 @@ def with_keys():
     return KeyDriver(HeadDriver(rig, NEUTRAL), NEUTRAL, keys), plain(rig)
 
 
+def of_the_paper():
+    """The built-in head as in the paper: in the plane, and without contact of the eyes."""
+    rig = built_in_rig()
+    paper = DriveSettings(mode="planar", kernel="gaussian", borders="sharp", exact=True, contact=False)
+    return HeadDriver(rig, NEUTRAL, paper), plain(rig)
+
+
 def picture(page) -> np.ndarray:
     """The canvas alone, (160, 160, 3), BGR."""
     page.evaluate("for (const text of document.querySelectorAll('p, footer')) text.style.display = 'none'")
@@ -70,7 +78,7 @@ def test_the_page_draws_a_head_that_moves_with_the_stream(open_page, watched):
 
 def test_vertices_on_the_graphics_card_are_those_of_the_driver(open_page, watched):
     lashes = with_lashes()
-    shown = watched(built_in(), (HeadDriver(lashes, NEUTRAL), plain(lashes)), with_keys())
+    shown = watched(built_in(), (HeadDriver(lashes, NEUTRAL), plain(lashes)), with_keys(), of_the_paper())
     shown.show(face())
     page = loaded(open_page(shown.address))
     unit, head = built_in_rig().eye_distance, load_head()
