@@ -73,6 +73,19 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
             yield np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
+@contextlib.contextmanager
+def without_subdivision(scene: bpy.types.Scene) -> Iterator[None]:
+    """Render objects of a scene without subdivision, which takes three quarters of the time of a small picture."""
+    modifiers = [m for obj in scene.objects for m in obj.modifiers if m.type == "SUBSURF" and m.show_render]
+    for modifier in modifiers:
+        modifier.show_render = False
+    try:
+        yield
+    finally:
+        for modifier in modifiers:
+            modifier.show_render = True
+
+
 def require_display_library() -> None:
     """Raise OutputError if Blender cannot draw, as it would terminate the whole process instead of failing."""
     if sys.platform == "linux" and bpy.app.background:

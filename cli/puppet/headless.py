@@ -17,7 +17,7 @@ from ...blender.animation.bake_cache import caches_beside
 from ...blender.animation.puppet import PuppetReport, check_heads, puppet_head
 from ...blender.heads.built_in import add_head
 from ...blender.media.preview_scene import face_view, setup_preview
-from ...blender.media.rendering import quiet, render_frames, set_rate, write_video
+from ...blender.media.rendering import quiet, render_frames, set_rate, without_subdivision, write_video
 from ...blender.meshes import write_selection
 from ...core.bake.key_map import load_map
 from ...core.bake.settings import BakeSettings
@@ -184,7 +184,7 @@ def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: 
             progress.update(i + 1)
             yield np.hstack([draw_frame(picture, _landmarks(take, index), left_width, AVATAR_SIDE), avatar])
 
-    with STOPPING.holding():
+    with STOPPING.holding(), without_subdivision(scene):
         write_video(composed(), fps, path)
     progress.finish(str(path))
 

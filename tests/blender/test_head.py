@@ -11,6 +11,7 @@ from mathutils import Vector
 from facemime.blender.frames import HEAD_TO_BLENDER, flat_in_blender, from_blender, rotation_to_blender, to_blender
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.media.preview_scene import setup_preview
+from facemime.blender.media.rendering import without_subdivision
 from facemime.blender.meshes import read_vertices
 from facemime.blender.names import LANDMARKS_PROPERTY, PART_OBJECTS, PART_PROPERTY, REGION_GROUPS
 from facemime.blender.rigs import read_rig
@@ -150,3 +151,10 @@ def test_materials_deepen_the_colours_of_the_skin_but_not_the_image_that_solid_s
     shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
     deeper = shader.inputs["Base Color"].links[0].from_node
     assert deeper.type == "HUE_SAT" and deeper.inputs["Color"].links[0].from_node == tree.nodes.active
+
+
+def test_small_pictures_are_rendered_without_subdivision_which_stays_for_others():
+    (modifier,) = [m for m in add_head(bpy.context).modifiers if m.type == "SUBSURF"]
+    with without_subdivision(bpy.context.scene):
+        assert not modifier.show_render
+    assert modifier.show_render
