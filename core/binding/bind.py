@@ -54,6 +54,10 @@ _HEAD_SHARE = 0.8
 """Share of a mesh's vertices below which its head comes with a body."""
 _MAX_DISTANCE = 0.1
 """Outer-eye distances beyond which a vertex that faces the same way is not accepted for a landmark."""
+_DISTINCT, _DISTINCT_BY_SHAPE = 0.8, 0.95
+"""Share of landmarks that need a vertex of their own, if a face was seen or marked, and if its shape alone speaks.
+
+On a coarse face two landmarks of the lips or lids may share one."""
 _FACING = 0.3
 """Cosine of the angle between normals up to which a vertex faces roughly the same way."""
 _SYMMETRY = 1e-3
@@ -161,7 +165,7 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     if mirror is not None:
         landmarks = _symmetric(landmarks, mirror, surface.places, bent[template.landmarks], picked)
         landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks, mirror == np.arange(len(mirror)))
-    if len(set(landmarks.tolist())) < (0.8 if sight is not None or picked else 1.0) * N_LANDMARKS:
+    if len(set(landmarks.tolist())) < (_DISTINCT if sight is not None or picked else _DISTINCT_BY_SHAPE) * N_LANDMARKS:
         raise HeadError("No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin.")
     turn = rotation.T @ fitted.view.attitude
     found = fitted.view.part[_distinct(graph, landmarks)]

@@ -152,7 +152,7 @@ def test_a_part_is_punched_in_by_the_command(saved, tmp_path):
 
 def test_every_command_and_argument_has_a_help_text():
     (commands,) = (action for action in cli._parser()._actions if isinstance(action, argparse._SubParsersAction))
-    assert len(commands.choices) == 12
+    assert len(commands.choices) == 13
     for name, parser in commands.choices.items():
         assert parser.description and parser.description.endswith("."), name
         assert all(action.help for action in parser._actions), name
