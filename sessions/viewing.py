@@ -44,11 +44,11 @@ def open_viewer(settings: FacemimeSettings, objects: Sequence[bpy.types.Object |
     FacemimeError
         If it cannot be started, or other computers may look and Blender's online access is turned off.
     """
-    from ..core.viewer.server import ViewerServer  # its libraries take a tenth of a second
-
     wanted = viewer_settings(settings.viewer, token())
     if wanted is None:
         return None
+    from ..core.viewer.server import ViewerServer  # only now, as its libraries take a tenth of a second
+
     looks = [Appearance("", ()) if obj is None else read_appearance(obj) for obj in objects]
     server = ViewerServer(wanted, looks)
     server.follow = (settings.rotation, settings.translation)
