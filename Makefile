@@ -8,7 +8,7 @@ export FACEMIME_CACHE := $(CACHE)
 
 VIEWER := assets/viewer/three/three.core.js
 
-.PHONY: setup check test test-all test-share test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-expressions bench-actions bench-coefficients bench-remote paper model expressions coefficients head sample try lock clean blenders windows browser viewer docs
+.PHONY: setup check test test-all test-share test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-expressions bench-actions bench-learning bench-coefficients bench-remote paper model expressions coefficients head sample try lock clean blenders windows browser viewer docs
 
 setup: $(STAMP)
 
@@ -132,6 +132,11 @@ bench-expressions: build/peers/.ready
 bench-actions: setup
 	mkdir -p build/bench
 	$(BIN)/python -m bench.actions --json build/bench/actions.json --sheet build/bench/actions.png
+
+# Does a running puppet learn its performer? Rendered clips of held-out people; needs ../shared/data. Fifteen minutes.
+bench-learning: setup
+	mkdir -p build/bench
+	$(BIN)/python -m bench.learning --json build/bench/learning.json
 
 # The sample clip and rendered performances of held-out people; needs ../shared/data. Ten minutes.
 bench-coefficients: setup

@@ -224,11 +224,7 @@ class ExactFaces:
     def _performance(self, person: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         rng = np.random.default_rng((person, 77))
         for frame in range(int(6 * FPS)):
-            t = frame / FPS
-            blink = max(_pulse(t, at, 0.24) for at in (0.9, 2.1, 2.6, 4.3, 5.3))
-            speech = _pulse(t, 3.5, 1.0) * (0.5 - 0.5 * np.cos(2 * np.pi * 4.0 * (t - 3.0)))
-            actions = {"eyeBlink": blink, "jawOpen": 0.6 * speech, "mouthSmile": 0.7 * _pulse(t, 1.6, 1.0)}
-            actions["browInnerUp"] = actions["browOuterUp"] = 0.8 * _pulse(t, 4.9, 0.8)
+            t, actions = frame / FPS, performed(frame)
             angles = np.radians([5 * np.sin(1.3 * t), 18 * np.sin(1.05 * t + person), 4 * np.sin(0.7 * t)])
             place = _CENTRE + np.array([9 * np.sin(0.9 * t), 6 * np.sin(1.7 * t)])
             pose = np.array([EYES, *angles, *place])
@@ -296,6 +292,20 @@ def _skinned(head: IctHead, model: PointDistributionModel, photo: Photo) -> Skin
     shrink = min(1.5 * EYES / photo.eye_distance(), 1.0)
     grey = cv2.resize(photo.grey(), None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
     return skin_head(head, model, grey, (photo.landmarks + 0.5) * shrink - 0.5, acting=False)
+
+
+def performed(frame: int) -> dict[str, float]:
+    """What the person in `ExactFaces.clip` shows in a frame: ICT-FaceKit's expressions, 0 to 1."""
+    t = frame / FPS
+    speech = _pulse(t, 3.5, 1.0) * (0.5 - 0.5 * np.cos(2 * np.pi * 4.0 * (t - 3.0)))
+    brows = 0.8 * _pulse(t, 4.9, 0.8)
+    return {
+        "eyeBlink": max(_pulse(t, at, 0.24) for at in (0.9, 2.1, 2.6, 4.3, 5.3)),
+        "jawOpen": 0.6 * speech,
+        "mouthSmile": 0.7 * _pulse(t, 1.6, 1.0),
+        "browInnerUp": brows,
+        "browOuterUp": brows,
+    }
 
 
 def _pulse(t: float, at: float, width: float) -> float:

@@ -4,7 +4,7 @@ import bpy
 from bpy.props import EnumProperty, FloatProperty, StringProperty
 
 from ..sessions.live import COUNTDOWN
-from ..settings.values import add_performer, remove_performer
+from ..settings.values import add_performer, remove_performer, selected_performer
 from .puppet import require_puppet, running
 from .shared import ReportsErrors
 
@@ -46,6 +46,29 @@ class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
         running().calibrate(range_of=self.pose == "RANGE", countdown=self.countdown)
 
 
+class FACEMIME_OT_reset_calibration(ReportsErrors, bpy.types.Operator):
+    """Remove the calibration of the selected performer, and what was learnt of them"""
+
+    bl_idname = "facemime.reset_calibration"
+    bl_label = "Reset Calibration"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require something to reset."""
+        if running() is not None or selected_performer(context.scene.facemime) is not None:
+            return True
+        cls.poll_message_set("There is no performer. One is added when you calibrate.")
+        return False
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Reset it; a running puppet takes the next second for the neutral face."""
+        if (performer := selected_performer(context.scene.facemime)) is not None:
+            performer.calibration = ""
+        if (session := running()) is not None:
+            session.worker.forget()
+
+
 class FACEMIME_OT_add_performer(bpy.types.Operator):
     """Add a performer with a separate calibration"""
 
@@ -72,4 +95,9 @@ class FACEMIME_OT_remove_performer(ReportsErrors, bpy.types.Operator):
         remove_performer(context.scene.facemime)
 
 
-CLASSES = (FACEMIME_OT_calibrate, FACEMIME_OT_add_performer, FACEMIME_OT_remove_performer)
+CLASSES = (
+    FACEMIME_OT_calibrate,
+    FACEMIME_OT_reset_calibration,
+    FACEMIME_OT_add_performer,
+    FACEMIME_OT_remove_performer,
+)

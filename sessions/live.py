@@ -40,6 +40,8 @@ _TASKS = {
 }
 """What the performer has to do, by whether the range of eyes and mouth is calibrated; None is before a recording."""
 _DEFAULTS = LiveOptions()
+_KEEPING = 5.0
+"""Seconds between two times at which what was learnt is kept."""
 
 
 class LiveSession(Session):
@@ -57,6 +59,8 @@ class LiveSession(Session):
     options : LiveOptions, optional
     on_calibrated : callable, optional
         Called with the `Neutral` of each calibration that was requested.
+    on_learnt : callable, optional
+        Called now and then with the `Neutral` that was learnt meanwhile.
     output : Output, optional
         Gets every frame; closed with the session.
 
@@ -88,6 +92,7 @@ class LiveSession(Session):
         neutral: Neutral | None = None,
         options: LiveOptions = _DEFAULTS,
         on_calibrated: Callable[[Neutral], object] = lambda neutral: None,
+        on_learnt: Callable[[Neutral], object] | None = None,
         output: Output | None = None,
     ) -> None:
         super().__init__()
@@ -98,7 +103,9 @@ class LiveSession(Session):
         self.recording: Recording | None = None
         self.punch_in: PunchIn | None = None
         self._objects = [shown for shown, _ in heads]
-        self._on_calibrated = on_calibrated
+        self._on_calibrated, self._on_learnt = on_calibrated, on_learnt
+        self._learnt: Neutral | None = None
+        self._kept_at = perf_counter()
         self._at: float | None = None
         self._record_at: tuple[float, str, str] | None = None
         self._displayed_at: float | None = None
@@ -133,6 +140,7 @@ class LiveSession(Session):
         """
         self._measure_redraw()
         self._count_down()
+        self._keep_learnt()
         self._count_down_recording()
         latest = self.worker.latest
         if latest is None or latest.number == self._number:
@@ -377,6 +385,15 @@ class LiveSession(Session):
             if self.worker.neutral is not None and self.worker.quality is not None:
                 self._on_calibrated(self.worker.neutral)
             _signal()
+
+    def _keep_learnt(self) -> None:
+        """Keep what was learnt of the performer, now and then, so that the next session starts from it."""
+        if self._on_learnt is None or perf_counter() < self._kept_at + _KEEPING:
+            return
+        self._kept_at = perf_counter()
+        if (learnt := self.worker.learnt) is not None and learnt is not self._learnt:
+            self._learnt = learnt
+            self._on_learnt(learnt)
 
     def _count_down_recording(self) -> None:
         if self._record_at is None or perf_counter() < self._record_at[0]:

@@ -31,6 +31,9 @@ from ..settings.values import (
 from .live import LiveSession
 from .viewing import follow_viewer, open_vertices, open_viewer
 
+_SELF = ("CAMERA", "STREAM")
+"""Kinds of sources that show the performer whose calibration is selected; anybody may be in a video."""
+
 
 def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> LiveSession:
     """Start a live session with the settings of a scene.
@@ -68,6 +71,9 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
 
     tracked = is_tracked(settings.source)
     neutral = read_calibration(settings) if tracked else None
+    live = settings.source.kind in _SELF
+    if neutral is not None and not (neutral.asked or live):
+        neutral = None
     source = open_source(settings.source)
     try:
         output = open_sender(settings)
@@ -80,6 +86,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
         neutral=neutral,
         options=live_options(settings),
         on_calibrated=keep_calibration,
+        on_learnt=keep_calibration if live else None,
         output=output,
     )
     session.keep, session.drive_by = settings.keep_pose, settings.drive_by
@@ -106,6 +113,7 @@ def live_options(settings: FacemimeSettings) -> LiveOptions:
         smoothing=settings.smoothing,
         preview=round(user.preview_size * bpy.context.preferences.system.ui_scale) if user.preview else 0,
         face=face_of(settings.source),
+        learn=settings.learn,
     )
 
 

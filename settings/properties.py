@@ -109,6 +109,14 @@ class FacemimeSettings(bpy.types.PropertyGroup):
             ("KEYS", "Shape Keys", "Existing shape keys, by the key mapping; it is detected if it is empty"),
         ),
     )
+    learn: BoolProperty(
+        name="Learn Performer",
+        description=(
+            "While the puppet runs, learn where the performer's eyes are shut, and improve a neutral face that was not "
+            "calibrated"
+        ),
+        default=True,
+    )
     keep_pose: BoolProperty(
         name="Keep Pose",
         description="Keep the pose when the puppet is stopped; otherwise the head returns to rest",

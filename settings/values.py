@@ -30,7 +30,7 @@ from ..core.tracking.choice import LEFTMOST, RIGHTMOST
 from ..core.viewer.settings import ViewerSettings
 from .bake_table import read_table
 from .preferences import preferences
-from .properties import FacemimePosing, FacemimeSettings, FacemimeSource
+from .properties import FacemimePerformer, FacemimePosing, FacemimeSettings, FacemimeSource
 from .rna import read
 from .storage import project_folder
 from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer
@@ -264,10 +264,14 @@ def read_calibration(settings: FacemimeSettings) -> Neutral | None:
     SourceError
         If the stored calibration is damaged.
     """
-    if not 0 <= settings.performer < len(settings.performers):
-        return None
-    text = settings.performers[settings.performer].calibration
-    return Neutral.from_json(text) if text else None
+    performer = selected_performer(settings)
+    return Neutral.from_json(performer.calibration) if performer is not None and performer.calibration else None
+
+
+def selected_performer(settings: FacemimeSettings) -> FacemimePerformer | None:
+    """Return the selected performer; None if there is none."""
+    known = 0 <= settings.performer < len(settings.performers)
+    return settings.performers[settings.performer] if known else None
 
 
 def write_calibration(settings: FacemimeSettings, neutral: Neutral) -> str:
@@ -278,7 +282,7 @@ def write_calibration(settings: FacemimeSettings, neutral: Neutral) -> str:
     settings : FacemimeSettings
     neutral : Neutral
     """
-    if not 0 <= settings.performer < len(settings.performers):
+    if selected_performer(settings) is None:
         add_performer(settings)
     performer = settings.performers[settings.performer]
     performer.calibration = json.dumps(neutral.to_dict())

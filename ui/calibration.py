@@ -30,6 +30,8 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("facemime.calibrate", text="Neutral Face", icon="USER").pose = "NEUTRAL"
         column.operator("facemime.calibrate", text="Eyes and Mouth", icon="HIDE_OFF").pose = "RANGE"
+        column.operator("facemime.reset_calibration", text="Reset", icon="LOOP_BACK")
+        layout.prop(settings, "learn")
         if session is None:
             return
         if (left := session.calibration_countdown) is not None:

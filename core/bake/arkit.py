@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -101,7 +102,6 @@ class FrameCoefficients:
         posing = PosingSettings(eyes_strength=options.posing.eyes_strength, eyes_limit=options.posing.eyes_limit)
         self._observer = Observer(neutral, replace(options, posing=posing))
         self._measured = neutral.measured
-        self._solvers: dict[bool, CoefficientSolver] = {}
 
     def of(self, result: TrackResult) -> FloatArray:
         """(52,) coefficients from 0 to 1 of a frame with a face; frames have to come in their order."""
@@ -114,9 +114,7 @@ class FrameCoefficients:
             return np.asarray(_with_looks(_fitted(self._observer.displacements(result)[None]), gaze)[0])
         observed = self._observer.face(result)[None]
         actions = bool(has_actions(observed)[0])
-        if actions not in self._solvers:
-            self._solvers[actions] = CoefficientSolver(load_coefficient_model(), actions=actions)
-        found = _with_looks(self._solvers[actions].frames(observed), gaze)
+        found = _with_looks(_solver(actions).frames(observed), gaze)
         return np.asarray(_with_measured(found, self._observer.shown(result)[None])[0])
 
 
@@ -141,8 +139,13 @@ def coefficients_of(observed: FloatArray, gaze: FloatArray, shown: FloatArray) -
     complete = has_actions(observed)
     for actions in set(complete.tolist()):
         rows = np.flatnonzero(complete == actions)
-        fitted[rows] = CoefficientSolver(load_coefficient_model(), actions=actions).take(observed[rows])
+        fitted[rows] = _solver(actions).take(observed[rows])
     return _with_measured(_with_looks(fitted, gaze), shown)
+
+
+@lru_cache(maxsize=2)
+def _solver(actions: bool) -> CoefficientSolver:
+    return CoefficientSolver(load_coefficient_model(), actions=actions)
 
 
 def _with_measured(coefficients: FloatArray, shown: FloatArray) -> FloatArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from ..actions import ACTIONS
@@ -34,12 +36,8 @@ class Observer:
     """
 
     def __init__(self, neutral: Neutral, options: DriveSettings) -> None:
-        head = load_head()
-        landmarks = head.vertices[head.landmarks].astype(np.float64)
-        self._unit = outer_eye_distance(landmarks)
-        # Removing a similarity is linear: the rows are what is left of each coordinate.
-        every = np.eye(landmarks.size).reshape(-1, *landmarks.shape)
-        self._own = without_similarity(every, landmarks / self._unit).reshape(len(every), -1)
+        landmarks = _landmarks()
+        self._unit, self._own = outer_eye_distance(landmarks), _own_motion()
         self.options = options
         self.neutral = neutral.mirrored() if options.mirror else neutral
         self._retargeter = retargeter_for(self.neutral, landmarks, strength=options.strength)
@@ -99,3 +97,20 @@ def _gains(options: DriveSettings) -> FloatArray:
         return middle if name.startswith(("cheek", "nose")) else lower
 
     return np.array([gain(name) for name in COEFFICIENTS])
+
+
+def _landmarks() -> FloatArray:
+    """(66, 3) landmarks of the built-in head at rest, its unit."""
+    head = load_head()
+    return head.vertices[head.landmarks].astype(np.float64)
+
+
+@lru_cache(maxsize=1)
+def _own_motion() -> FloatArray:
+    """(198, 198) what is left of each coordinate, as rows, if the motion of the whole head is removed.
+
+    Removing a similarity is linear.
+    """
+    landmarks = _landmarks()
+    every = np.eye(landmarks.size).reshape(-1, *landmarks.shape)
+    return without_similarity(every, landmarks / outer_eye_distance(landmarks)).reshape(len(every), -1)

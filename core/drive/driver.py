@@ -81,7 +81,7 @@ class HeadDriver:
     options : DriveSettings
         Settings.
     reuse : HeadDriver, optional
-        An earlier driver, whose deformer is reused if it has the same rig and kernel.
+        An earlier driver, whose eyes go on, and whose deformer is reused if it has the same rig and kernel.
     """
 
     def __init__(
@@ -114,6 +114,8 @@ class HeadDriver:
             self.contact = EyeballContact(alone.vertices, alone.region_weights.sum(axis=0), rig.eyeballs)
             self.parts = None if skin is None else PartDriver(rig, skin, alone)
         self.eyes = EyeDriver(self.neutral.gaze, self.neutral.vergence)
+        if reuse is not None:
+            self.eyes.follow(reuse.eyes)
         self.actions = ActionDriver(self.neutral.actions, self.neutral.shape, options.strength)
         self._chin = landmarks[CHIN] - rig.jaw_pivot
         self._unit = outer_eye_distance(landmarks)

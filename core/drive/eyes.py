@@ -37,6 +37,11 @@ class EyeDriver:
         self._last = np.zeros(2)
         self._crossed: deque[float] = deque([0.0] * _LASTING, _LASTING)
 
+    def follow(self, earlier: EyeDriver) -> None:
+        """Go on where another driver of the same eyes was: shut ones keep their direction, crossed ones are."""
+        self._last = earlier._last + np.nan_to_num(earlier._straight - self._straight)
+        self._crossed = earlier._crossed.copy()
+
     def rotations(self, gaze: FloatArray, vergence: float, head: FloatArray) -> FloatArray:
         """Rotations of the eyeballs within the head.
 

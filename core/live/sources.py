@@ -73,12 +73,15 @@ class LiveSource(ABC):
         Name for messages.
     clock : str
         Clock of `LiveFrame.time`: "media" or "monotonic".
+    complete : bool
+        Whether all of the performance is known beforehand, so that its neutral face need not be learnt.
     ended : bool
         Whether there are no more frames.
     """
 
     name: str
     clock = "media"
+    complete = False
     ended = False
 
     @abstractmethod
@@ -268,7 +271,7 @@ class TakePlayer(PacedSource):
 
     def __init__(self, take: Take, name: str, *, loop: bool = False, speed: float = 1.0) -> None:
         super().__init__(name, loop=loop, speed=speed)
-        self._take = take
+        self.complete, self._take = True, take
         measured = take.info.get("measured") and take.found.any()
         self._neutral = calibrate(take) if measured else None
 

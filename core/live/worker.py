@@ -28,6 +28,7 @@ from ..tracking.smoothing import ResultSmoother
 from ..tracking.tracker import FaceTracker
 from .calibration import NeutralCalibration, Quality, RangeCalibration
 from .head_drivers import HeadDrivers, LiveHead
+from .learning import PerformerLearner
 from .outputs import Display, Output, Recorder
 from .sources import LiveFrame, LiveSource
 
@@ -53,11 +54,14 @@ class LiveOptions:
         Width of the preview in pixels; 0 for none.
     face : (float, float) or None
         Position of the face to track, as for `FaceTracker.choose`; None for the largest.
+    learn : bool
+        Whether to learn the performer meanwhile: the neutral face unless it was asked for, and where eyes are shut.
     """
 
     smoothing: float = 1.0
     preview: int = 0
     face: tuple[float, float] | None = None
+    learn: bool = True
 
 
 @dataclass(frozen=True)
@@ -164,6 +168,8 @@ class LiveWorker:
         self._calibration: NeutralCalibration | RangeCalibration | None = None
         self._stated: Neutral | None = None
         self._first = None if neutral is not None else NeutralCalibration(asked=False)
+        self._learner: PerformerLearner | None = None
+        self._forget = False
         self._recorder: Recorder | None = None
         self._recording = threading.Lock()
         self._drivers = HeadDrivers()
@@ -218,6 +224,16 @@ class LiveWorker:
         """Use the next second as the neutral face, or the next seconds as the range of the neutral face `range_of`."""
         self.quality = None
         self._calibration = NeutralCalibration() if range_of is None else RangeCalibration(range_of)
+
+    @property
+    def learnt(self) -> Neutral | None:
+        """The neutral face if enough has been learnt of the performer to keep it."""
+        learner = self._learner
+        return learner.neutral if learner is not None and learner.is_sure else None
+
+    def forget(self) -> None:
+        """Forget the neutral face; the next second with a face is used, and the performer is learnt from scratch."""
+        self._forget = True
 
     def follow_next(self) -> None:
         """Track another face in view, as `FaceTracker.choose_next` does."""
@@ -290,6 +306,7 @@ class LiveWorker:
         tracked = perf_counter()
         if not frame.filled:
             self._calibrate(frame.time, result)
+            self._learn(frame, result, options.learn)
         if self.output is not None:
             self.output.send(frame.time, result, self.neutral)
         heads, prepared = self._drivers.drive(self.heads, self.neutral, result)
@@ -309,18 +326,23 @@ class LiveWorker:
         assert frame.image is not None
         if frame.image.shape != self._size or face != self._face:
             tracker.reset()
+            self._learner = None
             self._size, self._face = frame.image.shape, face
             if face is not None:
                 tracker.choose(*face)
         if self._next_face:
             self._next_face = False
             tracker.choose_next()
+            self._learner = None
         return tracker.track(frame.image)
 
     def _adopt(self, neutral: Neutral | None) -> None:
         """Take over the neutral face of a source that states it, once, so that it can be calibrated afterwards."""
         if neutral is not None and neutral is not self._stated:
             self._stated = self.neutral = neutral
+        if self._forget and self._stated is None:
+            self.neutral, self._first, self._learner = None, NeutralCalibration(asked=False), None
+        self._forget = False
 
     def _eased(self, seen: TrackResult, rest: float) -> TrackResult:
         if rest <= 0.0 or not seen.found or self.neutral is None:
@@ -366,3 +388,12 @@ class LiveWorker:
             self._first = None
         elif self._first is not None and (result.found or len(self._first)) and self._first.add(time, result):
             self.neutral, self._first = self._first.neutral(), None
+
+    def _learn(self, frame: LiveFrame, result: TrackResult, wanted: bool) -> None:
+        """Learn from a frame; a neutral face that was calibrated meanwhile is where that starts again."""
+        neutral = self.neutral
+        if neutral is None or neutral.measured or not wanted or self.source.complete or frame.rest > 0.0:
+            return
+        if self._learner is None or self._learner.neutral is not neutral:
+            self._learner = PerformerLearner(neutral)
+        self.neutral = self._learner.add(frame.time, result)

@@ -19,20 +19,23 @@ from ..rotation import euler_to_matrix
 from .face_space import load_face_space
 from .take import Take
 
-_MAX_SHUT = 0.45
+MAX_SHUT = 0.45
 """Largest opening, relative to the neutral one, that can count as shut."""
 _MIN_OPENING, _WIDE_OPENING, _MAX_GAIN = 0.12, 0.35, 1.4
 """Openings of the mouth from neutral in outer-eye distances: the least that counts, and a wide one; and the largest
 gain (section 4.2)."""
 _OPTIONAL = ("gaze", "open_mouth", "vergence", "actions")
 """Values that may be NaN."""
-_ADDED = {"removed": 0.0, "vergence": np.nan, "actions": [np.nan] * N_ACTIONS, "measured": 0.0}
+_ADDED = {"removed": 0.0, "vergence": np.nan, "actions": [np.nan] * N_ACTIONS, "measured": 0.0, "asked": 1.0}
 """Values that files of earlier versions lack."""
 _MAX_FRAMES, _MOMENT = 300, 0.2
 """Frames of a take that are looked at for a neutral face, and seconds that it has to last. A second is too long: strong
 performers seldom rest for one. From 0.15 to 0.5 the bench of expressions hardly changes."""
 _TURNED, _LEAST_TRUST = 0.5, 1e-3
 """Radians of pitch and yaw at which a frame counts 1/e, and what it counts at least."""
+_CALM = 0.08
+"""Amount of expression, in eye distances, above that of the calmest frame, at which a frame counts 1/e in `rest_of`. On
+the clips of the bench of expressions, 0.01 to 0.08 are about as right; the more frames count, the steadier it is."""
 _DOUBT = 0.2
 """Amount of expression, in eye distances, that a confidence of 0 counts as."""
 _USUAL = 0.35
@@ -81,6 +84,9 @@ class Neutral:
         Activations of the face at rest, before they are subtracted; NaN if unknown.
     measured : bool
         Whether the shapes were measured on a mesh, so that there is nothing to make up for as in a tracked performance.
+    asked : bool
+        Whether the performer was asked to rest, or the user chose the moment; if not, it was found, and a live
+        performance goes on looking for a better one.
     """
 
     shape: FloatArray
@@ -95,6 +101,7 @@ class Neutral:
     vergence: float = np.nan
     actions: FloatArray = field(default_factory=lambda: np.full(N_ACTIONS, np.nan))
     measured: bool = False
+    asked: bool = True
 
     @property
     def is_estimated(self) -> bool:
@@ -166,13 +173,13 @@ class Neutral:
             if value.shape != shapes.get(name, ()) or not known.all() or not within:
                 raise SourceError(f"The stored calibration is damaged ({name}). Calibrate again.")
             values[name] = value if name in shapes else float(value)
-        values["measured"] = bool(values["measured"])
+        values |= {name: bool(values[name]) for name in ("measured", "asked")}
         neutral = cls(**values)
         turn = neutral.rotation
         sound = {
             "rotation": np.allclose(turn @ turn.T, np.eye(3), atol=_ROTATION_ERROR) and np.linalg.det(turn) > 0.0,
             "position": neutral.position[0] > 0.0,
-            "shut": 0.0 <= neutral.shut < _MAX_SHUT,
+            "shut": 0.0 <= neutral.shut < MAX_SHUT,
             "removed": neutral.removed >= 0.0,
             "shape": _is_face(neutral.shape),
         }
@@ -243,24 +250,64 @@ def _calmest(take: Take) -> Neutral:
     """The neutral face of the calmest moment, without what that shows of an expression."""
     found = np.flatnonzero(take.found)
     chosen = found[np.unique(np.linspace(0, len(found) - 1, min(_MAX_FRAMES, len(found))).astype(np.intp))]
-    shapes, times = take.shape[chosen].astype(np.float64), take.times[chosen]
-    turned = np.square(take.pose[chosen, 1:3] / _TURNED).sum(axis=1)
-    space = load_face_space()
-    activations = space.explain(shapes, take.confidence[chosen] * np.exp(-turned) + _LEAST_TRUST)
-    # How high brows are at rest differs more between people than the space knows, so the take itself says it.
-    usual = np.where(space.of_brows, np.quantile(activations, _USUAL, axis=0), 0.0)
-    opening = eye_apertures(shapes).mean(axis=1)
-    amount = space.amount(activations - usual) + _DOUBT * (1.0 - take.confidence[chosen])
-    amount += _LIDS * np.maximum(np.abs(opening / np.median(opening) - 1.0) - _LIDS_AT_REST, 0.0)
+    activations = load_face_space().explain(take.shape[chosen].astype(np.float64), trust(take, chosen))
+    amount, strong = _expressed(take, chosen, activations)
     # The moment whose calmer half shows least.
+    times = take.times[chosen]
     spans = [np.arange(i, end) for i, end in enumerate(np.searchsorted(times, times + _MOMENT, side="right"))]
     calmer = [span[np.argsort(amount[span])[: (len(span) + 1) // 2]] for span in spans]
-    calm = min(calmer, key=lambda frames: float(amount[frames].mean()))
+    calm = min(calmer, key=lambda span: float(amount[span].mean()))
+    return _without(strong[calm], take, chosen[calm], np.full(len(calm), 1.0 / len(calm)))
+
+
+def trust(take: Take, frames: IntArray) -> FloatArray:
+    """(N,) trust in the frames of a take, for `FaceSpace.explain`: less in turned and unsure ones."""
+    turned = np.square(take.pose[frames, 1:3] / _TURNED).sum(axis=1)
+    return np.asarray(take.confidence[frames] * np.exp(-turned) + _LEAST_TRUST)
+
+
+def rest_of(take: Take, frames: IntArray, activations: FloatArray) -> Neutral:
+    """Find the face at rest that all calm frames of a take agree on, without what they show of an expression.
+
+    It changes little if the performance goes on, unlike that of the calmest moment, which `calibrate` finds.
+
+    Parameters
+    ----------
+    take : Take
+        The take.
+    frames : (N,) array of int
+        Frames with a face.
+    activations : (N, U) float64
+        Their expressions, from `FaceSpace.explain`.
+
+    Returns
+    -------
+    Neutral
+        The neutral face of a head that faces the camera.
+    """
+    amount, strong = _expressed(take, frames, activations)
+    share = np.exp((amount.min() - amount) / _CALM)
+    return _without(strong, take, frames, share / share.sum())
+
+
+def _expressed(take: Take, frames: IntArray, activations: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How far frames are from rest (N,), in eye distances, and what of their activations is an expression, (N, U)."""
+    space = load_face_space()
+    # How high brows are at rest differs more between people than the space knows, so the take itself says it.
+    usual = np.where(space.of_brows, np.quantile(activations, _USUAL, axis=0), 0.0)
+    opening = eye_apertures(take.shape[frames].astype(np.float64)).mean(axis=1)
+    amount = space.amount(activations - usual) + _DOUBT * (1.0 - take.confidence[frames])
+    amount += _LIDS * np.maximum(np.abs(opening / np.median(opening) - 1.0) - _LIDS_AT_REST, 0.0)
     # Weak activations may be the person's own face; strong ones are an expression, which a rested face would not show.
-    strong = np.maximum(activations[calm] - np.maximum(usual, _WEAK), 0.0)
-    shape = (shapes[calm] - np.tensordot(strong, space.units, 1)).mean(axis=0)
-    neutral = _neutral(take, shape, chosen[np.sort(calm)], np.eye(3))
-    return replace(neutral, removed=float(strong.mean(axis=0).max()))
+    return amount, np.maximum(activations - np.maximum(usual, _WEAK), 0.0)
+
+
+def _without(strong: FloatArray, take: Take, frames: IntArray, share: FloatArray) -> Neutral:
+    """The neutral face of frames, averaged by `share` (N,), without their expressions `strong` (N, U)."""
+    added = np.tensordot(share @ strong, load_face_space().units, 1)
+    shape = np.tensordot(share, take.shape[frames].astype(np.float64), 1) - added
+    rested = np.sort(frames[share >= 0.5 * share.max()])
+    return replace(_neutral(take, shape, rested, np.eye(3)), removed=float((share @ strong).max()), asked=False)
 
 
 def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArray) -> Neutral:
@@ -303,7 +350,7 @@ def shut_level(neutral: FloatArray, shapes: FloatArray) -> float:
     at_rest = float(eye_apertures(neutral).mean())
     least = np.sort(opening)[min(2, len(opening) - 1)]
     left = float(np.clip(least / max(at_rest, 1e-9), 0.0, 1.0))
-    return left if left < _MAX_SHUT else 0.0
+    return left if left < MAX_SHUT else 0.0
 
 
 def _usual(values: FloatArray) -> FloatArray:

@@ -92,7 +92,7 @@ def take(tmp_path):
     settings = bpy.context.scene.facemime
     settings.source.kind, settings.source.take = "TAKE", str(path)
     settings.source.loop, settings.source.speed, settings.smoothing = False, 20.0, 0.0
-    write_calibration(settings, calibrate(performance()))
+    write_calibration(settings, replace(calibrate(performance()), asked=True))
     return performance()
 
 
@@ -131,5 +131,5 @@ def session(in_a_project, tmp_path):
     settings = bpy.context.scene.facemime
     settings.source.kind, settings.source.take = "TAKE", str(tmp_path / "source.facetake")
     settings.source.loop, settings.source.speed = True, 10.0
-    write_calibration(settings, calibrate(performance()))
+    write_calibration(settings, replace(calibrate(performance()), asked=True))
     return start_session(bpy.context.scene, [add_head(bpy.context)])

@@ -42,7 +42,7 @@ def press(rng: np.random.Generator) -> None:
 BUTTONS = (
     *("add_head", "bind_landmarks", "propose_regions", "check_head", "clear_marks", *["puppet"] * 6, "stop_puppet"),
     *("paint_region", "leave_painting", "mirror_regions", "smooth_regions", "use_all_landmarks", "calibrate"),
-    *("add_control_point", "drop_control_point", "add_performer", "remove_performer"),
+    *("add_control_point", "drop_control_point", "add_performer", "remove_performer", "reset_calibration"),
     *(*["record_take"] * 4, *["rerecord_take"] * 3, "show_take", "trim_take", "mend_take", "renew_neutral"),
     *("pack_take", "find_takes", "remove_take", "bake_take"),
 )

@@ -3,6 +3,7 @@
 import socket
 import threading
 import time
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -75,7 +76,7 @@ def test_a_calibration_of_a_phone_is_not_kept_for_the_camera(phone):
     add_head(bpy.context)
     settings = bpy.context.scene.facemime
     settings.source.loop = True
-    write_calibration(settings, calibrate(performance()))
+    write_calibration(settings, replace(calibrate(performance()), asked=True))
     before = read_calibration(settings)
     start()
     assert running().worker.neutral.measured

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.heads.rig import built_in_rig
-from facemime.core.landmarks import LOWER_LIPS, UPPER_LIDS
+from facemime.core.landmarks import LOWER_LIDS, LOWER_LIPS, UPPER_LIDS
 from facemime.core.live import worker as worker_module
 from facemime.core.live.calibration import RangeCalibration
 from facemime.core.live.head_drivers import LiveHead
@@ -288,3 +289,35 @@ def test_a_disk_that_does_not_respond_is_an_error(monkeypatch):
     wait_for(lambda: not worker.running)
     worker.close()
     assert recorded.closed
+
+
+def blinks(count: int = 240):
+    """Frames of somebody at rest who blinks every second, though the lids do not meet."""
+    take = performance(count)
+    shapes = np.tile(take.shape[0], (count, 1, 1))
+    for start in range(40, count - 3, 25):
+        shapes[start : start + 3, UPPER_LIDS, 1] += 0.8 * (
+            shapes[start : start + 3, LOWER_LIDS, 1] - shapes[start : start + 3, UPPER_LIDS, 1]
+        )
+    return make_take(shapes)
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_where_eyes_are_shut_is_learnt_while_the_puppet_runs_unless_it_is_switched_off(wanted):
+    options = LiveOptions(smoothing=0.0, learn=wanted)
+    worker = run(LiveWorker(Listed(frames_of(blinks())), heads=(LiveHead(built_in_rig()),), options=options))
+    assert (worker.neutral.shut > 0.1) == wanted and (worker.learnt is worker.neutral) == wanted
+
+
+def test_a_take_is_shown_with_the_neutral_face_it_began_with():
+    source = TakePlayer(blinks(), "take")
+    source.pace = EagerClock()
+    assert run(LiveWorker(source, options=LiveOptions(smoothing=0.0))).neutral.shut == 0.0
+
+
+def test_what_was_learnt_is_forgotten_on_request():
+    take, asked = blinks(), replace(calibrate(performance()), shut=0.3, asked=True)
+    worker = LiveWorker(Listed(frames_of(take)), neutral=asked, options=LiveOptions(smoothing=0.0))
+    worker.forget()
+    run(worker)
+    assert not worker.neutral.asked and worker.neutral.shut == pytest.approx(0.2, abs=0.05)

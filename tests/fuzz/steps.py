@@ -129,6 +129,7 @@ OURS: dict[str, Callable[[Stage], None]] = {
     "calibrate": press("calibrate", pose=one_of("NEUTRAL", "RANGE"), countdown=one_of(0.0, 5.0)),
     "add_performer": press("add_performer"),
     "remove_performer": press("remove_performer"),
+    "reset_calibration": press("reset_calibration"),
     "save_preset": press("save_preset", name=one_of("A", LONG_NAME)),
     "load_preset": press("load_preset", name=one_of("A", LONG_NAME)),
     "remove_preset": press("remove_preset", name=one_of("A", LONG_NAME)),

@@ -1,0 +1,203 @@
+"""Learning the performer while the puppet runs: the neutral face, and where the eyes are shut (docs/method.md, 4.1).
+
+Nobody is asked for anything. The first second seldom shows a rested face, and hardly ever a blink; whoever performs
+for a while shows both.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+from math import exp, inf, nan
+
+import numpy as np
+
+from ..apertures import eye_apertures
+from ..arrays import FloatArray
+from ..takes.face_space import load_face_space
+from ..takes.neutral import MAX_SHUT, Neutral, rest_of, trust
+from ..takes.take import TakeRecorder
+from ..tracking.result import TrackResult
+
+_FRAMES, _RATE = 150, 15.0
+"""Frames that are looked at for a neutral face, and how many of a second at first; when there are more, every second
+one of those before is left out, so that they are spread over the whole performance."""
+_FEWEST, _SWEEPS, _AT_FIRST = 30, 2, 4
+"""Frames that have to be kept before they are looked at, and sweeps of equation 4.1 with each new frame, usually and
+until a first face at rest is found; 300 of them solve it."""
+_ENOUGH = 4.0
+"""Seconds of a face after which what was found counts in full."""
+_STEP, _TIME = 0.2, 1.5
+"""Seconds between two steps towards what was found, and the time constant of the approach."""
+_UNCHANGED = 2e-3
+"""Eye distances that landmarks of the neutral face have to be off to be moved."""
+_REOPENED = 0.6
+"""Opening, relative to the neutral one, above which a blink is over."""
+_BLINKS, _BLINK_FRAMES = 64, 2
+"""Blinks that are remembered, and frames that a blink lasts at least: a misplaced lid lasts one."""
+_LEFT = 10.0
+"""Seconds without a face after which somebody else may have sat down."""
+
+
+class PerformerLearner:
+    """Improves the neutral face of a live performance, slowly, as more of the performer is seen.
+
+    One that was asked for keeps its shape; only its shut eyes are learnt.
+
+    Parameters
+    ----------
+    neutral : Neutral
+        To start from.
+
+    Attributes
+    ----------
+    neutral : Neutral
+        The neutral face by now; another object if it has changed.
+    """
+
+    def __init__(self, neutral: Neutral) -> None:
+        self.neutral = neutral
+        self._shut = neutral.shut
+        self._rest, self._blinks = _Rest(), _Blinks()
+        self._last = self._moved = -inf
+        self._seen = 0.0
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether enough has been seen of the performer."""
+        return self._seen >= _ENOUGH
+
+    def add(self, time: float, result: TrackResult) -> Neutral:
+        """Learn from a frame.
+
+        Parameters
+        ----------
+        time : float
+            Seconds. If it decreases, as when a video begins again, what was seen is forgotten.
+        result : TrackResult
+            Of that time, smoothed as that which is shown.
+
+        Returns
+        -------
+        Neutral
+            The neutral face by now.
+
+        Notes
+        -----
+        Takes 2 ms.
+        """
+        if not result.found:
+            return self.neutral
+        if not self._last < time < self._last + _LEFT:
+            self._forget()
+            self._last = self._moved = time
+        self._seen += time - self._last
+        self._last = time
+        self._blinks.add(float(eye_apertures(result.shape).mean()), float(eye_apertures(self.neutral.shape).mean()))
+        if not self.neutral.asked:
+            self._rest.add(time, result)
+        if (passed := time - self._moved) >= _STEP:
+            self._approach(passed)
+            self._moved = time
+        return self.neutral
+
+    def _forget(self) -> None:
+        self._rest, self._blinks = _Rest(), _Blinks()
+        self._last = self._moved = -inf
+        self._seen = 0.0
+
+    def _approach(self, passed: float) -> None:
+        """Move some of the way towards what was found, in `passed` seconds."""
+        before, found = self.neutral, self._rest.found or self.neutral
+        # Eyes that are shut tight when asked to are shut tighter than in a blink, which the avatar has to show, too.
+        left = self._blinks.left / max(float(eye_apertures(found.shape).mean()), 1e-9)
+        found = replace(found, shut=max(self._shut, left) if left < MAX_SHUT else self._shut)
+        off = float(np.abs(found.shape - before.shape).max(initial=abs(found.shut - before.shut)))
+        if off > _UNCHANGED:
+            self.neutral = _between(before, found, (1.0 - exp(-passed / _TIME)) * min(self._seen / _ENOUGH, 1.0))
+
+
+class _Rest:
+    """Looks for the face at rest in frames that are spread over all that was seen, a little with each new one.
+
+    Attributes
+    ----------
+    found : Neutral or None
+    """
+
+    def __init__(self) -> None:
+        self.found: Neutral | None = None
+        self._kept: list[tuple[float, TrackResult]] = []
+        self._interval = 1.0 / _RATE
+        self._search = self._searching()
+
+    def add(self, time: float, result: TrackResult) -> None:
+        """Add a frame with a face, and go on looking."""
+        if not self._kept or time >= self._kept[-1][0] + self._interval:
+            self._kept.append((time, result))
+        if len(self._kept) > _FRAMES:
+            self._kept, self._interval = self._kept[::2], 2.0 * self._interval
+        if len(self._kept) >= _FEWEST:
+            for _ in range(_SWEEPS if self.found is not None else _AT_FIRST):
+                next(self._search)
+
+    def _searching(self) -> Iterator[None]:
+        while True:
+            recorder = TakeRecorder({})
+            for time, result in self._kept:
+                recorder.append(time, result)
+            take, frames = recorder.finish(), np.arange(len(self._kept))
+            activations = np.empty(0)
+            for after in load_face_space().sweeps(take.shape.astype(np.float64), trust(take, frames)):
+                activations = after
+                yield
+            self.found = rest_of(take, frames, activations)
+
+
+class _Blinks:
+    """How far apart lids stay in blinks.
+
+    Attributes
+    ----------
+    left : float
+        Aperture of the eyes in a usual blink, eye distances; NaN before the first.
+    """
+
+    def __init__(self) -> None:
+        self.left = nan
+        self._least: deque[float] = deque(maxlen=_BLINKS)
+        self._during: list[float] = []
+
+    def add(self, opening: float, at_rest: float) -> None:
+        """Add the aperture of a frame, and that of the eyes at rest."""
+        if opening < MAX_SHUT * at_rest:
+            self._during.append(opening)
+        elif self._during and opening > _REOPENED * at_rest:
+            if len(self._during) >= _BLINK_FRAMES:
+                self._least.append(min(self._during))
+                self.left = float(np.median(self._least))
+            self._during = []
+
+
+def _between(before: Neutral, found: Neutral, share: float) -> Neutral:
+    """`before`, moved by a share of the way to `found`; what is unknown in one of them is as in the other."""
+
+    def blend(name: str) -> FloatArray:
+        old, new = (np.asarray(getattr(neutral, name), dtype=np.float64) for neutral in (before, found))
+        moved = old + share * (new - old)
+        return np.asarray(np.where(np.isnan(moved), np.where(np.isnan(old), new, old), moved))
+
+    shape, position, gaze, actions = (blend(name) for name in ("shape", "position", "gaze", "actions"))
+    return replace(
+        before,
+        shape=shape,
+        position=position,
+        gaze=gaze,
+        actions=actions,
+        shut=float(blend("shut")),
+        vergence=float(blend("vergence")),
+        start=found.start,
+        end=found.end,
+        removed=found.removed,
+    )
