@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 TICK = 1.0 / 120.0
 """Seconds between two calls of `LiveSession.step`."""
 COUNTDOWN = 3.0
-"""Seconds between the request for a calibration and its start."""
+"""Seconds between the request for a calibration, or by default for a recording, and its start."""
 _TASKS = {
     False: "Look straight at the camera, with a relaxed face and the mouth closed",
     True: "Close the eyes tightly, and open the mouth wide",

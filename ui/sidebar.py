@@ -1,5 +1,7 @@
 """Base class, order and layout helpers of the panels in the sidebar tab."""
 
+import re
+
 import blf
 import bpy
 
@@ -17,6 +19,13 @@ def place(module: str) -> int:
 
 
 _NARROW = 220.0
+_WIDE = "\u2e80-\u9fff\uf900-\ufaff\uff00-\uffef"
+"""Characters of Chinese and Japanese, between which a line may end."""
+_OPENING = "\uff08\u300a\u300c\u201c"
+_CLOSING = "\uff0c\u3002\u3001\uff1a\uff1b\uff01\uff1f\uff09\u300b\u300d\u201d"
+"""Brackets and quotation marks, and what ends a sentence or its parts, as Chinese writes them."""
+_PIECE = re.compile(rf" ?[{_OPENING}]*(?:[{_WIDE}]|[^ {_WIDE}{_OPENING}{_CLOSING}]+)[{_CLOSING}]*| ?\S")
+"""What stays on one line: a word, or a wide character, with the punctuation beside it."""
 
 
 class Sidebar:
@@ -141,7 +150,7 @@ def is_narrow(context: bpy.types.Context) -> bool:
 
 
 def wrap(text: str, width: float) -> list[str]:
-    """Wrap `text` at spaces.
+    """Wrap `text` at spaces, and between characters of Chinese.
 
     Parameters
     ----------
@@ -155,12 +164,11 @@ def wrap(text: str, width: float) -> list[str]:
         The lines; a word that is wider has a line of its own.
     """
     lines: list[str] = []
-    for word in text.split():
-        longer = f"{lines[-1]} {word}" if lines else word
-        if lines and blf.dimensions(0, longer)[0] <= width:
-            lines[-1] = longer
+    for piece in _PIECE.findall(" ".join(text.split())):
+        if lines and blf.dimensions(0, lines[-1] + piece)[0] <= width:
+            lines[-1] += piece
         else:
-            lines.append(word)
+            lines.append(piece.lstrip())
     return lines
 
 

@@ -9,6 +9,8 @@ import pytest
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.media.sounds import beep
+from facemime.core.streams.settings import StreamSettings
+from facemime.core.streams.source import StreamSource
 from facemime.operators import puppet
 from facemime.operators.puppet import running
 from facemime.settings.preferences import preferences
@@ -43,6 +45,21 @@ def test_a_recording_starts_after_the_countdown_with_a_beep(puppet_running, beep
     assert session.countdown is None and len(beeps) == 1
     assert bpy.ops.facemime.record_take() == {"FINISHED"}
     assert len(bpy.context.scene.facemime_takes.items) == 1
+
+
+def test_by_default_there_is_a_countdown_before_a_performer_and_none_before_a_video(puppet_running):
+    session, takes = running(), bpy.context.scene.facemime_takes
+    takes.property_unset("countdown")
+    bpy.ops.facemime.record_take()
+    assert session.countdown is None and session.recording is not None
+    bpy.ops.facemime.record_take()
+    session.worker.source, video = StreamSource(StreamSettings()), session.worker.source
+    try:
+        bpy.ops.facemime.record_take()
+        assert session.recording is None and 0.0 < session.countdown <= 3.0
+    finally:
+        session.worker.source.close()
+        session.worker.source = video
 
 
 def test_esc_in_the_viewport_cancels_the_countdown_and_not_the_puppet(puppet_running, monkeypatch):

@@ -11,7 +11,6 @@ from walking import (
     PIXEL_OF_FOREHEAD,
     PIXEL_OF_LANDMARK,
     add_head,
-    choose_file,
     drag,
     look_from_the_front,
     run_in_viewport,
@@ -159,9 +158,15 @@ def test_escape_ends_the_search_for_a_face_and_leaves_nothing(blender, sidebar):
 def test_control_points_are_selected_from_a_take_picked_on_the_head_removed_and_undone(blender, sidebar):
     add_head(sidebar)
     save_take(performance(), blender.folder / "take.facetake")
+    blender.do(f"bpy.ops.facemime.import_take(filepath={str(blender.inside / 'take.facetake')!r})")
     sidebar.open_panel("FACEMIME_PT_control_points")
-    sidebar.press("bpy.ops.facemime.select_control_points")
-    choose_file(blender, str(blender.inside), "take.facetake")
+    x, y = sidebar.find("bpy.ops.facemime.select_live_points")
+    blender.click(x, y - sidebar.unit)  # the menu right above the button
+    blender.redraw()
+    blender.shot("takes")
+    blender.key("Down")
+    blender.redraw()
+    blender.key("Return")
     blender.wait_for(f"read_selection({HEAD}.data) is not None")
     count = blender.get(f"len(read_selection({HEAD}.data).landmarks)")
     sidebar.press("bpy.ops.facemime.pick_landmark")
