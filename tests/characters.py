@@ -5,7 +5,6 @@ As a script it writes one to a .blend file: `python tests/characters.py FILE`.
 
 import sys
 
-import bmesh
 import bpy
 import numpy as np
 from mathutils import Matrix
@@ -56,15 +55,15 @@ def strangers(*, rig: bool, y_up: bool = False, hair: bool = False) -> dict[str,
 
 def _cap(head: bpy.types.Object) -> bpy.types.Object:
     """Make a cap of hair 3 mm above the scalp."""
-    mesh = bmesh.new()
-    mesh.from_mesh(head.data)
-    low = [vertex for vertex in mesh.verts if vertex.co.z < 0.06 + 0.5 * max(0.0, -vertex.co.y - 0.05)]
-    bmesh.ops.delete(mesh, geom=low, context="VERTS")
-    for vertex in mesh.verts:
-        vertex.co += 0.003 * vertex.normal
+    places = shown(head)
+    high = places[:, 2] > 0.06 + 0.5 * np.clip(-places[:, 1] - 0.05, 0.0, None)
+    faces = [face.vertices[:] for face in head.data.polygons if high[list(face.vertices)].all()]
+    used, numbers = np.unique(np.concatenate(faces), return_inverse=True)
+    normals = np.array([vertex.normal for vertex in head.data.vertices])
+    ends = np.cumsum([len(face) for face in faces])[:-1]
     data = bpy.data.meshes.new("Cap")
-    mesh.to_mesh(data)
-    mesh.free()
+    corners = [part.tolist() for part in np.split(numbers, ends)]
+    data.from_pydata((places + 0.003 * normals)[used].tolist(), [], corners)
     cap = bpy.data.objects.new("Cap", data)
     head.users_collection[0].objects.link(cap)
     return cap

@@ -175,7 +175,7 @@ def webcam() -> None:
         studio.picture("head")
         sidebar.open_panel("FACEMIME_PT_source")
         sidebar.press("source.kind")
-        studio.picture_as_it_is("source", 420)
+        studio.picture_as_it_is("source", 500)
         blender.key("Escape")
         studio.start(2.76, "FACEMIME_PT_source")
         studio.picture("puppet")
@@ -188,7 +188,7 @@ def webcam() -> None:
         blender.do("held.limit = math.inf")
         blender.wait_for("len(bpy.context.scene.facemime.performers) == 1")
         sidebar.open_panel("FACEMIME_PT_expression")
-        studio.picture("expression", 450)
+        studio.picture("expression", 640)
         studio.stop()
 
 

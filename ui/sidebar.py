@@ -1,13 +1,12 @@
 """Base class, order and layout helpers of the panels in the sidebar tab."""
 
-import re
-
 import blf
 import bpy
 
 from ..blender.meshes import is_head
 from ..blender.messages import interface, translated
 from .documentation import draw_link
+from .drawing import wrap
 
 ORDER = ("start", "head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
 """Modules of `ui` whose panels are in the tab, from top to bottom: the order of the workflow."""
@@ -19,13 +18,6 @@ def place(module: str) -> int:
 
 
 _NARROW = 220.0
-_WIDE = "\u2e80-\u9fff\uf900-\ufaff\uff00-\uffef"
-"""Characters of Chinese and Japanese, between which a line may end."""
-_OPENING = "\uff08\u300a\u300c\u201c"
-_CLOSING = "\uff0c\u3002\u3001\uff1a\uff1b\uff01\uff1f\uff09\u300b\u300d\u201d"
-"""Brackets and quotation marks, and what ends a sentence or its parts, as Chinese writes them."""
-_PIECE = re.compile(rf" ?[{_OPENING}]*(?:[{_WIDE}]|[^ {_WIDE}{_OPENING}{_CLOSING}]+)[{_CLOSING}]*| ?\S")
-"""What stays on one line: a word, or a wide character, with the punctuation beside it."""
 
 
 class Sidebar:
@@ -147,29 +139,6 @@ def side_by_side(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.
 def is_narrow(context: bpy.types.Context) -> bool:
     """Return whether the sidebar is hardly wider than a button."""
     return context.region is not None and context.region.width < _NARROW * context.preferences.system.ui_scale
-
-
-def wrap(text: str, width: float) -> list[str]:
-    """Wrap `text` at spaces, and between characters of Chinese.
-
-    Parameters
-    ----------
-    text : str
-    width : float
-        Width of a line, pixels, at the font size that was set with `blf`.
-
-    Returns
-    -------
-    list of str
-        The lines; a word that is wider has a line of its own.
-    """
-    lines: list[str] = []
-    for piece in _PIECE.findall(" ".join(text.split())):
-        if lines and blf.dimensions(0, lines[-1] + piece)[0] <= width:
-            lines[-1] += piece
-        else:
-            lines.append(piece.lstrip())
-    return lines
 
 
 def _text_width(context: bpy.types.Context) -> float:

@@ -85,6 +85,16 @@ def test_the_end_of_a_calibration_is_heard_if_sounds_are_wanted(puppet_running, 
     preferences().property_unset("sounds")
 
 
+def test_the_countdown_goes_on_in_the_viewport_while_no_frame_comes(puppet_running, monkeypatch):
+    session, redrawn = running(), []
+    session.calibrate(countdown=60.0)
+    ticks_until(lambda: not session.step())
+    monkeypatch.setattr(puppet, "redraw", lambda context, kind: redrawn.append(kind))
+    session.operator._redrawn_at = -1.0
+    tick()
+    assert "WINDOW" in redrawn
+
+
 def test_a_beep_without_an_audio_device_is_no_error():
     assert beep() in (True, False)
 

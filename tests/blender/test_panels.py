@@ -12,6 +12,7 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import write_selection
 from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig
+from facemime.blender.viewports import visible_span
 from facemime.core.control_points.select import select_for_take
 from facemime.core.heads.regions import REGIONS
 from facemime.core.landmarks import IBUG68_INDICES
@@ -24,12 +25,12 @@ from facemime.ui.control_points import (
     FACEMIME_UL_landmarks,
     shown_rows,
 )
+from facemime.ui.drawing import wrap
 from facemime.ui.expression import FACEMIME_PT_expression
 from facemime.ui.head import FACEMIME_PT_own_head
 from facemime.ui.menus import VIEW3D_MT_facemime
 from facemime.ui.puppet import FACEMIME_PT_bake, FACEMIME_PT_pose, FACEMIME_PT_puppet
 from facemime.ui.regions import FACEMIME_PT_regions
-from facemime.ui.sidebar import wrap
 from facemime.ui.source import FACEMIME_PT_source
 from facemime.ui.start import FACEMIME_PT_start
 from facemime.ui.takes import (
@@ -139,6 +140,15 @@ def test_lines_of_any_language_fit_the_sidebar(text, lines):
     width = max(blf.dimensions(0, line)[0] for line in lines)
     assert wrap(text, width) == lines
     assert max(blf.dimensions(0, line)[0] for line in wrap(text, 1.0)) < width
+
+
+def test_what_is_drawn_in_a_viewport_keeps_clear_of_toolbar_and_sidebar():
+    sides = {"TOOLS": ("LEFT", 60), "UI": ("RIGHT", 280), "HEADER": ("TOP", 1000), "WINDOW": ("NONE", 1000)}
+    regions = [SimpleNamespace(type=kind, alignment=side, width=width) for kind, (side, width) in sides.items()]
+    area = SimpleNamespace(regions=regions)
+    assert visible_span(area, regions[-1]) == (60.0, 720.0)
+    regions[1].width = 1
+    assert visible_span(area, regions[-1]) == (60.0, 1000.0)
 
 
 def test_each_row_of_the_list_shows_number_region_order_and_error():
