@@ -66,7 +66,7 @@ class FacemimeTakes(bpy.types.PropertyGroup):
     items: CollectionProperty(type=FacemimeTake)
     index: IntProperty(name="Take", default=0, min=0)
     video: BoolProperty(
-        name="Keep Video", description="Save the video beside the take, as a reference and to track it again"
+        name="Keep Video", description="Save the camera video with the take, as a reference and to track it again"
     )
     countdown: EnumProperty(
         name="Countdown",

@@ -33,7 +33,9 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
         if session is None:
             return
         if (left := session.calibration_countdown) is not None:
-            layout.progress(factor=1.0 - min(left / COUNTDOWN, 1.0), text=f"{left:.0f} s" if left else _("Hold Still"))
+            layout.progress(
+                factor=1.0 - min(left / COUNTDOWN, 1.0), text=f"{int(left) + 1} s" if left else _("Hold Still")
+            )
         elif (quality := session.worker.quality) is not None:
             labels(layout, context, quality.message, "CHECKMARK" if quality.good else "ERROR")
 
