@@ -210,6 +210,11 @@ class LiveSession(Session):
         return 0.0 if self._at is None else max(0.0, self._at - perf_counter())
 
     @property
+    def calibrates_range(self) -> bool:
+        """Whether the range of eyes and mouth is calibrated, or about to be."""
+        return self._waiting and self._range
+
+    @property
     def recording_countdown(self) -> float | None:
         """Seconds until the recording starts; None if none was requested."""
         return None if self._record_at is None else max(1e-3, self._record_at[0] - perf_counter())

@@ -16,7 +16,7 @@ from ..operators.preview_place import MARGIN, Box, preview_box
 from ..operators.puppet import running
 from ..sessions.live import LiveSession
 from .drawing import draw_lines, draw_text, draw_wrapped
-from .status import latency_text
+from .status import countdown_text, latency_text
 
 _GRIP_COLOUR = (1.0, 1.0, 1.0, 0.8)
 _RED = (1.0, 0.25, 0.2, 1.0)
@@ -73,10 +73,8 @@ def _draw_grip(box: Box, scale: float) -> None:
 
 
 def _draw_countdown(span: tuple[float, float], height: float, session: LiveSession, scale: float) -> None:
-    left = session.countdown
-    if left is None:
+    if not (text := countdown_text(session)):
         return
-    text = str(int(left) + 1) if left > 0 else _("Hold Still")
     middle = sum(span) / 2, height / 2 - 36 * scale
     draw_text(text, middle, 96 * scale, centred=True)
     width = span[1] - span[0] - 2 * MARGIN * scale

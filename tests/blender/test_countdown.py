@@ -14,6 +14,7 @@ from facemime.core.streams.source import StreamSource
 from facemime.operators import puppet
 from facemime.operators.puppet import running
 from facemime.settings.preferences import preferences
+from facemime.ui.status import countdown_text
 from live_ticks import TIMER, let_a_frame_come, start, tick, ticks_until
 
 pytestmark = pytest.mark.usefixtures("in_a_project", "looping")
@@ -93,6 +94,15 @@ def test_the_countdown_goes_on_in_the_viewport_while_no_frame_comes(puppet_runni
     session.operator._redrawn_at = -1.0
     tick()
     assert "WINDOW" in redrawn
+
+
+@pytest.mark.parametrize(("range_of", "asked"), [(False, "Hold Still"), (True, "Now")])
+def test_at_the_end_of_a_countdown_the_performer_is_told_what_to_do(puppet_running, range_of, asked):
+    session = running()
+    session.calibrate(range_of=range_of, countdown=2.5)
+    assert countdown_text(session) == "3"
+    session.calibrate(range_of=range_of, countdown=0.0)
+    assert countdown_text(session) == asked
 
 
 def test_a_beep_without_an_audio_device_is_no_error():
