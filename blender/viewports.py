@@ -64,9 +64,28 @@ def redraw(context: bpy.types.Context, kind: str = "WINDOW") -> None:
 
 def toolbar_width(area: bpy.types.Area) -> float:
     """Return how much of a viewport the toolbar covers on the left, pixels."""
-    tools = [region for region in area.regions if region.type == "TOOLS" and region.alignment == "LEFT"]
-    overlaps = bpy.context.preferences.system.use_region_overlap
-    return float(sum(region.width for region in tools if region.width > 1)) if overlaps else 0.0
+    return _covered(area, "LEFT", {"TOOLS"})
+
+
+def visible_span(area: bpy.types.Area, region: bpy.types.Region) -> tuple[float, float]:
+    """Return the left and the right end of what toolbar and sidebar leave of a viewport, pixels.
+
+    Parameters
+    ----------
+    area : bpy.types.Area
+    region : bpy.types.Region
+        Its main region.
+    """
+    left, right = (_covered(area, side, {"TOOLS", "UI"}) for side in ("LEFT", "RIGHT"))
+    return left, max(region.width - right, left)
+
+
+def _covered(area: bpy.types.Area, side: str, kinds: set[str]) -> float:
+    """Return the width of the regions of these kinds that lie over the viewport on one side."""
+    if not bpy.context.preferences.system.use_region_overlap:
+        return 0.0
+    over = [region for region in area.regions if region.type in kinds and region.alignment == side]
+    return float(sum(region.width for region in over if region.width > 1))
 
 
 def redo_height(area: bpy.types.Area) -> float:

@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as _
-from bpy.props import StringProperty
+from bpy.props import IntProperty, StringProperty
 
 from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
 from ..blender.meshes import is_head, read_selection, write_selection
@@ -17,6 +17,7 @@ from ..core.landmarks import N_LANDMARKS
 from ..core.takes.file import load_take
 from ..core.takes.neutral import Neutral, calibrate
 from ..core.takes.take import Take
+from ..settings import takes_store
 from ..settings.rna import read, with_settings
 from ..settings.values import puppet_settings
 from .puppet import require_puppet, running
@@ -63,12 +64,22 @@ class FACEMIME_OT_select_control_points(AsksForFile, SelectsPoints, bpy.types.Op
     bl_idname = "facemime.select_control_points"
     bl_label = "Select Control Points"
 
-    filepath: StringProperty(name="Take", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    take: IntProperty(
+        name="Take",
+        description="Index of the take in the list; -1 for a file",
+        default=-1,
+        min=-1,
+        options={"SKIP_SAVE"},
+    )
     filter_glob: StringProperty(default="*.facetake", options={"HIDDEN"})
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Use the take of the list, or else open the file browser."""
+        return self.execute(context) if self.take >= 0 else super().invoke(context, event)
+
     def performance(self, context: bpy.types.Context) -> tuple[Take, Neutral]:
-        """Return the take at `filepath` and its neutral face."""
-        take = load_take(self.path)
+        """Return the take, of the list or at `filepath`, and its neutral face."""
+        take = load_take(self.path) if self.take < 0 else takes_store.read(takes_store.at(context.scene, self.take))
         return take, calibrate(take, puppet_settings(context.scene.facemime).neutral)
 
 

@@ -124,6 +124,8 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         if abs(self._timer_seconds() - self._redrawn_at) > _STATUS_INTERVAL:
             self._redrawn_at = self._timer_seconds()
             redraw(context, "UI")
+            if session.countdown is not None:  # it goes on while no frame comes
+                redraw(context, "WINDOW")
         return {"PASS_THROUGH"}
 
     def finish(self, context: bpy.types.Context) -> set[str]:

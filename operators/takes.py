@@ -9,9 +9,11 @@ from bpy.props import StringProperty
 
 from ..blender.animation.sampling import Sampling
 from ..core.errors import SourceError
+from ..core.live.sources import PacedSource
 from ..core.takes.coefficient_table import from_any_csv
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import to_csv
+from ..sessions.live import COUNTDOWN, LiveSession
 from ..sessions.session import Session
 from ..sessions.show import TakeShow
 from ..settings import takes_store
@@ -31,6 +33,14 @@ class OnTake(ReportsErrors):
             cls.poll_message_set("Record or import a take first")
             return False
         return True
+
+
+def _countdown(session: LiveSession, scene: bpy.types.Scene) -> float:
+    """Return the seconds before a recording; by default whoever is in front of a camera has time to get ready."""
+    chosen = scene.facemime_takes.countdown
+    if chosen == "AUTO":
+        return 0.0 if isinstance(session.worker.source, PacedSource) else COUNTDOWN
+    return float(chosen)
 
 
 class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
@@ -54,7 +64,7 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
         session = running()
         if session.recording is None:
             if not session.cancel_countdown():
-                session.start_recording_after(float(context.scene.facemime_takes.countdown), context.scene, self.name)
+                session.start_recording_after(_countdown(session, context.scene), context.scene, self.name)
             return
         recording = session.recording
         session.stop_recording()

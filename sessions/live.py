@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 TICK = 1.0 / 120.0
 """Seconds between two calls of `LiveSession.step`."""
 COUNTDOWN = 3.0
-"""Seconds between the request for a calibration and its start."""
+"""Seconds between the request for a calibration, or by default for a recording, and its start."""
 _TASKS = {
     False: "Look straight at the camera, with a relaxed face and the mouth closed",
     True: "Close the eyes tightly, and open the mouth wide",
@@ -216,6 +216,11 @@ class LiveSession(Session):
         if not self._waiting:
             return None
         return 0.0 if self._at is None else max(0.0, self._at - perf_counter())
+
+    @property
+    def calibrates_range(self) -> bool:
+        """Whether the range of eyes and mouth is calibrated, or about to be."""
+        return self._waiting and self._range
 
     @property
     def recording_countdown(self) -> float | None:

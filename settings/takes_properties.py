@@ -66,13 +66,18 @@ class FacemimeTakes(bpy.types.PropertyGroup):
     items: CollectionProperty(type=FacemimeTake)
     index: IntProperty(name="Take", default=0, min=0)
     video: BoolProperty(
-        name="Keep Video", description="Save the video beside the take, as a reference and to track it again"
+        name="Keep Video", description="Save the camera video with the take, as a reference and to track it again"
     )
     countdown: EnumProperty(
         name="Countdown",
         description="Seconds before a recording starts; Esc in the viewport cancels",
-        items=(("0", "None", "Start at once"), ("3", "3 s", "Three seconds"), ("5", "5 s", "Five seconds")),
-        default="0",
+        items=(
+            ("AUTO", "Automatic", "Three seconds for a camera or a stream, and none for a video or a take", "NONE", 3),
+            ("0", "None", "Start at once", "NONE", 0),
+            ("3", "3 s", "Three seconds", "NONE", 1),
+            ("5", "5 s", "Five seconds", "NONE", 2),
+        ),
+        default="AUTO",
     )
     bake: PointerProperty(type=FacemimeBake)
 

@@ -36,10 +36,15 @@ def folder() -> Path:
 
 def chosen(scene: bpy.types.Scene) -> FacemimeTake:
     """Return the take selected in the list; raises FacemimeError if there is none."""
-    takes = scene.facemime_takes
-    if not 0 <= takes.index < len(takes.items):
+    return at(scene, scene.facemime_takes.index)
+
+
+def at(scene: bpy.types.Scene, place: int) -> FacemimeTake:
+    """Return the take at a place of the list; raises FacemimeError if there is none."""
+    takes = scene.facemime_takes.items
+    if not 0 <= place < len(takes):
         raise FacemimeError("No take is selected. Record or import one.")
-    return takes.items[takes.index]
+    return takes[place]
 
 
 def new_path(name: str) -> Path:

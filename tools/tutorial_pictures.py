@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests" / "gui"), str(ROOT / "tests")]
 
 from test_own_head import import_scan  # noqa: E402
-from walking import HEAD, TOOLS  # noqa: E402
+from walking import HEAD, TOOLS, drag  # noqa: E402
 
 from conftest import install  # noqa: E402
 from sidebar import Sidebar  # noqa: E402
@@ -175,7 +175,7 @@ def webcam() -> None:
         studio.picture("head")
         sidebar.open_panel("FACEMIME_PT_source")
         sidebar.press("source.kind")
-        studio.picture_as_it_is("source", 420)
+        studio.picture_as_it_is("source", 500)
         blender.key("Escape")
         studio.start(2.76, "FACEMIME_PT_source")
         studio.picture("puppet")
@@ -184,11 +184,12 @@ def webcam() -> None:
         sidebar.open_panel("FACEMIME_PT_calibration")
         sidebar.press("bpy.ops.facemime.calibrate(")
         blender.wait_for("Session.current.countdown is not None")
+        blender.do("Session.current.calibrate(countdown=4.5)")  # drawing in software takes seconds
         studio.picture_as_it_is("countdown")
         blender.do("held.limit = math.inf")
         blender.wait_for("len(bpy.context.scene.facemime.performers) == 1")
         sidebar.open_panel("FACEMIME_PT_expression")
-        studio.picture("expression", 450)
+        studio.picture("expression", 640)
         studio.stop()
 
 
@@ -254,7 +255,7 @@ def take() -> None:
         studio.picture("table")
         blender.do(_IN_VIEW + "    bpy.ops.facemime.bake_take()")
         border, middle = blender.do(_BORDER)
-        blender.drag((border, middle), (border - 80, middle), (border - 160, middle))
+        drag(blender, (border, middle), (border - 80, middle), (border - 160, middle))
         blender.do(f"{HEAD}.active_shape_key_index = list({HEAD}.data.shape_keys.key_blocks.keys()).index('jawOpen')")
         blender.do(_SHOW_KEYS)
         blender.do("bpy.context.scene.frame_set(55)")

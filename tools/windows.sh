@@ -31,7 +31,8 @@ build() {
     mmdebstrap --quiet --variant=apt --mode=root --include="$(recipe "$1")" \
         --aptopt='Acquire::Check-Valid-Until "false"' --aptopt='Acquire::Languages "none"' \
         --dpkgopt='path-exclude=/usr/share/doc/*' --dpkgopt='path-exclude=/usr/share/man/*' \
-        --dpkgopt='path-exclude=/usr/share/locale/*' "$1" "$2.part" "$3"
+        --dpkgopt='path-exclude=/usr/share/locale/*' --dpkgopt='path-include=/usr/share/locale/languages' \
+        --dpkgopt='path-include=/usr/share/locale/zh_HANS/*' "$1" "$2.part" "$3"
     rm -rf "$2.part/var/cache/apt" "$2.part/var/lib/apt/lists"
     mv "$2.part" "$2"
 }

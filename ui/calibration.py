@@ -2,10 +2,10 @@
 
 import bpy
 
-from ..blender.messages import interface as _
 from ..operators.puppet import running
 from ..sessions.live import COUNTDOWN
 from .sidebar import Sidebar, draw_list, labels, place
+from .status import countdown_text
 
 
 class FACEMIME_UL_performers(bpy.types.UIList):
@@ -35,7 +35,7 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
         if session is None:
             return
         if (left := session.calibration_countdown) is not None:
-            layout.progress(factor=1.0 - min(left / COUNTDOWN, 1.0), text=f"{left:.0f} s" if left else _("Hold Still"))
+            layout.progress(factor=1.0 - min(left / COUNTDOWN, 1.0), text=countdown_text(session), translate=False)
         elif (quality := session.worker.quality) is not None:
             labels(layout, context, quality.message, "CHECKMARK" if quality.good else "ERROR")
 

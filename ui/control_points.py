@@ -106,11 +106,31 @@ def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) 
     column.prop(steps, "tolerance")
     column.prop(steps, "max_points")
     buttons = layout.column(align=True)
-    for button in (
-        buttons.operator("facemime.select_control_points", text="Select from a Take", icon="CURVE_DATA"),
-        buttons.operator("facemime.select_live_points", text="Select from Live", icon="REC"),
-    ):
-        button.tolerance, button.max_points, button.search = steps.tolerance, steps.max_points, steps.search
+    buttons.menu("FACEMIME_MT_select_from_take", icon="CURVE_DATA")
+    _apply(steps, buttons.operator("facemime.select_live_points", text="Select from Live", icon="REC"))
+
+
+def _apply(steps: bpy.types.PropertyGroup, button: bpy.types.OperatorProperties) -> bpy.types.OperatorProperties:
+    """Let a button select control points with the settings of the panel, and return it."""
+    button.tolerance, button.max_points, button.search = steps.tolerance, steps.max_points, steps.search
+    return button
+
+
+class FACEMIME_MT_select_from_take(bpy.types.Menu):
+    """Select the landmarks that control the active head in a take; the others follow them"""
+
+    bl_label = "Select from a Take"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the takes of the list, and a file that is not among them."""
+        layout, steps = self.layout, context.scene.facemime_steps
+        layout.operator_context = "INVOKE_DEFAULT"
+        operator = "facemime.select_control_points"
+        for place_in_list, take in enumerate(context.scene.facemime_takes.items):
+            _apply(steps, layout.operator(operator, text=take.name, translate=False)).take = place_in_list
+        if len(context.scene.facemime_takes.items):
+            layout.separator()
+        _apply(steps, layout.operator(operator, text="From File...", icon="FILEBROWSER"))
 
 
 def _draw_curve(layout: bpy.types.UILayout, text: str, selection: GreedySelection) -> None:
@@ -146,7 +166,7 @@ def _draw_list(layout: bpy.types.UILayout, context: bpy.types.Context, steps: bp
     column.prop(steps, "only_chosen", text="", icon="FILTER")
 
 
-CLASSES = (FACEMIME_UL_landmarks, FACEMIME_PT_control_points)
+CLASSES = (FACEMIME_MT_select_from_take, FACEMIME_UL_landmarks, FACEMIME_PT_control_points)
 
 
 def register() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import blf
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +12,16 @@ _CORNERS = 12
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
 _CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 _FONT = 0
+_LEADING = 1.4
+"""Distance of lines of text, relative to their size."""
 WHITE = (1.0, 1.0, 1.0, 0.9)
+_WIDE = "\u2e80-\u9fff\uf900-\ufaff\uff00-\uffef"
+"""Characters of Chinese and Japanese, between which a line may end."""
+_OPENING = "\uff08\u300a\u300c\u201c"
+_CLOSING = "\uff0c\u3002\u3001\uff1a\uff1b\uff01\uff1f\uff09\u300b\u300d\u201d"
+"""Brackets and quotation marks, and what ends a sentence or its parts, as Chinese writes them."""
+_PIECE = re.compile(rf" ?[{_OPENING}]*(?:[{_WIDE}]|[^ {_WIDE}{_OPENING}{_CLOSING}]+)[{_CLOSING}]*| ?\S")
+"""What stays on one line: a word, or a wide character, with the punctuation beside it."""
 
 
 def dot(place: NDArray[np.float64], radius: float, colour: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -95,3 +106,43 @@ def draw_text(
     blf.position(_FONT, left, place[1], 0.0)
     blf.draw(_FONT, text)
     blf.disable(_FONT, blf.SHADOW)
+
+
+def draw_wrapped(text: str, place: tuple[float, float], size: float, width: float) -> None:
+    """Draw text with a shadow, centred, in as many lines as it needs.
+
+    Parameters
+    ----------
+    text : str
+        Translated.
+    place : (float, float)
+        The middle and the base line of the first line.
+    size, width : float
+        Size of the font, and width of a line at most, pixels.
+    """
+    blf.size(_FONT, size)
+    for number, line in enumerate(wrap(text, width)):
+        draw_text(line, (place[0], place[1] - _LEADING * number * size), size, centred=True)
+
+
+def wrap(text: str, width: float) -> list[str]:
+    """Wrap `text` at spaces, and between characters of Chinese.
+
+    Parameters
+    ----------
+    text : str
+    width : float
+        Width of a line, pixels, at the font size that was set with `blf`.
+
+    Returns
+    -------
+    list of str
+        The lines; a word that is wider has a line of its own.
+    """
+    lines: list[str] = []
+    for piece in _PIECE.findall(" ".join(text.split())):
+        if lines and blf.dimensions(0, lines[-1] + piece)[0] <= width:
+            lines[-1] += piece
+        else:
+            lines.append(piece.lstrip())
+    return lines

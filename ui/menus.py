@@ -39,7 +39,6 @@ _ENTRIES = (
         ("facemime.open_lips", "SCULPTMODE_HLT"),
         ("facemime.open_eyes", "HIDE_OFF"),
         ("facemime.make_expression_keys", "SHAPEKEY_DATA"),
-        ("facemime.select_control_points", "GROUP_VERTEX"),
     ),
 )
 """Operators of the menu Facemime with their icons, in groups: live, takes, heads."""
@@ -61,6 +60,7 @@ class VIEW3D_MT_facemime(bpy.types.Menu):
             layout.separator()
             for operator, icon in group:
                 layout.operator(operator, icon=icon)
+        layout.menu("FACEMIME_MT_select_from_take", icon="CURVE_DATA")
 
 
 def _facemime(menu: bpy.types.Menu, context: bpy.types.Context) -> None:

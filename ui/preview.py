@@ -11,11 +11,12 @@ import bpy
 import numpy as np
 
 from ..blender.messages import interface as _
-from ..operators.preview_place import Box, preview_box
+from ..blender.viewports import visible_span
+from ..operators.preview_place import MARGIN, Box, preview_box
 from ..operators.puppet import running
 from ..sessions.live import LiveSession
-from .drawing import draw_lines, draw_text
-from .status import latency_text
+from .drawing import draw_lines, draw_text, draw_wrapped
+from .status import countdown_text, latency_text
 
 _GRIP_COLOUR = (1.0, 1.0, 1.0, 0.8)
 _RED = (1.0, 0.25, 0.2, 1.0)
@@ -35,17 +36,18 @@ def _draw() -> None:
         _Preview.texture = None
         return
     context, latest = bpy.context, session.shown
-    if latest is None or context.region is None:
+    if context.region is None:
         return
     scale = context.preferences.system.ui_scale
-    if latest.preview is not None:
+    if latest is not None and latest.preview is not None:
         box = preview_box(context.area, context.region, latest.preview.shape[:2])
         _draw_picture(latest.number, latest.preview, box)
         _draw_grip(box, scale)
         draw_text(latency_text(session), (box.left, box.bottom + box.height + 6 * scale), 11 * scale)
-    _draw_countdown(context.region, session, scale)
+    span = visible_span(context.area, context.region)
+    _draw_countdown(span, context.region.height, session, scale)
     if session.recording is not None:
-        _draw_recording(context.region, session.recording.seconds, scale)
+        _draw_recording(span, context.region.height, session.recording.seconds, scale)
 
 
 def _draw_picture(number: int, picture: np.ndarray, box: Box) -> None:
@@ -70,20 +72,18 @@ def _draw_grip(box: Box, scale: float) -> None:
     draw_lines(np.array(ends), _GRIP_COLOUR)
 
 
-def _draw_countdown(region: bpy.types.Region, session: LiveSession, scale: float) -> None:
-    left = session.countdown
-    if left is None:
+def _draw_countdown(span: tuple[float, float], height: float, session: LiveSession, scale: float) -> None:
+    if not (text := countdown_text(session)):
         return
-    text = str(int(left) + 1) if left > 0 else _("Hold Still")
-    middle = region.width / 2, region.height / 2 - 36 * scale
+    middle = sum(span) / 2, height / 2 - 36 * scale
     draw_text(text, middle, 96 * scale, centred=True)
-    task = _(session.task)
-    draw_text(task, (middle[0], middle[1] - 40 * scale), 18 * scale, centred=True)
+    width = span[1] - span[0] - 2 * MARGIN * scale
+    draw_wrapped(_(session.task), (middle[0], middle[1] - 40 * scale), 18 * scale, width)
 
 
-def _draw_recording(region: bpy.types.Region, seconds: float, scale: float) -> None:
+def _draw_recording(span: tuple[float, float], height: float, seconds: float, scale: float) -> None:
     text = f"REC {int(seconds) // 60:02d}:{seconds % 60:04.1f}"
-    draw_text(text, (region.width / 2, region.height - 70 * scale), 20 * scale, _RED, centred=True)
+    draw_text(text, (sum(span) / 2, height - 70 * scale), 20 * scale, _RED, centred=True)
 
 
 def register() -> None:

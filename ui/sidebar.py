@@ -6,6 +6,7 @@ import bpy
 from ..blender.meshes import is_head
 from ..blender.messages import interface, translated
 from .documentation import draw_link
+from .drawing import wrap
 
 ORDER = ("start", "head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
 """Modules of `ui` whose panels are in the tab, from top to bottom: the order of the workflow."""
@@ -138,30 +139,6 @@ def side_by_side(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.
 def is_narrow(context: bpy.types.Context) -> bool:
     """Return whether the sidebar is hardly wider than a button."""
     return context.region is not None and context.region.width < _NARROW * context.preferences.system.ui_scale
-
-
-def wrap(text: str, width: float) -> list[str]:
-    """Wrap `text` at spaces.
-
-    Parameters
-    ----------
-    text : str
-    width : float
-        Width of a line, pixels, at the font size that was set with `blf`.
-
-    Returns
-    -------
-    list of str
-        The lines; a word that is wider has a line of its own.
-    """
-    lines: list[str] = []
-    for word in text.split():
-        longer = f"{lines[-1]} {word}" if lines else word
-        if lines and blf.dimensions(0, longer)[0] <= width:
-            lines[-1] = longer
-        else:
-            lines.append(word)
-    return lines
 
 
 def _text_width(context: bpy.types.Context) -> float:

@@ -37,6 +37,16 @@ def draw_progress(layout: bpy.types.UILayout, session: TrackingSession) -> None:
     split.operator("facemime.stop_tracking", text="Stop", icon="SNAP_FACE", depress=True)
 
 
+def countdown_text(session: LiveSession) -> str:
+    """Return the seconds of a countdown that are left, and at its end what to do; "" without a countdown."""
+    left = session.countdown
+    if left is None:
+        return ""
+    if left > 0.0:
+        return str(int(left) + 1)
+    return _("Now") if session.calibrates_range else _("Hold Still")
+
+
 def latency_text(session: LiveSession) -> str:
     """Return the delay from the camera to the vertices and the frame rate; "" before the first frame."""
     watch = session.stopwatch

@@ -50,10 +50,16 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
         layout, takes = self.layout, context.scene.facemime_takes
         session = running()
         punch_in = None if session is None else session.punch_in
-        if punch_in is not None and session.recording is None:
+        recording = session is not None and session.recording is not None
+        if punch_in is not None and not recording:
             labels(layout, context, _("Recording in {seconds:.0f} s").format(seconds=punch_in.time_left), "TIME")
         elif not len(takes.items):
-            labels(layout, context, "Record a take, or import one", "INFO")
+            labels(
+                layout,
+                context,
+                "The take is listed when you stop" if recording else "Record a take, or import one",
+                "INFO",
+            )
         elif not bpy.data.filepath:
             labels(layout, context, "Takes are stored in your user folder until you save the .blend file", "INFO")
         buttons = {"import_take": "IMPORT", "remove_take": "REMOVE"}

@@ -97,7 +97,9 @@ def read_keys(members: Sequence[Member]) -> MeshKeys:
                 blocks.setdefault(name, []).append((member, block))
     if not blocks:
         name = members[0].obj.name
-        raise HeadError(f"{name} has no shape keys. Bake to new shape keys, or add the built-in head with Face Units.")
+        raise HeadError(
+            f"{name} has no shape keys. Bake to new shape keys, or add the built-in head with ARKit shape keys."
+        )
     offsets = np.zeros((len(blocks), members[-1].part.stop, 3), dtype=np.float32)
     for row, found in zip(offsets, blocks.values(), strict=True):
         for member, block in found:

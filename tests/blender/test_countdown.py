@@ -9,9 +9,12 @@ import pytest
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.media.sounds import beep
+from facemime.core.streams.settings import StreamSettings
+from facemime.core.streams.source import StreamSource
 from facemime.operators import puppet
 from facemime.operators.puppet import running
 from facemime.settings.preferences import preferences
+from facemime.ui.status import countdown_text
 from live_ticks import TIMER, let_a_frame_come, start, tick, ticks_until
 
 pytestmark = pytest.mark.usefixtures("in_a_project", "looping")
@@ -45,6 +48,21 @@ def test_a_recording_starts_after_the_countdown_with_a_beep(puppet_running, beep
     assert len(bpy.context.scene.facemime_takes.items) == 1
 
 
+def test_by_default_there_is_a_countdown_before_a_performer_and_none_before_a_video(puppet_running):
+    session, takes = running(), bpy.context.scene.facemime_takes
+    takes.property_unset("countdown")
+    bpy.ops.facemime.record_take()
+    assert session.countdown is None and session.recording is not None
+    bpy.ops.facemime.record_take()
+    session.worker.source, video = StreamSource(StreamSettings()), session.worker.source
+    try:
+        bpy.ops.facemime.record_take()
+        assert session.recording is None and 0.0 < session.countdown <= 3.0
+    finally:
+        session.worker.source.close()
+        session.worker.source = video
+
+
 def test_esc_in_the_viewport_cancels_the_countdown_and_not_the_puppet(puppet_running, monkeypatch):
     monkeypatch.setattr(puppet, "viewport_under", lambda *_: True)
     bpy.ops.facemime.record_take()
@@ -66,6 +84,25 @@ def test_the_end_of_a_calibration_is_heard_if_sounds_are_wanted(puppet_running, 
     ticks_until(lambda: session.countdown is None)
     assert len(beeps) == sounds
     preferences().property_unset("sounds")
+
+
+def test_the_countdown_goes_on_in_the_viewport_while_no_frame_comes(puppet_running, monkeypatch):
+    session, redrawn = running(), []
+    session.calibrate(countdown=60.0)
+    ticks_until(lambda: not session.step())
+    monkeypatch.setattr(puppet, "redraw", lambda context, kind: redrawn.append(kind))
+    session.operator._redrawn_at = -1.0
+    tick()
+    assert "WINDOW" in redrawn
+
+
+@pytest.mark.parametrize(("range_of", "asked"), [(False, "Hold Still"), (True, "Now")])
+def test_at_the_end_of_a_countdown_the_performer_is_told_what_to_do(puppet_running, range_of, asked):
+    session = running()
+    session.calibrate(range_of=range_of, countdown=2.5)
+    assert countdown_text(session) == "3"
+    session.calibrate(range_of=range_of, countdown=0.0)
+    assert countdown_text(session) == asked
 
 
 def test_a_beep_without_an_audio_device_is_no_error():

@@ -3,6 +3,7 @@
 import re
 from types import SimpleNamespace
 
+import blf
 import bpy
 import pytest
 
@@ -11,12 +12,20 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import write_selection
 from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig
+from facemime.blender.viewports import visible_span
 from facemime.core.control_points.select import select_for_take
 from facemime.core.heads.regions import REGIONS
 from facemime.core.landmarks import IBUG68_INDICES
 from facemime.core.takes.file import save_take
+from facemime.settings import takes_store
 from facemime.ui.calibration import FACEMIME_PT_calibration
-from facemime.ui.control_points import FACEMIME_PT_control_points, FACEMIME_UL_landmarks, shown_rows
+from facemime.ui.control_points import (
+    FACEMIME_MT_select_from_take,
+    FACEMIME_PT_control_points,
+    FACEMIME_UL_landmarks,
+    shown_rows,
+)
+from facemime.ui.drawing import wrap
 from facemime.ui.expression import FACEMIME_PT_expression
 from facemime.ui.head import FACEMIME_PT_own_head
 from facemime.ui.menus import VIEW3D_MT_facemime
@@ -100,6 +109,46 @@ def test_control_points_show_curve_and_list():
     write_selection(head.data, selection)
     drawn = draw(FACEMIME_PT_control_points)
     assert f"{len(selection.landmarks)} control points" in drawn and "FACEMIME_UL_landmarks" in drawn
+
+
+def test_the_takes_of_the_list_are_offered_and_select_as_their_files_do(in_a_project, tmp_path):
+    head = add_head(bpy.context)
+    for name in ("First", "Second"):
+        takes_store.keep(bpy.context.scene, performance(), name)
+    drawn = draw(FACEMIME_MT_select_from_take)
+    assert drawn.index("First") < drawn.index("Second") < drawn.index("From File...")
+    assert bpy.ops.facemime.select_control_points(take=1, max_points=12) == {"FINISHED"}
+    listed = head.data[SELECTION_PROPERTY]
+    bpy.ops.facemime.select_control_points(filepath=str(tmp_path / "takes" / "Second.facetake"), max_points=12)
+    assert head.data[SELECTION_PROPERTY] == listed
+    with pytest.raises(RuntimeError, match="No take is selected"):
+        bpy.ops.facemime.select_control_points(take=2)
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("Takes are stored in your folder", ["Takes are stored", "in your folder"]),
+        (
+            "\u4fdd\u5b58 .blend \u6587\u4ef6\u4e4b\u524d\uff0c\u5f55\u5236",
+            ["\u4fdd\u5b58 .blend \u6587\u4ef6", "\u4e4b\u524d\uff0c\u5f55\u5236"],
+        ),
+    ],
+)
+def test_lines_of_any_language_fit_the_sidebar(text, lines):
+    blf.size(0, 12.0)
+    width = max(blf.dimensions(0, line)[0] for line in lines)
+    assert wrap(text, width) == lines
+    assert max(blf.dimensions(0, line)[0] for line in wrap(text, 1.0)) < width
+
+
+def test_what_is_drawn_in_a_viewport_keeps_clear_of_toolbar_and_sidebar():
+    sides = {"TOOLS": ("LEFT", 60), "UI": ("RIGHT", 280), "HEADER": ("TOP", 1000), "WINDOW": ("NONE", 1000)}
+    regions = [SimpleNamespace(type=kind, alignment=side, width=width) for kind, (side, width) in sides.items()]
+    area = SimpleNamespace(regions=regions)
+    assert visible_span(area, regions[-1]) == (60.0, 720.0)
+    regions[1].width = 1
+    assert visible_span(area, regions[-1]) == (60.0, 1000.0)
 
 
 def test_each_row_of_the_list_shows_number_region_order_and_error():

@@ -91,6 +91,7 @@ def test_a_recorded_phone_bakes_to_what_it_sent(phone, takes):
     add_head(bpy.context)
     source = bpy.context.scene.facemime.source.stream
     assert source.protocol == "livelink"
+    takes.countdown = "0"
     start()
     assert bpy.ops.facemime.record_take(name="Phone") == {"FINISHED"}
     ticks_until(lambda: running().recording.frames > 40)

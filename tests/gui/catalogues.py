@@ -22,13 +22,16 @@ def facemimes_texts() -> dict[str, str]:
 
 
 def write_catalogue(folder: Path) -> None:
-    """Write a catalogue, and the list of languages, to a folder `locale`."""
+    """Write a catalogue, and the list of languages, to a folder `locale`, in place of those that are there."""
     place = folder / LANGUAGE / "LC_MESSAGES"
-    place.mkdir(parents=True)
-    (folder / "languages").write_text(_LANGUAGES, encoding="utf-8")
+    place.mkdir(parents=True, exist_ok=True)
+    listed, catalogue = folder / "languages", place / "blender.mo"
+    for path in (listed, catalogue):
+        path.unlink(missing_ok=True)  # they may be links to the files of another Blender
+    listed.write_text(_LANGUAGES, encoding="utf-8")
     contexts = ("", "Operator\x04")
     texts = {f"{context}{text}": WRONG for text in facemimes_texts() for context in contexts}
-    (place / "blender.mo").write_bytes(_compiled({"": "Content-Type: text/plain; charset=UTF-8\n"} | texts))
+    catalogue.write_bytes(_compiled({"": "Content-Type: text/plain; charset=UTF-8\n"} | texts))
 
 
 def _compiled(texts: Mapping[str, str]) -> bytes:

@@ -28,6 +28,10 @@ top = [cls for cls in panels if not getattr(cls, "bl_parent_id", "")]
 top.sort(key=lambda cls: getattr(cls, "bl_order", 0))
 value = [cls.__name__ for cls in top if not hasattr(cls, "poll") or cls.poll(bpy.context)]
 """
+_CHILDREN = (
+    "[cls.__name__ for cls in panels if getattr(cls, 'bl_parent_id', '') == {name!r}"
+    " and (not hasattr(cls, 'poll') or cls.poll(bpy.context))]"
+)
 _WATCH = """
 drawn = set()
 def watched(name, draw):
@@ -141,13 +145,17 @@ class Sidebar:
         self.blender.input("mousemove", box.x + 60, box.y + 60, "click", "--repeat", 8, "--delay", 2, 4)
         panels, opened = self.panels(), self._open()
         self._top = self._box + 0.6 + _HEADER * (panels.index(name) + 1)
-        if not children and opened.intersection(panels) == {name}:
-            return
-        if len(opened.intersection(panels)) > 2:
-            opened = self._fold_most(panels)
-        for panel in (panel for panel in panels if panel in opened):
-            self._toggle(panel, panels.index(panel), False)
-        self._toggle(name, panels.index(name), True, "ctrl" if children else None)
+        if opened.intersection(panels) != {name}:
+            if len(opened.intersection(panels)) > 2:
+                opened = self._fold_most(panels)
+            for panel in (panel for panel in panels if panel in opened):
+                self._toggle(panel, panels.index(panel), False)
+            self._toggle(name, panels.index(name), True)
+        below = self.blender.get(_CHILDREN.format(name=name)) if children else []
+        if below and not self._open().issuperset(below):
+            for _ in range(1 + bool(self._open().intersection(below))):
+                self._click_header(panels.index(name), "ctrl")
+            wait(lambda: self._open().issuperset(below), f"the subpanels of {name} expand", 10.0)
 
     def open_presets(self) -> None:
         """Open the menu in the header of Expression, with all panels above collapsed."""

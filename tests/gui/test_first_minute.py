@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from walking import TOOLS
 
 from conftest import SUITES, install, started
 from sidebar import Sidebar
@@ -43,11 +44,25 @@ def test_two_clicks_lead_from_the_default_scene_to_a_moving_face_and_stop_stays_
         shown = view(blender, sidebar, "moving")
         changed = np.abs(shown.astype(int) - rest).max(axis=2) > 40
         assert changed.mean() > _LEAST_MOTION and skin(shown) > _LEAST_SHARE
+        calibrate(blender, sidebar, stop)
         blender.click(*stop)
         blender.wait_for("bpy.context.active_object.data.shape_keys is None")
         blender.redraw()
         assert np.abs(view(blender, sidebar, "stopped").astype(int) - rest).mean() < 2.0
         assert "Traceback" not in blender.printed()
+
+
+def calibrate(blender: Blender, sidebar: Sidebar, stop: tuple[float, float]) -> None:
+    """Calibrate the neutral face and the range by clicks; Stop stays where it is."""
+    blender.do(TOOLS)
+    sidebar.open_panel("FACEMIME_PT_calibration")
+    for pose in ("NEUTRAL", "RANGE"):
+        sidebar.press(f"bpy.ops.facemime.calibrate(pose='{pose}'")
+        blender.wait_for("Session.current.countdown is not None")
+        blender.shot(f"calibrating-{pose.lower()}")
+        blender.wait_for("Session.current.countdown is None and Session.current.worker.quality is not None")
+        assert sidebar.find("bpy.ops.facemime.stop_puppet") == stop
+    assert blender.get("len(bpy.context.scene.facemime.performers)") == 1
 
 
 def view(blender: Blender, sidebar: Sidebar, name: str) -> np.ndarray:

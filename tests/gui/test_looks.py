@@ -1,4 +1,4 @@
-"""The panel at other resolution scales, narrow, and in the light theme; screenshots are kept for review."""
+"""The panel at other resolution scales, narrow, in each theme and language; screenshots are kept for review."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from window import Blender
 
 pytestmark = pytest.mark.thorough
 
-_LIGHT = """
+_THEME = """
 import os
 folder = bpy.utils.preset_paths("interface_theme")[0]
 bpy.ops.script.execute_preset(
-    filepath=os.path.join(folder, "Blender_Light.xml"), menu_idname="USERPREF_MT_interface_theme_presets")
+    filepath=os.path.join(folder, "Blender_{theme}.xml"), menu_idname="USERPREF_MT_interface_theme_presets")
 """
 
 
@@ -42,11 +42,11 @@ def empty(blender: Blender) -> Blender:
     return blender
 
 
-def tour(sidebar: Sidebar, name: str) -> None:
-    """Add a head and take a screenshot of every panel with its subpanels."""
+def tour(sidebar: Sidebar, name: str, children: bool = False) -> None:
+    """Add a head and take a screenshot of every panel, optionally with its subpanels expanded."""
     sidebar.press("bpy.ops.facemime.add_head")
     for panel in sidebar.panels():
-        sidebar.open_panel(panel)
+        sidebar.open_panel(panel, children)
         sidebar.blender.shot(f"{name}-{panel.removeprefix('FACEMIME_PT_')}")
 
 
@@ -72,7 +72,7 @@ def test_the_panel_follows_the_light_theme(empty):
     sidebar = Sidebar(empty)
     sidebar.open_panel("FACEMIME_PT_head")
     dark = cv2.imread(str(empty.shot("dark")))
-    empty.do(_LIGHT)
+    empty.do(_THEME.format(theme="Light"))
     empty.redraw()
     light = cv2.imread(str(empty.shot("light")))
     x, y = map(round, sidebar.header(0))
@@ -80,18 +80,31 @@ def test_the_panel_follows_the_light_theme(empty):
     assert light[inside].mean() > dark[inside].mean() + 60
 
 
-@pytest.fixture
-def dressed(empty: Blender, request: pytest.FixtureRequest) -> Sidebar:
-    """The sidebar in a theme. Debian's Blender has no other language than English."""
-    if request.param == "light":
-        empty.do(_LIGHT)
+_SPEAK = """
+view = bpy.context.preferences.view
+view.language = {language!r}
+view.use_translate_interface = view.use_translate_tooltips = view.language != "en_US"
+"""
+
+
+@pytest.fixture(params=["en_US", "zh_HANS"])
+def language(empty: Blender, request: pytest.FixtureRequest) -> Iterator[str]:
+    """A language of Blender's own; afterwards English."""
+    empty.do(_SPEAK.format(language=request.param))
+    yield request.param
+    empty.do(_SPEAK.format(language="en_US"))
+
+
+@pytest.fixture(params=["Dark", "Light"])
+def dressed(empty: Blender, language: str, request: pytest.FixtureRequest) -> Sidebar:
+    """The sidebar in a theme and a language."""
+    empty.do(_THEME.format(theme=request.param))
     empty.do(TOOLS)
     shutil.copy(CLIP, empty.folder / "mine.mp4")
     empty.redraw()
     return Sidebar(empty)
 
 
-@pytest.mark.parametrize("dressed", ["dark", "light"], indirect=True)
 def test_every_state_of_the_panels_is_drawn_without_an_error(dressed, request):
     name, blender = request.node.callspec.id, dressed.blender
 
@@ -100,7 +113,7 @@ def test_every_state_of_the_panels_is_drawn_without_an_error(dressed, request):
         blender.shot(f"{name}-{state}")
 
     shot("empty")
-    tour(dressed, name)
+    tour(dressed, name, children=True)
     run_in_viewport(blender, "adjust_landmarks")
     shot("adjusting")
     dressed.press("bpy.ops.facemime.discard_points")

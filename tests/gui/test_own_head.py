@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import cv2
 import numpy as np
 import pytest
@@ -11,7 +14,6 @@ from walking import (
     PIXEL_OF_FOREHEAD,
     PIXEL_OF_LANDMARK,
     add_head,
-    choose_file,
     drag,
     look_from_the_front,
     run_in_viewport,
@@ -21,7 +23,7 @@ from walking import (
 
 from facemime.core.takes.file import save_take
 from takes import performance
-from window import Blender
+from window import ROOT, Blender, wait
 
 pytestmark = pytest.mark.thorough
 
@@ -96,6 +98,54 @@ def test_an_imported_scan_becomes_a_head_with_open_mouth_and_eyes_by_clicks(blen
     stop(sidebar)
 
 
+_CHARACTER = """
+with bpy.data.libraries.load({path!r}) as (there, here):
+    here.objects = there.objects
+for obj in here.objects:
+    bpy.context.collection.objects.link(obj)
+body = max(here.objects, key=lambda obj: obj.dimensions.z if obj.type == "MESH" else 0.0)
+body.select_set(True)
+bpy.context.view_layer.objects.active = body
+"""
+_AS_ONE = f"""
+armature = {HEAD}.parent
+bone = armature.pose.bones["Head"]
+turn = np.array(bone.matrix @ bone.bone.matrix_local.inverted())
+value = None
+if bone.matrix_basis.to_quaternion().angle > 0.1:
+    value = {{}}
+    for obj in armature.children:
+        before, now = rest(obj), shown(obj)
+        ends = np.array([edge.vertices[:] for edge in obj.data.edges])
+        lengths = [np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1) for points in (before, now)]
+        away = now.mean(axis=0) - before.mean(axis=0) @ turn[:3, :3].T - turn[:3, 3]
+        kind = "body" if obj == body else "skin" if obj == {HEAD} else obj.name
+        stretched = float(np.abs(lengths[1] - lengths[0]).max())
+        value[kind] = [float(np.abs(now - before).max()), float(np.linalg.norm(away)), stretched]
+"""
+"""How far each mesh moves, leaves the bone of the head, and is stretched; nothing while the head looks ahead."""
+
+
+def test_a_rigged_character_with_eyes_teeth_and_hair_moves_as_one(blender, sidebar):
+    path = blender.folder / "character.blend"
+    subprocess.run([sys.executable, ROOT / "tests" / "characters.py", path], check=True, stdout=subprocess.DEVNULL)
+    blender.do(_CHARACTER.format(path=str(blender.inside / path.name)))
+    blender.redraw()
+    sidebar.press("bpy.ops.facemime.bind_landmarks")
+    blender.wait_for(f"{HEAD} != body and 'facemime_landmarks' in {HEAD}.data")
+    blender.shot("character-bound")
+    sidebar.press("bpy.ops.facemime.accept_points")
+    start(sidebar)
+    parts = wait(lambda: blender.do(_AS_ONE), "a turned head")
+    blender.shot("character")
+    assert len(parts) == 8 and parts.pop("body")[0] < 1e-6
+    assert min(moved for moved, _, _ in parts.values()) > 0.005
+    assert max(away for _, away, _ in parts.values()) < 0.01
+    del parts["skin"]
+    assert sorted(stretched for _, _, stretched in parts.values())[-2] < 1e-4, "the tongue alone is soft"
+    stop(sidebar)
+
+
 def nose(blender: Blender) -> int:
     """Return the vertex of the tip of the nose."""
     return blender.get(f"int(read_landmarks({HEAD})[from_ibug([30])[0]])")
@@ -156,16 +206,31 @@ def test_escape_ends_the_search_for_a_face_and_leaves_nothing(blender, sidebar):
     assert not blender.get("[key for key in bpy.data.objects['scan'].data.keys() if key.startswith('facemime')]")
 
 
+_NOT_ALONE = f"""
+selection = read_selection({HEAD}.data)
+alone = selection.membership[selection.membership.sum(axis=1) < 2].any(axis=0)
+value = next(int(landmark) for landmark in selection.landmarks if not alone[landmark])
+"""
+"""A control point whose regions have others."""
+
+
 def test_control_points_are_selected_from_a_take_picked_on_the_head_removed_and_undone(blender, sidebar):
     add_head(sidebar)
     save_take(performance(), blender.folder / "take.facetake")
+    blender.do(f"bpy.ops.facemime.import_take(filepath={str(blender.inside / 'take.facetake')!r})")
+    blender.do("bpy.context.scene.facemime_steps.tolerance = 0.1")
     sidebar.open_panel("FACEMIME_PT_control_points")
-    sidebar.press("bpy.ops.facemime.select_control_points")
-    choose_file(blender, str(blender.inside), "take.facetake")
+    x, y = sidebar.find("bpy.ops.facemime.select_live_points")
+    blender.click(x, y - sidebar.unit)  # the menu right above the button
+    blender.redraw()
+    blender.shot("takes")
+    blender.key("Down")
+    blender.redraw()
+    blender.key("Return")
     blender.wait_for(f"read_selection({HEAD}.data) is not None")
     count = blender.get(f"len(read_selection({HEAD}.data).landmarks)")
     sidebar.press("bpy.ops.facemime.pick_landmark")
-    landmark = blender.get(f"int(read_selection({HEAD}.data).landmarks[0])")  # a brow, of which there are several
+    landmark = blender.do(_NOT_ALONE)
     blender.click(*blender.do(PIXEL_OF_LANDMARK.format(landmark=landmark)))
     blender.wait_for(f"bpy.context.scene.facemime_steps.landmark == {landmark}")
     blender.shot("control-points")
