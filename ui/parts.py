@@ -38,7 +38,7 @@ class FACEMIME_PT_parts(Sidebar, bpy.types.Panel):
         column.operator("facemime.find_parts", icon="FILE_REFRESH")
         column.operator_menu_enum("facemime.add_part", "part", text="Add Selected")
         _draw_bones(layout, head)
-        layout.operator("facemime.make_expression_keys", icon="SHAPEKEY_DATA")
+        layout.operator_menu_enum("facemime.make_expression_keys", "keys", icon="SHAPEKEY_DATA")
 
 
 def _draw_parts(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
