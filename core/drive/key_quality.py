@@ -133,13 +133,14 @@ class _Measure:
         if not moves.any():
             return 0
         posed = self._rest + motion
-        pairs = self._crossed(posed, moves) - self._resting
-        within = {row for pair in pairs for row in pair}
-        return len(within.union(np.flatnonzero(self._inside(posed)).tolist()))
+        crossed = self._crossed(posed, moves) | self._inside(posed)
+        return int((crossed & ~self._resting).sum())
 
-    def _crossed(self, places: FloatArray, moves: NDArray[np.bool_]) -> set[tuple[int, int]]:
-        pairs = np.sort(crossing_pairs(places, self._triangles, moves), axis=1)
-        return {(int(a), int(b)) for a, b in pairs}
+    def _crossed(self, places: FloatArray, moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(T,) whether each triangle passes through another."""
+        crossed = np.zeros(len(self._triangles), dtype=bool)
+        crossed[crossing_pairs(places, self._triangles, moves)] = True
+        return crossed
 
     def _inside(self, posed: FloatArray) -> NDArray[np.bool_]:
         """(T,) whether the middle of each triangle lies inside an eyeball, and deeper than at rest."""

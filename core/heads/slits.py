@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
 from ..landmarks import EYE_LEFT, EYE_RIGHT, LIPS, outer_eye_distance
+from ..mesh.intersections import crossing_pairs
 from ..mesh.nearest import NearestPoints
-from ..mesh.surface import surface_normals
+from ..mesh.surface import surface_normals, triangulate
 
-_LIDS, _LIPS = (1, 0.002), (3, 0.003)
-"""Nearest vertices across the slit that a vertex must not pass, as lids are too thin for more than one, and the
-distance that both sides keep, or that at rest if it is less. All lengths are in outer-eye distances."""
-_SLITS = ((EYE_RIGHT, 0, *_LIDS), (EYE_LEFT, 0, *_LIDS), (LIPS, 1, *_LIPS))
-"""Landmarks of each slit, the region above it, which the next one is below, neighbours and distance."""
+_LID_WAYS, _LIP_WAYS = ((1, 0.04), (1, 0.02)), ((3, 0.04), (1, 0.04), (3, 0.02), (6, 0.02))
+"""Ways that are tried until nothing crosses: how many of the nearest vertices across the slit a vertex must not pass,
+and their distance along the slit up to which they count. Thick lips need more than thin lids. All lengths are in
+outer-eye distances."""
+_SLITS = (
+    (EYE_RIGHT, 0, 0.002, _LID_WAYS),
+    (EYE_LEFT, 0, 0.002, _LID_WAYS),
+    (LIPS, 1, 0.003, _LIP_WAYS),
+)
+"""Landmarks of each slit, the region above it, which the next one is below, the distance that both sides keep, or that
+at rest if it is less, and the ways."""
 _REACH = 0.12
 """Distance from its landmarks within which skin belongs to a slit."""
-_MIN_DEPTH, _MAX_DEPTH, _LATERAL = 1e-4, 0.06, 0.04
-"""Depths between which a vertex has passed through a plane, and its distance along the plane from the vertex there."""
+_MIN_DEPTH, _MAX_DEPTH = 1e-4, 0.06
+"""Depths between which a vertex has passed through a plane."""
 _FACING = 0.0
 """Cosine of the angle between two normals below which their surfaces face each other."""
 _STEPS, _SPREADS = 20, 2
@@ -29,11 +36,13 @@ _STEPS, _SPREADS = 20, 2
 
 @dataclass(frozen=True)
 class _Slit:
-    """Rows of the vertices above and below a slit, how many neighbours count, and the distance to keep."""
+    """A slit: vertices above and below it, its triangles, those that cross at rest, the distance to keep, and ways."""
 
     sides: tuple[NDArray[np.intp], NDArray[np.intp]]
-    neighbours: int
+    triangles: NDArray[np.intp]
+    crossing: int
     gap: float
+    ways: tuple[tuple[int, float], ...]
 
 
 class SlitContact:
@@ -56,74 +65,95 @@ class SlitContact:
 
     def __init__(self, rest: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> None:
         places, weights = np.asarray(rest, dtype=np.float64), np.asarray(region_weights)
-        points = places[landmarks]
-        self._unit = outer_eye_distance(points)
+        self._unit = outer_eye_distance(places[landmarks])
         region = np.where(weights.any(axis=0), weights.argmax(axis=0), -1)
-        slits = []
-        for organ, above, neighbours, gap in _SLITS:
-            _, squared = NearestPoints(points[organ]).query(places)
+        sides = []
+        for organ, above, *_ in _SLITS:
+            _, squared = NearestPoints(places[landmarks[organ]]).query(places)
             near = squared[:, 0] < (_REACH * self._unit) ** 2
-            upper, lower = (np.flatnonzero(near & (region == side)) for side in (above, above + 1))
-            if len(upper) and len(lower):
-                slits.append(_Slit((upper, lower), neighbours, gap * self._unit))
-        self._compact(places, np.asarray(faces), slits)
-
-    def _compact(self, places: FloatArray, faces: IntArray, slits: list[_Slit]) -> None:
-        """Number the vertices of the slits and of the faces about them anew, from 0."""
-        about = np.zeros(len(places) + 1, dtype=bool)
-        for slit in slits:
-            about[np.concatenate(slit.sides)] = True
-        own = faces[about[faces].any(axis=1)]
-        about[own[own >= 0]] = True
-        about[-1] = False
-        self._rows = np.flatnonzero(about)
-        number = np.full(len(about), -1)
+            sides.append([np.flatnonzero(near & (region == side)) for side in (above, above + 1)])
+        # Vertices of the slits and of the faces about them get new numbers, from 0.
+        within = np.zeros(len(places) + 1, dtype=bool)
+        within[np.concatenate([rows for pair in sides for rows in pair])] = True
+        own = np.asarray(faces)[within[np.asarray(faces)].any(axis=1)]
+        within[own[own >= 0]] = True
+        self._rows = np.flatnonzero(within[:-1])
+        number = np.full(len(within), -1)
         number[self._rows] = np.arange(len(self._rows))
         self._faces = number[own]
-        self._slits = [replace(s, sides=(number[s.sides[0]], number[s.sides[1]])) for s in slits]
         self._rest = places[self._rows]
         self._normals = surface_normals(self._rest, self._faces)
         self._edges = _edges(self._faces)
         self._degree = np.maximum(np.bincount(self._edges[:, 0], minlength=len(self._rows)), 1)
+        self._slits = [
+            self._slit((number[upper], number[lower]), gap * self._unit, ways)
+            for (upper, lower), (_, _, gap, ways) in zip(sides, _SLITS, strict=True)
+            if len(upper) and len(lower)
+        ]
+
+    def _slit(
+        self, sides: tuple[NDArray[np.intp], NDArray[np.intp]], gap: float, ways: tuple[tuple[int, float], ...]
+    ) -> _Slit:
+        near = np.isin(np.arange(len(self._rest)), np.concatenate(sides))
+        triangles = triangulate(self._faces)
+        triangles = triangles[near[triangles].any(axis=1)]
+        return _Slit(sides, triangles, len(crossing_pairs(self._rest, triangles)), gap, ways)
 
     def resolve(self, vertices: NDArray[np.float32]) -> None:
         """Move what has passed through apart, in place: (V, 3) float32."""
-        if not self._slits:
-            return
         posed = vertices[self._rows].astype(np.float64)
-        for _ in range(_STEPS):
-            push = self._pushes(posed)
-            if not push.any():
-                return
-            posed += self._spread(push)
-            vertices[self._rows] = posed
+        for slit in self._slits:
+            posed = self._parted(slit, posed)
+        vertices[self._rows] = posed
 
-    def _pushes(self, posed: FloatArray) -> FloatArray:
+    def _parted(self, slit: _Slit, posed: FloatArray) -> FloatArray:
+        """`posed` (N, 3) with the sides of a slit apart, in the way that leaves least crossing."""
+        if not self._pushes(slit, posed, *self._scaled(slit.ways[0])).any():
+            return posed
+        best, least = posed, len(crossing_pairs(posed, slit.triangles))
+        for way in slit.ways:
+            if least <= slit.crossing:
+                break
+            tried = self._pushed_apart(slit, posed, *self._scaled(way))
+            if (crossing := len(crossing_pairs(tried, slit.triangles))) < least:
+                best, least = tried, crossing
+        return best
+
+    def _scaled(self, way: tuple[int, float]) -> tuple[int, float]:
+        return way[0], way[1] * self._unit
+
+    def _pushed_apart(self, slit: _Slit, posed: FloatArray, neighbours: int, lateral: float) -> FloatArray:
+        for _ in range(_STEPS):
+            push = self._pushes(slit, posed, neighbours, lateral)
+            if not push.any():
+                break
+            posed = posed + self._spread(push)
+        return posed
+
+    def _pushes(self, slit: _Slit, posed: FloatArray, neighbours: int, lateral: float) -> FloatArray:
         """(N, 3) mean of the displacements that each vertex needs."""
         normals = surface_normals(posed, self._faces)
         total, count = np.zeros_like(posed), np.zeros(len(posed))
-        for slit in self._slits:
-            for own, other in (slit.sides, slit.sides[::-1]):
-                found, squared = NearestPoints(posed[other]).query(posed[own], min(slit.neighbours, len(other)))
-                mine, facing = np.repeat(own, found.shape[1]), other[found.reshape(-1)]
-                needed = self._needed(posed, normals, (mine, facing), squared.reshape(-1), slit.gap)
-                deep = needed > 0.0
-                step = 0.5 * needed[deep, None] * normals[facing[deep]]
-                for rows, moved in ((mine[deep], step), (facing[deep], -step)):
-                    np.add.at(total, rows, moved)
-                    np.add.at(count, rows, 1.0)
+        for own, other in (slit.sides, slit.sides[::-1]):
+            found, squared = NearestPoints(posed[other]).query(posed[own], min(neighbours, len(other)))
+            mine, facing = np.repeat(own, found.shape[1]), other[found.reshape(-1)]
+            depth = ((posed[mine] - posed[facing]) * normals[facing]).sum(axis=1)
+            needed = self._needed((mine, facing), depth, normals, slit.gap)
+            deep = (needed > 0.0) & (squared.reshape(-1) - depth**2 < lateral**2)
+            step = 0.5 * needed[deep, None] * normals[facing[deep]]
+            for rows, moved in ((mine[deep], step), (facing[deep], -step)):
+                np.add.at(total, rows, moved)
+                np.add.at(count, rows, 1.0)
         return np.asarray(total / np.maximum(count, 1.0)[:, None])
 
     def _needed(
-        self, posed: FloatArray, normals: FloatArray, pairs: tuple[IntArray, IntArray], squared: FloatArray, gap: float
+        self, pairs: tuple[IntArray, IntArray], depth: FloatArray, normals: FloatArray, gap: float
     ) -> FloatArray:
         """(P,) distance that the first of each pair lacks along the normal of the second; 0 if it is on its side."""
         mine, facing = pairs
-        depth = ((posed[mine] - posed[facing]) * normals[facing]).sum(axis=1)
         before = ((self._rest[mine] - self._rest[facing]) * self._normals[facing]).sum(axis=1)
         lacking = np.minimum(gap, before) - depth
         passed = (lacking > _MIN_DEPTH * self._unit) & (lacking < _MAX_DEPTH * self._unit)
-        passed &= squared - depth**2 < (_LATERAL * self._unit) ** 2
         passed &= (normals[mine] * normals[facing]).sum(axis=1) < _FACING
         return np.where(passed, lacking, 0.0)
 
