@@ -135,6 +135,8 @@ class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
     bl_label = "Set Bone"
     bl_property = "bone"
 
+    needs_landmarks = False
+
     target: EnumProperty(name="Target", items=[(key, label, "") for key, label in BONES.items()])
     bone: EnumProperty(name="Bone", items=_items_of_bones)
 
