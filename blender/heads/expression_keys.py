@@ -22,6 +22,9 @@ from ..rigs import read_rig
 _STILL = 1e-5
 """Share of the eye distance below which no vertex of a mesh moves: other meshes than the head then get no keys."""
 
+_RESTS = 1e-4
+"""Motion in metres up to which a part of the built-in head gets no keys."""
+
 
 @dataclass(frozen=True)
 class MadeKeys:
@@ -108,5 +111,5 @@ def _add_to_part(obj: bpy.types.Object, keys: KeySet) -> None:
     if part is None or len(part.vertices) != len(obj.data.vertices):
         return
     offsets = np.einsum("ku,uvc->kvc", keys.mixtures, part.units)
-    if offsets.any():
+    if np.abs(offsets).max() > _RESTS:
         _add(obj, keys.names, np.ascontiguousarray(to_blender(offsets), dtype=np.float32))
