@@ -2,7 +2,8 @@
 
 Each is imported, bound without marks and driven by the sample clip. Its parts are compared with what a person made of
 them, by object and material. Eyes: what is still seen of them from the front when the performer's are shut, as a share
-of what is seen at rest. Nothing of the characters is kept.
+of what is seen at rest. ARKit's keys are made on each, and what their lids and lips leave open or pass through is
+measured. Nothing of the characters is kept.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from facemime.blender.meshes import read_faces
 from facemime.blender.rigs import read_rig
 from facemime.core.binding.eye_contours import eye_openness
 from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.expression_keys import expression_keys
+from facemime.core.drive.key_quality import key_qualities
+from facemime.core.drive.key_sets import KEY_SETS
 from facemime.core.heads.parts import Part
 from facemime.core.landmarks import LOWER_LIDS, UPPER_LIDS
 from facemime.core.takes.from_video import track_video
@@ -64,6 +68,10 @@ class Result:
     bones: int
     seconds: float
     open_shut: float
+    made_eyes: float
+    made_lips: float
+    made_crossing: float
+    made_worst: int
 
 
 def main() -> int:
@@ -86,7 +94,13 @@ def main() -> int:
         for name, r in results.items()
     ]
     numbers = {name: vars(result) for name, result in results.items()}
-    finish(arguments, [Table("Strangers' characters, bound without marks", columns, rows)], numbers)
+    made = [(name, 100 * r.made_eyes, 100 * r.made_lips, r.made_crossing, r.made_worst) for name, r in results.items()]
+    figures = ("character", "eyes open %", "lips apart %", "crossing triangles", "at most")
+    tables = [
+        Table("Strangers' characters, bound without marks", columns, rows),
+        Table("ARKit's keys, made on strangers' characters", figures, made),
+    ]
+    finish(arguments, tables, numbers)
     facemime.unregister()
     return 0
 
@@ -107,11 +121,17 @@ def judge(path: Path, take) -> Result:
     lids = np.linalg.norm(shapes[:, UPPER_LIDS] - shapes[:, LOWER_LIDS], axis=2).mean(axis=1)
     shut = int(np.flatnonzero(take.found)[np.argmin(lids)])
     count = len(head.data.vertices)
+    keys = KEY_SETS["arkit"]
+    made = key_qualities(rig, keys, expression_keys(rig, keys)[1])
     return Result(
         right=float(right.mean()),
         bones=sum(bool(name) for name in (bones.head, bones.eye_right, bones.eye_left)),
         seconds=seconds,
         open_shut=_seen(head, rig.vertices, driver.frame(take.result(shut)).vertices[:count]),
+        made_eyes=float(np.nanmax([quality.eyes for quality in made])),
+        made_lips=float(np.nanmax([quality.lips for quality in made])),
+        made_crossing=float(np.mean([quality.crossing for quality in made])),
+        made_worst=max(quality.crossing for quality in made),
     )
 
 

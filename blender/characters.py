@@ -20,7 +20,7 @@ from ..core.heads.bones import FaceBones
 from ..core.heads.eyeballs import part_eyeball
 from ..core.heads.parts import FaceParts, Part
 from .frames import HEAD_TO_BLENDER, from_blender, to_blender
-from .meshes import is_head, read_faces, read_vertices
+from .meshes import can_be_driven, driven_by_keys, read_faces, read_vertices
 from .names import ARMATURE_PROPERTY, BONES_PROPERTY, HEAD_PROPERTY, PART_ATTRIBUTE, PART_PROPERTY
 
 _MOVED = (Part.ON_SKIN, Part.EYE_RIGHT, Part.EYE_LEFT, Part.TEETH_LOWER)
@@ -118,7 +118,7 @@ def head_of(obj: bpy.types.Object) -> bpy.types.Object:
     owner = obj.get(HEAD_PROPERTY)
     if obj.get(PART_PROPERTY) is not None and obj.parent is not None:
         owner = obj.parent
-    return owner if isinstance(owner, bpy.types.Object) and is_head(owner) else obj
+    return owner if isinstance(owner, bpy.types.Object) and can_be_driven(owner) else obj
 
 
 def read_parts(head: bpy.types.Object) -> FaceParts | None:
@@ -128,6 +128,8 @@ def read_parts(head: bpy.types.Object) -> FaceParts | None:
     """
     members = members_of(head)
     kinds = np.concatenate([_rigid(head, read_kinds(member.obj.data)) for member in members])
+    if driven_by_keys(head):  # its keys move all of it
+        kinds[:] = np.where(np.arange(len(kinds)) < len(head.data.vertices), Part.SKIN, Part.ON_HEAD)
     if not kinds.any():
         return None
     others, faces = [np.empty((0, 3), dtype=np.float32)], [np.empty((0, 3), dtype=np.int32)]

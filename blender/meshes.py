@@ -11,7 +11,7 @@ from ..core.control_points.select import from_json, to_json
 from ..core.errors import HeadError
 from ..core.landmarks import N_LANDMARKS
 from .frames import flat_in_blender, from_blender
-from .names import COUNT_PROPERTY, EYES_GROUP, LANDMARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
+from .names import COUNT_PROPERTY, EYES_GROUP, KEYS_PROPERTY, LANDMARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 
 
 def exists(block: bpy.types.ID) -> bool:
@@ -43,6 +43,16 @@ def require_own(mesh: bpy.types.Mesh) -> None:
 def is_head(obj: bpy.types.Object) -> bool:
     """Return whether `obj` is a mesh with landmarks."""
     return isinstance(obj.data, bpy.types.Mesh) and LANDMARKS_PROPERTY in obj.data
+
+
+def driven_by_keys(obj: bpy.types.Object) -> bool:
+    """Return whether `obj` is a mesh without landmarks that is bound by its shape keys."""
+    return isinstance(obj.data, bpy.types.Mesh) and KEYS_PROPERTY in obj.data and not is_head(obj)
+
+
+def can_be_driven(obj: bpy.types.Object) -> bool:
+    """Return whether `obj` is bound, by landmarks or by its shape keys."""
+    return is_head(obj) or driven_by_keys(obj)
 
 
 def read_vertices(mesh: bpy.types.Mesh) -> NDArray[np.float32]:
@@ -108,8 +118,23 @@ def read_landmarks(obj: bpy.types.Object) -> NDArray[np.intp]:
     HeadError
         If no landmarks are bound, or the vertex count has changed since.
     """
+    return _stored_landmarks(obj, LANDMARKS_PROPERTY)
+
+
+def read_places(obj: bpy.types.Object) -> NDArray[np.intp]:
+    """Return (66,) vertices at the landmarks of `obj`, or near where they would lie if its shape keys drive it.
+
+    Raises
+    ------
+    HeadError
+        As `read_landmarks`.
+    """
+    return _stored_landmarks(obj, KEYS_PROPERTY if driven_by_keys(obj) else LANDMARKS_PROPERTY)
+
+
+def _stored_landmarks(obj: bpy.types.Object, name: str) -> NDArray[np.intp]:
     mesh = mesh_of(obj)
-    landmarks, bound_at = stored_integers(mesh, LANDMARKS_PROPERTY), stored_integers(mesh, COUNT_PROPERTY)
+    landmarks, bound_at = stored_integers(mesh, name), stored_integers(mesh, COUNT_PROPERTY)
     if landmarks is None or landmarks.shape != (N_LANDMARKS,):
         raise HeadError(f"{obj.name} has no landmarks. Bind them in Head > Your Own Head, or use the built-in head.")
     count = len(mesh.vertices)

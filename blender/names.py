@@ -3,6 +3,9 @@
 LANDMARKS_PROPERTY = "facemime_landmarks"
 """Custom property of the mesh: 66 vertex indices, in the order of `core.landmarks`."""
 
+KEYS_PROPERTY = "facemime_keys"
+"""Custom property of a mesh that its shape keys drive, without landmarks: 66 vertices near which they would lie."""
+
 COUNT_PROPERTY = "facemime_vertex_count"
 """Custom property of the mesh: its vertex count when the landmarks were bound."""
 
@@ -50,5 +53,8 @@ PART_OBJECTS = {
 
 TONGUE_KEY = "tongueOut"
 """Shape key of the tongue, by which it comes out."""
+
+BAKED_KEY_PREFIX = "Facemime "
+"""Prefix of the names of shape keys that a bake or a live session adds."""
 
 UV_MAP = "UVMap"

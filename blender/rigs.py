@@ -10,16 +10,18 @@ from numpy.typing import NDArray
 
 from ..core.heads.eyeballs import fit_eyeball
 from ..core.heads.parts import same_parts
+from ..core.heads.regions import membership
 from ..core.heads.rig import HeadRig
 from ..core.landmarks import OUTER_EYE_CORNERS
 from .characters import part_eyeballs, read_parts
 from .frames import from_blender
 from .meshes import (
+    driven_by_keys,
     eye_vertices,
     mesh_of,
     read_corners,
     read_faces,
-    read_landmarks,
+    read_places,
     read_regions,
     read_selection,
     read_vertices,
@@ -41,7 +43,16 @@ def read_rig(obj: bpy.types.Object | None) -> HeadRig:
     """
     mesh_of(obj)
     parts = read_parts(obj)
-    return HeadRig(**_read_quick_parts(obj), region_weights=read_regions(obj), faces=read_faces(obj.data), parts=parts)
+    weights = _least_regions(obj) if driven_by_keys(obj) else read_regions(obj)
+    return HeadRig(**_read_quick_parts(obj), region_weights=weights, faces=read_faces(obj.data), parts=parts)
+
+
+def _least_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
+    """Return regions, (3, V), of the landmarks' vertices alone: what its keys drive has none of its own."""
+    own = membership()
+    weights = np.zeros((len(own), len(obj.data.vertices)), dtype=np.float32)
+    weights[:, read_places(obj)] = own / own.sum(axis=0)
+    return weights
 
 
 def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
@@ -78,6 +89,8 @@ def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
     if rig.faces is not None:
         faces = mesh_of(obj).polygons
         yield len(rig.faces) == len(faces) and np.array_equal(read_corners(obj.data), rig.faces[rig.faces >= 0])
+    if driven_by_keys(obj):
+        return
     for first in range(0, len(rig.vertices), _VERTICES_PER_CHECK):
         mesh_of(obj)
         part = slice(first, first + _VERTICES_PER_CHECK)
@@ -120,7 +133,7 @@ def _jaw_pivot(obj: bpy.types.Object, landmarks: NDArray[np.float32]) -> NDArray
 
 def _read_quick_parts(obj: bpy.types.Object) -> dict[str, NDArray | None]:
     """Read everything of a rig except regions, faces and other parts, which take long."""
-    landmarks = read_landmarks(obj)
+    landmarks = read_places(obj)
     selection = read_selection(obj.data)
     vertices = read_vertices(obj.data)
     return {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..core.drive.key_sets import KEY_SETS
 from ..core.errors import FacemimeError
 from ..core.puppet.job import HeadFile
 from .terminal.console import say, tell
@@ -23,12 +24,18 @@ def add_commands(commands: Commands) -> None:
     )
     add_output(bind, "OUT.blend", "the file with the head, for puppet --head")
     bind.add_argument("--picture", type=Path, metavar="OUT.png", help="also write a picture of the face with landmarks")
-    bind.add_argument("--make-keys", action="store_true", help="also add ARKit's 52 face units as shape keys")
+    bind.add_argument(
+        "--make-keys",
+        nargs="?",
+        choices=tuple(KEY_SETS),
+        const="arkit",
+        help="also add a set of shape keys: ARKit's 52 face units (without a name), VRM's, Oculus' or FaceGen's",
+    )
     bind.set_defaults(run=lambda a: run_bind(a.character, a.output, a.picture, make_keys=a.make_keys))
 
 
-def run_bind(character: HeadFile, output: Path, picture: Path | None, *, make_keys: bool) -> int:
-    """Run `facemime bind`: bind a character, and print a line for each of its parts; returns the exit status."""
+def run_bind(character: HeadFile, output: Path, picture: Path | None, *, make_keys: str | None) -> int:
+    """Run `facemime bind`: bind a character, and print a line for each part and key; returns the exit status."""
     try:
         with STOPPING.importing():
             from .puppet import character as headless
@@ -37,11 +44,13 @@ def run_bind(character: HeadFile, output: Path, picture: Path | None, *, make_ke
             f"bind needs Blender ({error}). Run: blender --command facemime bind ..., or install bpy."
         ) from error
     with outputs_of(((output, {".blend"}), (picture, {".png"})), {"the character": character.path}):
-        bound = headless.bind(character, make_keys=make_keys)
+        bound = headless.bind(character, keys=None if make_keys is None else KEY_SETS[make_keys])
         headless.save(bound, output)
         if picture is not None:
             headless.write_picture(bound, picture)
     say(bound.table())
+    if bound.keys is not None:
+        say(bound.key_table())
     for problem in bound.problems:
         tell(f"facemime: {problem}")
     return 0

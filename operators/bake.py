@@ -8,7 +8,7 @@ from ..blender.animation.bake import frames_of
 from ..blender.animation.bake_keys import key_names
 from ..blender.animation.puppet import puppet_heads
 from ..blender.animation.underneath import mute_under, playing_under
-from ..blender.meshes import is_head
+from ..blender.meshes import can_be_driven
 from ..core.bake.arkit import arkit_coefficients
 from ..core.bake.key_map import KeyMap, KeyPose, best_preset, learn_map, load_map, presets
 from ..core.errors import FacemimeError, HeadError, SourceError
@@ -67,6 +67,8 @@ class FACEMIME_OT_mute_others(OnHead, bpy.types.Operator):
     bl_idname = "facemime.mute_others"
     bl_label = "Mute Other Animation"
 
+    needs_landmarks = False
+
     def work(self, context: bpy.types.Context) -> None:
         names = ", ".join(playing_under(context.active_object))
         count = mute_under(context.active_object)
@@ -78,6 +80,8 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
 
     bl_idname = "facemime.detect_key_map"
     bl_label = "Detect Mapping"
+
+    needs_landmarks = False
 
     def work(self, context: bpy.types.Context) -> None:
         table = best_preset(key_names(context.active_object))
@@ -160,7 +164,7 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a head with shape keys, and a take."""
         obj = context.active_object
-        if obj is None or not is_head(obj) or not key_names(obj):
+        if obj is None or not can_be_driven(obj) or not key_names(obj):
             cls.poll_message_set("Select a head that has shape keys")
             return False
         return super().poll(context)

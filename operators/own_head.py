@@ -18,6 +18,7 @@ from ..blender.heads.binding import (
     write_marks,
 )
 from ..blender.heads.eyes import open_eyes
+from ..blender.heads.keyed import bind_keys
 from ..blender.heads.lips import open_lips
 from ..blender.media.preview_scene import look_at_face
 from ..blender.messages import translated
@@ -74,6 +75,26 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         write_marks(context.active_object.data, {})
+
+
+class FACEMIME_OT_bind_keys(OnMesh, bpy.types.Operator):
+    """Drive the character by shape keys that it has, such as ARKit's or VRM's, without landmarks"""
+
+    bl_idname = "facemime.bind_keys"
+    bl_label = "Use Its Shape Keys"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require an active mesh in Object Mode."""
+        return require_object_mode(cls, context) and super().poll(context)
+
+    def work(self, context: bpy.types.Context) -> None:
+        active = context.active_object
+        head = bind_keys(active)
+        active.select_set(False)
+        head.select_set(True)
+        context.view_layer.objects.active = head
+        report(self, f"{head.name} is driven by its shape keys alone.")
 
 
 class FACEMIME_OT_bind_landmarks(WorksInSteps, OnMesh, bpy.types.Operator):
@@ -214,6 +235,7 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
 CLASSES = (
     FACEMIME_OT_mark_point,
     FACEMIME_OT_clear_marks,
+    FACEMIME_OT_bind_keys,
     FACEMIME_OT_bind_landmarks,
     FACEMIME_OT_set_landmark,
     FACEMIME_OT_propose_regions,

@@ -13,6 +13,7 @@ from ..blender.heads.family import armature_of
 from ..blender.heads.parts import forget_parts, sort_again
 from ..blender.meshes import is_head
 from ..blender.names import HEAD_PROPERTY
+from ..core.drive.key_sets import KEY_SETS
 from ..core.errors import HeadError
 from ..core.heads.parts import PART_NAMES, Part
 from ..sessions.session import Session
@@ -134,6 +135,8 @@ class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
     bl_label = "Set Bone"
     bl_property = "bone"
 
+    needs_landmarks = False
+
     target: EnumProperty(name="Target", items=[(key, label, "") for key, label in BONES.items()])
     bone: EnumProperty(name="Bone", items=_items_of_bones)
 
@@ -153,10 +156,16 @@ class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
 
 
 class FACEMIME_OT_make_expression_keys(OnHead, bpy.types.Operator):
-    """Add ARKit's 52 face units as shape keys to all meshes of the face; keys of these names that exist are kept"""
+    """Add a set of shape keys, such as ARKit's face units, to all meshes of the face; existing keys are kept"""
 
     bl_idname = "facemime.make_expression_keys"
     bl_label = "Make Expression Keys"
+
+    keys: EnumProperty(
+        name="Keys",
+        description="Which programs are to find the keys",
+        items=[(name, keys.label, "") for name, keys in KEY_SETS.items()],
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -166,8 +175,10 @@ class FACEMIME_OT_make_expression_keys(OnHead, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         if (session := Session.running()) is not None:
             session.close()
-        added, kept = make_expression_keys(context.active_object)
-        report(self, f"{added} shape keys added, {kept} kept")
+        made = make_expression_keys(context.active_object, KEY_SETS[self.keys])
+        for finding in made.findings:
+            report(self, finding)
+        report(self, made.summary())
 
 
 CLASSES = (

@@ -5,7 +5,7 @@ from bpy.app.translations import pgettext_rpt as _
 from bpy.props import StringProperty
 
 from ..blender.animation.puppet import check_heads, puppet_heads
-from ..blender.meshes import is_head
+from ..blender.meshes import can_be_driven
 from ..blender.viewports import redraw
 from ..core.errors import FacemimeError
 from ..core.takes.file import SUFFIX, load_take
@@ -133,7 +133,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
 
 def _heads(context: bpy.types.Context, first: bpy.types.Object | None) -> list[bpy.types.Object | None]:
     """Return `first` and all other selected heads."""
-    return [first, *(obj for obj in context.selected_objects if obj != first and is_head(obj))]
+    return [first, *(obj for obj in context.selected_objects if obj != first and can_be_driven(obj))]
 
 
 class FACEMIME_OT_stop_tracking(bpy.types.Operator):

@@ -9,7 +9,7 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..blender.characters import head_of
-from ..blender.meshes import is_head
+from ..blender.meshes import can_be_driven, is_head
 from ..blender.messages import displayable
 from ..core.capture import check_readable, require_utf8_name
 from ..core.errors import FacemimeError, SourceError
@@ -93,10 +93,10 @@ def heads_in(context: bpy.types.Context) -> list[bpy.types.Object]:
     A part of a head stands for it.
     """
     chosen = [head_of(obj) for obj in (context.active_object, *context.selected_objects) if obj is not None]
-    heads = list(dict.fromkeys(obj for obj in chosen if is_head(obj)))
+    heads = list(dict.fromkeys(obj for obj in chosen if can_be_driven(obj)))
     if heads:
         return heads
-    there = [obj for obj in context.view_layer.objects if is_head(obj) and obj.visible_get()]
+    there = [obj for obj in context.view_layer.objects if can_be_driven(obj) and obj.visible_get()]
     return there if len(there) == 1 else []
 
 
@@ -160,14 +160,19 @@ class OnMesh(ReportsErrors):
 
 
 class OnHead(OnMesh):
-    """Mixin: requires an active head outside Edit Mode, where vertex groups cannot be written."""
+    """Mixin: requires an active head outside Edit Mode, where vertex groups cannot be written.
+
+    With `needs_landmarks` false, a head that is bound by its shape keys alone is one, too.
+    """
+
+    needs_landmarks = True
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require an active head outside Edit Mode."""
         if not super().poll(context):
             return False
-        if not is_head(context.active_object):
+        if not (is_head if cls.needs_landmarks else can_be_driven)(context.active_object):
             cls.poll_message_set("Bind the landmarks first, in the Head panel")
             return False
         if context.mode == "EDIT_MESH":

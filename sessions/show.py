@@ -10,13 +10,22 @@ from bpy.app.handlers import persistent
 
 from ..blender.animation.bake import seconds_of
 from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
+from ..blender.animation.live_keys import KEYS, live_keys
+from ..blender.meshes import driven_by_keys
 from ..blender.rigs import read_rig
 from ..blender.undo import push_undo
+from ..core.drive.driver import HeadDriver
 from ..core.errors import HeadError
+from ..core.live.key_driver import KeyDriver
 from ..core.puppet.performance import Performance
 from ..core.takes.take import Take
 from ..settings.values import pose_targets, puppet_settings
 from .session import Session
+
+
+def _driver(performance: Performance, obj: bpy.types.Object) -> HeadDriver | KeyDriver:
+    driver = performance.driver(read_rig(obj))
+    return KeyDriver(driver, performance.neutral, live_keys(obj, KEYS)) if driven_by_keys(obj) else driver
 
 
 class TakeShow(Session):
@@ -45,7 +54,7 @@ class TakeShow(Session):
         self._heads = [
             (
                 LiveHeadObject(obj, pose_targets(settings.posing, obj), follow),
-                performance.driver(read_rig(obj)),
+                _driver(performance, obj),
             )
             for obj in objects
         ]

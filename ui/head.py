@@ -3,6 +3,8 @@
 import bpy
 
 from ..blender.heads.binding import missing_parts, read_marks
+from ..blender.heads.keyed import has_known_names
+from ..blender.meshes import driven_by_keys
 from ..blender.messages import interface as _
 from .sidebar import Sidebar, draw_findings, labels, place
 
@@ -22,10 +24,14 @@ class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
         missing = missing_parts(obj)
         if not missing:
             layout.label(text=obj.name, icon="CHECKMARK", translate=False)
+            if driven_by_keys(obj):
+                labels(layout, context, "Driven by its shape keys")
             draw_findings(layout, context)
         for problem, remedy in missing:
             labels(layout, context, problem, "ERROR")
             layout.operator(remedy)
+        if missing and has_known_names(obj):
+            layout.operator("facemime.bind_keys", icon="SHAPEKEY_DATA")
 
 
 class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):

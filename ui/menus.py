@@ -32,6 +32,7 @@ _ENTRIES = (
     ),
     (
         ("facemime.bind_landmarks", "VIEWZOOM"),
+        ("facemime.bind_keys", "SHAPEKEY_DATA"),
         ("facemime.mark_face", "PIVOT_CURSOR"),
         ("facemime.adjust_landmarks", "CON_TRACKTO"),
         ("facemime.check_head", "CHECKMARK"),

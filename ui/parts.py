@@ -3,7 +3,7 @@
 import bpy
 
 from ..blender.characters import objects_of, part_table, read_bones
-from ..blender.meshes import is_head
+from ..blender.meshes import can_be_driven, is_head
 from ..blender.messages import CONTEXT
 from ..blender.names import HEAD_PROPERTY
 from ..core.heads.parts import PART_NAMES
@@ -22,7 +22,7 @@ class FACEMIME_PT_parts(Sidebar, bpy.types.Panel):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require an active head, or one of its parts."""
         obj = context.active_object
-        return obj is not None and obj.type == "MESH" and (is_head(obj) or HEAD_PROPERTY in obj)
+        return obj is not None and obj.type == "MESH" and (can_be_driven(obj) or HEAD_PROPERTY in obj)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -30,15 +30,18 @@ class FACEMIME_PT_parts(Sidebar, bpy.types.Panel):
         if context.mode == "EDIT_MESH":
             layout.operator_menu_enum("facemime.set_part", "part", text="Set Part of Selected Vertices")
             return
-        head = obj if is_head(obj) else obj[HEAD_PROPERTY]
+        head = obj if can_be_driven(obj) else obj[HEAD_PROPERTY]
         if head is None:
+            return
+        if not is_head(head):
+            _draw_bones(layout, head)
             return
         _draw_parts(layout, head)
         column = layout.column(align=True)
         column.operator("facemime.find_parts", icon="FILE_REFRESH")
         column.operator_menu_enum("facemime.add_part", "part", text="Add Selected")
         _draw_bones(layout, head)
-        layout.operator("facemime.make_expression_keys", icon="SHAPEKEY_DATA")
+        layout.operator_menu_enum("facemime.make_expression_keys", "keys", icon="SHAPEKEY_DATA")
 
 
 def _draw_parts(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:

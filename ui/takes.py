@@ -3,7 +3,7 @@
 import bpy
 
 from ..blender.animation.underneath import playing_under
-from ..blender.meshes import is_head
+from ..blender.meshes import can_be_driven
 from ..blender.messages import interface as _
 from ..core.timecode import timecode
 from ..operators.puppet import running
@@ -126,7 +126,7 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         layout.prop(bake, "nla")
         layout.operator("facemime.bake_take", icon="ACTION")
         obj = context.active_object
-        if obj is not None and is_head(obj) and (others := playing_under(obj)):
+        if obj is not None and can_be_driven(obj) and (others := playing_under(obj)):
             labels(layout, context, _("Also moves the shape keys: {names}").format(names=", ".join(others)), "INFO")
             layout.operator("facemime.mute_others", icon="MUTE_IPO_ON")
 

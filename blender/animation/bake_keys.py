@@ -13,8 +13,7 @@ from ...core.bake.basis import MotionBasis
 from ...core.errors import HeadError
 from ..actions import Curve, remove_bake, remove_curves, write_curves
 from ..characters import Member
-
-BAKED_KEY_PREFIX = "Facemime "
+from ..names import BAKED_KEY_PREFIX
 
 
 @dataclass(frozen=True)

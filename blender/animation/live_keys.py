@@ -5,8 +5,10 @@ from __future__ import annotations
 import bpy
 
 from ...core.bake.key_map import ESSENTIAL, KeyMap, best_preset
+from ...core.errors import HeadError
 from ...core.live.key_driver import LiveKeys
 from ..characters import members_of
+from ..meshes import driven_by_keys
 from ..names import PART_PROPERTY
 from .bake_keys import moving_key_names, read_keys
 from .puppet import table_for
@@ -31,6 +33,10 @@ def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -
     HeadError
         If there are no keys, or no mapping matches them, and they were asked for.
     """
+    if driven_by_keys(obj) and choice == SKIN:
+        raise HeadError(f"{obj.name} is bound by its shape keys alone. Drive it by its keys, or find its face.")
+    if driven_by_keys(obj):
+        choice = KEYS
     if choice == SKIN or (choice == AUTOMATIC and not _has_known_set(obj)):
         return None
     chosen = table_for(obj, table)

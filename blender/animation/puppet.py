@@ -24,7 +24,7 @@ from ...core.takes.neutral import Neutral
 from ...core.takes.take import Take
 from ..actions import check_curves
 from ..characters import members_of, objects_of
-from ..meshes import mesh_of
+from ..meshes import driven_by_keys, mesh_of
 from ..rigs import read_rig
 from .bake import Targets, bake_pose, check_bakeable, check_range, frames_of, remove_baked, set_range
 from .bake_cache import bake_cache, export_alembic, with_name_of
@@ -50,7 +50,7 @@ class PuppetReport:
     keys : int
         Number of shape keys; 0 for a cache.
     worst_error : float
-        Largest error of a vertex in a frame, in outer-eye distances.
+        Largest error of a vertex in a frame, in outer-eye distances; NaN for a head that only its keys drive.
     neutral : Neutral
     motion : HeadMotion
     kept : tuple of str
@@ -84,6 +84,8 @@ class PuppetReport:
         """Return the number of shape keys and the error as text."""
         if not self.keys:
             return "every vertex exactly"
+        if np.isnan(self.worst_error):
+            return f"{self.keys} shape keys"
         keys, error = self.keys, f"{100 * self.worst_error:.2g}"
         if self.worst_error > _POOR:
             return f"{keys} shape keys, which cannot follow everything: largest deviation {error} % of the eye distance"
@@ -128,7 +130,7 @@ def puppet_head(
     unit, frames = rig.eye_distance, frames_of(scene, motion.times)
     check_range(take, frames)
     if bake.keys == "mapped":
-        plan = _mapped(obj, motion, frames, unit, bake, arkit_coefficients(take, neutral, settings.drive))
+        motion, plan = _mapped(obj, motion, frames, unit, bake, arkit_coefficients(take, neutral, settings.drive))
     else:
         plan = _PLANS[bake.keys](obj, motion, frames, unit, bake)
     remove_baked(obj, targets)
@@ -201,6 +203,10 @@ def check_heads(objects: Sequence[bpy.types.Object], bake: BakeSettings, targets
 
 def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) -> HeadRig:
     """Return the rig of a head; raises HeadError if it cannot be driven or baked to."""
+    if driven_by_keys(obj) and bake.keys != "mapped":
+        raise HeadError(
+            f"{obj.name} is bound by its shape keys alone. Bake to existing shape keys by a mapping, or find its face."
+        )
     check_bakeable(obj, targets, new_keys=bake.keys == "new", old_keys=bake.uses_existing_keys)
     return read_rig(obj)
 
@@ -239,7 +245,8 @@ def _mapped(
     unit: float,
     bake: BakeSettings,
     coefficients: FloatArray,
-) -> _Plan:
+) -> tuple[HeadMotion, _Plan]:
+    """Plan a bake by a mapping; the motion of a head that has no other is that of its keys."""
     keys = read_keys(members_of(obj))
     values = table_for(obj, bake.table).apply(coefficients, keys.ranges)
     if not values:
@@ -247,8 +254,13 @@ def _mapped(
             f"All shape keys of {obj.name} in the key mapping are muted. Unmute them, or bake to something else."
         )
     keys = keys.chosen(list(values))
-    error, _ = mix_errors(motion.vertices, keys.offsets, np.column_stack(list(values.values())))
-    return _values_plan(obj, keys, values, error, frames, unit, bake)
+    weights = np.column_stack(list(values.values()))
+    if driven_by_keys(obj):
+        mixed = np.einsum("nk,kvc->nvc", weights.astype(np.float32), keys.offsets, optimize=True)
+        motion, error = replace(motion, vertices=mixed), float("nan")
+    else:
+        error, _ = mix_errors(motion.vertices, keys.offsets, weights)
+    return motion, _values_plan(obj, keys, values, error, frames, unit, bake)
 
 
 def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:

@@ -23,6 +23,8 @@ from ...core.landmarks import from_ibug
 from ..characters import head_of, part_mesh, read_kinds
 from ..frames import HEAD_TO_BLENDER
 from ..meshes import (
+    can_be_driven,
+    driven_by_keys,
     eye_vertices,
     mesh_of,
     read_landmarks,
@@ -34,6 +36,7 @@ from ..meshes import (
 )
 from ..names import (
     COUNT_PROPERTY,
+    KEYS_PROPERTY,
     LANDMARKS_PROPERTY,
     MARKS_PROPERTY,
     PART_PROPERTY,
@@ -107,6 +110,9 @@ def search_character(obj: bpy.types.Object | None) -> Search[tuple[bpy.types.Obj
     mesh_of(obj)
     obj = head_of(obj)
     mesh = obj.data
+    if driven_by_keys(obj):
+        forget_parts(obj)
+        del mesh[KEYS_PROPERTY]
     if read_marks(mesh) or LANDMARKS_PROPERTY in mesh:
         return obj, (yield from search_head(obj))
     failure: HeadError | None = None
@@ -143,7 +149,7 @@ def search_head(obj: bpy.types.Object | None) -> Search[Binding]:
     binding, along = yield from _bound(read_vertices(mesh), skin, marks, axes)
     upright = along if _is_small(binding.rotation) else binding.rotation @ along
     if not _is_small(upright):
-        _turn(obj, HEAD_TO_BLENDER @ upright @ HEAD_TO_BLENDER.T)
+        turn_mesh(obj, HEAD_TO_BLENDER @ upright @ HEAD_TO_BLENDER.T)
     landmarks = skin.kept[binding.landmarks]
     if not is_sorted(obj) and not any(PART_PROPERTY in child for child in obj.children):
         weights = propose_regions(read_vertices(mesh)[skin.kept], skin.faces, binding.landmarks)
@@ -209,13 +215,13 @@ def missing_parts(obj: bpy.types.Object) -> list[tuple[str, str]]:
     Only names are examined, which is fast enough for drawing a panel; `check_object` examines the mesh itself.
     """
     mesh = obj.data
-    if LANDMARKS_PROPERTY not in mesh:
+    if not can_be_driven(obj):
         return [("This mesh has no landmarks yet", "facemime.bind_landmarks")]
     if (bound_at := stored_integers(mesh, COUNT_PROPERTY)) is not None and not np.array_equal(
         bound_at, len(mesh.vertices)
     ):
         return [("The vertex count has changed since the landmarks were bound", "facemime.bind_landmarks")]
-    if any(name not in obj.vertex_groups for name in REGION_GROUPS):
+    if not driven_by_keys(obj) and any(name not in obj.vertex_groups for name in REGION_GROUPS):
         return [("This mesh has no regions yet", "facemime.propose_regions")]
     return []
 
@@ -303,7 +309,20 @@ def _is_small(rotation: NDArray[np.floating]) -> bool:
     return float(np.trace(rotation) - 1.0) / 2.0 >= _UPRIGHT
 
 
-def _turn(obj: bpy.types.Object, rotation: NDArray[np.floating]) -> None:
+def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating]) -> None:
+    """Rotate the vertices of `obj`, and the object back, so that nothing moves in the scene.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+    rotation : (3, 3) array
+        In Blender's axes of the mesh.
+
+    Raises
+    ------
+    HeadError
+        If the vertices come from a file, or other objects share the mesh.
+    """
     if any(modifier.type in _CACHES for modifier in obj.modifiers):
         raise HeadError(
             f"The vertices of {obj.name} come from a file, so they cannot be rotated to face -Y. Export it facing -Y."

@@ -1,32 +1,68 @@
-"""Shape keys of ARKit's face units, made on a user's own head."""
+"""Sets of shape keys, such as ARKit's face units, made on a user's own head."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
 from ...core.drive.expression_keys import expression_keys
+from ...core.drive.key_quality import KeyQuality, findings, key_qualities
+from ...core.drive.key_sets import KEY_SETS, KeySet
 from ...core.errors import HeadError
-from ..characters import Member, members_of
+from ...core.heads.built_in import load_head
+from ..characters import members_of
+from ..frames import to_blender
 from ..meshes import mesh_of, require_own
+from ..names import PART_PROPERTY
 from ..rigs import read_rig
 
 _STILL = 1e-5
 """Share of the eye distance below which no vertex of a mesh moves: other meshes than the head then get no keys."""
 
+_RESTS = 1e-4
+"""Motion in metres up to which a part of the built-in head gets no keys."""
 
-def make_expression_keys(obj: bpy.types.Object | None) -> tuple[int, int]:
-    """Add the 52 face units to all meshes of a head that they move; existing keys of these names are kept.
+
+@dataclass(frozen=True)
+class MadeKeys:
+    """What was made on a head.
+
+    Attributes
+    ----------
+    added : int
+        Keys of the head that were added.
+    kept : tuple of str
+        Those that existed already.
+    qualities : list of KeyQuality
+        Of those that were added.
+    """
+
+    added: int
+    kept: tuple[str, ...]
+    qualities: list[KeyQuality]
+
+    def summary(self) -> str:
+        """Return the numbers of keys as text."""
+        return f"{self.added} shape keys added, {len(self.kept)} kept"
+
+    @property
+    def findings(self) -> list[str]:
+        """How well the keys shut eyes and lips, and what passes through."""
+        return findings(self.qualities)
+
+
+def make_expression_keys(obj: bpy.types.Object | None, keys: KeySet = KEY_SETS["arkit"]) -> MadeKeys:
+    """Add a set of shape keys to all meshes of a head that they move; existing keys of these names are kept.
 
     Parameters
     ----------
     obj : bpy.types.Object or None
         A mesh with landmarks.
-
-    Returns
-    -------
-    added, kept : int
-        Keys of the head that were added, and that existed already.
+    keys : KeySet
+        By default ARKit's 52 face units.
 
     Raises
     ------
@@ -35,24 +71,27 @@ def make_expression_keys(obj: bpy.types.Object | None) -> tuple[int, int]:
     """
     mesh_of(obj)
     members = members_of(obj)
-    for member in members:
-        require_own(member.obj.data)
-        if (keys := member.obj.data.shape_keys) is not None and not keys.use_relative:
-            raise HeadError(f"The shape keys of {member.obj.name} are absolute. Enable Relative first.")
+    attached = [child for child in obj.children if child.type == "MESH" and PART_PROPERTY in child]
+    for part in (*(member.obj for member in members), *attached):
+        require_own(part.data)
+        if (found := part.data.shape_keys) is not None and not found.use_relative:
+            raise HeadError(f"The shape keys of {part.name} are absolute. Enable Relative first.")
     rig = read_rig(obj)
-    names, motions = expression_keys(rig)
-    added = 0
+    names, motions = expression_keys(rig, keys)
+    added: list[str] = []
     for member in members:
-        offsets = member.local_offsets(motions)
         if member.obj != obj and np.abs(motions[:, member.part]).max() < _STILL * rig.eye_distance:
             continue
-        count = _add(member, names, offsets)
-        added = count if member.obj == obj else added
-    return added, len(names) - added
+        made = _add(member.obj, names, member.local_offsets(motions))
+        added = made if member.obj == obj else added
+    for child in attached:
+        _add_to_part(child, keys)
+    qualities = [quality for quality in key_qualities(rig, keys, motions) if quality.name in added]
+    return MadeKeys(len(added), tuple(name for name in names if name not in added), qualities)
 
 
-def _add(member: Member, names: tuple[str, ...], offsets: np.ndarray) -> int:
-    obj = member.obj
+def _add(obj: bpy.types.Object, names: Sequence[str], offsets: np.ndarray) -> list[str]:
+    """Add keys with displacements (K, V, 3) in the axes of the mesh, and return the names of those that are new."""
     if obj.data.shape_keys is None:
         obj.shape_key_add(name="Basis", from_mix=False)
     keys = obj.data.shape_keys
@@ -63,4 +102,14 @@ def _add(member: Member, names: tuple[str, ...], offsets: np.ndarray) -> int:
         key = obj.shape_key_add(name=name, from_mix=False)
         key.points.foreach_set("co", rest + row.reshape(-1))
         key.value = 0.0  # since Blender 5.0 the default is 1
-    return len(missing)
+    return [name for name, _ in missing]
+
+
+def _add_to_part(obj: bpy.types.Object, keys: KeySet) -> None:
+    """Add a set of keys to an eye, teeth or the tongue of the built-in head, as far as they move it."""
+    part = next((part for part in load_head().parts if part.name == obj[PART_PROPERTY]), None)
+    if part is None or len(part.vertices) != len(obj.data.vertices):
+        return
+    offsets = np.einsum("ku,uvc->kvc", keys.mixtures, part.units)
+    if np.abs(offsets).max() > _RESTS:
+        _add(obj, keys.names, np.ascontiguousarray(to_blender(offsets), dtype=np.float32))

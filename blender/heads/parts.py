@@ -88,7 +88,7 @@ def sort_character(head: bpy.types.Object, landmarks: IntArray, weights: NDArray
     vertices = read_vertices(head.data)
     points = vertices[landmarks].astype(np.float64)
     armature = armature_of(head)
-    bones = _bones(head, armature, landmarks)
+    bones = bones_of(head, armature, landmarks)
     number, on_skin = _numbered(head, vertices, landmarks)
     sure = on_skin[number[skin.kept]] >= _MIN_ON_SKIN
     nearest = _SkinDistance(vertices[skin.kept[sure]], weights[:, sure], outer_eye_distance(points))
@@ -237,7 +237,7 @@ def group_weights(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
     return weights
 
 
-def _bones(head: bpy.types.Object, armature: bpy.types.Object | None, landmarks: IntArray) -> FaceBones:
+def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmarks: IntArray) -> FaceBones:
     """Return the bones of the armature for head, eyes and jaw; those that something else moves do not count."""
     if armature is None:
         return FaceBones()

@@ -13,7 +13,7 @@ from ...core.heads.built_in import load_head
 from ...core.landmarks import outer_eye_distance
 from ...core.rotation import fit_rotation
 from ..frames import to_blender
-from ..meshes import is_head, read_landmarks
+from ..meshes import can_be_driven, read_places
 
 _LENS, _SENSOR = 85.0, 36.0
 _MARGIN = 1.08
@@ -50,12 +50,12 @@ def face_view(obj: bpy.types.Object) -> FaceView:
     Parameters
     ----------
     obj : bpy.types.Object
-        Any mesh; one without landmarks is shown as a whole, from the front of the scene.
+        Any mesh; one that is not bound is shown as a whole, from the front of the scene.
     """
     points = face_points(obj)
-    if not is_head(obj):
+    if not can_be_driven(obj):
         return FaceView(points, np.eye(3))
-    landmarks, head = read_landmarks(obj), load_head()
+    landmarks, head = read_places(obj), load_head()
     face = points[landmarks]
     known = to_blender(head.vertices[head.landmarks]).astype(np.float64)
     axes = fit_rotation(known - known.mean(axis=0), face - face.mean(axis=0))

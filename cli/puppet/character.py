@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from ...blender.animation.sampling import Sampling
 from ...blender.characters import part_table, read_bones
 from ...blender.heads.binding import bind_character, check_object
-from ...blender.heads.expression_keys import make_expression_keys
+from ...blender.heads.expression_keys import MadeKeys, make_expression_keys
 from ...blender.heads.landmark_pictures import draw_landmarks
 from ...core.binding.bind import Binding
+from ...core.drive.key_sets import KeySet
 from ...core.heads.parts import PART_NAMES
 from ...core.images import write_image
 from ...core.puppet.job import HeadFile
@@ -34,11 +36,14 @@ class BoundCharacter:
     binding : Binding
     problems : list of str
         What keeps it from being driven well.
+    keys : MadeKeys or None
+        The shape keys that were made.
     """
 
     head: bpy.types.Object
     binding: Binding
     problems: list[str]
+    keys: MadeKeys | None = None
 
     def table(self) -> str:
         """Return a line for each part of each object, and for each bone."""
@@ -52,9 +57,23 @@ class BoundCharacter:
             lines += [f"bone of the {name}: {bone}" for name, bone in chosen.items() if bone]
         return "\n".join([*lines, f"head: {self.head.name}, 66 landmarks"])
 
+    def key_table(self) -> str:
+        """Return a line for each shape key that was made: how far it moves, and what stays open or passes through."""
+        qualities = [] if self.keys is None else self.keys.qualities
+        rows = [("key", "moves %", "eyes %", "lips %", "crossing")]
+        rows += [
+            (q.name, *(_percent(value) for value in (q.moved, q.eyes, q.lips)), str(q.crossing)) for q in qualities
+        ]
+        width = max(len(row[0]) for row in rows)
+        return "\n".join(f"{row[0]:{width}}" + "".join(f"  {cell:>8}" for cell in row[1:]) for row in rows)
 
-def bind(character: HeadFile, *, make_keys: bool) -> BoundCharacter:
-    """Open or import a character and bind it, and `make_keys` of the face units.
+
+def _percent(share: float) -> str:
+    return "" if np.isnan(share) else f"{100 * share:.1f}"
+
+
+def bind(character: HeadFile, *, keys: KeySet | None) -> BoundCharacter:
+    """Open or import a character and bind it, and make a set of shape keys if one is given.
 
     Raises
     ------
@@ -64,11 +83,11 @@ def bind(character: HeadFile, *, make_keys: bool) -> BoundCharacter:
     open_file(character.path)
     chosen = object_named(character.path, character.name) if character.name else likely_mesh(character.path)
     head, binding = bind_character(chosen)
-    if make_keys:
-        added, kept = make_expression_keys(head)
-        tell(f"{added} shape keys added, {kept} kept")
+    made = None if keys is None else make_expression_keys(head, keys)
+    if made is not None:
+        tell(". ".join([made.summary(), *made.findings]))
     problems = [f"{finding.problem} {finding.remedy}" for finding in check_object(head)]
-    return BoundCharacter(head, binding, problems)
+    return BoundCharacter(head, binding, problems, made)
 
 
 def save(bound: BoundCharacter, output: Path) -> None:

@@ -11,8 +11,10 @@ import numpy as np
 
 from ...blender.characters import head_of
 from ...blender.heads.binding import bind_character
+from ...blender.heads.family import family_of
+from ...blender.heads.keyed import bind_keys, known_set
 from ...blender.media.rendering import quiet
-from ...blender.names import LANDMARKS_PROPERTY
+from ...blender.meshes import can_be_driven
 from ...core.capture import check_readable, require_utf8_name
 from ...core.errors import HeadError, SourceError
 from ...core.puppet.job import HeadFile
@@ -100,8 +102,14 @@ def likely_mesh(path: Path) -> bpy.types.Object:
     return max(carried or meshes, key=lambda obj: float(np.prod(obj.dimensions)) + len(obj.data.vertices) * 1e-12)
 
 
-def open_head(file: HeadFile) -> bpy.types.Object:
+def open_head(file: HeadFile, *, by_keys: bool = False) -> bpy.types.Object:
     """Open the head in a file. A character that is not bound yet is bound.
+
+    Parameters
+    ----------
+    file : HeadFile
+    by_keys : bool
+        Whether a character with a known set of shape keys is bound by these alone.
 
     Raises
     ------
@@ -110,12 +118,16 @@ def open_head(file: HeadFile) -> bpy.types.Object:
     """
     path, name = file.path, file.name
     open_file(path)
-    bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and LANDMARKS_PROPERTY in obj.data]
+    bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and can_be_driven(obj)]
     if not name and len(bound) > 1:
         raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Choose one: {path}:OBJECT.")
     chosen = head_of(object_named(path, name)) if name else bound[0] if bound else likely_mesh(path)
     if chosen in bound:
         return chosen
+    if by_keys and any(known_set(member) is not None for member in family_of(chosen)):
+        head = bind_keys(chosen)
+        tell(f"{head.name} is driven by its shape keys alone.")
+        return head
     head, _ = bind_character(chosen)
     tell(f"Bound {head.name}. To see its parts and landmarks: facemime bind {path} -o HEAD.blend --picture FACE.png")
     return head

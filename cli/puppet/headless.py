@@ -68,7 +68,7 @@ def open_stage(job: PuppetJob) -> Stage:
     """
     settings = _settings(job)
     points = None if job.points is None else _points(job.points)
-    head = _built_in(settings.bake) if job.head is None else open_head(job.head)
+    head = _built_in(settings.bake) if job.head is None else open_head(job.head, by_keys=settings.bake.keys == "mapped")
     scene = bpy.context.scene
     if points is not None:
         write_selection(head.data, points)

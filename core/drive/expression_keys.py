@@ -1,10 +1,13 @@
-"""ARKit's face units on any head, from those of the built-in head (docs/method.md, section 9.6)."""
+"""Sets of shape keys on any head, from the face units of the built-in head (docs/method.md, section 9.6)."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..apertures import lip_gaps
 from ..arrays import FloatArray
 from ..deform.expressions import transferred
 from ..deform.head_deformer import head_deformer
@@ -12,9 +15,11 @@ from ..deform.rbf import RBFDeformer
 from ..heads.built_in import Head, load_head
 from ..heads.eyeballs import EyeballContact
 from ..heads.rig import HeadRig
-from ..landmarks import CHIN, EYE_LEFT, EYE_RIGHT, LOWER_LIDS, UPPER_LIDS
+from ..heads.slits import SlitContact
+from ..landmarks import CHIN, LIPS, LOWER_LIDS, LOWER_LIPS, MOUTH_CORNERS, UPPER_LIDS, UPPER_LIPS
 from ..mesh.nearest import NearestPoints
 from ..rotation import fit_rotation
+from .key_sets import CLOSES, KEY_SETS, OPENS, KeySet
 from .parts import PartDriver
 
 _STEPS = 2
@@ -23,55 +28,180 @@ _REACH = 0.35
 """Outer-eye distances from the landmarks within which the carried motion counts."""
 _OPEN = 1e-3
 """Opening of a lid, in outer-eye distances, below which it does not count as open at rest."""
+_SEALED = 0.005
+"""Gap of sealed lips in outer-eye distances, unless they are closer at rest."""
 
 
-def expression_keys(rig: HeadRig) -> tuple[tuple[str, ...], NDArray[np.float32]]:
-    """Make the 52 face units for a head.
+def expression_keys(rig: HeadRig, keys: KeySet = KEY_SETS["arkit"]) -> tuple[tuple[str, ...], NDArray[np.float32]]:
+    """Make a set of shape keys for a head.
 
     Parameters
     ----------
     rig : HeadRig
         The head, with its eyes, teeth and other parts.
+    keys : KeySet
+        By default ARKit's 52 face units.
 
     Returns
     -------
-    names : tuple of str
-        ARKit's names, alphabetically.
-    motions : (52, A, 3) float32
+    names : (K,) tuple of str
+        Those of the set.
+    motions : (K, A, 3) float32
         Displacements of all vertices at value 1, as in `HeadRig.all_vertices`: head frame, unit of the mesh.
 
     Notes
     -----
     The motion of the built-in head is carried over by a warp of the landmarks. It is corrected by the deformer where
     landmarks have to meet: a lid closes by the same share of its opening as the built-in head's, and stays outside the
-    eyeball. Lower teeth rotate with the chin about the hinge of the jaw, and eyes as the built-in head's do.
+    eyeball; lips that are sealed meet, and neither lips nor lids pass through each other. Lower teeth rotate with the
+    chin about the hinge of the jaw, and eyes as the built-in head's do.
     """
-    head, (alone, skin) = load_head(), rig.skin()
-    deformer = head_deformer(alone)
-    assert isinstance(deformer, RBFDeformer)
-    motions = transferred(head.units, alone.vertices, alone.landmarks, alone.region_weights)
-    contact = EyeballContact(alone.vertices, np.asarray(alone.region_weights).sum(axis=0), rig.eyeballs)
+    alone, skin = rig.skin()
+    source = _Source.of(keys)
+    skin_motions = _Maker(alone, source).motions(keys)
+    if skin is None:
+        return keys.names, skin_motions
     points = np.asarray(alone.vertices, dtype=np.float64)[alone.landmarks]
-    near = _near(np.asarray(deformer.rest), points, rig.eye_distance)
-    for row, unit in enumerate(head.units):
-        follows = deformer.deform(motions[row, alone.landmarks]) - deformer.rest
-        motion = follows + near * (motions[row] - follows)
+    parts = PartDriver(rig, skin, alone)
+    rest = np.asarray(alone.vertices, dtype=np.float32)
+    poses = [
+        parts.pose(rest + motion, _jaw(rig, points, motion[alone.landmarks]), gaze) - parts.rest
+        for motion, gaze in zip(skin_motions, source.gazes, strict=True)
+    ]
+    return keys.names, np.stack(poses)
+
+
+@dataclass(frozen=True)
+class _Source:
+    """The keys on the built-in head.
+
+    Attributes
+    ----------
+    motions : (K, B, 3) float32
+        Displacements of its vertices.
+    shares : (K, 4) float64
+        Opening of each pair of lid landmarks as a share of that at rest; NaN where neither moves.
+    gazes : (K, 2, 3, 3) float64
+        Rotations of the right and left eye.
+    """
+
+    motions: NDArray[np.float32]
+    shares: FloatArray
+    gazes: FloatArray
+
+    @classmethod
+    def of(cls, keys: KeySet) -> _Source:
+        head, mixtures = load_head(), keys.mixtures
+        motions = _mixed(mixtures, head.units)
+        shut = np.nanmin(_shares(head, head.units), axis=0)
+        return cls(motions, np.maximum(_shares(head, motions), shut), _gazes(head, mixtures))
+
+
+class _Maker:
+    """Makes keys on the skin of a head."""
+
+    def __init__(self, skin: HeadRig, source: _Source) -> None:
+        self._skin, self._source = skin, source
+        deformer = head_deformer(skin)
+        assert isinstance(deformer, RBFDeformer)
+        self._deformer = deformer
+        self._rest = np.asarray(deformer.rest)
+        self._points = np.asarray(skin.vertices, dtype=np.float64)[skin.landmarks]
+        weights = np.asarray(skin.region_weights)
+        self._eyes = EyeballContact(skin.vertices, weights.sum(axis=0), skin.eyeballs)
+        faces = np.empty((0, 3), dtype=np.intp) if skin.faces is None else skin.faces
+        self._slits = SlitContact(skin.vertices, faces, skin.landmarks, weights)
+
+    def motions(self, keys: KeySet) -> NDArray[np.float32]:
+        """(K, V, 3) displacements of the vertices of the skin."""
+        skin = self._skin
+        made = transferred(self._source.motions, skin.vertices, skin.landmarks, skin.region_weights)
+        near = _near(self._rest, self._points, skin.eye_distance)
+        nothing = np.zeros_like(self._rest)
+        for row, name in enumerate(keys.names):
+            if not self._source.motions[row].any():
+                made[row] = 0.0
+                continue
+            follows = self._followed(made[row, skin.landmarks])
+            motion = follows + near * (made[row] - follows)
+            before = made[keys.names.index(OPENS)] if name == CLOSES and OPENS in keys.names else nothing
+            made[row] = self._corrected(row, motion, before, sealed=name == CLOSES or name in keys.sealed)
+        return made
+
+    def _followed(self, moved: FloatArray) -> NDArray[np.float32]:
+        return np.asarray(self._deformer.deform(moved) - self._rest, dtype=np.float32)
+
+    def _corrected(
+        self, row: int, motion: NDArray[np.float32], before: NDArray[np.float32], *, sealed: bool
+    ) -> NDArray[np.float32]:
+        """`motion` with lids and lips that meet, on a face that is displaced by `before` already."""
+        landmarks = self._skin.landmarks
         for _ in range(_STEPS):
-            missing = _lids(head, unit, points, motion[alone.landmarks])
+            moved = (before + motion)[landmarks]
+            missing = self._lids(row, moved) + self._lips(row, moved, sealed=sealed)
             if not missing.any():
                 break
-            motion = motion + deformer.deform(missing) - deformer.rest
-        posed = np.asarray(deformer.rest + motion, dtype=np.float32)
-        contact.resolve(posed)
-        motions[row] = posed - deformer.rest
-    if skin is None:
-        return head.unit_names, motions
-    parts = PartDriver(rig, skin, alone)
-    poses = [
-        parts.pose(deformer.rest + motion, _jaw(rig, points, motion[alone.landmarks]), gaze) - parts.rest
-        for motion, gaze in zip(motions, _gazes(head), strict=True)
-    ]
-    return head.unit_names, np.stack(poses)
+            motion = motion + self._followed(missing)
+        posed = np.asarray(self._rest + before + motion, dtype=np.float32)
+        self._eyes.resolve(posed)
+        self._slits.resolve(posed)
+        self._eyes.resolve(posed)
+        return np.asarray(posed - self._rest - before)
+
+    def _lids(self, row: int, moved: FloatArray) -> FloatArray:
+        """(66, 3) displacements that lids lack to open or close by the same share as those of the built-in head."""
+        lacking, points = np.zeros_like(self._points), self._points
+        source = self._source.motions[row, load_head().landmarks]
+        for upper, lower, share in zip(UPPER_LIDS, LOWER_LIDS, self._source.shares[row], strict=True):
+            rest = points[lower] - points[upper]
+            gap = np.linalg.norm(rest)
+            if np.isnan(share) or gap < _OPEN * self._skin.eye_distance:
+                continue
+            along = rest / gap
+            now = (points[lower] + moved[lower] - points[upper] - moved[upper]) @ along
+            _move_apart(lacking, source, upper, lower, (share * gap - now) * along)
+        return lacking
+
+    def _lips(self, row: int, moved: FloatArray, *, sealed: bool) -> FloatArray:
+        """(66, 3) displacements that lips lack to meet if they are sealed, and not to pass through each other."""
+        lacking, posed = np.zeros_like(self._points), self._points + moved
+        source = self._source.motions[row, load_head().landmarks]
+        if not source[LIPS].any():
+            return lacking
+        right, left = posed[MOUTH_CORNERS]
+        down = np.array([right[1] - left[1], left[0] - right[0], 0.0])
+        down /= max(float(np.linalg.norm(down)), 1e-12)
+        meeting = np.minimum(lip_gaps(self._points), _SEALED * self._skin.eye_distance)
+        needed = meeting - lip_gaps(posed)
+        for upper, lower, need in zip(UPPER_LIPS, LOWER_LIPS, needed, strict=True):
+            if sealed or need > 0.0:
+                _move_apart(lacking, source, upper, lower, need * down)
+        return lacking
+
+
+def _move_apart(out: FloatArray, source: FloatArray, upper: int, lower: int, by: FloatArray) -> None:
+    """Add to the displacements `out` (66, 3) what moves two landmarks apart, each as much as in `source` (66, 3)."""
+    part = np.linalg.norm(source[[upper, lower]], axis=1) + 1e-9
+    part /= part.sum()
+    out[upper] -= part[0] * by
+    out[lower] += part[1] * by
+
+
+def _mixed(mixtures: FloatArray, units: FloatArray) -> NDArray[np.float32]:
+    """(K, N, 3) mixtures (K, 52) of units (52, N, 3)."""
+    flat = mixtures.astype(np.float32) @ units.reshape(len(units), -1)
+    return np.asarray(flat.reshape(len(mixtures), -1, 3), dtype=np.float32)
+
+
+def _shares(head: Head, motions: FloatArray) -> FloatArray:
+    """(K, 4) opening of each pair of lid landmarks of the built-in head as a share of that at rest; NaN at rest."""
+    known = head.vertices[head.landmarks].astype(np.float64)
+    moved = motions[:, head.landmarks]
+    rest = known[LOWER_LIDS] - known[UPPER_LIDS]
+    after = rest + moved[:, LOWER_LIDS] - moved[:, UPPER_LIDS]
+    shares = (after * rest).sum(axis=2) / np.square(rest).sum(axis=1)
+    still = ~(moved[:, LOWER_LIDS].any(axis=2) | moved[:, UPPER_LIDS].any(axis=2))
+    return np.where(still, np.nan, shares)
 
 
 def _near(vertices: FloatArray, points: FloatArray, unit: float) -> NDArray[np.float32]:
@@ -80,43 +210,19 @@ def _near(vertices: FloatArray, points: FloatArray, unit: float) -> NDArray[np.f
     return np.asarray(np.exp(-np.maximum(squared, 0.0) / (_REACH * unit) ** 2), dtype=np.float32)
 
 
-def _lids(head: Head, unit: NDArray[np.float32], points: FloatArray, moved: FloatArray) -> FloatArray:
-    """(66, 3) displacements that lids lack to open or close by the same share as those of the built-in head."""
-    lacking = np.zeros_like(points)
-    known = head.vertices[head.landmarks].astype(np.float64)
-    after = known + unit[head.landmarks]
-    for upper, lower in zip(UPPER_LIDS, LOWER_LIDS, strict=True):
-        if not unit[head.landmarks[[upper, lower]]].any():
-            continue
-        rest = points[lower] - points[upper]
-        gap = np.linalg.norm(rest)
-        if gap < _OPEN * np.linalg.norm(points[EYE_LEFT].mean(axis=0) - points[EYE_RIGHT].mean(axis=0)):
-            continue
-        share = (after[lower] - after[upper]) @ (known[lower] - known[upper])
-        share /= np.square(known[lower] - known[upper]).sum()
-        along = rest / gap
-        now = (points[lower] + moved[lower] - points[upper] - moved[upper]) @ along
-        need = (share * gap - now) * along
-        part = np.array([np.linalg.norm(unit[head.landmarks[i]]) for i in (upper, lower)])
-        part /= part.sum()
-        lacking[upper] -= part[0] * need
-        lacking[lower] += part[1] * need
-    return lacking
-
-
 def _jaw(rig: HeadRig, points: FloatArray, moved: FloatArray) -> FloatArray:
     """(3, 3) rotation of the lower teeth about the hinge of the jaw."""
     chin = points[CHIN] - rig.jaw_pivot
     return fit_rotation(chin, chin + moved[CHIN])
 
 
-def _gazes(head: Head) -> FloatArray:
-    """(52, 2, 3, 3) rotations of the right and left eye under each unit of the built-in head."""
-    turns = np.tile(np.eye(3), (len(head.unit_names), 2, 1, 1))
+def _gazes(head: Head, mixtures: FloatArray) -> FloatArray:
+    """(K, 2, 3, 3) rotations of the right and left eye of the built-in head under mixtures (K, 52) of its units."""
+    turns = np.tile(np.eye(3), (len(mixtures), 2, 1, 1))
     for side, name in enumerate(("eye_right", "eye_left")):
         eye = next(part for part in head.parts if part.name == name)
         rest = (eye.vertices - eye.pivot).astype(np.float64)
-        for row, unit in enumerate(eye.units):
-            if unit.any():
-                turns[row, side] = fit_rotation(rest, rest + unit)
+        for row, motion in enumerate(_mixed(mixtures, eye.units)):
+            if motion.any():
+                turns[row, side] = fit_rotation(rest, rest + motion)
     return turns

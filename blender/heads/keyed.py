@@ -1,0 +1,136 @@
+"""Characters that are driven by shape keys of their own alone, without landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import bpy
+import numpy as np
+
+from ...core.bake.key_map import KeyMap, best_preset
+from ...core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
+from ...core.drive.keyed_face import face_from_keys
+from ...core.errors import HeadError
+from ...core.heads.bones import FaceBones
+from ...core.heads.parts import Part
+from ...core.heads.rig import neck_of
+from ...core.heads.sorting import names_body
+from ..characters import head_of, write_bones, write_kinds
+from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
+from ..meshes import driven_by_keys, is_head, mesh_of, read_vertices
+from ..names import BAKED_KEY_PREFIX, COUNT_PROPERTY, HEAD_PROPERTY, KEYS_PROPERTY, PIVOT_PROPERTY
+from .binding import turn_mesh
+from .family import armature_of, family_of
+from .parts import bones_of, group_weights
+
+_STILL = 1e-6
+"""Displacement, as a share of the size of a mesh, below which a vertex rests."""
+_OWN_WEIGHT = 0.5
+"""Weight of the bone of an eye above which a vertex belongs to that eye."""
+
+
+def known_set(obj: bpy.types.Object) -> KeyMap | None:
+    """Return the mapping of the set of shape keys that a mesh has and that move it; None if it has no known one."""
+    return best_preset([name for name in _named(obj) if _offsets(obj, name).any()])
+
+
+def has_known_names(obj: bpy.types.Object) -> bool:
+    """Return whether a mesh has keys with the names of a known set, which is fast enough for drawing a panel."""
+    return _known(tuple(_named(obj)))
+
+
+@lru_cache(maxsize=16)
+def _known(names: tuple[str, ...]) -> bool:
+    return best_preset(names) is not None
+
+
+def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
+    """Bind the character of `obj` by its shape keys, so that it can be driven without landmarks.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object or None
+        Any mesh of the character.
+
+    Returns
+    -------
+    bpy.types.Object
+        The mesh with most keys, to which the others belong.
+
+    Raises
+    ------
+    HeadError
+        If no mesh of the character has a known set of keys, or too few of them move anything.
+    """
+    mesh_of(obj)
+    if driven_by_keys(head := head_of(obj)) or is_head(head):
+        return head
+    family = family_of(obj)
+    sets = {member: found for member in family if (found := known_set(member)) is not None}
+    if not sets:
+        raise HeadError(
+            f"No mesh of {obj.name} has shape keys of a known set. Find its face instead, or make such keys."
+        )
+    head = max(sets, key=lambda member: len(sets[member].keys))
+    table = sets[head]
+    keys = [name for name in table.keys if name in _named(head)]
+    mixtures = np.array([_mixture(table, name) for name in keys])
+    face = face_from_keys(read_vertices(head.data), mixtures, [from_blender(_offsets(head, name)) for name in keys])
+    if not np.allclose(face.upright, np.eye(3)):
+        turn_mesh(head, HEAD_TO_BLENDER @ face.upright @ HEAD_TO_BLENDER.T)
+    head.data[KEYS_PROPERTY] = face.landmarks.tolist()
+    head.data[COUNT_PROPERTY] = len(head.data.vertices)
+    for member in family:
+        if member != head and not names_body(member.name):
+            part = Part.ON_SKIN if set(_named(member)) & set(table.keys) else Part.ON_HEAD
+            write_kinds(member.data, np.full(len(member.data.vertices), part))
+            member[HEAD_PROPERTY] = head
+    armature = armature_of(head)
+    bones = _without_moved_eyes(bones_of(head, armature, face.landmarks), [m for m in family if m in sets])
+    write_bones(head, armature if bones.head else None, bones)
+    head[PIVOT_PROPERTY] = to_blender(neck_of(read_vertices(head.data)[face.landmarks])).tolist()
+    return head
+
+
+def _named(obj: bpy.types.Object) -> list[str]:
+    keys = obj.data.shape_keys
+    if keys is None:
+        return []
+    return [key.name for key in keys.key_blocks[1:] if not key.name.startswith(BAKED_KEY_PREFIX)]
+
+
+def _offsets(obj: bpy.types.Object, name: str) -> np.ndarray:
+    """Return (V, 3) displacements of a key in the axes of the mesh in Blender, 0 where they are negligible."""
+    block = obj.data.shape_keys.key_blocks[name]
+    flat = np.empty((2, 3 * len(block.points)), dtype=np.float32)
+    for row, key in zip(flat, (block, block.relative_key), strict=True):
+        key.points.foreach_get("co", row)
+    size = float(np.ptp(flat[1].reshape(-1, 3), axis=0).max(initial=0.0))
+    offsets = (flat[0] - flat[1]).reshape(-1, 3)
+    return np.where(np.abs(offsets) > _STILL * size, offsets, np.float32(0.0))
+
+
+def _mixture(table: KeyMap, key: str) -> np.ndarray:
+    """Return (52,) the units that a mapping gives to a key."""
+    mixture = np.zeros(len(COEFFICIENTS))
+    for row in table.rows:
+        if row.key == key:
+            mixture[COEFFICIENT_INDEX[row.source]] = row.gain
+    return mixture
+
+
+def _without_moved_eyes(bones: FaceBones, meshes: list[bpy.types.Object]) -> FaceBones:
+    """Return `bones` without those of eyes that keys turn already."""
+    moved = [name for name in (bones.eye_right, bones.eye_left) if name and any(_look(m, name) for m in meshes)]
+    return replace(
+        bones,
+        eye_right="" if bones.eye_right in moved else bones.eye_right,
+        eye_left="" if bones.eye_left in moved else bones.eye_left,
+    )
+
+
+def _look(obj: bpy.types.Object, bone: str) -> bool:
+    """Return whether a key for the direction of the eyes moves what belongs to the bone of an eye."""
+    own = group_weights(obj, bone) > _OWN_WEIGHT
+    return bool(own.any()) and any(_offsets(obj, key)[own].any() for key in _named(obj) if "look" in key.lower())

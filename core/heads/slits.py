@@ -1,0 +1,175 @@
+"""Contact of lips with each other, and of lids (docs/method.md, section 9.6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray
+from ..landmarks import EYE_LEFT, EYE_RIGHT, LIPS, outer_eye_distance
+from ..mesh.intersections import crossing_pairs
+from ..mesh.nearest import NearestPoints
+from ..mesh.surface import surface_normals, triangulate
+
+_LID_WAYS, _LIP_WAYS = ((1, 0.04), (1, 0.02)), ((3, 0.04), (1, 0.04), (3, 0.02), (6, 0.02))
+"""Ways that are tried until nothing crosses: how many of the nearest vertices across the slit a vertex must not pass,
+and their distance along the slit up to which they count. Thick lips need more than thin lids. All lengths are in
+outer-eye distances."""
+_SLITS = (
+    (EYE_RIGHT, 0, 0.002, _LID_WAYS),
+    (EYE_LEFT, 0, 0.002, _LID_WAYS),
+    (LIPS, 1, 0.003, _LIP_WAYS),
+)
+"""Landmarks of each slit, the region above it, which the next one is below, the distance that both sides keep, or that
+at rest if it is less, and the ways."""
+_REACH = 0.12
+"""Distance from its landmarks within which skin belongs to a slit."""
+_MIN_DEPTH, _MAX_DEPTH = 1e-4, 0.06
+"""Depths between which a vertex has passed through a plane."""
+_FACING = 0.0
+"""Cosine of the angle between two normals below which their surfaces face each other."""
+_STEPS, _SPREADS = 20, 2
+"""Corrections at most, and rings of neighbours that take part in each."""
+
+
+@dataclass(frozen=True)
+class _Slit:
+    """A slit: vertices above and below it, its triangles, those that cross at rest, the distance to keep, and ways."""
+
+    sides: tuple[NDArray[np.intp], NDArray[np.intp]]
+    triangles: NDArray[np.intp]
+    crossing: int
+    gap: float
+    ways: tuple[tuple[int, float], ...]
+
+
+class SlitContact:
+    """Keeps the skin above a slit, of the mouth or an eye, from passing through that below it.
+
+    Parameters
+    ----------
+    rest : (V, 3) array
+        Vertices at rest.
+    faces : (F, K) array of int
+        Vertices of each face, padded with -1.
+    landmarks, region_weights : (66,), (3, V) array
+        As in `HeadRig`.
+
+    Notes
+    -----
+    A vertex is too deep if it lies behind the plane through a nearest vertex across the slit that faces it, and did not
+    at rest. Both are then moved apart along the normal of that plane, and their neighbours a share of that.
+    """
+
+    def __init__(self, rest: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> None:
+        places, weights = np.asarray(rest, dtype=np.float64), np.asarray(region_weights)
+        self._unit = outer_eye_distance(places[landmarks])
+        region = np.where(weights.any(axis=0), weights.argmax(axis=0), -1)
+        sides = []
+        for organ, above, *_ in _SLITS:
+            _, squared = NearestPoints(places[landmarks[organ]]).query(places)
+            near = squared[:, 0] < (_REACH * self._unit) ** 2
+            sides.append([np.flatnonzero(near & (region == side)) for side in (above, above + 1)])
+        # Vertices of the slits and of the faces about them get new numbers, from 0.
+        within = np.zeros(len(places) + 1, dtype=bool)
+        within[np.concatenate([rows for pair in sides for rows in pair])] = True
+        own = np.asarray(faces)[within[np.asarray(faces)].any(axis=1)]
+        within[own[own >= 0]] = True
+        self._rows = np.flatnonzero(within[:-1])
+        number = np.full(len(within), -1)
+        number[self._rows] = np.arange(len(self._rows))
+        self._faces = number[own]
+        self._rest = places[self._rows]
+        self._normals = surface_normals(self._rest, self._faces)
+        self._edges = _edges(self._faces)
+        self._degree = np.maximum(np.bincount(self._edges[:, 0], minlength=len(self._rows)), 1)
+        self._slits = [
+            self._slit((number[upper], number[lower]), gap * self._unit, ways)
+            for (upper, lower), (_, _, gap, ways) in zip(sides, _SLITS, strict=True)
+            if len(upper) and len(lower)
+        ]
+
+    def _slit(
+        self, sides: tuple[NDArray[np.intp], NDArray[np.intp]], gap: float, ways: tuple[tuple[int, float], ...]
+    ) -> _Slit:
+        near = np.isin(np.arange(len(self._rest)), np.concatenate(sides))
+        triangles = triangulate(self._faces)
+        triangles = triangles[near[triangles].any(axis=1)]
+        return _Slit(sides, triangles, len(crossing_pairs(self._rest, triangles)), gap, ways)
+
+    def resolve(self, vertices: NDArray[np.float32]) -> None:
+        """Move what has passed through apart, in place: (V, 3) float32."""
+        posed = vertices[self._rows].astype(np.float64)
+        for slit in self._slits:
+            posed = self._parted(slit, posed)
+        vertices[self._rows] = posed
+
+    def _parted(self, slit: _Slit, posed: FloatArray) -> FloatArray:
+        """`posed` (N, 3) with the sides of a slit apart, in the way that leaves least crossing."""
+        if not self._pushes(slit, posed, *self._scaled(slit.ways[0])).any():
+            return posed
+        best, least = posed, len(crossing_pairs(posed, slit.triangles))
+        for way in slit.ways:
+            if least <= slit.crossing:
+                break
+            tried = self._pushed_apart(slit, posed, *self._scaled(way))
+            if (crossing := len(crossing_pairs(tried, slit.triangles))) < least:
+                best, least = tried, crossing
+        return best
+
+    def _scaled(self, way: tuple[int, float]) -> tuple[int, float]:
+        return way[0], way[1] * self._unit
+
+    def _pushed_apart(self, slit: _Slit, posed: FloatArray, neighbours: int, lateral: float) -> FloatArray:
+        for _ in range(_STEPS):
+            push = self._pushes(slit, posed, neighbours, lateral)
+            if not push.any():
+                break
+            posed = posed + self._spread(push)
+        return posed
+
+    def _pushes(self, slit: _Slit, posed: FloatArray, neighbours: int, lateral: float) -> FloatArray:
+        """(N, 3) mean of the displacements that each vertex needs."""
+        normals = surface_normals(posed, self._faces)
+        total, count = np.zeros_like(posed), np.zeros(len(posed))
+        for own, other in (slit.sides, slit.sides[::-1]):
+            found, squared = NearestPoints(posed[other]).query(posed[own], min(neighbours, len(other)))
+            mine, facing = np.repeat(own, found.shape[1]), other[found.reshape(-1)]
+            depth = ((posed[mine] - posed[facing]) * normals[facing]).sum(axis=1)
+            needed = self._needed((mine, facing), depth, normals, slit.gap)
+            deep = (needed > 0.0) & (squared.reshape(-1) - depth**2 < lateral**2)
+            step = 0.5 * needed[deep, None] * normals[facing[deep]]
+            for rows, moved in ((mine[deep], step), (facing[deep], -step)):
+                np.add.at(total, rows, moved)
+                np.add.at(count, rows, 1.0)
+        return np.asarray(total / np.maximum(count, 1.0)[:, None])
+
+    def _needed(
+        self, pairs: tuple[IntArray, IntArray], depth: FloatArray, normals: FloatArray, gap: float
+    ) -> FloatArray:
+        """(P,) distance that the first of each pair lacks along the normal of the second; 0 if it is on its side."""
+        mine, facing = pairs
+        before = ((self._rest[mine] - self._rest[facing]) * self._normals[facing]).sum(axis=1)
+        lacking = np.minimum(gap, before) - depth
+        passed = (lacking > _MIN_DEPTH * self._unit) & (lacking < _MAX_DEPTH * self._unit)
+        passed &= (normals[mine] * normals[facing]).sum(axis=1) < _FACING
+        return np.where(passed, lacking, 0.0)
+
+    def _spread(self, push: FloatArray) -> FloatArray:
+        """`push`, with the mean of their neighbours for vertices that are not pushed."""
+        pushed, spread = push.any(axis=1)[:, None], push
+        first, second = self._edges.T
+        for _ in range(_SPREADS):
+            sums = [np.bincount(first, spread[second, i], len(push)) for i in range(3)]
+            spread = np.where(pushed, push, np.stack(sums, axis=1) / self._degree[:, None])
+        return spread
+
+
+def _edges(faces: IntArray) -> NDArray[np.intp]:
+    """(E, 2) edges of faces padded with -1, in both directions."""
+    following = np.roll(faces, -1, axis=1)
+    following = np.where(following < 0, faces[:, :1], following)
+    pairs = np.stack([faces, following], axis=-1)[faces >= 0]
+    return np.asarray(np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0), dtype=np.intp)

@@ -1,0 +1,189 @@
+"""Sets of shape keys made on a character, and characters that are driven by their shape keys alone."""
+
+import bpy
+import numpy as np
+import pytest
+from characters import strangers
+
+from commands import run
+from facemime.blender.animation.live_keys import live_keys
+from facemime.blender.animation.live_mesh import LIVE_KEY
+from facemime.blender.animation.puppet import puppet_head
+from facemime.blender.characters import read_bones
+from facemime.blender.heads.binding import bind_character, missing_parts
+from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.expression_keys import make_expression_keys
+from facemime.blender.heads.keyed import bind_keys
+from facemime.blender.meshes import driven_by_keys, is_head, read_vertices
+from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, PIVOT_PROPERTY, REGION_GROUPS
+from facemime.blender.rigs import read_rig
+from facemime.core.bake.settings import BakeSettings
+from facemime.core.drive.key_sets import KEY_SETS
+from facemime.core.errors import HeadError
+from facemime.core.heads.parts import Part
+from facemime.core.heads.rig import neck_of
+from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.takes.file import save_take
+from facemime.sessions.start import follow_settings, start_session
+from live_ticks import wait_for
+from takes import performance
+
+pytestmark = pytest.mark.usefixtures("nothing_left_over")
+MAPPED = PuppetSettings(bake=BakeSettings(keys="mapped"))
+
+
+def keyed(name: str = "arkit") -> dict[str, bpy.types.Object]:
+    """A character on an armature with a set of keys and nothing else of Facemime's."""
+    objects = strangers(rig=True)
+    head, _ = bind_character(objects["head"])
+    make_expression_keys(head, KEY_SETS[name])
+    for prop in (LANDMARKS_PROPERTY, COUNT_PROPERTY):
+        del head.data[prop]
+    for group in REGION_GROUPS:
+        head.vertex_groups.remove(head.vertex_groups[group])
+    for obj in objects.values():
+        for prop in [prop for prop in dict(obj) if prop.startswith("facemime")]:
+            del obj[prop]
+        if (kinds := obj.data.attributes.get("facemime_part")) is not None:
+            obj.data.attributes.remove(kinds)
+    bpy.context.view_layer.objects.active = head
+    return objects
+
+
+def values_at(head: bpy.types.Object, name: str, frames: range) -> np.ndarray:
+    """Values of a key over frames."""
+    found = []
+    for frame in frames:
+        bpy.context.scene.frame_set(frame)
+        found.append(head.data.shape_keys.key_blocks[name].value)
+    return np.array(found)
+
+
+@pytest.mark.parametrize(("name", "opens"), [("vrm", "aa"), ("vrm0", "A"), ("oculus", "viseme_aa"), ("facegen", "Aah")])
+def test_a_set_is_made_on_all_parts_detected_and_baked_to(name, opens):
+    objects = strangers(rig=True)
+    head, _ = bind_character(objects["head"])
+    bpy.context.view_layer.objects.active = head
+    assert bpy.ops.facemime.make_expression_keys(keys=name) == {"FINISHED"}
+    blocks = head.data.shape_keys.key_blocks
+    assert tuple(blocks.keys()[1:]) == KEY_SETS[name].names
+    assert opens in objects["teeth_lower"].data.shape_keys.key_blocks
+    looks = [key for key in KEY_SETS[name].names if key.lower().startswith("look")]
+    assert bool(looks) == (objects["eye_left"].data.shape_keys is not None)
+    assert bpy.ops.facemime.detect_key_map() == {"FINISHED"}
+    rows = bpy.context.scene.facemime_takes.bake.rows
+    assert {row.key for row in rows} <= set(KEY_SETS[name].names) and len(rows) > 10
+    assert puppet_head(bpy.context.scene, head, performance(), MAPPED).keys > 5
+    assert np.ptp(values_at(head, opens, range(1, 60, 4))) > 0.1
+    assert len(live_keys(head, "KEYS").offsets) > 5
+
+
+def test_the_eyes_and_teeth_of_the_built_in_head_get_a_set_too():
+    head = add_head(bpy.context)
+    made = make_expression_keys(head, KEY_SETS["vrm"])
+    assert made.added == 18 and not made.kept and len(made.qualities) == 18
+    parts = {child["facemime_part"]: child.data.shape_keys for child in head.children}
+    assert "lookUp" in parts["eye_left"].key_blocks and "aa" in parts["teeth_lower"].key_blocks
+    assert parts["teeth_upper"] is None
+    again = make_expression_keys(head, KEY_SETS["vrm"])
+    assert again.added == 0 and len(again.kept) == 18 and not again.qualities and not again.findings
+
+
+@pytest.mark.parametrize("name", ["arkit", "vrm", "facegen"])
+def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(name):
+    objects = keyed(name)
+    assert bpy.ops.facemime.bind_keys() == {"FINISHED"}
+    head = objects["head"]
+    assert driven_by_keys(head) and not is_head(head) and missing_parts(head) == []
+    armature, bones = read_bones(head)
+    assert armature is not None and bones.head == "Head"
+    unit = read_rig(head).eye_distance
+    report = puppet_head(bpy.context.scene, head, performance(), MAPPED)
+    assert np.isnan(report.worst_error) and report.summary() == f"{report.keys} shape keys"
+    assert np.abs(report.motion.vertices).max() > 0.05 * unit
+    assert np.ptp(values_at(head, {"arkit": "jawOpen", "vrm": "aa", "facegen": "Aah"}[name], range(1, 60, 4))) > 0.1
+    bpy.context.scene.frame_set(40)
+    assert armature.pose.bones["Head"].matrix_basis.to_quaternion().angle > 0.01
+
+
+def test_its_size_and_neck_are_those_that_landmarks_would_give():
+    objects = strangers(rig=True)
+    head, _ = bind_character(objects["head"])
+    known = read_rig(head)
+    unit, neck = known.eye_distance, neck_of(known.vertices[known.landmarks])
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    head = bind_keys(keyed()["tongue"])
+    rig = read_rig(head)
+    assert rig.eye_distance == pytest.approx(unit, rel=0.25)
+    assert np.linalg.norm(neck_of(rig.vertices[rig.landmarks]) - neck) < 0.5 * unit
+    assert PIVOT_PROPERTY in head and (rig.kinds[: len(head.data.vertices)] == Part.SKIN).all()
+
+
+def test_it_is_driven_live_by_its_keys_and_never_by_its_skin(looping):
+    head, scene = bind_keys(keyed()["head"]), bpy.context.scene
+    session = start_session(scene, [head])
+    blocks = head.data.shape_keys.key_blocks
+    wait_for(lambda: session.step() and LIVE_KEY in blocks)
+    rest = read_vertices(head.data)
+    flat = np.empty(rest.size, dtype=np.float32)
+
+    def moved() -> bool:
+        blocks[LIVE_KEY].points.foreach_get("co", flat)
+        basis = np.empty_like(flat)
+        blocks[0].points.foreach_get("co", basis)
+        return bool(np.abs(flat - basis).max() > 2e-3)
+
+    wait_for(lambda: session.step() and moved())
+    scene.facemime.drive_by = "SKIN"
+    with pytest.raises(HeadError, match="bound by its shape keys alone"):
+        follow_settings(session, scene)
+    session.close()
+
+
+@pytest.mark.parametrize("keys", ["new", "named", "cache"])
+def test_bakes_that_need_landmarks_say_so(keys):
+    head = bind_keys(keyed()["head"])
+    with pytest.raises(HeadError, match="bound by its shape keys alone"):
+        puppet_head(bpy.context.scene, head, performance(), PuppetSettings(bake=BakeSettings(keys=keys)))
+
+
+def test_its_face_can_be_found_afterwards():
+    objects = keyed()
+    bind_keys(objects["head"])
+    head, _ = bind_character(objects["head"])
+    assert is_head(head) and not driven_by_keys(head)
+    assert not np.isnan(puppet_head(bpy.context.scene, head, performance(), MAPPED).worst_error)
+
+
+def test_a_mesh_without_known_keys_is_not_bound_by_them():
+    objects = strangers(rig=True)
+    with pytest.raises(HeadError, match="known set"):
+        bind_keys(objects["head"])
+    head = objects["head"]
+    head.shape_key_add(name="Basis")
+    for name in ("jawOpen", "eyeBlinkLeft", "eyeBlinkRight", "browInnerUp"):
+        head.shape_key_add(name=name)
+    with pytest.raises(HeadError, match="known set"):  # they move nothing
+        bind_keys(head)
+
+
+def test_commands_make_a_set_and_puppet_by_keys_alone(tmp_path):
+    strangers(rig=True)
+    bpy.ops.object.select_all(action="SELECT")
+    bpy.ops.export_scene.gltf(filepath=str(tmp_path / "stranger.glb"))
+    bound = tmp_path / "bound.blend"
+    done = run("bind", tmp_path / "stranger.glb", "-o", bound, "--make-keys", "vrm")
+    assert done.returncode == 0, done.stderr
+    row = next(line.split() for line in done.stdout.splitlines() if line.startswith("blinkLeft "))
+    assert len(row) == 4 and float(row[1]) > 5.0 and float(row[2]) < 10.0
+    assert "18 shape keys added, 0 kept. Shut eyes stay open by" in done.stderr
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    objects = keyed()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "keyed.blend"))
+    name = objects["head"].name
+    save_take(performance(), tmp_path / "a.facetake")
+    out = tmp_path / "out.blend"
+    done = run("puppet", tmp_path / "a.facetake", "--head", tmp_path / "keyed.blend", "--keys", "mapped", "-o", out)
+    assert done.returncode == 0 and f"{name} is driven by its shape keys alone." in done.stderr
+    bpy.ops.wm.open_mainfile(filepath=str(out))
+    assert driven_by_keys(bpy.data.objects[name]) and not is_head(bpy.data.objects[name])
