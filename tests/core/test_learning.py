@@ -100,7 +100,7 @@ def test_lids_that_were_shut_tight_when_asked_still_meet_in_a_weak_blink():
     assert learn(PerformerLearner(replace(asked, shut=0.4)), blinking(face, 10.0, 0.3)).shut == pytest.approx(0.4)
 
 
-@pytest.mark.parametrize("minutes", [4, pytest.param(60, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("minutes", [4, pytest.param(60, marks=[pytest.mark.thorough, pytest.mark.timeout(1800)])])
 def test_the_same_clip_again_and_again_ends_where_a_minute_of_it_did(minutes):
     face = person()
     clip = performing(face, 12.0, first=2)
