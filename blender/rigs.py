@@ -42,9 +42,9 @@ def read_rig(obj: bpy.types.Object | None) -> HeadRig:
         If the object is not a mesh, or its landmarks or regions are missing or do not fit the mesh any more.
     """
     mesh_of(obj)
-    parts = read_parts(obj)
+    quick = _read_quick_parts(obj)
     weights = _least_regions(obj) if driven_by_keys(obj) else read_regions(obj)
-    return HeadRig(**_read_quick_parts(obj), region_weights=weights, faces=read_faces(obj.data), parts=parts)
+    return HeadRig(**quick, region_weights=weights, faces=read_faces(obj.data), parts=read_parts(obj))
 
 
 def _least_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
