@@ -6,7 +6,8 @@ fields of `Head` and `HeadPart`, offsets as float16, those of a part prefixed wi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -88,14 +89,27 @@ class Head:
 
 
 def load_head(path: Path | None = None) -> Head:
-    """Load the head at `path`, by default the built-in one.
+    """Load the head at `path`, by default the built-in one, which is read once.
+
+    Returns
+    -------
+    Head
+        Its arrays cannot be written to.
 
     Raises
     ------
     ModelError
         If the file is missing, damaged, or of another version.
     """
-    path = HEAD_FILE if path is None else Path(path)
+    return _built_in(HEAD_FILE) if path is None else _read(Path(path))
+
+
+@lru_cache(maxsize=1)
+def _built_in(path: Path) -> Head:
+    return _read(path)
+
+
+def _read(path: Path) -> Head:
     try:
         archive = read_archive(read_bytes(path, MAX_BYTES))
     except FileNotFoundError as error:
@@ -110,6 +124,10 @@ def load_head(path: Path | None = None) -> Head:
         head = _head(archive)
     except ValueError as error:
         raise ModelError(f"The head {path} is incomplete or inconsistent: {error}. Reinstall Facemime.") from error
+    for owner in (head, *head.parts):
+        for field in fields(owner):
+            if isinstance(value := getattr(owner, field.name), np.ndarray):
+                value.flags.writeable = False
     return head
 
 

@@ -36,6 +36,7 @@ def walking(photo_name: str, size: int = 300) -> Clip:
     return Clip(photo_name, frames, np.repeat((points + move)[None], 90, axis=0), np.arange(90) / 25.0)
 
 
+@pytest.mark.thorough
 @needs_photos
 @pytest.mark.parametrize(("behind", "before"), [("070", "031"), ("031", "105")])
 def test_a_face_that_was_hidden_by_a_passer_by_is_tracked_again_and_the_passer_by_never(

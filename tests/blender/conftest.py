@@ -61,16 +61,43 @@ def nothing_left_over():
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("facemime")]
 
 
+@pytest.fixture(scope="session")
+def kept(tmp_path_factory):
+    """Make objects that take long only once: later tests append them from a file."""
+    folder = tmp_path_factory.mktemp("kept")
+
+    def get(name, make):
+        path = folder / f"{name}.blend"
+        if not path.exists():
+            made = make()
+            bpy.data.libraries.write(str(path), set(made))
+            return made
+        with bpy.data.libraries.load(str(path)) as (stored, loaded):
+            loaded.objects = stored.objects
+        for obj in loaded.objects:
+            bpy.context.scene.collection.objects.link(obj)
+        return loaded.objects
+
+    return get
+
+
 @pytest.fixture
-def scan():
+def scan(kept):
     """An active scan with landmarks."""
-    return _bound("Scan", *scanned())
+    return _active(kept("Scan", lambda: [_bound("Scan", *scanned())]))
 
 
 @pytest.fixture
-def coarse_scan():
+def coarse_scan(kept):
     """The same scan with a ninth of the vertices."""
-    return _bound("Coarse Scan", *scanned(0.06))
+    return _active(kept("Coarse Scan", lambda: [_bound("Coarse Scan", *scanned(0.06))]))
+
+
+def _active(objects):
+    (obj,) = objects
+    bpy.context.view_layer.objects.active = obj
+    obj.select_set(True)
+    return obj
 
 
 def _bound(name, places, faces):
@@ -78,8 +105,7 @@ def _bound(name, places, faces):
     mesh.from_pydata(to_blender(places).tolist(), [], faces.tolist())
     obj = bpy.data.objects.new(name, mesh)
     bpy.context.scene.collection.objects.link(obj)
-    bpy.context.view_layer.objects.active = obj
-    obj.select_set(True)
+    _active([obj])
     assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
     return obj
 

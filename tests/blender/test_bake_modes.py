@@ -250,7 +250,7 @@ def test_an_animated_delta_transform_is_never_replaced():
     assert len(curves_of(head)) == 3 and head.data.shape_keys is None
 
 
-@pytest.mark.parametrize("nla", [False, True])
+@pytest.mark.parametrize("nla", [False, pytest.param(True, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("keys", ["new", "named", "mapped", "cache"])
 def test_a_baked_head_shows_only_the_live_frame_and_plays_its_bake_afterwards(keys, nla, tmp_path):
     head = add_head(bpy.context, units=True)

@@ -46,6 +46,7 @@ def write_clips(folder: Path, count: int) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_good_clips_succeed_bad_ones_are_reported_and_finished_ones_are_skipped(tmp_path):
     clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
     shutil.copy(clips / "0.mp4", clips / "copy.mp4")
@@ -144,6 +145,7 @@ def flamenco_tasks(settings: dict) -> list[dict]:
     return json.loads(engine.eval("JSON.stringify(tasks)"))
 
 
+@pytest.mark.thorough
 def test_the_commands_of_the_flamenco_job_process_every_clip_and_write_the_report(tmp_path):
     clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
     settings = {

@@ -211,6 +211,7 @@ def test_expression_keys_are_made_on_all_meshes_that_they_move_and_existing_ones
         assert objects["tongue"].data.shape_keys.key_blocks[name].value == pytest.approx(keys[name].value)
 
 
+@pytest.mark.thorough
 def test_a_character_in_a_file_of_another_program_is_bound_and_puppeted_by_commands(tmp_path):
     objects = strangers(rig=True)
     bpy.ops.object.select_all(action="SELECT")

@@ -94,7 +94,9 @@ def test_no_output_may_be_one_of_the_inputs(take, tmp_path):
     assert (tmp_path / "own.blend").read_bytes() == before and len(load_take(take)) == 60
 
 
-@pytest.mark.parametrize(("by", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("by", "status"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.thorough)]
+)
 def test_an_interrupted_puppet_keeps_earlier_output_and_the_tracked_part(take, tmp_path, by, status):
     for option, whole, part in (
         (("--take", take), take, "take.interrupted.facetake"),
@@ -124,6 +126,7 @@ def test_a_signal_while_blender_is_imported_is_not_lost_and_prints_no_traceback(
     assert done.returncode == 128 + by and done.stderr == "facemime: interrupted; nothing was written.\n"
 
 
+@pytest.mark.thorough
 def test_a_signal_while_rendering_leaves_no_partial_output(take, tmp_path):
     preview = tmp_path / "out.mp4"
     line = [COMMAND, "puppet", take, "-o", tmp_path / "out.blend", "--preview", preview]
@@ -137,6 +140,7 @@ def test_a_signal_while_rendering_leaves_no_partial_output(take, tmp_path):
     assert set(os.listdir(tmp_path)) == {"take.facetake", "out.blend"}
 
 
+@pytest.mark.thorough
 def test_closed_or_full_streams_do_not_stop_the_puppet(take, tmp_path):
     line = f"{COMMAND} puppet {take} -o {tmp_path / 'out.blend'}"
     for streams in (">&-", ">&- 2>&- <&-", "2>/dev/full", ">/dev/full"):
@@ -212,6 +216,7 @@ def test_the_processes_of_a_killed_batch_end_and_the_next_run_cleans_up(tmp_path
     assert len(load_take(whole)) == 255
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse such names themselves")
 def test_a_file_name_that_is_not_utf_8_stops_neither_puppet_nor_batch(take, tmp_path):
     clip = Path(os.fsdecode(os.fsencode(tmp_path) + b"/a\xff.mp4"))

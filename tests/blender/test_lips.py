@@ -21,6 +21,7 @@ from takes import performance
 def test_joined_lips_of_a_scan_are_reported_until_they_are_opened(scan):
     words = "The lips are joined, so the mouth cannot open."
     assert words in [finding.problem for finding in check_object(scan)]
+    assert bpy.ops.facemime.check_head() == {"FINISHED"}
     assert "open_lips" in [line.step for line in bpy.context.window_manager.facemime.findings]
     before = len(scan.data.vertices)
     assert bpy.ops.facemime.open_lips() == {"FINISHED"}

@@ -32,8 +32,19 @@ pytestmark = pytest.mark.usefixtures("nothing_left_over")
 MAPPED = PuppetSettings(bake=BakeSettings(keys="mapped"))
 
 
-def keyed(name: str = "arkit") -> dict[str, bpy.types.Object]:
-    """A character on an armature with a set of keys and nothing else of Facemime's."""
+@pytest.fixture
+def keyed(kept):
+    """Make a character on an armature with a set of keys and nothing else of Facemime's."""
+
+    def get(name: str = "arkit") -> dict[str, bpy.types.Object]:
+        objects = {obj["role"]: obj for obj in kept(f"Keyed {name}", lambda: _keyed(name)) if "role" in obj}
+        bpy.context.view_layer.objects.active = objects["head"]
+        return objects
+
+    return get
+
+
+def _keyed(name: str) -> list[bpy.types.Object]:
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
     make_expression_keys(head, KEY_SETS[name])
@@ -46,8 +57,9 @@ def keyed(name: str = "arkit") -> dict[str, bpy.types.Object]:
             del obj[prop]
         if (kinds := obj.data.attributes.get("facemime_part")) is not None:
             obj.data.attributes.remove(kinds)
-    bpy.context.view_layer.objects.active = head
-    return objects
+    for role, obj in objects.items():
+        obj["role"] = role
+    return list(objects.values())
 
 
 def values_at(head: bpy.types.Object, name: str, frames: range) -> np.ndarray:
@@ -59,7 +71,13 @@ def values_at(head: bpy.types.Object, name: str, frames: range) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.parametrize(("name", "opens"), [("vrm", "aa"), ("vrm0", "A"), ("oculus", "viseme_aa"), ("facegen", "Aah")])
+@pytest.mark.parametrize(
+    ("name", "opens"),
+    [
+        *(("vrm", "aa"), ("facegen", "Aah")),
+        *(pytest.param(*row, marks=pytest.mark.thorough) for row in (("vrm0", "A"), ("oculus", "viseme_aa"))),
+    ],
+)
 def test_a_set_is_made_on_all_parts_detected_and_baked_to(name, opens):
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
@@ -89,8 +107,10 @@ def test_the_eyes_and_teeth_of_the_built_in_head_get_a_set_too():
     assert again.added == 0 and len(again.kept) == 18 and not again.qualities and not again.findings
 
 
-@pytest.mark.parametrize("name", ["arkit", "vrm", "facegen"])
-def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(name):
+@pytest.mark.parametrize(
+    "name", ["arkit", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("vrm", "facegen"))]
+)
+def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(keyed, name):
     objects = keyed(name)
     assert bpy.ops.facemime.bind_keys() == {"FINISHED"}
     head = objects["head"]
@@ -106,7 +126,8 @@ def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(name):
     assert armature.pose.bones["Head"].matrix_basis.to_quaternion().angle > 0.01
 
 
-def test_its_size_and_neck_are_those_that_landmarks_would_give():
+@pytest.mark.thorough
+def test_its_size_and_neck_are_those_that_landmarks_would_give(keyed):
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
     known = read_rig(head)
@@ -119,7 +140,7 @@ def test_its_size_and_neck_are_those_that_landmarks_would_give():
     assert PIVOT_PROPERTY in head and (rig.kinds[: len(head.data.vertices)] == Part.SKIN).all()
 
 
-def test_it_is_driven_live_by_its_keys_and_never_by_its_skin(looping):
+def test_it_is_driven_live_by_its_keys_and_never_by_its_skin(keyed, looping):
     head, scene = bind_keys(keyed()["head"]), bpy.context.scene
     session = start_session(scene, [head])
     blocks = head.data.shape_keys.key_blocks
@@ -141,13 +162,14 @@ def test_it_is_driven_live_by_its_keys_and_never_by_its_skin(looping):
 
 
 @pytest.mark.parametrize("keys", ["new", "named", "cache"])
-def test_bakes_that_need_landmarks_say_so(keys):
+def test_bakes_that_need_landmarks_say_so(keyed, keys):
     head = bind_keys(keyed()["head"])
     with pytest.raises(HeadError, match="bound by its shape keys alone"):
         puppet_head(bpy.context.scene, head, performance(), PuppetSettings(bake=BakeSettings(keys=keys)))
 
 
-def test_its_face_can_be_found_afterwards():
+@pytest.mark.thorough
+def test_its_face_can_be_found_afterwards(keyed):
     objects = keyed()
     bind_keys(objects["head"])
     head, _ = bind_character(objects["head"])
@@ -167,7 +189,8 @@ def test_a_mesh_without_known_keys_is_not_bound_by_them():
         bind_keys(head)
 
 
-def test_commands_make_a_set_and_puppet_by_keys_alone(tmp_path):
+@pytest.mark.thorough
+def test_commands_make_a_set_and_puppet_by_keys_alone(keyed, tmp_path):
     strangers(rig=True)
     bpy.ops.object.select_all(action="SELECT")
     bpy.ops.export_scene.gltf(filepath=str(tmp_path / "stranger.glb"))

@@ -40,6 +40,7 @@ def test_registering_unregistering_and_registering_again_works():
     assert bpy.context.scene.facemime.rotation
 
 
+@pytest.mark.thorough
 def test_blender_quits_after_the_extension_is_removed():
     code = "import bpy, facemime; facemime.register(); facemime.unregister()"
     done = subprocess.run([sys.executable, "-c", code], timeout=120, capture_output=True, text=True, check=False)

@@ -113,7 +113,7 @@ class EVENT:
 ACTIONS = (press, press, press, tick, tick, change_mode, change_scene, go_back)
 
 
-@pytest.mark.parametrize("first", range(0, 100, 10))
+@pytest.mark.parametrize("first", [0, *(pytest.param(n, marks=pytest.mark.thorough) for n in range(10, 100, 10))])
 def test_random_sequences_do_not_break_blender(take, first, tmp_path):
     preferences().takes_folder = str(tmp_path)
     for seed in range(first, first + 10):

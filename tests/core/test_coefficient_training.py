@@ -41,6 +41,7 @@ def test_observations_that_are_mirrored_twice_are_themselves():
     ).all()
 
 
+@pytest.mark.thorough
 def test_responses_of_a_known_model_are_learnt_and_read_back(tmp_path):
     known, rng = load_coefficient_model(), np.random.default_rng(4)
     parts = []

@@ -66,6 +66,7 @@ def test_images_are_not_overwritten_through_links(tmp_path, capsys):
     assert picture.read_bytes() == before
 
 
+@pytest.mark.thorough
 @needs_posix
 def test_later_runs_keep_what_a_killed_run_tracked(tmp_path):
     output, left = tmp_path / "take.facetake", tmp_path / "take.unfinished.facetake"

@@ -20,6 +20,7 @@ TURNS = [np.diag(signs)[list(order)] for order in permutations(range(3)) for sig
 TURNS = [turn for turn in TURNS if np.linalg.det(turn) > 0]
 
 
+@pytest.mark.thorough
 @settings(deadline=None)
 @given(
     st.sampled_from(TURNS),

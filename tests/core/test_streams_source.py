@@ -39,12 +39,12 @@ RATE = 60.0
 
 @pytest.fixture
 def opened():
-    """Make a source on a free port; all are closed in the end."""
+    """Make a source on a free port that skips no frame, however busy the computer; all are closed in the end."""
     sources: list[StreamSource] = []
 
     def make(protocol: str = "own", **settings) -> StreamSource:
         settings = {"port": free_port()} | settings
-        sources.append(StreamSource(StreamSettings(protocol, **settings)))
+        sources.append(StreamSource(StreamSettings(protocol, **settings), every=True))
         sources[-1].read(0.0)
         return sources[-1]
 

@@ -346,6 +346,7 @@ def packed_frames(times: np.ndarray, modes: int) -> bytes:
     return times.astype("<f8").tobytes() + zlib.compress(bytes(4 * len(times) * columns), 9)
 
 
+@pytest.mark.thorough
 def test_a_small_file_that_unpacks_to_gigabytes_is_refused_within_bounds(tmp_path):
     out, first = chunk_bytes(layout.START, info_content({}, 0)), 0
     content = packed_frames(np.arange(256), 512)
@@ -363,6 +364,7 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused_within_bounds(tmp_pat
     assert peak < 200 * len(out) + (48 << 20)
 
 
+@pytest.mark.thorough
 def test_a_take_without_any_face_is_read(tmp_path):
     """It packs thirty times better than a face does."""
     with TakeWriter(tmp_path / "empty.facetake", {}, sync=False) as writer:

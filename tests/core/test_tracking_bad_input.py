@@ -118,7 +118,10 @@ def test_the_face_of_an_8k_picture_is_found_where_it_is(tracker, face, landmarks
     assert away.mean() < 0.05 * result.pose[0]
 
 
-@pytest.mark.parametrize(("width", "height"), [(1280, 720), (1920, 1080), (3840, 2160)])
+@pytest.mark.parametrize(
+    ("width", "height"),
+    [(1280, 720), *(pytest.param(*size, marks=pytest.mark.thorough) for size in ((1920, 1080), (3840, 2160)))],
+)
 def test_a_small_face_in_a_large_picture_is_found_where_it_is(tracker, face, landmarks, width, height):
     factor = 18.0 * width / 1280 / tracker.locate(face).pose[0]
     small = cv2.resize(face, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
@@ -160,10 +163,12 @@ def test_a_uniform_image_has_no_face(tracker, level):
     assert not look(tracker, np.full((480, 640, 3), level, np.uint8)).found
 
 
+@pytest.mark.thorough
 def test_a_face_upside_down_gives_a_result_or_none(tracker, face):
     look(tracker, np.ascontiguousarray(face[::-1, ::-1]))
 
 
+@pytest.mark.thorough
 @settings(max_examples=20, deadline=None)
 @given(dx=st.integers(-640, 640), dy=st.integers(-480, 480))
 def test_a_face_that_leaves_the_picture_gives_a_result_or_none(tracker, face, dx, dy):
@@ -207,6 +212,7 @@ def test_in_a_crowd_one_of_the_largest_faces_is_tracked(tracker, face):
     assert result.pose[0] > 0.6 * alone.pose[0] * 320 / 400
 
 
+@pytest.mark.thorough
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 1000), blur=st.floats(0.3, 20.0), contrast=st.floats(1.0, 3000.0))
 def test_clouds_give_a_result_or_none(tracker, seed, blur, contrast):

@@ -127,6 +127,7 @@ def test_eyes_outside_the_image_raise_nothing(shape, place):
     assert found.pupils.shape == (2, 2) and found.direction.shape == (2,)
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not CLIP.exists(), reason="assets/sample has no clip; make it with `make sample`")
 def test_the_sample_clips_eyes_stay_straight_in_a_turning_head():
     tracker, reader = FaceTracker.load(), cv2.VideoCapture(str(CLIP))

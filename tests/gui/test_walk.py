@@ -19,6 +19,7 @@ from facemime.core.tracking.tracker import FaceTracker
 from sidebar import Sidebar
 from window import MODULE, wait
 
+pytestmark = pytest.mark.thorough
 _SNAPSHOT = f"""
 session, obj = Session.current, {HEAD}
 value = None
@@ -77,7 +78,6 @@ value = [region.x + box.left, bpy.context.window.height - region.y - box.bottom 
 """
 
 
-@pytest.mark.thorough
 def test_the_preview_is_moved_and_sized_by_the_mouse_and_stays_sharp(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
@@ -97,7 +97,6 @@ def test_the_preview_is_moved_and_sized_by_the_mouse_and_stays_sharp(blender, si
     stop(sidebar)
 
 
-@pytest.mark.thorough
 def test_deleting_the_moving_head_stops_the_puppet_and_can_be_undone(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
@@ -112,7 +111,6 @@ def test_deleting_the_moving_head_stops_the_puppet_and_can_be_undone(blender, si
     blender.wait_for(f"len(bpy.data.objects) > 0 and {HEAD} is not None and moved({HEAD}) == 0.0")
 
 
-@pytest.mark.thorough
 def test_a_kept_pose_is_one_undo_step_and_is_saved(blender, sidebar):
     add_head(sidebar)
     sidebar.open_panel("FACEMIME_PT_puppet")
@@ -134,7 +132,6 @@ def test_a_kept_pose_is_one_undo_step_and_is_saved(blender, sidebar):
     stop(again)
 
 
-@pytest.mark.thorough
 def test_a_performer_is_calibrated_by_a_click_and_stored_by_name(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
@@ -151,7 +148,6 @@ def test_a_performer_is_calibrated_by_a_click_and_stored_by_name(blender, sideba
     stop(sidebar)
 
 
-@pytest.mark.thorough
 def test_a_video_is_tracked_in_the_background_and_escape_bakes_the_tracked_frames(blender, sidebar):
     add_head(sidebar)
     shutil.copy(CLIP, blender.folder / "mine.mp4")
@@ -169,7 +165,6 @@ def test_a_video_is_tracked_in_the_background_and_escape_bakes_the_tracked_frame
     blender.wait_for(f"{HEAD}.data.shape_keys is None")
 
 
-@pytest.mark.thorough
 def test_a_take_is_recorded_shown_edited_and_baked_by_clicks(blender, sidebar):
     add_head(sidebar)
     choose_video(sidebar)
@@ -251,7 +246,6 @@ def confirm(sidebar: Sidebar, button: str) -> None:
         blender.wait_for(f"{takes} == {before + 1}")
 
 
-@pytest.mark.thorough
 def test_settings_are_saved_and_loaded_as_a_preset_by_clicks(blender, sidebar):
     add_head(sidebar)
     sidebar.open_panel("FACEMIME_PT_expression")
@@ -295,7 +289,6 @@ with bpy.context.temp_override(window=window, area=area, region=region):
 """
 
 
-@pytest.mark.thorough
 def test_closing_a_second_window_stops_its_puppet(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
@@ -313,7 +306,6 @@ def test_closing_a_second_window_stops_its_puppet(blender, sidebar):
     blender.wait_for(f"Session.current is None and workers() == [] and moved({HEAD}) == 0.0")
 
 
-@pytest.mark.thorough
 def test_the_extension_is_disabled_while_running_and_enabled_again_and_blender_quits(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
