@@ -124,7 +124,8 @@ def _read(path: Path) -> Head:
         head = _head(archive)
     except ValueError as error:
         raise ModelError(f"The head {path} is incomplete or inconsistent: {error}. Reinstall Facemime.") from error
-    for owner in (head, *head.parts):
+    owners: tuple[Head | HeadPart, ...] = (head, *head.parts)
+    for owner in owners:
         for field in fields(owner):
             if isinstance(value := getattr(owner, field.name), np.ndarray):
                 value.flags.writeable = False
