@@ -27,7 +27,7 @@ from ..core.binding.bind import MARKS, Binding
 from ..core.errors import HeadError
 from ..core.landmarks import from_ibug
 from ..settings.panel_properties import keep_findings
-from .shared import OnHead, OnMesh, report, require_object_mode
+from .shared import OnHead, OnMesh, report, require_left_edit_mode, require_object_mode
 from .steps import Background, WorksInSteps
 
 _WAIT = 0.02
@@ -183,10 +183,7 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require an active mesh outside Edit Mode, where vertex groups cannot be written."""
-        if context.mode == "EDIT_MESH":
-            cls.poll_message_set("Leave Edit Mode first")
-            return False
-        return super().poll(context)
+        return require_left_edit_mode(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
         propose_head_regions(context.active_object)
