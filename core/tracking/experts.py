@@ -161,12 +161,8 @@ def face_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: 
 
     Parameters
     ----------
-    grey : (H, W) uint8
-        Grey image.
-    pose : (6,) float64
-        Image frame.
-    scale : float
-        Pixels per outer-eye distance of the crop.
+    grey, pose, scale
+        As for `warp_to_reference`.
     size : int
         Side of the crop in pixels.
 
@@ -183,14 +179,8 @@ def part_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: 
 
     Parameters
     ----------
-    grey : (H, W) uint8
-        Grey image.
-    pose : (6,) float64
-        Image frame; its translation is the centre of the part.
-    scale : float
-        Pixels per outer-eye distance of the crop.
-    size : (int, int)
-        Width and height of the crop in pixels.
+    grey, pose, scale, size
+        As for `warp_to_reference`; the centre of the crop is that of the part.
 
     Returns
     -------
