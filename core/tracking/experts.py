@@ -346,10 +346,8 @@ class PartExperts(FacePart):
 
         Parameters
         ----------
-        grey : (H, W) uint8
-            Grey image.
-        pose : (6,) float64
-            Approximate pose of the face, image frame.
+        grey, pose
+            As for `FaceExperts.respond`.
         shape : (66, 2) float64
             Approximate landmarks in the face frame of `pose`.
         higher : float

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from ..reading import read_bytes
 from .action_experts import ActionExperts
 from .check import N_FEATURES, FaceCheck
 from .detect import DETECTORS
-from .experts import FACE_STRIDE, PART_STRIDE, FaceExperts, PartExperts
+from .experts import FACE_STRIDE, PART_STRIDE, FaceExperts, FacePart, PartExperts
 from .network import Network
 from .patch_experts import PATCH, PatchExperts
 from .pdm import PointDistributionModel
@@ -86,24 +86,15 @@ def _pack_faces(model: TrackerModel) -> dict[str, NDArray[np.generic]]:
     return arrays | {f"face_{i}_network": _packed(e.network) for i, e in enumerate(experts)}
 
 
-def _pack_parts(parts: tuple[PartExperts, ...]) -> dict[str, NDArray[np.generic]]:
-    arrays: dict[str, NDArray[np.generic]] = {"part_scales": np.array([p.scale for p in parts])}
-    arrays["part_sizes"] = np.array([p.size for p in parts], np.int32)
-    arrays["part_paired"] = np.array([p.paired for p in parts])
+def _pack_parts(kind: str, parts: Sequence[FacePart]) -> dict[str, NDArray[np.generic]]:
+    arrays: dict[str, NDArray[np.generic]] = {f"{kind}_scales": np.array([p.scale for p in parts])}
+    arrays[f"{kind}_sizes"] = np.array([p.size for p in parts], np.int32)
+    arrays[f"{kind}_paired"] = np.array([p.paired for p in parts])
     for i, part in enumerate(parts):
-        arrays[f"part_{i}_landmarks"] = part.landmarks.astype(np.int16)
-        arrays[f"part_{i}_network"] = _packed(part.network)
-    return arrays
-
-
-def _pack_actions(parts: tuple[ActionExperts, ...]) -> dict[str, NDArray[np.generic]]:
-    arrays: dict[str, NDArray[np.generic]] = {"action_scales": np.array([p.scale for p in parts])}
-    arrays["action_sizes"] = np.array([p.size for p in parts], np.int32)
-    arrays["action_paired"] = np.array([p.paired for p in parts])
-    for i, part in enumerate(parts):
-        arrays[f"action_{i}_landmarks"] = part.landmarks.astype(np.int16)
-        arrays[f"action_{i}_actions"] = part.actions.astype(np.int16)
-        arrays[f"action_{i}_network"] = _packed(part.network)
+        arrays[f"{kind}_{i}_landmarks"] = part.landmarks.astype(np.int16)
+        if isinstance(part, ActionExperts):
+            arrays[f"{kind}_{i}_actions"] = part.actions.astype(np.int16)
+        arrays[f"{kind}_{i}_network"] = _packed(part.network)
     return arrays
 
 
@@ -176,8 +167,8 @@ def save_model(model: TrackerModel, path: Path) -> str:
         "box_offset": model.box_offset.astype(np.float32),
         "check_weights": model.check.weights.astype(np.float32),
         **_pack_faces(model),
-        **_pack_parts(model.parts),
-        **_pack_actions(model.actions),
+        **_pack_parts("part", model.parts),
+        **_pack_parts("action", model.actions),
         **_pack_patches(model.patches),
     }
     buffer = io.BytesIO()
