@@ -155,6 +155,15 @@ class AsksForFileToWrite(AsksForFile):
         return path if path.suffix.lower() == suffix else path.with_name(path.name + suffix)
 
 
+class InObjectMode:
+    """Mixin before one with a `poll`: requires Object Mode, too."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require Object Mode."""
+        return require_object_mode(cls, context) and super().poll(context)
+
+
 class OnMesh(ReportsErrors):
     """Mixin: requires an active mesh."""
 
