@@ -4,11 +4,11 @@ import bpy
 import numpy as np
 from bpy.props import StringProperty
 
-from ..blender.animation.bake import frames_of
 from ..blender.animation.bake_keys import key_names
 from ..blender.animation.puppet import puppet_heads
 from ..blender.animation.underneath import mute_under, playing_under
 from ..blender.meshes import can_be_driven
+from ..blender.timeline import frames_of
 from ..core.bake.arkit import arkit_coefficients
 from ..core.bake.key_map import KeyMap, KeyPose, best_preset, learn_map, load_map, presets
 from ..core.errors import FacemimeError, HeadError, SourceError

@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import FloatProperty, IntProperty
 
-from ..blender.animation.bake import seconds_at
+from ..blender.timeline import seconds_at
 from ..settings import takes_store
 from .puppet import require_puppet, running
 from .shared import require
