@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from bench.exact import FPS, ExactFaces
-from bench.report import Table, finish, parser
+from bench.report import Table, finish, people_parser
 from facemime.core.actions import ACTIONS, N_ACTIONS
 from facemime.core.drive.actions import ActionDriver
 from facemime.core.takes.neutral import calibrate
@@ -95,14 +95,11 @@ def rows_of(seen: Seen) -> list[list[object]]:
 
 def main() -> None:
     """Render, track, and print."""
-    arguments = parser(__doc__.split("\n")[0])
-    root = Path(__file__).parents[1]
-    arguments.add_argument("--data", type=Path, default=root.parent / "shared" / "data")
-    arguments.add_argument("--people", type=int, default=PEOPLE, help=f"number of people ({PEOPLE})")
+    arguments = people_parser(__doc__.splitlines()[0], PEOPLE)
     arguments.add_argument("--sheet", type=Path, metavar="FILE.png", help="write a frame of each action")
     options = arguments.parse_args()
     cv2.setNumThreads(1)
-    faces = ExactFaces(options.data, root / "build" / "bench" / "exact", options.people)
+    faces = ExactFaces(options.data, options.people)
     rows = rows_of(track(faces))
     columns = ["action", "frames", "AUC", "shown at 1", "shown at 0"]
     numbers = {str(row[0]): row[2] for row in rows}

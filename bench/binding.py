@@ -17,8 +17,8 @@ from bench.heads import LANDMARK_PARTS, LabelledHead, ict_people, landmark_error
 from bench.report import Table, finish, parser
 from facemime.core.binding.bind import MARKS, bind_landmarks
 from facemime.core.landmarks import from_ibug
+from facemime.training.data import add_data_option, require_heads
 
-ROOT = Path(__file__).resolve().parents[1]
 PEOPLE = 10
 MEAN_COLUMNS = ("marked points", "inner 49", "brows", "lids", "lips", "seconds")
 
@@ -26,13 +26,10 @@ MEAN_COLUMNS = ("marked points", "inner 49", "brows", "lids", "lips", "seconds")
 def main() -> int:
     """Run the benchmark; returns the exit status."""
     command = parser(__doc__.splitlines()[0])
-    command.add_argument(
-        "--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder that contains heads/"
-    )
+    add_data_option(command)
     command.add_argument("--menpo3d", type=Path, metavar="FILE.tar.gz", help="source archive of menpo3d 0.8.6")
     arguments = command.parse_args()
-    if not (arguments.data / "heads").is_dir():
-        command.error(f"{arguments.data} has no heads/ict_facekit_light.npz; say with --data where ICT-FaceKit lies")
+    require_heads(command, arguments.data)
     mean, *people = ict_people(arguments.data, PEOPLE)
     groups = {mean.title: [mean], f"{PEOPLE} of its people": people}
     if arguments.menpo3d is not None:

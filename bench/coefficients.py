@@ -13,13 +13,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from bench.report import Table, finish, parser
+from bench.report import Table, finish, people_parser
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import TakeRecorder, describe
 from facemime.core.tracking.tracker import FaceTracker
 from facemime.training.coefficients.performances import performer, tracked
+from facemime.training.data import ROOT
 from facemime.training.sample.performance import FPS, times, units_at
 from facemime.training.tracker.heads import load_ict
 from facemime.training.tracker.sources import HAND_LABELLED, read_photos, split
@@ -107,14 +108,10 @@ def rows_of(clips: dict[str, Performed]) -> list[list[object]]:
 
 def main() -> None:
     """Render, track, and print."""
-    arguments = parser(__doc__.split("\n")[0])
-    root = Path(__file__).parents[1]
-    arguments.add_argument("--data", type=Path, default=root.parent / "shared" / "data")
-    arguments.add_argument("--people", type=int, default=PEOPLE, help=f"number of people ({PEOPLE})")
-    options = arguments.parse_args()
+    options = people_parser(__doc__.splitlines()[0], PEOPLE).parse_args()
     cv2.setNumThreads(1)
     tracker = FaceTracker.load()
-    clips = {"sample": sample(tracker, root / "assets" / "sample" / "sample.mp4")}
+    clips = {"sample": sample(tracker, ROOT / "assets" / "sample" / "sample.mp4")}
     clips["rendered"] = rendered(tracker, options.data, options.people)
     figures = [summary(name, clip) for name, clip in clips.items()]
     columns = ["clip", "frames", "correlation", "acted error", "spurious per frame"]

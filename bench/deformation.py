@@ -19,8 +19,8 @@ from bench.left_out import left_out_errors
 from bench.report import Table, finish, parser
 from facemime.core.control_points.greedy import GreedySelection
 from facemime.core.deform.expressions import learn
+from facemime.training.data import add_data_option, require_heads
 
-ROOT = Path(__file__).resolve().parents[1]
 HALF = 33
 _BATCH = 50
 _OPEN = 0.01
@@ -30,13 +30,10 @@ _OPEN = 0.01
 def main() -> int:
     """Run the benchmark; returns the exit status."""
     command = parser(__doc__.splitlines()[0])
-    command.add_argument(
-        "--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder that contains heads/"
-    )
+    add_data_option(command)
     command.add_argument("--pictures", type=Path, metavar="DIR", help="folder for pictures of the comparison")
     arguments = command.parse_args()
-    if not (arguments.data / "heads").is_dir():
-        command.error(f"{arguments.data} has no heads/ict_facekit_light.npz; say with --data where ICT-FaceKit lies")
+    require_heads(command, arguments.data)
     heads = [ict_head(arguments.data), built_in_head()]
     models = [learn(head.vertices, head.landmarks, head.regions, head.motions) for head in heads]
     tables, numbers = [], {}

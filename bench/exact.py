@@ -19,10 +19,11 @@ from facemime.core.actions import ACTIONS
 from facemime.core.landmarks import JAW
 from facemime.core.tracking.pdm import PointDistributionModel
 from facemime.core.tracking.tracker import FaceTracker
+from facemime.training.data import ROOT
 from facemime.training.tracker.acting import posed
 from facemime.training.tracker.heads import IctHead, load_ict
 from facemime.training.tracker.organs import random_eyes
-from facemime.training.tracker.reproject import Light, Scene, SkinnedHead, render, skin_head
+from facemime.training.tracker.reproject import WINDOW_LIGHT, Light, Scene, SkinnedHead, render, skin_head
 from facemime.training.tracker.sources import HAND_LABELLED, Photo, read_photos, split
 from facemime.training.tracker.wrinkles import crease
 
@@ -34,7 +35,6 @@ EYES = 100.0
 FPS = 25.0
 _CENTRE = (SIZE - 1) / 2.0
 
-_WINDOW_LIGHT = Light(0.7, 0.4, np.array([0.4, -0.3, -0.866]))
 LIMITS = (25.0, 45.0, 40.0)
 """Limits of pitch, yaw and roll in degrees within which a face should never be lost."""
 _ACT = 18
@@ -107,8 +107,10 @@ class ActingClip:
 class ExactFaces:
     """Renders images, and caches them in `folder`."""
 
-    def __init__(self, data: Path, folder: Path, people: int) -> None:
-        self.data, self.folder, self.people = data, folder / f"v{VERSION}", people
+    folder = ROOT / "build" / "bench" / "exact" / f"v{VERSION}"
+
+    def __init__(self, data: Path, people: int) -> None:
+        self.data, self.people = data, people
         self._cast: list[SkinnedHead] | None = None
         self._head: IctHead | None = None
 
@@ -228,7 +230,7 @@ class ExactFaces:
             angles = np.radians([5 * np.sin(1.3 * t), 18 * np.sin(1.05 * t + person), 4 * np.sin(0.7 * t)])
             place = _CENTRE + np.array([9 * np.sin(0.9 * t), 6 * np.sin(1.7 * t)])
             pose = np.array([EYES, *angles, *place])
-            image, landmarks = self._shown(person, actions, pose, _WINDOW_LIGHT)
+            image, landmarks = self._shown(person, actions, pose, WINDOW_LIGHT)
             yield _noisy(image, landmarks, 3.0, person, rng)
 
     def _acts(self, person: int) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
@@ -251,7 +253,7 @@ class ExactFaces:
                     weights[head.index(f"eyeBlink_{side}")] = blink * self.cast[person].blink[side]
                 angles = np.radians([4 * np.sin(1.3 * t), 14 * np.sin(1.05 * t + person), 4 * np.sin(0.7 * t)])
                 pose = np.array([EYES, *angles, *(_CENTRE + np.array([9 * np.sin(0.9 * t), 6 * np.sin(1.7 * t)]))])
-                scene = Scene(_WINDOW_LIGHT, 0.06, tongue=(0.8, 0.8), tongue_out=tongue, eyes=replace(ahead, gaze=gaze))
+                scene = Scene(WINDOW_LIGHT, 0.06, tongue=(0.8, 0.8), tongue_out=tongue, eyes=replace(ahead, gaze=gaze))
                 image, points = self._staged(person, weights, pose, scene)
                 shown = dict(zip(head.names, weights, strict=True))
                 image = crease(image, points, EYES, shown, np.random.default_rng((person, turn)))
@@ -266,7 +268,7 @@ class ExactFaces:
             actions = {"jawOpen": max(0.0, 0.5 * np.sin(7.0 * t)), "eyeBlink": float(t % 1.7 < 0.16)}
             actions["mouthSmile"] = 0.6 * (np.sin(t) > 0)
             place = _CENTRE + np.array([9 * np.sin(0.9 * t), 6 * np.sin(1.7 * t)])
-            image, landmarks = self._shown(person, actions, np.array([EYES, *angles, *place]), _WINDOW_LIGHT)
+            image, landmarks = self._shown(person, actions, np.array([EYES, *angles, *place]), WINDOW_LIGHT)
             yield _noisy(image, landmarks, 3.0, person, rng)
 
     @property

@@ -11,13 +11,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
 
 from bench.exact import FPS, ExactFaces, performed
-from bench.report import Table, finish, parser
+from bench.report import Table, finish, people_parser
 from facemime.core.apertures import lid_gaps
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.heads.rig import built_in_rig
@@ -72,13 +71,9 @@ def _errors(neutral: Neutral, true: np.ndarray, blinks: Sequence[TrackResult], d
 
 def main() -> None:
     """Track, learn, and print."""
-    arguments = parser(__doc__.split("\n")[0])
-    root = Path(__file__).parents[1]
-    arguments.add_argument("--data", type=Path, default=root.parent / "shared" / "data")
-    arguments.add_argument("--people", type=int, default=PEOPLE, help=f"number of people ({PEOPLE})")
-    options = arguments.parse_args()
+    options = people_parser(__doc__.splitlines()[0], PEOPLE).parse_args()
     cv2.setNumThreads(1)
-    faces, tracker = ExactFaces(options.data, root / "build" / "bench" / "exact", options.people), FaceTracker.load()
+    faces, tracker = ExactFaces(options.data, options.people), FaceTracker.load()
     runs = []
     for person in range(faces.people):
         tracker.reset()

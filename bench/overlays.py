@@ -14,9 +14,9 @@ import numpy as np
 
 from facemime.core.landmarks import EDGES, INNER
 from facemime.core.tracking.tracker import FaceTracker
+from facemime.training.data import add_data_option
 from facemime.training.tracker.sources import HAND_LABELLED, read_photos, split
 
-ROOT = Path(__file__).resolve().parents[1]
 SIDE, COLUMNS, FRAMES = 240, 8, 48
 """Pixels of a picture, pictures per row, and frames per clip."""
 
@@ -65,7 +65,7 @@ def main() -> None:
     """Write the sheets."""
     command = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     command.add_argument("-o", "--output", type=Path, required=True, help="folder for the sheets")
-    command.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    add_data_option(command)
     command.add_argument("--model", type=Path, help="tracker model (the shipped one)")
     arguments = command.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)

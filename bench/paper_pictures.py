@@ -12,10 +12,10 @@ from bench.deform_pictures import EXPRESSIONS, Image, comparison, project, rende
 from bench.deformation import opening
 from bench.deformers import Predict, blender_laplacian, informed, laplacian, planar, regions, whole
 from bench.heads import TrueHead
-from facemime.blender.animation.bake import frames_of
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.media.preview_scene import face_view, setup_preview
 from facemime.blender.media.rendering import render_frames
+from facemime.blender.timeline import frames_of
 from facemime.cli.puppet.headless import open_stage
 from facemime.core.capture import VideoSource
 from facemime.core.control_points.greedy import START

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from facemime.training.data import add_data_option
+
 
 @dataclass(frozen=True)
 class Table:
@@ -36,6 +38,14 @@ def parser(description: str) -> argparse.ArgumentParser:
         "--json", type=Path, metavar="FILE", help="write the numbers, and the tables beside it as .md"
     )
     arguments.add_argument("--figure", type=Path, metavar="FILE.png", help="write the figure")
+    return arguments
+
+
+def people_parser(description: str, people: int) -> argparse.ArgumentParser:
+    """Add the arguments of benchmarks that render `people` from photos, unless another number is asked for."""
+    arguments = parser(description)
+    add_data_option(arguments)
+    arguments.add_argument("--people", type=int, default=people, help=f"number of people ({people})")
     return arguments
 
 

@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.blender.animation.bake import frames_of
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.media.preview_scene import setup_preview
 from facemime.blender.media.rendering import render_frames, set_rate
+from facemime.blender.timeline import frames_of
 from facemime.core.bake.settings import BakeSettings
 from facemime.core.capture import VideoSource
 from facemime.core.puppet.settings import PuppetSettings

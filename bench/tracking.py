@@ -55,7 +55,7 @@ def main() -> int:
     cv2.setNumThreads(1)
     tracker, peers = chosen_peers(arguments)
     photos = split(read_photos(arguments.data, *HAND_LABELLED))[1]
-    exact = ExactFaces(arguments.data, ROOT / "build" / "bench" / "exact", arguments.people)
+    exact = ExactFaces(arguments.data, arguments.people)
     clips = [*(exact.clip(person) for person in range(min(arguments.people, 3))), sample_clip()]
     videos = sorted((arguments.data / "videos").glob("*.mp4"))
     measured = {peer.name: measure(peer, photos, exact, clips, videos) for peer in peers}

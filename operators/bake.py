@@ -4,11 +4,11 @@ import bpy
 import numpy as np
 from bpy.props import StringProperty
 
-from ..blender.animation.bake import frames_of
 from ..blender.animation.bake_keys import key_names
 from ..blender.animation.puppet import puppet_heads
 from ..blender.animation.underneath import mute_under, playing_under
 from ..blender.meshes import can_be_driven
+from ..blender.timeline import frames_of
 from ..core.bake.arkit import arkit_coefficients
 from ..core.bake.key_map import KeyMap, KeyPose, best_preset, learn_map, load_map, presets
 from ..core.errors import FacemimeError, HeadError, SourceError
@@ -27,6 +27,7 @@ from .shared import (
     heads_in,
     report,
     reporting_range,
+    require,
     require_heads,
     require_object_mode,
 )
@@ -164,10 +165,8 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a head with shape keys, and a take."""
         obj = context.active_object
-        if obj is None or not can_be_driven(obj) or not key_names(obj):
-            cls.poll_message_set("Select a head that has shape keys")
-            return False
-        return super().poll(context)
+        keyed = obj is not None and can_be_driven(obj) and bool(key_names(obj))
+        return require(cls, keyed, "Select a head that has shape keys") and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
         scene, blocks = context.scene, context.active_object.data.shape_keys.key_blocks
@@ -188,10 +187,8 @@ class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require at least one pose."""
-        if not len(context.scene.facemime_takes.bake.poses):
-            cls.poll_message_set("Set the head's shape keys at a frame of the take and add that pose first")
-            return False
-        return True
+        some = len(context.scene.facemime_takes.bake.poses) > 0
+        return require(cls, some, "Set the head's shape keys at a frame of the take and add that pose first")
 
     def work(self, context: bpy.types.Context) -> None:
         """Learn the table and clear the poses."""

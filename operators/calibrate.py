@@ -6,7 +6,7 @@ from bpy.props import EnumProperty, FloatProperty, StringProperty
 from ..sessions.live import COUNTDOWN
 from ..settings.values import add_performer, remove_performer, selected_performer
 from .puppet import require_puppet, running
-from .shared import ReportsErrors
+from .shared import ReportsErrors, require
 
 
 class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
@@ -56,10 +56,8 @@ class FACEMIME_OT_reset_calibration(ReportsErrors, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require something to reset."""
-        if running() is not None or selected_performer(context.scene.facemime) is not None:
-            return True
-        cls.poll_message_set("There is no performer. One is added when you calibrate.")
-        return False
+        there = running() is not None or selected_performer(context.scene.facemime) is not None
+        return require(cls, there, "There is no performer. One is added when you calibrate.")
 
     def work(self, context: bpy.types.Context) -> None:
         """Reset it; a running puppet takes the next second for the neutral face."""

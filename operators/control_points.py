@@ -21,7 +21,7 @@ from ..settings import takes_store
 from ..settings.rna import read, with_settings
 from ..settings.values import puppet_settings
 from .puppet import require_puppet, running
-from .shared import AsksForFile, OnHead, OnMesh, report
+from .shared import AsksForFile, OnHead, OnMesh, report, require
 
 
 @with_settings(SelectionSettings)
@@ -108,12 +108,8 @@ class OnLandmark(OnHead):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a head and a selected landmark."""
-        if not super().poll(context):
-            return False
-        if not 0 <= context.scene.facemime_steps.landmark < N_LANDMARKS:
-            cls.poll_message_set("Select a landmark in the list or on the head first")
-            return False
-        return True
+        selected = 0 <= context.scene.facemime_steps.landmark < N_LANDMARKS
+        return super().poll(context) and require(cls, selected, "Select a landmark in the list or on the head first")
 
 
 class FACEMIME_OT_add_control_point(OnLandmark, bpy.types.Operator):

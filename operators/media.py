@@ -7,6 +7,7 @@ from bpy.props import StringProperty
 
 from ..blender.media.reference import add_reference
 from ..blender.media.sound import add_sound
+from ..blender.timeline import rate_of
 from ..core.errors import SourceError
 from ..settings import takes_store
 from .shared import AsksForFile, heads_in, require_heads
@@ -49,7 +50,7 @@ class FACEMIME_OT_add_sound(OnTakesVideo, bpy.types.Operator):
         scene = context.scene
         path, offset = self.video(scene)
         sound = path if self.filepath else takes_store.sound_beside(path)
-        add_sound(scene, sound, 1.0 - offset * scene.render.fps / scene.render.fps_base)
+        add_sound(scene, sound, 1.0 - offset * rate_of(scene))
 
 
 class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):

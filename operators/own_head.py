@@ -27,7 +27,7 @@ from ..core.binding.bind import MARKS, Binding
 from ..core.errors import HeadError
 from ..core.landmarks import from_ibug
 from ..settings.panel_properties import keep_findings
-from .shared import OnHead, OnMesh, report, require_object_mode
+from .shared import InObjectMode, OnHead, OnMesh, report, require_left_edit_mode
 from .steps import Background, WorksInSteps
 
 _WAIT = 0.02
@@ -77,16 +77,11 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
         write_marks(context.active_object.data, {})
 
 
-class FACEMIME_OT_bind_keys(OnMesh, bpy.types.Operator):
+class FACEMIME_OT_bind_keys(InObjectMode, OnMesh, bpy.types.Operator):
     """Drive the character by shape keys that it has, such as ARKit's or VRM's, without landmarks"""
 
     bl_idname = "facemime.bind_keys"
     bl_label = "Use Its Shape Keys"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require an active mesh in Object Mode."""
-        return require_object_mode(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
         active = context.active_object
@@ -97,16 +92,11 @@ class FACEMIME_OT_bind_keys(OnMesh, bpy.types.Operator):
         report(self, f"{head.name} is driven by its shape keys alone.")
 
 
-class FACEMIME_OT_bind_landmarks(WorksInSteps, OnMesh, bpy.types.Operator):
+class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnMesh, bpy.types.Operator):
     """Find the 66 landmarks of the active mesh and propose its regions; a mesh without marks may face along any axis"""
 
     bl_idname = "facemime.bind_landmarks"
     bl_label = "Find Face"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require an active mesh in Object Mode."""
-        return require_object_mode(cls, context) and super().poll(context)
 
     def status(self) -> str:
         return _("Facemime: searching for the face; Esc to cancel")
@@ -183,10 +173,7 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require an active mesh outside Edit Mode, where vertex groups cannot be written."""
-        if context.mode == "EDIT_MESH":
-            cls.poll_message_set("Leave Edit Mode first")
-            return False
-        return super().poll(context)
+        return require_left_edit_mode(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
         propose_head_regions(context.active_object)

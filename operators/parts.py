@@ -17,7 +17,7 @@ from ..core.drive.key_sets import KEY_SETS
 from ..core.errors import HeadError
 from ..core.heads.parts import PART_NAMES, Part
 from ..sessions.session import Session
-from .shared import OnHead, ReportsErrors, report, require_object_mode
+from .shared import InObjectMode, OnHead, ReportsErrors, report
 
 _DESCRIPTIONS = {
     Part.SKIN: "Skin of the face, which the landmarks move",
@@ -155,7 +155,7 @@ class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
         write_bones(head, armature, replace(bones, **{self.target: name}))
 
 
-class FACEMIME_OT_make_expression_keys(OnHead, bpy.types.Operator):
+class FACEMIME_OT_make_expression_keys(InObjectMode, OnHead, bpy.types.Operator):
     """Add a set of shape keys, such as ARKit's face units, to all meshes of the face; existing keys are kept"""
 
     bl_idname = "facemime.make_expression_keys"
@@ -166,11 +166,6 @@ class FACEMIME_OT_make_expression_keys(OnHead, bpy.types.Operator):
         description="Which programs are to find the keys",
         items=[(name, keys.label, "") for name, keys in KEY_SETS.items()],
     )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require an active head in Object Mode."""
-        return require_object_mode(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
         if (session := Session.running()) is not None:

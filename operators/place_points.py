@@ -13,7 +13,7 @@ from ..core.control_points.select import parse_landmarks
 from ..core.errors import HeadError
 from ..core.landmarks import IBUG68_INDICES
 from ..sessions.session import Session
-from .shared import OnHead, OnMesh, ReportsErrors, report, require_object_mode
+from .shared import OnHead, OnMesh, ReportsErrors, report, require, require_object_mode
 
 _ENTER = {"RET", "NUMPAD_ENTER"}
 
@@ -36,12 +36,11 @@ class PlacesPoints(ReportsErrors):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require an active mesh in Object Mode, and that nothing is puppeted."""
-        if not require_object_mode(cls, context) or not super().poll(context):
-            return False
-        if Session.running() is not None:
-            cls.poll_message_set("Stop the puppet first")
-            return False
-        return True
+        return (
+            require_object_mode(cls, context)
+            and super().poll(context)
+            and require(cls, Session.running() is None, "Stop the puppet first")
+        )
 
     def begin(self, obj: bpy.types.Object) -> Placing:
         """Return what is to be placed."""

@@ -3,9 +3,10 @@
 import bpy
 from bpy.props import FloatProperty, IntProperty
 
-from ..blender.animation.bake import seconds_at
+from ..blender.timeline import seconds_at
 from ..settings import takes_store
 from .puppet import require_puppet, running
+from .shared import require
 from .take_edits import BLEND
 from .takes import OnTake
 
@@ -32,12 +33,11 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a running puppet and a take, and that no range is being re-recorded."""
-        if not require_puppet(cls):
-            return False
-        if running().punch_in is not None:
-            cls.poll_message_set("A range is already being re-recorded")
-            return False
-        return super().poll(context)
+        return (
+            require_puppet(cls)
+            and require(cls, running().punch_in is None, "A range is already being re-recorded")
+            and super().poll(context)
+        )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for the range; by default the preview range, or two seconds from the current frame."""

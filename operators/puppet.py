@@ -6,10 +6,9 @@ from ..blender.messages import CONTEXT
 from ..blender.viewports import redraw, viewport_under
 from ..core.errors import FacemimeError
 from ..sessions.live import TICK, LiveSession
-from ..sessions.session import Session
 from ..sessions.start import RigWatch, follow_settings, start_session
 from .preview_place import PreviewDrag
-from .shared import ReportsErrors, heads_in, report, require_heads
+from .shared import ReportsErrors, heads_in, report, require, require_heads, require_left_edit_mode, require_no_session
 
 _STATUS_INTERVAL = 0.25
 
@@ -21,10 +20,7 @@ def running() -> LiveSession | None:
 
 def require_puppet(operator: type[bpy.types.Operator]) -> bool:
     """Return for `poll` whether a puppet is running; otherwise set the poll message of `operator`."""
-    if running() is not None:
-        return True
-    operator.poll_message_set("Start the puppet first")
-    return False
+    return require(operator, running() is not None, "Start the puppet first")
 
 
 def start_puppet() -> None:
@@ -59,13 +55,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a selected head outside Edit Mode, and that no session is running."""
-        if Session.running() is not None:
-            cls.poll_message_set("A puppet is already running. Stop it first")
-            return False
-        if context.mode == "EDIT_MESH":
-            cls.poll_message_set("Leave Edit Mode first")
-            return False
-        return require_heads(cls, context)
+        return require_no_session(cls) and require_left_edit_mode(cls, context) and require_heads(cls, context)
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Start the session, and continue at every tick of a timer."""
@@ -164,10 +154,7 @@ class FACEMIME_OT_stop_puppet(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a running puppet."""
-        if running() is None:
-            cls.poll_message_set("No puppet is running")
-            return False
-        return True
+        return require(cls, running() is not None, "No puppet is running")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """End the session; the modal operator ends at the next event."""
@@ -187,10 +174,8 @@ class FACEMIME_OT_next_face(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a running puppet that tracks images."""
         session = running()
-        if session is None or session.worker.image_size == (0, 0):
-            cls.poll_message_set("Start the puppet with a camera, a video or an image sequence first")
-            return False
-        return True
+        sees = session is not None and session.worker.image_size != (0, 0)
+        return require(cls, sees, "Start the puppet with a camera, a video or an image sequence first")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Request the next face, which is tracked from the next frame."""

@@ -13,12 +13,13 @@ from ..core.takes.take import Take
 from ..sessions.tracking import TrackingSession
 from ..settings import takes_store
 from ..settings.values import face_of, pose_targets, puppet_settings
-from .shared import AsksForFile, report, reporting_range, require_object_mode
+from .shared import AsksForFile, report, reporting_range, require, require_object_mode
+from .steps import ShowsProgress
 
 _TICK = 0.1
 
 
-class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
+class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
     """Track the face in a video, keep it as a take, and bake it to the active head and all other selected heads"""
 
     bl_idname = "facemime.puppet_video"
@@ -28,18 +29,16 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
     filter_glob: StringProperty(default="*.mp4;*.mov;*.avi;*.mkv;*.webm;*.m4v;*.facetake", options={"HIDDEN"})
 
     _session: TrackingSession | None = None
-    _timer: bpy.types.Timer | None = None
     _head: str = ""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require an active mesh in Object Mode."""
-        if not require_object_mode(cls, context):
-            return False
-        if context.active_object is None or context.active_object.type != "MESH":
-            cls.poll_message_set("Select a head mesh, or add one with Add > Mesh > Facemime Head")
-            return False
-        return True
+        obj = context.active_object
+        mesh = obj is not None and obj.type == "MESH"
+        return require_object_mode(cls, context) and require(
+            cls, mesh, "Select a head mesh, or add one with Add > Mesh > Facemime Head"
+        )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for a file, unless the button comes with one."""
@@ -56,11 +55,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
         self._head = context.active_object.name
         if bpy.app.background:
             return self.finish(context)
-        manager = context.window_manager
-        self._timer = manager.event_timer_add(_TICK, window=context.window)
-        manager.progress_begin(0, 100)
-        manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return self.start_ticking(context, _TICK)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Show the progress; Esc stops tracking and bakes the frames so far."""
@@ -70,7 +65,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
             return {"PASS_THROUGH"}
         if self._session.tracking:
             done, total = self._session.done, self._session.total
-            context.window_manager.progress_update(100 * done / max(total, 1))
+            context.window_manager.progress_update(done / max(total, 1))
             progress = _("Facemime: {done} of {total} frames tracked; Esc to stop and bake them")
             context.workspace.status_text_set(progress.format(done=done, total=total))
             redraw(context, "UI")
@@ -124,11 +119,7 @@ class FACEMIME_OT_puppet_video(AsksForFile, bpy.types.Operator):
         if self._session is not None:
             self._session.close()
         self._session = None
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            context.window_manager.progress_end()
-            context.workspace.status_text_set(None)
-        self._timer = None
+        self.stop_ticking(context)
 
 
 def _heads(context: bpy.types.Context, first: bpy.types.Object | None) -> list[bpy.types.Object | None]:

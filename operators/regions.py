@@ -4,7 +4,7 @@ import bpy
 from bpy.props import EnumProperty, IntProperty
 
 from ..blender.heads.painting import mirror_painted, paint_region, smooth_painted
-from .shared import OnHead, ReportsErrors
+from .shared import OnHead, ReportsErrors, require
 
 
 class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
@@ -35,10 +35,7 @@ class FACEMIME_OT_leave_painting(ReportsErrors, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require Weight Paint Mode."""
-        if context.mode != "PAINT_WEIGHT":
-            cls.poll_message_set("Only available in Weight Paint Mode")
-            return False
-        return True
+        return require(cls, context.mode == "PAINT_WEIGHT", "Only available in Weight Paint Mode")
 
     def work(self, context: bpy.types.Context) -> None:
         """Switch to Object Mode."""

@@ -13,6 +13,7 @@ from ..blender.meshes import can_be_driven, is_head
 from ..blender.messages import displayable
 from ..core.capture import check_readable, require_utf8_name
 from ..core.errors import FacemimeError, SourceError
+from ..sessions.session import Session
 
 
 def report(operator: bpy.types.Operator, message: str, level: str = "INFO") -> None:
@@ -73,18 +74,34 @@ class ReportsErrors:
             return {"CANCELLED"}
 
 
-def require_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Return for `poll` whether Blender is in Object Mode; otherwise set the poll message of `operator`.
+def require(operator: type[bpy.types.Operator], met: bool, message: str) -> bool:
+    """Return for `poll` whether a condition is met; otherwise set the poll message of `operator`.
 
     Parameters
     ----------
     operator : type of bpy.types.Operator
-    context : bpy.types.Context
+    met : bool
+    message : str
+        In English: what to do first.
     """
-    if context.mode == "OBJECT":
-        return True
-    operator.poll_message_set("Switch to Object Mode first")
-    return False
+    if not met:
+        operator.poll_message_set(message)
+    return met
+
+
+def require_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Require Object Mode, as `require` does."""
+    return require(operator, context.mode == "OBJECT", "Switch to Object Mode first")
+
+
+def require_left_edit_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Require a mode other than Edit Mode, in which vertex groups cannot be written; as `require` does."""
+    return require(operator, context.mode != "EDIT_MESH", "Leave Edit Mode first")
+
+
+def require_no_session(operator: type[bpy.types.Operator]) -> bool:
+    """Require that neither a puppet nor a take moves a head, as `require` does."""
+    return require(operator, Session.running() is None, "A puppet is already running. Stop it first")
 
 
 def heads_in(context: bpy.types.Context) -> list[bpy.types.Object]:
@@ -101,17 +118,8 @@ def heads_in(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 
 def require_heads(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Return for `poll` whether a head is selected; otherwise set the poll message of `operator`.
-
-    Parameters
-    ----------
-    operator : type of bpy.types.Operator
-    context : bpy.types.Context
-    """
-    if heads_in(context):
-        return True
-    operator.poll_message_set("Select a head, or add one in the Head panel")
-    return False
+    """Require a head that can be driven, as `require` does."""
+    return require(operator, bool(heads_in(context)), "Select a head, or add one in the Head panel")
 
 
 class AsksForFile(ReportsErrors):
@@ -147,16 +155,23 @@ class AsksForFileToWrite(AsksForFile):
         return path if path.suffix.lower() == suffix else path.with_name(path.name + suffix)
 
 
+class InObjectMode:
+    """Mixin before one with a `poll`: requires Object Mode, too."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require Object Mode."""
+        return require_object_mode(cls, context) and super().poll(context)
+
+
 class OnMesh(ReportsErrors):
     """Mixin: requires an active mesh."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require an active mesh."""
-        if context.active_object is None or context.active_object.type != "MESH":
-            cls.poll_message_set("Select a head mesh")
-            return False
-        return True
+        obj = context.active_object
+        return require(cls, obj is not None and obj.type == "MESH", "Select a head mesh")
 
 
 class OnHead(OnMesh):
@@ -170,12 +185,9 @@ class OnHead(OnMesh):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require an active head outside Edit Mode."""
-        if not super().poll(context):
-            return False
-        if not (is_head if cls.needs_landmarks else can_be_driven)(context.active_object):
-            cls.poll_message_set("Bind the landmarks first, in the Head panel")
-            return False
-        if context.mode == "EDIT_MESH":
-            cls.poll_message_set("Leave Edit Mode first")
-            return False
-        return True
+        bound = is_head if cls.needs_landmarks else can_be_driven
+        return (
+            super().poll(context)
+            and require(cls, bound(context.active_object), "Bind the landmarks first, in the Head panel")
+            and require_left_edit_mode(cls, context)
+        )

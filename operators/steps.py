@@ -17,7 +17,29 @@ _SLICE = 0.05
 _NAVIGATION = {"MOUSEMOVE", "MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN", "TRACKPADZOOM"}
 
 
-class WorksInSteps(ReportsErrors):
+class ShowsProgress:
+    """Mixin of modal operators: a timer ticks, and the pointer and the status bar show the progress."""
+
+    _timer: bpy.types.Timer | None = None
+
+    def start_ticking(self, context: bpy.types.Context, interval: float) -> set[str]:
+        """Start the timer, with `interval` in seconds, and the progress, which goes from 0 to 1."""
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(interval, window=context.window)
+        manager.progress_begin(0.0, 1.0)
+        manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def stop_ticking(self, context: bpy.types.Context) -> None:
+        """End the timer and the progress; may be called twice."""
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            context.window_manager.progress_end()
+            context.workspace.status_text_set(None)
+        self._timer = None
+
+
+class WorksInSteps(ShowsProgress, ReportsErrors):
     """Mixin: does the operator's `steps`, in Blender's window one by one, and elsewhere at once.
 
     While it works in a window, nothing else can be changed there; the viewport can be turned. Esc closes the iterator
@@ -27,7 +49,6 @@ class WorksInSteps(ReportsErrors):
     in_window = False
     """Whether it was started in a window."""
     _steps: Iterator[float] | None = None
-    _timer: bpy.types.Timer | None = None
 
     def steps(self, context: bpy.types.Context) -> Iterator[float]:
         """Do the work; yield the share that is done, 0 to 1, whenever the window may be redrawn."""
@@ -60,22 +81,14 @@ class WorksInSteps(ReportsErrors):
     def cancel(self, context: bpy.types.Context) -> None:
         """Stop the work."""
         steps, self._steps = self._steps, None
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            context.window_manager.progress_end()
-            context.workspace.status_text_set(None)
-        self._timer = None
+        self.stop_ticking(context)
         if steps is not None:
             steps.close()
 
     def _start(self, context: bpy.types.Context) -> set[str]:
         self._steps, self.in_window = self.steps(context), True
-        manager = context.window_manager
-        self._timer = manager.event_timer_add(_TICK, window=context.window)
-        manager.progress_begin(0.0, 1.0)
-        manager.modal_handler_add(self)
         context.workspace.status_text_set(self.status())
-        return {"RUNNING_MODAL"}
+        return self.start_ticking(context, _TICK)
 
     def _go_on(self, context: bpy.types.Context) -> set[str]:
         until, done = time.perf_counter() + _SLICE, 0.0

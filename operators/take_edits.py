@@ -5,7 +5,7 @@ import math
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
-from ..blender.animation.bake import seconds_at, seconds_of
+from ..blender.timeline import frame_range, seconds_at, seconds_of
 from ..core.errors import FacemimeError
 from ..core.takes.mending import Mending, mend, renew_neutral
 from ..core.takes.take import Take
@@ -84,10 +84,8 @@ class FACEMIME_OT_trim_take(AddsEditedTake, bpy.types.Operator):
     def kept(self, scene: bpy.types.Scene) -> tuple[float, float]:
         """Return the range that is kept, seconds from the first frame of the take; it may extend beyond its end."""
         if self.keep == "TIMELINE":
-            preview = scene.use_preview_range
-            first = scene.frame_preview_start if preview else scene.frame_start
-            last = scene.frame_preview_end if preview else scene.frame_end
-            return seconds_at(scene, first), seconds_at(scene, last)
+            frames = frame_range(scene)
+            return seconds_at(scene, frames.start), seconds_at(scene, frames.stop - 1)
         if self.keep == "FROM":
             return seconds_of(scene), math.inf
         if self.keep == "TO":

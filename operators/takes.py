@@ -14,11 +14,20 @@ from ..core.takes.coefficient_table import from_any_csv
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import to_csv
 from ..sessions.live import COUNTDOWN, LiveSession
-from ..sessions.session import Session
 from ..sessions.show import TakeShow
 from ..settings import takes_store
 from .puppet import FACEMIME_OT_puppet, running, start_puppet
-from .shared import AsksForFile, AsksForFileToWrite, OnHead, ReportsErrors, heads_in, report, require_heads
+from .shared import (
+    AsksForFile,
+    AsksForFileToWrite,
+    OnHead,
+    ReportsErrors,
+    heads_in,
+    report,
+    require,
+    require_heads,
+    require_no_session,
+)
 from .steps import WorksInSteps
 
 
@@ -29,10 +38,7 @@ class OnTake(ReportsErrors):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a selected take."""
         takes = context.scene.facemime_takes
-        if not 0 <= takes.index < len(takes.items):
-            cls.poll_message_set("Record or import a take first")
-            return False
-        return True
+        return require(cls, 0 <= takes.index < len(takes.items), "Record or import a take first")
 
 
 def _countdown(session: LiveSession, scene: bpy.types.Scene) -> float:
@@ -88,10 +94,7 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
         """Require a head and a take, and that no other session is running."""
         if TakeShow.running() is not None:
             return True
-        if Session.running() is not None:
-            cls.poll_message_set("A puppet is already running. Stop it first")
-            return False
-        return require_heads(cls, context) and super().poll(context)
+        return require_no_session(cls) and require_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
         if (show := TakeShow.running()) is not None:
@@ -194,10 +197,7 @@ class FACEMIME_OT_take_from_animation(WorksInSteps, OnHead, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a head, and that nothing else moves it."""
-        if Session.running() is not None:
-            cls.poll_message_set("A puppet is already running. Stop it first")
-            return False
-        return super().poll(context)
+        return require_no_session(cls) and super().poll(context)
 
     def status(self) -> str:
         return _("Facemime: sampling the animation; Esc to cancel")

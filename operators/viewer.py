@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .puppet import require_puppet, running
-from .shared import report
+from .shared import report, require
 
 
 class _OfViewer:
@@ -16,12 +16,7 @@ class _OfViewer:
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a running puppet with a viewer."""
-        if not require_puppet(cls):
-            return False
-        if running().viewer is None:
-            cls.poll_message_set("Enable the viewer first")
-            return False
-        return True
+        return require_puppet(cls) and require(cls, running().viewer is not None, "Enable the viewer first")
 
 
 class FACEMIME_OT_open_viewer(_OfViewer, bpy.types.Operator):

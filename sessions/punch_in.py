@@ -7,7 +7,7 @@ from typing import Protocol
 
 import bpy
 
-from ..blender.animation.bake import frames_of
+from ..blender.timeline import frames_of
 from ..core.errors import FacemimeError
 from ..core.takes.file import load_take
 from ..core.takes.timing import punch_in, shift_time

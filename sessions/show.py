@@ -8,11 +8,11 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..blender.animation.bake import seconds_of
 from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
 from ..blender.animation.live_keys import KEYS, live_keys
 from ..blender.meshes import driven_by_keys
 from ..blender.rigs import read_rig
+from ..blender.timeline import seconds_of
 from ..blender.undo import push_undo
 from ..core.drive.driver import HeadDriver
 from ..core.errors import HeadError

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 TRANSLATIONS = ROOT / "assets" / "translations"
 _ATTRIBUTES = {"bl_label", "bl_description"}
 _KEYWORDS = {"name", "description", "text", "heading", "title", "message"}
-_CALLS = {"_", "pgettext_iface", "pgettext_rpt", "labels", "label", "poll_message_set"}
+_CALLS = {"_", "pgettext_iface", "pgettext_rpt", "labels", "label", "require"}
 _SETTINGS = {"setting", "Choice"}
 """Their first argument is a value."""
 _ERRORS = {

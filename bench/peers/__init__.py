@@ -14,16 +14,13 @@ from typing import Protocol
 import numpy as np
 
 from facemime.core.tracking.tracker import FaceTracker
-
-ROOT = Path(__file__).resolve().parents[2]
+from facemime.training.data import add_data_option
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Add the options that choose the trackers."""
     command.add_argument("--model", type=Path, help="tracker model (the shipped one)")
-    command.add_argument(
-        "--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of photos and models"
-    )
+    add_data_option(command)
     command.add_argument("--only", action="append", metavar="TRACKER", help="use this tracker only; may be repeated")
 
 

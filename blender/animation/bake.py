@@ -29,50 +29,6 @@ _LAST_FRAME = 1_048_574
 """Last frame of Blender's timeline."""
 
 
-def frames_of(scene: bpy.types.Scene, times: NDArray[np.floating], start: float = 1.0) -> NDArray[np.floating]:
-    """Convert times to frames of the scene.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-    times : (N,) array
-        Seconds.
-    start : float
-        Frame at 0 s.
-
-    Returns
-    -------
-    (N,) array
-        Frames, which may be fractional.
-    """
-    return start + times * (scene.render.fps / scene.render.fps_base)
-
-
-def seconds_of(scene: bpy.types.Scene, start: float = 1.0) -> float:
-    """Return the time at the current frame, seconds; the inverse of `frames_of`.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-    start : float
-        Frame at 0 s.
-    """
-    return seconds_at(scene, scene.frame_current_final, start)
-
-
-def seconds_at(scene: bpy.types.Scene, frame: float, start: float = 1.0) -> float:
-    """Return the time at `frame` of the scene, seconds; frame `start` is at 0 s.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-    frame : float
-    start : float
-        Frame at 0 s.
-    """
-    return float((frame - start) * scene.render.fps_base / scene.render.fps)
-
-
 def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, old_keys: bool) -> None:
     """Check that a head can be baked to; nothing is changed.
 

@@ -140,12 +140,8 @@ def bake_new_keys(
     members : sequence of Member
     basis : MotionBasis
         Displacements of the keys, and their values.
-    frames : (N,) array
-        Frames of the keyframes.
-    clean : float
+    frames, clean, nla
         As for `bake_values`.
-    nla : bool
-        Whether to use an NLA track.
     """
     names = [f"{BAKED_KEY_PREFIX}{i + 1:02d}" for i in range(len(basis.modes))]
     for obj, offsets in ((member.obj, member.local_offsets(basis.modes)) for member in members):

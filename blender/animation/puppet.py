@@ -26,7 +26,8 @@ from ..actions import check_curves
 from ..characters import members_of, objects_of
 from ..meshes import driven_by_keys, mesh_of
 from ..rigs import read_rig
-from .bake import Targets, bake_pose, check_bakeable, check_range, frames_of, remove_baked, set_range
+from ..timeline import frames_of
+from .bake import Targets, bake_pose, check_bakeable, check_range, remove_baked, set_range
 from .bake_cache import bake_cache, export_alembic, with_name_of
 from .bake_keys import MeshKeys, bake_new_keys, bake_values, key_names, moving_key_names, read_keys, value_path
 from .targets import own_targets

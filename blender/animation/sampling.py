@@ -21,6 +21,7 @@ from ..characters import objects_of, read_kinds, rest_matrix
 from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
 from ..meshes import exists, eye_vertices, read_landmarks, read_regions, read_vertices
 from ..names import PART_PROPERTY
+from ..timeline import frame_range, rate_of
 
 _CONSTRUCTIVE = {
     *("ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MIRROR", "MULTIRES", "REMESH"),
@@ -34,13 +35,6 @@ _LEAST_MOTION = 1e-4
 """Eye distances that a landmark has to move in some frame."""
 _NOSE_BASE = int(from_ibug([33])[0])
 _EYES = {Part.EYE_RIGHT: "eye_right", Part.EYE_LEFT: "eye_left"}
-
-
-def frame_range(scene: bpy.types.Scene) -> range:
-    """Return the frames that Blender plays: the preview range, if one is set, or else those of the scene."""
-    if scene.use_preview_range:
-        return range(scene.frame_preview_start, scene.frame_preview_end + 1)
-    return range(scene.frame_start, scene.frame_end + 1)
 
 
 class Sampling:
@@ -67,7 +61,7 @@ class Sampling:
 
     def __init__(self, scene: bpy.types.Scene, head: bpy.types.Object, source: str) -> None:
         self._scene, self._head, self.frames = scene, head, frame_range(scene)
-        self._rate = scene.render.fps / scene.render.fps_base
+        self._rate = rate_of(scene)
         self._recorder = TakeRecorder(describe_animation(source, self._rate))
         self._face = _Face(head)
         self._tracker: PointTracker | None = None

@@ -11,6 +11,7 @@ from mathutils import Vector
 
 from ...core.capture import VideoSource
 from ..actions import Curve, write_curves
+from ..timeline import rate_of
 
 _ROTATES_VIDEOS = (4, 4, 0)
 """First Blender that displays phone videos upright."""
@@ -43,7 +44,7 @@ def add_reference(scene: bpy.types.Scene, path: Path, offset: float, head: bpy.t
     empty.empty_display_type, empty.data = "IMAGE", image
     user = empty.image_user
     user.use_auto_refresh, user.frame_start, user.frame_duration = True, 1, image.frame_duration
-    _keep_in_step(empty, image.frame_duration, fps, scene.render.fps / scene.render.fps_base, offset)
+    _keep_in_step(empty, image.frame_duration, fps, rate_of(scene), offset)
     width, height = image.size
     turned = bpy.app.version < _ROTATES_VIDEOS
     if turned and turn % 180:

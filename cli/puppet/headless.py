@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...blender.animation.bake import frames_of
 from ...blender.animation.bake_cache import caches_beside
 from ...blender.animation.puppet import PuppetReport, check_heads, puppet_head
 from ...blender.heads.built_in import add_head
 from ...blender.media.preview_scene import face_view, setup_preview
 from ...blender.media.rendering import quiet, render_frames, set_rate, without_subdivision, write_video
 from ...blender.meshes import write_selection
+from ...blender.timeline import frames_of
 from ...core.bake.key_map import load_map
 from ...core.bake.settings import BakeSettings
 from ...core.capture import Frame, VideoSource, at_constant_rate, check_readable

@@ -69,7 +69,7 @@ class CoefficientSolver:
         Parameters
         ----------
         observed : (N, 213) float64
-            From `Observer.face`.
+            As for `frames`.
 
         Returns
         -------

@@ -94,10 +94,8 @@ def seen_view(places: FloatArray, faces: IntArray) -> tuple[View, Sight] | None:
 
     Parameters
     ----------
-    places : (V, 3) float64
-        Vertices of the mesh.
-    faces : (F, K) int
-        Vertices of each face, padded with -1.
+    places, faces
+        As for `views_of`.
 
     Returns
     -------

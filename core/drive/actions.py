@@ -90,10 +90,8 @@ class ActionDriver:
 
         Parameters
         ----------
-        actions : (15,) float64
-            `TrackResult.actions`.
-        shape : (66, 3) float64
-            `TrackResult.shape`.
+        actions, shape
+            As for `above_rest`.
 
         Returns
         -------
@@ -103,8 +101,7 @@ class ActionDriver:
         Notes
         -----
         Equation 4.5: ``min(max(u - f, 0) / (c - f), 1)``, and at most 0.6 for rolled lips, where u is `above_rest`, f
-        where the action begins to be
-        shown and c where it is shown in full.
+        where the action begins to be shown and c where it is shown in full.
         """
         if not np.isfinite(actions).all():
             return np.zeros(N_ACTIONS)

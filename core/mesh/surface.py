@@ -52,10 +52,8 @@ class SurfaceGraph:
 
     Parameters
     ----------
-    vertices : (V, 3) array
-        Any frame and unit.
-    faces : (F, K) array of int
-        Vertices of each face, padded with -1.
+    vertices, faces
+        As for `surface_normals`.
 
     Attributes
     ----------

@@ -106,6 +106,8 @@ FIELDS = (
     *("landmark_confidence", "pupils", "gaze", "vergence", "actions", "coefficients"),
 )
 """Names of the arrays of a take, which have one row per frame."""
+_DTYPES = {"pose": np.float64, "found": np.bool_}
+"""Those of a recorded take; the others are float32."""
 
 
 def describe(source: str, fps: float, image_size: tuple[int, int], model: str, clock: str = "media") -> dict[str, Any]:
@@ -170,25 +172,11 @@ class TakeRecorder:
         if not self._results:
             raise SourceError("Nothing was tracked, as the source has no frames. Choose another source.")
 
-        def stack(name: str, dtype: type) -> Any:
-            return np.array([getattr(result, name) for result in self._results], dtype=dtype)
-
-        return Take(
-            times=np.array(self._times, dtype=np.float64),
-            landmarks=stack("landmarks", np.float32),
-            pose=stack("pose", np.float64),
-            shape_params=stack("shape_params", np.float32),
-            shape=stack("shape", np.float32),
-            confidence=stack("confidence", np.float32),
-            found=stack("found", np.bool_),
-            landmark_confidence=stack("landmark_confidence", np.float32),
-            pupils=stack("pupils", np.float32),
-            gaze=stack("gaze", np.float32),
-            vergence=stack("vergence", np.float32),
-            actions=stack("actions", np.float32),
-            coefficients=stack("coefficients", np.float32),
-            info=dict(self.info),
-        )
+        rows = {name: [getattr(result, name) for result in self._results] for name in FIELDS if name != "times"}
+        arrays: dict[str, Any] = {
+            name: np.array(values, dtype=_DTYPES.get(name, np.float32)) for name, values in rows.items()
+        }
+        return Take(times=np.array(self._times, dtype=np.float64), **arrays, info=dict(self.info))
 
 
 def check_increase(last: float, time: float) -> None:

@@ -11,42 +11,20 @@ from numpy.typing import NDArray
 
 from ..actions import ACTION_MIRROR, N_ACTIONS
 from ..arrays import FloatArray, IntArray
-from ..landmarks import MIRROR
-from .experts import part_picture
-from .network import Network
+from .experts import FacePart
 
 
 @dataclass(frozen=True)
-class ActionExperts:
+class ActionExperts(FacePart):
     """Experts for the actions of one part of the face.
 
     Attributes
     ----------
-    network : Network
-    actions : (n,) int
+    actions : (k,) int
         Indices in `actions.ACTIONS`; those of the performer's right side if there are two such parts.
-    landmarks : (m,) int
-        Landmarks whose mean is the centre of the picture, on the same side.
-    scale : float
-        Pixels per outer-eye distance.
-    size : (int, int)
-        Width and height of the picture in pixels.
-    paired : bool
-        Whether the other half of the face has the same part, mirrored.
     """
 
-    network: Network
     actions: IntArray
-    landmarks: IntArray
-    scale: float
-    size: tuple[int, int]
-    paired: bool
-
-    @cached_property
-    def _sides(self) -> IntArray:
-        """(1 or 2, m) landmarks at the centre of the part, and of its mirror image."""
-        sides: IntArray = np.stack([self.landmarks, MIRROR[self.landmarks]][: 1 + self.paired])
-        return sides
 
     @cached_property
     def measured(self) -> IntArray:
@@ -68,18 +46,12 @@ class ActionExperts:
 
         Returns
         -------
-        (n,) or (2 n,) float64
+        (k,) or (2 k,) float64
             Activations of `measured`.
         """
-        pictures = np.empty((len(self._sides), *self.size[::-1]), np.float32)
-        place = pose.copy()
-        for picture, side in zip(pictures, self._sides, strict=True):
-            place[4:6] = landmarks[side].mean(axis=0)
-            picture[...] = part_picture(grey, place, self.scale, self.size)
-        # The network knows one side only; the other is shown mirrored.
-        if self.paired:
-            pictures[1] = pictures[1, :, ::-1].copy()
-        (activations,) = self.network(pictures)
+        poses = pose[None].repeat(len(self.sides), axis=0)
+        poses[:, 4:6] = landmarks[self.sides].mean(axis=1)
+        (activations,) = self.network(self.pictures(grey, poses))
         return np.asarray(activations.ravel(), dtype=np.float64)
 
 

@@ -12,6 +12,7 @@ by its scale, so that lengths are outer-eye distances.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from math import inf
@@ -160,12 +161,8 @@ def face_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: 
 
     Parameters
     ----------
-    grey : (H, W) uint8
-        Grey image.
-    pose : (6,) float64
-        Image frame.
-    scale : float
-        Pixels per outer-eye distance of the crop.
+    grey, pose, scale
+        As for `warp_to_reference`.
     size : int
         Side of the crop in pixels.
 
@@ -182,14 +179,8 @@ def part_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: 
 
     Parameters
     ----------
-    grey : (H, W) uint8
-        Grey image.
-    pose : (6,) float64
-        Image frame; its translation is the centre of the part.
-    scale : float
-        Pixels per outer-eye distance of the crop.
-    size : (int, int)
-        Width and height of the crop in pixels.
+    grey, pose, scale, size
+        As for `warp_to_reference`; the centre of the crop is that of the part.
 
     Returns
     -------
@@ -272,19 +263,19 @@ class FaceExperts:
 
 
 @dataclass(frozen=True)
-class PartExperts:
-    """Experts for the landmarks of one part of the face.
+class FacePart:
+    """A part of the face, and the network that sees pictures of it.
 
     Attributes
     ----------
     network : Network
+        Knows one side only; the other is shown mirrored.
     landmarks : (n,) int
-        Of the part; of the one on the viewer's left if there are two.
+        Their mean is the centre of the picture; of the part on the viewer's left if there are two.
     scale : float
         Pixels per outer-eye distance.
     size : (int, int)
-        Width and height of the picture in pixels, multiples of 8. They have to be those of the training, as they
-        determine how the coarsest cells lie about the centre.
+        Width and height of the picture in pixels.
     paired : bool
         Whether the other half of the face has the same part, mirrored.
     """
@@ -296,16 +287,47 @@ class PartExperts:
     paired: bool
 
     @cached_property
-    def _sides(self) -> IntArray:
+    def sides(self) -> IntArray:
         """(1 or 2, n) landmarks of the part, and of its mirror image."""
         sides: IntArray = np.stack([self.landmarks, MIRROR[self.landmarks]][: 1 + self.paired])
         return sides
 
+    def pictures(self, grey: NDArray[np.uint8], poses: Iterable[FloatArray]) -> NDArray[np.float32]:
+        """Crop what the network sees of each side.
+
+        Parameters
+        ----------
+        grey : (H, W) uint8
+            Grey image.
+        poses : iterable of (6,) float64
+            Of each side, as for `part_picture`.
+
+        Returns
+        -------
+        (1 or 2, height, width) float32
+            The standardised crops.
+        """
+        pictures = np.empty((len(self.sides), *self.size[::-1]), np.float32)
+        for picture, pose in zip(pictures, poses, strict=True):
+            picture[...] = part_picture(grey, pose, self.scale, self.size)
+        if self.paired:
+            pictures[1] = pictures[1, :, ::-1]
+        return pictures
+
+
+@dataclass(frozen=True)
+class PartExperts(FacePart):
+    """Experts for the landmarks of one part of the face.
+
+    Sides of its picture are multiples of 8. They have to be those of the training, as they determine how the coarsest
+    cells lie about the centre.
+    """
+
     @cached_property
     def _averages(self) -> FloatArray:
         """(1 or 2, 66) weights whose product with landmarks is the centre of each side."""
-        averages = np.zeros((len(self._sides), len(MIRROR)))
-        np.put_along_axis(averages, self._sides, 1.0 / len(self.landmarks), axis=1)
+        averages = np.zeros((len(self.sides), len(MIRROR)))
+        np.put_along_axis(averages, self.sides, 1.0 / len(self.landmarks), axis=1)
         return averages
 
     @cached_property
@@ -315,7 +337,7 @@ class PartExperts:
 
     @cached_property
     def _stride(self) -> NDArray[np.float32]:
-        return np.full((self._sides.size, 1), PART_STRIDE / self.scale, np.float32)
+        return np.full((self.sides.size, 1), PART_STRIDE / self.scale, np.float32)
 
     def respond(
         self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray, *, higher: float = 0.0
@@ -324,10 +346,8 @@ class PartExperts:
 
         Parameters
         ----------
-        grey : (H, W) uint8
-            Grey image.
-        pose : (6,) float64
-            Approximate pose of the face, image frame.
+        grey, pose
+            As for `FaceExperts.respond`.
         shape : (66, 2) float64
             Approximate landmarks in the face frame of `pose`.
         higher : float
@@ -338,21 +358,14 @@ class PartExperts:
         ResponseMaps
             In the face frame of `pose`, around these landmarks.
         """
-        sides = self._sides
         centres = self._averages @ shape - (0.0, higher)
-        pictures = np.empty((len(sides), *self.size[::-1]), np.float32)
-        for picture, centre in zip(pictures, centres.tolist(), strict=True):
-            picture[...] = part_picture(grey, translate_pose(pose, *centre), self.scale, self.size)
-        # The network knows one side only; the other is shown and read mirrored.
-        if self.paired:
-            pictures[1] = pictures[1, :, ::-1]
-        (maps,) = self.network(pictures)
+        (maps,) = self.network(self.pictures(grey, (translate_pose(pose, *centre) for centre in centres.tolist())))
         if self.paired:
             maps[1] = maps[1, :, :, ::-1]
         corner = (centres + self._first_cell).astype(np.float32)
         return ResponseMaps(
-            sides.ravel(),
+            self.sides.ravel(),
             _likelihood(maps.reshape(-1, *maps.shape[2:])),
-            corner.repeat(sides.shape[1], axis=0),
+            corner.repeat(self.sides.shape[1], axis=0),
             self._stride,
         )

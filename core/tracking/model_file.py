@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import struct
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,14 +14,14 @@ from numpy.typing import NDArray
 
 from ..actions import N_ACTIONS
 from ..archives import MAX_BYTES, Archive, read_archive
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..errors import ModelError, OutputError
 from ..landmarks import N_LANDMARKS, outer_eye_distance
 from ..reading import read_bytes
 from .action_experts import ActionExperts
 from .check import N_FEATURES, FaceCheck
 from .detect import DETECTORS
-from .experts import FACE_STRIDE, PART_STRIDE, FaceExperts, PartExperts
+from .experts import FACE_STRIDE, PART_STRIDE, FaceExperts, FacePart, PartExperts
 from .network import Network
 from .patch_experts import PATCH, PatchExperts
 from .pdm import PointDistributionModel
@@ -85,24 +86,15 @@ def _pack_faces(model: TrackerModel) -> dict[str, NDArray[np.generic]]:
     return arrays | {f"face_{i}_network": _packed(e.network) for i, e in enumerate(experts)}
 
 
-def _pack_parts(parts: tuple[PartExperts, ...]) -> dict[str, NDArray[np.generic]]:
-    arrays: dict[str, NDArray[np.generic]] = {"part_scales": np.array([p.scale for p in parts])}
-    arrays["part_sizes"] = np.array([p.size for p in parts], np.int32)
-    arrays["part_paired"] = np.array([p.paired for p in parts])
+def _pack_parts(kind: str, parts: Sequence[FacePart]) -> dict[str, NDArray[np.generic]]:
+    arrays: dict[str, NDArray[np.generic]] = {f"{kind}_scales": np.array([p.scale for p in parts])}
+    arrays[f"{kind}_sizes"] = np.array([p.size for p in parts], np.int32)
+    arrays[f"{kind}_paired"] = np.array([p.paired for p in parts])
     for i, part in enumerate(parts):
-        arrays[f"part_{i}_landmarks"] = part.landmarks.astype(np.int16)
-        arrays[f"part_{i}_network"] = _packed(part.network)
-    return arrays
-
-
-def _pack_actions(parts: tuple[ActionExperts, ...]) -> dict[str, NDArray[np.generic]]:
-    arrays: dict[str, NDArray[np.generic]] = {"action_scales": np.array([p.scale for p in parts])}
-    arrays["action_sizes"] = np.array([p.size for p in parts], np.int32)
-    arrays["action_paired"] = np.array([p.paired for p in parts])
-    for i, part in enumerate(parts):
-        arrays[f"action_{i}_landmarks"] = part.landmarks.astype(np.int16)
-        arrays[f"action_{i}_actions"] = part.actions.astype(np.int16)
-        arrays[f"action_{i}_network"] = _packed(part.network)
+        arrays[f"{kind}_{i}_landmarks"] = part.landmarks.astype(np.int16)
+        if isinstance(part, ActionExperts):
+            arrays[f"{kind}_{i}_actions"] = part.actions.astype(np.int16)
+        arrays[f"{kind}_{i}_network"] = _packed(part.network)
     return arrays
 
 
@@ -175,8 +167,8 @@ def save_model(model: TrackerModel, path: Path) -> str:
         "box_offset": model.box_offset.astype(np.float32),
         "check_weights": model.check.weights.astype(np.float32),
         **_pack_faces(model),
-        **_pack_parts(model.parts),
-        **_pack_actions(model.actions),
+        **_pack_parts("part", model.parts),
+        **_pack_parts("action", model.actions),
         **_pack_patches(model.patches),
     }
     buffer = io.BytesIO()
@@ -293,35 +285,37 @@ def _face(place: int, archive: Archive) -> FaceExperts:
 
 
 def _parts(archive: Archive) -> tuple[PartExperts, ...]:
-    scales = _scales("part_scales", None, archive)
-    if not 1 <= len(scales) <= _MOST_PARTS:
-        raise ValueError(f"there are {len(scales)} parts, not 1 to {_MOST_PARTS}")
-    sizes = archive.wholes("part_sizes", (len(scales), 2), 8, _LARGEST_SIDE)
-    paired = archive.flags("part_paired", (len(scales),)).tolist()
     parts = []
-    for i, (width, height) in enumerate(sizes.tolist()):
-        landmarks = archive.wholes(f"part_{i}_landmarks", (None,), 0, N_LANDMARKS - 1)
+    for i, seen in enumerate(_seen_parts("part", archive)):
+        landmarks, _, (width, height), _ = seen
         network = Network(archive.data(f"part_{i}_network"), "maps")
         if not 1 <= len(landmarks) == len(set(landmarks.tolist())) or width % 8 or height % 8:
             raise ValueError(f"part {i} has no landmarks, or one twice, or its size is not a multiple of 8")
         network.check((width, height), (1, len(landmarks), height // PART_STRIDE, width // PART_STRIDE))
-        parts.append(PartExperts(network, landmarks, scales[i], (width, height), paired[i]))
+        parts.append(PartExperts(network, *seen))
     return tuple(parts)
 
 
 def _actions(archive: Archive) -> tuple[ActionExperts, ...]:
-    scales = _scales("action_scales", None, archive)
-    if not 1 <= len(scales) <= _MOST_PARTS:
-        raise ValueError(f"there are {len(scales)} parts with actions, not 1 to {_MOST_PARTS}")
-    sizes = archive.wholes("action_sizes", (len(scales), 2), 8, _LARGEST_SIDE)
-    paired = archive.flags("action_paired", (len(scales),)).tolist()
     parts = []
-    for i, (width, height) in enumerate(sizes.tolist()):
-        landmarks = archive.wholes(f"action_{i}_landmarks", (None,), 0, N_LANDMARKS - 1)
+    for i, seen in enumerate(_seen_parts("action", archive)):
+        landmarks, _, size, _ = seen
         actions = archive.wholes(f"action_{i}_actions", (None,), 0, N_ACTIONS - 1)
         network = Network(archive.data(f"action_{i}_network"), "actions")
         if not len(landmarks) or not len(actions):
             raise ValueError(f"part {i} has no landmarks or no actions")
-        network.check((width, height), (1, len(actions)))
-        parts.append(ActionExperts(network, actions, landmarks, scales[i], (width, height), paired[i]))
+        network.check(size, (1, len(actions)))
+        parts.append(ActionExperts(network, *seen, actions))
     return tuple(parts)
+
+
+def _seen_parts(kind: str, archive: Archive) -> Iterator[tuple[IntArray, float, tuple[int, int], bool]]:
+    """Landmarks, scale, size and pairing of each `FacePart` of a kind."""
+    scales = _scales(f"{kind}_scales", None, archive)
+    if not 1 <= len(scales) <= _MOST_PARTS:
+        raise ValueError(f"{kind}_scales has {len(scales)} parts, not 1 to {_MOST_PARTS}")
+    sizes = archive.wholes(f"{kind}_sizes", (len(scales), 2), 8, _LARGEST_SIDE)
+    paired = archive.flags(f"{kind}_paired", (len(scales),)).tolist()
+    for i, (width, height) in enumerate(sizes.tolist()):
+        landmarks = archive.wholes(f"{kind}_{i}_landmarks", (None,), 0, N_LANDMARKS - 1)
+        yield landmarks, scales[i], (width, height), paired[i]

@@ -82,10 +82,8 @@ def draw_face(image: Image, landmarks: FloatArray, side: int, margin: float = 0.
 
     Parameters
     ----------
-    image : (H, W, 3) uint8
-        BGR.
-    landmarks : (66, 2) float64
-        Pixels of `image`.
+    image, landmarks
+        As for `draw_frame`.
     side : int
         Side of the square in pixels.
     margin : float

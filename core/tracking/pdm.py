@@ -109,10 +109,8 @@ class PointDistributionModel:
 
         Parameters
         ----------
-        pose : (6,) float64
-            As in `TrackResult`.
-        shape_params : (K,) float64
-            Coefficients of the modes.
+        pose, shape_params
+            As for `project`.
 
         Returns
         -------
@@ -159,10 +157,8 @@ class PointDistributionModel:
 
         Parameters
         ----------
-        pose : (6,) float64
-            As in `TrackResult`.
-        shape_params : (K,) float64
-            Coefficients of the modes.
+        pose, shape_params
+            As for `project`.
         delta : (6 + K,) float64
             The update.
 

@@ -100,10 +100,8 @@ class FaceSearch:
 
         Parameters
         ----------
-        grey : (H, W) uint8
-            Grey image.
-        last : FittedShape
-            Fit of the previous frame, image frame.
+        grey, last
+            As for `FaceFitter.follow`.
 
         Returns
         -------

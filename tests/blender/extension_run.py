@@ -68,7 +68,7 @@ def main() -> dict:
 def bake_every_way(bpy, head) -> dict:
     """Bake the clip to shape keys and to a cache with the installed modules; return the errors of the playback."""
     puppet = importlib.import_module(f"{MODULE}.blender.animation.puppet")
-    bake = importlib.import_module(f"{MODULE}.blender.animation.bake")
+    timeline = importlib.import_module(f"{MODULE}.blender.timeline")
     pipeline = importlib.import_module(f"{MODULE}.core.takes.from_video")
     tracker = importlib.import_module(f"{MODULE}.core.tracking.tracker")
     take = pipeline.track_video(Path(CLIP), tracker.FaceTracker.load()).finish().part(slice(0, 50))
@@ -83,7 +83,7 @@ def bake_every_way(bpy, head) -> dict:
             report = puppet.puppet_head(scene, head, take, puppet.PuppetSettings(bake=options))
             worst[keys] = 0.0
             for row in range(len(report.motion.times)):
-                frame = float(bake.frames_of(scene, report.motion.times[row]))
+                frame = float(timeline.frames_of(scene, report.motion.times[row]))
                 scene.frame_set(int(frame // 1), subframe=frame % 1.0)
                 mesh = head.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
                 shown = [(v.co.x, -v.co.z, v.co.y) for v in mesh.vertices]

@@ -8,13 +8,13 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.animation.bake import frames_of
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.targets import PoseTarget
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import PART_PROPERTY, TONGUE_KEY
 from facemime.blender.rigs import read_rig
+from facemime.blender.timeline import frames_of
 from facemime.core.actions import ACTIONS, N_ACTIONS
 from facemime.core.bake.settings import BakeSettings
 from facemime.core.drive.driver import HeadDriver

@@ -4,7 +4,6 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.animation.bake import frames_of
 from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.targets import PoseTarget
@@ -13,6 +12,7 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import write_vertices
 from facemime.blender.names import LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS
 from facemime.blender.rigs import read_rig
+from facemime.blender.timeline import frames_of
 from facemime.core.errors import HeadError
 from facemime.core.landmarks import OUTER_EYE_CORNERS
 from facemime.core.puppet.settings import PuppetSettings

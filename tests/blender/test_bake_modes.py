@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from facemime.blender.actions import TRACK
-from facemime.blender.animation.bake import frames_of
 from facemime.blender.animation.bake_cache import MODIFIER
 from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX, read_keys
 from facemime.blender.animation.live import Follow, LiveHeadObject
@@ -18,6 +17,7 @@ from facemime.blender.characters import members_of
 from facemime.blender.frames import from_blender, rotation_to_blender
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.rigs import read_rig
+from facemime.blender.timeline import frames_of
 from facemime.core.bake.key_map import KeyMap, KeyRow
 from facemime.core.bake.settings import BakeSettings
 from facemime.core.drive.driver import HeadDriver

@@ -7,7 +7,6 @@ from characters import TRUTH, shown, strangers, turn_between
 from mathutils import Vector
 
 from commands import run
-from facemime.blender.animation.bake import frames_of
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.targets import own_targets
@@ -17,6 +16,7 @@ from facemime.blender.heads.binding import bind_character, check_object
 from facemime.blender.meshes import read_landmarks, read_vertices
 from facemime.blender.names import HEAD_PROPERTY
 from facemime.blender.rigs import read_rig
+from facemime.blender.timeline import frames_of
 from facemime.core.bake.settings import BakeSettings
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.heads.parts import Part

@@ -14,14 +14,12 @@ from facemime.blender.names import PART_PROPERTY
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.streams.live_link import LiveLinkDecoder
-from facemime.core.streams.sender import SendSettings, StreamSender
 from facemime.core.takes.coefficient_table import write_coefficient_csv
-from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import running
 from facemime.settings import takes_store
 from facemime.settings.values import open_sender, open_source, read_calibration, write_calibration
-from links import free_port
+from links import free_port, sending_phone
 from live_ticks import shown, some_frames, start, tick, ticks_until
 from takes import coefficient_take, performance
 
@@ -31,24 +29,11 @@ pytestmark = pytest.mark.usefixtures("nothing_left_over")
 @pytest.fixture
 def phone():
     """A stream of Live Link Face as the source, and somebody who sends it all the time."""
-    source, port, over = bpy.context.scene.facemime.source, free_port(), threading.Event()
+    source, port = bpy.context.scene.facemime.source, free_port()
     source.kind, source.stream.protocol, source.stream.port = "STREAM", "livelink", port
     bpy.context.scene.facemime.smoothing = 0.0
-    sender = StreamSender(SendSettings("livelink", port=port, subject="Phone"))
-    take, neutral = coefficient_take(60), coefficient_face().neutral
-
-    def send() -> None:
-        number, began = 0, time.monotonic()
-        while not over.wait(1.0 / 60.0):
-            sender.send(time.monotonic() - began, take.result(number % len(take)), neutral)
-            number += 1
-
-    thread = threading.Thread(target=send)
-    thread.start()
-    yield take
-    over.set()
-    thread.join()
-    sender.close()
+    with sending_phone(port) as take:
+        yield take
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from commands import run
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.heads.rig import built_in_rig
 from facemime.core.streams.vertices import VertexSender
-from links import free_port
+from links import all_the_time, free_port
 from watching import NEUTRAL, built_in, face
 
 RECEIVERS = Path(__file__).resolve().parents[2] / "docs" / "receivers"
@@ -96,31 +96,22 @@ def test_a_receiver_that_comes_back_gets_the_mesh_again_and_one_that_changes_ano
     receiver = python_receiver()
     driver, looks = built_in()
     larger = HeadDriver(replace(built_in_rig(), vertices=2.0 * built_in_rig().vertices), NEUTRAL)
-    over = threading.Event()
     driven = [driver]
-
-    def keep_on(sender: VertexSender) -> None:
-        while not over.wait(0.01):
-            sender.show(0.0, driven, [driven[0].frame(face(1))])
-
-    with VertexSender(*listener.getsockname(), [looks]) as sender:
-        feeding = threading.Thread(target=keep_on, args=(sender,))
-        feeding.start()
-        try:
-            for _ in range(2):
-                connection, _ = listener.accept()
-                with connection:
-                    messages = receiver.receive(connection)
-                    assert isinstance(next(messages), receiver.Mesh) and isinstance(next(messages), receiver.Frame)
+    with (
+        VertexSender(*listener.getsockname(), [looks]) as sender,
+        all_the_time(lambda _: sender.show(0.0, driven, [driven[0].frame(face(1))]), pause=0.01),
+    ):
+        for _ in range(2):
             connection, _ = listener.accept()
             with connection:
                 messages = receiver.receive(connection)
-                before = next(messages)
-                driven[0] = larger
-                after = next(message for message in messages if isinstance(message, receiver.Mesh))
-        finally:
-            over.set()
-            feeding.join()
+                assert isinstance(next(messages), receiver.Mesh) and isinstance(next(messages), receiver.Frame)
+        connection, _ = listener.accept()
+        with connection:
+            messages = receiver.receive(connection)
+            before = next(messages)
+            driven[0] = larger
+            after = next(message for message in messages if isinstance(message, receiver.Mesh))
     count = len(driver.rest)
     np.testing.assert_allclose(after.rest[:count], 2.0 * before.rest[:count], rtol=1e-6)
 

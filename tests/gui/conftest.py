@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 from walking import EVERY_FRAME, TOOLS
@@ -64,9 +64,12 @@ def install(blender: Blender) -> None:
     blender.redraw()
 
 
-def started(suite: str, name: str, **options: Any) -> Blender:
-    """Return a Blender that is not running yet, with screenshots in build/gui/<suite>/<name>."""
-    return Blender(place_of(suite), f"{suite}/{name}", **options)
+@contextmanager
+def installed(suite: str, name: str, size: tuple[int, int]) -> Iterator[Blender]:
+    """A Blender with the extension installed, with screenshots in build/gui/<suite>/<name>."""
+    with Blender(place_of(suite), f"{suite}/{name}", size) as window:
+        install(window)
+        yield window
 
 
 @pytest.fixture(
@@ -75,8 +78,7 @@ def started(suite: str, name: str, **options: Any) -> Blender:
 def blender(request: pytest.FixtureRequest) -> Iterator[Blender]:
     """A window with the extension installed. Each test starts with a new file."""
     name = Path(request.module.__file__).stem.removeprefix("test_")
-    with started(request.param, name, size=(1100, 1080)) as window:
-        install(window)
+    with installed(request.param, name, size=(1100, 1080)) as window:
         yield window
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from walking import TOOLS
 
-from conftest import SUITES, install, started
+from conftest import SUITES, installed
 from sidebar import Sidebar
 from window import Blender
 
@@ -23,8 +23,7 @@ _LEAST_SHARE, _LEAST_MOTION = 0.15, 0.01
     "suite", [pytest.param(name, marks=[pytest.mark.thorough] * (name != "sid")) for name in SUITES]
 )
 def test_two_clicks_lead_from_the_default_scene_to_a_moving_face_and_stop_stays_in_view(suite, size):
-    with started(suite, f"first-{size[0]}", size=size) as blender:
-        install(blender)
+    with installed(suite, f"first-{size[0]}", size=size) as blender:
         blender.do("bpy.ops.wm.read_homefile(use_factory_startup=False)")
         blender.redraw()
         sidebar = Sidebar(blender)

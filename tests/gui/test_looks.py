@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from walking import CLIP, TOOLS, run_in_viewport, start, stop
 
-from conftest import install, started
+from conftest import installed
 from sidebar import Sidebar
 from window import Blender
 
@@ -27,8 +27,7 @@ bpy.ops.script.execute_preset(
 @pytest.fixture(scope="module")
 def blender() -> Iterator[Blender]:
     """Only the newest Blender, in a window that has room for all headers at twice the resolution scale."""
-    with started("sid", "looks", size=(1100, 1100)) as window:
-        install(window)
+    with installed("sid", "looks", size=(1100, 1100)) as window:
         yield window
 
 

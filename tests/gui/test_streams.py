@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import socket
-import threading
-import time
 from collections.abc import Iterator
 
 import pytest
 
-from conftest import install, started
+from conftest import installed
 from facemime.core.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.streams.live_link import LiveLinkDecoder
-from facemime.core.streams.sender import SendSettings, StreamSender
-from facemime.core.takes.from_coefficients import coefficient_face
-from links import free_port
+from links import free_port, sending_phone
 from sidebar import Sidebar
-from takes import coefficient_take
 from window import Blender
 
 pytestmark = pytest.mark.thorough
@@ -31,29 +26,16 @@ settings.output.enabled, settings.output.protocol, settings.output.port = True, 
 @pytest.fixture(scope="module")
 def blender() -> Iterator[Blender]:
     """The newest Blender with the extension."""
-    with started("sid", "streams", size=(1100, 1000)) as window:
-        install(window)
+    with installed("sid", "streams", size=(1100, 1000)) as window:
         yield window
 
 
 @pytest.fixture
 def phone() -> Iterator[int]:
     """The port to which a phone sends all the time."""
-    port, over = free_port(), threading.Event()
-    sender, take = StreamSender(SendSettings("livelink", port=port, subject="Phone")), coefficient_take(60)
-
-    def send() -> None:
-        number, began = 0, time.monotonic()
-        while not over.wait(1.0 / 60.0):
-            sender.send(time.monotonic() - began, take.result(number % len(take)), coefficient_face().neutral)
-            number += 1
-
-    thread = threading.Thread(target=send)
-    thread.start()
-    yield port
-    over.set()
-    thread.join()
-    sender.close()
+    port = free_port()
+    with sending_phone(port):
+        yield port
 
 
 def test_a_phone_drives_a_head_and_is_passed_on(blender, phone):

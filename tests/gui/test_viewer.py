@@ -9,7 +9,7 @@ import pytest
 from clocks import PATIENCE
 from websockets.sync.client import connect
 
-from conftest import install, started
+from conftest import installed
 from sidebar import Sidebar
 from window import Blender
 
@@ -30,8 +30,7 @@ _SERVER = "__import__('bl_ext.user_default.facemime.operators.puppet', fromlist=
 @pytest.fixture(scope="module")
 def blender() -> Iterator[Blender]:
     """The newest Blender with the extension."""
-    with started("sid", "viewer", size=(1100, 1300)) as window:
-        install(window)
+    with installed("sid", "viewer", size=(1100, 1300)) as window:
         yield window
 
 

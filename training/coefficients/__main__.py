@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy loads: sums in another order give other bytes
 
@@ -22,13 +21,13 @@ from facemime.core.drive.settings import DriveSettings
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.tracker import FaceTracker
 
+from ..data import ROOT, add_data_option
 from ..tracker.heads import IctHead, load_ict
 from ..tracker.sources import HAND_LABELLED, read_photos, split
 from .learn import learn, model_bytes
 from .performances import performer, tracked
 from .simulate import Observed, built_in_face, ict_face, simulate
 
-ROOT = Path(__file__).resolve().parents[2]
 _SECONDS, _FPS = 24.0, 8.0
 _FIRST = 1000
 """Number of the first performer; those of the benchmark start at 0, so that their scripts differ."""
@@ -39,7 +38,7 @@ _FACES, _EACH = 60, 120
 def main() -> int:
     """Learn and write."""
     parser = argparse.ArgumentParser(prog="python -m training.coefficients", description=__doc__)
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    add_data_option(parser)
     parser.add_argument("--people", type=int, default=40)
     arguments = parser.parse_args()
     cv2.setNumThreads(1)

@@ -16,14 +16,13 @@ from facemime.core.tracking.tracker import FaceTracker
 
 from ..tracker.heads import IctHead
 from ..tracker.organs import Eyes, random_eyes
-from ..tracker.reproject import Light, Scene, SkinnedHead, render, skin_head
+from ..tracker.reproject import WINDOW_LIGHT, Scene, SkinnedHead, render, skin_head
 from ..tracker.sources import Photo
 from ..tracker.wrinkles import crease
 from .script import ict_weights, random_script, script_at
 
 _SIZE, _EYES, _NOISE = 400, 100.0, 3.0
 """Pixels of a side and between the outer corners of the eyes, and grey levels of noise."""
-_LIGHT = Light(0.7, 0.4, np.array([0.4, -0.3, -0.866]))
 _SWAY, _RATES = np.radians([4.0, 14.0, 4.0]), np.array([1.3, 1.05, 0.8])
 _BLINKS, _BLINK = 2.3, 0.24
 """Seconds between blinks, and those that one takes."""
@@ -70,12 +69,12 @@ def _picture(person: Performer, keys: np.ndarray, pose: np.ndarray, eyes: Eyes, 
     """A picture (S, S) uint8 of a person who acts `keys` in front of the background of the photo."""
     head, skinned = person.head, person.skinned
     weights, tongue = ict_weights(head, keys, skinned.blink)
-    scene = Scene(_LIGHT, 0.06, tongue=(0.8, 0.8), tongue_out=tongue, eyes=eyes)
+    scene = Scene(WINDOW_LIGHT, 0.06, tongue=(0.8, 0.8), tongue_out=tongue, eyes=eyes)
     drawn = render(head, skinned, weights, pose, _SIZE, scene, rng)
     corners = skinned.uv[head.landmarks][JAW], drawn.landmarks[JAW].astype(np.float32)
     move, _ = cv2.estimateAffinePartial2D(*corners, method=cv2.LMEDS)
     behind = cv2.warpAffine(skinned.skin, move, (_SIZE, _SIZE), borderMode=cv2.BORDER_REPLICATE)
-    behind = behind * (_LIGHT.ambient + 0.5 * _LIGHT.strength)
+    behind = behind * (WINDOW_LIGHT.ambient + 0.5 * WINDOW_LIGHT.strength)
     edge = cv2.GaussianBlur(drawn.covered.astype(np.float32), (0, 0), 0.8)
     image = np.where(drawn.covered, drawn.image * edge + behind * (1.0 - edge), behind).clip(0, 255).astype(np.uint8)
     shown = dict(zip(head.names, weights.tolist(), strict=True))

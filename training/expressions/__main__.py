@@ -21,11 +21,11 @@ from facemime.core.heads.proposal import propose_regions
 from facemime.core.takes.face_space import FACE_SPACE_FILE
 from facemime.core.tracking.tracker import FaceTracker
 
+from ..data import ROOT, add_data_option
 from ..head.build import to_bytes
 from ..tracker.heads import FACE, load_ict
 from .face_space import face_space_bytes, learn_face_space
 
-ROOT = Path(__file__).resolve().parents[2]
 ARKIT_EXCEPTIONS = ("PupilDilate", "cheekRaiser")
 """Shapes beyond ARKit's: what is left are ICT-FaceKit's 53 expressions."""
 _EVERY = 3
@@ -34,7 +34,7 @@ _EVERY = 3
 def main() -> int:
     """Learn and write."""
     parser = argparse.ArgumentParser(prog="python -m training.expressions", description=__doc__)
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    add_data_option(parser)
     arguments = parser.parse_args()
     files = {
         EXPRESSIONS_FILE: model_bytes(learn_ict(arguments.data)),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 
+from ..data import ROOT
 from .build import build_files
-from .source import ROOT, open_source
+from .source import open_source
 
 ASSETS = ROOT / "assets" / "head"
 

@@ -21,32 +21,42 @@ _NECK_LEVEL, _NECK_SLOPE = -0.628, 0.32
 _SOCKET_DEPTH = 0.0085
 
 
-@dataclass
-class HalfMesh:
-    """Triangles of the left half.
+@dataclass(frozen=True)
+class BlendedMesh:
+    """A mesh in terms of hm08.
 
     Attributes
     ----------
     blend : (V, 2) int, the two vertices of hm08 that a vertex blends
     share : (V,) share of the second one
+    """
+
+    blend: NDArray[np.int64]
+    share: NDArray[np.float64]
+
+    def positions(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Blend (N, 3) `points` of hm08 to (V, 3)."""
+        share = self.share[:, None]
+        return (1.0 - share) * points[self.blend[:, 0]] + share * points[self.blend[:, 1]]
+
+
+@dataclass(frozen=True)
+class HalfMesh(BlendedMesh):
+    """Triangles of the left half.
+
+    Attributes
+    ----------
     triangles : (T, 3) int
     tokens : (T, 3) int, a number for each corner's place in the texture
     token_chart, token_uv : (K,), (K, 2), chart and native coordinates of each token; NaN for the neck's
     quad : (T,) number of the quad that a triangle came from
     """
 
-    blend: NDArray[np.int64]
-    share: NDArray[np.float64]
     triangles: NDArray[np.int64]
     tokens: NDArray[np.int64]
     token_chart: NDArray[np.int64]
     token_uv: NDArray[np.float64]
     quad: NDArray[np.int64]
-
-    def positions(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Blend (N, 3) `points` of hm08 to (V, 3)."""
-        share = self.share[:, None]
-        return (1.0 - share) * points[self.blend[:, 0]] + share * points[self.blend[:, 1]]
 
 
 def cut_half(base: BaseMesh, points: NDArray[np.float64]) -> HalfMesh:

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-ROOT = Path(__file__).parents[2]
+from ..data import ROOT
+
 REQUIREMENTS = ROOT / "requirements" / "head.txt"
 DOWNLOADS = ROOT / "build" / "head"
 

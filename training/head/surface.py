@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from . import anatomy
 from .coarsen import coarsen
-from .cut import CAVITY, FACE, NECK, SOCKET, HalfMesh, cut_half
+from .cut import CAVITY, FACE, NECK, SOCKET, BlendedMesh, HalfMesh, cut_half
 from .source import BaseMesh
 
 N_VERTICES = 1781
@@ -20,31 +20,23 @@ _MIDDLE, _EAR, _EAR_SIZE = 0.4842, (0.848, 0.1416), (0.026, 0.020)
 
 
 @dataclass(frozen=True)
-class Surface:
+class Surface(BlendedMesh):
     """The whole skin mesh in terms of hm08.
 
     Attributes
     ----------
-    blend, share : (V, 2) int and (V,), as in `HalfMesh`
     faces : (F, 4) int, -1 pads triangles
     tokens : (F, 4) int, rows of `token_chart` and `token_uv`
     mirrored : (F,) bool, whether a face is of the right half, whose texture place is the mirror image of its token's
     mirror : (V,) int, the vertex on the other side
     """
 
-    blend: NDArray[np.int64]
-    share: NDArray[np.float64]
     faces: NDArray[np.int64]
     tokens: NDArray[np.int64]
     token_chart: NDArray[np.int64]
     token_uv: NDArray[np.float64]
     mirrored: NDArray[np.bool_]
     mirror: NDArray[np.int64]
-
-    def positions(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Blend (N, 3) `points` of hm08 to (V, 3)."""
-        share = self.share[:, None]
-        return (1.0 - share) * points[self.blend[:, 0]] + share * points[self.blend[:, 1]]
 
     def vertex_of(self, native: NDArray[np.int64]) -> NDArray[np.int64]:
         """Vertices of the skin that are the vertices `native` of hm08; every one must have been kept."""

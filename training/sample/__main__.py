@@ -14,13 +14,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..data import DATA, ROOT
 from ..head.build import to_bytes
-from ..head.source import ROOT, open_source
+from ..head.source import open_source
 from .actor import Actor, build_actor
 from .performance import FPS, labels, place_at, pose_at, times, units_at
 
 ASSETS = ROOT / "assets" / "sample"
-SKIN = ROOT.parent / "shared/data/heads/makehuman_skins/young_lightskinned_male_diffuse3.jpg"
+SKIN = DATA / "heads/makehuman_skins/young_lightskinned_male_diffuse3.jpg"
 
 
 def main() -> int:

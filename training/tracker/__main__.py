@@ -14,9 +14,9 @@ from time import perf_counter
 from facemime.core.tracking.model_file import save_model
 from facemime.core.tracking.tracker import DEFAULT_MODEL
 
+from ..data import ROOT, add_data_option
 from .workshop import ACTING, ACTION_PARTS, FACES, PARTS, Job, Workshop, run_job
 
-ROOT = Path(__file__).parents[2]
 _PHOTOS_A_PART = 12
 
 
@@ -30,7 +30,7 @@ def _run_all(jobs: list[Job], processes: int) -> None:
 def main() -> None:
     """Run every step that is not done yet, then write the model."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    add_data_option(parser)
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "model")
     parser.add_argument("--output", type=Path, default=DEFAULT_MODEL)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)

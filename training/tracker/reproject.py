@@ -156,6 +156,10 @@ class Light:
     direction: np.ndarray
 
 
+WINDOW_LIGHT = Light(0.7, 0.4, np.array([0.4, -0.3, -0.866]))
+"""As from a window beside the camera."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """What a head is drawn with, besides its shape and pose.

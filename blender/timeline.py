@@ -1,0 +1,63 @@
+"""Frames of a scene and seconds."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+
+def rate_of(scene: bpy.types.Scene) -> float:
+    """Return the frames per second of `scene`."""
+    return float(scene.render.fps / scene.render.fps_base)
+
+
+def frames_of(scene: bpy.types.Scene, times: NDArray[np.floating], start: float = 1.0) -> NDArray[np.floating]:
+    """Convert times to frames of the scene.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    times : (N,) array
+        Seconds.
+    start : float
+        Frame at 0 s.
+
+    Returns
+    -------
+    (N,) array
+        Frames, which may be fractional.
+    """
+    return start + times * rate_of(scene)
+
+
+def seconds_of(scene: bpy.types.Scene, start: float = 1.0) -> float:
+    """Return the time at the current frame, seconds; the inverse of `frames_of`.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    start : float
+        Frame at 0 s.
+    """
+    return seconds_at(scene, scene.frame_current_final, start)
+
+
+def seconds_at(scene: bpy.types.Scene, frame: float, start: float = 1.0) -> float:
+    """Return the time at `frame` of the scene, seconds; frame `start` is at 0 s.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    frame : float
+    start : float
+        Frame at 0 s.
+    """
+    return float((frame - start) * scene.render.fps_base / scene.render.fps)
+
+
+def frame_range(scene: bpy.types.Scene) -> range:
+    """Return the frames that Blender plays: the preview range, if one is set, or else those of the scene."""
+    if scene.use_preview_range:
+        return range(scene.frame_preview_start, scene.frame_preview_end + 1)
+    return range(scene.frame_start, scene.frame_end + 1)
