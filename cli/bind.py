@@ -31,10 +31,13 @@ def add_commands(commands: Commands) -> None:
         const="arkit",
         help="also add a set of shape keys: ARKit's 52 face units (without a name), VRM's, Oculus' or FaceGen's",
     )
-    bind.set_defaults(run=lambda a: run_bind(a.character, a.output, a.picture, make_keys=a.make_keys))
+    bind.add_argument("--cut-open", action="store_true", help="cut joined lips and eyes open, such as those of a scan")
+    bind.set_defaults(
+        run=lambda a: run_bind(a.character, a.output, a.picture, make_keys=a.make_keys, cut_open=a.cut_open)
+    )
 
 
-def run_bind(character: HeadFile, output: Path, picture: Path | None, *, make_keys: str | None) -> int:
+def run_bind(character: HeadFile, output: Path, picture: Path | None, *, make_keys: str | None, cut_open: bool) -> int:
     """Run `facemime bind`: bind a character, and print a line for each part and key; returns the exit status."""
     try:
         with STOPPING.importing():
@@ -44,7 +47,7 @@ def run_bind(character: HeadFile, output: Path, picture: Path | None, *, make_ke
             f"bind needs Blender ({error}). Run: blender --command facemime bind ..., or install bpy."
         ) from error
     with outputs_of(((output, {".blend"}), (picture, {".png"})), {"the character": character.path}):
-        bound = headless.bind(character, keys=None if make_keys is None else KEY_SETS[make_keys])
+        bound = headless.bind(character, keys=None if make_keys is None else KEY_SETS[make_keys], cut_open=cut_open)
         headless.save(bound, output)
         if picture is not None:
             headless.write_picture(bound, picture)

@@ -18,11 +18,14 @@ Unit = Literal["", "percent", "angle", "seconds"]
 
 
 class Choice(NamedTuple):
-    """One of the values of a setting, with its label and tooltip in a menu."""
+    """One of the values of a setting, with its label and tooltip in a menu, and the number that a .blend file stores;
+    by default its place among the values.
+    """
 
     value: str
     label: str
     description: str
+    number: int = -1
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
 
-from ..core.settings import Setting, settings_of
+from ..core.settings import Choice, Setting, settings_of
 
 Group = TypeVar("Group")
 Owner = TypeVar("Owner", bound=type[bpy.types.PropertyGroup])
@@ -29,7 +29,7 @@ def property_of(setting: Setting) -> Any:
     """Return the Blender property of a setting, for an annotation."""
     texts: dict[str, Any] = {"name": setting.label, "description": setting.description}
     if setting.choices:
-        return EnumProperty(**texts, items=tuple(map(tuple, setting.choices)), default=setting.default)
+        return EnumProperty(**texts, items=_items(setting.choices), default=setting.default)
     if setting.kind is bool:
         return BoolProperty(**texts, default=setting.default)
     stored = {"default": setting.default, "min": setting.low, "max": setting.high, "soft_max": setting.soft_high}
@@ -37,6 +37,13 @@ def property_of(setting: Setting) -> Any:
     if setting.kind is int:
         return IntProperty(**texts, **numbers)
     return FloatProperty(**texts, **numbers, **_DISPLAY[setting.unit])
+
+
+def _items(choices: Sequence[Choice]) -> tuple[tuple[str, str, str, int], ...]:
+    return tuple(
+        (choice.value, choice.label, choice.description, place if choice.number < 0 else choice.number)
+        for place, choice in enumerate(choices)
+    )
 
 
 _DISPLAY: dict[str, dict[str, Any]] = {

@@ -13,7 +13,7 @@ import bpy
 
 from ..blender.animation.targets import PoseTarget, own_targets
 from ..core.assets import ASSETS
-from ..core.bake.settings import BakeSettings
+from ..core.bake.settings import AUTOMATIC, BakeSettings
 from ..core.capture import is_address
 from ..core.drive.settings import DriveSettings, PosingSettings
 from ..core.errors import FacemimeError, SourceError
@@ -73,7 +73,7 @@ def bake_settings(bake: FacemimeBake, name: str) -> BakeSettings:
     FacemimeError
         If a row of the key mapping has no shape key.
     """
-    table = read_table(bake) if bake.keys == "mapped" and len(bake.rows) else None
+    table = read_table(bake) if bake.keys in (AUTOMATIC, "mapped") and len(bake.rows) else None
     return read(BakeSettings, bake, table=table, path=project_folder("caches") / bpy.path.clean_name(name))
 
 

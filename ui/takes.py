@@ -5,6 +5,7 @@ import bpy
 from ..blender.animation.underneath import playing_under
 from ..blender.meshes import can_be_driven
 from ..blender.messages import interface as _
+from ..core.bake.settings import AUTOMATIC
 from ..core.timecode import timecode
 from ..operators.puppet import running
 from ..sessions.show import TakeShow
@@ -118,7 +119,7 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         split_labels(layout)
         layout.prop(bake, "keys", text="")
         column = layout.column()
-        column.active = bake.keys == "new"
+        column.active = bake.keys in (AUTOMATIC, "new")
         column.prop(bake, "max_keys")
         column = layout.column()
         column.active = bake.keys not in ("cache", "alembic")
@@ -141,7 +142,7 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, bake = self.layout, context.scene.facemime_takes.bake
-        layout.active = bake.keys == _MAPPED
+        layout.active = bake.keys in (AUTOMATIC, _MAPPED)
         layout.prop(bake, "table")
         buttons = {
             "add_key_row": "ADD",

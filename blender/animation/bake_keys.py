@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.bake.basis import MotionBasis
+from ...core.bake.key_map import ESSENTIAL, best_preset
 from ...core.errors import HeadError
 from ..actions import Curve, remove_bake, remove_curves, write_curves
-from ..characters import Member
-from ..names import BAKED_KEY_PREFIX
+from ..characters import Member, members_of
+from ..names import BAKED_KEY_PREFIX, PART_PROPERTY
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,16 @@ def moving_key_names(members: Sequence[Member]) -> list[str]:
             if not np.array_equal(_points(block), _points(block.relative_key)):
                 names[name] = None
     return list(names)
+
+
+def has_known_set(obj: bpy.types.Object) -> bool:
+    """Return whether a character has a set of keys for a whole face that Facemime knows; the built-in head's skin shows
+    more than its keys.
+    """
+    if any(PART_PROPERTY in child for child in obj.children):
+        return False
+    preset = best_preset(moving_key_names(members_of(obj)))
+    return preset is not None and preset.sources >= ESSENTIAL
 
 
 def read_keys(members: Sequence[Member]) -> MeshKeys:

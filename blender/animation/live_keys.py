@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import bpy
 
-from ...core.bake.key_map import ESSENTIAL, KeyMap, best_preset
+from ...core.bake.key_map import KeyMap
 from ...core.errors import HeadError
 from ...core.live.key_driver import LiveKeys
 from ..characters import members_of
 from ..meshes import driven_by_keys
-from ..names import PART_PROPERTY
-from .bake_keys import moving_key_names, read_keys
+from .bake_keys import has_known_set, read_keys
 from .puppet import table_for
 
 AUTOMATIC, SKIN, KEYS = "AUTOMATIC", "SKIN", "KEYS"
@@ -37,17 +36,10 @@ def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -
         raise HeadError(f"{obj.name} is bound by its shape keys alone. Drive it by its keys, or find its face.")
     if driven_by_keys(obj):
         choice = KEYS
-    if choice == SKIN or (choice == AUTOMATIC and not _has_known_set(obj)):
+    if choice == SKIN or (choice == AUTOMATIC and not has_known_set(obj)):
         return None
     chosen = table_for(obj, table)
     keys = read_keys(members_of(obj))
     used = [name for name in chosen.keys if name in keys.names]
     offsets = dict(zip(keys.names, keys.offsets, strict=True))
     return LiveKeys(chosen, {name: offsets[name] for name in used}, {name: keys.ranges[name] for name in used})
-
-
-def _has_known_set(obj: bpy.types.Object) -> bool:
-    if any(PART_PROPERTY in child for child in obj.children):
-        return False
-    preset = best_preset(moving_key_names(members_of(obj)))
-    return preset is not None and preset.sources >= ESSENTIAL

@@ -14,7 +14,7 @@ from ...core.bake.basis import fit_basis
 from ...core.bake.fit import fit_keys, mix_errors
 from ...core.bake.key_map import KeyMap, best_preset, expression_keys, presets
 from ...core.bake.point_cache import SUFFIX
-from ...core.bake.settings import BakeSettings
+from ...core.bake.settings import AUTOMATIC, BakeSettings
 from ...core.drive.motion import HeadMotion, drive_take
 from ...core.errors import HeadError, OutputError
 from ...core.heads.rig import HeadRig
@@ -29,7 +29,16 @@ from ..rigs import read_rig
 from ..timeline import frames_of
 from .bake import Targets, bake_pose, check_bakeable, check_range, remove_baked, set_range
 from .bake_cache import bake_cache, export_alembic, with_name_of
-from .bake_keys import MeshKeys, bake_new_keys, bake_values, key_names, moving_key_names, read_keys, value_path
+from .bake_keys import (
+    MeshKeys,
+    bake_new_keys,
+    bake_values,
+    has_known_set,
+    key_names,
+    moving_key_names,
+    read_keys,
+    value_path,
+)
 from .targets import own_targets
 from .underneath import playing_under
 
@@ -123,7 +132,7 @@ def puppet_head(
         in that case.
     """
     mesh_of(obj)
-    bake, targets = settings.bake, targets or own_targets(obj)
+    bake, targets = _chosen(obj, settings.bake), targets or own_targets(obj)
     rig = _checked_rig(obj, targets, bake)
     performance = Performance.of(take, settings)
     take, neutral = performance.take, performance.neutral
@@ -199,7 +208,15 @@ def check_heads(objects: Sequence[bpy.types.Object], bake: BakeSettings, targets
     """
     for number, obj in enumerate(objects):
         mesh_of(obj)
-        _checked_rig(obj, own_targets(obj) if number or targets is None else targets, bake)
+        _checked_rig(obj, own_targets(obj) if number or targets is None else targets, _chosen(obj, bake))
+
+
+def _chosen(obj: bpy.types.Object, bake: BakeSettings) -> BakeSettings:
+    """Return what is baked to `obj` if that depends on the keys it has."""
+    if bake.keys != AUTOMATIC:
+        return bake
+    mapped = driven_by_keys(obj) or has_known_set(obj)
+    return replace(bake, keys="mapped") if mapped else replace(bake, keys="new", table=None)
 
 
 def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) -> HeadRig:

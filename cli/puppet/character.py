@@ -21,7 +21,7 @@ from ...core.puppet.job import HeadFile
 from ...core.takes.take import Take
 from ..terminal.console import Progress, tell
 from ..terminal.stopping import STOPPING
-from .files import likely_mesh, object_named, open_file, open_head
+from .files import CUTS, likely_mesh, object_named, open_file, open_head
 from .headless import AVATAR_SIDE, save_blend
 
 
@@ -72,8 +72,10 @@ def _percent(share: float) -> str:
     return "" if np.isnan(share) else f"{100 * share:.1f}"
 
 
-def bind(character: HeadFile, *, keys: KeySet | None) -> BoundCharacter:
+def bind(character: HeadFile, *, keys: KeySet | None, cut_open: bool = False) -> BoundCharacter:
     """Open or import a character and bind it, and make a set of shape keys if one is given.
+
+    Joined lips and eyes are cut open first if `cut_open`.
 
     Raises
     ------
@@ -83,6 +85,9 @@ def bind(character: HeadFile, *, keys: KeySet | None) -> BoundCharacter:
     open_file(character.path)
     chosen = object_named(character.path, character.name) if character.name else likely_mesh(character.path)
     head, binding = bind_character(chosen)
+    for step in [finding.step for finding in check_object(head)] if cut_open else []:
+        if (cut := CUTS.get(step)) is not None:
+            cut(head)
     made = None if keys is None else make_expression_keys(head, keys)
     if made is not None:
         tell(". ".join([made.summary(), *made.findings]))

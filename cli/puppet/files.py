@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 import bpy
 import numpy as np
 
 from ...blender.characters import head_of
-from ...blender.heads.binding import bind_character
+from ...blender.heads.binding import bind_character, check_object
+from ...blender.heads.eyes import open_eyes
 from ...blender.heads.family import family_of
 from ...blender.heads.keyed import bind_keys, known_set
+from ...blender.heads.lips import open_lips
 from ...blender.media.rendering import quiet
 from ...blender.meshes import can_be_driven
 from ...core.capture import check_readable, require_utf8_name
@@ -29,6 +31,8 @@ _IMPORTERS: Mapping[str, Callable[..., object]] = {
     ".abc": lambda path: bpy.ops.wm.alembic_import(filepath=path, as_background_job=False),
     ".usd": lambda path: bpy.ops.wm.usd_import(filepath=path),
 }
+CUTS: Mapping[str, Callable[[bpy.types.Object], int]] = {"open_lips": open_lips, "open_eyes": open_eyes}
+"""Functions that remedy the findings of the check of a head, by their steps."""
 SUFFIXES = (".blend", *_IMPORTERS)
 """Suffixes of files that can have a character."""
 
@@ -102,14 +106,14 @@ def likely_mesh(path: Path) -> bpy.types.Object:
     return max(carried or meshes, key=lambda obj: float(np.prod(obj.dimensions)) + len(obj.data.vertices) * 1e-12)
 
 
-def open_head(file: HeadFile, *, by_keys: bool = False) -> bpy.types.Object:
+def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.types.Object:
     """Open the head in a file. A character that is not bound yet is bound.
 
     Parameters
     ----------
     file : HeadFile
-    by_keys : bool
-        Whether a character with a known set of shape keys is bound by these alone.
+    by_keys : collection of str, optional
+        A character with a known set of shape keys for these coefficients of ARKit is bound by its keys alone.
 
     Raises
     ------
@@ -124,12 +128,15 @@ def open_head(file: HeadFile, *, by_keys: bool = False) -> bpy.types.Object:
     chosen = head_of(object_named(path, name)) if name else bound[0] if bound else likely_mesh(path)
     if chosen in bound:
         return chosen
-    if by_keys and any(known_set(member) is not None for member in family_of(chosen)):
+    sets = [] if by_keys is None else [known_set(member) for member in family_of(chosen)]
+    if any(found is not None and found.sources.issuperset(by_keys) for found in sets):
         head = bind_keys(chosen)
         tell(f"{head.name} is driven by its shape keys alone.")
         return head
     head, _ = bind_character(chosen)
     tell(f"Bound {head.name}. To see its parts and landmarks: facemime bind {path} -o HEAD.blend --picture FACE.png")
+    if joined := [finding.problem for finding in check_object(head) if finding.step in CUTS]:
+        tell(" ".join([*joined, f"To cut them open: facemime bind {path} -o HEAD.blend --cut-open"]))
     return head
 
 

@@ -19,8 +19,8 @@ from ...blender.media.preview_scene import face_view, setup_preview
 from ...blender.media.rendering import quiet, render_frames, set_rate, without_subdivision, write_video
 from ...blender.meshes import write_selection
 from ...blender.timeline import frames_of
-from ...core.bake.key_map import load_map
-from ...core.bake.settings import BakeSettings
+from ...core.bake.key_map import ESSENTIAL, load_map
+from ...core.bake.settings import AUTOMATIC, BakeSettings
 from ...core.capture import Frame, VideoSource, at_constant_rate, check_readable
 from ...core.control_points.greedy import GreedySelection
 from ...core.control_points.select import from_json
@@ -68,7 +68,8 @@ def open_stage(job: PuppetJob) -> Stage:
     """
     settings = _settings(job)
     points = None if job.points is None else _points(job.points)
-    head = _built_in(settings.bake) if job.head is None else open_head(job.head, by_keys=settings.bake.keys == "mapped")
+    by_keys = {"mapped": frozenset(), AUTOMATIC: ESSENTIAL}.get(settings.bake.keys)
+    head = _built_in(settings.bake) if job.head is None else open_head(job.head, by_keys=by_keys)
     scene = bpy.context.scene
     if points is not None:
         write_selection(head.data, points)

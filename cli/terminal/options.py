@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from ...core.bake.settings import BakeSettings
+from ...core.bake.settings import AUTOMATIC, BakeSettings
 from ...core.drive.settings import DriveSettings, PosingSettings
 from ...core.errors import FacemimeError, SourceError
 from ...core.puppet.job import HeadFile, PuppetJob
@@ -249,9 +249,11 @@ def puppet_job(
     FacemimeError
         If options contradict each other.
     """
-    if arguments.map is not None and arguments.keys != "mapped":
+    given = dict(vars(arguments))
+    if arguments.map is not None and arguments.keys == AUTOMATIC:
+        given["keys"] = "mapped"
+    elif arguments.map is not None and arguments.keys != "mapped":
         raise FacemimeError("--map is used with --keys mapped only. Add --keys mapped, or remove --map.")
-    given = vars(arguments)
 
     def read(group: type, **more: Any) -> Any:
         return group(**{name: given[name] for name in settings_of(group) if name in given}, **more)

@@ -9,7 +9,8 @@ from typing import Literal
 from ..settings import Choice, setting
 from .key_map import KeyMap
 
-Keys = Literal["new", "named", "mapped", "cache", "alembic"]
+AUTOMATIC = "automatic"
+Keys = Literal["automatic", "new", "named", "mapped", "cache", "alembic"]
 
 
 @dataclass(frozen=True)
@@ -18,10 +19,11 @@ class BakeSettings:
 
     Attributes
     ----------
-    keys : {"new", "named", "mapped", "cache", "alembic"}
-        "new" adds shape keys. "named" fits the mesh's existing shape keys to the motion of its vertices. "mapped" sets
-        them from ARKit's coefficients by a key mapping. "cache" writes a point cache for the Mesh Cache modifier, and
-        "alembic" also an Alembic file.
+    keys : {"automatic", "new", "named", "mapped", "cache", "alembic"}
+        "automatic" is "mapped" for a character with a known set of shape keys, and otherwise "new". "new" adds shape
+        keys. "named" fits the mesh's existing shape keys to the motion of its vertices. "mapped" sets them from ARKit's
+        coefficients by a key mapping. "cache" writes a point cache for the Mesh Cache modifier, and "alembic" also an
+        Alembic file.
     max_keys : int
         Maximum number of new shape keys; the report states the error.
     clean : float
@@ -35,20 +37,30 @@ class BakeSettings:
     """
 
     keys: Keys = setting(
-        "new",
+        AUTOMATIC,
         "Bake To",
         "What the take is baked to",
         choices=(
-            Choice("new", "New Shape Keys", "Add as few shape keys as the motion needs"),
-            Choice("named", "Existing Shape Keys", "Fit the head's shape keys to the motion of its skin"),
             Choice(
-                "mapped", "Existing Shape Keys by Mapping", "Animate the head's shape keys according to the key mapping"
+                AUTOMATIC,
+                "Automatic",
+                "The shape keys of a character with a known set of them, such as ARKit's or VRM's; otherwise new ones",
+                5,
             ),
-            Choice("cache", "Mesh Cache", "Store every vertex exactly, in a .pc2 file"),
+            Choice("new", "New Shape Keys", "Add as few shape keys as the motion needs", 0),
+            Choice("named", "Existing Shape Keys", "Fit the head's shape keys to the motion of its skin", 1),
+            Choice(
+                "mapped",
+                "Existing Shape Keys by Mapping",
+                "Animate the head's shape keys according to the key mapping",
+                2,
+            ),
+            Choice("cache", "Mesh Cache", "Store every vertex exactly, in a .pc2 file", 3),
             Choice(
                 "alembic",
                 "Mesh Cache and Alembic",
                 "Store every vertex exactly, and export an .abc file for other programs",
+                4,
             ),
         ),
     )
@@ -68,7 +80,7 @@ class BakeSettings:
 
     @property
     def uses_existing_keys(self) -> bool:
-        """Whether the bake animates shape keys that the mesh has."""
+        """Whether the bake animates shape keys that the mesh has, whatever the mesh."""
         return self.keys in ("named", "mapped")
 
     @property

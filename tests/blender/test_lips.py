@@ -10,9 +10,11 @@ from facemime.blender.heads.binding import check_object
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_faces, read_landmarks, read_regions, read_vertices
 from facemime.blender.rigs import read_rig
+from facemime.cli.puppet.character import bind
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
 from facemime.core.mesh.surface import SurfaceGraph
+from facemime.core.puppet.job import HeadFile
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.result import TrackResult
 from takes import performance
@@ -30,6 +32,15 @@ def test_joined_lips_of_a_scan_are_reported_until_they_are_opened(scan):
     assert "open_lips" not in [line.step for line in bpy.context.window_manager.facemime.findings]
     with pytest.raises(RuntimeError, match="already separate"):
         bpy.ops.facemime.open_lips()
+
+
+def test_the_command_to_bind_cuts_lips_and_eyes_open_when_asked(scan, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scan.blend"))
+    character = HeadFile(tmp_path / "scan.blend", "Scan")
+    joined = " ".join(bind(character, keys=None).problems)
+    assert "lips are joined" in joined and "eyes are joined" in joined
+    opened = bind(character, keys=None, cut_open=True)
+    assert opened.problems == [] and opened.head.name == "Scan"
 
 
 def test_seams_of_the_texture_are_closed_before_the_lips_are_opened(scan):

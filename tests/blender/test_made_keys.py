@@ -71,6 +71,10 @@ def values_at(head: bpy.types.Object, name: str, frames: range) -> np.ndarray:
     return np.array(found)
 
 
+def own_keys(head: bpy.types.Object) -> list[bpy.types.ShapeKey]:
+    return list(head.data.shape_keys.key_blocks)[1:]
+
+
 @pytest.mark.parametrize(
     ("name", "opens"),
     [
@@ -127,6 +131,15 @@ def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(keyed, na
 
 
 @pytest.mark.thorough
+def test_its_keys_are_baked_to_unless_something_else_is_asked_for(keyed):
+    known, unknown = bind_keys(keyed()["head"]), strangers(rig=True)["head"]
+    assert puppet_head(bpy.context.scene, known, performance()).summary() == "52 shape keys"
+    assert values_at(known, "jawOpen", range(1, 60, 4)).max() > 0.1
+    head, _ = bind_character(unknown)
+    report = puppet_head(bpy.context.scene, head, performance())
+    assert report.worst_error < 0.01 and all(key.name.startswith("Facemime ") for key in own_keys(head))
+
+
 def test_its_size_and_neck_are_those_that_landmarks_would_give(keyed):
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
