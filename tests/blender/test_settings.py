@@ -17,11 +17,19 @@ def owners() -> list[tuple[type, bpy.types.PropertyGroup]]:
     return [*pairs, (BakeSettings, scene.facemime_takes.bake)]
 
 
+def test_files_of_earlier_versions_keep_what_they_bake_to():
+    items = bpy.context.scene.facemime_takes.bake.bl_rna.properties["keys"].enum_items
+    assert [item.identifier for item in sorted(items, key=lambda item: item.value)] == [
+        *("new", "named", "mapped", "cache", "alembic"),
+        "automatic",
+    ]
+
+
 def test_a_new_scene_has_the_defaults_of_the_command_line(in_a_project):
     scene = bpy.context.scene
     bake = bake_settings(scene.facemime_takes.bake, "take")
     shown = puppet_settings(scene.facemime)
-    assert (bake.keys, bake.max_keys, bake.clean, bake.nla) == ("new", 64, 0.0, False)
+    assert (bake.keys, bake.max_keys, bake.clean, bake.nla) == ("automatic", 64, 0.0, False)
     wanted = PuppetSettings()
     for ours, theirs in ((shown, wanted), (shown.drive, wanted.drive), (shown.drive.posing, wanted.drive.posing)):
         for name in settings_of(type(theirs)):
