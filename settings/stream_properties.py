@@ -76,6 +76,18 @@ class FacemimeStream(bpy.types.PropertyGroup):
     )
 
 
+class FacemimeHead(bpy.types.PropertyGroup):
+    """What is chosen for one head of several."""
+
+    sender: StringProperty(
+        name="Sender",
+        description=(
+            "Address or name of the sender that drives this head; if it is empty, the first head follows the first "
+            "sender that comes, the second head the second, and so on"
+        ),
+    )
+
+
 class FacemimeOutput(bpy.types.PropertyGroup):
     """Where the performance is sent while a puppet is running."""
 
@@ -118,4 +130,5 @@ class FacemimeViewer(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (FacemimeStream, FacemimeOutput, FacemimeViewer)
+CLASSES = (FacemimeStream, FacemimeHead, FacemimeOutput, FacemimeViewer)
+POINTERS = ((bpy.types.Object, "facemime", FacemimeHead),)

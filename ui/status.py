@@ -97,6 +97,13 @@ def status_lines(session: LiveSession) -> list[tuple[str, str]]:
     return lines
 
 
+def _who_drives(session: LiveSession, sender: str, heads: tuple[int, ...]) -> str:
+    """Return a sender and the heads that it drives, if there are several."""
+    shown = session.objects
+    names = [shown[head].obj.name for head in heads if head < len(shown) and not shown[head].gone]
+    return f"{sender}: {', '.join(names)}" if len(shown) > 1 and names else sender
+
+
 def _stream_lines(session: LiveSession) -> list[tuple[str, str]]:
     """Return what comes over the network, and what is sent."""
     lines, source, output = [], session.worker.source, session.worker.output
@@ -105,7 +112,7 @@ def _stream_lines(session: LiveSession) -> list[tuple[str, str]]:
         wrong = counts.malformed + counts.refused + counts.flooded
         numbers = {"received": counts.received, "wrong": wrong, "lost": counts.lost}
         lines.append((_("{received} packets, {wrong} refused, {lost} frames lost").format(**numbers), "URL"))
-        lines += [(name, "USER") for name in source.senders]
+        lines += [(_who_drives(session, name, source.driven.get(name, ())), "USER") for name in source.senders]
     for sender in (output, session.vertices):
         if not isinstance(sender, StreamSender | VertexSender):
             continue

@@ -52,6 +52,12 @@ class LiveFrame:
         Whether the source filled it in, as none came: it is displayed, but not recorded.
     rest : float
         How far the face has come to rest, 0 to 1, as nothing comes from the source any more.
+    performer : int
+        Number of the performer, in a source of several.
+    heads : tuple of int or None
+        The heads that this performer drives; None for all.
+    sender : str
+        Who sent it, in a source of several.
     """
 
     time: float
@@ -62,6 +68,9 @@ class LiveFrame:
     neutral: Neutral | None = None
     filled: bool = False
     rest: float = 0.0
+    performer: int = 0
+    heads: tuple[int, ...] | None = None
+    sender: str = ""
 
 
 class LiveSource(ABC):

@@ -74,6 +74,8 @@ class StreamSettings:
         Unit of the angles of Live Link Face.
     flip : tuple of {"pitch", "yaw", "roll"}
         Rotations of the head to reverse.
+    senders : tuple of str
+        For each head, the address or name of the sender that drives it; "" for `sender`.
     """
 
     protocol: str = OWN
@@ -85,6 +87,7 @@ class StreamSettings:
     sender: str = ""
     angles: Angles = "radians"
     flip: tuple[str, ...] = ()
+    senders: tuple[str, ...] = ("",)
 
     @property
     def is_local(self) -> bool:
