@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from time import monotonic
 
@@ -44,7 +46,13 @@ def add_commands(commands: Commands) -> None:
     send.set_defaults(run=run_send)
 
     receive = add_command(commands, "receive", "record the faces that another computer, program or phone sends")
-    receive.add_argument("-o", "--output", type=Path, metavar="TAKE.facetake", help="the take; Ctrl-C ends it")
+    receive.add_argument(
+        *("-o", "--output"),
+        type=Path,
+        action="append",
+        metavar="TAKE.facetake",
+        help="the take; Ctrl-C ends it. Repeat it to record several senders, each to a take of its own",
+    )
     receive.add_argument("--new-key", type=Path, metavar="FILE", help="only make a new shared key, for both sides")
     receive.add_argument("--protocol", choices=tuple(PROTOCOLS), default=OWN, help=f"protocol ({OWN})")
     receive.add_argument(
@@ -55,7 +63,13 @@ def add_commands(commands: Commands) -> None:
     )
     receive.add_argument("--phone", default="", metavar="HOST", help="address of a phone that has to be asked to send")
     _add_key(receive)
-    receive.add_argument("--sender", default="", metavar="NAME", help="address or name of the sender (the first)")
+    receive.add_argument(
+        "--sender",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="address or name of the sender, once for each take (the first that comes, then the next)",
+    )
     receive.add_argument("--delay", type=number, default=0.02, metavar="S", help="delay that evens out jitter (0.02)")
     receive.add_argument("--angles", choices=tuple(ANGLES), default="radians", help="of Live Link Face (radians)")
     receive.add_argument("--flip", default="", metavar="AXIS,...", help="rotations to reverse: pitch, yaw, roll (none)")
@@ -105,61 +119,75 @@ def run_receive(arguments: argparse.Namespace) -> int:
         write_key(arguments.new_key)
         tell(f"facemime: {arguments.new_key} is a new key. Copy it to the other computer by a way that you trust.")
         return 0
-    if arguments.output is None:
+    if not arguments.output:
         raise OutputError("There is no output. Add -o TAKE.facetake.")
+    source = StreamSource(_receiver_settings(arguments), every=True)
+    outputs: list[Path] = arguments.output
+    unfinished = [unfinished_beside(output) for output in outputs]
+    with (
+        outputs_of([(output, {SUFFIX}) for output in outputs], {"the key": arguments.key}, *unfinished),
+        ExitStack() as stack,
+    ):
+        paths = [stack.enter_context(growing(path)) for path in unfinished]
+        try:
+            counts = _record(source, paths, arguments.seconds)
+        finally:
+            source.close()
+        if not any(counts):
+            raise FacemimeError(f"Nothing came: {_what_came(source)}. Check the address, the port and the firewall.")
+        for path, output, count in zip(paths, outputs, counts, strict=True):
+            if count:
+                settle(path, output)
+            else:
+                tell(f"facemime: nobody sent what {output} is for, and it was not written.")
+    return 0
+
+
+def _receiver_settings(arguments: argparse.Namespace) -> StreamSettings:
     host, port = parse_address(arguments.listen or LOOPBACK)
     flip = tuple(filter(None, (axis.strip() for axis in arguments.flip.split(","))))
     if unknown := set(flip) - set(AXES):
         raise FacemimeError(f"{', '.join(sorted(unknown))} cannot be flipped. Use pitch, yaw and roll.")
-    source = StreamSource(
-        StreamSettings(
-            *(arguments.protocol, host, port, arguments.phone, arguments.key, arguments.delay, arguments.sender),
-            angles=arguments.angles,
-            flip=flip,
-        ),
-        every=True,
+    missing = len(arguments.output) - len(arguments.sender)
+    if missing < 0:
+        raise FacemimeError("There are more senders than takes. Add another -o TAKE.facetake.")
+    return StreamSettings(
+        *(arguments.protocol, host, port, arguments.phone, arguments.key, arguments.delay),
+        angles=arguments.angles,
+        flip=flip,
+        senders=(*arguments.sender, *[""] * missing),
     )
-    unfinished = unfinished_beside(arguments.output)
-    with (
-        outputs_of(((arguments.output, {SUFFIX}),), {"the key": arguments.key}, unfinished),
-        growing(unfinished) as path,
-    ):
-        try:
-            count = _record(source, path, arguments.seconds)
-        finally:
-            source.close()
-        if not count:
-            raise FacemimeError(f"Nothing came: {_what_came(source)}. Check the address, the port and the firewall.")
-        settle(path, arguments.output)
-    return 0
 
 
-def _record(source: StreamSource, path: Path, seconds: float | None) -> int:
-    """Record what comes into a take; returns the number of frames."""
+def _record(source: StreamSource, paths: Sequence[Path], seconds: float | None) -> list[int]:
+    """Record what comes into a take for each sender; returns their numbers of frames."""
     progress = Progress(f"Receiving {source.name}")
     end = monotonic() + (seconds if seconds is not None else float("inf"))
-    writer: TakeWriter | None = None
-    count, first, last = 0, 0.0, monotonic()
+    writers: dict[int, TakeWriter] = {}
+    first, last = 0.0, monotonic()
     with STOPPING.noting():
         while not STOPPING.heard and monotonic() < end:
             frame = source.read(LOOK)
             if frame is not None and not frame.filled and frame.result is not None:
-                writer = writer or TakeWriter(path, _description(source, frame))
-                first = first if count else frame.time
-                writer.append(frame.time - first, frame.result)
-                count += 1
-            if writer is not None and monotonic() - last > _FLUSH:
-                writer.flush()
+                number = frame.heads[0] if frame.heads else 0
+                first = first if writers else frame.time
+                if number not in writers:
+                    writers[number] = TakeWriter(paths[number], _description(source, frame))
+                if frame.time >= first:
+                    writers[number].append(frame.time - first, frame.result)
+            if monotonic() - last > _FLUSH:
+                for writer in writers.values():
+                    writer.flush()
                 last = monotonic()
-            progress.update(count)
-        if writer is not None:
+            progress.update(sum(map(len, writers.values())))
+        for writer in writers.values():
             writer.close()
     progress.finish(_what_came(source))
-    return count
+    return [len(writers[number]) if number in writers else 0 for number in range(len(paths))]
 
 
 def _description(source: StreamSource, frame: LiveFrame) -> dict[str, object]:
-    info = describe(source.name, 60.0, IMAGE_SIZE, "stream", source.clock)
+    info = describe(source.name, 60.0, IMAGE_SIZE, "stream", source.clock) | {"sender": frame.sender}
     if frame.neutral is not None:
         info |= {"measured": True, "calibration": frame.neutral.to_dict()}
     return info

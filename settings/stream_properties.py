@@ -82,8 +82,8 @@ class FacemimeHead(bpy.types.PropertyGroup):
     sender: StringProperty(
         name="Sender",
         description=(
-            "Address or name of the sender that drives this head; if it is empty, the first head follows the first "
-            "sender that comes, the second head the second, and so on"
+            "Address or name of the sender that drives this head; by default, the first sender drives the first head, "
+            "the second the second, and so on"
         ),
     )
 

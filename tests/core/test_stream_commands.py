@@ -91,6 +91,29 @@ def test_with_a_key_landmarks_arrive_as_they_were_tracked(tmp_path):
 
 
 @needs_posix
+def test_two_senders_become_two_takes(tmp_path):
+    save_take(coefficient_take(60), tmp_path / "sent.facetake")
+    port, outputs = free_port(), [tmp_path / "ben.facetake", tmp_path / "ada.facetake"]
+    line = [*START, "receive", "--protocol", "livelink", "--listen", f":{port}", "--sender", "Ben"]
+    for output in outputs:
+        line += ["-o", output]
+    with subprocess.Popen([*map(str, line)], stderr=subprocess.PIPE, text=True) as receiver:
+        _wait_for(port)
+        to = ("--to", f"127.0.0.1:{port}", "--protocol", "livelink", "--smoothing", "0", "--subject")
+        send = [*map(str, START), "send", "--video", str(tmp_path / "sent.facetake"), *to]
+        with subprocess.Popen([*send, "Ada"]) as ada, subprocess.Popen([*send, "Ben"]) as ben:
+            assert ada.wait() == ben.wait() == 0
+        time.sleep(0.5)
+        receiver.send_signal(signal.SIGINT)
+        said = receiver.stderr.read()
+    assert receiver.returncode == 0, said
+    for output, name in zip(outputs, ("Ben", "Ada"), strict=True):
+        take = load_take(output)
+        assert len(take) >= 30 and take.info["sender"] == f"127.0.0.1 {name}"
+        assert take.times[-1] < 5.0
+
+
+@needs_posix
 def test_a_video_is_tracked_and_sent_without_blender():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as unreal:
         unreal.bind(("127.0.0.1", 0))
@@ -131,6 +154,7 @@ def test_nothing_that_comes_is_an_error_that_says_so(tmp_path):
     ("arguments", "wanted"),
     [
         (("receive",), "There is no output"),
+        (("receive", "-o", "a.facetake", "--sender", "Ada", "--sender", "Ben"), "more senders than takes"),
         (("receive", "-o", "a.facetake", "--listen", "0.0.0.0"), "needs a shared key"),
         (("receive", "-o", "a.facetake", "--flip", "up"), "cannot be flipped"),
         (("receive", "-o", "a.facetake", "--protocol", "ifacialmocap"), "address of the phone"),
