@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from time import monotonic
+from time import monotonic, sleep
+from typing import TYPE_CHECKING
 
-from ..core.errors import FacemimeError, OutputError
+from ..core.errors import FacemimeError, OutputError, SourceError
 from ..core.files import settle
 from ..core.heads.appearance import built_in_appearance
 from ..core.heads.rig import built_in_rig
 from ..core.live.head_drivers import LiveHead
 from ..core.live.sources import LiveFrame
 from ..core.live.worker import LiveWorker
+from ..core.streams.addresses import EVERYWHERE, LOOPBACK, parse_address, way_out
 from ..core.streams.live_link import ANGLES
+from ..core.streams.pairing import PORT as TLS_PORT
+from ..core.streams.pairing import Pairing, parse_pairing
 from ..core.streams.security import write_key
 from ..core.streams.sender import SENT, SendSettings, StreamSender
-from ..core.streams.settings import AXES, LOOPBACK, OWN, PROTOCOLS, StreamSettings, parse_address
+from ..core.streams.settings import AXES, OWN, PROTOCOLS, StreamSettings
 from ..core.streams.source import StreamSource
 from ..core.streams.vertices import VERTICES, VertexSender
 from ..core.takes.file import SUFFIX, TakeWriter
@@ -26,10 +30,15 @@ from ..core.takes.from_animation import IMAGE_SIZE
 from ..core.takes.take import describe
 from .performance import LOOK, add_source, live_options, open_source, watch
 from .puppet.tracked import growing, unfinished_beside
-from .terminal.console import Progress, tell
+from .terminal.console import Progress, say, tell
 from .terminal.options import Commands, add_command, number
 from .terminal.outputs import outputs_of
 from .terminal.stopping import STOPPING
+
+if TYPE_CHECKING:
+    from ..core.streams.tls_server import TlsSender
+
+    Sender = StreamSender | VertexSender | TlsSender
 
 _FLUSH = 1.0
 """Seconds after which what was received is on the disk."""
@@ -39,7 +48,17 @@ def add_commands(commands: Commands) -> None:
     """Add the commands to the parser."""
     send = add_command(commands, "send", "track a face, and send it to another computer or program")
     add_source(send)
-    send.add_argument("--to", required=True, metavar="HOST[:PORT]", help="where to, as in 192.168.1.7:39539")
+    where = send.add_mutually_exclusive_group(required=True)
+    where.add_argument("--to", metavar="HOST[:PORT]", help="where to, as in 192.168.1.7:39539")
+    where.add_argument(
+        "--serve",
+        metavar="HOST[:PORT]",
+        help=f"wait for receivers over TLS at this address of this computer; 0.0.0.0 for all (port {TLS_PORT})",
+    )
+    send.add_argument("--tls", type=Path, metavar="FOLDER", help="certificate and token for --serve, made if missing")
+    send.add_argument(
+        "--public", default="", metavar="HOST[:PORT]", help="address by which other networks reach this computer"
+    )
     send.add_argument("--protocol", choices=(*SENT, VERTICES), default=OWN, help=f"protocol ({OWN})")
     _add_key(send)
     send.add_argument("--subject", default="Facemime", metavar="NAME", help="name of the face in Unreal (Facemime)")
@@ -60,6 +79,9 @@ def add_commands(commands: Commands) -> None:
         default="",
         metavar="HOST[:PORT]",
         help="address of this computer that is listened on; 0.0.0.0 for all (this computer alone, and the usual port)",
+    )
+    receive.add_argument(
+        "--pairing", default="", metavar="LINE", help="connect over TLS to the sender that shows this pairing line"
     )
     receive.add_argument("--phone", default="", metavar="HOST", help="address of a phone that has to be asked to send")
     _add_key(receive)
@@ -84,12 +106,11 @@ def _add_key(parser: argparse.ArgumentParser) -> None:
 def run_send(arguments: argparse.Namespace) -> int:
     """Run `facemime send`: track and send until the end, Ctrl-C, or the time is over; returns the exit status."""
     options = live_options(arguments)
-    host, port = parse_address(arguments.to)
-    settings = SendSettings(arguments.protocol, host, port, arguments.key, arguments.subject)
+    open_output = _open_server(arguments) if arguments.serve else _open_sender(arguments)
     source, neutral = open_source(arguments)
     worker = LiveWorker(source, neutral=neutral, options=options)
-    sender = _send_from(worker, settings)
-    progress = Progress(f"Sending {source.name} to {arguments.to}")
+    sender = open_output(worker)
+    progress = Progress(f"Sending {source.name} to {arguments.to or 'receivers over TLS'}")
     with STOPPING.noting():
         worker.start()
         try:
@@ -103,14 +124,45 @@ def run_send(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _send_from(worker: LiveWorker, settings: SendSettings) -> StreamSender | VertexSender:
-    """Make a worker send what it tracks, or the built-in head that it drives."""
-    if settings.protocol == VERTICES:
-        vertices = VertexSender(settings.host, settings.port, [built_in_appearance()])
-        worker.heads, worker.displays = (LiveHead(built_in_rig()),), (vertices,)
-        return vertices
-    worker.output = sender = StreamSender(settings)
-    return sender
+def _open_sender(arguments: argparse.Namespace) -> Callable[[LiveWorker], Sender]:
+    """Return what makes a worker send what it tracks, or the built-in head that it drives."""
+    if arguments.tls is not None or arguments.public:
+        raise FacemimeError("--tls and --public are for --serve. Leave them out, or use --serve instead of --to.")
+    host, port = parse_address(arguments.to)
+    settings = SendSettings(arguments.protocol, host, port, arguments.key, arguments.subject)
+
+    def open_output(worker: LiveWorker) -> Sender:
+        if settings.protocol == VERTICES:
+            vertices = VertexSender(settings.host, settings.port, [built_in_appearance()])
+            worker.heads, worker.displays = (LiveHead(built_in_rig()),), (vertices,)
+            return vertices
+        worker.output = sender = StreamSender(settings)
+        return sender
+
+    return open_output
+
+
+def _open_server(arguments: argparse.Namespace) -> Callable[[LiveWorker], Sender]:
+    """Return what makes a worker serve what it tracks over TLS, and shows the pairing line."""
+    from ..core.streams.tls_server import TlsSender  # its libraries would delay the other commands
+    from .certificates import load_identity
+
+    if arguments.tls is None:
+        raise FacemimeError("There is no certificate. Add --tls FOLDER; it is made there the first time.")
+    if arguments.protocol != OWN or arguments.key is not None:
+        raise FacemimeError("Over TLS, Facemime's own protocol is sent without a key. Leave out --protocol and --key.")
+    host, port = parse_address(arguments.serve, TLS_PORT)
+    identity = load_identity(arguments.tls)
+
+    def open_output(worker: LiveWorker) -> Sender:
+        worker.output = sender = TlsSender(host, port, identity.context, identity.token)
+        shown = way_out() if host in (EVERYWHERE, "::") else host
+        public = parse_address(arguments.public, sender.port) if arguments.public else (shown, sender.port)
+        say(Pairing(*public, identity.fingerprint, identity.token).line)
+        tell("facemime: paste this line at the other computer. Whoever has it can receive.")
+        return sender
+
+    return open_output
 
 
 def run_receive(arguments: argparse.Namespace) -> int:
@@ -145,6 +197,7 @@ def run_receive(arguments: argparse.Namespace) -> int:
 
 def _receiver_settings(arguments: argparse.Namespace) -> StreamSettings:
     host, port = parse_address(arguments.listen or LOOPBACK)
+    pairing = parse_pairing(arguments.pairing) if arguments.pairing else None
     flip = tuple(filter(None, (axis.strip() for axis in arguments.flip.split(","))))
     if unknown := set(flip) - set(AXES):
         raise FacemimeError(f"{', '.join(sorted(unknown))} cannot be flipped. Use pitch, yaw and roll.")
@@ -156,6 +209,7 @@ def _receiver_settings(arguments: argparse.Namespace) -> StreamSettings:
         angles=arguments.angles,
         flip=flip,
         senders=(*arguments.sender, *[""] * missing),
+        pairing=pairing,
     )
 
 
@@ -164,10 +218,10 @@ def _record(source: StreamSource, paths: Sequence[Path], seconds: float | None) 
     progress = Progress(f"Receiving {source.name}")
     end = monotonic() + (seconds if seconds is not None else float("inf"))
     writers: dict[int, TakeWriter] = {}
-    first, last = 0.0, monotonic()
+    first, last, told = 0.0, monotonic(), ""
     with STOPPING.noting():
         while not STOPPING.heard and monotonic() < end:
-            frame = source.read(LOOK)
+            frame, told = _read(source, told, begun=bool(writers))
             if frame is not None and not frame.filled and frame.result is not None:
                 number = frame.heads[0] if frame.heads else 0
                 first = first if writers else frame.time
@@ -184,6 +238,22 @@ def _record(source: StreamSource, paths: Sequence[Path], seconds: float | None) 
             writer.close()
     progress.finish(_what_came(source))
     return [len(writers[number]) if number in writers else 0 for number in range(len(paths))]
+
+
+def _read(source: StreamSource, told: str, *, begun: bool) -> tuple[LiveFrame | None, str]:
+    """Read a frame, and say why none comes if that was not said last; returns what was said."""
+    frame = None
+    try:
+        frame = source.read(LOOK)
+        message = source.message
+    except SourceError as error:
+        if not begun:
+            raise
+        message = str(error)  # what came before is recorded, and the sender may come back
+        sleep(LOOK)
+    if message and message != told:
+        tell(f"facemime: {message}")
+    return frame, message
 
 
 def _description(source: StreamSource, frame: LiveFrame) -> dict[str, object]:

@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from ..core.streams.settings import LOOPBACK
+from ..core.streams.addresses import LOOPBACK
 from ..core.viewer.settings import PORT
 
 _BOTH_WAYS = (

@@ -20,8 +20,10 @@ from ..core.errors import FacemimeError, SourceError
 from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
 from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
 from ..core.puppet.settings import PuppetSettings
+from ..core.streams.addresses import LOOPBACK, is_loopback
+from ..core.streams.pairing import parse_pairing
 from ..core.streams.sender import SendSettings, StreamSender
-from ..core.streams.settings import LOOPBACK, OWN, PROTOCOLS, StreamSettings, is_loopback
+from ..core.streams.settings import OWN, PROTOCOLS, StreamSettings
 from ..core.streams.source import StreamSource
 from ..core.streams.vertices import VERTICES
 from ..core.takes.file import load_take
@@ -143,21 +145,25 @@ def stream_settings(stream: FacemimeStream) -> StreamSettings:
     Raises
     ------
     SourceError
-        If it may come from another computer, and Blender's online access is turned off.
+        If it may come from another computer, and Blender's online access is turned off; or the pairing is no
+        pairing line.
     """
+    line = preferences().pairing.strip() if stream.protocol == OWN else ""
+    pairing = parse_pairing(line) if line else None
     settings = StreamSettings(
         protocol=stream.protocol,
         host=stream.host.strip() or LOOPBACK,
         port=stream.port,
         phone=stream.phone.strip() if PROTOCOLS[stream.protocol].phone_port else "",
-        key=_key(stream.key) if stream.protocol == OWN else None,
+        key=_key(stream.key) if stream.protocol == OWN and pairing is None else None,
         delay=stream.delay,
         sender=stream.sender.strip(),
         angles=stream.angles,
         flip=tuple(sorted(stream.flip)),
+        pairing=pairing,
     )
     if not settings.is_local:
-        _require_online(settings.phone or settings.host)
+        _require_online(pairing.host if pairing is not None else settings.phone or settings.host)
     return settings
 
 

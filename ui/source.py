@@ -49,14 +49,19 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
 
 def _draw_stream(layout: bpy.types.UILayout, stream: FacemimeStream) -> None:
     layout.prop(stream, "protocol")
+    paired = False
+    if stream.protocol == OWN:
+        layout.prop(preferences(), "pairing")
+        paired = bool(preferences().pairing)
     column = layout.column(align=True)
+    column.active = not paired
     if PROTOCOLS[stream.protocol].phone_port:
         column.prop(stream, "phone")
     else:
         column.prop(stream, "host")
     column.prop(stream, "port")
     if stream.protocol == OWN:
-        layout.prop(stream, "key")
+        column.prop(stream, "key")
     layout.prop(stream, "sender")
     layout.prop(stream, "delay")
     if stream.protocol == "livelink":

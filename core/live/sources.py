@@ -86,12 +86,15 @@ class LiveSource(ABC):
         Whether all of the performance is known beforehand, so that its neutral face need not be learnt.
     ended : bool
         Whether there are no more frames.
+    message : str
+        Why no frames are coming although nothing is wrong here; otherwise "".
     """
 
     name: str
     clock = "media"
     complete = False
     ended = False
+    message = ""
 
     @abstractmethod
     def read(self, timeout: float) -> LiveFrame | None:

@@ -292,8 +292,9 @@ class LiveWorker:
             self._stop.wait(_PATIENCE)
             frame = None
         else:
+            if frame is not None or self.source.message:
+                self.message = self.source.message
             if frame is not None:
-                self.message = ""
                 self.counts.dropped += frame.dropped
         if frame is None:
             self._record()

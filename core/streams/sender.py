@@ -20,10 +20,11 @@ from ..takes.neutral import Neutral
 from ..tracking.mirror import mirror_result
 from ..tracking.result import CAMERA_DISTANCE, TrackResult
 from . import datagram, live_link, openseeface, vmc
+from .addresses import LOOPBACK, is_loopback, resolve
 from .frames import FaceValues, PacketError
 from .security import read_key
 from .sessions import OwnSender
-from .settings import LOOPBACK, OWN, is_loopback, resolve
+from .settings import OWN
 
 SENT = {OWN: "Facemime", "vmc": "VMC", "livelink": "Live Link Face", "openseeface": "OpenSeeFace"}
 """Protocols that are sent, and their labels."""

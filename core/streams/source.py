@@ -12,16 +12,18 @@ from time import perf_counter
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import SourceError
 from ..live.sources import LiveFrame, LiveSource
 from ..takes.from_coefficients import coefficient_face
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
+from .addresses import resolve
 from .casting import SILENT, Address, Casting, FaceName, Role, label_of
 from .frames import MAX_DATAGRAM, Decoder, FaceValues, PacketError, StreamFrame
+from .links import DatagramLink, Link
 from .playout import Playout, Shown
 from .sessions import OwnReceiver, RefusedError
-from .settings import AXES, OWN, PROTOCOLS, StreamSettings, resolve
+from .settings import AXES, OWN, PROTOCOLS, StreamSettings
+from .tls_client import TlsLink
 
 _ASK_AGAIN = 2.0
 """Seconds after which a phone is asked again."""
@@ -33,7 +35,6 @@ _DRAINED = 512
 """Packets that are read before the next frame is shown."""
 _LATE = 0.25
 """Seconds by which a frame may be late before it is skipped."""
-_BUFFER = 1 << 20
 _NOTHING = TrackResult.nothing(0)
 
 
@@ -100,8 +101,6 @@ class StreamSource(LiveSource):
     Attributes
     ----------
     counts : StreamCounts
-    address : (str, int)
-        Where packets are received, once the first `read` has opened the socket.
     chosen : tuple of str
         For each head, the address or name of its sender, or ""; may be replaced at any time.
 
@@ -116,13 +115,15 @@ class StreamSource(LiveSource):
     ) -> None:
         self.settings = settings.checked()
         self._protocol = PROTOCOLS[self.settings.protocol]
-        self.name = f"{self._protocol.label} on port {self.settings.port}"
+        self.name = self.settings.label
         self.counts = StreamCounts()
-        self.address: Address = ("", 0)
         self._clock, self._late = clock, np.inf if every else _LATE
         self._own = OwnReceiver(self.settings.secret()) if self.settings.protocol == OWN else None
         self._signs = np.array([-1.0 if axis in self.settings.flip else 1.0 for axis in AXES])
-        self._socket: socket.socket | None = None
+        pairing = self.settings.pairing
+        self._link: Link = (
+            TlsLink(pairing) if pairing is not None else DatagramLink(self.settings.host, self.settings.port)
+        )
         self._wake, self._woken = socket.socketpair()
         self._closed = False
         self._phone: tuple[int, Address] | None = None
@@ -132,6 +133,11 @@ class StreamSource(LiveSource):
         self._casting = Casting(self._wanted())
         self._turn = 0
         self._tokens, self._counted = _BURST, 0.0
+
+    @property
+    def address(self) -> Address:
+        """Where packets are received, once the first `read` has opened the socket."""
+        return self._link.address
 
     @property
     def senders(self) -> tuple[str, ...]:
@@ -167,63 +173,42 @@ class StreamSource(LiveSource):
         self._closed = True
         with suppress(OSError):
             self._wake.send(b"\0")
-        for end in (self._socket, self._wake):
-            if end is not None:
-                end.close()
+        self._link.close()
+        self._wake.close()
 
     def _open(self) -> None:
-        if self._socket is not None:
-            return
-        settings = self.settings
-        family, address = resolve(settings.host, settings.port)
-        if settings.phone:
-            self._phone = resolve(settings.phone, self._protocol.phone_port)
-        opened = socket.socket(family, socket.SOCK_DGRAM)
-        try:
-            opened.setblocking(False)
-            with suppress(OSError):
-                opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
-            opened.bind(address)
-        except OSError as error:
-            opened.close()
-            raise SourceError(
-                f"Cannot listen on {settings.host}:{settings.port} ({error.strerror}). Close the program that uses the "
-                "port, or choose another port."
-            ) from error
-        self._socket, self.address = opened, opened.getsockname()[:2]
+        self._link.open()
+        if self.settings.phone and self._phone is None:
+            self._phone = resolve(self.settings.phone, self._protocol.phone_port)
 
     def _wait(self, seconds: float) -> None:
-        assert self._socket is not None
+        readers, writers = self._link.waits()
         with suppress(OSError, ValueError):  # closed meanwhile
-            select.select([self._socket, self._woken], [], [], max(seconds, 0.0))
+            select.select([*readers, self._woken], writers, [], max(seconds, 0.0))
 
     def _ask(self, now: float) -> None:
         """Ask the phone to send, as long as nothing comes, and for as long as it does if it has to be asked again."""
-        if self._phone is None or now - self._asked < _ASK_AGAIN or self._socket is None:
+        if self._phone is None or now - self._asked < _ASK_AGAIN:
             return
         self._asked = now
         leased = self.settings.protocol == "vtubestudio"
         if leased or not any(now - face.heard < SILENT for _, face in self._faces()):
-            with suppress(OSError):
-                self._socket.sendto(self._protocol.request(self.address[1]), self._phone[1])
+            self._link.reply(self._protocol.request(self.address[1]), self._phone[1])
 
     def _drain(self, now: float) -> None:
         self._tokens = min(_BURST, self._tokens + _RATE * max(now - self._counted, 0.0))
         self._counted = now
         for _ in range(_DRAINED):
-            try:
-                assert self._socket is not None
-                data, address = self._socket.recvfrom(MAX_DATAGRAM + 1)
-            except ConnectionResetError:  # as Windows tells that somebody no longer listens
-                continue
-            except OSError:
+            came = self._link.receive(now)
+            self.message = self._link.message
+            if came is None:
                 return
             self.counts.received += 1
             if self._tokens < 1.0:
                 self.counts.flooded += 1
                 continue
             self._tokens -= 1.0
-            self._take(data, (str(address[0]), int(address[1])), now)
+            self._take(*came, now)
 
     def _take(self, data: bytes, address: Address, now: float) -> None:
         """Take a datagram from anybody."""
@@ -246,9 +231,8 @@ class StreamSource(LiveSource):
             assert sender.decoder is not None
             return sender.decoder.decode(data)
         frames, answer = self._own.receive(data, now)
-        if answer and self._socket is not None:
-            with suppress(OSError):
-                self._socket.sendto(answer, address)
+        if answer:
+            self._link.reply(answer, address)
         return frames
 
     def _sender(self, address: Address, now: float) -> _Sender:

@@ -3,6 +3,7 @@
 import socket
 import threading
 import time
+from contextlib import closing
 from dataclasses import replace
 
 import bpy
@@ -11,15 +12,19 @@ import pytest
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import PART_PROPERTY
+from facemime.cli.certificates import load_identity
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from facemime.core.streams.live_link import LiveLinkDecoder
+from facemime.core.streams.pairing import Pairing
 from facemime.core.streams.sender import SendSettings, StreamSender
+from facemime.core.streams.tls_server import TlsSender
 from facemime.core.takes.coefficient_table import write_coefficient_csv
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import running
 from facemime.settings import takes_store
+from facemime.settings.preferences import preferences
 from facemime.settings.values import open_sender, open_source, read_calibration, write_calibration
 from links import free_port, sending_phone
 from live_ticks import shown, some_frames, start, tick, ticks_until
@@ -291,3 +296,49 @@ def test_two_senders_are_recorded_as_two_takes_at_the_same_times(phones, takes):
     first, last = (np.array([take.times[end] for take in recorded.values()]) for end in (0, -1))
     assert first.min() == 0.0 and np.ptp(first) < 0.1 and np.ptp(last) < 0.1
     assert any(bpy.path.clean_name(heads[1].name) in name for name in recorded)
+
+
+@pytest.fixture
+def pairing():
+    """The user's pairing, empty again afterwards."""
+    yield preferences()
+    preferences().pairing = ""
+
+
+def test_a_paired_computer_drives_a_head_over_tls(pairing, online, tmp_path):
+    identity, take, over = load_identity(tmp_path / "tls"), coefficient_take(60), threading.Event()
+    with closing(TlsSender("127.0.0.1", 0, identity.context, identity.token)) as sender:
+
+        def send() -> None:
+            number, began = 0, time.monotonic()
+            while not over.wait(1.0 / 60.0):
+                sender.send(time.monotonic() - began, take.result(number % len(take)), None)
+                number += 1
+
+        thread = threading.Thread(target=send)
+        thread.start()
+        try:
+            settings = bpy.context.scene.facemime
+            settings.source.kind, settings.source.stream.protocol, settings.smoothing = "STREAM", "own", 0.0
+            pairing.pairing = Pairing("localhost", sender.port, identity.fingerprint, identity.token).line
+            head = add_head(bpy.context)
+            rest = shown(head)
+            start()
+            ticks_until(lambda: np.abs(shown(head) - rest).max() > 0.005)
+            assert running().worker.source.name == f"Facemime at localhost:{sender.port}"
+            bpy.ops.facemime.stop_puppet()
+        finally:
+            over.set()
+            thread.join()
+
+
+def test_a_pairing_needs_online_access_and_has_to_be_whole(pairing, online):
+    bpy.context.scene.facemime.source.kind, bpy.context.scene.facemime.source.stream.protocol = "STREAM", "own"
+    add_head(bpy.context)
+    pairing.pairing = Pairing("192.168.1.7", 21576, bytes(32), bytes(16)).line
+    with pytest.raises(RuntimeError, match="Online Access"):
+        bpy.ops.facemime.puppet()
+    pairing.pairing = pairing.pairing[:-1]
+    with pytest.raises(RuntimeError, match="not a whole pairing line"):
+        bpy.ops.facemime.puppet()
+    assert running() is None

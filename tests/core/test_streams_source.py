@@ -21,10 +21,11 @@ from facemime.core.live.head_drivers import LiveHead
 from facemime.core.live.sources import LiveFrame
 from facemime.core.live.worker import LiveOptions, LiveWorker
 from facemime.core.streams import ifacialmocap, osc
+from facemime.core.streams.addresses import is_loopback, parse_address
 from facemime.core.streams.face_cap import NAMES
 from facemime.core.streams.security import write_key
 from facemime.core.streams.sender import SENT, SendSettings, StreamSender, moved_from, turned_from
-from facemime.core.streams.settings import PROTOCOLS, StreamSettings, is_loopback, parse_address
+from facemime.core.streams.settings import PROTOCOLS, StreamSettings
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.timeline import EASE, HOLD
 from facemime.core.takes.file import TakeWriter, load_take
