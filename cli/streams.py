@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -21,7 +22,7 @@ from ..core.streams.live_link import ANGLES
 from ..core.streams.pairing import PORT as TLS_PORT
 from ..core.streams.pairing import Pairing, parse_pairing
 from ..core.streams.security import write_key
-from ..core.streams.sender import SENT, SendSettings, StreamSender
+from ..core.streams.sender import SENT, VTUBE_STUDIO, SendSettings, StreamSender
 from ..core.streams.settings import AXES, OWN, PROTOCOLS, StreamSettings
 from ..core.streams.source import StreamSource
 from ..core.streams.vertices import VERTICES, VertexSender
@@ -37,8 +38,9 @@ from .terminal.stopping import STOPPING
 
 if TYPE_CHECKING:
     from ..core.streams.tls_server import TlsSender
+    from ..core.streams.vtube_studio_api import VTubeStudioSender
 
-    Sender = StreamSender | VertexSender | TlsSender
+    Sender = StreamSender | VertexSender | TlsSender | VTubeStudioSender
 
 _FLUSH = 1.0
 """Seconds after which what was received is on the disk."""
@@ -55,11 +57,14 @@ def add_commands(commands: Commands) -> None:
         metavar="HOST[:PORT]",
         help=f"wait for receivers over TLS at this address of this computer; 0.0.0.0 for all (port {TLS_PORT})",
     )
+    send.add_argument(
+        "--token", type=Path, metavar="FILE", help="where the permission of VTube Studio is kept (with your settings)"
+    )
     send.add_argument("--tls", type=Path, metavar="FOLDER", help="certificate and token for --serve, made if missing")
     send.add_argument(
         "--public", default="", metavar="HOST[:PORT]", help="address by which other networks reach this computer"
     )
-    send.add_argument("--protocol", choices=(*SENT, VERTICES), default=OWN, help=f"protocol ({OWN})")
+    send.add_argument("--protocol", choices=(*SENT, VERTICES, VTUBE_STUDIO), default=OWN, help=f"protocol ({OWN})")
     _add_key(send)
     send.add_argument("--subject", default="Facemime", metavar="NAME", help="name of the face in Unreal (Facemime)")
     send.set_defaults(run=run_send)
@@ -128,6 +133,8 @@ def _open_sender(arguments: argparse.Namespace) -> Callable[[LiveWorker], Sender
     """Return what makes a worker send what it tracks, or the built-in head that it drives."""
     if arguments.tls is not None or arguments.public:
         raise FacemimeError("--tls and --public are for --serve. Leave them out, or use --serve instead of --to.")
+    if arguments.protocol == VTUBE_STUDIO:
+        return _open_vtube_studio(arguments)
     host, port = parse_address(arguments.to)
     settings = SendSettings(arguments.protocol, host, port, arguments.key, arguments.subject)
 
@@ -140,6 +147,26 @@ def _open_sender(arguments: argparse.Namespace) -> Callable[[LiveWorker], Sender
         return sender
 
     return open_output
+
+
+def _open_vtube_studio(arguments: argparse.Namespace) -> Callable[[LiveWorker], Sender]:
+    """Return what makes a worker send what it tracks to VTube Studio on a computer."""
+    from ..core.streams.vtube_studio_api import VTubeStudioSender  # its libraries would delay the other commands
+
+    host, port = parse_address(arguments.to)
+    token = arguments.token or user_settings() / "vtube_studio_token"
+
+    def open_output(worker: LiveWorker) -> Sender:
+        worker.output = sender = VTubeStudioSender(host, port, token)
+        return sender
+
+    return open_output
+
+
+def user_settings() -> Path:
+    """Return the folder of the user's settings."""
+    places = (os.environ.get("APPDATA"), os.environ.get("XDG_CONFIG_HOME"))
+    return Path(next(filter(None, places), Path.home() / ".config")) / "facemime"
 
 
 def _open_server(arguments: argparse.Namespace) -> Callable[[LiveWorker], Sender]:

@@ -15,7 +15,6 @@ from ..core.live.head_drivers import LiveHead
 from ..core.live.key_driver import LiveKeys
 from ..core.live.sources import LiveSource
 from ..core.live.worker import LiveOptions
-from ..core.streams.sender import StreamSender
 from ..core.streams.source import StreamSource
 from ..settings.bake_table import read_table
 from ..settings.preferences import preferences
@@ -150,7 +149,7 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
         worker.options = wanted
     if any(head.options != options for head in worker.heads):
         session.update([replace(head, options=options) for head in worker.heads])
-    if isinstance(worker.output, StreamSender):
+    if worker.output is not None:
         worker.output.options = options
     _choose_senders(worker.source, [None if shown.gone else shown.obj for shown in session.objects])
     follow_viewer(session, settings)

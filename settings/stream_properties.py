@@ -100,6 +100,7 @@ class FacemimeOutput(bpy.types.PropertyGroup):
         items=(
             *_BOTH_WAYS,
             ("vertices", "Vertices", "An engine that receives the moved vertices over TCP", 4),
+            ("vtubestudio", "VTube Studio", "VTube Studio on a computer, which asks you for permission once", 5),
         ),
     )
     host: StringProperty(name="Host", description="Address of the computer that receives the face", default=LOOPBACK)

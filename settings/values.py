@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 
@@ -22,7 +23,7 @@ from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlay
 from ..core.puppet.settings import PuppetSettings
 from ..core.streams.addresses import LOOPBACK, is_loopback
 from ..core.streams.pairing import parse_pairing
-from ..core.streams.sender import SendSettings, StreamSender
+from ..core.streams.sender import VTUBE_STUDIO, SendSettings, StreamSender
 from ..core.streams.settings import OWN, PROTOCOLS, StreamSettings
 from ..core.streams.source import StreamSource
 from ..core.streams.vertices import VERTICES
@@ -34,9 +35,12 @@ from .bake_table import read_table
 from .preferences import preferences
 from .properties import FacemimePerformer, FacemimePosing, FacemimeSettings, FacemimeSource
 from .rna import read
-from .storage import project_folder
+from .storage import project_folder, user_folder
 from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer
 from .takes_properties import FacemimeBake
+
+if TYPE_CHECKING:
+    from ..core.streams.vtube_studio_api import VTubeStudioSender
 
 _DEFAULT_BAKE = BakeSettings()
 _FACES = {"LARGEST": None, "LEFT": LEFTMOST, "RIGHT": RIGHTMOST}
@@ -167,7 +171,7 @@ def stream_settings(stream: FacemimeStream) -> StreamSettings:
     return settings
 
 
-def open_sender(settings: FacemimeSettings) -> StreamSender | None:
+def open_sender(settings: FacemimeSettings) -> StreamSender | VTubeStudioSender | None:
     """Return the sender of a live session; None if nothing is to be sent.
 
     Raises
@@ -180,9 +184,13 @@ def open_sender(settings: FacemimeSettings) -> StreamSender | None:
         return None
     key = _key(output.key) if output.protocol == OWN else None
     host = output.host.strip() or LOOPBACK
+    if not is_loopback(host):
+        _require_online(host)
+    if output.protocol == VTUBE_STUDIO:
+        from ..core.streams.vtube_studio_api import VTubeStudioSender  # only now, as its libraries take a moment
+
+        return VTubeStudioSender(host, output.port, user_folder("vtube_studio") / "token", drive_settings(settings))
     wanted = SendSettings(output.protocol, host, output.port, key, output.subject or "Facemime")
-    if not wanted.is_local:
-        _require_online(wanted.host)
     return StreamSender(wanted, drive_settings(settings))
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..blender.messages import interface as _
-from ..core.streams.sender import StreamSender
 from ..core.streams.source import StreamSource
-from ..core.streams.vertices import VertexSender
 from ..core.tracking.hidden_mouth import is_hidden
 from ..sessions.live import LiveSession
 from ..sessions.tracking import TrackingSession
@@ -114,7 +112,7 @@ def _stream_lines(session: LiveSession) -> list[tuple[str, str]]:
         lines.append((_("{received} packets, {wrong} refused, {lost} frames lost").format(**numbers), "URL"))
         lines += [(_who_drives(session, name, source.driven.get(name, ())), "USER") for name in source.senders]
     for sender in (output, session.vertices):
-        if not isinstance(sender, StreamSender | VertexSender):
+        if sender is None:
             continue
         text = sender.message or _("{count} frames sent").format(count=sender.sent)
         lines.append((text, "ERROR" if sender.message else "EXPORT"))

@@ -35,7 +35,21 @@ class Recorder(Protocol):
 
 
 class Output(Protocol):
-    """Interface of what passes the performance on, such as a stream; it must neither wait nor raise."""
+    """Interface of what passes the performance on, such as a stream; it must neither wait nor raise.
+
+    Attributes
+    ----------
+    sent : int
+        Frames that were passed on.
+    message : str
+        Why none are; otherwise "".
+    """
+
+    sent: int
+
+    @property
+    def message(self) -> str:
+        """Why nothing is passed on; otherwise ""."""
 
     def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
         """Pass a frame on.

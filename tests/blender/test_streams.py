@@ -1,5 +1,6 @@
 """Streams in Blender: as the source of a puppet, as its output, and kept off the network unless that is allowed."""
 
+import json
 import socket
 import threading
 import time
@@ -9,6 +10,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
+from websockets.sync.server import serve
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import PART_PROPERTY
@@ -159,10 +161,11 @@ def test_streams_of_others_need_online_access(online, protocol, settings):
     assert running() is None
 
 
+@pytest.mark.parametrize("protocol", ["vmc", "vtubestudio"])
 @pytest.mark.parametrize("host", ["192.168.1.7", "example.invalid", "0.0.0.0", "127.0.0.1.example.invalid"])
-def test_sending_to_others_needs_online_access(online, take, host):
+def test_sending_to_others_needs_online_access(online, take, host, protocol):
     output = bpy.context.scene.facemime.output
-    output.enabled, output.protocol, output.host = True, "vmc", host
+    output.enabled, output.protocol, output.host = True, protocol, host
     add_head(bpy.context)
     before = threading.active_count()
     with pytest.raises(RuntimeError, match="Online Access"):
@@ -342,3 +345,35 @@ def test_a_pairing_needs_online_access_and_has_to_be_whole(pairing, online):
     with pytest.raises(RuntimeError, match="not a whole pairing line"):
         bpy.ops.facemime.puppet()
     assert running() is None
+
+
+def test_vtube_studio_gets_what_is_tracked(take, tmp_path, monkeypatch):
+    monkeypatch.setattr("facemime.settings.values.user_folder", lambda name: tmp_path / name)
+    add_head(bpy.context)
+    settings, asked = bpy.context.scene.facemime, []
+    settings.source.loop = True
+
+    def studio(connection) -> None:
+        for message in connection:
+            request = json.loads(message)
+            asked.append(request)
+            data = {"authenticationToken": "a-token", "authenticated": True}
+            kind = request["messageType"].replace("Request", "Response")
+            connection.send(json.dumps({"messageType": kind, "requestID": request["requestID"], "data": data}))
+
+    with serve(studio, "127.0.0.1", 0) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        output = settings.output
+        output.enabled, output.protocol, output.port = True, "vtubestudio", server.socket.getsockname()[1]
+        start()
+        ticks_until(lambda: running().worker.output.sent > 20)
+        settings.mirror = not settings.mirror
+        some_frames()
+        assert running().worker.output.options.mirror == settings.mirror
+        bpy.ops.facemime.stop_puppet()
+        server.shutdown()
+        thread.join()
+    values = [request["data"] for request in asked if request["messageType"] == "InjectParameterDataRequest"]
+    mouths = {each["value"] for data in values for each in data["parameterValues"] if each["id"] == "MouthOpen"}
+    assert len(mouths) > 3 and (tmp_path / "vtube_studio" / "token").read_text().strip() == "a-token"

@@ -1,16 +1,19 @@
 """The commands `send` and `receive`, in processes of their own and over real sockets."""
 
+import json
 import re
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from websockets.sync.server import serve
 
 import facemime
 from commands import SAMPLE, START, needs_posix, run
@@ -132,6 +135,30 @@ def test_a_pairing_line_is_all_that_a_receiver_needs(tmp_path):
     assert not (tmp_path / "no.facetake").exists()
 
 
+def test_vtube_studio_is_sent_to_and_its_permission_kept(tmp_path):
+    save_take(coefficient_take(60), tmp_path / "sent.facetake")
+    kinds = []
+
+    def studio(connection) -> None:
+        for message in connection:
+            request = json.loads(message)
+            kinds.append(request["messageType"])
+            data = {"authenticationToken": "a-token", "authenticated": True}
+            kind = request["messageType"].replace("Request", "Response")
+            connection.send(json.dumps({"messageType": kind, "requestID": request["requestID"], "data": data}))
+
+    with serve(studio, "127.0.0.1", 0) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        to = ("--to", f"127.0.0.1:{server.socket.getsockname()[1]}", "--protocol", "vtubestudio")
+        done = run("send", "--video", tmp_path / "sent.facetake", *to, "--token", tmp_path / "token")
+        server.shutdown()
+        thread.join()
+    assert done.returncode == 0, done.stderr
+    assert kinds[:2] == ["AuthenticationTokenRequest", "AuthenticationRequest"]
+    assert kinds.count("InjectParameterDataRequest") >= 10 and (tmp_path / "token").read_text() == "a-token\n"
+
+
 @needs_posix
 def test_a_video_is_tracked_and_sent_without_blender():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as unreal:
@@ -211,5 +238,6 @@ def test_the_documented_receiver_reads_what_is_sent_and_needs_only_numpy(tmp_pat
 def test_every_protocol_is_documented_with_its_port():
     document = (Path(facemime.__file__).parent / "docs" / "streams.md").read_text(encoding="utf-8")
     for name, protocol in PROTOCOLS.items():
-        (row,) = [line for line in document.splitlines() if line.startswith("|") and f"`{name}`" in line]
+        rows = [line for line in document.splitlines() if line.startswith("|") and f"`{name}`" in line]
+        (row,) = [row for row in rows if "TCP" not in row]
         assert f"UDP {protocol.port} " in row and ("sends" in row) == (name in SENT)
