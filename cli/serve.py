@@ -10,7 +10,7 @@ from ..core.heads.appearance import built_in_appearance
 from ..core.heads.rig import built_in_rig
 from ..core.live.head_drivers import LiveHead
 from ..core.live.worker import LiveWorker
-from ..core.streams.settings import LOOPBACK, parse_address
+from ..core.streams.addresses import LOOPBACK, parse_address
 from ..core.viewer.qr import as_text, qr_code
 from ..core.viewer.settings import PORT, ViewerSettings, kept_token
 from .performance import add_source, live_options, open_source, watch

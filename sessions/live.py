@@ -13,6 +13,7 @@ from ..blender.animation.live import LiveHeadObject, require_one_left
 from ..blender.media.sounds import beep
 from ..blender.messages import show_error
 from ..blender.undo import push_undo
+from ..core.drive.driver import HeadFrame
 from ..core.errors import FacemimeError, HeadError, OutputError
 from ..core.live.head_drivers import LiveHead
 from ..core.live.outputs import Output
@@ -112,6 +113,7 @@ class LiveSession(Session):
         self._range = False
         self._waiting = False
         self._number = 0
+        self._written: tuple[HeadFrame, ...] = ()
         self._viewer: ViewerServer | None = None
         self._vertices: VertexSender | None = None
         driven = tuple(head for _, head in heads)
@@ -150,9 +152,11 @@ class LiveSession(Session):
         fetched = perf_counter()
         self._number, self.shown = latest.number, latest
         require_one_left(self._objects)
-        for shown, frame, flat in zip(self._objects, latest.heads, latest.prepared, strict=False):
-            if not shown.gone:
+        before = self._written + (None,) * len(self._objects)
+        for shown, frame, flat, written in zip(self._objects, latest.heads, latest.prepared, before, strict=False):
+            if frame is not written and not shown.gone:
                 shown.write(frame, flat)
+        self._written = latest.heads
         self._measure(latest, fetched)
         self._displayed_at = perf_counter()
         return True
@@ -272,7 +276,8 @@ class LiveSession(Session):
             If there is a recording already, or the file cannot be created.
         """
         self._require_no_recording()
-        self.recording = Recording(self.worker, scene, name)
+        names = ["" if shown.gone else shown.obj.name for shown in self._objects]
+        self.recording = Recording(self.worker, scene, name, names)
         self.attend_later()
         return self.recording
 
@@ -326,7 +331,7 @@ class LiveSession(Session):
         """Display the heads again after `suspend`."""
         for shown in self._objects:
             shown.attach()
-        self._number = 0
+        self._number, self._written = 0, ()
 
     def _stop(self) -> None:
         self.view(None)
@@ -384,7 +389,7 @@ class LiveSession(Session):
         if self._at is not None:
             if perf_counter() >= self._at:
                 self._at = None
-                self.worker.calibrate(range_of=self.worker.neutral if self._range else None)
+                self.worker.calibrate(range_of=self._range)
         elif not self.worker.calibrating:
             self._waiting = False
             if self.worker.neutral is not None and self.worker.quality is not None:

@@ -3,35 +3,54 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import bpy
-import numpy as np
-from numpy.typing import NDArray
 
 from ..core.errors import OutputError
 from ..core.live.reference_video import SUFFIX as VIDEO_SUFFIX
 from ..core.live.reference_video import ReferenceVideo
+from ..core.live.sources import LiveFrame
 from ..core.live.worker import LiveWorker
-from ..core.takes.file import TakeWriter
+from ..core.takes.file import SUFFIX, TakeWriter
 from ..core.takes.take import describe
 from ..core.tracking.result import TrackResult
 from ..settings.preferences import preferences
+from ..settings.storage import free_path
 from ..settings.takes_store import add, new_path
 
 
-class Recording:
-    """Recorder of everything that is tracked. The first frame is at 0 s, and `offset` is its time in the source.
+@dataclass
+class _Part:
+    """A take that is being recorded."""
 
-    If a video is kept beside the take, that becomes the source of the take.
+    path: Path
+    writer: TakeWriter
+    performer: int | None = None
+    sender: str = ""
+    frames: int = 0
+    last: float = 0.0
+
+
+class Recording:
+    """Recorder of everything that is tracked, `offset` seconds after the times of the source.
+
+    If several performers drive heads, there is a take for each of them, at the same times; that of the first head comes
+    first, and is the one that `path` and `seconds` are of. If a video is kept beside the take, that becomes the source
+    of the take.
 
     Parameters
     ----------
     worker : LiveWorker
         Records from now on.
     scene : bpy.types.Scene
-        The take is added to its list; it also says whether to keep a video.
+        The takes are added to its list; it also says whether to keep a video.
     name : str
-        Base of the file name.
+        Base of the file names.
+    heads : sequence of str
+        Names of the heads, by which takes of several performers are named.
 
     Raises
     ------
@@ -39,52 +58,65 @@ class Recording:
         If the file cannot be created.
     """
 
-    def __init__(self, worker: LiveWorker, scene: bpy.types.Scene, name: str) -> None:
-        self.path, self.frames, self.closed = new_path(name), 0, False
-        self._worker, self._scene = worker, scene.name
-        self._offset, self._last = 0.0, 0.0
+    def __init__(self, worker: LiveWorker, scene: bpy.types.Scene, name: str, heads: Sequence[str] = ()) -> None:
+        self.path, self.closed = new_path(name), False
+        self._worker, self._scene, self._name, self._heads = worker, scene.name, name, tuple(heads)
+        self._offset: float | None = None
         self._video: ReferenceVideo | None = None
-        self._writer = TakeWriter(self.path, self._info())
+        self._main = _Part(self.path, TakeWriter(self.path, {}))
+        self._main.writer.info = self._info(self._main)
+        self._others: dict[int, _Part] = {}
         if scene.facemime_takes.video:
             self._video = ReferenceVideo(self.path.with_suffix(VIDEO_SUFFIX), preferences().rate)
-            self._writer.info = self._info()
+            self._main.writer.info = self._info(self._main)
         worker.record(self)
 
     @property
     def seconds(self) -> float:
         """Duration so far."""
-        return self._last
+        return self._main.last
 
-    def append(self, time: float, result: TrackResult, image: NDArray[np.uint8] | None) -> None:
+    @property
+    def frames(self) -> int:
+        """Frames so far."""
+        return self._main.frames
+
+    @property
+    def takes(self) -> int:
+        """Number of takes that are recorded."""
+        return len(self._parts())
+
+    def append(self, frame: LiveFrame, result: TrackResult) -> None:
         """Add a frame. Called in the worker's thread, as are `flush` and `close`.
 
         Parameters
         ----------
-        time : float
-            Time in the source, seconds.
+        frame : LiveFrame
         result : TrackResult
-        image : (H, W, 3) uint8 BGR, or None
-            For the video.
         """
-        if not self.frames:
-            self._offset = time
-        self._last = time - self._offset
-        self._writer.append(self._last, result)
-        self.frames += 1
-        if self._video is not None and image is not None:
-            self._video.add(self._last, image)
+        self._offset = frame.time if self._offset is None else self._offset
+        part, time = self._part_of(frame), frame.time - self._offset
+        if time < 0.0:
+            return
+        part.performer, part.sender, part.last = frame.performer, frame.sender, time
+        part.writer.append(time, result)
+        part.frames += 1
+        if self._video is not None and frame.image is not None:
+            self._video.add(time, frame.image)
 
     def flush(self) -> None:
         """Write all frames so far to disk."""
-        self._writer.flush()
+        for part in self._parts():
+            part.writer.flush()
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the files."""
         self.closed = True
         if self._video is not None:
             self._video.close()
-        self._writer.info = self._info()
-        self._writer.close()
+        for part in self._parts():
+            part.writer.info = self._info(part)
+            part.writer.close()
 
     @property
     def video_failed(self) -> bool:
@@ -99,7 +131,7 @@ class Recording:
     @property
     def length(self) -> float:
         """Duration so far, seconds."""
-        return self._last
+        return self._main.last
 
     @property
     def running(self) -> bool:
@@ -118,20 +150,44 @@ class Recording:
             with contextlib.suppress(OutputError):  # already reported by the session
                 self.close()
         scene = bpy.data.scenes.get(self._scene)
-        if scene is None or not self.path.is_file():
+        if scene is None:
             return False
-        add(scene, self.path)
-        return True
+        there = [part for part in reversed(self._parts()) if part.path.is_file()]
+        if any(part.frames for part in there):
+            there = [part for part in there if part.frames]
+        for part in there:
+            add(scene, part.path)
+        return bool(there)
 
-    def _info(self) -> dict:
+    def _parts(self) -> list[_Part]:
+        return [self._main, *tuple(self._others.values())]
+
+    def _part_of(self, frame: LiveFrame) -> _Part:
+        """The take to which a frame belongs: another one for each performer."""
+        first = frame.heads is None or 0 in frame.heads
+        if self._main.performer == frame.performer or (self._main.performer is None and first):
+            return self._main
+        if (part := self._others.get(frame.performer)) is None:
+            heads = [self._heads[head] for head in frame.heads or () if head < len(self._heads)]
+            path = free_path(self.path.parent, " ".join([self._name, *heads[:1]]), SUFFIX)
+            part = _Part(path, TakeWriter(path, {}), frame.performer, frame.sender)
+            part.writer.info = self._info(part)
+            self._others[frame.performer] = part
+        return part
+
+    def _info(self, part: _Part) -> dict:
         worker, source = self._worker, self._worker.source
-        fps = (self.frames - 1) / self._last if self._last > 0.0 else 30.0
+        fps = (part.frames - 1) / part.last if part.last > 0.0 else 30.0
         width, height = worker.image_size
         size = (width or 640, height or 480)
-        info = describe(source.name, fps, size, worker.model, source.clock) | {"offset": self._offset}
-        if worker.neutral is not None:
-            info["calibration"] = worker.neutral.to_dict()
-            if worker.neutral.measured:
+        info = describe(source.name, fps, size, worker.model, source.clock) | {"offset": self._offset or 0.0}
+        if part.sender:
+            info["sender"] = part.sender
+        performer = None if part.performer is None else worker.performer(part.performer)
+        neutral = worker.neutral if performer is None else performer.neutral
+        if neutral is not None:
+            info["calibration"] = neutral.to_dict()
+            if neutral.measured:
                 info["measured"] = True
         if self._video is not None and (not self.closed or self._video.written):
             info |= {"source": self._video.path.name, "offset": 0.0, "seen_by": source.name}

@@ -13,8 +13,9 @@ from ..blender.rigs import read_rig, rig_checks
 from ..core.errors import HeadError
 from ..core.live.head_drivers import LiveHead
 from ..core.live.key_driver import LiveKeys
+from ..core.live.sources import LiveSource
 from ..core.live.worker import LiveOptions
-from ..core.streams.sender import StreamSender
+from ..core.streams.source import StreamSource
 from ..settings.bake_table import read_table
 from ..settings.preferences import preferences
 from ..settings.properties import FacemimeSettings
@@ -75,6 +76,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
     if neutral is not None and not (neutral.asked or live):
         neutral = None
     source = open_source(settings.source)
+    _choose_senders(source, objects)
     try:
         output = open_sender(settings)
     except Exception:
@@ -104,6 +106,12 @@ def _keys_of(scene: bpy.types.Scene, obj: bpy.types.Object) -> LiveKeys | None:
     choice = scene.facemime.drive_by
     bake = scene.facemime_takes.bake
     return live_keys(obj, choice, read_table(bake) if choice == KEYS and len(bake.rows) else None)
+
+
+def _choose_senders(source: LiveSource, objects: Sequence[bpy.types.Object | None]) -> None:
+    """Tell a source of several senders which of them drives which head."""
+    if isinstance(source, StreamSource):
+        source.chosen = tuple("" if obj is None else obj.facemime.sender.strip() for obj in objects)
 
 
 def live_options(settings: FacemimeSettings) -> LiveOptions:
@@ -141,8 +149,9 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
         worker.options = wanted
     if any(head.options != options for head in worker.heads):
         session.update([replace(head, options=options) for head in worker.heads])
-    if isinstance(worker.output, StreamSender):
+    if worker.output is not None:
         worker.output.options = options
+    _choose_senders(worker.source, [None if shown.gone else shown.obj for shown in session.objects])
     follow_viewer(session, settings)
     for shown in session.objects:
         shown.follow = _follow(settings)

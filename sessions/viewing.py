@@ -12,7 +12,7 @@ from ..blender.animation.appearance import read_appearance
 from ..blender.messages import show_error
 from ..core.errors import FacemimeError
 from ..core.heads.appearance import Appearance
-from ..core.streams.settings import LOOPBACK
+from ..core.streams.addresses import LOOPBACK
 from ..core.streams.vertices import VertexSender
 from ..core.viewer.settings import new_token
 from ..settings.properties import FacemimeSettings

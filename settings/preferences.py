@@ -8,7 +8,7 @@ from .storage import EXTENSION
 
 
 class FacemimePreferences(bpy.types.AddonPreferences):
-    """Camera, preview, and the folder for takes."""
+    """Camera, preview, pairing, and the folder for takes."""
 
     bl_idname = EXTENSION
 
@@ -42,6 +42,14 @@ class FacemimePreferences(bpy.types.AddonPreferences):
     sounds: BoolProperty(
         name="Sounds", description="Beep when a recording starts and when a calibration ends", default=True
     )
+    pairing: StringProperty(
+        name="Pairing",
+        description=(
+            "Line that facemime send --serve shows at the other computer, to receive its stream over TLS. It is "
+            "secret, and is not stored in the .blend file"
+        ),
+        subtype="PASSWORD",
+    )
     takes_folder: StringProperty(
         name="Takes",
         description="Folder for takes recorded before the .blend file is saved; later ones are stored beside it",
@@ -55,6 +63,7 @@ class FacemimePreferences(bpy.types.AddonPreferences):
         draw_camera(layout.column(), self)
         draw_preview(layout, self)
         layout.prop(self, "sounds")
+        layout.prop(self, "pairing")
         layout.prop(self, "takes_folder")
 
 

@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from ..core.streams.settings import LOOPBACK
+from ..core.streams.addresses import LOOPBACK
 from ..core.viewer.settings import PORT
 
 _BOTH_WAYS = (
@@ -76,6 +76,18 @@ class FacemimeStream(bpy.types.PropertyGroup):
     )
 
 
+class FacemimeHead(bpy.types.PropertyGroup):
+    """What is chosen for one head of several."""
+
+    sender: StringProperty(
+        name="Sender",
+        description=(
+            "Address or name of the sender that drives this head; by default, the first sender drives the first head, "
+            "the second the second, and so on"
+        ),
+    )
+
+
 class FacemimeOutput(bpy.types.PropertyGroup):
     """Where the performance is sent while a puppet is running."""
 
@@ -88,6 +100,7 @@ class FacemimeOutput(bpy.types.PropertyGroup):
         items=(
             *_BOTH_WAYS,
             ("vertices", "Vertices", "An engine that receives the moved vertices over TCP", 4),
+            ("vtubestudio", "VTube Studio", "VTube Studio on a computer, which asks you for permission once", 5),
         ),
     )
     host: StringProperty(name="Host", description="Address of the computer that receives the face", default=LOOPBACK)
@@ -118,4 +131,5 @@ class FacemimeViewer(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (FacemimeStream, FacemimeOutput, FacemimeViewer)
+CLASSES = (FacemimeStream, FacemimeHead, FacemimeOutput, FacemimeViewer)
+POINTERS = ((bpy.types.Object, "facemime", FacemimeHead),)

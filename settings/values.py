@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 
@@ -20,8 +21,10 @@ from ..core.errors import FacemimeError, SourceError
 from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
 from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
 from ..core.puppet.settings import PuppetSettings
-from ..core.streams.sender import SendSettings, StreamSender
-from ..core.streams.settings import LOOPBACK, OWN, PROTOCOLS, StreamSettings, is_loopback
+from ..core.streams.addresses import LOOPBACK, is_loopback
+from ..core.streams.pairing import parse_pairing
+from ..core.streams.sender import VTUBE_STUDIO, SendSettings, StreamSender
+from ..core.streams.settings import OWN, PROTOCOLS, StreamSettings
 from ..core.streams.source import StreamSource
 from ..core.streams.vertices import VERTICES
 from ..core.takes.file import load_take
@@ -32,9 +35,12 @@ from .bake_table import read_table
 from .preferences import preferences
 from .properties import FacemimePerformer, FacemimePosing, FacemimeSettings, FacemimeSource
 from .rna import read
-from .storage import project_folder
+from .storage import project_folder, user_folder
 from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer
 from .takes_properties import FacemimeBake
+
+if TYPE_CHECKING:
+    from ..core.streams.vtube_studio_api import VTubeStudioSender
 
 _DEFAULT_BAKE = BakeSettings()
 _FACES = {"LARGEST": None, "LEFT": LEFTMOST, "RIGHT": RIGHTMOST}
@@ -143,25 +149,29 @@ def stream_settings(stream: FacemimeStream) -> StreamSettings:
     Raises
     ------
     SourceError
-        If it may come from another computer, and Blender's online access is turned off.
+        If it may come from another computer, and Blender's online access is turned off; or the pairing is no
+        pairing line.
     """
+    line = preferences().pairing.strip() if stream.protocol == OWN else ""
+    pairing = parse_pairing(line) if line else None
     settings = StreamSettings(
         protocol=stream.protocol,
         host=stream.host.strip() or LOOPBACK,
         port=stream.port,
         phone=stream.phone.strip() if PROTOCOLS[stream.protocol].phone_port else "",
-        key=_key(stream.key) if stream.protocol == OWN else None,
+        key=_key(stream.key) if stream.protocol == OWN and pairing is None else None,
         delay=stream.delay,
         sender=stream.sender.strip(),
         angles=stream.angles,
         flip=tuple(sorted(stream.flip)),
+        pairing=pairing,
     )
     if not settings.is_local:
-        _require_online(settings.phone or settings.host)
+        _require_online(pairing.host if pairing is not None else settings.phone or settings.host)
     return settings
 
 
-def open_sender(settings: FacemimeSettings) -> StreamSender | None:
+def open_sender(settings: FacemimeSettings) -> StreamSender | VTubeStudioSender | None:
     """Return the sender of a live session; None if nothing is to be sent.
 
     Raises
@@ -174,9 +184,13 @@ def open_sender(settings: FacemimeSettings) -> StreamSender | None:
         return None
     key = _key(output.key) if output.protocol == OWN else None
     host = output.host.strip() or LOOPBACK
+    if not is_loopback(host):
+        _require_online(host)
+    if output.protocol == VTUBE_STUDIO:
+        from ..core.streams.vtube_studio_api import VTubeStudioSender  # only now, as its libraries take a moment
+
+        return VTubeStudioSender(host, output.port, user_folder("vtube_studio") / "token", drive_settings(settings))
     wanted = SendSettings(output.protocol, host, output.port, key, output.subject or "Facemime")
-    if not wanted.is_local:
-        _require_online(wanted.host)
     return StreamSender(wanted, drive_settings(settings))
 
 

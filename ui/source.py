@@ -4,8 +4,11 @@ import sys
 
 import bpy
 
+from ..blender.messages import CONTEXT
 from ..core.live.camera import list_cameras
 from ..core.streams.settings import OWN, PROTOCOLS
+from ..operators.puppet import running
+from ..operators.shared import heads_in
 from ..settings.preferences import draw_camera, draw_preview, preferences
 from ..settings.stream_properties import FacemimeStream
 from .sidebar import Sidebar, labels, place, split_labels
@@ -30,6 +33,7 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
             _draw_camera(column, context)
         elif source.kind == "STREAM":
             _draw_stream(column, source.stream)
+            _draw_senders(column, context)
         else:
             if source.kind != "SAMPLE":
                 column.prop(source, {"VIDEO": "video", "PICTURES": "folder", "TAKE": "take"}[source.kind])
@@ -45,20 +49,36 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
 
 def _draw_stream(layout: bpy.types.UILayout, stream: FacemimeStream) -> None:
     layout.prop(stream, "protocol")
+    paired = False
+    if stream.protocol == OWN:
+        layout.prop(preferences(), "pairing")
+        paired = bool(preferences().pairing)
     column = layout.column(align=True)
+    column.active = not paired
     if PROTOCOLS[stream.protocol].phone_port:
         column.prop(stream, "phone")
     else:
         column.prop(stream, "host")
     column.prop(stream, "port")
     if stream.protocol == OWN:
-        layout.prop(stream, "key")
+        column.prop(stream, "key")
     layout.prop(stream, "sender")
     layout.prop(stream, "delay")
     if stream.protocol == "livelink":
         layout.prop(stream, "angles")
     if stream.protocol not in (OWN, "openseeface"):
         layout.row().prop(stream, "flip", expand=True)
+
+
+def _draw_senders(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw the sender of each head, if several are driven."""
+    session = running()
+    heads = heads_in(context) if session is None else [shown.obj for shown in session.objects if not shown.gone]
+    if len(heads) < 2:
+        return
+    column = layout.column(align=True, heading="Senders", heading_ctxt=CONTEXT)
+    for head in heads:
+        column.prop(head.facemime, "sender", text=head.name, translate=False)
 
 
 def _draw_camera(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..blender.messages import interface as _
-from ..core.streams.sender import StreamSender
 from ..core.streams.source import StreamSource
-from ..core.streams.vertices import VertexSender
 from ..core.tracking.hidden_mouth import is_hidden
 from ..sessions.live import LiveSession
 from ..sessions.tracking import TrackingSession
@@ -97,6 +95,13 @@ def status_lines(session: LiveSession) -> list[tuple[str, str]]:
     return lines
 
 
+def _who_drives(session: LiveSession, sender: str, heads: tuple[int, ...]) -> str:
+    """Return a sender and the heads that it drives, if there are several."""
+    shown = session.objects
+    names = [shown[head].obj.name for head in heads if head < len(shown) and not shown[head].gone]
+    return f"{sender}: {', '.join(names)}" if len(shown) > 1 and names else sender
+
+
 def _stream_lines(session: LiveSession) -> list[tuple[str, str]]:
     """Return what comes over the network, and what is sent."""
     lines, source, output = [], session.worker.source, session.worker.output
@@ -105,9 +110,9 @@ def _stream_lines(session: LiveSession) -> list[tuple[str, str]]:
         wrong = counts.malformed + counts.refused + counts.flooded
         numbers = {"received": counts.received, "wrong": wrong, "lost": counts.lost}
         lines.append((_("{received} packets, {wrong} refused, {lost} frames lost").format(**numbers), "URL"))
-        lines += [(name, "USER") for name in source.senders]
+        lines += [(_who_drives(session, name, source.driven.get(name, ())), "USER") for name in source.senders]
     for sender in (output, session.vertices):
-        if not isinstance(sender, StreamSender | VertexSender):
+        if sender is None:
             continue
         text = sender.message or _("{count} frames sent").format(count=sender.sent)
         lines.append((text, "ERROR" if sender.message else "EXPORT"))

@@ -9,6 +9,7 @@ from typing import Any
 from ..drive.driver import HeadDriver, HeadFrame
 from ..drive.settings import DriveSettings
 from ..heads.rig import HeadRig
+from ..takes.between import at_rest
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
 from .key_driver import KeyDriver, LiveKeys
@@ -36,22 +37,36 @@ class LiveHead:
     keys: LiveKeys | None = None
 
 
-class HeadDrivers:
-    """Drivers of several heads, which may be exchanged from one frame to the next.
+@dataclass
+class _Driven:
+    """A head by now: by whom it is driven, and how."""
 
-    Attributes
-    ----------
-    drivers : list of HeadDriver or KeyDriver
-        Of the heads of the last frame.
-    """
+    head: LiveHead
+    neutral: Neutral
+    result: TrackResult
+    driver: HeadDriver | KeyDriver
+    frame: HeadFrame
+    prepared: Any
+
+
+class HeadDrivers:
+    """Drivers of several heads, which may be exchanged from one frame to the next."""
 
     def __init__(self) -> None:
-        self.drivers: list[HeadDriver | KeyDriver] = []
+        self._driven: list[_Driven] = []
         self._heads: tuple[LiveHead, ...] = ()
-        self._neutral: Neutral | None = None
+
+    @property
+    def drivers(self) -> list[HeadDriver | KeyDriver]:
+        """Drivers of the heads of the last frame."""
+        return [driven.driver for driven in self._driven]
 
     def drive(
-        self, heads: tuple[LiveHead, ...], neutral: Neutral | None, result: TrackResult
+        self,
+        heads: tuple[LiveHead, ...],
+        neutral: Neutral | None,
+        result: TrackResult,
+        chosen: tuple[int, ...] | None = None,
     ) -> tuple[tuple[HeadFrame, ...], tuple[Any, ...]]:
         """Return the frames of `heads`, and what `LiveHead.prepare` makes of each.
 
@@ -64,24 +79,59 @@ class HeadDrivers:
             The performer's neutral face; without one there are no frames.
         result : TrackResult
             Of the performer; without a face there are no frames.
+        chosen : tuple of int, optional
+            The heads that this performer drives, by default all. The others stay as they are, at first at rest.
 
         Returns
         -------
         frames : tuple of HeadFrame
         prepared : tuple
         """
-        if neutral is None or not result.found:
+        if neutral is not None and result.found:
+            self._update(heads, neutral, result, chosen)
+        elif chosen is None:
             return (), ()
-        if self._heads is not heads or self._neutral is not neutral:
-            self._prepare(heads, neutral)
-        frames = tuple(driver.frame(result) for driver in self.drivers)
-        return frames, tuple(head.prepare(frame) for head, frame in zip(heads, frames, strict=True))
+        return tuple(driven.frame for driven in self._driven), tuple(driven.prepared for driven in self._driven)
 
-    def _prepare(self, heads: tuple[LiveHead, ...], neutral: Neutral) -> None:
-        earlier = [driver.head if isinstance(driver, KeyDriver) else driver for driver in self.drivers]
-        before = {id(driver.rig): driver for driver in earlier}
-        drivers: list[HeadDriver | KeyDriver] = []
-        for head in heads:
-            driver = HeadDriver(head.rig, neutral, head.options, reuse=before.get(id(head.rig)))
-            drivers.append(driver if head.keys is None else KeyDriver(driver, neutral, head.keys))
-        self.drivers, self._heads, self._neutral = drivers, heads, neutral
+    def _update(
+        self, heads: tuple[LiveHead, ...], neutral: Neutral, result: TrackResult, chosen: tuple[int, ...] | None
+    ) -> None:
+        changed, before = self._heads is not heads, dict(enumerate(self._driven))
+        self._heads, drivers = heads, self.drivers
+        rest = None if chosen is None else at_rest(neutral, result)
+        for number, head in enumerate(heads):
+            known = before.get(number)
+            if chosen is None or number in chosen:
+                driven = _drive(head, neutral, result, drivers, known)
+            elif known is None:
+                driven = _drive(head, neutral, rest or result, drivers, known)
+            elif changed:
+                driven = _drive(head, known.neutral, known.result, drivers, known)
+            else:
+                continue
+            self._driven[number : number + 1] = [driven]
+        del self._driven[len(heads) :]
+
+
+def _drive(
+    head: LiveHead,
+    neutral: Neutral,
+    result: TrackResult,
+    drivers: list[HeadDriver | KeyDriver],
+    known: _Driven | None,
+) -> _Driven:
+    """Drive a head by a result, with the same driver as before if nothing else has changed."""
+    if known is not None and known.head is head and known.neutral is neutral:
+        driver = known.driver
+    else:
+        driver = _prepare(head, neutral, drivers)
+    frame = driver.frame(result)
+    return _Driven(head, neutral, result, driver, frame, head.prepare(frame))
+
+
+def _prepare(head: LiveHead, neutral: Neutral, drivers: list[HeadDriver | KeyDriver]) -> HeadDriver | KeyDriver:
+    """Make a driver, with the deformer of one of `drivers` that has the same rig."""
+    earlier = [driver.head if isinstance(driver, KeyDriver) else driver for driver in drivers]
+    before = {id(driver.rig): driver for driver in earlier}
+    driver = HeadDriver(head.rig, neutral, head.options, reuse=before.get(id(head.rig)))
+    return driver if head.keys is None else KeyDriver(driver, neutral, head.keys)

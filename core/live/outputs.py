@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..drive.driver import HeadDriver, HeadFrame
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
+from .sources import LiveFrame
 
 if TYPE_CHECKING:
     from .key_driver import KeyDriver
@@ -19,17 +17,14 @@ if TYPE_CHECKING:
 class Recorder(Protocol):
     """Interface of a recording."""
 
-    def append(self, time: float, result: TrackResult, image: NDArray[np.uint8] | None) -> None:
+    def append(self, frame: LiveFrame, result: TrackResult) -> None:
         """Record a frame.
 
         Parameters
         ----------
-        time : float
-            Seconds.
+        frame : LiveFrame
         result : TrackResult
-            Of that frame.
-        image : (H, W, 3) uint8 or None
-            BGR, if there is one.
+            What was tracked in it.
         """
 
     def flush(self) -> None:
@@ -40,7 +35,21 @@ class Recorder(Protocol):
 
 
 class Output(Protocol):
-    """Interface of what passes the performance on, such as a stream; it must neither wait nor raise."""
+    """Interface of what passes the performance on, such as a stream; it must neither wait nor raise.
+
+    Attributes
+    ----------
+    sent : int
+        Frames that were passed on.
+    message : str
+        Why none are; otherwise "".
+    """
+
+    sent: int
+
+    @property
+    def message(self) -> str:
+        """Why nothing is passed on; otherwise ""."""
 
     def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
         """Pass a frame on.

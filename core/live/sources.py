@@ -52,6 +52,12 @@ class LiveFrame:
         Whether the source filled it in, as none came: it is displayed, but not recorded.
     rest : float
         How far the face has come to rest, 0 to 1, as nothing comes from the source any more.
+    performer : int
+        Number of the performer, in a source of several.
+    heads : tuple of int or None
+        The heads that this performer drives; None for all.
+    sender : str
+        Who sent it, in a source of several.
     """
 
     time: float
@@ -62,6 +68,9 @@ class LiveFrame:
     neutral: Neutral | None = None
     filled: bool = False
     rest: float = 0.0
+    performer: int = 0
+    heads: tuple[int, ...] | None = None
+    sender: str = ""
 
 
 class LiveSource(ABC):
@@ -77,12 +86,15 @@ class LiveSource(ABC):
         Whether all of the performance is known beforehand, so that its neutral face need not be learnt.
     ended : bool
         Whether there are no more frames.
+    message : str
+        Why no frames are coming although nothing is wrong here; otherwise "".
     """
 
     name: str
     clock = "media"
     complete = False
     ended = False
+    message = ""
 
     @abstractmethod
     def read(self, timeout: float) -> LiveFrame | None:

@@ -7,9 +7,8 @@ results leave it in the same way, so that neither side waits for the other.
 from __future__ import annotations
 
 import threading
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -19,25 +18,21 @@ from numpy.typing import NDArray
 
 from ..drive.driver import HeadFrame
 from ..errors import FacemimeError, OutputError
-from ..takes.between import at_rest, between
 from ..takes.neutral import Neutral
 from ..takes.take import Take, TakeRecorder
 from ..tracking.overlay import draw_preview
 from ..tracking.result import TrackResult
-from ..tracking.smoothing import ResultSmoother
 from ..tracking.tracker import FaceTracker
-from .calibration import NeutralCalibration, Quality, RangeCalibration
+from .calibration import Quality
 from .head_drivers import HeadDrivers, LiveHead
-from .learning import PerformerLearner
 from .outputs import Display, Output, Recorder
+from .performer import Performer
 from .sources import LiveFrame, LiveSource
 
 _PATIENCE = 0.1
 """Seconds to wait for a frame before pending frames are written."""
 _ENDING = 5.0
 """Seconds for which `close` waits for the thread, which may be tracking, or stuck in a driver or on a disk."""
-_RECENT = 900
-"""Frames of `recent_take`: half a minute with most cameras."""
 _LOAD_TRACKER = partial(FaceTracker.load, gradual=True)
 """Loads a tracker whose search is gradual, as a long one would stall the puppet when somebody returns to the camera."""
 
@@ -75,9 +70,9 @@ class LiveResult:
     time : float
         Time in the source, in seconds.
     result : TrackResult
-        Smoothed according to the options.
+        Of the performer of the first head, smoothed according to the options.
     heads : tuple of HeadFrame
-        In the order of the heads; empty if there is no face.
+        In the order of the heads, each by its performer; empty if there is no face.
     prepared : tuple
         What `LiveHead.prepare` returned for each of them.
     taken, began, tracked, driven : float
@@ -139,8 +134,6 @@ class LiveWorker:
         The error that ended the worker.
     recording_error : OutputError or None
         The error that ended a recording; what was written before is safe.
-    quality : Quality or None
-        Quality of the last calibration.
     model : str
         Identifier of the tracker model; "" until it is loaded.
     """
@@ -161,24 +154,17 @@ class LiveWorker:
         self.message = ""
         self.error: Exception | None = None
         self.recording_error: OutputError | None = None
-        self.quality: Quality | None = None
-        self.neutral = neutral
         self._load_tracker, self.output = load_tracker, output
         self.displays: tuple[Display, ...] = ()
-        self._calibration: NeutralCalibration | RangeCalibration | None = None
-        self._stated: Neutral | None = None
-        self._first = None if neutral is not None else NeutralCalibration(asked=False)
-        self._learner: PerformerLearner | None = None
-        self._forget = False
+        self._first = Performer(neutral)
+        self._performers = {0: self._first}
         self._recorder: Recorder | None = None
         self._recording = threading.Lock()
         self._drivers = HeadDrivers()
-        self._smoother = ResultSmoother()
         self._size: tuple[int, ...] = ()
         self._face: tuple[float, float] | None = None
         self._next_face = False
         self.model = ""
-        self._recent: deque[tuple[float, TrackResult]] = deque(maxlen=_RECENT)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="facemime-live", daemon=True)
 
@@ -197,9 +183,27 @@ class LiveWorker:
         return (self._size[1], self._size[0]) if self._size else (0, 0)
 
     @property
+    def neutral(self) -> Neutral | None:
+        """The neutral face of the performer of the first head."""
+        return self._first.neutral
+
+    @property
+    def quality(self) -> Quality | None:
+        """Quality of the last calibration of the performer of the first head."""
+        return self._first.quality
+
+    @quality.setter
+    def quality(self, quality: Quality | None) -> None:
+        self._first.quality = quality
+
+    @property
     def calibrating(self) -> bool:
         """Whether a requested calibration is in progress."""
-        return self._calibration is not None
+        return self._first.calibrating
+
+    def performer(self, number: int) -> Performer | None:
+        """Return a performer of a source with several; None if there is no frame of them yet."""
+        return self._performers.get(number)
 
     def close(self) -> None:
         """End the thread, the source and any recording; may be called twice, and before `start`.
@@ -220,20 +224,21 @@ class LiveWorker:
             self.output.close()
         self.stop_recording()
 
-    def calibrate(self, *, range_of: Neutral | None = None) -> None:
-        """Use the next second as the neutral face, or the next seconds as the range of the neutral face `range_of`."""
-        self.quality = None
-        self._calibration = NeutralCalibration() if range_of is None else RangeCalibration(range_of)
+    def calibrate(self, *, range_of: bool = False) -> None:
+        """Use the next second as the neutral face of all performers, or the next seconds as their range."""
+        for performer in tuple(self._performers.values()):
+            if not range_of or performer.neutral is not None:
+                performer.calibrate(range_of=performer.neutral if range_of else None)
 
     @property
     def learnt(self) -> Neutral | None:
-        """The neutral face if enough has been learnt of the performer to keep it."""
-        learner = self._learner
-        return learner.neutral if learner is not None and learner.is_sure else None
+        """The neutral face of the performer of the first head, if enough has been learnt to keep it."""
+        return self._first.learnt
 
     def forget(self) -> None:
-        """Forget the neutral face; the next second with a face is used, and the performer is learnt from scratch."""
-        self._forget = True
+        """Forget all neutral faces; the next second with a face is used, and performers are learnt from scratch."""
+        for performer in tuple(self._performers.values()):
+            performer.forget()
 
     def follow_next(self) -> None:
         """Track another face in view, as `FaceTracker.choose_next` does."""
@@ -242,7 +247,7 @@ class LiveWorker:
     def recent_take(self) -> Take:
         """The take of the last half minute; SourceError before the first frame."""
         recorder = TakeRecorder({"source": self.source.name, "clock": self.source.clock})
-        for time, result in tuple(self._recent):
+        for time, result in tuple(self._first.recent):
             recorder.append(time, result)
         return recorder.finish()
 
@@ -287,8 +292,9 @@ class LiveWorker:
             self._stop.wait(_PATIENCE)
             frame = None
         else:
+            if frame is not None or self.source.message:
+                self.message = self.source.message
             if frame is not None:
-                self.message = ""
                 self.counts.dropped += frame.dropped
         if frame is None:
             self._record()
@@ -298,27 +304,33 @@ class LiveWorker:
         began = perf_counter()
         options = self.options
         seen = self._tracked(tracker, frame, options.face)
-        self._adopt(frame.neutral)
+        performer = self._performer_of(frame)
         if not frame.filled:
-            self._record((frame.time, seen, frame.image))
-            self._recent.append((frame.time, seen))
-        result = self._smoothed(self._eased(seen, frame.rest), frame.time, options.smoothing)
+            self._record(frame, seen)
+        learn = options.learn and not self.source.complete
+        result = performer.add(frame, seen, smoothing=options.smoothing, learn=learn)
         tracked = perf_counter()
-        if not frame.filled:
-            self._calibrate(frame.time, result)
-            self._learn(frame, result, options.learn)
-        if self.output is not None:
-            self.output.send(frame.time, result, self.neutral)
-        heads, prepared = self._drivers.drive(self.heads, self.neutral, result)
+        if self.output is not None and performer is self._first:
+            self.output.send(frame.time, result, performer.neutral)
+        heads, prepared = self._drivers.drive(self.heads, performer.neutral, result, frame.heads)
         driven = perf_counter()
         for display in self.displays:
             display.show(frame.taken, self._drivers.drivers, heads)
-        preview = draw_preview(frame.image, result, options.preview) if options.preview else None
+        first = self._first.result or result
+        preview = draw_preview(frame.image, first, options.preview) if options.preview else None
         self.counts.tracked += 1
         self.counts.lost += not result.found
         self.latest = LiveResult(
-            self.counts.tracked, frame.time, result, heads, prepared, frame.taken, began, tracked, driven, preview
+            self.counts.tracked, frame.time, first, heads, prepared, frame.taken, began, tracked, driven, preview
         )
+
+    def _performer_of(self, frame: LiveFrame) -> Performer:
+        """Who performs in a frame."""
+        if (performer := self._performers.get(frame.performer)) is None:
+            performer = self._performers[frame.performer] = Performer()
+        if frame.heads is None or 0 in frame.heads:
+            self._first = performer
+        return performer
 
     def _tracked(self, tracker: FaceTracker, frame: LiveFrame, face: tuple[float, float] | None) -> TrackResult:
         if frame.result is not None:
@@ -326,74 +338,26 @@ class LiveWorker:
         assert frame.image is not None
         if frame.image.shape != self._size or face != self._face:
             tracker.reset()
-            self._learner = None
+            self._first.change()
             self._size, self._face = frame.image.shape, face
             if face is not None:
                 tracker.choose(*face)
         if self._next_face:
             self._next_face = False
             tracker.choose_next()
-            self._learner = None
+            self._first.change()
         return tracker.track(frame.image)
 
-    def _adopt(self, neutral: Neutral | None) -> None:
-        """Take over the neutral face of a source that states it, once, so that it can be calibrated afterwards."""
-        if neutral is not None and neutral is not self._stated:
-            self._stated = self.neutral = neutral
-        if self._forget and self._stated is None:
-            self.neutral, self._first, self._learner = None, NeutralCalibration(asked=False), None
-        self._forget = False
-
-    def _eased(self, seen: TrackResult, rest: float) -> TrackResult:
-        if rest <= 0.0 or not seen.found or self.neutral is None:
-            return seen
-        return between(seen, at_rest(self.neutral, seen), rest)
-
-    def _smoothed(self, seen: TrackResult, time: float, amount: float) -> TrackResult:
-        if amount <= 0.0:
-            self._smoother.reset()
-            return seen
-        if amount != self._smoother.amount:
-            self._smoother = ResultSmoother(amount)
-        return self._smoother.smooth(seen, time)
-
-    def _record(self, frame: tuple[float, TrackResult, NDArray[np.uint8] | None] | None = None) -> None:
+    def _record(self, frame: LiveFrame | None = None, seen: TrackResult | None = None) -> None:
         """Record a frame; without one, as none is coming, write pending frames."""
         with self._recording:
             if self._recorder is None:
                 return
             try:
-                if frame is None:
+                if frame is None or seen is None:
                     self._recorder.flush()
                 else:
-                    self._recorder.append(*frame)
+                    self._recorder.append(frame, seen)
             except OutputError as error:
                 self._recorder = None
                 self.recording_error = error
-
-    def _calibrate(self, time: float, result: TrackResult) -> None:
-        """Feed the requested calibration or, without a neutral face, the initial one, from the first face on."""
-        asked = self._calibration
-        if asked is not None and asked.add(time, result):
-            quality = asked.quality()
-            try:
-                measured = self._stated is not None
-                self.neutral = replace(asked.neutral(), measured=measured)
-            except FacemimeError as error:
-                quality = Quality(False, str(error))
-            self.quality = quality
-            if self._calibration is asked:  # last, as the results are read as soon as it is done
-                self._calibration = None
-        if self.neutral is not None:
-            self._first = None
-        elif self._first is not None and (result.found or len(self._first)) and self._first.add(time, result):
-            self.neutral, self._first = self._first.neutral(), None
-
-    def _learn(self, frame: LiveFrame, result: TrackResult, wanted: bool) -> None:
-        """Learn from a frame; a neutral face that was calibrated meanwhile is where that starts again."""
-        neutral = self.neutral
-        if neutral is None or neutral.measured or not wanted or self.source.complete or frame.rest > 0.0:
-            return
-        if self._learner is None or self._learner.neutral is not neutral:
-            self._learner = PerformerLearner(neutral)
-        self.neutral = self._learner.add(frame.time, result)

@@ -20,13 +20,16 @@ from ..takes.neutral import Neutral
 from ..tracking.mirror import mirror_result
 from ..tracking.result import CAMERA_DISTANCE, TrackResult
 from . import datagram, live_link, openseeface, vmc
+from .addresses import LOOPBACK, is_loopback, resolve
 from .frames import FaceValues, PacketError
 from .security import read_key
 from .sessions import OwnSender
-from .settings import LOOPBACK, OWN, is_loopback, resolve
+from .settings import OWN
 
 SENT = {OWN: "Facemime", "vmc": "VMC", "livelink": "Live Link Face", "openseeface": "OpenSeeFace"}
 """Protocols that are sent, and their labels."""
+VTUBE_STUDIO = "vtubestudio"
+"""Name of the protocol that `vtube_studio_api` sends, which needs a library."""
 _PORTS = {OWN: datagram.PORT, "vmc": vmc.PORT, "livelink": live_link.PORT, "openseeface": openseeface.PORT}
 _HELLO_EVERY = (0.25, 1.0)
 """Seconds between handshakes, before and after the receiver has answered."""
@@ -61,6 +64,44 @@ class SendSettings:
     def is_local(self) -> bool:
         """Whether nothing leaves this computer."""
         return is_loopback(self.host)
+
+
+class FaceMeasure:
+    """Measures faces as values, for protocols that carry these."""
+
+    def __init__(self) -> None:
+        self._neutral: Neutral | None = None
+        self._made_for: tuple[int, DriveSettings] | None = None
+        self._coefficients: FrameCoefficients | None = None
+
+    def mirrored(self, result: TrackResult, options: DriveSettings) -> TrackResult:
+        """Mirror a result if the options ask for it."""
+        return mirror_result(result, openseeface.IMAGE_SIZE[0]) if options.mirror and result.found else result
+
+    def values(self, result: TrackResult, neutral: Neutral | None, options: DriveSettings) -> FaceValues | None:
+        """Measure a face.
+
+        Parameters
+        ----------
+        result : TrackResult
+        neutral : Neutral or None
+            The performer's neutral face, not mirrored.
+        options : DriveSettings
+            Whether to mirror, and how strongly each region of the face moves.
+
+        Returns
+        -------
+        FaceValues or None
+            None if there is no face, or no neutral face yet.
+        """
+        if neutral is None or not result.found:
+            return None
+        if self._coefficients is None or self._made_for != (id(neutral), options):
+            self._neutral, self._made_for = neutral, (id(neutral), options)
+            self._coefficients = FrameCoefficients(neutral, options)
+        seen = self.mirrored(result, options)
+        own = neutral.mirrored() if options.mirror else neutral
+        return FaceValues(self._coefficients.of(result), turned_from(seen, own), moved_from(seen, own))
 
 
 class StreamSender:
@@ -100,9 +141,7 @@ class StreamSender:
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._greeted = -np.inf
-        self._neutral: Neutral | None = None
-        self._made_for: tuple[int, DriveSettings] | None = None
-        self._coefficients: FrameCoefficients | None = None
+        self._face = FaceMeasure()
 
     def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
         """Send a frame.
@@ -145,29 +184,13 @@ class StreamSender:
         if protocol == "openseeface":
             mirrored = neutral.mirrored() if neutral is not None and self.options.mirror else neutral
             rest = None if mirrored is None else mirrored.shape
-            return [openseeface.encode(self._mirrored(result), time, rest)] if result.found else []
-        face = self._values(result, neutral) if result.found else None
+            return [openseeface.encode(self._face.mirrored(result, self.options), time, rest)] if result.found else []
+        face = self._face.values(result, neutral, self.options)
         if face is None and (result.found or neutral is None):
             return []
         if protocol == "vmc":
             return list(vmc.encode(face, time))
         return [live_link.encode(face, time, subject=self.settings.subject, device=_DEVICE)]
-
-    def _mirrored(self, result: TrackResult) -> TrackResult:
-        if not (self.options.mirror and result.found):
-            return result
-        return mirror_result(result, openseeface.IMAGE_SIZE[0])
-
-    def _values(self, result: TrackResult, neutral: Neutral | None) -> FaceValues | None:
-        if neutral is None:
-            return None
-        options = self.options
-        if self._coefficients is None or self._made_for != (id(neutral), options):
-            self._neutral, self._made_for = neutral, (id(neutral), options)
-            self._coefficients = FrameCoefficients(neutral, options)
-        mirrored = self._mirrored(result)
-        own = neutral.mirrored() if options.mirror else neutral
-        return FaceValues(self._coefficients.of(result), turned_from(mirrored, own), moved_from(mirrored, own))
 
     def _greet(self) -> None:
         """Keep up the handshake, if there is a key."""

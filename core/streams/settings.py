@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import ipaddress
-import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import SourceError
 from . import datagram, face_cap, ifacialmocap, live_link, openseeface, vmc, vtube_studio
+from .addresses import EVERYWHERE, LOOPBACK, is_loopback
 from .face_cap import FaceCapDecoder
 from .frames import Decoder
 from .ifacialmocap import IFacialMocapDecoder
 from .live_link import ANGLES, Angles, LiveLinkDecoder
 from .openseeface import OpenSeeFaceDecoder
+from .pairing import Pairing
 from .security import read_key
 from .vmc import VmcDecoder
 from .vtube_studio import VTubeStudioDecoder
 
 OWN = "own"
-LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
 _LEAST_DELAY, _MOST_DELAY = 0.0, 2.0
 AXES = ("pitch", "yaw", "roll")
 
@@ -74,6 +73,10 @@ class StreamSettings:
         Unit of the angles of Live Link Face.
     flip : tuple of {"pitch", "yaw", "roll"}
         Rotations of the head to reverse.
+    senders : tuple of str
+        For each head, the address or name of the sender that drives it; "" for `sender`.
+    pairing : Pairing or None
+        The sender of Facemime's own protocol to connect to over TLS, instead of listening.
     """
 
     protocol: str = OWN
@@ -85,10 +88,20 @@ class StreamSettings:
     sender: str = ""
     angles: Angles = "radians"
     flip: tuple[str, ...] = ()
+    senders: tuple[str, ...] = ("",)
+    pairing: Pairing | None = None
+
+    @property
+    def label(self) -> str:
+        """What a user sees as the name of the source."""
+        label = PROTOCOLS[self.protocol].label
+        return f"{label} on port {self.port}" if self.pairing is None else f"{label} at {self.pairing.address}"
 
     @property
     def is_local(self) -> bool:
         """Whether nothing outside this computer is reached or listened to."""
+        if self.pairing is not None:
+            return self.pairing.is_local
         return is_loopback(self.host) and (not self.phone or is_loopback(self.phone))
 
     def checked(self) -> StreamSettings:
@@ -106,7 +119,9 @@ class StreamSettings:
             )
         if protocol.phone_port and not self.phone:
             raise SourceError(f"{protocol.label} needs the address of the phone, which the app shows. Enter it.")
-        if self.protocol == OWN and self.key is None and not self.is_local:
+        if self.pairing is not None and self.protocol != OWN:
+            raise SourceError("Only Facemime's own stream is paired. Choose Facemime as the protocol.")
+        if self.protocol == OWN and self.pairing is None and self.key is None and not self.is_local:
             raise SourceError("A stream from another computer needs a shared key. Choose the file with the key.")
         host = self.host
         if protocol.phone_port and not is_loopback(self.phone) and is_loopback(host):
@@ -115,7 +130,7 @@ class StreamSettings:
 
     def secret(self) -> bytes | None:
         """Read the shared key, if there is one; SourceError if it cannot be read."""
-        return None if self.key is None else read_key(self.key)
+        return None if self.key is None or self.pairing is not None else read_key(self.key)
 
 
 PROTOCOLS: dict[str, StreamProtocol] = {
@@ -147,67 +162,3 @@ PROTOCOLS: dict[str, StreamProtocol] = {
     "facecap": StreamProtocol("Face Cap", face_cap.PORT, lambda s: FaceCapDecoder()),
 }
 """Protocols that are received, by the name that commands and files use."""
-
-
-def is_loopback(host: str) -> bool:
-    """Whether an address is of this computer alone. Names other than `localhost` count as others."""
-    if host.strip().lower() == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host.strip()).is_loopback
-    except ValueError:
-        return False
-
-
-def parse_address(text: str, port: int = 0) -> tuple[str, int]:
-    """Parse `HOST`, `HOST:PORT`, `:PORT` or `[IPV6]:PORT`.
-
-    Parameters
-    ----------
-    text : str
-    port : int
-        Used if `text` states none.
-
-    Returns
-    -------
-    host : str
-        Of this computer if `text` states none.
-    port : int
-
-    Raises
-    ------
-    SourceError
-        If it is neither.
-    """
-    host, colon, number = text.strip().rpartition(":")
-    if not colon or (":" in host and not host.startswith("[")):
-        host, number = text.strip(), str(port)
-    host = host.removeprefix("[").removesuffix("]") or LOOPBACK
-    if not number.isdecimal() or not 0 <= int(number[:6]) <= 65535 or any(c.isspace() or c in "/@" for c in host):
-        raise SourceError(f"{text!r} is not an address. Use HOST:PORT, as in 192.168.1.7:{port or datagram.PORT}.")
-    return host, int(number)
-
-
-def resolve(host: str, port: int) -> tuple[int, tuple[str, int]]:
-    """Find the family and the numeric address of a host.
-
-    Parameters
-    ----------
-    host : str
-    port : int
-
-    Returns
-    -------
-    family : int
-    address : (str, int)
-
-    Raises
-    ------
-    SourceError
-        If the host is not known.
-    """
-    try:
-        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-    except (OSError, UnicodeError) as error:
-        raise SourceError(f"There is no computer {host!r} in the network. Check the address.") from error
-    return family, (str(address[0]), int(address[1]))

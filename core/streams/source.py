@@ -12,35 +12,30 @@ from time import perf_counter
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import SourceError
 from ..live.sources import LiveFrame, LiveSource
 from ..takes.from_coefficients import coefficient_face
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
+from .addresses import resolve
+from .casting import SILENT, Address, Casting, FaceName, Role, label_of
 from .frames import MAX_DATAGRAM, Decoder, FaceValues, PacketError, StreamFrame
+from .links import DatagramLink, Link
 from .playout import Playout, Shown
 from .sessions import OwnReceiver, RefusedError
-from .settings import AXES, OWN, PROTOCOLS, StreamSettings, resolve
+from .settings import AXES, OWN, PROTOCOLS, StreamSettings
+from .tls_client import TlsLink
 
-HOLD, EASE, RETURN = 0.5, 1.0, 0.2
-"""Seconds for which the last face is held when nothing comes, in which it then comes to rest, and in which it takes up
-the motion again."""
-_FILL_RATE = 1.0 / 60.0
 _ASK_AGAIN = 2.0
 """Seconds after which a phone is asked again."""
-_MOST_SENDERS, _SILENT = 16, 2.0
-"""Senders at a time, and seconds without a packet after which another one may be followed."""
+_MOST_SENDERS = 16
+"""Senders at a time, and faces of each."""
 _RATE, _BURST = 8000.0, 2000.0
 """Packets per second that are looked at, and how many at once; VMC may send one for each value."""
 _DRAINED = 512
 """Packets that are read before the next frame is shown."""
 _LATE = 0.25
 """Seconds by which a frame may be late before it is skipped."""
-_MOST_APART = 1.0
-"""Seconds by which two clocks may differ from one frame to the next."""
-_BUFFER = 1 << 20
 _NOTHING = TrackResult.nothing(0)
-Address = tuple[str, int]
 
 
 @dataclass
@@ -92,8 +87,8 @@ class _Sender:
 class StreamSource(LiveSource):
     """Receives faces, and plays them evenly.
 
-    The socket is read by `read`, so there is no thread. Only one face is played: the one that `StreamSettings.sender`
-    names, or else the first, until nothing of it has come for two seconds and there is another.
+    The socket is read by `read`, so there is no thread. For each head, one face is played: the one that was chosen for
+    it, or else the next that comes, until nothing of it has come for two seconds and there is another (`Casting`).
 
     Parameters
     ----------
@@ -106,8 +101,8 @@ class StreamSource(LiveSource):
     Attributes
     ----------
     counts : StreamCounts
-    address : (str, int)
-        Where packets are received, once the first `read` has opened the socket.
+    chosen : tuple of str
+        For each head, the address or name of its sender, or ""; may be replaced at any time.
 
     Raises
     ------
@@ -120,29 +115,41 @@ class StreamSource(LiveSource):
     ) -> None:
         self.settings = settings.checked()
         self._protocol = PROTOCOLS[self.settings.protocol]
-        self.name = f"{self._protocol.label} on port {self.settings.port}"
+        self.name = self.settings.label
         self.counts = StreamCounts()
-        self.address: Address = ("", 0)
         self._clock, self._late = clock, np.inf if every else _LATE
         self._own = OwnReceiver(self.settings.secret()) if self.settings.protocol == OWN else None
         self._signs = np.array([-1.0 if axis in self.settings.flip else 1.0 for axis in AXES])
-        self._socket: socket.socket | None = None
+        pairing = self.settings.pairing
+        self._link: Link = (
+            TlsLink(pairing) if pairing is not None else DatagramLink(self.settings.host, self.settings.port)
+        )
         self._wake, self._woken = socket.socketpair()
         self._closed = False
         self._phone: tuple[int, Address] | None = None
         self._asked = -np.inf
         self._senders: dict[Address, _Sender] = {}
-        self._followed: tuple[Address, str] | None = None
+        self.chosen: tuple[str, ...] = self.settings.senders
+        self._casting = Casting(self._wanted())
+        self._turn = 0
         self._tokens, self._counted = _BURST, 0.0
-        self._timeline = _Timeline()
+
+    @property
+    def address(self) -> Address:
+        """Where packets are received, once the first `read` has opened the socket."""
+        return self._link.address
 
     @property
     def senders(self) -> tuple[str, ...]:
         """The faces that are heard now, as an address and a name."""
         now = self._clock()
-        return tuple(
-            f"{address[0]} {subject}".strip() for address, subject, face in self._faces() if now - face.heard < _SILENT
-        )
+        return tuple(label_of(name) for name, face in self._faces() if now - face.heard < SILENT)
+
+    @property
+    def driven(self) -> dict[str, tuple[int, ...]]:
+        """The heads that each of the `senders` drives."""
+        roles = {role.followed: role.heads for role in tuple(self._casting.roles)}
+        return {label_of(name): roles.get(name, ()) for name, _ in self._faces()}
 
     def read(self, timeout: float) -> LiveFrame | None:
         """Return the next frame that is due; see `LiveSource.read`."""
@@ -166,63 +173,42 @@ class StreamSource(LiveSource):
         self._closed = True
         with suppress(OSError):
             self._wake.send(b"\0")
-        for end in (self._socket, self._wake):
-            if end is not None:
-                end.close()
+        self._link.close()
+        self._wake.close()
 
     def _open(self) -> None:
-        if self._socket is not None:
-            return
-        settings = self.settings
-        family, address = resolve(settings.host, settings.port)
-        if settings.phone:
-            self._phone = resolve(settings.phone, self._protocol.phone_port)
-        opened = socket.socket(family, socket.SOCK_DGRAM)
-        try:
-            opened.setblocking(False)
-            with suppress(OSError):
-                opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
-            opened.bind(address)
-        except OSError as error:
-            opened.close()
-            raise SourceError(
-                f"Cannot listen on {settings.host}:{settings.port} ({error.strerror}). Close the program that uses the "
-                "port, or choose another port."
-            ) from error
-        self._socket, self.address = opened, opened.getsockname()[:2]
+        self._link.open()
+        if self.settings.phone and self._phone is None:
+            self._phone = resolve(self.settings.phone, self._protocol.phone_port)
 
     def _wait(self, seconds: float) -> None:
-        assert self._socket is not None
+        readers, writers = self._link.waits()
         with suppress(OSError, ValueError):  # closed meanwhile
-            select.select([self._socket, self._woken], [], [], max(seconds, 0.0))
+            select.select([*readers, self._woken], writers, [], max(seconds, 0.0))
 
     def _ask(self, now: float) -> None:
         """Ask the phone to send, as long as nothing comes, and for as long as it does if it has to be asked again."""
-        if self._phone is None or now - self._asked < _ASK_AGAIN or self._socket is None:
+        if self._phone is None or now - self._asked < _ASK_AGAIN:
             return
         self._asked = now
         leased = self.settings.protocol == "vtubestudio"
-        if leased or not any(now - face.heard < _SILENT for _, _, face in self._faces()):
-            with suppress(OSError):
-                self._socket.sendto(self._protocol.request(self.address[1]), self._phone[1])
+        if leased or not any(now - face.heard < SILENT for _, face in self._faces()):
+            self._link.reply(self._protocol.request(self.address[1]), self._phone[1])
 
     def _drain(self, now: float) -> None:
         self._tokens = min(_BURST, self._tokens + _RATE * max(now - self._counted, 0.0))
         self._counted = now
         for _ in range(_DRAINED):
-            try:
-                assert self._socket is not None
-                data, address = self._socket.recvfrom(MAX_DATAGRAM + 1)
-            except ConnectionResetError:  # as Windows tells that somebody no longer listens
-                continue
-            except OSError:
+            came = self._link.receive(now)
+            self.message = self._link.message
+            if came is None:
                 return
             self.counts.received += 1
             if self._tokens < 1.0:
                 self.counts.flooded += 1
                 continue
             self._tokens -= 1.0
-            self._take(data, (str(address[0]), int(address[1])), now)
+            self._take(*came, now)
 
     def _take(self, data: bytes, address: Address, now: float) -> None:
         """Take a datagram from anybody."""
@@ -245,9 +231,8 @@ class StreamSource(LiveSource):
             assert sender.decoder is not None
             return sender.decoder.decode(data)
         frames, answer = self._own.receive(data, now)
-        if answer and self._socket is not None:
-            with suppress(OSError):
-                self._socket.sendto(answer, address)
+        if answer:
+            self._link.reply(answer, address)
         return frames
 
     def _sender(self, address: Address, now: float) -> _Sender:
@@ -257,7 +242,7 @@ class StreamSource(LiveSource):
             return sender
         if len(self._senders) >= _MOST_SENDERS:
             oldest = min(self._senders, key=lambda known: self._senders[known].heard)
-            if now - self._senders[oldest].heard < _SILENT:
+            if now - self._senders[oldest].heard < SILENT:
                 raise RefusedError("too many senders")
             del self._senders[oldest]
         decoder = self._protocol.decoder
@@ -289,30 +274,33 @@ class StreamSource(LiveSource):
             moved = values.position - face.origin
         return coefficient_face().result(values.coefficients, values.rotation * self._signs, moved)
 
-    def _faces(self) -> Iterator[tuple[Address, str, _Face]]:
+    def _faces(self) -> Iterator[tuple[FaceName, _Face]]:
         for address, sender in tuple(self._senders.items()):
             for subject, face in tuple(sender.faces.items()):
-                yield address, subject, face
+                yield (address, subject), face
 
-    def _current(self, now: float) -> _Face | None:
-        """The face that is played."""
-        wanted = self.settings.sender
-        known = {
-            (address, subject): face
-            for address, subject, face in self._faces()
-            if not wanted or wanted in (address[0], subject, f"{address[0]} {subject}")
-        }
-        followed = None if self._followed is None else known.get(self._followed)
-        if followed is None or now - followed.heard > _SILENT:
-            newest = max(known, key=lambda name: known[name].heard, default=None)
-            if newest is not None and (followed is None or known[newest].heard > followed.heard + _SILENT):
-                self._followed, followed = newest, known[newest]
-        return followed
+    def _wanted(self) -> tuple[str, ...]:
+        return tuple(chosen or self.settings.sender for chosen in self.chosen) or (self.settings.sender,)
+
+    def _cast(self, now: float) -> list[tuple[Role, FaceName, _Face]]:
+        """What each face drives that is played."""
+        self._casting.choose(self._wanted())
+        faces = dict(self._faces())
+        self._casting.update({name: face.heard for name, face in faces.items()}, now)
+        roles = [(role, role.followed) for role in self._casting.roles]
+        return [(role, name, faces[name]) for role, name in roles if name is not None and name in faces]
 
     def _due(self, now: float) -> LiveFrame | None:
-        face = self._current(now)
-        if face is None:
-            return None
+        cast = self._cast(now)
+        self._turn += 1
+        for number in range(len(cast)):
+            role, name, face = cast[(self._turn + number) % len(cast)]
+            if (frame := self._frame_of(role, face, now)) is not None:
+                heads = None if len(self._casting.roles) == 1 else role.heads
+                return replace(frame, performer=role.number, heads=heads, sender=label_of(name))
+        return None
+
+    def _frame_of(self, role: Role, face: _Face, now: float) -> LiveFrame | None:
         dropped, shown = -1, None
         # Every frame in its turn, so that none is missing from a recording; but no more than a little late.
         while (next_one := face.playout.pop(now)) is not None:
@@ -322,71 +310,16 @@ class StreamSource(LiveSource):
             if now - next_one.due <= self._late:
                 break
         if shown is None:
-            return self._timeline.filled(now)
-        return self._timeline.frame(shown, self._neutral(shown), now, max(dropped, 0))
+            return role.timeline.filled(now)
+        start = 0.0 if role.timeline.begun else self._casting.start_of(shown.due)
+        return role.timeline.frame(shown, self._neutral(shown), now, max(dropped, 0), start)
 
     def _neutral(self, shown: Shown) -> Neutral | None:
         return coefficient_face().neutral if np.isfinite(shown.result.coefficients).all() else None
 
     def _next(self, now: float) -> float:
         """When there will be something to show, unless a packet comes before."""
-        face = self._current(now)
-        due = None if face is None else face.playout.due()
-        filling = self._timeline.due()
-        return min(moment for moment in (due, filling, now + 1.0) if moment is not None)
-
-
-class _Timeline:
-    """Makes live frames: increasing times for those that came, and a face that comes to rest where none does."""
-
-    def __init__(self) -> None:
-        self._last: LiveFrame | None = None
-        self._base = self._time = self._moment = 0.0
-        self._rest = self._filled = 0.0
-        self._from, self._back = 0.0, -np.inf
-
-    def frame(self, shown: Shown, neutral: Neutral | None, now: float, dropped: int) -> LiveFrame:
-        """Make a frame of one that came, or was predicted."""
-        time = self._time_of(shown)
-        if not shown.predicted:
-            if self._rest > 0.0:
-                self._from, self._back, self._rest = self._rest, now, 0.0
-            self._time, self._moment = time, max(shown.due, self._moment)
-        back = min((now - self._back) / RETURN, 1.0)
-        rest = self._from * (1.0 - _smooth(back)) if back < 1.0 else self._rest
-        self._last = LiveFrame(time, None, shown.result, now, dropped, neutral, shown.predicted, rest)
-        return self._last
-
-    def _time_of(self, shown: Shown) -> float:
-        if self._last is None:
-            self._base, self._moment = -shown.time, shown.due
-            return 0.0
-        elapsed, time = shown.due - self._moment, shown.time + self._base
-        if shown.predicted or 0.0 < time - self._time < elapsed + _MOST_APART:
-            return time
-        # The sender's clock has begun again: this computer's says how much later it is.
-        time = self._time + max(elapsed, 1e-3)
-        self._base = time - shown.time
-        return time
-
-    def due(self) -> float | None:
-        """Return when the next frame has to be filled in, or None while no face has to be held or brought to rest."""
-        if self._last is None or self._last.result is None or not self._last.result.found or self._rest >= 1.0:
-            return None
-        return max(self._moment + HOLD, self._filled + _FILL_RATE)
-
-    def filled(self, now: float) -> LiveFrame | None:
-        """Make a frame that brings the face to rest, if it is time for one."""
-        due = self.due()
-        if due is None or now < due or self._last is None:
-            return None
-        self._filled, self._rest = now, max(self._rest, _smooth((now - self._moment - HOLD) / EASE))
-        time = self._time + now - self._moment
-        self._last = replace(self._last, time=time, taken=now, dropped=0, filled=True, rest=self._rest)
-        return self._last
-
-
-def _smooth(share: float) -> float:
-    """From 0 to 1, without a jerk at either end."""
-    share = min(max(share, 0.0), 1.0)
-    return share * share * (3.0 - 2.0 * share)
+        moments = [now + 1.0]
+        for role, _, face in self._cast(now):
+            moments += [moment for moment in (face.playout.due(), role.timeline.due()) if moment is not None]
+        return min(moments)

@@ -19,7 +19,7 @@ from ..arrays import FloatArray
 from ..drive.driver import HeadDriver, HeadFrame
 from ..heads.appearance import Appearance
 from ..live.key_driver import KeyDriver
-from .settings import resolve
+from .addresses import resolve
 
 PORT = 21575
 VERTICES = "vertices"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ..errors import OutputError, SourceError
 from ..reading import read_bytes
-from ..streams.settings import EVERYWHERE, LOOPBACK, is_loopback
+from ..streams.addresses import EVERYWHERE, LOOPBACK, is_loopback, way_out
 
 PORT = 21574
 MAX_VIEWERS = 16
@@ -95,7 +95,7 @@ class ViewerSettings:
         """The address to enter in a browser; of a computer that listens on all of its networks, the one that leads
         outside.
         """
-        host = _way_out() if self.host in _EVERYWHERE else self.host
+        host = way_out() if self.host in _EVERYWHERE else self.host
         return f"[{host}]" if ":" in host else host
 
 
@@ -148,13 +148,3 @@ def _without_port(host: str) -> str:
     if host.startswith("["):
         return host[1:].partition("]")[0]
     return host.rpartition(":")[0] if host.count(":") == 1 else host
-
-
-def _way_out() -> str:
-    """The address of this computer in the network that leads outside; nothing is sent."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))  # an address that is reserved for documentation (RFC 5737)
-        except OSError:
-            return LOOPBACK
-        return str(probe.getsockname()[0])

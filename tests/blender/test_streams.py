@@ -1,23 +1,32 @@
 """Streams in Blender: as the source of a puppet, as its output, and kept off the network unless that is allowed."""
 
+import json
 import socket
 import threading
 import time
+from contextlib import closing
 from dataclasses import replace
 
 import bpy
 import numpy as np
 import pytest
+from websockets.sync.server import serve
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import PART_PROPERTY
+from facemime.cli.certificates import load_identity
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.coefficient_names import COEFFICIENT_INDEX
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from facemime.core.streams.live_link import LiveLinkDecoder
+from facemime.core.streams.pairing import Pairing
+from facemime.core.streams.sender import SendSettings, StreamSender
+from facemime.core.streams.tls_server import TlsSender
 from facemime.core.takes.coefficient_table import write_coefficient_csv
+from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import running
 from facemime.settings import takes_store
+from facemime.settings.preferences import preferences
 from facemime.settings.values import open_sender, open_source, read_calibration, write_calibration
 from links import free_port, sending_phone
 from live_ticks import shown, some_frames, start, tick, ticks_until
@@ -152,10 +161,11 @@ def test_streams_of_others_need_online_access(online, protocol, settings):
     assert running() is None
 
 
+@pytest.mark.parametrize("protocol", ["vmc", "vtubestudio"])
 @pytest.mark.parametrize("host", ["192.168.1.7", "example.invalid", "0.0.0.0", "127.0.0.1.example.invalid"])
-def test_sending_to_others_needs_online_access(online, take, host):
+def test_sending_to_others_needs_online_access(online, take, host, protocol):
     output = bpy.context.scene.facemime.output
-    output.enabled, output.protocol, output.host = True, "vmc", host
+    output.enabled, output.protocol, output.host = True, protocol, host
     add_head(bpy.context)
     before = threading.active_count()
     with pytest.raises(RuntimeError, match="Online Access"):
@@ -199,3 +209,171 @@ def test_a_missing_key_and_a_missing_phone_are_reported(tmp_path):
     source.stream.protocol, source.stream.key = "own", str(tmp_path / "none.key")
     with pytest.raises(RuntimeError, match="There is no key"):
         bpy.ops.facemime.puppet()
+
+
+@pytest.fixture
+def phones():
+    """Two phones that send on one port all the time, and whose names can be added to those that send."""
+    source, port, over = bpy.context.scene.facemime.source, free_port(), threading.Event()
+    source.kind, source.stream.protocol, source.stream.port = "STREAM", "livelink", port
+    bpy.context.scene.facemime.smoothing = 0.0
+    levels = {"Ada": 0.8, "Ben": 0.3}
+    senders = {name: StreamSender(SendSettings("livelink", port=port, subject=name)) for name in levels}
+    sending = {"Ada"}
+
+    def send() -> None:
+        began = time.monotonic()
+        while not over.wait(1.0 / 60.0):
+            for name in sorted(sending):
+                coefficients = np.zeros(N_COEFFICIENTS)
+                coefficients[COEFFICIENT_INDEX["jawOpen"]] = levels[name]
+                result = coefficient_face().result(coefficients, np.zeros(3), None)
+                senders[name].send(time.monotonic() - began, result, coefficient_face().neutral)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    yield sending
+    over.set()
+    thread.join()
+    for sender in senders.values():
+        sender.close()
+
+
+def two_heads() -> list[bpy.types.Object]:
+    """Two selected heads, the first of them active."""
+    heads = [add_head(bpy.context), add_head(bpy.context)]
+    for head in heads:
+        head.select_set(True)
+    bpy.context.view_layer.objects.active = heads[0]
+    return heads
+
+
+def jaws(heads) -> list[float]:
+    """How far each head has moved from rest at most, metres."""
+    return [float(np.abs(shown(head) - [vertex.co for vertex in head.data.vertices]).max()) for head in heads]
+
+
+def test_two_senders_drive_two_heads(phones):
+    heads = two_heads()
+    start()
+    ticks_until(lambda: min(jaws(heads)) > 1e-3)
+    assert jaws(heads)[0] == pytest.approx(jaws(heads)[1], rel=1e-3)
+    phones.add("Ben")
+    ticks_until(lambda: jaws(heads)[1] < 0.6 * jaws(heads)[0])
+    source = running().worker.source
+    assert source.driven == {"127.0.0.1 Ada": (0,), "127.0.0.1 Ben": (1,)}
+    assert jaws(heads)[0] > 1e-3 and jaws(heads)[1] > 1e-4
+    bpy.ops.facemime.stop_puppet()
+
+
+def test_each_head_of_a_running_puppet_can_be_given_its_own_sender(phones):
+    phones.add("Ben")
+    heads = two_heads()
+    heads[0].facemime.sender, heads[1].facemime.sender = "Ben", "Ada"
+    start()
+    ticks_until(lambda: 1e-4 < jaws(heads)[0] < 0.6 * jaws(heads)[1])
+    heads[0].facemime.sender, heads[1].facemime.sender = "127.0.0.1 Ada", "Ben"
+    ticks_until(lambda: 1e-4 < jaws(heads)[1] < 0.6 * jaws(heads)[0])
+    heads[1].facemime.sender = "Ada"
+    ticks_until(lambda: jaws(heads)[0] > 1e-3 and abs(jaws(heads)[1] / jaws(heads)[0] - 1.0) < 1e-3)
+    bpy.ops.facemime.stop_puppet()
+
+
+def test_two_senders_are_recorded_as_two_takes_at_the_same_times(phones, takes):
+    phones.add("Ben")
+    heads = two_heads()
+    start()
+    ticks_until(lambda: min(jaws(heads)) > 1e-4 and len(running().worker.source.senders) == 2)
+    takes.countdown = "0"
+    assert bpy.ops.facemime.record_take(name="Scene") == {"FINISHED"}
+    ticks_until(lambda: running().recording.frames > 30)
+    assert bpy.ops.facemime.record_take() == {"FINISHED"}
+    bpy.ops.facemime.stop_puppet()
+    recorded = {item.name: takes_store.read(item) for item in takes.items}
+    assert len(recorded) == 2
+    jaw = COEFFICIENT_INDEX["jawOpen"]
+    by_sender = {take.info["sender"]: take for take in recorded.values()}
+    assert set(by_sender) == {"127.0.0.1 Ada", "127.0.0.1 Ben"}
+    for sender, level in (("127.0.0.1 Ada", 0.8), ("127.0.0.1 Ben", 0.3)):
+        np.testing.assert_allclose(by_sender[sender].coefficients[:, jaw], level, atol=1e-4)
+    first, last = (np.array([take.times[end] for take in recorded.values()]) for end in (0, -1))
+    assert first.min() == 0.0 and np.ptp(first) < 0.1 and np.ptp(last) < 0.1
+    assert any(bpy.path.clean_name(heads[1].name) in name for name in recorded)
+
+
+@pytest.fixture
+def pairing():
+    """The user's pairing, empty again afterwards."""
+    yield preferences()
+    preferences().pairing = ""
+
+
+def test_a_paired_computer_drives_a_head_over_tls(pairing, online, tmp_path):
+    identity, take, over = load_identity(tmp_path / "tls"), coefficient_take(60), threading.Event()
+    with closing(TlsSender("127.0.0.1", 0, identity.context, identity.token)) as sender:
+
+        def send() -> None:
+            number, began = 0, time.monotonic()
+            while not over.wait(1.0 / 60.0):
+                sender.send(time.monotonic() - began, take.result(number % len(take)), None)
+                number += 1
+
+        thread = threading.Thread(target=send)
+        thread.start()
+        try:
+            settings = bpy.context.scene.facemime
+            settings.source.kind, settings.source.stream.protocol, settings.smoothing = "STREAM", "own", 0.0
+            pairing.pairing = Pairing("localhost", sender.port, identity.fingerprint, identity.token).line
+            head = add_head(bpy.context)
+            rest = shown(head)
+            start()
+            ticks_until(lambda: np.abs(shown(head) - rest).max() > 0.005)
+            assert running().worker.source.name == f"Facemime at localhost:{sender.port}"
+            bpy.ops.facemime.stop_puppet()
+        finally:
+            over.set()
+            thread.join()
+
+
+def test_a_pairing_needs_online_access_and_has_to_be_whole(pairing, online):
+    bpy.context.scene.facemime.source.kind, bpy.context.scene.facemime.source.stream.protocol = "STREAM", "own"
+    add_head(bpy.context)
+    pairing.pairing = Pairing("192.168.1.7", 21576, bytes(32), bytes(16)).line
+    with pytest.raises(RuntimeError, match="Online Access"):
+        bpy.ops.facemime.puppet()
+    pairing.pairing = pairing.pairing[:-1]
+    with pytest.raises(RuntimeError, match="not a whole pairing line"):
+        bpy.ops.facemime.puppet()
+    assert running() is None
+
+
+def test_vtube_studio_gets_what_is_tracked(take, tmp_path, monkeypatch):
+    monkeypatch.setattr("facemime.settings.values.user_folder", lambda name: tmp_path / name)
+    add_head(bpy.context)
+    settings, asked = bpy.context.scene.facemime, []
+    settings.source.loop = True
+
+    def studio(connection) -> None:
+        for message in connection:
+            request = json.loads(message)
+            asked.append(request)
+            data = {"authenticationToken": "a-token", "authenticated": True}
+            kind = request["messageType"].replace("Request", "Response")
+            connection.send(json.dumps({"messageType": kind, "requestID": request["requestID"], "data": data}))
+
+    with serve(studio, "127.0.0.1", 0) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        output = settings.output
+        output.enabled, output.protocol, output.port = True, "vtubestudio", server.socket.getsockname()[1]
+        start()
+        ticks_until(lambda: running().worker.output.sent > 20)
+        settings.mirror = not settings.mirror
+        some_frames()
+        assert running().worker.output.options.mirror == settings.mirror
+        bpy.ops.facemime.stop_puppet()
+        server.shutdown()
+        thread.join()
+    values = [request["data"] for request in asked if request["messageType"] == "InjectParameterDataRequest"]
+    mouths = {each["value"] for data in values for each in data["parameterValues"] if each["id"] == "MouthOpen"}
+    assert len(mouths) > 3 and (tmp_path / "vtube_studio" / "token").read_text().strip() == "a-token"

@@ -14,7 +14,7 @@ from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import SourceError
 from facemime.core.heads.appearance import built_in_appearance
 from facemime.core.heads.rig import built_in_rig
-from facemime.core.streams.settings import EVERYWHERE
+from facemime.core.streams.addresses import EVERYWHERE
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.viewer.model import viewer_model
 from facemime.core.viewer.page import PAGE

@@ -61,10 +61,10 @@ class Recorded(list):
         super().__init__()
         self.room, self.closed = room, False
 
-    def append(self, at, result, image):
+    def append(self, frame, result):
         if len(self) >= self.room:
             raise OutputError("The disk is full. Free some space.")
-        super().append((at, result))
+        super().append((frame.time, result))
 
     def flush(self):
         pass

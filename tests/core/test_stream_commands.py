@@ -1,16 +1,19 @@
 """The commands `send` and `receive`, in processes of their own and over real sockets."""
 
+import json
 import re
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from websockets.sync.server import serve
 
 import facemime
 from commands import SAMPLE, START, needs_posix, run
@@ -91,6 +94,72 @@ def test_with_a_key_landmarks_arrive_as_they_were_tracked(tmp_path):
 
 
 @needs_posix
+def test_two_senders_become_two_takes(tmp_path):
+    save_take(coefficient_take(60), tmp_path / "sent.facetake")
+    port, outputs = free_port(), [tmp_path / "ben.facetake", tmp_path / "ada.facetake"]
+    line = [*START, "receive", "--protocol", "livelink", "--listen", f":{port}", "--sender", "Ben"]
+    for output in outputs:
+        line += ["-o", output]
+    with subprocess.Popen([*map(str, line)], stderr=subprocess.PIPE, text=True) as receiver:
+        _wait_for(port)
+        to = ("--to", f"127.0.0.1:{port}", "--protocol", "livelink", "--smoothing", "0", "--subject")
+        send = [*map(str, START), "send", "--video", str(tmp_path / "sent.facetake"), *to]
+        with subprocess.Popen([*send, "Ada"]) as ada, subprocess.Popen([*send, "Ben"]) as ben:
+            assert ada.wait() == ben.wait() == 0
+        time.sleep(0.5)
+        receiver.send_signal(signal.SIGINT)
+        said = receiver.stderr.read()
+    assert receiver.returncode == 0, said
+    for output, name in zip(outputs, ("Ben", "Ada"), strict=True):
+        take = load_take(output)
+        assert len(take) >= 10 and take.info["sender"] == f"127.0.0.1 {name}"
+        assert take.times[-1] < 5.0
+
+
+@needs_posix
+def test_a_pairing_line_is_all_that_a_receiver_needs(tmp_path):
+    save_take(coefficient_take(60), tmp_path / "sent.facetake")
+    serve = ("--video", tmp_path / "sent.facetake", "--loop", "--serve", "127.0.0.1:0", "--tls", tmp_path / "tls")
+    line = [*map(str, START), "send", *map(str, serve)]
+    with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as sender:
+        pairing = sender.stdout.readline().strip()
+        out = tmp_path / "received.facetake"
+        done = run("receive", "--pairing", pairing, "-o", out, "--seconds", 2)
+        wrong = pairing[:-4] + ("0000" if pairing[-4:] != "0000" else "1111")
+        refused = run("receive", "--pairing", wrong, "-o", tmp_path / "no.facetake", "--seconds", 20)
+        sender.send_signal(signal.SIGINT)
+        said = sender.stderr.read()
+    assert sender.returncode == 0 and done.returncode == 0, said + done.stderr
+    assert len(load_take(out)) >= 20 and load_take(out).info["sender"].startswith("127.0.0.1")
+    assert refused.returncode != 0 and "not the computer that was paired" in refused.stderr
+    assert not (tmp_path / "no.facetake").exists()
+
+
+def test_vtube_studio_is_sent_to_and_its_permission_kept(tmp_path):
+    save_take(coefficient_take(60), tmp_path / "sent.facetake")
+    kinds = []
+
+    def studio(connection) -> None:
+        for message in connection:
+            request = json.loads(message)
+            kinds.append(request["messageType"])
+            data = {"authenticationToken": "a-token", "authenticated": True}
+            kind = request["messageType"].replace("Request", "Response")
+            connection.send(json.dumps({"messageType": kind, "requestID": request["requestID"], "data": data}))
+
+    with serve(studio, "127.0.0.1", 0) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        to = ("--to", f"127.0.0.1:{server.socket.getsockname()[1]}", "--protocol", "vtubestudio")
+        done = run("send", "--video", tmp_path / "sent.facetake", *to, "--token", tmp_path / "token")
+        server.shutdown()
+        thread.join()
+    assert done.returncode == 0, done.stderr
+    assert kinds[:2] == ["AuthenticationTokenRequest", "AuthenticationRequest"]
+    assert kinds.count("InjectParameterDataRequest") >= 10 and (tmp_path / "token").read_text() == "a-token\n"
+
+
+@needs_posix
 def test_a_video_is_tracked_and_sent_without_blender():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as unreal:
         unreal.bind(("127.0.0.1", 0))
@@ -131,6 +200,11 @@ def test_nothing_that_comes_is_an_error_that_says_so(tmp_path):
     ("arguments", "wanted"),
     [
         (("receive",), "There is no output"),
+        (("receive", "-o", "a.facetake", "--pairing", "facemime://a"), "not a whole pairing line"),
+        (("send", "--video", SAMPLE, "--serve", "0.0.0.0"), "There is no certificate"),
+        (("send", "--video", SAMPLE, "--serve", "0.0.0.0", "--tls", "a", "--protocol", "vmc"), "without a key"),
+        (("send", "--video", SAMPLE, "--to", "127.0.0.1", "--tls", "a"), "are for --serve"),
+        (("receive", "-o", "a.facetake", "--sender", "Ada", "--sender", "Ben"), "more senders than takes"),
         (("receive", "-o", "a.facetake", "--listen", "0.0.0.0"), "needs a shared key"),
         (("receive", "-o", "a.facetake", "--flip", "up"), "cannot be flipped"),
         (("receive", "-o", "a.facetake", "--protocol", "ifacialmocap"), "address of the phone"),
@@ -164,5 +238,6 @@ def test_the_documented_receiver_reads_what_is_sent_and_needs_only_numpy(tmp_pat
 def test_every_protocol_is_documented_with_its_port():
     document = (Path(facemime.__file__).parent / "docs" / "streams.md").read_text(encoding="utf-8")
     for name, protocol in PROTOCOLS.items():
-        (row,) = [line for line in document.splitlines() if line.startswith("|") and f"`{name}`" in line]
+        rows = [line for line in document.splitlines() if line.startswith("|") and f"`{name}`" in line]
+        (row,) = [row for row in rows if "TCP" not in row]
         assert f"UDP {protocol.port} " in row and ("sends" in row) == (name in SENT)

@@ -21,11 +21,13 @@ from facemime.core.live.head_drivers import LiveHead
 from facemime.core.live.sources import LiveFrame
 from facemime.core.live.worker import LiveOptions, LiveWorker
 from facemime.core.streams import ifacialmocap, osc
+from facemime.core.streams.addresses import is_loopback, parse_address
 from facemime.core.streams.face_cap import NAMES
 from facemime.core.streams.security import write_key
 from facemime.core.streams.sender import SENT, SendSettings, StreamSender, moved_from, turned_from
-from facemime.core.streams.settings import PROTOCOLS, StreamSettings, is_loopback, parse_address
-from facemime.core.streams.source import EASE, HOLD, StreamSource
+from facemime.core.streams.settings import PROTOCOLS, StreamSettings
+from facemime.core.streams.source import StreamSource
+from facemime.core.streams.timeline import EASE, HOLD
 from facemime.core.takes.file import TakeWriter, load_take
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
@@ -231,8 +233,8 @@ def test_a_puppet_returns_to_rest_in_the_worker_and_nothing_of_it_is_recorded(op
     class Recorder:
         times: list[float] = []
 
-        def append(self, moment, result, image):
-            self.times.append(moment)
+        def append(self, frame, result):
+            self.times.append(frame.time)
 
         def flush(self): ...
 
@@ -315,6 +317,44 @@ def test_senders_are_told_apart_and_one_is_followed_until_it_ends(opened):
     assert frames[-1].result.coefficients.sum() == pytest.approx(take.result(20).coefficients.sum(), abs=1e-5)
     one.close()
     other.close()
+
+
+def test_two_senders_drive_two_heads_in_one_worker(opened):
+    source, take = opened("livelink", senders=("", "Ada")), acted(20)
+    neutral, rig = coefficient_face().neutral, built_in_rig()
+    ada, ben = (sender_to(source, subject=name) for name in ("Ada", "Ben"))
+    still = coefficient_face().result(np.zeros(N_COEFFICIENTS), np.zeros(3), None)
+    recorded: list[LiveFrame] = []
+
+    class Recorder:
+        def append(self, frame, result):
+            recorded.append(frame)
+
+        def flush(self): ...
+
+        def close(self): ...
+
+    heads = (LiveHead(rig, DriveSettings()), LiveHead(rig, DriveSettings()))
+    worker = LiveWorker(source, heads=heads, options=LiveOptions(smoothing=0.0))
+    worker.record(Recorder())
+    worker.start()
+    try:
+        began = time.monotonic()
+        while len(recorded) < 40 or len({frame.sender for frame in recorded}) < 2:
+            ada.send(time.monotonic() - began, take.result(10), neutral)
+            ben.send(time.monotonic() - began + 500.0, still, neutral)
+            time.sleep(1.0 / RATE)
+            assert time.monotonic() - began < PATIENCE
+        moved = [np.abs(frame.vertices - rig.all_vertices).max() for frame in worker.latest.heads]
+    finally:
+        worker.close()
+        ada.close()
+        ben.close()
+    assert worker.error is None and moved[0] < 1e-4 < 1e-3 < moved[1]
+    assert {(frame.sender, frame.heads) for frame in recorded} == {("127.0.0.1 Ada", (1,)), ("127.0.0.1 Ben", (0,))}
+    times = {name: [f.time for f in recorded if f.sender == name] for name in {f.sender for f in recorded}}
+    assert all(each == sorted(set(each)) for each in times.values())
+    assert abs(times["127.0.0.1 Ada"][-1] - times["127.0.0.1 Ben"][-1]) < 0.5
 
 
 def test_a_chosen_sender_is_the_only_one_that_is_played(opened):

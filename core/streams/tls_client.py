@@ -1,0 +1,209 @@
+"""A stream over TLS from a sender that was paired: the certificate is pinned, and a cut connection comes back.
+
+Nothing here waits: each call of `receive` goes as far as it can.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import ssl
+from contextlib import suppress
+
+from ..errors import SourceError
+from .addresses import resolve
+from .casting import Address
+from .pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, MAX_MESSAGE, VERSION, Pairing
+
+_AGAIN = 1.0
+"""Seconds until the next attempt after one that failed."""
+_PATIENCE, _SILENT = 8.0, 4.0
+"""Seconds for a connection to be made, and without any message until it counts as cut."""
+_PORTION = 1 << 14
+"""Bytes that are read at a time, and so the most that wait here besides a message."""
+_MOST_EMPTY = 16
+"""Messages in a row that say only that the sender is there; one comes each second."""
+_EXPLANATIONS = {
+    "tls": "it does not speak TLS 1.3",
+    "cut": "the connection was cut",
+    "ended": "it has ended the connection",
+    "silent": "it does not answer",
+    "other": "it is not Facemime, or of another version",
+    "faceless": "what it sends is not a face",
+    "certificate": "its certificate is another",
+    "token": "it does not know this token",
+}
+"""Why nothing comes."""
+_CONNECTING, _SHAKING, _GREETED, _STREAMING = range(4)
+
+
+class TlsLink:
+    """Packets over TLS.
+
+    Parameters
+    ----------
+    pairing : Pairing
+
+    Attributes
+    ----------
+    address : (str, int)
+        Of the sender.
+    message : str
+        Why nothing comes; otherwise "".
+    """
+
+    def __init__(self, pairing: Pairing) -> None:
+        self.pairing, self.message = pairing, ""
+        self.address: Address = (pairing.host, pairing.port)
+        self._socket: socket.socket | None = None
+        self._state = _CONNECTING
+        self._since = self._heard = 0.0
+        self._again = float("-inf")
+        self._data = bytearray()
+        self._writing = False
+        self._closed = False
+        # The certificate is nobody else's business: its fingerprint is compared instead, before anything is said.
+        self._context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        self._context.check_hostname, self._context.verify_mode = False, ssl.CERT_NONE
+        self._context.minimum_version = ssl.TLSVersion.TLSv1_3
+
+    def open(self) -> None:
+        """Find the sender; as `Link.open`."""
+        if self._socket is None and not self.message:
+            resolve(self.pairing.host, self.pairing.port)
+
+    def receive(self, now: float) -> tuple[bytes, Address] | None:
+        """Take the next message; as `Link.receive`."""
+        if self._closed or (self._socket is None and now < self._again):
+            return None
+        try:
+            if (message := self._receive(now)) is not None:
+                return message, self.address
+        except (ssl.SSLWantReadError, BlockingIOError):
+            self._writing = False
+        except ssl.SSLWantWriteError:
+            self._writing = True
+        except ssl.SSLError:
+            self._give_up(now, _EXPLANATIONS["tls" if self._state == _SHAKING else "cut"])
+        except OSError as error:
+            self._give_up(now, error.strerror or str(error))
+        if self._socket is not None and now - self._heard > (_SILENT if self._state == _STREAMING else _PATIENCE):
+            self._give_up(now, _EXPLANATIONS["silent"])
+        return None
+
+    def reply(self, data: bytes, address: Address) -> None:
+        """Do nothing, as the sender needs no answers; as `Link.reply`."""
+
+    def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
+        """As `Link.waits`."""
+        if self._socket is None:
+            return [], []
+        return ([], [self._socket]) if self._state == _CONNECTING or self._writing else ([self._socket], [])
+
+    def close(self) -> None:
+        """End the connection."""
+        self._closed = True
+        if self._socket is not None:
+            self._socket.close()
+
+    def _receive(self, now: float) -> bytes | None:
+        if self._socket is None:
+            self._connect(now)
+        if self._state == _CONNECTING:
+            self._connected()
+        if self._state == _SHAKING:
+            self._shake_hands(now)
+        if self._state == _GREETED and (answer := self._take(ANSWER.size)) is not None:
+            self._heard = now
+            self._check(answer, now)
+        for _ in range(_MOST_EMPTY if self._state == _STREAMING else 0):
+            message = self._message()
+            if message is None:
+                return None
+            self._heard = now
+            if message:
+                return message
+        if self._state == _STREAMING:
+            raise OSError(_EXPLANATIONS["faceless"])
+        return None
+
+    def _connect(self, now: float) -> None:
+        self._again = now + _AGAIN
+        family, address = resolve(self.pairing.host, self.pairing.port)
+        self._socket = socket.socket(family, socket.SOCK_STREAM)
+        self._socket.setblocking(False)
+        self._state, self._heard, self.address = _CONNECTING, now, address
+        self._data.clear()
+        self._socket.connect(address)
+
+    def _connected(self) -> None:
+        """Go on once the connection is made; BlockingIOError until then."""
+        assert self._socket is not None
+        if number := self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+            raise OSError(number, os.strerror(number))
+        try:
+            self._socket.getpeername()
+        except OSError as error:
+            raise BlockingIOError from error
+        self._socket = self._context.wrap_socket(self._socket, do_handshake_on_connect=False)
+        self._state = _SHAKING
+
+    def _shake_hands(self, now: float) -> None:
+        assert isinstance(self._socket, ssl.SSLSocket)
+        self._socket.do_handshake()
+        certificate = self._socket.getpeercert(binary_form=True)
+        if certificate is None or not self.pairing.is_of(certificate):
+            self._refuse(now, _EXPLANATIONS["certificate"])
+        self._socket.send(GREETING.pack(MAGIC, VERSION, self.pairing.token))
+        self._state = _GREETED
+
+    def _check(self, answer: bytes, now: float) -> None:
+        magic, version, status = ANSWER.unpack(answer)
+        if magic != MAGIC or version != VERSION:
+            raise OSError(_EXPLANATIONS["other"])
+        if status != ACCEPTED:
+            self._refuse(now, _EXPLANATIONS["token"])
+        self._state, self.message = _STREAMING, ""
+
+    def _message(self) -> bytes | None:
+        """The next message; None if it is not complete."""
+        head = self._peek(LENGTH.size)
+        if head is None:
+            return None
+        (length,) = LENGTH.unpack(head)
+        if length > MAX_MESSAGE:
+            raise OSError(_EXPLANATIONS["faceless"])
+        whole = self._take(LENGTH.size + length)
+        return None if whole is None else whole[LENGTH.size :]
+
+    def _peek(self, count: int) -> bytes | None:
+        if len(self._data) < count:
+            assert self._socket is not None
+            portion = self._socket.recv(_PORTION)
+            if not portion:
+                raise OSError(_EXPLANATIONS["ended"])
+            self._data += portion
+        return bytes(self._data[:count]) if len(self._data) >= count else None
+
+    def _take(self, count: int) -> bytes | None:
+        data = self._peek(count)
+        if data is not None:
+            del self._data[:count]
+        return data
+
+    def _give_up(self, now: float, reason: str) -> None:
+        """End the connection, and say why; the next attempt is made in a while."""
+        self.message = str(
+            SourceError(f"Nothing comes from {self.pairing.address}: {reason}. Facemime goes on trying.")
+        )
+        self._again = now + _AGAIN
+        if self._socket is not None:
+            with suppress(OSError):
+                self._socket.close()
+            self._socket = None
+
+    def _refuse(self, now: float, reason: str) -> None:
+        self._give_up(now, reason)
+        raise SourceError(
+            f"{self.pairing.address} is not the computer that was paired, as {reason}. Paste its pairing line again."
+        )

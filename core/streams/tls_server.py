@@ -1,0 +1,211 @@
+"""A sender over TLS: receivers that were paired connect to it, and get every frame that they can take."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import logging
+import socket
+import ssl
+import threading
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+
+from ..errors import SourceError
+from ..takes.neutral import Neutral
+from ..tracking.result import TrackResult
+from . import datagram
+from .addresses import resolve
+from .pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, REFUSED, VERSION
+from .sessions import OwnSender
+
+_PATIENCE, _ALIVE, _STUCK, _ENDING = 5.0, 1.0, 10.0, 5.0
+"""Seconds for the handshake and the token, between two messages at most, for one to get through, and for the thread to
+end."""
+_MOST, _MOST_EACH = 32, 4
+"""Connections at a time, and from one address those that have not shown the token."""
+_WAITING = 1 << 13
+"""Bytes that may wait for a receiver, beyond those in the system's buffer, before frames are left out."""
+_LOG = logging.getLogger(__name__)
+
+
+class TlsSender:
+    """Sends what is tracked to whoever shows the token; as `core.live.outputs.Output`.
+
+    Parameters
+    ----------
+    host : str
+        Address of this computer that is listened on.
+    port : int
+        0 for any that is free.
+    context : ssl.SSLContext
+        With the certificate.
+    token : bytes
+        Of the pairing.
+
+    Attributes
+    ----------
+    port : int
+        The port that is listened on.
+    receivers : int
+        Those that are connected and have shown the token.
+    sent : int
+        Frames that were sent, to all of them together.
+    refused : int
+        Connections that were refused.
+    message : str
+        Why nothing is being sent; otherwise "".
+
+    Raises
+    ------
+    SourceError
+        If the address cannot be listened on.
+    """
+
+    def __init__(self, host: str, port: int, context: ssl.SSLContext, token: bytes) -> None:
+        self.receivers = self.sent = self.refused = 0
+        self._context, self._token = context, token
+        self._listener = _listener(host, port)
+        self.port = int(self._listener.getsockname()[1])
+        self._own = OwnSender(None)
+        self._frame = b""
+        self._wakes: set[asyncio.Event] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._strangers: Counter[str] = Counter()
+        self._loop = asyncio.new_event_loop()
+        self._over = asyncio.Event()
+        self._thread = threading.Thread(target=self._serve, name="facemime-tls", daemon=True)
+        self._thread.start()
+
+    @property
+    def message(self) -> str:
+        """Why nothing is being sent; otherwise ""."""
+        return "" if self.receivers else "Nobody receives. Paste the pairing line at the other computer."
+
+    def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
+        """Send a frame; as `core.live.outputs.Output.send`."""
+        self._call(partial(self._publish, self._own.packet(*datagram.encode_face(result), max(time, 0.0))))
+
+    def close(self) -> None:
+        """End all connections, and the thread; may be called twice."""
+        self._call(self._over.set)
+        self._thread.join(_ENDING)
+
+    def _call(self, task: Callable[[], object]) -> None:
+        with suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(task)
+
+    # What follows runs in the server's thread.
+
+    def _serve(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._run())
+        finally:
+            self._listener.close()
+            self._loop.close()
+
+    async def _run(self) -> None:
+        accepting = self._loop.create_task(self._accept())
+        await self._over.wait()
+        tasks = [accepting, *self._tasks]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _accept(self) -> None:
+        while True:
+            try:
+                connection, address = await self._loop.sock_accept(self._listener)
+            except OSError:  # too many open files, or gone already
+                await asyncio.sleep(_ALIVE)
+                continue
+            host = str(address[0])
+            if len(self._tasks) >= _MOST or self._strangers[host] >= _MOST_EACH:
+                self.refused += 1
+                connection.close()
+                continue
+            self._strangers[host] += 1
+            task = self._loop.create_task(self._attend(connection, host))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _attend(self, connection: socket.socket, host: str) -> None:
+        """Greet somebody, and send frames if they show the token."""
+        reader = asyncio.StreamReader(limit=GREETING.size)
+        protocol = asyncio.StreamReaderProtocol(reader)
+        transport: asyncio.WriteTransport | None = None
+        try:
+            try:
+                transport, _ = await self._loop.connect_accepted_socket(
+                    lambda: protocol,
+                    connection,
+                    ssl=self._context,
+                    ssl_handshake_timeout=_PATIENCE,
+                    ssl_shutdown_timeout=_ALIVE,
+                )
+                greeting = await asyncio.wait_for(reader.readexactly(GREETING.size), _PATIENCE)
+                known = self._is_known(greeting)
+            finally:
+                self._strangers[host] -= 1
+                self._strangers += Counter()  # forgets those with none
+            self.refused += not known
+            transport.write(ANSWER.pack(MAGIC, VERSION, ACCEPTED if known else REFUSED))
+            if known:
+                await self._stream(reader, asyncio.StreamWriter(transport, protocol, reader, self._loop))
+        except (OSError, EOFError, TimeoutError) as error:
+            _LOG.debug("A connection of %s ended: %s", host, error)
+        finally:
+            connection.close() if transport is None else transport.close()
+
+    def _is_known(self, greeting: bytes) -> bool:
+        magic, version, token = GREETING.unpack(greeting)
+        return magic == MAGIC and version == VERSION and hmac.compare_digest(token, self._token)
+
+    async def _stream(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Send the newest frame whenever the last one is through, until the receiver goes, or says anything."""
+        writer.transport.set_write_buffer_limits(high=_WAITING)
+        wake, last = asyncio.Event(), b""
+        ended = self._loop.create_task(reader.read(1))
+        self._wakes.add(wake)
+        self.receivers += 1
+        try:
+            while not ended.done():
+                wake.clear()
+                if (frame := self._frame) is not last:
+                    last = frame
+                    self.sent += 1
+                else:
+                    frame = b""
+                writer.write(LENGTH.pack(len(frame)) + frame)
+                await asyncio.wait_for(writer.drain(), _STUCK)
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(wake.wait(), _ALIVE)
+        finally:
+            self.receivers -= 1
+            self._wakes.discard(wake)
+            ended.cancel()
+
+    def _publish(self, frame: bytes) -> None:
+        self._frame = frame
+        for wake in self._wakes:
+            wake.set()
+
+
+def _listener(host: str, port: int) -> socket.socket:
+    family, address = resolve(host, port)
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.setblocking(False)
+        listener.bind(address)
+        listener.listen(_MOST)
+    except OSError as error:
+        listener.close()
+        raise SourceError(
+            f"Cannot listen on {host}:{port} ({error.strerror}). Close the program that uses the port, or choose "
+            "another port."
+        ) from error
+    return listener

@@ -1,0 +1,302 @@
+"""VTube Studio on a computer: its programming interface over a WebSocket, version 1.0 (docs/streams.md).
+
+Facemime asks once to be allowed, and keeps the token that it is given. The face is then injected as the parameters that
+every model of VTube Studio has.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import threading
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import ClientConnection, connect
+
+from ..coefficient_names import COEFFICIENT_INDEX
+from ..drive.settings import DriveSettings
+from ..errors import SourceError
+from ..reading import read_bytes
+from ..rotation import to_face_axes
+from ..takes.neutral import Neutral
+from ..tracking.result import TrackResult
+from .addresses import LOOPBACK, resolve
+from .frames import FaceValues
+from .sender import FaceMeasure
+
+PORT = 8001
+PLUGIN, DEVELOPER = "Facemime", "Facemime"
+_RESEND = 0.5
+"""Seconds after which values are sent again: VTube Studio takes back a parameter after one without any."""
+_OPENING, _ASKING, _ANSWERING, _AGAIN, _ENDING = 3.0, 120.0, 5.0, 2.0, 5.0
+"""Seconds for a connection, for the user to allow the plug-in, for an answer, until the next attempt, and to end."""
+_LOOK = 0.2
+_MOST, _MOST_TOKEN = 1 << 16, 1 << 10
+"""Bytes of an answer, and of a token."""
+_DENIED = 50
+"""Number of the error if the user does not allow the plug-in."""
+_ANGLE, _ACROSS, _DEPTH = 90.0, 100.0, 50.0
+"""Degrees that an angle may have, and units of VTube Studio per metre, across and in depth."""
+_DEFAULTS = DriveSettings()
+_LOG = logging.getLogger(__name__)
+
+
+class ApiError(Exception):
+    """VTube Studio refused a request; `number` says why."""
+
+    def __init__(self, number: int, text: str) -> None:
+        super().__init__(text)
+        self.number = number
+
+
+def request(kind: str, data: dict[str, Any]) -> str:
+    """Make a request as JSON.
+
+    Parameters
+    ----------
+    kind : str
+        Its type, such as "InjectParameterDataRequest".
+    data : dict
+
+    Returns
+    -------
+    str
+        The message.
+    """
+    message = {"apiName": "VTubeStudioPublicAPI", "apiVersion": "1.0", "requestID": "Facemime", "messageType": kind}
+    return json.dumps({**message, "data": data}, separators=(",", ":"))
+
+
+def parameters(face: FaceValues) -> dict[str, float]:
+    """Translate a face to the parameters of VTube Studio.
+
+    Parameters
+    ----------
+    face : FaceValues
+
+    Returns
+    -------
+    dict
+        Values by name. Angles are in degrees; brows and smile rest at 0.5.
+    """
+    value = {name: float(face.coefficients[column]) for name, column in COEFFICIENT_INDEX.items()}
+    x, y, z = np.clip(np.degrees(to_face_axes(face.rotation)), -_ANGLE, _ANGLE).tolist()
+    across, down, away = (0.0, 0.0, 0.0) if face.position is None else face.position.tolist()
+    smile = value["mouthSmileLeft"] + value["mouthSmileRight"] - value["mouthFrownLeft"] - value["mouthFrownRight"]
+    left, right = (
+        value["browInnerUp"] + value[f"browOuterUp{side}"] - 2.0 * value[f"browDown{side}"]
+        for side in ("Left", "Right")
+    )
+    found = {
+        "FaceAngleX": y,
+        "FaceAngleY": -x,
+        "FaceAngleZ": -z,
+        "FacePositionX": _ACROSS * across,
+        "FacePositionY": -_ACROSS * down,
+        "FacePositionZ": _DEPTH * away,
+        "MouthOpen": max(value["jawOpen"] - value["mouthClose"], 0.0),
+        "MouthSmile": _within(0.5 + 0.25 * smile),
+        "MouthX": value["mouthLeft"] - value["mouthRight"],
+        "Brows": _within(0.5 + 0.125 * (left + right)),
+        "BrowLeftY": _within(0.5 + 0.25 * left),
+        "BrowRightY": _within(0.5 + 0.25 * right),
+        "EyeOpenLeft": 1.0 - value["eyeBlinkLeft"],
+        "EyeOpenRight": 1.0 - value["eyeBlinkRight"],
+        "EyeLeftX": value["eyeLookInLeft"] - value["eyeLookOutLeft"],
+        "EyeLeftY": value["eyeLookUpLeft"] - value["eyeLookDownLeft"],
+        "EyeRightX": value["eyeLookOutRight"] - value["eyeLookInRight"],
+        "EyeRightY": value["eyeLookUpRight"] - value["eyeLookDownRight"],
+        "CheekPuff": value["cheekPuff"],
+        "TongueOut": value["tongueOut"],
+    }
+    return {name: round(number, 5) for name, number in found.items()}
+
+
+def injection(values: dict[str, float], *, found: bool) -> str:
+    """Make the request that sets parameters.
+
+    Parameters
+    ----------
+    values : dict
+        From `parameters`.
+    found : bool
+        Whether there is a face.
+
+    Returns
+    -------
+    str
+        The message.
+    """
+    listed = [{"id": name, "value": number} for name, number in values.items()]
+    return request("InjectParameterDataRequest", {"faceFound": found, "mode": "set", "parameterValues": listed})
+
+
+class VTubeStudioSender:
+    """Sends what is tracked to VTube Studio; as `core.live.outputs.Output`.
+
+    Parameters
+    ----------
+    host : str
+    port : int
+        0 for the usual one.
+    token : Path
+        File in which the token is kept.
+    options : DriveSettings
+        Whether to mirror, and how strongly each region of the face moves.
+
+    Attributes
+    ----------
+    options : DriveSettings
+        May be replaced at any time.
+    sent : int
+        Frames that were sent.
+    message : str
+        Why nothing is being sent; otherwise "".
+
+    Raises
+    ------
+    SourceError
+        If the host is not known.
+    """
+
+    def __init__(self, host: str, port: int, token: Path, options: DriveSettings = _DEFAULTS) -> None:
+        self.options, self.sent, self.message = options, 0, ""
+        _, (host, port) = resolve(host or LOOPBACK, port or PORT)
+        self._where = f"{f'[{host}]' if ':' in host else host}:{port}"
+        self._file = token
+        self._measure = FaceMeasure()
+        self._values: dict[str, float] = {}
+        self._found = self._fresh = self._over = False
+        self._news = threading.Condition()
+        self._thread = threading.Thread(target=self._work, name="facemime-vtube-studio", daemon=True)
+        self._thread.start()
+
+    def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
+        """Send a frame; as `core.live.outputs.Output.send`."""
+        face = self._measure.values(result, neutral, self.options)
+        with self._news:
+            self._values = self._values if face is None else parameters(face)
+            self._found, self._fresh = face is not None, True
+            self._news.notify()
+
+    def close(self) -> None:
+        """End the thread; may be called twice."""
+        with self._news:
+            self._over = True
+            self._news.notify()
+        self._thread.join(_ENDING)
+
+    def _work(self) -> None:
+        while not self._over:
+            try:
+                with connect(
+                    f"ws://{self._where}",
+                    open_timeout=_OPENING,
+                    close_timeout=_LOOK,
+                    compression=None,
+                    max_size=_MOST,
+                    proxy=None,
+                ) as connection:
+                    self._authenticate(connection)
+                    self.message = ""
+                    self._feed(connection)
+            except ApiError as error:
+                self.message = str(SourceError(f"VTube Studio refused: {error}"))
+                if error.number == _DENIED:
+                    return
+            except (OSError, WebSocketException, ValueError):
+                self.message = _silence(self._where)
+            with self._news:
+                self._news.wait_for(lambda: self._over, _AGAIN)
+
+    def _authenticate(self, connection: ClientConnection) -> None:
+        """Show the token, after asking for one if there is none, or if it is no longer valid."""
+        plugin = {"pluginName": PLUGIN, "pluginDeveloper": DEVELOPER}
+        token = self._kept()
+        for _ in range(2):
+            if not token:
+                self.message = str(SourceError("VTube Studio asks whether Facemime may send to it. Click Allow there."))
+                answer = self._ask(connection, "AuthenticationToken", plugin, _ASKING)
+                token = str(answer.get("authenticationToken", ""))[:_MOST_TOKEN]
+                self._keep(token)
+            shown = {**plugin, "authenticationToken": token}
+            if self._ask(connection, "Authentication", shown, _ANSWERING).get("authenticated") is True:
+                return
+            token = ""
+        raise ApiError(0, "it does not accept its own token. Start VTube Studio again.")
+
+    def _ask(self, connection: ClientConnection, kind: str, data: dict[str, Any], patience: float) -> dict[str, Any]:
+        """Send a request, and return what is answered."""
+        connection.send(request(f"{kind}Request", data))
+        end = monotonic() + patience
+        while not self._over and monotonic() < end:
+            try:
+                answer = _checked(connection.recv(_LOOK))
+            except TimeoutError:
+                continue
+            if answer.get("messageType") == f"{kind}Response":
+                content = answer.get("data")
+                return content if isinstance(content, dict) else {}
+        raise TimeoutError
+
+    def _feed(self, connection: ClientConnection) -> None:
+        """Send new values as they come, and the last ones again if none do."""
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._over or self._fresh, _RESEND)
+                if self._over:
+                    return
+                message = injection(self._values, found=self._found) if self._values else ""
+                self.sent += self._fresh and bool(message)
+                self._fresh = False
+            if message:
+                connection.send(message)
+            self._answers(connection)
+
+    def _answers(self, connection: ClientConnection) -> None:
+        try:
+            while True:
+                _checked(connection.recv(0))
+        except TimeoutError:
+            return
+
+    def _kept(self) -> str:
+        try:
+            return read_bytes(self._file, _MOST_TOKEN).decode("ascii").strip()
+        except (OSError, ValueError):
+            return ""
+
+    def _keep(self, token: str) -> None:
+        """Keep the token for the next time; without a place for it, VTube Studio asks the user again."""
+        try:
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            with open(os.open(self._file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w", encoding="ascii") as file:
+                file.write(token + "\n")
+        except (OSError, ValueError):
+            _LOG.warning("The token of VTube Studio cannot be kept in %s", self._file)
+
+
+def _checked(data: str | bytes) -> dict[str, Any]:
+    """Parse an answer; ApiError if it is an error, ValueError if it is no answer."""
+    answer = json.loads(data)
+    if not isinstance(answer, dict):
+        raise ValueError("not an answer")
+    if answer.get("messageType") == "APIError":
+        content = answer.get("data")
+        content = content if isinstance(content, dict) else {}
+        number, text = content.get("errorID"), content.get("message")
+        raise ApiError(number if isinstance(number, int) else 0, str(text)[:200])
+    return answer
+
+
+def _silence(where: str) -> str:
+    return str(SourceError(f"VTube Studio does not answer at {where}. Enable Allow Plugin API access in its settings."))
+
+
+def _within(number: float) -> float:
+    return min(max(number, 0.0), 1.0)
