@@ -29,7 +29,7 @@ check: setup
 # own limit (pyproject.toml); there is none round the whole, which may be as slow as the machine is.
 # Two processes on two cores, each with one thread for linear algebra: more would wait for one another. One that crashes
 # is not replaced: the others would wait for its tests for ever.
-PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --max-worker-restart 0
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 # What is long and of one piece comes first.
 SUITES := tests/gui tests/blender tests/fuzz tests/core tests/viewer tests/bench
 test: setup build blenders windows browser build/head/.ready

@@ -19,6 +19,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--share", metavar="K/N", help="run only a share of the thorough tests, the K-th of N")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Let no property test fail because a computer is busy; environments with Blender alone have no hypothesis."""
+    if config.pluginmanager.hasplugin("hypothesispytest"):
+        from hypothesis import settings
+
+        settings.register_profile("untimed", deadline=None)
+        settings.load_profile("untimed")
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out the thorough tests of other shares; what starts the same Blender is in the same share."""
     if not (share := config.getoption("--share")):

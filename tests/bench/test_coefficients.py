@@ -38,7 +38,7 @@ def test_each_coefficient_has_a_row_and_empty_cells_where_it_was_not_acted():
     assert rows["jawOpen"][2] == 0.0
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_random_expressions_show_something_possible(seed):
     keys = random_expression(np.random.default_rng(seed))

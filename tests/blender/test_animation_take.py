@@ -72,6 +72,7 @@ def _landmarks(head):
     return np.array([final.data.vertices[index].co for index in read_landmarks(head).tolist()])
 
 
+@pytest.mark.thorough
 def test_a_head_that_does_not_move_is_said_to_be_still(takes):
     add_head(bpy.context)
     with pytest.raises(RuntimeError, match="does not move from frame 1 to 250"):

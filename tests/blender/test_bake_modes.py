@@ -6,6 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from thorough import first_of
 
 from facemime.blender.actions import TRACK
 from facemime.blender.animation.bake_cache import MODIFIER
@@ -60,7 +61,7 @@ def largest_error(head: bpy.types.Object, report: PuppetReport) -> float:
     return worst / rig.eye_distance
 
 
-@pytest.mark.parametrize("nla", [False, True])
+@pytest.mark.parametrize("nla", first_of([False, True]))
 @pytest.mark.parametrize(
     ("options", "most"),
     [
@@ -110,6 +111,7 @@ def curves_of(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
     return list(data.action.layers[0].strips[0].channelbag(data.action_slot).fcurves)
 
 
+@pytest.mark.thorough
 def test_baking_to_something_else_removes_the_earlier_bake(tmp_path):
     head = add_head(bpy.context, units=True)
     bake(head, keys="named")
@@ -135,6 +137,7 @@ def test_keys_stay_within_their_ranges_and_a_custom_table_moves_only_its_own_key
     assert max(point.co[1] for point in curves["browInnerUp"].keyframe_points) > 0.1
 
 
+@pytest.mark.thorough
 def test_a_bake_never_replaces_an_animators_curves_or_drivers_and_changes_nothing():
     head = add_head(bpy.context, units=True)
     keys = head.data.shape_keys
@@ -166,7 +169,7 @@ def armature(*bones: str) -> bpy.types.Object:
     return rig
 
 
-@pytest.mark.parametrize("mode", ["QUATERNION", "XYZ", "AXIS_ANGLE"])
+@pytest.mark.parametrize("mode", first_of(["QUATERNION", "XYZ", "AXIS_ANGLE"]))
 def test_bones_take_the_baked_pose_of_head_and_eyes_as_they_do_live(mode):
     head = add_head(bpy.context)
     rig = armature("Head", "Eye")
@@ -203,7 +206,7 @@ def test_bones_take_the_baked_pose_of_head_and_eyes_as_they_do_live(mode):
     assert all(eye.animation_data.action is None or not curves_of(eye) for eye in eyes)
 
 
-@pytest.mark.parametrize("nla", [False, True])
+@pytest.mark.parametrize("nla", first_of([False, True]))
 def test_head_and_eyes_that_follow_bones_of_one_armature_are_baked_side_by_side(nla):
     head, rig = add_head(bpy.context), armature("Head", "Eye")
     targets = {"head": PoseTarget.of(rig, "Head"), "eye_left": PoseTarget.of(rig, "Eye")}
@@ -219,6 +222,7 @@ def test_head_and_eyes_that_follow_bones_of_one_armature_are_baked_side_by_side(
     assert "Head" in turned
 
 
+@pytest.mark.thorough
 def test_a_track_that_holds_another_strip_is_kept_and_the_bake_gets_a_new_one():
     head = add_head(bpy.context)
     action = bpy.data.actions.new("Mine")
@@ -230,6 +234,7 @@ def test_a_track_that_holds_another_strip_is_kept_and_the_bake_gets_a_new_one():
     bpy.data.actions.remove(action)
 
 
+@pytest.mark.thorough
 def test_a_strip_that_the_user_put_onto_a_bakes_track_survives_the_next_bake():
     head = add_head(bpy.context)
     bake(head, nla=True)
@@ -250,8 +255,8 @@ def test_an_animated_delta_transform_is_never_replaced():
     assert len(curves_of(head)) == 3 and head.data.shape_keys is None
 
 
-@pytest.mark.parametrize("nla", [False, pytest.param(True, marks=pytest.mark.thorough)])
-@pytest.mark.parametrize("keys", ["new", "named", "mapped", "cache"])
+@pytest.mark.parametrize("nla", first_of([False, True]))
+@pytest.mark.parametrize("keys", first_of(["new", "named", "mapped", "cache"], 2))
 def test_a_baked_head_shows_only_the_live_frame_and_plays_its_bake_afterwards(keys, nla, tmp_path):
     head = add_head(bpy.context, units=True)
     report = bake(head, keys=keys, nla=nla, path=tmp_path / "a.pc2")
@@ -326,6 +331,7 @@ def test_missing_requirements_are_reported_before_anything_changes(options, mess
     assert head.data.shape_keys is None and head.animation_data is None and len(head.modifiers) == 1
 
 
+@pytest.mark.thorough
 def test_unmatched_and_absolute_shape_keys_are_rejected():
     head = add_head(bpy.context)
     for name in ("Basis", "Fat", "Thin"):
@@ -341,6 +347,7 @@ def test_unmatched_and_absolute_shape_keys_are_rejected():
         bake(head)
 
 
+@pytest.mark.thorough
 def test_each_of_several_heads_gets_a_cache(tmp_path):
     heads = [add_head(bpy.context, name=name) for name in ("One", "Two")]
     settings = PuppetSettings(bake=BakeSettings(keys="cache", path=tmp_path / "take.pc2"))
@@ -364,6 +371,7 @@ def test_times_beyond_blenders_last_frame_are_reported_and_nothing_changes(start
     assert head.data.shape_keys is None and head.animation_data is None
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("keys", ["named", "mapped"])
 def test_vertex_groups_of_keys_are_respected_and_muted_keys_ignored(keys):
     head = add_head(bpy.context, units=True)
@@ -381,6 +389,7 @@ def test_vertex_groups_of_keys_are_respected_and_muted_keys_ignored(keys):
         bake(head, keys=keys)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("keys", ["new", "named"])
 def test_solo_active_shape_key_does_not_hide_the_bake(keys):
     head = add_head(bpy.context, units=True)

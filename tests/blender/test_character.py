@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from characters import TRUTH, shown, strangers, turn_between
 from mathutils import Vector
+from thorough import first_of
 
 from commands import run
 from facemime.blender.animation.live import LiveHeadObject
@@ -27,7 +28,7 @@ from facemime.core.takes.neutral import calibrate
 from takes import performance
 
 
-@pytest.mark.parametrize("start", ["body", "eye_left", "head"])
+@pytest.mark.parametrize("start", first_of(["body", "eye_left", "head"]))
 @pytest.mark.parametrize("y_up", [False, True])
 def test_any_mesh_of_a_character_leads_to_its_face_its_parts_and_its_bones(start, y_up):
     objects = strangers(rig=True, y_up=y_up)
@@ -45,7 +46,7 @@ def test_any_mesh_of_a_character_leads_to_its_face_its_parts_and_its_bones(start
         np.testing.assert_allclose(shown(obj), before[name], atol=1e-5)
 
 
-@pytest.mark.parametrize("y_up", [False, True])
+@pytest.mark.parametrize("y_up", first_of([True, False]))
 def test_a_bake_turns_the_head_bone_in_world_axes_and_moves_all_parts(y_up):
     objects = strangers(rig=True, y_up=y_up)
     head, _ = bind_character(objects["body"])
@@ -62,6 +63,7 @@ def test_a_bake_turns_the_head_bone_in_world_axes_and_moves_all_parts(y_up):
     assert np.abs(upper - np.eye(3)).max() > 0.1
 
 
+@pytest.mark.thorough
 def test_baked_keys_of_one_name_are_on_all_meshes_that_move_and_have_one_value():
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
@@ -76,6 +78,7 @@ def test_baked_keys_of_one_name_are_on_all_meshes_that_move_and_have_one_value()
     assert len(objects["tongue"].data.shape_keys.key_blocks) == again.keys + 1
 
 
+@pytest.mark.thorough
 def test_a_cache_is_written_for_each_mesh_that_moves(tmp_path):
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
@@ -115,6 +118,7 @@ def test_live_all_meshes_follow_and_are_as_before_at_the_end():
         assert obj.data.shape_keys is None
 
 
+@pytest.mark.thorough
 def test_a_character_without_bones_turns_as_a_whole_about_its_neck():
     objects = strangers(rig=False)
     for name in ("eye_left", "eye_right", "teeth_upper", "teeth_lower", "tongue"):
@@ -133,6 +137,7 @@ def test_a_character_without_bones_turns_as_a_whole_about_its_neck():
     assert np.linalg.norm(pivot) < 0.3 * unit
 
 
+@pytest.mark.thorough
 def test_what_the_user_makes_of_a_part_is_obeyed_and_kept_by_binding_again():
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
@@ -149,6 +154,7 @@ def test_what_the_user_makes_of_a_part_is_obeyed_and_kept_by_binding_again():
     assert teeth in {member.obj for member in members_of(head)}
 
 
+@pytest.mark.thorough
 def test_the_part_of_selected_vertices_is_set_in_edit_mode():
     objects = strangers(rig=True)
     bind_character(objects["head"])
@@ -166,6 +172,7 @@ def test_the_part_of_selected_vertices_is_set_in_edit_mode():
     assert (read_kinds(teeth.data) == Part.TEETH_LOWER).sum() == 5
 
 
+@pytest.mark.thorough
 def test_the_bones_can_be_chosen_and_taken_away():
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
@@ -176,6 +183,7 @@ def test_the_bones_can_be_chosen_and_taken_away():
     assert own_targets(head)["head"].obj == head
 
 
+@pytest.mark.thorough
 def test_a_bone_that_moves_already_keeps_its_animation_and_the_report_says_so():
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
@@ -191,6 +199,7 @@ def test_a_bone_that_moves_already_keeps_its_animation_and_the_report_says_so():
     assert puppet_head(bpy.context.scene, head, performance()).kept == ()
 
 
+@pytest.mark.thorough
 def test_expression_keys_are_made_on_all_meshes_that_they_move_and_existing_ones_are_kept():
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
@@ -238,6 +247,7 @@ def test_a_character_in_a_file_of_another_program_is_bound_and_puppeted_by_comma
     assert max(angles) > 0.1
 
 
+@pytest.mark.thorough
 def test_parts_joined_into_one_mesh_are_told_apart_by_their_places():
     objects = strangers(rig=True)
     names = list(objects)
@@ -266,6 +276,7 @@ def test_parts_joined_into_one_mesh_are_told_apart_by_their_places():
     assert moved[kinds == Part.EYE_LEFT].min() > 1e-4
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["cut.glb", "text.fbx", "none.glb", "clip.mp4"])
 def test_a_file_that_is_no_character_gets_one_clear_error(name, tmp_path):
     if name != "none.glb":

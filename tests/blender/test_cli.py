@@ -106,6 +106,7 @@ def test_puppet_bakes_to_the_requested_format(options, written, message, tmp_pat
     assert bool(head.animation_data.nla_tracks) == ("--nla" in options)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("options", "status", "message"),
     [
@@ -122,6 +123,7 @@ def test_an_impossible_bake_is_reported_at_once(options, status, message, tmp_pa
     assert refused.returncode == status and message in refused.stderr and not (tmp_path / "out.blend").exists()
 
 
+@pytest.mark.thorough
 def test_a_take_drives_a_custom_head(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     assert run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "own.blend").returncode == 0
@@ -136,6 +138,7 @@ def test_a_take_drives_a_custom_head(tmp_path):
     assert missing.returncode == 1 and "has no object Nobody" in missing.stderr
 
 
+@pytest.mark.thorough
 def test_landmarks_of_a_folder_are_nan_where_there_is_no_face(clip, tmp_path):
     (tmp_path / "in").mkdir()
     cv2.imwrite(str(tmp_path / "in" / "a.png"), cv2.VideoCapture(str(clip)).read()[1])
@@ -155,6 +158,7 @@ def test_landmarks_of_a_folder_are_nan_where_there_is_no_face(clip, tmp_path):
     assert again.returncode == 1 and "c.png" in again.stderr and len(np.load(tmp_path / "out.npz")["names"]) == 3
 
 
+@pytest.mark.thorough
 def test_landmark_images_never_overwrite_each_other(clip, tmp_path):
     image = cv2.VideoCapture(str(clip)).read()[1]
     for name in ("a.png", "a.jpg", "b.png", "more/a.png"):
@@ -176,6 +180,7 @@ def test_a_missing_display_library_is_reported_before_tracking(clip, tmp_path):
     assert done.returncode == 1 and "is not a folder" in done.stderr and "Finding" not in done.stderr
 
 
+@pytest.mark.thorough
 def test_the_source_video_is_never_overwritten(clip, tmp_path):
     copy = tmp_path / "clip.mp4"
     copy.write_bytes(clip.read_bytes())
@@ -184,6 +189,7 @@ def test_the_source_video_is_never_overwritten(clip, tmp_path):
     assert copy.read_bytes() == clip.read_bytes()
 
 
+@pytest.mark.thorough
 def test_a_full_disk_does_not_lose_the_tracking(clip, tmp_path):
     done = run("puppet", clip, "-o", tmp_path / "out.blend", preexec_fn=with_little_space)
     errors = [line for line in done.stderr.splitlines() if line.startswith("facemime:")]
@@ -195,6 +201,7 @@ def test_a_full_disk_does_not_lose_the_tracking(clip, tmp_path):
     assert done.returncode == 1 and (tmp_path / "out.unfinished.facetake").exists()
 
 
+@pytest.mark.thorough
 def test_a_head_that_cannot_be_baked_to_is_reported_before_tracking(clip, tmp_path):
     add_head(bpy.context).driver_add("delta_rotation_euler", 0)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "own.blend"))
@@ -202,6 +209,7 @@ def test_a_head_that_cannot_be_baked_to_is_reported_before_tracking(clip, tmp_pa
     assert done.returncode == 1 and "already has animation" in done.stderr and "Tracking" not in done.stderr
 
 
+@pytest.mark.thorough
 def test_closed_output_streams_are_no_error(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     select = f"{COMMAND} select {tmp_path / 'take.facetake'} -o {tmp_path / 'points.json'}"
@@ -229,6 +237,7 @@ def test_an_incomplete_video_is_reported(tmp_path, monkeypatch):
     assert rendering._frames_in(tmp_path / "out.mp4") == 10
 
 
+@pytest.mark.thorough
 def test_errors_are_one_line_and_keep_the_earlier_output(clip, faceless, tmp_path):
     (tmp_path / "text.mp4").write_text("no video")
     (tmp_path / "empty.mp4").write_bytes(b"")
@@ -277,6 +286,7 @@ def test_ctrl_c_keeps_the_tracked_frames(tmp_path):
     assert 1 <= len(take) < 240 and take.info["interrupted"] and str(len(take)).encode() in heard
 
 
+@pytest.mark.thorough
 def test_select_prints_the_curve_and_puppet_uses_the_points(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     points = tmp_path / "points.json"
@@ -293,6 +303,7 @@ def test_select_prints_the_curve_and_puppet_uses_the_points(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
@@ -308,6 +319,7 @@ def test_select_reports_invalid_arguments(tmp_path, arguments, status, message):
     assert done.returncode == status and message in done.stderr and "Traceback" not in done.stderr
 
 
+@pytest.mark.thorough
 def test_select_takes_the_head_in_a_file(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     obj = add_head(bpy.context)
@@ -324,6 +336,7 @@ def test_select_takes_the_head_in_a_file(tmp_path):
     assert not np.allclose(found.covariance, usual.covariance, rtol=1e-2, atol=1e-10)
 
 
+@pytest.mark.thorough
 def test_invalid_points_are_rejected_before_anything_is_written(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     (tmp_path / "points.json").write_text("{}")

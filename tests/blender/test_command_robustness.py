@@ -50,6 +50,7 @@ def started(*arguments: object, until: Path) -> Iterator[subprocess.Popen]:
         yield process
 
 
+@pytest.mark.thorough
 def test_a_blocked_driver_does_not_keep_the_process_running(take, tmp_path):
     add_head(bpy.context)
     other = bpy.data.objects.new("Other", None)
@@ -82,6 +83,7 @@ def test_a_head_from_another_file_runs_no_scripts(take, tmp_path):
     assert (tmp_path / "out.blend").exists() and not (tmp_path / "ran").exists()
 
 
+@pytest.mark.thorough
 def test_no_output_may_be_one_of_the_inputs(take, tmp_path):
     assert run("puppet", take, "-o", tmp_path / "own.blend").returncode == 0
     before = (tmp_path / "own.blend").read_bytes()
@@ -180,6 +182,7 @@ def test_a_full_disk_is_one_clear_error_wherever_it_is(take, small_disk, tmp_pat
         assert os.listdir(small_disk) == ["fill"]
 
 
+@pytest.mark.thorough
 def test_a_disk_that_is_full_from_the_start_is_reported_for_videos_and_reports(small_disk):
     (small_disk / "fill").write_bytes(bytes(2 << 20))
     with pytest.raises(OutputError, match=r"could not write .*out\.mp4\. Free some disk space"):

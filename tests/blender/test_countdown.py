@@ -76,6 +76,7 @@ def test_the_button_cancels_the_countdown(puppet_running, beeps):
     assert running().countdown is None and running().recording is None and not beeps
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sounds", [True, False])
 def test_the_end_of_a_calibration_is_heard_if_sounds_are_wanted(puppet_running, beeps, sounds):
     preferences().sounds = sounds
@@ -109,6 +110,7 @@ def test_a_beep_without_an_audio_device_is_no_error():
     assert beep() in (True, False)
 
 
+@pytest.mark.thorough
 def test_a_slow_redraw_is_named_as_the_slowest_step(puppet_running):
     session = running()
     for _ in range(14):

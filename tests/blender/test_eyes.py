@@ -55,6 +55,7 @@ def test_joined_eyes_of_a_scan_are_reported_until_they_are_opened(scan):
         bpy.ops.facemime.open_eyes()
 
 
+@pytest.mark.thorough
 def test_lids_close_over_static_eyes_and_open_without_gaps(scan):
     bpy.ops.facemime.open_eyes()
     rig = read_rig(scan)
@@ -70,6 +71,7 @@ def test_lids_close_over_static_eyes_and_open_without_gaps(scan):
     assert not np.concatenate([at_rest, at_half, at_shut, at_wide])[:, 1].any()
 
 
+@pytest.mark.thorough
 def test_a_coarse_mesh_is_subdivided_around_its_eyes_so_that_they_close(coarse_scan):
     landmarks = read_landmarks(coarse_scan)
     others = np.setdiff1d(np.arange(66), [*EYE_RIGHT, *EYE_LEFT])
@@ -81,6 +83,7 @@ def test_a_coarse_mesh_is_subdivided_around_its_eyes_so_that_they_close(coarse_s
     assert (after < 0.05 * before).all()
 
 
+@pytest.mark.thorough
 def test_eyes_stay_out_of_regions_that_are_proposed_or_smoothed_later(scan):
     bpy.ops.facemime.open_eyes()
     eyes = eye_vertices(scan)
@@ -111,6 +114,7 @@ def skin_faces(obj):
     return faces[~np.isin(faces, eye_vertices(obj)).any(axis=1)]
 
 
+@pytest.mark.thorough
 def test_binding_again_finds_the_rims_of_the_lids(scan):
     bpy.ops.facemime.open_eyes()
     lids = np.concatenate([EYE_RIGHT, EYE_LEFT])
@@ -128,6 +132,7 @@ def test_opening_the_eyes_leaves_no_holes(scan):
     assert not scan.data.validate()
 
 
+@pytest.mark.thorough
 def test_textures_of_the_skin_stay_in_place(scan):
     layer = scan.data.uv_layers.new(name="Picture")
     for loop in scan.data.loops:
@@ -145,6 +150,7 @@ def test_textures_of_the_skin_stay_in_place(scan):
     assert np.isfinite(pictured).all() and pictured.any(axis=1).all()
 
 
+@pytest.mark.thorough
 def test_shape_keys_vertex_groups_and_materials_survive_the_cut(scan):
     scan.shape_key_add(name="Basis")
     key = scan.shape_key_add(name="Mine")
@@ -179,6 +185,7 @@ def test_opening_the_eyes_is_a_single_undo_step(scan):
     assert len(eye_vertices(obj)) == 0 and WORDS in [finding.problem for finding in check_object(obj)]
 
 
+@pytest.mark.thorough
 def test_a_mirrored_scan_gets_mirrored_eyes(scan):
     places, faces = scanned()
     landmarks = read_landmarks(scan)

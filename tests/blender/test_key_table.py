@@ -42,6 +42,7 @@ def test_no_table_is_detected_for_unknown_shape_keys():
         bpy.ops.facemime.detect_key_map()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("data", ["", "[]", '{"values": {}}', '{"coefficients": [NaN], "values": {}}', "[" * 100_000])
 def test_a_damaged_pose_is_removed_and_reported(imported, takes, data):
     add_head(bpy.context, units=True)

@@ -34,6 +34,7 @@ def test_joined_lips_of_a_scan_are_reported_until_they_are_opened(scan):
         bpy.ops.facemime.open_lips()
 
 
+@pytest.mark.thorough
 def test_the_command_to_bind_cuts_lips_and_eyes_open_when_asked(scan, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scan.blend"))
     character = HeadFile(tmp_path / "scan.blend", "Scan")
@@ -43,6 +44,7 @@ def test_the_command_to_bind_cuts_lips_and_eyes_open_when_asked(scan, tmp_path):
     assert opened.problems == [] and opened.head.name == "Scan"
 
 
+@pytest.mark.thorough
 def test_seams_of_the_texture_are_closed_before_the_lips_are_opened(scan):
     across = scan.data.vertices[read_landmarks(scan)[33]].co.x
     work = bmesh.new()

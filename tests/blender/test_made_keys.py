@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 import pytest
 from characters import strangers
+from thorough import first_of
 
 from commands import run
 from facemime.blender.animation.live_keys import live_keys
@@ -77,10 +78,7 @@ def own_keys(head: bpy.types.Object) -> list[bpy.types.ShapeKey]:
 
 @pytest.mark.parametrize(
     ("name", "opens"),
-    [
-        *(("vrm", "aa"), ("facegen", "Aah")),
-        *(pytest.param(*row, marks=pytest.mark.thorough) for row in (("vrm0", "A"), ("oculus", "viseme_aa"))),
-    ],
+    first_of([("vrm", "aa"), ("facegen", "Aah"), ("vrm0", "A"), ("oculus", "viseme_aa")], rows=True),
 )
 def test_a_set_is_made_on_all_parts_detected_and_baked_to(name, opens):
     objects = strangers(rig=True)
@@ -111,9 +109,7 @@ def test_the_eyes_and_teeth_of_the_built_in_head_get_a_set_too():
     assert again.added == 0 and len(again.kept) == 18 and not again.qualities and not again.findings
 
 
-@pytest.mark.parametrize(
-    "name", ["arkit", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("vrm", "facegen"))]
-)
+@pytest.mark.parametrize("name", first_of(["arkit", "vrm", "facegen"]))
 def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(keyed, name):
     objects = keyed(name)
     assert bpy.ops.facemime.bind_keys() == {"FINISHED"}

@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Matrix
+from thorough import first_of
 
 from facemime.blender.heads.binding import bind_head, check_object, read_marks
 from facemime.blender.heads.built_in import add_head
@@ -105,7 +106,8 @@ def test_a_mesh_that_faces_backwards_is_bound_without_marks_and_stays_in_place(t
 
 
 @pytest.mark.parametrize(
-    ("rotation", "scale"), [((0.0, 0.0, 2.2), (1, 1, 1)), ((0.4, -0.3, 0.9), (3, 3, 3)), ((0.0, 0.0, 0.0), (-1, 1, 1))]
+    ("rotation", "scale"),
+    first_of([((0.4, -0.3, 0.9), (3, 3, 3)), ((0.0, 0.0, 2.2), (1, 1, 1)), ((0.0, 0.0, 0.0), (-1, 1, 1))], rows=True),
 )
 def test_a_rotated_or_mirrored_object_is_bound_without_marks(true, rotation, scale):
     obj = bare_head()

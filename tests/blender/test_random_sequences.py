@@ -5,6 +5,7 @@ import threading
 import bpy
 import numpy as np
 import pytest
+from thorough import first_of
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import is_head, read_vertices
@@ -113,7 +114,8 @@ class EVENT:
 ACTIONS = (press, press, press, tick, tick, change_mode, change_scene, go_back)
 
 
-@pytest.mark.parametrize("first", [0, *(pytest.param(n, marks=pytest.mark.thorough) for n in range(10, 100, 10))])
+@pytest.mark.thorough
+@pytest.mark.parametrize("first", first_of(range(0, 100, 10)))
 def test_random_sequences_do_not_break_blender(take, first, tmp_path):
     preferences().takes_folder = str(tmp_path)
     for seed in range(first, first + 10):

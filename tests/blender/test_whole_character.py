@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 import pytest
 from characters import shown, strangers
+from thorough import first_of
 
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.puppet import puppet_head
@@ -67,7 +68,7 @@ def bound(start: str) -> tuple[dict[str, bpy.types.Object], dict[str, np.ndarray
     return objects, rest
 
 
-@pytest.mark.parametrize("start", ["body", "hair"])
+@pytest.mark.parametrize("start", first_of(["body", "hair"]))
 def test_a_bake_moves_a_rigged_character_with_eyes_teeth_and_hair_as_one(start):
     objects, rest = bound(start)
     puppet_head(bpy.context.scene, objects["head"], performance())

@@ -21,7 +21,7 @@ def test_the_mean_face_has_open_eyes_and_almost_closed_lips(face):
     assert 0.0 < mouth_aperture(face) < 0.1
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.floats(-3.0, 3.0), st.floats(0.1, 500.0), st.floats(-1e3, 1e3))
 def test_apertures_are_invariant_to_rotation_and_translation_and_scale_with_the_image(face, roll, scale, shift):
     turn = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])

@@ -34,7 +34,7 @@ from facemime.core.takes.neutral import calibrate
 from takes import performance
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), unknowns=st.integers(1, 14), extra=st.integers(0, 20), infinite=st.booleans())
 def test_bounded_least_squares_finds_what_scipy_finds(seed, unknowns, extra, infinite):
     rng = np.random.default_rng(seed)
@@ -166,7 +166,6 @@ def test_gains_are_learnt_from_poses_and_undetermined_ones_stay():
     assert gains["jawOpen", "Other"] == 1.0 and min(gains.values()) > 0.0
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 200), tolerance=st.floats(0.0, 0.5))
 def test_a_clean_curve_stays_within_the_tolerance(seed, count, tolerance):
     rng = np.random.default_rng(seed)

@@ -21,7 +21,7 @@ def acted(count: int, seed: int) -> np.ndarray:
     return np.array([random_expression(rng) for _ in range(count)])
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), modes=st.integers(1, N_OBSERVED))
 def test_a_spread_keeps_the_variances_and_at_least_some_of_each(seed, modes):
     factors = np.random.default_rng(seed).normal(size=(300, N_OBSERVED)) * np.linspace(0.001, 1.0, N_OBSERVED)

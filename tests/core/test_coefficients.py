@@ -91,7 +91,7 @@ def test_a_face_at_rest_has_no_coefficients(solver):
     assert not solver.frames(np.zeros((1, N_OBSERVED))).any()
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(column=st.integers(0, len(FITTED) - 1), amount=st.floats(0.5, 0.9))
 def test_what_is_observed_of_a_single_coefficient_is_found_as_that_one(column, amount):
     model = load_coefficient_model()
@@ -103,7 +103,7 @@ def test_what_is_observed_of_a_single_coefficient_is_found_as_that_one(column, a
     assert found[name] > max(rivals) or found[name] < 0.3 > max(rivals)  # found, or too faint to be told
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(observed=arrays(np.float64, (3, N_OBSERVED), elements=st.floats(-1.0, 1.0)))
 def test_coefficients_are_within_0_and_1_and_exclusive_ones_never_both_present(observed):
     solver = CoefficientSolver(load_coefficient_model())
@@ -114,7 +114,7 @@ def test_coefficients_are_within_0_and_1_and_exclusive_ones_never_both_present(o
         assert whole[:, EXCLUSIVE].min(axis=2).max() < 2e-3
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_flipped_face_has_the_coefficients_of_the_other_side(seed):
     rng, model = np.random.default_rng(seed), load_coefficient_model()

@@ -56,6 +56,7 @@ def test_pipes_and_devices_are_not_read(take, tmp_path, capsys, line):
     assert "is not a file but a pipe or a device" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 @needs_posix
 def test_invalid_names_and_inaccessible_folders_are_clear_errors(take, tmp_path):
     """All in one process, which first drops the capabilities of root."""
@@ -159,6 +160,7 @@ def test_a_folder_whose_name_is_not_utf_8_is_refused_even_as_working_directory(t
     assert done.returncode == 1 and r"a\xff/clip.mp4 is not valid UTF-8" in done.stderr
 
 
+@pytest.mark.thorough
 @needs_posix
 def test_a_colon_in_the_name_of_a_video_does_not_make_it_an_address(tmp_path):
     for name in ("12:30.mp4", "http:a.mp4"):
@@ -249,6 +251,7 @@ def test_closed_message_streams_are_not_errors(take, tmp_path, monkeypatch):
         assert cli.main(["mend", "none", "-o", str(tmp_path / "out.facetake")]) == 1
 
 
+@pytest.mark.thorough
 @needs_posix
 def test_closed_streams_do_not_stop_the_command(take, tmp_path):
     mend = f"{sys.executable} -m facemime.cli mend {take} -o {tmp_path / 'out.facetake'}"
@@ -266,6 +269,7 @@ def test_closed_streams_do_not_stop_the_command(take, tmp_path):
     assert len(load_take(tmp_path / "out.facetake")) == 60
 
 
+@pytest.mark.thorough
 @needs_posix
 def test_a_full_disk_is_reported_with_the_given_name(take, tmp_path):
     import resource
@@ -313,6 +317,7 @@ def test_an_interrupt_without_a_message_is_reported_in_a_full_sentence(take, mon
     assert capsys.readouterr().err == "facemime: interrupted. Files that were complete are kept.\n"
 
 
+@pytest.mark.thorough
 @needs_posix
 def test_a_command_started_to_ignore_ctrl_c_ignores_it(tmp_path):
     unfinished = tmp_path / "take.unfinished.facetake"

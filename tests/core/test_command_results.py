@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from thorough import first_of
 
 from commands import SAMPLE, START, broken_off, needs_posix, run
 from facemime.cli import landmarks
@@ -22,7 +23,7 @@ from takes import performance
 
 
 @needs_posix
-@pytest.mark.parametrize(("by", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("by", "status"), first_of([(signal.SIGINT, 130), (signal.SIGTERM, 143)], rows=True))
 def test_an_interrupted_run_never_replaces_a_complete_take(take, tmp_path, by, status):
     whole = take.read_bytes()
     unfinished = tmp_path / "take.unfinished.facetake"
@@ -81,6 +82,7 @@ def test_later_runs_keep_what_a_killed_run_tracked(tmp_path):
     assert set(os.listdir(tmp_path)) == {"take.facetake", "take.unfinished.facetake", "junk.mp4"}
 
 
+@pytest.mark.thorough
 @needs_posix
 def test_a_killed_run_loses_at_most_a_second(tmp_path):
     output, left = tmp_path / "take.facetake", tmp_path / "take.unfinished.facetake"
@@ -93,6 +95,7 @@ def test_a_killed_run_loses_at_most_a_second(tmp_path):
     assert len(take) >= 26 and "up to a second after" in take.info["recovered"]
 
 
+@pytest.mark.thorough
 @needs_posix
 def test_a_second_run_with_the_same_output_is_refused(tmp_path):
     output, unfinished = tmp_path / "take.facetake", tmp_path / "take.unfinished.facetake"

@@ -29,7 +29,7 @@ def single_region(vertices: np.ndarray, chosen: np.ndarray, **options: float) ->
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10_000))
 def test_regularisation_hardly_moves_control_points_from_their_places(seed):
     vertices, chosen = cloud(seed)
@@ -38,7 +38,7 @@ def test_regularisation_hardly_moves_control_points_from_their_places(seed):
     assert np.abs(nearly[chosen] - vertices[chosen] - displacements).max() < 0.1 * np.abs(displacements).max()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10_000), st.floats(-3.0, 3.0))
 def test_deformation_is_linear_in_the_displacements(seed, factor):
     vertices, chosen = cloud(seed)

@@ -19,7 +19,7 @@ def random_regions(rng: np.random.Generator, count: int, points: int) -> list[Re
     return regions
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 10_000), st.sampled_from([3, 50, 2_000, 12_000]), st.sampled_from([3, 20, 66]))
 def test_blocks_equal_the_dense_matrix(seed, count, points):
     rng = np.random.default_rng(seed)
@@ -49,7 +49,7 @@ def test_blocks_take_little_more_memory_than_the_regions(count, most):
     assert product.nbytes < most * sum(region.matrix.nbytes for region in regions)
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 @given(st.integers(0, 10_000))
 def test_smooth_fields_take_half_the_memory_within_the_tolerance(seed):
     rng = np.random.default_rng(seed)

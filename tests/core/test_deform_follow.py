@@ -40,7 +40,7 @@ def matrix(members: np.ndarray, covariance: np.ndarray | None) -> np.ndarray:
     return follow_matrix(POINTS, members, covariance, KERNEL, SIGMAS)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 1000), st.integers(0, 60), st.booleans())
 def test_control_points_are_met_and_other_landmarks_are_ignored(seed, count, learnt):
     members = some(seed, count)
@@ -50,7 +50,7 @@ def test_control_points_are_met_and_other_landmarks_are_ignored(seed, count, lea
     assert not found[:, ~known].any() and np.isfinite(found).all()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 1000), st.floats(1e-6, 1e6))
 def test_the_scale_of_the_motion_does_not_matter(seed, factor):
     members, covariance = some(seed, 20), landmark_covariance(SEEN)
@@ -86,6 +86,7 @@ def test_other_expressions_improve_too():
     assert off[0] < 0.97 * off[1]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kernel", ["gaussian", "informed"])
 def test_the_covariance_of_the_take_lowers_the_skin_error(kernel):
     rig = built_in_rig()

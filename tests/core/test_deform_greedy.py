@@ -28,7 +28,8 @@ def test_a_loose_tolerance_needs_fewer_points_than_a_tight_one():
     assert loose.steps[-1].error <= 0.05 and tight.steps[-1].error <= 0.005
 
 
-@settings(max_examples=12, deadline=None)
+@pytest.mark.thorough
+@settings(max_examples=12)
 @given(st.integers(0, 1000), st.integers(3, 66))
 def test_the_number_of_points_is_limited_and_each_region_has_one(seed, count):
     motion = np.random.default_rng(seed).normal(0.0, 0.002, (4, 66, 3))

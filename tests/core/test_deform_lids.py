@@ -79,7 +79,7 @@ def test_the_outline_of_a_modelled_eye_is_near_its_lids():
         np.testing.assert_allclose(outline.to_local(outline.from_local(local)), local, atol=1e-6)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(arrays(float, (4, 3), elements=st.floats(-0.4, 0.4)))
 def test_for_any_lid_landmarks_the_outline_is_an_open_eye_between_the_corners(noise):
     points = HEAD.vertices[HEAD.landmarks].astype(float)
@@ -105,6 +105,7 @@ def test_the_cut_is_one_closed_line_on_the_outline_from_the_outer_corner_over_th
         assert (cut.outline.depth_within(cut.outline.to_local(places[cut.within])) > 0.0).all()
 
 
+@pytest.mark.thorough
 def test_the_parts_of_a_cut_skin_have_its_area_and_meet_in_the_rim(scan, cuts):
     def areas(points, polygons):
         return sum(np.linalg.norm(sum(np.cross(points[a], points[b]) for a, b in pairs(p))) / 2.0 for p in polygons)
@@ -208,7 +209,7 @@ def test_a_hole_in_the_eye_is_refused_with_advice(scan, cuts):
             cut_eye(places, torn, cuts[0].outline)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 10_000))
 def test_the_sphere_of_an_eye_is_recovered_from_its_vertices(seed):
     rng = np.random.default_rng(seed)

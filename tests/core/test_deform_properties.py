@@ -32,7 +32,7 @@ def deformer(request):
     return head_deformer(RIG, request.param)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10_000))
 @pytest.mark.parametrize("kernel", list(KERNELS))
 def test_control_points_are_met_exactly_without_regularisation(kernel, seed):
@@ -74,7 +74,7 @@ def test_a_mirrored_motion_gives_a_mirrored_face(kernel):
     np.testing.assert_allclose(other, one[mirror] * flip, atol=tolerance)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 10_000), st.integers(1, 60))
 def test_another_control_point_never_worsens_the_error_at_the_control_points(seed, count):
     rng = np.random.default_rng(seed)

@@ -17,7 +17,7 @@ LANDMARKS = np.asarray(RIG.vertices, float)[RIG.landmarks]
 COVARIANCE = skin_covariance(RIG.vertices, RIG.faces, RIG.landmarks, RIG.region_weights)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10_000), st.sampled_from([1, 2, 60, 400]))
 def test_nested_dissection_solves_what_a_dense_solver_solves(seed, count):
     rng = np.random.default_rng(seed)

@@ -90,7 +90,7 @@ def test_pyffi_reads_the_same_from_an_egm(write, pyffi):
         np.testing.assert_allclose(values * morph.scale * HEAD, offsets)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, len(tri()) - 1))
 def test_a_truncated_tri_is_refused_with_the_position(tmp_path_factory, length):
     path = tmp_path_factory.mktemp("cut") / "head.tri"
@@ -99,7 +99,7 @@ def test_a_truncated_tri_is_refused_with_the_position(tmp_path_factory, length):
         read_tri(path)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.integers(0, len(tri()) - 1), st.integers(0, 255))
 def test_a_changed_byte_gives_a_mesh_or_a_clear_error(tmp_path_factory, place, value):
     content = bytearray(tri())

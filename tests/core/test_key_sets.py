@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from parted_heads import with_parts
+from thorough import first_of
 
 from facemime.core.apertures import lid_gaps, lip_gaps
 from facemime.core.bake.key_map import ESSENTIAL, best_preset
@@ -26,7 +27,7 @@ LABELS = {
 }
 
 
-@pytest.fixture(scope="module", params=list(KEY_SETS))
+@pytest.fixture(scope="module", params=first_of(KEY_SETS))
 def made(request):
     keys = KEY_SETS[request.param]
     _, motions = expression_keys(RIG, keys)
@@ -96,6 +97,7 @@ def test_mixtures_move_all_parts():
     assert np.abs(motions[names.index("neutral")]).max() < 1e-6
 
 
+@pytest.mark.thorough
 def test_the_figures_of_a_key_say_what_stays_open_and_passes_through():
     head, keys = load_head(), KEY_SETS["arkit"]
     qualities = {quality.name: quality for quality in key_qualities(RIG, keys, head.units)}

@@ -4,7 +4,7 @@ from itertools import permutations, product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facemime.core.coefficient_names import COEFFICIENTS
@@ -21,7 +21,6 @@ TURNS = [turn for turn in TURNS if np.linalg.det(turn) > 0]
 
 
 @pytest.mark.thorough
-@settings(deadline=None)
 @given(
     st.sampled_from(TURNS),
     st.floats(0.01, 100.0),

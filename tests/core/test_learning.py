@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from thorough import first_of
 
 from facemime.core.apertures import eye_apertures
 from facemime.core.drive.eyes import EyeDriver
@@ -62,7 +63,7 @@ def off(neutral: Neutral, face: np.ndarray) -> float:
     return float(np.linalg.norm(neutral.shape - face, axis=1).mean())
 
 
-@pytest.mark.parametrize("unit", [0, 7, 21])
+@pytest.mark.parametrize("unit", first_of([0, 7, 21]))
 def test_who_starts_with_an_expression_has_a_neutral_face_some_seconds_later(unit):
     face = person()
     take = performing(face, 24.0, first=unit)
@@ -100,7 +101,8 @@ def test_lids_that_were_shut_tight_when_asked_still_meet_in_a_weak_blink():
     assert learn(PerformerLearner(replace(asked, shut=0.4)), blinking(face, 10.0, 0.3)).shut == pytest.approx(0.4)
 
 
-@pytest.mark.parametrize("minutes", [4, pytest.param(60, marks=[pytest.mark.thorough, pytest.mark.timeout(1800)])])
+@pytest.mark.thorough
+@pytest.mark.parametrize("minutes", [4, pytest.param(60, marks=pytest.mark.timeout(1800))])
 def test_the_same_clip_again_and_again_ends_where_a_minute_of_it_did(minutes):
     face = person()
     clip = performing(face, 12.0, first=2)

@@ -9,7 +9,7 @@ from facemime.core.bake.basis import fit_basis
 from facemime.core.drive.motion import HeadMotion, select_distinct_frames
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10_000), st.integers(1, 8), st.floats(0.001, 0.3))
 def test_the_basis_keeps_every_vertex_of_every_frame_within_the_tolerance(seed, rank, tolerance):
     rng = np.random.default_rng(seed)

@@ -65,6 +65,7 @@ def test_the_neutral_face_is_found_between_expressions(space: FaceSpace) -> None
     assert sum(estimated) <= 1
 
 
+@pytest.mark.thorough
 def test_who_never_rests_still_gets_a_neutral_face_nearer_than_half_of_the_frames(space: FaceSpace) -> None:
     nearer = []
     for seed in range(15):

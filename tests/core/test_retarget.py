@@ -65,7 +65,7 @@ def test_a_performers_closed_eye_closes_the_heads(rig):
     assert np.abs(moved[lower, 1] - moved[upper, 1]).max() < 0.1 * opening
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 10_000))
 def test_lids_and_lips_meet_but_never_cross(rig, seed):
     face, points = performer(rig), rig.vertices[rig.landmarks]

@@ -8,7 +8,8 @@ import pytest
 from clocks import PATIENCE
 from websockets.sync.client import connect
 
-from commands import START, needs_posix, run
+from commands import START, needs_posix
+from facemime.cli.main import main
 from facemime.core.viewer.page import PAGE
 
 pytestmark = pytest.mark.skipif(not (PAGE / "three").is_dir(), reason="three.js is missing: make viewer")
@@ -40,6 +41,7 @@ def test_a_take_moves_the_head_on_the_page_until_ctrl_c(take, tmp_path):
         (("--smoothing", "-1"), "Use 0 or more"),
     ),
 )
-def test_what_cannot_be_served_is_one_clear_error(take, options, message):
-    done = run("serve", "--video", take, *options)
-    assert done.returncode == 1 and message in done.stderr and "Traceback" not in done.stderr
+def test_what_cannot_be_served_is_one_clear_error(take, options, message, capsys):
+    assert main(["serve", "--video", str(take), *options]) == 1
+    said = capsys.readouterr().err
+    assert message in said and "Traceback" not in said

@@ -53,6 +53,7 @@ def test_a_message_is_what_the_specification_of_osc_says():
     np.testing.assert_allclose(message.arguments[3:], (1.234, 5.678), rtol=1e-6)
 
 
+@pytest.mark.thorough
 @given(
     st.lists(
         st.one_of(

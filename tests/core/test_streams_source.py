@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clocks import PATIENCE
+from thorough import first_of
 
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
@@ -113,7 +114,7 @@ def test_a_recorded_stream_of_coefficients_bakes_to_what_was_sent(opened, tmp_pa
     np.testing.assert_allclose(saved.shape, take.shape, atol=2e-4)
 
 
-@pytest.mark.parametrize("protocol", ["own", "openseeface"])
+@pytest.mark.parametrize("protocol", first_of(["own", "openseeface"]))
 def test_a_recorded_stream_of_landmarks_is_what_was_tracked(opened, tmp_path, protocol):
     whole = performance()
     take, source = whole.part(whole.found), opened(protocol)
@@ -372,7 +373,7 @@ def test_a_chosen_sender_is_the_only_one_that_is_played(opened):
     other.close()
 
 
-@pytest.mark.parametrize("protocol", ["own", "livelink", "vmc", "openseeface", "facecap"])
+@pytest.mark.parametrize("protocol", first_of(["own", "livelink", "vmc", "openseeface", "facecap"], 2))
 def test_rubbish_is_counted_and_disturbs_nobody(opened, protocol):
     source, take = opened(protocol), acted()
     rng = np.random.default_rng(0)

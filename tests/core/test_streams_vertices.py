@@ -92,6 +92,7 @@ def test_what_arrives_is_what_the_driver_moved_with_eyes_teeth_and_tongue(listen
     np.testing.assert_allclose(moved.rotation, turned, atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_a_receiver_that_comes_back_gets_the_mesh_again_and_one_that_changes_another(listener):
     receiver = python_receiver()
     driver, looks = built_in()

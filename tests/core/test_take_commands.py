@@ -37,7 +37,7 @@ def equal(a: Take, b: Take) -> None:
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 1000))
 def test_a_table_is_read_back_exactly(tmp_path_factory, seed):
     rng = np.random.default_rng(seed)

@@ -100,6 +100,7 @@ def test_saving_a_loaded_take_gives_the_same_file(tracked, tmp_path):
     assert (tmp_path / "a.facetake").read_bytes() == (tmp_path / "b.facetake").read_bytes()
 
 
+@pytest.mark.thorough
 def test_a_take_truncated_at_any_byte_keeps_all_earlier_seconds_and_reports_the_rest(written):
     whole = take_of(written)
     *_, last, end = starts(written)
@@ -137,7 +138,7 @@ def test_frames_are_read_without_the_description(written):
     assert len(part) == 60 and "the description" in part.info["recovered"]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.lists(st.tuples(st.integers(0, 10**9), st.integers(1, 255)), min_size=1, max_size=8))
 def test_flipped_bits_never_change_a_number_that_is_read(written, flips):
     whole, broken = take_of(written), bytearray(written)
@@ -151,7 +152,7 @@ def test_flipped_bits_never_change_a_number_that_is_read(written, flips):
     assert len(part) == len(whole) or "recovered" in part.info
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.binary(max_size=300), st.integers(0, 5))
 def test_other_files_are_refused_with_a_clear_message(tmp_path_factory, data, markers):
     path = tmp_path_factory.getbasetemp() / "any.facetake"
@@ -237,7 +238,7 @@ def test_a_face_with_nan_is_written_as_lost(tmp_path):
     assert np.flatnonzero(~load_take(tmp_path / "take.facetake").found).tolist() == [3, 30]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 1000), st.floats(1e-3, 1e30))
 def test_numbers_of_any_size_are_kept_or_clipped(seed, size):
     take = performance(8)

@@ -174,6 +174,7 @@ def test_the_chosen_neutral_is_the_face_at_that_time(tracked):
         renew_neutral(tracked, 99.0)
 
 
+@pytest.mark.thorough
 def test_an_anonymous_take_drives_a_head_as_the_take_does(tracked):
     rig = built_in_rig()
     told = [drive_take(HeadDriver(rig, calibrate(take)), take).vertices for take in (tracked, anonymise(tracked))]

@@ -33,7 +33,7 @@ def equal(a: Take, b: Take) -> None:
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(ANGLES, ANGLES, st.floats(0, 1))
 def test_an_interpolated_rotation_has_its_share_of_the_angle(a, b, share):
     middle = mix_rotations(a[None], b[None], np.array([share]))[0]
@@ -62,7 +62,7 @@ def test_a_clip_of_3841_frames_at_2997_stays_in_step_to_the_last_frame(rate):
     check_take(even)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 1000), st.floats(5.0, 120.0), st.floats(-1.0, 0.5))
 def test_frames_at_a_variable_rate_are_placed_by_their_times(seed, rate, start):
     times = np.cumsum(np.random.default_rng(seed).uniform(0.03, 0.05, 60))

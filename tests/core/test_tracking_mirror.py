@@ -42,7 +42,7 @@ def any_result(pdm: PointDistributionModel, seed: int) -> TrackResult:
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10_000), st.floats(16, 4096))
 def test_mirroring_twice_restores_the_result(tracker, seed, width):
     result = any_result(tracker.pdm, seed)
@@ -53,7 +53,7 @@ def test_mirroring_twice_restores_the_result(tracker, seed, width):
     assert (twice.found, twice.confidence) == (True, 0.8)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10_000))
 def test_mirrored_pose_and_parameters_still_explain_the_mirrored_landmarks(tracker, seed):
     mirrored = mirror_result(any_result(tracker.pdm, seed), 640, tracker.pdm.mirror_signs)

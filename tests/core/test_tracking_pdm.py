@@ -24,7 +24,7 @@ def random_state(pdm: PointDistributionModel, seed: int) -> tuple[np.ndarray, np
     return pose, rng.normal(0, 1, pdm.n_modes) * np.sqrt(pdm.eigenvalues)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10_000))
 def test_the_jacobian_is_the_limit_of_differences(pdm: PointDistributionModel, seed: int) -> None:
     pose, shape_params = random_state(pdm, seed)

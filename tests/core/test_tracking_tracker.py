@@ -79,7 +79,7 @@ def test_an_image_without_a_face_gives_no_face_and_no_exception(tracker: FaceTra
         assert not result.found
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     image=hnp.arrays(
         st.sampled_from([np.uint8, np.uint16, np.float32]),

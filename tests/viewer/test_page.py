@@ -76,6 +76,7 @@ def test_the_page_draws_a_head_that_moves_with_the_stream(open_page, watched):
     assert changed[:40].mean() < 0.01, "the forehead stays"
 
 
+@pytest.mark.thorough
 def test_vertices_on_the_graphics_card_are_those_of_the_driver(open_page, watched):
     lashes = with_lashes()
     shown = watched(built_in(), (HeadDriver(lashes, NEUTRAL), plain(lashes)), with_keys(), of_the_paper())
@@ -120,6 +121,7 @@ def test_normals_point_out_of_the_head(open_page, watched):
     assert normals[rig.landmarks][:, 2].mean() < -0.5, "the face looks along -z"
 
 
+@pytest.mark.thorough
 def test_the_page_comes_back_when_the_server_is_restarted(open_page, watched):
     shown = watched(token="a-token-that-is-kept")
     shown.show(face())
