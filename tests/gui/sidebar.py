@@ -189,10 +189,15 @@ class Sidebar:
         return box.x + 3 * self.unit, box.y + (self._box + 0.85 + _HEADER * place) * self.unit
 
     def _click_header(self, place: int, key: str | None = None) -> None:
-        held = [["keydown", key], ["keyup", key]] if key else [[], []]
         self.blender.move(*self.header(place))
         self.blender.redraw()
-        self.blender.input(*held[0], "click", 1, *held[1])
+        if not key:
+            self.blender.input("click", 1)
+            return
+        self.blender.input("keydown", key, "click", 1)
+        for _ in range(2):  # a slow window asks whether the key is held only when it handles the click
+            self.blender.redraw()
+        self.blender.input("keyup", key)
 
     def find(self, name: str) -> tuple[float, float]:
         """Return the position of an operator's button or a property's field; raises GuiError if it is not drawn.

@@ -140,7 +140,8 @@ def test_a_rigged_character_with_eyes_teeth_and_hair_moves_as_one(blender, sideb
     blender.shot("character")
     assert len(parts) == 8 and parts.pop("body")[0] < 1e-6
     assert min(moved for moved, _, _ in parts.values()) > 0.005
-    assert max(away for _, away, _ in parts.values()) < 0.01
+    *rigid, teeth, tongue = sorted(away for _, away, _ in parts.values())
+    assert rigid[-1] < 0.005 and max(teeth, tongue) < 0.02, "the jaw carries the lower teeth and the tongue"
     del parts["skin"]
     assert sorted(stretched for _, _, stretched in parts.values())[-2] < 1e-4, "the tongue alone is soft"
     stop(sidebar)
