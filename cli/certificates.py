@@ -10,6 +10,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from ..core.errors import OutputError, SourceError
+from ..core.files import write_secret
 from ..core.reading import read_bytes
 from ..core.streams.pairing import TOKEN_BYTES, fingerprint_of
 
@@ -73,9 +74,7 @@ def _write_identity(folder: Path) -> None:
             (_TOKEN, secrets.token_hex(TOKEN_BYTES).encode() + b"\n"),
             (_CERTIFICATE, certificate),  # last, as it says that the others are there
         ):
-            descriptor = os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-            with open(descriptor, "wb") as file:
-                file.write(content)
+            write_secret(folder / name, content, replace=True)
     except OSError as error:
         raise OutputError(
             f"The certificate cannot be written to {folder} ({error.strerror}). Choose another folder."

@@ -17,7 +17,7 @@ from ..core.heads.rig import built_in_rig
 from ..core.live.head_drivers import LiveHead
 from ..core.live.sources import LiveFrame
 from ..core.live.worker import LiveWorker
-from ..core.streams.addresses import EVERYWHERE, LOOPBACK, parse_address, way_out
+from ..core.streams.addresses import LOOPBACK, parse_address, reachable
 from ..core.streams.live_link import ANGLES
 from ..core.streams.pairing import PORT as TLS_PORT
 from ..core.streams.pairing import Pairing, parse_pairing
@@ -183,8 +183,7 @@ def _open_server(arguments: argparse.Namespace) -> Callable[[LiveWorker], Sender
 
     def open_output(worker: LiveWorker) -> Sender:
         worker.output = sender = TlsSender(host, port, identity.context, identity.token)
-        shown = way_out() if host in (EVERYWHERE, "::") else host
-        public = parse_address(arguments.public, sender.port) if arguments.public else (shown, sender.port)
+        public = parse_address(arguments.public, sender.port) if arguments.public else (reachable(host), sender.port)
         say(Pairing(*public, identity.fingerprint, identity.token).line)
         tell("facemime: paste this line at the other computer. Whoever has it can receive.")
         return sender

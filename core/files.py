@@ -78,6 +78,26 @@ def settle(finished: Path, path: Path) -> None:
         finished.unlink()
 
 
+def write_secret(path: Path, content: bytes, *, replace: bool = False) -> None:
+    """Write a file that only its owner can read.
+
+    Parameters
+    ----------
+    path : Path
+    content : bytes
+    replace : bool
+        Whether an existing file may be overwritten.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; FileExistsError if it exists and may not be overwritten.
+    """
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | (os.O_TRUNC if replace else os.O_EXCL), 0o600)
+    with open(descriptor, "wb") as file:
+        file.write(content)
+
+
 def free_name(path: Path) -> Path:
     """Return `path` if it does not exist, or a numbered name: NAME-2.SUFFIX and so on."""
     names = (path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}") for number in count(1))

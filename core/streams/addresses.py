@@ -8,6 +8,7 @@ import socket
 from ..errors import SourceError
 
 LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
+_ALL = {EVERYWHERE, "::"}
 
 
 def is_loopback(host: str) -> bool:
@@ -74,7 +75,25 @@ def resolve(host: str, port: int) -> tuple[int, tuple[str, int]]:
     return family, (str(address[0]), int(address[1]))
 
 
-def way_out() -> str:
+def bracketed(host: str) -> str:
+    """Return a host as it is written before a port: an IPv6 address is in brackets."""
+    return f"[{host}]" if ":" in host else host
+
+
+def reachable(host: str) -> str:
+    """Return the address by which others reach what listens at `host` of this computer."""
+    return _way_out() if host in _ALL else host
+
+
+def cannot_listen(host: str, port: int, error: OSError) -> SourceError:
+    """Return the error for an address that cannot be listened on."""
+    return SourceError(
+        f"Cannot listen on {host}:{port} ({error.strerror or error}). "
+        "Close the program that uses the port, or choose another port."
+    )
+
+
+def _way_out() -> str:
     """Return the address of this computer in the network that leads outside; nothing is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:

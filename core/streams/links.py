@@ -6,8 +6,7 @@ import socket
 from contextlib import suppress
 from typing import Protocol
 
-from ..errors import SourceError
-from .addresses import resolve
+from .addresses import cannot_listen, resolve
 from .casting import Address
 from .frames import MAX_DATAGRAM
 
@@ -83,10 +82,7 @@ class DatagramLink:
             opened.bind(address)
         except OSError as error:
             opened.close()
-            raise SourceError(
-                f"Cannot listen on {self._host}:{self._port} ({error.strerror}). Close the program that uses the "
-                "port, or choose another port."
-            ) from error
+            raise cannot_listen(self._host, self._port, error) from error
         self._socket, self.address = opened, opened.getsockname()[:2]
 
     def receive(self, now: float) -> tuple[bytes, Address] | None:

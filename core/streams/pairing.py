@@ -13,7 +13,7 @@ import struct
 from dataclasses import dataclass
 
 from ..errors import SourceError
-from .addresses import is_loopback, parse_address
+from .addresses import bracketed, is_loopback, parse_address
 
 PORT = 21576
 TOKEN_BYTES, FINGERPRINT_BYTES = 16, 32
@@ -58,7 +58,7 @@ class Pairing:
     @property
     def address(self) -> str:
         """Host and port."""
-        return f"{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
+        return f"{bracketed(self.host)}:{self.port}"
 
     @property
     def is_local(self) -> bool:

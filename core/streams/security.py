@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-import os
 import secrets
 from pathlib import Path
 
 from ..errors import OutputError, SourceError
+from ..files import write_secret
 from ..reading import read_bytes
 
 TAG_BYTES, NONCE_BYTES, SESSION_BYTES = 16, 16, 8
@@ -45,8 +45,7 @@ def read_key(path: Path) -> bytes:
 def write_key(path: Path) -> None:
     """Write a new random key to a new file that only its owner can read; OutputError if it cannot be written."""
     try:
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
-            file.write(secrets.token_hex(32) + "\n")
+        write_secret(path, secrets.token_hex(32).encode() + b"\n")
     except FileExistsError as error:
         raise OutputError(f"{path} exists already, and a key is never replaced. Choose another name.") from error
     except OSError as error:

@@ -7,23 +7,20 @@ import hmac
 import logging
 import socket
 import ssl
-import threading
 from collections import Counter
-from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 
-from ..errors import SourceError
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
 from . import datagram
-from .addresses import resolve
+from .addresses import cannot_listen, resolve
+from .background import Serving
 from .pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, REFUSED, VERSION
 from .sessions import OwnSender
 
-_PATIENCE, _ALIVE, _STUCK, _ENDING = 5.0, 1.0, 10.0, 5.0
-"""Seconds for the handshake and the token, between two messages at most, for one to get through, and for the thread to
-end."""
+_PATIENCE, _ALIVE, _STUCK = 5.0, 1.0, 10.0
+"""Seconds for the handshake and the token, between two messages at most, and for one to get through."""
 _MOST, _MOST_EACH = 32, 4
 """Connections at a time, and from one address those that have not shown the token."""
 _WAITING = 1 << 13
@@ -31,7 +28,7 @@ _WAITING = 1 << 13
 _LOG = logging.getLogger(__name__)
 
 
-class TlsSender:
+class TlsSender(Serving):
     """Sends what is tracked to whoever shows the token; as `core.live.outputs.Output`.
 
     Parameters
@@ -68,15 +65,13 @@ class TlsSender:
         self.receivers = self.sent = self.refused = 0
         self._context, self._token = context, token
         self._listener = _listener(host, port)
+        super().__init__("facemime-tls")
         self.port = int(self._listener.getsockname()[1])
         self._own = OwnSender(None)
         self._frame = b""
         self._wakes: set[asyncio.Event] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._strangers: Counter[str] = Counter()
-        self._loop = asyncio.new_event_loop()
-        self._over = asyncio.Event()
-        self._thread = threading.Thread(target=self._serve, name="facemime-tls", daemon=True)
         self._thread.start()
 
     @property
@@ -88,24 +83,7 @@ class TlsSender:
         """Send a frame; as `core.live.outputs.Output.send`."""
         self._call(partial(self._publish, self._own.packet(*datagram.encode_face(result), max(time, 0.0))))
 
-    def close(self) -> None:
-        """End all connections, and the thread; may be called twice."""
-        self._call(self._over.set)
-        self._thread.join(_ENDING)
-
-    def _call(self, task: Callable[[], object]) -> None:
-        with suppress(RuntimeError):  # the loop has ended
-            self._loop.call_soon_threadsafe(task)
-
     # What follows runs in the server's thread.
-
-    def _serve(self) -> None:
-        asyncio.set_event_loop(self._loop)
-        try:
-            self._loop.run_until_complete(self._run())
-        finally:
-            self._listener.close()
-            self._loop.close()
 
     async def _run(self) -> None:
         accepting = self._loop.create_task(self._accept())
@@ -114,6 +92,7 @@ class TlsSender:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+        self._listener.close()
 
     async def _accept(self) -> None:
         while True:
@@ -204,8 +183,5 @@ def _listener(host: str, port: int) -> socket.socket:
         listener.listen(_MOST)
     except OSError as error:
         listener.close()
-        raise SourceError(
-            f"Cannot listen on {host}:{port} ({error.strerror}). Close the program that uses the port, or choose "
-            "another port."
-        ) from error
+        raise cannot_listen(host, port, error) from error
     return listener

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import socket
 import struct
-import threading
 from collections.abc import Sequence
 from types import TracebackType
 
@@ -19,7 +18,8 @@ from ..arrays import FloatArray
 from ..drive.driver import HeadDriver, HeadFrame
 from ..heads.appearance import Appearance
 from ..live.key_driver import KeyDriver
-from .addresses import resolve
+from .addresses import bracketed, resolve
+from .background import Connecting
 
 PORT = 21575
 VERTICES = "vertices"
@@ -32,8 +32,8 @@ _MESH = struct.Struct("<BBHIIH")
 _FRAME = struct.Struct("<BBHId")
 _TO_RECEIVER = np.array([1.0, -1.0, -1.0])
 """From the head frame to x right, y up, z towards the viewer."""
-_AGAIN, _PATIENCE, _ENDING = 0.5, 3.0, 5.0
-"""Seconds between attempts, until a receiver that does not read is left, and for which `close` waits."""
+_AGAIN, _PATIENCE = 0.5, 3.0
+"""Seconds between attempts, and until a receiver that does not read is left."""
 
 
 def encode_mesh(number: int, appearance: Appearance, rest: NDArray[np.float32]) -> bytes:
@@ -75,7 +75,7 @@ def encode_frame(number: int, time: float, appearance: Appearance, frame: HeadFr
     return _with_length(header + turn.tobytes() + moved.tobytes() + points.tobytes())
 
 
-class VertexSender:
+class VertexSender(Connecting):
     """Sends the moved vertices of all heads of a session.
 
     Parameters
@@ -100,14 +100,12 @@ class VertexSender:
     """
 
     def __init__(self, host: str, port: int, appearances: Sequence[Appearance]) -> None:
+        super().__init__("facemime-vertices", _AGAIN)
         self.appearances = tuple(appearances)
         self.sent, self.message = 0, ""
         self._family, self._address = resolve(host, port or PORT)
         self._rests: list[NDArray[np.float32]] = []
         self._newest: tuple[float, Sequence[HeadFrame]] | None = None
-        self._news = threading.Condition()
-        self._over = False
-        self._thread = threading.Thread(target=self._work, name="facemime-vertices", daemon=True)
         self._thread.start()
 
     def __enter__(self) -> VertexSender:
@@ -127,28 +125,17 @@ class VertexSender:
             self._newest = taken, frames
             self._news.notify()
 
-    def close(self) -> None:
-        """End the thread; may be called twice."""
-        with self._news:
-            self._over = True
-            self._news.notify()
-        self._thread.join(_ENDING)
-
-    def _work(self) -> None:
-        where = f"{self._address[0]}:{self._address[1]}"
-        while not self._over:
-            try:
-                with socket.socket(self._family, socket.SOCK_STREAM) as connection:
-                    connection.settimeout(_PATIENCE)
-                    connection.connect(self._address)
-                    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    self.message = ""
-                    self._feed(connection)
-            except OSError as error:
-                self.message = f"Cannot send to {where}: {error.strerror or error}."
-            with self._news:
-                if not self._over:
-                    self._news.wait_for(lambda: self._over, _AGAIN)
+    def _connect(self) -> None:
+        try:
+            with socket.socket(self._family, socket.SOCK_STREAM) as connection:
+                connection.settimeout(_PATIENCE)
+                connection.connect(self._address)
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self.message = ""
+                self._feed(connection)
+        except OSError as error:
+            host, port = self._address
+            self.message = f"Cannot send to {bracketed(host)}:{port}: {error.strerror or error}."
 
     def _feed(self, connection: socket.socket) -> None:
         """Send meshes whenever they are others, and frames, until the connection or the sender ends."""

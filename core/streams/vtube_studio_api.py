@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
-import threading
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -21,11 +19,13 @@ from websockets.sync.client import ClientConnection, connect
 from ..coefficient_names import COEFFICIENT_INDEX
 from ..drive.settings import DriveSettings
 from ..errors import SourceError
+from ..files import write_secret
 from ..reading import read_bytes
 from ..rotation import to_face_axes
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
-from .addresses import LOOPBACK, resolve
+from .addresses import LOOPBACK, bracketed, resolve
+from .background import Connecting
 from .frames import FaceValues
 from .sender import FaceMeasure
 
@@ -33,8 +33,8 @@ PORT = 8001
 PLUGIN, DEVELOPER = "Facemime", "Facemime"
 _RESEND = 0.5
 """Seconds after which values are sent again: VTube Studio takes back a parameter after one without any."""
-_OPENING, _ASKING, _ANSWERING, _AGAIN, _ENDING = 3.0, 120.0, 5.0, 2.0, 5.0
-"""Seconds for a connection, for the user to allow the plug-in, for an answer, until the next attempt, and to end."""
+_OPENING, _ASKING, _ANSWERING, _AGAIN = 3.0, 120.0, 5.0, 2.0
+"""Seconds for a connection, for the user to allow the plug-in, for an answer, and until the next attempt."""
 _LOOK = 0.2
 _MOST, _MOST_TOKEN = 1 << 16, 1 << 10
 """Bytes of an answer, and of a token."""
@@ -136,7 +136,7 @@ def injection(values: dict[str, float], *, found: bool) -> str:
     return request("InjectParameterDataRequest", {"faceFound": found, "mode": "set", "parameterValues": listed})
 
 
-class VTubeStudioSender:
+class VTubeStudioSender(Connecting):
     """Sends what is tracked to VTube Studio; as `core.live.outputs.Output`.
 
     Parameters
@@ -165,15 +165,14 @@ class VTubeStudioSender:
     """
 
     def __init__(self, host: str, port: int, token: Path, options: DriveSettings = _DEFAULTS) -> None:
+        super().__init__("facemime-vtube-studio", _AGAIN)
         self.options, self.sent, self.message = options, 0, ""
         _, (host, port) = resolve(host or LOOPBACK, port or PORT)
-        self._where = f"{f'[{host}]' if ':' in host else host}:{port}"
+        self._where = f"{bracketed(host)}:{port}"
         self._file = token
         self._measure = FaceMeasure()
         self._values: dict[str, float] = {}
-        self._found = self._fresh = self._over = False
-        self._news = threading.Condition()
-        self._thread = threading.Thread(target=self._work, name="facemime-vtube-studio", daemon=True)
+        self._found = self._fresh = False
         self._thread.start()
 
     def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
@@ -184,35 +183,24 @@ class VTubeStudioSender:
             self._found, self._fresh = face is not None, True
             self._news.notify()
 
-    def close(self) -> None:
-        """End the thread; may be called twice."""
-        with self._news:
-            self._over = True
-            self._news.notify()
-        self._thread.join(_ENDING)
-
-    def _work(self) -> None:
-        while not self._over:
-            try:
-                with connect(
-                    f"ws://{self._where}",
-                    open_timeout=_OPENING,
-                    close_timeout=_LOOK,
-                    compression=None,
-                    max_size=_MOST,
-                    proxy=None,
-                ) as connection:
-                    self._authenticate(connection)
-                    self.message = ""
-                    self._feed(connection)
-            except ApiError as error:
-                self.message = str(SourceError(f"VTube Studio refused: {error}"))
-                if error.number == _DENIED:
-                    return
-            except (OSError, WebSocketException, ValueError):
-                self.message = _silence(self._where)
-            with self._news:
-                self._news.wait_for(lambda: self._over, _AGAIN)
+    def _connect(self) -> None:
+        try:
+            with connect(
+                f"ws://{self._where}",
+                open_timeout=_OPENING,
+                close_timeout=_LOOK,
+                compression=None,
+                max_size=_MOST,
+                proxy=None,
+            ) as connection:
+                self._authenticate(connection)
+                self.message = ""
+                self._feed(connection)
+        except ApiError as error:
+            self.message = str(SourceError(f"VTube Studio refused: {error}"))
+            self._over = self._over or error.number == _DENIED
+        except (OSError, WebSocketException, ValueError):
+            self.message = _silence(self._where)
 
     def _authenticate(self, connection: ClientConnection) -> None:
         """Show the token, after asking for one if there is none, or if it is no longer valid."""
@@ -275,8 +263,7 @@ class VTubeStudioSender:
         """Keep the token for the next time; without a place for it, VTube Studio asks the user again."""
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
-            with open(os.open(self._file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w", encoding="ascii") as file:
-                file.write(token + "\n")
+            write_secret(self._file, token.encode("ascii") + b"\n", replace=True)
         except (OSError, ValueError):
             _LOG.warning("The token of VTube Studio cannot be kept in %s", self._file)
 

@@ -10,7 +10,7 @@ import asyncio
 import json
 import logging
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 from http import HTTPStatus
@@ -23,9 +23,11 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from ..drive.driver import HeadDriver, HeadFrame
-from ..errors import FacemimeError, SourceError
+from ..errors import FacemimeError
 from ..heads.appearance import Appearance
 from ..live.key_driver import KeyDriver
+from ..streams.addresses import cannot_listen
+from ..streams.background import Serving
 from .messages import CLOCK_REQUEST, encode_clock, encode_frame
 from .model import ViewerModel, viewer_model
 from .page import page_files, security_headers
@@ -36,8 +38,8 @@ _MAX_MESSAGE = 64
 """Bytes of a message of a page, which only asks for the time."""
 _LEAST_PAUSE = 0.05
 """Seconds between two such messages; a page that asks more often is disconnected."""
-_STARTING, _ENDING, _CLOSING = 10.0, 5.0, 1.0
-"""Seconds to wait for the server, for its thread, and for a page that should close."""
+_STARTING, _CLOSING = 10.0, 1.0
+"""Seconds to wait for the server, and for a page that should close."""
 _SEND_BUFFER = 65536
 """Bytes that may wait for a viewer, beyond those in the system's buffer, before frames are left out."""
 _LOG = logging.getLogger("facemime.viewer")
@@ -45,7 +47,7 @@ _LOG.addHandler(logging.NullHandler())
 _LOG.propagate = False
 
 
-class ViewerServer:
+class ViewerServer(Serving):
     """Serves the page until `close`.
 
     Parameters
@@ -87,21 +89,15 @@ class ViewerServer:
         self._frame = b""
         self._files = page_files()
         self._context = settings.context()
-        self._loop = asyncio.new_event_loop()
+        super().__init__("facemime-viewer")
         self._served: tuple[int, tuple[ViewerModel, ...]] = (0, ())
         self._wakes: set[asyncio.Event] = set()
-        self._over = asyncio.Event()
         self._ready = threading.Event()
         self._error: OSError | None = None
-        self._thread = threading.Thread(target=self._serve, name="facemime-viewer", daemon=True)
         self._thread.start()
         if not self._ready.wait(_STARTING) or self._error is not None:
             self.close()
-            host, port, strerror = settings.host, settings.port, self._error and (self._error.strerror or self._error)
-            raise SourceError(
-                f"Cannot listen on {host}:{port} ({strerror}). "
-                "Close the program that uses the port, or choose another port."
-            )
+            raise cannot_listen(settings.host, settings.port, self._error or TimeoutError("it does not start"))
 
     def __enter__(self) -> ViewerServer:
         return self
@@ -123,11 +119,6 @@ class ViewerServer:
         frame = encode_frame(self._scene, self.sent, taken, self._models, frames, self.follow)
         self._call(partial(self._publish, frame))
 
-    def close(self) -> None:
-        """End the server; may be called twice."""
-        self._call(self._over.set)
-        self._thread.join(_ENDING)
-
     def _prepare(self, drivers: Sequence[HeadDriver | KeyDriver]) -> None:
         """Make what the pages load, as the heads or their deformers are others."""
         try:
@@ -138,23 +129,17 @@ class ViewerServer:
         self._scene, self._models = self._scene + 1, models
         self._call(partial(self._replace, self._scene, models))
 
-    def _call(self, task: Callable[[], object]) -> None:
-        with suppress(RuntimeError):  # the loop has ended
-            self._loop.call_soon_threadsafe(task)
-
     # What follows runs in the server's thread.
 
-    def _serve(self) -> None:
-        asyncio.set_event_loop(self._loop)
+    async def _run(self) -> None:
         try:
-            self._loop.run_until_complete(self._run())
+            await self._serve()
         except OSError as error:
             self._error = error
         finally:
             self._ready.set()
-            self._loop.close()
 
-    async def _run(self) -> None:
+    async def _serve(self) -> None:
         async with serve(
             self._watch,
             self.settings.host,

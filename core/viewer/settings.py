@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
-import os
 import secrets
 import socket
 import ssl
@@ -12,14 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import OutputError, SourceError
+from ..files import write_secret
 from ..reading import read_bytes
-from ..streams.addresses import EVERYWHERE, LOOPBACK, is_loopback, way_out
+from ..streams.addresses import LOOPBACK, bracketed, is_loopback, reachable
 
 PORT = 21574
 MAX_VIEWERS = 16
 """Pages that may watch at a time."""
 _LEAST_TOKEN, _MOST_TOKEN = 16, 128
-_EVERYWHERE = {EVERYWHERE, "::"}
 
 
 @dataclass(frozen=True)
@@ -95,8 +94,7 @@ class ViewerSettings:
         """The address to enter in a browser; of a computer that listens on all of its networks, the one that leads
         outside.
         """
-        host = way_out() if self.host in _EVERYWHERE else self.host
-        return f"[{host}]" if ":" in host else host
+        return bracketed(reachable(self.host))
 
 
 def new_token() -> str:
@@ -133,8 +131,7 @@ def same_token(given: str, token: str) -> bool:
 def _written_token(path: Path) -> str:
     token = new_token()
     try:
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
-            file.write(token + "\n")
+        write_secret(path, token.encode() + b"\n")
     except OSError as error:
         raise OutputError(f"The token {path} cannot be written ({error.strerror}). Choose another place.") from error
     return token

@@ -1,0 +1,83 @@
+"""Threads of senders and servers, which a session starts, hands frames to, and ends."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import suppress
+
+_ENDING = 5.0
+"""Seconds that `close` waits for a thread."""
+
+
+class Connecting(ABC):
+    """A thread that keeps connecting to another program and sends what is new, until `close`.
+
+    `_news` guards what the thread shares with others; whoever changes it notifies it.
+
+    Parameters
+    ----------
+    name : str
+        Of the thread.
+    pause : float
+        Seconds between two attempts.
+    """
+
+    def __init__(self, name: str, pause: float) -> None:
+        self._pause, self._over = pause, False
+        self._news = threading.Condition()
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+
+    def close(self) -> None:
+        """End the thread; may be called twice."""
+        with self._news:
+            self._over = True
+            self._news.notify()
+        self._thread.join(_ENDING)
+
+    @abstractmethod
+    def _connect(self) -> None:
+        """Connect, and send until the connection is cut or `_over` is set; errors become a message."""
+
+    def _work(self) -> None:
+        while not self._over:
+            self._connect()
+            with self._news:
+                self._news.wait_for(lambda: self._over, self._pause)
+
+
+class Serving(ABC):
+    """An event loop in a thread of its own, until `close`.
+
+    Parameters
+    ----------
+    name : str
+        Of the thread.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._loop, self._over = asyncio.new_event_loop(), asyncio.Event()
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+
+    def close(self) -> None:
+        """End the server; may be called twice."""
+        self._call(self._over.set)
+        self._thread.join(_ENDING)
+
+    @abstractmethod
+    async def _run(self) -> None:
+        """Serve until `_over` is set; runs in the thread."""
+
+    def _call(self, task: Callable[[], object]) -> None:
+        """Call something in the thread, unless it has ended."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(task)
+
+    def _work(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._run())
+        finally:
+            self._loop.close()
