@@ -13,6 +13,7 @@ from ..core.errors import OutputError, SourceError
 from ..core.files import write_secret
 from ..core.reading import read_bytes
 from ..core.streams.pairing import TOKEN_BYTES, fingerprint_of
+from ..core.streams.security import server_context
 
 _CERTIFICATE, _KEY, _TOKEN = "certificate.pem", "key.pem", "token"
 _YEARS = 10
@@ -39,21 +40,20 @@ class Identity:
 
 
 def load_identity(folder: Path) -> Identity:
-    """Load the identity in a folder, which is made if there is none.
+    """Load the identity stored in a folder; create one if the folder has none.
 
     Raises
     ------
     SourceError
-        If the files cannot be used, or `cryptography` is missing and there are none yet.
+        If the files cannot be used, or if there are none yet and `cryptography`, which makes them, is missing.
     OutputError
         If they cannot be written.
     """
     if not os.path.lexists(folder / _CERTIFICATE):
         _write_identity(folder)
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_3
     try:
-        context.load_cert_chain(folder / _CERTIFICATE, folder / _KEY, password=_no_password)
+        context = server_context(folder / _CERTIFICATE, folder / _KEY)
+        context.minimum_version = ssl.TLSVersion.TLSv1_3
         certificate = ssl.PEM_cert_to_DER_cert(read_bytes(folder / _CERTIFICATE, _MOST).decode("ascii"))
         token = bytes.fromhex(read_bytes(folder / _TOKEN, _MOST).decode("ascii").strip())
     except (OSError, ValueError) as error:
@@ -108,7 +108,3 @@ def _make_certificate() -> tuple[bytes, bytes]:
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     return certificate.public_bytes(serialization.Encoding.PEM), private
-
-
-def _no_password() -> str:
-    raise ValueError("the key has a password")

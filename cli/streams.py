@@ -217,7 +217,7 @@ def run_receive(arguments: argparse.Namespace) -> int:
             if count:
                 settle(path, output)
             else:
-                tell(f"facemime: nobody sent what {output} is for, and it was not written.")
+                tell(f"facemime: {output} was not written, as its sender never appeared.")
     return 0
 
 

@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import EnumProperty, FloatProperty, StringProperty
 
-from ..sessions.live import COUNTDOWN
+from ..sessions.countdown import COUNTDOWN
 from ..settings.values import add_performer, remove_performer, selected_performer
 from .puppet import require_puppet, running
 from .shared import ReportsErrors, require

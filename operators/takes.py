@@ -13,7 +13,8 @@ from ..core.live.sources import PacedSource
 from ..core.takes.coefficient_table import from_any_csv
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import to_csv
-from ..sessions.live import COUNTDOWN, LiveSession
+from ..sessions.countdown import COUNTDOWN
+from ..sessions.live import LiveSession
 from ..sessions.show import TakeShow
 from ..settings import takes_store
 from .puppet import FACEMIME_OT_puppet, running, start_puppet

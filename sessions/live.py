@@ -23,6 +23,7 @@ from ..core.live.worker import LiveOptions, LiveResult, LiveWorker
 from ..core.streams.vertices import VertexSender
 from ..core.takes.neutral import Neutral
 from ..settings.preferences import preferences
+from .countdown import COUNTDOWN, Calibration, DelayedRecording
 from .punch_in import PunchIn
 from .recording import Recording
 from .session import Session
@@ -32,14 +33,6 @@ if TYPE_CHECKING:
 
 TICK = 1.0 / 120.0
 """Seconds between two calls of `LiveSession.step`."""
-COUNTDOWN = 3.0
-"""Seconds between the request for a calibration, or by default for a recording, and its start."""
-_TASKS = {
-    False: "Look straight at the camera, with a relaxed face and the mouth closed",
-    True: "Close the eyes tightly, and open the mouth wide",
-    None: "Get ready: the recording starts. Esc cancels",
-}
-"""What the performer has to do, by whether the range of eyes and mouth is calibrated; None is before a recording."""
 _DEFAULTS = LiveOptions()
 _KEEPING = 5.0
 """Seconds between two times at which what was learnt is kept."""
@@ -107,11 +100,9 @@ class LiveSession(Session):
         self._on_calibrated, self._on_learnt = on_calibrated, on_learnt
         self._learnt: Neutral | None = None
         self._kept_at = perf_counter()
-        self._at: float | None = None
-        self._record_at: tuple[float, str, str] | None = None
+        self._calibration: Calibration | None = None
+        self._delayed: DelayedRecording | None = None
         self._displayed_at: float | None = None
-        self._range = False
-        self._waiting = False
         self._number = 0
         self._written: tuple[HeadFrame, ...] = ()
         self._viewer: ViewerServer | None = None
@@ -141,9 +132,9 @@ class LiveSession(Session):
             If the worker failed, its exception; HeadError if a head was changed, or all were deleted.
         """
         self._measure_redraw()
-        self._count_down()
+        self._continue_calibration()
         self._keep_learnt()
-        self._count_down_recording()
+        self._start_delayed()
         latest = self.worker.latest
         if latest is None or latest.number == self._number:
             if self.worker.error is not None:
@@ -169,9 +160,7 @@ class LiveSession(Session):
     def view(self, viewer: ViewerServer | None) -> None:
         """Replace the viewer, and end the last one."""
         before, self._viewer = self._viewer, viewer
-        self._show_elsewhere()
-        if before is not None:
-            before.close()
+        self._show_elsewhere(before)
 
     @property
     def vertices(self) -> VertexSender | None:
@@ -181,9 +170,7 @@ class LiveSession(Session):
     def send_vertices(self, sender: VertexSender | None) -> None:
         """Replace the sender of the moved vertices, and end the last one."""
         before, self._vertices = self._vertices, sender
-        self._show_elsewhere()
-        if before is not None:
-            before.close()
+        self._show_elsewhere(before)
 
     @property
     def ended(self) -> bool:
@@ -211,35 +198,27 @@ class LiveSession(Session):
         """
         if range_of and self.worker.neutral is None:
             raise HeadError("There is no neutral face yet. Calibrate it first.")
-        self._at, self._range, self._waiting = perf_counter() + countdown, range_of, True
-        self.worker.quality = None
+        self._calibration = Calibration(self.worker, range_of=range_of, countdown=countdown)
 
     @property
-    def calibration_countdown(self) -> float | None:
-        """Seconds until the calibration starts; 0 while it is running, None if none was requested."""
-        if not self._waiting:
-            return None
-        return 0.0 if self._at is None else max(0.0, self._at - perf_counter())
-
-    @property
-    def calibrates_range(self) -> bool:
-        """Whether the range of eyes and mouth is calibrated, or about to be."""
-        return self._waiting and self._range
+    def calibration(self) -> Calibration | None:
+        """The calibration that has been requested, or is running."""
+        return self._calibration
 
     @property
     def recording_countdown(self) -> float | None:
         """Seconds until the recording starts; None if none was requested."""
-        return None if self._record_at is None else max(1e-3, self._record_at[0] - perf_counter())
+        return None if self._delayed is None else self._delayed.left
 
     @property
     def countdown(self) -> float | None:
         """Seconds until the calibration or the recording starts; 0 during a calibration, otherwise None."""
-        return self.calibration_countdown if self._waiting else self.recording_countdown
+        return None if (awaited := self._calibration or self._delayed) is None else awaited.left
 
     @property
     def task(self) -> str:
-        """What the performer has to do in a calibration, or before a recording."""
-        return _TASKS[self._range if self._waiting else None]
+        """What the performer has to do in a calibration, or before a recording; otherwise ""."""
+        return "" if (awaited := self._calibration or self._delayed) is None else awaited.task
 
     def start_recording_after(self, countdown: float, scene: bpy.types.Scene, name: str) -> None:
         """Start recording after a countdown; the parameters are those of `start_recording`, and seconds.
@@ -251,13 +230,13 @@ class LiveSession(Session):
         """
         self._require_no_recording()
         if countdown > 0.0:
-            self._record_at = perf_counter() + countdown, scene.name, name
+            self._delayed = DelayedRecording(perf_counter() + countdown, scene.name, name)
         else:
             self.start_recording(scene, name)
 
     def cancel_countdown(self) -> bool:
         """Cancel the countdown of a recording, and return whether there was one."""
-        counting, self._record_at = self._record_at is not None, None
+        counting, self._delayed = self._delayed is not None, None
         return counting
 
     def start_recording(self, scene: bpy.types.Scene, name: str) -> Recording:
@@ -358,8 +337,11 @@ class LiveSession(Session):
         elif self.keep and blocks:
             push_undo("Puppet")
 
-    def _show_elsewhere(self) -> None:
+    def _show_elsewhere(self, before: ViewerServer | VertexSender | None) -> None:
+        """Show the heads where they are to be shown now, and end what was replaced."""
         self.worker.displays = tuple(one for one in (self._viewer, self._vertices) if one is not None)
+        if before is not None:
+            before.close()
 
     def _require_no_recording(self) -> None:
         if self.recording is not None:
@@ -383,18 +365,13 @@ class LiveSession(Session):
         else:
             push_undo("Re-Record Range")
 
-    def _count_down(self) -> None:
-        if not self._waiting:
+    def _continue_calibration(self) -> None:
+        if self._calibration is None or not self._calibration.step():
             return
-        if self._at is not None:
-            if perf_counter() >= self._at:
-                self._at = None
-                self.worker.calibrate(range_of=self._range)
-        elif not self.worker.calibrating:
-            self._waiting = False
-            if self.worker.neutral is not None and self.worker.quality is not None:
-                self._on_calibrated(self.worker.neutral)
-            _signal()
+        self._calibration = None
+        if self.worker.neutral is not None and self.worker.quality is not None:
+            self._on_calibrated(self.worker.neutral)
+        _signal()
 
     def _keep_learnt(self) -> None:
         """Keep what was learnt of the performer, now and then, so that the next session starts from it."""
@@ -405,12 +382,12 @@ class LiveSession(Session):
             self._learnt = learnt
             self._on_learnt(learnt)
 
-    def _count_down_recording(self) -> None:
-        if self._record_at is None or perf_counter() < self._record_at[0]:
+    def _start_delayed(self) -> None:
+        if self._delayed is None or not self._delayed.due:
             return
-        (_, scene, name), self._record_at = self._record_at, None
-        if scene in bpy.data.scenes and self.recording is None:
-            self.start_recording(bpy.data.scenes[scene], name)
+        delayed, self._delayed = self._delayed, None
+        if delayed.scene in bpy.data.scenes and self.recording is None:
+            self.start_recording(bpy.data.scenes[delayed.scene], delayed.name)
             _signal()
 
     def _measure_redraw(self) -> None:

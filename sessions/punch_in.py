@@ -98,7 +98,7 @@ class PunchIn:
             if self.time_left == 0.0:
                 self._recording = session.start_recording(scene, "Punch In")
             return True
-        if self._recording.length < self._end - self._start:
+        if self._recording.seconds < self._end - self._start:
             return True
         self._recording.stop()
         self._insert(scene, self._recording)

@@ -129,11 +129,6 @@ class Recording:
             self._worker.stop_recording()
 
     @property
-    def length(self) -> float:
-        """Duration so far, seconds."""
-        return self._main.last
-
-    @property
     def running(self) -> bool:
         """Whether frames can still be added."""
         return not self.closed and self._worker.recording_error is None

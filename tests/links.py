@@ -7,8 +7,14 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from itertools import cycle
 
+from clocks import PATIENCE
+
+from facemime.core.live.outputs import Output
+from facemime.core.live.sources import LiveFrame
 from facemime.core.streams.sender import SendSettings, StreamSender
+from facemime.core.streams.source import StreamSource
 from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.neutral import Neutral
 from facemime.core.takes.take import Take
 from takes import coefficient_take
 
@@ -39,10 +45,47 @@ def all_the_time(send: Callable[[float], None], pause: float = 1.0 / 60.0) -> It
 
 
 @contextmanager
+def performing(sender: Output, take: Take, neutral: Neutral | None = None) -> Iterator[None]:
+    """The frames of a take, sent again and again."""
+    frames = cycle(range(len(take)))
+    with all_the_time(lambda seconds: sender.send(seconds, take.result(next(frames)), neutral)):
+        yield
+
+
+@contextmanager
 def sending_phone(port: int) -> Iterator[Take]:
     """A phone that sends a second of coefficients again and again, as Live Link Face; yields what it sends."""
-    take, neutral = coefficient_take(60), coefficient_face().neutral
-    frames = cycle(range(len(take)))
-    sender = StreamSender(SendSettings("livelink", port=port, subject="Phone"))
-    with closing(sender), all_the_time(lambda seconds: sender.send(seconds, take.result(next(frames)), neutral)):
+    take, sender = coefficient_take(60), StreamSender(SendSettings("livelink", port=port, subject="Phone"))
+    with closing(sender), performing(sender, take, coefficient_face().neutral):
         yield take
+
+
+def sender_to(source: StreamSource, **settings) -> StreamSender:
+    return StreamSender(SendSettings(source.settings.protocol, "127.0.0.1", source.address[1], **settings))
+
+
+def collected(source: StreamSource, count: int, feed=lambda: None) -> list[LiveFrame]:
+    """Real frames until there are `count`, with `feed` called between reads."""
+    frames: list[LiveFrame] = []
+    end = time.monotonic() + PATIENCE
+    while len(frames) < count:
+        assert time.monotonic() < end, source.counts
+        feed()
+        frame = source.read(0.01)
+        if frame is not None and not frame.filled:
+            frames.append(frame)
+    return frames
+
+
+def streamed(source: StreamSource, take: Take, send) -> list[LiveFrame]:
+    """What `source` plays when `send` is called with every frame of a take, in real time."""
+    began, sent = time.monotonic(), iter(range(len(take)))
+    waiting = next(sent)
+
+    def feed() -> None:
+        nonlocal waiting
+        while waiting is not None and time.monotonic() - began >= take.times[waiting]:
+            send(waiting)
+            waiting = next(sent, None)
+
+    return collected(source, len(take), feed)

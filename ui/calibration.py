@@ -3,7 +3,7 @@
 import bpy
 
 from ..operators.puppet import running
-from ..sessions.live import COUNTDOWN
+from ..sessions.countdown import COUNTDOWN
 from .sidebar import Sidebar, draw_list, labels, place
 from .status import countdown_text
 
@@ -34,8 +34,9 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
         layout.prop(settings, "learn")
         if session is None:
             return
-        if (left := session.calibration_countdown) is not None:
-            layout.progress(factor=1.0 - min(left / COUNTDOWN, 1.0), text=countdown_text(session), translate=False)
+        if session.calibration is not None:
+            passed = 1.0 - min(session.calibration.left / COUNTDOWN, 1.0)
+            layout.progress(factor=passed, text=countdown_text(session), translate=False)
         elif (quality := session.worker.quality) is not None:
             labels(layout, context, quality.message, "CHECKMARK" if quality.good else "ERROR")
 

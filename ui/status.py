@@ -42,7 +42,7 @@ def countdown_text(session: LiveSession) -> str:
         return ""
     if left > 0.0:
         return str(int(left) + 1)
-    return _("Now") if session.calibrates_range else _("Hold Still")
+    return _("Now") if session.calibration is not None and session.calibration.range_of else _("Hold Still")
 
 
 def latency_text(session: LiveSession) -> str:

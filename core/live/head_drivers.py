@@ -39,7 +39,7 @@ class LiveHead:
 
 @dataclass
 class _Driven:
-    """A head by now: by whom it is driven, and how."""
+    """The current state of a head: who drives it, and how."""
 
     head: LiveHead
     neutral: Neutral

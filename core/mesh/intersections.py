@@ -33,7 +33,7 @@ def crossing_pairs(
     -------
     (P, 2) int
         Pairs of triangles without a common vertex of which an edge of one goes through the other (Moeller & Trumbore
-        1997). Triangles that lie in one plane, or only touch, are none.
+        1997). Triangles that lie in one plane, or only touch, do not count.
     """
     triangles = np.asarray(triangles, dtype=np.intp)
     corners = np.asarray(vertices, dtype=np.float64)[triangles]

@@ -31,7 +31,7 @@ class Link(Protocol):
         """Begin; does nothing if it was opened. SourceError if it cannot be used."""
 
     def receive(self, now: float) -> tuple[bytes, Address] | None:
-        """Take the next packet, and from whom it is; None if there is none yet.
+        """Return the next packet and its sender, or None if nothing has come yet.
 
         Parameters
         ----------

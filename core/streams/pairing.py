@@ -76,7 +76,7 @@ def fingerprint_of(certificate: bytes) -> bytes:
 
 
 def parse_pairing(text: str) -> Pairing:
-    """Parse a pairing line; SourceError if it is none, or only a part of one."""
+    """Parse a pairing line; raises SourceError if the text is not one, or only part of one."""
     found = _LINE.fullmatch(text.strip())
     if found is None:
         raise SourceError(

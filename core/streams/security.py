@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import secrets
+import ssl
 from pathlib import Path
 
 from ..errors import OutputError, SourceError
@@ -50,6 +51,30 @@ def write_key(path: Path) -> None:
         raise OutputError(f"{path} exists already, and a key is never replaced. Choose another name.") from error
     except OSError as error:
         raise OutputError(f"The key {path} cannot be written ({error.strerror}). Choose another place.") from error
+
+
+def server_context(certificate: Path, key: Path | None) -> ssl.SSLContext:
+    """Return the TLS context of a server that has a certificate.
+
+    Parameters
+    ----------
+    certificate, key : Path
+        PEM files; without `key`, the certificate's own file holds it.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be read, or they do not belong together.
+    ValueError
+        If the key has a password, which would be asked for in a terminal.
+    """
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, key, password=_no_password)
+    return context
+
+
+def _no_password() -> str:
+    raise ValueError("the key has a password")
 
 
 def sign(key: bytes, *parts: bytes) -> bytes:

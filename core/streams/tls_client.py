@@ -28,9 +28,9 @@ _EXPLANATIONS = {
     "cut": "the connection was cut",
     "ended": "it has ended the connection",
     "silent": "it does not answer",
-    "other": "it is not Facemime, or of another version",
-    "faceless": "what it sends is not a face",
-    "certificate": "its certificate is another",
+    "other": "it is not Facemime, or is a different version",
+    "faceless": "it does not send a face",
+    "certificate": "its certificate is different",
     "token": "it does not know this token",
 }
 """Why nothing comes."""
@@ -193,9 +193,7 @@ class TlsLink:
 
     def _give_up(self, now: float, reason: str) -> None:
         """End the connection, and say why; the next attempt is made in a while."""
-        self.message = str(
-            SourceError(f"Nothing comes from {self.pairing.address}: {reason}. Facemime goes on trying.")
-        )
+        self.message = str(SourceError(f"Nothing comes from {self.pairing.address}: {reason}. Facemime keeps trying."))
         self._again = now + _AGAIN
         if self._socket is not None:
             with suppress(OSError):

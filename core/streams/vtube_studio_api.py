@@ -203,12 +203,12 @@ class VTubeStudioSender(Connecting):
             self.message = _silence(self._where)
 
     def _authenticate(self, connection: ClientConnection) -> None:
-        """Show the token, after asking for one if there is none, or if it is no longer valid."""
+        """Authenticate with the stored token; request a new one if it is missing or no longer valid."""
         plugin = {"pluginName": PLUGIN, "pluginDeveloper": DEVELOPER}
         token = self._kept()
         for _ in range(2):
             if not token:
-                self.message = str(SourceError("VTube Studio asks whether Facemime may send to it. Click Allow there."))
+                self.message = str(SourceError("VTube Studio is asking for permission. Click Allow there."))
                 answer = self._ask(connection, "AuthenticationToken", plugin, _ASKING)
                 token = str(answer.get("authenticationToken", ""))[:_MOST_TOKEN]
                 self._keep(token)
@@ -216,7 +216,7 @@ class VTubeStudioSender(Connecting):
             if self._ask(connection, "Authentication", shown, _ANSWERING).get("authenticated") is True:
                 return
             token = ""
-        raise ApiError(0, "it does not accept its own token. Start VTube Studio again.")
+        raise ApiError(0, "it rejected the token it had just issued. Restart VTube Studio.")
 
     def _ask(self, connection: ClientConnection, kind: str, data: dict[str, Any], patience: float) -> dict[str, Any]:
         """Send a request, and return what is answered."""

@@ -14,6 +14,7 @@ from ..errors import OutputError, SourceError
 from ..files import write_secret
 from ..reading import read_bytes
 from ..streams.addresses import LOOPBACK, bracketed, is_loopback, reachable
+from ..streams.security import server_context
 
 PORT = 21574
 MAX_VIEWERS = 16
@@ -59,9 +60,8 @@ class ViewerSettings:
             if self.key is not None:
                 raise SourceError("A private key alone is of no use. Give the certificate, too.")
             return None
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         try:
-            context.load_cert_chain(self.certificate, self.key, password=_no_password)
+            return server_context(self.certificate, self.key)
         except FileNotFoundError as error:
             raise SourceError(f"There is no certificate {self.certificate}, or no key {self.key}.") from error
         except (OSError, ValueError) as error:
@@ -69,7 +69,6 @@ class ViewerSettings:
                 f"The certificate {self.certificate} and its key cannot be used ({error}). "
                 "Choose the PEM files that belong together; the key must have no password."
             ) from error
-        return context
 
     def allows(self, host: str) -> bool:
         """Whether the Host of a request is a name of this computer or an address, rather than a name that somebody
@@ -135,10 +134,6 @@ def _written_token(path: Path) -> str:
     except OSError as error:
         raise OutputError(f"The token {path} cannot be written ({error.strerror}). Choose another place.") from error
     return token
-
-
-def _no_password() -> str:
-    raise ValueError("the key has a password")
 
 
 def _without_port(host: str) -> str:

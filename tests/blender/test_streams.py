@@ -1,6 +1,5 @@
 """Streams in Blender: as the source of a puppet, as its output, and kept off the network unless that is allowed."""
 
-import json
 import socket
 import threading
 import time
@@ -10,7 +9,8 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from websockets.sync.server import serve
+from vtube_studio import TOKEN, Studio
+from vtube_studio import running as at_port
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import PART_PROPERTY
@@ -28,7 +28,7 @@ from facemime.operators.puppet import running
 from facemime.settings import takes_store
 from facemime.settings.preferences import preferences
 from facemime.settings.values import open_sender, open_source, read_calibration, write_calibration
-from links import free_port, sending_phone
+from links import free_port, performing, sending_phone
 from live_ticks import shown, some_frames, start, tick, ticks_until
 from takes import coefficient_take, performance
 
@@ -309,30 +309,18 @@ def pairing():
 
 
 def test_a_paired_computer_drives_a_head_over_tls(pairing, online, tmp_path):
-    identity, take, over = load_identity(tmp_path / "tls"), coefficient_take(60), threading.Event()
-    with closing(TlsSender("127.0.0.1", 0, identity.context, identity.token)) as sender:
-
-        def send() -> None:
-            number, began = 0, time.monotonic()
-            while not over.wait(1.0 / 60.0):
-                sender.send(time.monotonic() - began, take.result(number % len(take)), None)
-                number += 1
-
-        thread = threading.Thread(target=send)
-        thread.start()
-        try:
-            settings = bpy.context.scene.facemime
-            settings.source.kind, settings.source.stream.protocol, settings.smoothing = "STREAM", "own", 0.0
-            pairing.pairing = Pairing("localhost", sender.port, identity.fingerprint, identity.token).line
-            head = add_head(bpy.context)
-            rest = shown(head)
-            start()
-            ticks_until(lambda: np.abs(shown(head) - rest).max() > 0.005)
-            assert running().worker.source.name == f"Facemime at localhost:{sender.port}"
-            bpy.ops.facemime.stop_puppet()
-        finally:
-            over.set()
-            thread.join()
+    identity = load_identity(tmp_path / "tls")
+    sender = TlsSender("127.0.0.1", 0, identity.context, identity.token)
+    with closing(sender), performing(sender, coefficient_take(60)):
+        settings = bpy.context.scene.facemime
+        settings.source.kind, settings.source.stream.protocol, settings.smoothing = "STREAM", "own", 0.0
+        pairing.pairing = Pairing("localhost", sender.port, identity.fingerprint, identity.token).line
+        head = add_head(bpy.context)
+        rest = shown(head)
+        start()
+        ticks_until(lambda: np.abs(shown(head) - rest).max() > 0.005)
+        assert running().worker.source.name == f"Facemime at localhost:{sender.port}"
+        bpy.ops.facemime.stop_puppet()
 
 
 def test_a_pairing_needs_online_access_and_has_to_be_whole(pairing, online):
@@ -350,30 +338,18 @@ def test_a_pairing_needs_online_access_and_has_to_be_whole(pairing, online):
 def test_vtube_studio_gets_what_is_tracked(take, tmp_path, monkeypatch):
     monkeypatch.setattr("facemime.settings.values.user_folder", lambda name: tmp_path / name)
     add_head(bpy.context)
-    settings, asked = bpy.context.scene.facemime, []
+    settings, studio = bpy.context.scene.facemime, Studio()
     settings.source.loop = True
-
-    def studio(connection) -> None:
-        for message in connection:
-            request = json.loads(message)
-            asked.append(request)
-            data = {"authenticationToken": "a-token", "authenticated": True}
-            kind = request["messageType"].replace("Request", "Response")
-            connection.send(json.dumps({"messageType": kind, "requestID": request["requestID"], "data": data}))
-
-    with serve(studio, "127.0.0.1", 0) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
+    with at_port(studio) as port:
         output = settings.output
-        output.enabled, output.protocol, output.port = True, "vtubestudio", server.socket.getsockname()[1]
+        output.enabled, output.protocol, output.port = True, "vtubestudio", port
         start()
         ticks_until(lambda: running().worker.output.sent > 20)
         settings.mirror = not settings.mirror
         some_frames()
         assert running().worker.output.options.mirror == settings.mirror
         bpy.ops.facemime.stop_puppet()
-        server.shutdown()
-        thread.join()
-    values = [request["data"] for request in asked if request["messageType"] == "InjectParameterDataRequest"]
-    mouths = {each["value"] for data in values for each in data["parameterValues"] if each["id"] == "MouthOpen"}
-    assert len(mouths) > 3 and (tmp_path / "vtube_studio" / "token").read_text().strip() == "a-token"
+    mouths = {
+        each["value"] for data in studio.injected() for each in data["parameterValues"] if each["id"] == "MouthOpen"
+    }
+    assert len(mouths) > 3 and (tmp_path / "vtube_studio" / "token").read_text().strip() == TOKEN

@@ -1,10 +1,14 @@
 """What several tests of core and of the command share."""
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from facemime.core.streams.settings import StreamSettings
+from facemime.core.streams.source import StreamSource
 from facemime.core.takes.file import save_take
+from links import free_port
 from takes import performance
 
 
@@ -13,3 +17,19 @@ def take(tmp_path) -> Path:
     """A take of 60 frames."""
     save_take(performance(), tmp_path / "take.facetake")
     return tmp_path / "take.facetake"
+
+
+@pytest.fixture
+def opened() -> Iterator[Callable[..., StreamSource]]:
+    """Make a source on a free port that skips no frame, however busy the computer; all are closed in the end."""
+    sources: list[StreamSource] = []
+
+    def make(protocol: str = "own", **settings) -> StreamSource:
+        settings = {"port": free_port()} | settings
+        sources.append(StreamSource(StreamSettings(protocol, **settings), every=True))
+        sources[-1].read(0.0)
+        return sources[-1]
+
+    yield make
+    for source in sources:
+        source.close()

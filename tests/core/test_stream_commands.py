@@ -1,12 +1,10 @@
 """The commands `send` and `receive`, in processes of their own and over real sockets."""
 
-import json
 import re
 import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from thorough import first_of
-from websockets.sync.server import serve
+from vtube_studio import TOKEN, Studio, running
 
 import facemime
 from commands import SAMPLE, START, needs_posix, run
@@ -142,26 +140,12 @@ def test_a_pairing_line_is_all_that_a_receiver_needs(tmp_path):
 
 def test_vtube_studio_is_sent_to_and_its_permission_kept(tmp_path):
     save_take(coefficient_take(60), tmp_path / "sent.facetake")
-    kinds = []
-
-    def studio(connection) -> None:
-        for message in connection:
-            request = json.loads(message)
-            kinds.append(request["messageType"])
-            data = {"authenticationToken": "a-token", "authenticated": True}
-            kind = request["messageType"].replace("Request", "Response")
-            connection.send(json.dumps({"messageType": kind, "requestID": request["requestID"], "data": data}))
-
-    with serve(studio, "127.0.0.1", 0) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        to = ("--to", f"127.0.0.1:{server.socket.getsockname()[1]}", "--protocol", "vtubestudio")
+    with running(studio := Studio()) as port:
+        to = ("--to", f"127.0.0.1:{port}", "--protocol", "vtubestudio")
         done = run("send", "--video", tmp_path / "sent.facetake", *to, "--token", tmp_path / "token")
-        server.shutdown()
-        thread.join()
     assert done.returncode == 0, done.stderr
-    assert kinds[:2] == ["AuthenticationTokenRequest", "AuthenticationRequest"]
-    assert kinds.count("InjectParameterDataRequest") >= 10 and (tmp_path / "token").read_text() == "a-token\n"
+    assert studio.kinds()[:2] == ["AuthenticationTokenRequest", "AuthenticationRequest"]
+    assert len(studio.injected()) >= 10 and (tmp_path / "token").read_text() == TOKEN + "\n"
 
 
 @needs_posix

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import socket
 import threading
 import time
@@ -21,70 +20,20 @@ from facemime.core.heads.rig import built_in_rig
 from facemime.core.live.head_drivers import LiveHead
 from facemime.core.live.sources import LiveFrame
 from facemime.core.live.worker import LiveOptions, LiveWorker
-from facemime.core.streams import ifacialmocap, osc
-from facemime.core.streams.addresses import is_loopback, parse_address
-from facemime.core.streams.face_cap import NAMES
 from facemime.core.streams.security import write_key
 from facemime.core.streams.sender import SENT, SendSettings, StreamSender, moved_from, turned_from
-from facemime.core.streams.settings import PROTOCOLS, StreamSettings
+from facemime.core.streams.settings import StreamSettings
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.timeline import EASE, HOLD
 from facemime.core.takes.file import TakeWriter, load_take
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take, describe
-from links import free_port
+from links import collected, free_port, sender_to, streamed
 from takes import coefficient_take as acted
 from takes import performance
 
 RATE = 60.0
-
-
-@pytest.fixture
-def opened():
-    """Make a source on a free port that skips no frame, however busy the computer; all are closed in the end."""
-    sources: list[StreamSource] = []
-
-    def make(protocol: str = "own", **settings) -> StreamSource:
-        settings = {"port": free_port()} | settings
-        sources.append(StreamSource(StreamSettings(protocol, **settings), every=True))
-        sources[-1].read(0.0)
-        return sources[-1]
-
-    yield make
-    for source in sources:
-        source.close()
-
-
-def sender_to(source: StreamSource, **settings) -> StreamSender:
-    return StreamSender(SendSettings(source.settings.protocol, "127.0.0.1", source.address[1], **settings))
-
-
-def collected(source: StreamSource, count: int, feed=lambda: None) -> list[LiveFrame]:
-    """Real frames until there are `count`, with `feed` called between reads."""
-    frames: list[LiveFrame] = []
-    end = time.monotonic() + PATIENCE
-    while len(frames) < count:
-        assert time.monotonic() < end, source.counts
-        feed()
-        frame = source.read(0.01)
-        if frame is not None and not frame.filled:
-            frames.append(frame)
-    return frames
-
-
-def streamed(source: StreamSource, take: Take, send) -> list[LiveFrame]:
-    """What `source` plays when `send` is called with every frame of a take, in real time."""
-    began, sent = time.monotonic(), iter(range(len(take)))
-    waiting = next(sent)
-
-    def feed() -> None:
-        nonlocal waiting
-        while waiting is not None and time.monotonic() - began >= take.times[waiting]:
-            send(waiting)
-            waiting = next(sent, None)
-
-    return collected(source, len(take), feed)
 
 
 def recorded(frames: list[LiveFrame], path: Path) -> Take:
@@ -126,85 +75,6 @@ def test_a_recorded_stream_of_landmarks_is_what_was_tracked(opened, tmp_path, pr
     np.testing.assert_allclose(np.diff(saved.times), np.diff(take.times), atol=1e-6)
     if protocol == "own":
         np.testing.assert_allclose(saved.pose, take.pose, rtol=1e-5, atol=1e-2)
-
-
-def phone_text(values: np.ndarray) -> bytes:
-    names = [name.replace("Left", "_L").replace("Right", "_R") for name in COEFFICIENT_INDEX]
-    parts = [f"{name}-{round(100 * value)}" for name, value in zip(names, values.tolist(), strict=True)]
-    return ("|".join(parts) + "|=head#5.0,-10.0,2.0,0.0,0.0,-0.5|rightEye#0,0,0|leftEye#0,0,0|").encode()
-
-
-def phone_json(values: np.ndarray) -> bytes:
-    entries = [{"k": name, "v": value} for name, value in zip(COEFFICIENT_INDEX, values.tolist(), strict=True)]
-    vector = {"x": 0.0, "y": 0.0, "z": 0.0}
-    stamp = int(1e3 * time.monotonic())
-    packet = {"Timestamp": stamp, "FaceFound": True, "Rotation": vector, "Position": vector, "BlendShapes": entries}
-    return json.dumps(packet).encode()
-
-
-class Phone(threading.Thread):
-    """A phone that sends only after it was asked, to where the question came from."""
-
-    def __init__(self, monkeypatch, protocol: str, packet, values: np.ndarray) -> None:
-        super().__init__(daemon=True)
-        self.asked: list[bytes] = []
-        self._packet, self._values, self._ended = packet, values, threading.Event()
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("127.0.0.1", 0))
-        self._socket.settimeout(0.02)
-        changed = PROTOCOLS[protocol].__dict__ | {"phone_port": self._socket.getsockname()[1]}
-        monkeypatch.setitem(PROTOCOLS, protocol, type(PROTOCOLS[protocol])(**changed))
-
-    def run(self) -> None:
-        number, where = 0, None
-        while not self._ended.is_set():
-            try:
-                question, where = self._socket.recvfrom(4096)
-                self.asked.append(question)
-            except TimeoutError:
-                if where is not None:
-                    self._socket.sendto(self._packet(self._values[number % len(self._values)]), where)
-                    number += 1
-
-    def close(self) -> None:
-        self._ended.set()
-        self.join()
-        self._socket.close()
-
-
-@pytest.mark.parametrize(
-    ("protocol", "packet", "precision"),
-    [("ifacialmocap", phone_text, 0.0051), ("facemotion3d", phone_text, 0.0051), ("vtubestudio", phone_json, 1e-6)],
-)
-def test_a_phone_is_asked_and_what_it_sends_is_played(opened, monkeypatch, protocol, packet, precision):
-    values = acted(12).coefficients
-    phone = Phone(monkeypatch, protocol, packet, values)
-    phone.start()
-    try:
-        source = opened(protocol, phone="127.0.0.1")
-        frames = collected(source, 20)
-    finally:
-        phone.close()
-    first = frames[0].result.coefficients
-    at = int(np.abs(values - first).max(axis=1).argmin())
-    for number, frame in enumerate(frames):
-        np.testing.assert_allclose(frame.result.coefficients, values[(at + number) % len(values)], atol=precision)
-    assert phone.asked and (protocol != "vtubestudio" or json.loads(phone.asked[0])["ports"] == [source.address[1]])
-
-
-def test_face_cap_is_played(opened):
-    take, source = acted(), opened("facecap")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-
-        def send(number: int) -> None:
-            out.sendto(osc.encode_message("/HR", 0.0, 0.0, 0.0), source.address)
-            for place, name in enumerate(NAMES):
-                value = float(take.coefficients[number, COEFFICIENT_INDEX[name]])
-                out.sendto(osc.encode_message("/W", place, value), source.address)
-
-        frames = streamed(source, take, send)
-    for number, frame in enumerate(frames):
-        np.testing.assert_allclose(frame.result.coefficients, take.coefficients[number], atol=1e-6)
 
 
 # Lost and found
@@ -402,16 +272,6 @@ def test_a_flood_is_not_looked_at(opened, monkeypatch):
     assert source.counts.malformed == 20 and source.counts.flooded == 180
 
 
-def test_packets_of_others_than_the_phone_are_refused(opened):
-    source = opened("ifacialmocap", phone="127.0.0.2", host="127.0.0.1")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-        out.sendto(phone_text(np.zeros(N_COEFFICIENTS)), source.address)
-    for _ in range(50):
-        source.read(0.01)
-    assert source.counts.refused == 1 and source.counts.accepted == 0
-    assert ifacialmocap.PORT == 49983
-
-
 # Opening and closing
 
 
@@ -471,47 +331,6 @@ def test_settings_that_cannot_be_used_are_refused(settings, match):
 def test_senders_that_cannot_be_used_are_refused(settings, match):
     with pytest.raises(SourceError, match=match):
         StreamSender(settings)
-
-
-@pytest.mark.parametrize(
-    ("host", "local"),
-    [
-        ("127.0.0.1", True),
-        ("localhost", True),
-        ("::1", True),
-        ("127.9.9.9", True),
-        ("0.0.0.0", False),
-        ("::", False),
-        ("192.168.1.7", False),
-        ("phone.local", False),
-        ("localhost.example.org", False),
-        ("", False),
-        ("127.1", False),
-    ],
-)
-def test_only_addresses_of_this_computer_count_as_local(host, local):
-    assert is_loopback(host) == local
-
-
-@pytest.mark.parametrize(
-    ("text", "wanted"),
-    [
-        ("192.168.1.7:39539", ("192.168.1.7", 39539)),
-        ("phone.local", ("phone.local", 7)),
-        (":5", ("127.0.0.1", 5)),
-        ("[::1]:9", ("::1", 9)),
-        ("::1", ("::1", 7)),
-        ("", ("127.0.0.1", 7)),
-    ],
-)
-def test_addresses_are_parsed(text, wanted):
-    assert parse_address(text, 7) == wanted
-
-
-@pytest.mark.parametrize("text", ["host:x", "host:99999", "http://host:5", "a b:5", "host:-1", "user@host:1"])
-def test_what_is_no_address_is_refused(text):
-    with pytest.raises(SourceError):
-        parse_address(text)
 
 
 def test_turns_and_moves_of_a_performer_are_those_of_the_head():

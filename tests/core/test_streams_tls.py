@@ -24,6 +24,7 @@ from facemime.core.streams.pairing import ANSWER, GREETING, LENGTH, MAGIC, VERSI
 from facemime.core.streams.settings import StreamSettings
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.tls_server import TlsSender
+from links import performing
 from takes import performance
 
 
@@ -36,20 +37,11 @@ def identity(tmp_path_factory):
 @pytest.fixture
 def server(identity):
     """A sender, and a thread that sends the frames of a take all the time."""
-    with closing(TlsSender("127.0.0.1", 0, identity.context, identity.token)) as sender:
-        over, take = threading.Event(), performance()
-
-        def send() -> None:
-            number, began = 0, time.monotonic()
-            while not over.wait(1.0 / 60.0):
-                sender.send(time.monotonic() - began, take.result(number % len(take)), None)
-                number += 1
-
-        thread = threading.Thread(target=send)
-        thread.start()
+    with (
+        closing(TlsSender("127.0.0.1", 0, identity.context, identity.token)) as sender,
+        performing(sender, performance()),
+    ):
         yield sender
-        over.set()
-        thread.join()
 
 
 def pairing_of(identity, port: int) -> Pairing:
@@ -123,7 +115,7 @@ def test_another_certificate_is_refused_before_the_token_is_shown(identity, tmp_
     impostor = load_identity(tmp_path / "impostor")
     with closing(TlsSender("127.0.0.1", 0, impostor.context, identity.token)) as server:
         with closing(opened(pairing_of(identity, server.port))) as source:
-            assert "certificate is another" in error_of(source)
+            assert "certificate is different" in error_of(source)
         assert server.receivers == server.sent == 0
 
 
@@ -156,7 +148,7 @@ def test_a_cut_connection_comes_back(identity):
             end = time.monotonic() + PATIENCE
             while not source.message and time.monotonic() < end:
                 source.read(0.05)
-            assert "goes on trying" in source.message
+            assert "keeps trying" in source.message
             senders.append(TlsSender("127.0.0.1", first.port, identity.context, identity.token))
             frames_from(source, 5)
             assert source.message == ""

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 
 import numpy as np
 import pytest
 from clocks import PATIENCE
-from websockets.sync.server import ServerConnection, serve
+from vtube_studio import TOKEN, Studio, running
 
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from facemime.core.rotation import from_face_axes
@@ -20,72 +18,12 @@ from facemime.core.streams.vtube_studio_api import VTubeStudioSender, injection,
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.tracking.result import TrackResult
 
-TOKEN = "adcd-123-ef09-some-token-string-abcd"
 NAMES = (
     *("FacePositionX", "FacePositionY", "FacePositionZ", "FaceAngleX", "FaceAngleY", "FaceAngleZ", "MouthSmile"),
     *("MouthOpen", "Brows", "TongueOut", "EyeOpenLeft", "EyeOpenRight", "EyeLeftX", "EyeLeftY", "EyeRightX"),
     *("EyeRightY", "CheekPuff", "BrowLeftY", "BrowRightY", "MouthX"),
 )
 """Those of the default parameters that Facemime sets."""
-
-
-class Studio:
-    """What VTube Studio does: it asks its user, knows its tokens, and takes parameters."""
-
-    def __init__(self, *, allow: bool = True, tokens: tuple[str, ...] = (TOKEN,)) -> None:
-        self.allow, self.tokens = allow, tokens
-        self.requests: list[dict] = []
-        self.times: list[float] = []
-        self.connections: list[ServerConnection] = []
-
-    def kinds(self) -> list[str]:
-        return [request["messageType"] for request in self.requests]
-
-    def injected(self) -> list[dict]:
-        return [each["data"] for each in self.requests if each["messageType"] == "InjectParameterDataRequest"]
-
-    def attend(self, connection: ServerConnection) -> None:
-        self.connections.append(connection)
-        known = False
-        for message in connection:
-            asked = json.loads(message)
-            self.times.append(time.monotonic())
-            self.requests.append(asked)
-            assert asked["apiName"] == "VTubeStudioPublicAPI" and asked["apiVersion"] == "1.0"
-            kind, data = asked["messageType"], asked["data"]
-            if kind == "AuthenticationTokenRequest":
-                if not self.allow:
-                    self.answer(
-                        connection, asked, "APIError", {"errorID": 50, "message": "User has denied API access."}
-                    )
-                    continue
-                self.tokens = (TOKEN,)
-                answered = {"authenticationToken": TOKEN}
-            elif kind == "AuthenticationRequest":
-                known = data["authenticationToken"] in self.tokens
-                answered = {"authenticated": known, "reason": "Token valid." if known else "Token invalid."}
-            elif not known:
-                self.answer(connection, asked, "APIError", {"errorID": 8, "message": "Not authenticated."})
-                continue
-            else:
-                answered = {}
-            self.answer(connection, asked, kind.replace("Request", "Response"), answered)
-
-    def answer(self, connection: ServerConnection, asked: dict, kind: str, data: dict) -> None:
-        head = {"apiName": "VTubeStudioPublicAPI", "apiVersion": "1.0", "timestamp": 1625405710728}
-        connection.send(json.dumps({**head, "requestID": asked["requestID"], "messageType": kind, "data": data}))
-
-
-@contextmanager
-def running(studio: Studio, port: int = 0) -> Iterator[int]:
-    with serve(studio.attend, "127.0.0.1", port) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        yield server.socket.getsockname()[1]
-        for connection in studio.connections:
-            connection.close()
-        server.shutdown()
-        thread.join()
 
 
 def wait_for(condition) -> None:

@@ -1,0 +1,47 @@
+"""Addresses: which are of this computer, and how they are written."""
+
+import pytest
+
+from facemime.core.errors import SourceError
+from facemime.core.streams.addresses import is_loopback, parse_address
+
+
+@pytest.mark.parametrize(
+    ("host", "local"),
+    [
+        ("127.0.0.1", True),
+        ("localhost", True),
+        ("::1", True),
+        ("127.9.9.9", True),
+        ("0.0.0.0", False),
+        ("::", False),
+        ("192.168.1.7", False),
+        ("phone.local", False),
+        ("localhost.example.org", False),
+        ("", False),
+        ("127.1", False),
+    ],
+)
+def test_only_addresses_of_this_computer_count_as_local(host, local):
+    assert is_loopback(host) == local
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("192.168.1.7:39539", ("192.168.1.7", 39539)),
+        ("phone.local", ("phone.local", 7)),
+        (":5", ("127.0.0.1", 5)),
+        ("[::1]:9", ("::1", 9)),
+        ("::1", ("::1", 7)),
+        ("", ("127.0.0.1", 7)),
+    ],
+)
+def test_addresses_are_parsed(text, wanted):
+    assert parse_address(text, 7) == wanted
+
+
+@pytest.mark.parametrize("text", ["host:x", "host:99999", "http://host:5", "a b:5", "host:-1", "user@host:1"])
+def test_what_is_no_address_is_refused(text):
+    with pytest.raises(SourceError):
+        parse_address(text)

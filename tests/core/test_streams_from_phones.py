@@ -1,0 +1,105 @@
+"""Phones and Face Cap on real sockets: what they send is played, and what others send is not."""
+
+import json
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from facemime.core.streams import ifacialmocap, osc
+from facemime.core.streams.face_cap import NAMES
+from facemime.core.streams.settings import PROTOCOLS
+from links import collected, streamed
+from takes import coefficient_take as acted
+
+
+def phone_text(values: np.ndarray) -> bytes:
+    names = [name.replace("Left", "_L").replace("Right", "_R") for name in COEFFICIENT_INDEX]
+    parts = [f"{name}-{round(100 * value)}" for name, value in zip(names, values.tolist(), strict=True)]
+    return ("|".join(parts) + "|=head#5.0,-10.0,2.0,0.0,0.0,-0.5|rightEye#0,0,0|leftEye#0,0,0|").encode()
+
+
+def phone_json(values: np.ndarray) -> bytes:
+    entries = [{"k": name, "v": value} for name, value in zip(COEFFICIENT_INDEX, values.tolist(), strict=True)]
+    vector = {"x": 0.0, "y": 0.0, "z": 0.0}
+    stamp = int(1e3 * time.monotonic())
+    packet = {"Timestamp": stamp, "FaceFound": True, "Rotation": vector, "Position": vector, "BlendShapes": entries}
+    return json.dumps(packet).encode()
+
+
+class Phone(threading.Thread):
+    """A phone that sends only after it was asked, to where the question came from."""
+
+    def __init__(self, monkeypatch, protocol: str, packet, values: np.ndarray) -> None:
+        super().__init__(daemon=True)
+        self.asked: list[bytes] = []
+        self._packet, self._values, self._ended = packet, values, threading.Event()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.02)
+        changed = PROTOCOLS[protocol].__dict__ | {"phone_port": self._socket.getsockname()[1]}
+        monkeypatch.setitem(PROTOCOLS, protocol, type(PROTOCOLS[protocol])(**changed))
+
+    def run(self) -> None:
+        number, where = 0, None
+        while not self._ended.is_set():
+            try:
+                question, where = self._socket.recvfrom(4096)
+                self.asked.append(question)
+            except TimeoutError:
+                if where is not None:
+                    self._socket.sendto(self._packet(self._values[number % len(self._values)]), where)
+                    number += 1
+
+    def close(self) -> None:
+        self._ended.set()
+        self.join()
+        self._socket.close()
+
+
+@pytest.mark.parametrize(
+    ("protocol", "packet", "precision"),
+    [("ifacialmocap", phone_text, 0.0051), ("facemotion3d", phone_text, 0.0051), ("vtubestudio", phone_json, 1e-6)],
+)
+def test_a_phone_is_asked_and_what_it_sends_is_played(opened, monkeypatch, protocol, packet, precision):
+    values = acted(12).coefficients
+    phone = Phone(monkeypatch, protocol, packet, values)
+    phone.start()
+    try:
+        source = opened(protocol, phone="127.0.0.1")
+        frames = collected(source, 20)
+    finally:
+        phone.close()
+    first = frames[0].result.coefficients
+    at = int(np.abs(values - first).max(axis=1).argmin())
+    for number, frame in enumerate(frames):
+        np.testing.assert_allclose(frame.result.coefficients, values[(at + number) % len(values)], atol=precision)
+    assert phone.asked and (protocol != "vtubestudio" or json.loads(phone.asked[0])["ports"] == [source.address[1]])
+
+
+def test_face_cap_is_played(opened):
+    take, source = acted(), opened("facecap")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+
+        def send(number: int) -> None:
+            out.sendto(osc.encode_message("/HR", 0.0, 0.0, 0.0), source.address)
+            for place, name in enumerate(NAMES):
+                value = float(take.coefficients[number, COEFFICIENT_INDEX[name]])
+                out.sendto(osc.encode_message("/W", place, value), source.address)
+
+        frames = streamed(source, take, send)
+    for number, frame in enumerate(frames):
+        np.testing.assert_allclose(frame.result.coefficients, take.coefficients[number], atol=1e-6)
+
+
+def test_packets_of_others_than_the_phone_are_refused(opened):
+    source = opened("ifacialmocap", phone="127.0.0.2", host="127.0.0.1")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        out.sendto(phone_text(np.zeros(N_COEFFICIENTS)), source.address)
+    for _ in range(50):
+        source.read(0.01)
+    assert source.counts.refused == 1 and source.counts.accepted == 0
+    assert ifacialmocap.PORT == 49983
