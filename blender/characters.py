@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import HeadError
 from ..core.heads.bones import FaceBones
-from ..core.heads.eyeballs import part_eyeball
+from ..core.heads.eyeballs import sphere_of_lids
 from ..core.heads.parts import FaceParts, Part
 from .frames import HEAD_TO_BLENDER, from_blender, to_blender
 from .meshes import can_be_driven, driven_by_keys, read_faces, read_vertices
@@ -161,12 +161,11 @@ def part_mesh(head: bpy.types.Object, part: Part) -> tuple[NDArray[np.float64], 
 
 
 def part_eyeballs(head: bpy.types.Object) -> NDArray[np.float64]:
-    """Return (E, 4) centre and radius, in the head frame, of each round eye among the parts of a face, over which the
-    lids slide, whether its vertices or a bone turn it.
+    """Return (E, 4) centre and radius, in the head frame, of the sphere over which the lids slide, for each round eye
+    among the parts of a face, whether its vertices or a bone turn it.
     """
     eyes = [part_mesh(head, part)[0] for part in _EYE_BONES]
-    spheres = [part_eyeball(eye) for eye in eyes if len(eye) > _MIN_EYE]
-    return np.array([sphere for sphere, is_round in spheres if is_round]).reshape(-1, 4)
+    return np.array([around for eye in eyes if len(eye) > _MIN_EYE for around in sphere_of_lids(eye)]).reshape(-1, 4)
 
 
 def read_kinds(mesh: bpy.types.Mesh) -> NDArray[np.int8]:

@@ -188,12 +188,19 @@ def _numbered(
     return number, np.bincount(number[landmarks[_FACE_LANDMARKS]], minlength=count)
 
 
+def _faces_of(group: _Pieces, piece: int) -> IntArray:
+    """Return the faces of a piece, as indices into its own vertices."""
+    faces = read_faces(group.obj.data)
+    own = np.append(np.cumsum(group.number == piece) - 1, -1)
+    return own[faces[group.number[faces[:, 0]] == piece]]
+
+
 def _store(group: _Pieces, parts: Sequence[Part | None], head: bpy.types.Object, points: FloatArray) -> None:
     """Store the part of each vertex of an object, and that it belongs to `head`."""
     kinds = np.array([Part.TEETH_UPPER if part is None else part for part in parts], dtype=np.int8)[group.number]
     for i in (i for i, part in enumerate(parts) if part is None):
         within = np.flatnonzero(group.number == i)
-        kinds[within[lower_row(group.pieces[i].vertices, points)]] = Part.TEETH_LOWER
+        kinds[within[lower_row(group.pieces[i].vertices, _faces_of(group, i), points)]] = Part.TEETH_LOWER
     write_kinds(group.obj.data, kinds)
     if group.obj != head:
         group.obj[HEAD_PROPERTY] = head

@@ -77,6 +77,11 @@ def open_stage(job: PuppetJob) -> Stage:
     return Stage(scene, head, settings)
 
 
+def _moment(start: float, end: float) -> str:
+    first, last = f"{start:.2f}", f"{end:.2f}"
+    return f"{first} s" if first == last else f"{first} to {last} s"
+
+
 def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> PuppetReport:
     """Animate the head by `take` and write all outputs; `video` is None if there is only the take."""
     scene, head, own = stage.scene, stage.head, job.head is not None
@@ -89,7 +94,7 @@ def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> Pupp
     neutral = report.neutral
     tell(
         f"Baked {len(report.motion.times)} frames: {report.summary()}; "
-        f"neutral at {neutral.start:.2f}-{neutral.end:.2f} s"
+        f"neutral face at {_moment(neutral.start, neutral.end)}"
     )
     for warning in report.warnings:
         tell(warning)

@@ -17,6 +17,8 @@ _REACH = 1.8
 """Distance from the centre of an eyeball, in radii, within which vertices are kept outside of it."""
 _ROBUST_STEPS, _ROBUST_SHARE = 4, 0.8
 """Fits of an eyeball, each to this share of the vertices, those nearest to the last sphere: a cornea bulges."""
+_MOST_BULGE = 1.2
+"""Distance of the cornea's apex from the centre of its eye, in radii; what lies further out is no cornea."""
 _SLACK = 1e-5
 """Share of the squared distance that a vertex may lose to rounding without having moved."""
 
@@ -60,6 +62,25 @@ def part_eyeball(points: FloatArray) -> tuple[FloatArray, bool]:
         return sphere, True
     middle = (low + high) / 2.0
     return np.array([middle[0], middle[1], low[2] + half, half]), False
+
+
+def sphere_of_lids(points: FloatArray) -> list[FloatArray]:
+    """Return the sphere around a separate eye over which lids slide.
+
+    Parameters
+    ----------
+    points : (N, 3) array
+        As in `part_eyeball`.
+
+    Returns
+    -------
+    list of (4,) float64
+        Centre and radius, as far as the apex of the cornea, over which lids would break otherwise; none for an eye that
+        is not round.
+    """
+    sphere, is_round = part_eyeball(points)
+    apex = float(np.linalg.norm(points - sphere[:3], axis=1).max())
+    return [np.array([*sphere[:3], min(apex, _MOST_BULGE * sphere[3])])] if is_round else []
 
 
 class EyeballContact:

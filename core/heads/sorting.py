@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..landmarks import (
     BROWS,
     EYE_LEFT,
@@ -19,6 +19,7 @@ from ..landmarks import (
     MOUTH_INNER_UPPER,
     outer_eye_distance,
 )
+from ..mesh.surface import SurfaceGraph
 from .parts import Part
 
 _ON_SKIN = (
@@ -52,10 +53,22 @@ _NEAR_EYE = 0.6
 """Widths of an eye from its middle, seen from the front, within which the middle of a piece is for it to be an eye."""
 _EYE_SIZE = (0.15, 1.5)
 """Range of the width of an eye's pieces, in widths of the opening between the lids."""
+_BEYOND = 0.08
+"""Outer-eye distances to which gums of both rows reach above and below where the rows meet; teeth overlap by less."""
+_TALLEST = 0.7
+"""Outer-eye distances that teeth and gums of both rows are high together; a scanned mouth has .54."""
 _MOUTH = (0.75, 0.45)
 """Half widths of the mouth, and outer-eye distances above and below it, within which pieces are teeth."""
-_ROW_GAP = 0.01
-"""Outer-eye distances between heights that count as a gap between the rows of teeth."""
+_END = 0.1
+"""Share of the height of gums at either end that is sure to belong to that row. Of a scanned mouth whose true motion is
+known, all that is seen from the front is told apart by shares of .05 to .4.
+"""
+_FLAT = 0.2
+"""Widths of an eye's opening from the rim, in the median, within which a piece as wide as the opening is no eye:
+lashes, the lids' own edge or a film of tears. Eyeballs reach .5, their front halves .3.
+"""
+_WIDE = 0.75
+"""Share of the opening's width above which a piece may be one of these, rather than an iris or a cornea."""
 _CLOSE = 0.12
 """Outer-eye distances from the skin of the face within which a piece rides on it."""
 
@@ -152,21 +165,30 @@ def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None
     return parts
 
 
-def lower_row(vertices: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
-    """Which vertices (N, 3) of a piece with both rows of teeth belong to the lower one, (N,) bool.
+def lower_row(vertices: FloatArray, faces: IntArray, points: FloatArray) -> NDArray[np.bool_]:
+    """Find what moves with the lower teeth in a piece with both rows, such as gums that are joined with the tongue.
 
-    The rows meet in the gap between heights that is nearest to the slit of the mouth.
+    Parameters
+    ----------
+    vertices : (N, 3) array
+        Positions, frame of the head.
+    faces : (F, K) array of int
+        Faces of the piece, padded with -1.
+    points : (66, 3) array
+        Landmarks, frame of the head.
+
+    Returns
+    -------
+    (N,) bool
+        Whether the lowest vertices are nearer, along the surface, than the highest. A tongue lies above the edge of the
+        lower teeth, yet grows from below.
     """
-    unit = outer_eye_distance(points)
     height = np.asarray(vertices)[:, 1]
+    ends = _END * float(np.ptp(height))
+    upper, lower = np.flatnonzero(height <= height.min() + ends), np.flatnonzero(height >= height.max() - ends)
+    nearest = SurfaceGraph(vertices, faces).nearest_seeds(np.concatenate([upper, lower]))
     slit = float(np.asarray(points)[np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])].mean(axis=0)[1])
-    order = np.sort(height)
-    wide = np.flatnonzero(np.diff(order) > _ROW_GAP * unit)
-    if not len(wide):
-        return np.asarray(height > slit)
-    off = np.maximum(np.maximum(order[wide] - slit, slit - order[wide + 1]), 0.0)
-    gap = wide[np.argmin(off)]
-    return np.asarray(height > (order[gap] + order[gap + 1]) / 2.0)
+    return np.where(nearest < 0, height > slit, np.isin(nearest, lower))
 
 
 def _divide_teeth(pieces: Sequence[Piece], parts: list[Part | None], points: FloatArray, unit: float) -> None:
@@ -188,7 +210,8 @@ def _divide_teeth(pieces: Sequence[Piece], parts: list[Part | None], points: Flo
         border = float(order[at] + order[at + 1]) / 2.0
     for i, height in zip(unsure, heights, strict=True):
         y = pieces[i].vertices[:, 1]
-        if len(unsure) == 1 and np.ptp(y) > 0.12 * unit:
+        both = min(border - y.min(), y.max() - border) > _BEYOND * unit
+        if both or (len(unsure) == 1 and np.ptp(y) > 0.12 * unit):
             parts[i] = None
         elif height > border:
             parts[i] = Part.TEETH_LOWER
@@ -205,8 +228,17 @@ def _is_eye(piece: Piece, points: FloatArray) -> bool:
         covers = (low[:2] < middle[:2]).all() and (high[:2] > middle[:2]).all()
         behind = -0.4 * width < low[2] - middle[2] < 1.2 * width
         if near and covers and behind and _EYE_SIZE[0] < size < _EYE_SIZE[1] * 1.6:
-            return True
+            return size < _WIDE or _from_rim(piece.vertices, rim) > _FLAT * width
     return False
+
+
+def _from_rim(vertices: FloatArray, rim: FloatArray) -> float:
+    """Median distance of vertices (N, 3) from the closed line through the landmarks (6, 3) of an eye."""
+    ends = np.roll(rim, -1, axis=0)
+    along = ends - rim
+    away = np.asarray(vertices)[:, None] - rim
+    share = np.clip((away * along).sum(axis=2) / np.maximum(np.square(along).sum(axis=1), 1e-30), 0.0, 1.0)
+    return float(np.median(np.linalg.norm(away - share[..., None] * along, axis=2).min(axis=1)))
 
 
 def _is_in_mouth(piece: Piece, points: FloatArray, unit: float) -> bool:
@@ -222,7 +254,7 @@ def _is_in_mouth(piece: Piece, points: FloatArray, unit: float) -> bool:
         and middle[2] > lips[2] + 0.03 * unit
         and low[1] > brow
         and (high - low)[0] < 1.5 * width
-        and (high - low)[1] < 0.5 * unit
+        and (high - low)[1] < _TALLEST * unit
     )
 
 

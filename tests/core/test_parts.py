@@ -12,11 +12,11 @@ from facemime.core.deform.glue import Glue
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.heads.bones import FaceBones, find_bones
 from facemime.core.heads.built_in import load_head
-from facemime.core.heads.eyeballs import part_eyeball
+from facemime.core.heads.eyeballs import part_eyeball, sphere_of_lids
 from facemime.core.heads.parts import Part, skin_of
 from facemime.core.heads.rig import HeadRig, built_in_rig
 from facemime.core.heads.sorting import Piece, lower_row, named_part, names_body, names_skin, sort_pieces
-from facemime.core.landmarks import LIPS
+from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, outer_eye_distance
 from facemime.core.mesh.pieces import border_twins, islands
 from facemime.core.rotation import euler_to_matrix
 from facemime.core.takes.neutral import calibrate
@@ -186,14 +186,48 @@ def test_a_piece_close_to_moving_skin_rides_on_it_and_one_on_the_skull_rides_on_
     ]
 
 
-def test_teeth_in_one_piece_are_divided_where_the_rows_meet():
+def test_gums_that_are_joined_with_a_tongue_are_divided_where_they_grow():
     head = load_head()
     points = head.vertices[head.landmarks].astype(np.float64)
-    rows = {part.name: part.vertices for part in head.parts if part.name.startswith("teeth")}
-    both = np.concatenate([rows["teeth_upper"], rows["teeth_lower"]])
-    lower = lower_row(both, points)
-    true = np.arange(len(both)) >= len(rows["teeth_upper"])
-    assert (lower == true).mean() > 0.9
+    unit, slit = outer_eye_distance(points), points[LIPS].mean(axis=0)
+    tongue = -0.05  # above the slit of the mouth
+    profile = [
+        (-0.3, 0.1),
+        (-0.25, 0.1),
+        (-0.2, 0.7),
+        (tongue, 0.6),
+        (tongue, 0.2),
+        (0.1, 0.25),
+        (0.25, 0.15),
+        (0.3, 0.15),
+    ]
+    across = np.linspace(-0.25, 0.25, 9)
+    places = np.array([(x, slit[1] / unit + y, slit[2] / unit + z) for y, z in profile for x in across]) * unit
+    row = np.arange(len(places)).reshape(len(profile), 9)
+    faces = np.stack([row[:-1, :-1], row[:-1, 1:], row[1:, 1:], row[1:, :-1]], axis=-1).reshape(-1, 4)
+    lower = lower_row(places, faces, points).reshape(row.shape)
+    assert not lower[:2].any() and lower[4:].all()
+    teeth = [Piece(places[row[rows].ravel()], ("", "tooth")) for rows in ([0, 1], [6, 7])]
+    gums = Piece(places, ("", "piece"))
+    assert sort_pieces([*teeth, gums], points) == [Part.TEETH_UPPER, Part.TEETH_LOWER, None]
+
+
+@pytest.mark.parametrize("side", [EYE_RIGHT, EYE_LEFT])
+def test_lashes_and_films_of_tears_are_no_eyes_and_ride_on_the_lids(side):
+    head = load_head()
+    points = head.vertices[head.landmarks].astype(np.float64)
+    rim, width = points[side], float(np.ptp(points[side][:, 0]))
+    middle = rim.mean(axis=0)
+    lashes = np.concatenate([rim, middle + 1.3 * (rim - middle) - (0.0, 0.0, 0.2 * width)])
+    tears = np.concatenate([rim, middle + 0.7 * (rim - middle) - (0.0, 0.0, 0.05 * width)])
+    iris = middle + 0.15 * width * np.array([(np.cos(a), np.sin(a), 0.0) for a in np.linspace(0.0, 6.0, 12)])
+    grid = np.linspace(0.1, np.pi - 0.1, 9)
+    ball = np.array([(np.sin(a) * np.cos(2 * b), np.cos(a), np.sin(a) * np.sin(2 * b)) for a in grid for b in grid])
+    ball = middle + (0.0, 0.0, 0.35 * width) + 0.45 * width * ball
+    front = ball[ball[:, 2] < middle[2] + 0.35 * width]
+    pieces = [Piece(places, ("", "Object"), away=0.05) for places in (lashes, tears, iris, ball, front)]
+    eye = Part.EYE_RIGHT if side is EYE_RIGHT else Part.EYE_LEFT
+    assert sort_pieces(pieces, points) == [Part.ON_SKIN, Part.ON_SKIN, eye, eye, eye]
 
 
 @given(ANGLES, ANGLES, ANGLES)
@@ -226,15 +260,19 @@ def test_the_sphere_of_an_eye_is_found_in_spite_of_its_cornea(radius, seed):
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     ways = ways[ways[:, 2] < 0.3]
     bulge = 1.0 + 0.12 * np.clip((-ways[:, 2] - 0.9) / 0.1, 0.0, 1.0)
-    sphere, is_round = part_eyeball(radius * ways * bulge[:, None] + (1.0, 2.0, 3.0))
+    eye = radius * ways * bulge[:, None] + (1.0, 2.0, 3.0)
+    sphere, is_round = part_eyeball(eye)
     assert is_round
     np.testing.assert_allclose(sphere, [1.0, 2.0, 3.0, radius], atol=0.03 * radius)
+    (around,) = sphere_of_lids(eye)
+    np.testing.assert_allclose(around, [1.0, 2.0, 3.0, radius * bulge.max()], atol=0.05 * radius)
+    assert (np.linalg.norm(eye - around[:3], axis=1) < around[3] * (1.0 + 1e-9)).all(), "the lids pass over the cornea"
 
 
 def test_a_flat_eye_is_not_taken_for_a_sphere():
     disc = np.array([[np.cos(a) * r, np.sin(a) * r, 0.0] for a in np.linspace(0, 6, 30) for r in (0.3, 0.7, 1.0)])
     sphere, is_round = part_eyeball(disc)
-    assert not is_round
+    assert not is_round and not sphere_of_lids(disc)
     assert sphere[2] > 0.5
 
 
