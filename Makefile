@@ -5,6 +5,8 @@ CACHE ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/facemime
 BIN := .venv/bin
 STAMP := .venv/.ready
 export FACEMIME_CACHE := $(CACHE)
+# Commands are started hundreds of times by the tests: what is compiled is kept, whatever the environment says.
+export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/three/three.core.js
 

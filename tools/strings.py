@@ -13,6 +13,7 @@ import argparse
 import ast
 import json
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -74,10 +75,15 @@ def _modules(*patterns: str) -> list[Path]:
     return sorted(path for pattern in patterns for path in ROOT.glob(pattern))
 
 
+@cache
+def _nodes(path: Path) -> list[ast.AST]:
+    """All nodes of a module, the module itself first."""
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
 def strings(path: Path) -> Iterator[str]:
     """Yield the texts of a module that Blender looks up."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
+    for node in _nodes(path):
         if isinstance(node, ast.ClassDef):
             yield from _of_class(node)
         elif isinstance(node, ast.Call):
@@ -125,9 +131,8 @@ def _texts(node: ast.expr) -> Iterator[str]:
 
 def reasons(path: Path) -> Iterator[str]:
     """Yield the messages of the ValueErrors of a module, and the templates of those that contain values."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    constants = dict(_constants(tree))
-    for node in ast.walk(tree):
+    constants = dict(_constants(_nodes(path)[0]))
+    for node in _nodes(path):
         if isinstance(node, ast.Call) and _name(node.func) in _REASONS:
             for part in node.args:
                 yield from _templates(part, constants)
@@ -135,9 +140,8 @@ def reasons(path: Path) -> Iterator[str]:
 
 def messages(path: Path) -> Iterator[str]:
     """Yield the messages of a module, and the templates of those that contain values."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    constants = dict(_constants(tree))
-    for node in ast.walk(tree):
+    constants = dict(_constants(_nodes(path)[0]))
+    for node in _nodes(path):
         if isinstance(node, ast.Call) and _makes_message(node.func):
             found = [*node.args, *(word.value for word in node.keywords if word.arg in ("message", "reason"))]
         elif isinstance(node, ast.FunctionDef) and node.name in _FUNCTIONS:
@@ -230,6 +234,7 @@ def _name(node: ast.expr) -> str:
     return str(getattr(node, "id", getattr(node, "attr", "")))
 
 
+@cache
 def wanted() -> list[str]:
     """Return all texts and templates, each once, in the order of the sources."""
     texts = [text for path in sources() for text in strings(path)]

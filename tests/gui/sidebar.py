@@ -124,15 +124,17 @@ class Sidebar:
         return str(self.blender.do(_PASTE))
 
     def places(self) -> Iterator[tuple[float, float]]:
-        """Yield positions of possible buttons: the large ones of the box on top, the first rows, then column by column,
-        the most crowded first.
+        """Yield positions of possible buttons: the large ones of the box on top, the first rows, most of whose buttons
+        reach the middle, then column by column.
         """
         box, columns = self.box(), (0.45, 0.2, 0.8, 0.9)
         for column in (0.25, 0.8) if self._box else ():
             yield box.x + column * (box.width - self.unit), box.y + self.unit * _STEPS
         rows = range(int((box.height / self.unit - self._top) / _STEP))
-        first = [(column, row) for row in rows[:4] for column in columns]
-        for column, row in first + [(column, row) for column in columns for row in rows[4:]]:
+        middle, *others = columns
+        first = [(middle, row) for row in rows[:10]] + [(column, row) for row in rows[:5] for column in others]
+        rest = [(column, row) for column in columns for row in rows if (column, row) not in first]
+        for column, row in first + rest:
             yield box.x + column * (box.width - self.unit), box.y + self.unit * (self._top + _STEP * row)
 
     def panels(self) -> list[str]:
