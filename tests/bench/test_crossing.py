@@ -48,6 +48,7 @@ def test_a_face_that_was_hidden_by_a_passer_by_is_tracked_again_and_the_passer_b
     assert run.returned
 
 
+@pytest.mark.thorough
 @needs_photos
 def test_a_face_that_passes_in_front_of_another_is_never_lost(tracker: FaceTracker) -> None:
     frames, behind, before = cross(walking("070"), walking("031"), speed=3.5)

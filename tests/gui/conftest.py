@@ -14,7 +14,7 @@ from sidebar import Sidebar
 from window import MODULE, ROOT, Blender, places
 
 SUITES = ("trixie", "sid")
-_QUICK = "sid"
+QUICK = "sid"
 """Suite with the newest Blender; the other one is tested by `make test-all`."""
 _INSTALL = """
 class FACEMIME_PT_install(bpy.types.Panel):
@@ -73,7 +73,7 @@ def installed(suite: str, name: str, size: tuple[int, int]) -> Iterator[Blender]
 
 
 @pytest.fixture(
-    scope="module", params=[pytest.param(suite, marks=[pytest.mark.thorough] * (suite != _QUICK)) for suite in SUITES]
+    scope="module", params=[pytest.param(suite, marks=[pytest.mark.thorough] * (suite != QUICK)) for suite in SUITES]
 )
 def blender(request: pytest.FixtureRequest) -> Iterator[Blender]:
     """A window with the extension installed. Each test starts with a new file."""
