@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import bpy
 
+from .contexts import in_a_window
+
 
 def push_undo(message: str) -> None:
     """Push an undo step, also from a timer or a handler, whose context has no window."""
-    windows = bpy.context.window_manager.windows
-    with bpy.context.temp_override(window=windows[0]) if windows else bpy.context.temp_override():
+    with in_a_window():
         if bpy.ops.ed.undo_push.poll():
             bpy.ops.ed.undo_push(message=message)

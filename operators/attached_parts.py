@@ -9,6 +9,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
+from ..blender.contexts import in_a_window
 from ..blender.heads import attached
 from ..blender.registering import watch
 from ..blender.undo import push_undo
@@ -64,7 +65,7 @@ def attend() -> float | None:
         windows = bpy.context.window_manager.windows
         if Session.running() is not None or any(map(_is_editing, windows)):
             return _INTERVAL
-        with bpy.context.temp_override(window=windows[0]) if windows else bpy.context.temp_override():
+        with in_a_window():
             if bpy.ops.ed.undo.poll():
                 _operator()("EXEC_DEFAULT", True)
             else:  # there is no step before the user's, which Blender needs to replace it

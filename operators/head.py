@@ -5,6 +5,7 @@ from bpy.props import BoolProperty
 
 from ..blender.heads.built_in import add_head
 from ..blender.placement import free_place
+from ..sessions.session import Session
 from .shared import ReportsErrors, require_object_mode
 
 
@@ -40,7 +41,12 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
 
 
 def _frame_selected(context: bpy.types.Context) -> None:
-    """Frame the selection from the front, also when the operator was called from the sidebar."""
+    """Frame the selection from the front, also when the operator was called from the sidebar.
+
+    While a puppet runs the view stays: see `blender.contexts`.
+    """
+    if Session.running() is not None:
+        return
     view = next((region for region in context.area.regions if region.type == "WINDOW"), None)
     if view is not None:
         with context.temp_override(region=view):

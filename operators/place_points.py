@@ -5,6 +5,7 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import StringProperty
 
+from ..blender.contexts import in_a_window
 from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
 from ..blender.heads.placing import Placing, marks_to_ask, skin_under
 from ..blender.viewports import Viewport, redraw, viewport_under
@@ -191,8 +192,7 @@ def _keep(placing: Placing) -> None:
 
 def _find_face() -> None:
     """Start the search once the marks are an undo step of their own."""
-    window = bpy.context.window_manager.windows[0]
-    with bpy.context.temp_override(window=window):
+    with in_a_window():
         if bpy.ops.facemime.bind_landmarks.poll():
             bpy.ops.facemime.bind_landmarks("INVOKE_DEFAULT")
 

@@ -109,6 +109,8 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         self._rigs.step()
         if session.step():
             redraw(context, "WINDOW")
+        if session.pending:
+            session.attend()
         if session.ended:
             return self.finish(context)
         if abs(self._timer_seconds() - self._redrawn_at) > _STATUS_INTERVAL:

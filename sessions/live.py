@@ -292,6 +292,11 @@ class LiveSession(Session):
         """Whether there is a recording that is not in the list yet, or a range to be re-recorded."""
         return super().pending or self.recording is not None or self.punch_in is not None
 
+    @property
+    def has_events(self) -> bool:
+        """Whether the operator attends to the session."""
+        return self.operator is not None
+
     def attend(self) -> None:
         """Continue with the range that is being re-recorded, and add a recording that has ended to the list."""
         for step in (self._continue_punch_in, self._add_to_list):

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import bpy
 
+from ..blender.contexts import in_a_window
 from ..blender.timeline import frames_of
 from ..core.errors import FacemimeError
 from ..core.takes.file import load_take
@@ -117,5 +118,5 @@ class PunchIn:
             scene.sync_mode = self._sync_mode
         for window in bpy.context.window_manager.windows:
             if window.screen.is_animation_playing:
-                with bpy.context.temp_override(window=window):
+                with in_a_window(window):
                     bpy.ops.screen.animation_cancel(restore_frame=False)

@@ -81,6 +81,11 @@ class Session:
             self.close()
         self._forget()
 
+    @property
+    def has_events(self) -> bool:
+        """Whether a modal operator attends to the session, whose context has a window, as a timer's does not."""
+        return False
+
     def attend_later(self) -> None:
         """Start the timer that calls `attend`, if the session is `pending`."""
         if self.pending:
@@ -104,7 +109,7 @@ class Session:
 
 
 def _attend() -> float | None:
-    if Session.current is not None:
+    if Session.current is not None and not Session.current.has_events:
         Session.current.attend()
     return None if Session.current is None or not Session.current.pending else _INTERVAL
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from conftest import _QUICK, SUITES, archive, place_of
+from conftest import QUICK, SUITES, archive, place_of
 from facemime.core.takes.file import load_take, save_take
 from takes import performance
 from window import ROOT
@@ -78,7 +78,7 @@ class Installed:
 
 
 @pytest.fixture(
-    scope="module", params=[pytest.param(suite, marks=[pytest.mark.thorough] * (suite != _QUICK)) for suite in SUITES]
+    scope="module", params=[pytest.param(suite, marks=[pytest.mark.thorough] * (suite != QUICK)) for suite in SUITES]
 )
 def installed(request: pytest.FixtureRequest) -> Iterator[Installed]:
     blender = Installed(place_of(request.param))
