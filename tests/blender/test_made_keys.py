@@ -98,6 +98,7 @@ def test_a_set_is_made_on_all_parts_detected_and_baked_to(name, opens):
     assert len(live_keys(head, "KEYS").offsets) > 5
 
 
+@pytest.mark.thorough
 def test_the_eyes_and_teeth_of_the_built_in_head_get_a_set_too():
     head = add_head(bpy.context)
     made = make_expression_keys(head, KEY_SETS["vrm"])
@@ -109,7 +110,7 @@ def test_the_eyes_and_teeth_of_the_built_in_head_get_a_set_too():
     assert again.added == 0 and len(again.kept) == 18 and not again.qualities and not again.findings
 
 
-@pytest.mark.parametrize("name", first_of(["arkit", "vrm", "facegen"]))
+@pytest.mark.parametrize("name", first_of(["vrm", "arkit", "facegen"]))
 def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(keyed, name):
     objects = keyed(name)
     assert bpy.ops.facemime.bind_keys() == {"FINISHED"}

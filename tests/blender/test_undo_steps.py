@@ -16,7 +16,7 @@ def allocate():
 
 for _ in range(2):
     threading.Thread(target=allocate, daemon=True).start()
-for number in range(150):
+for number in range(100):
     push_undo(f"Step {number}")
 os._exit(0)
 """

@@ -56,7 +56,7 @@ def test_the_space_of_people_is_as_wide_for_a_face_as_for_its_mirror_image(space
 
 def test_the_neutral_face_is_found_between_expressions(space: FaceSpace) -> None:
     away, estimated = [], []
-    for seed in range(10):
+    for seed in range(6):
         face = somebody(space, seed)
         neutral = calibrate(make_take(acting(face, space, seed, 160)))
         away.append(np.abs(without_similarity(neutral.shape[None] - face, space.mean))[..., :2].mean())
