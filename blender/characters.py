@@ -165,7 +165,8 @@ def part_eyeballs(head: bpy.types.Object) -> NDArray[np.float64]:
     among the parts of a face, whether its vertices or a bone turn it.
     """
     eyes = [part_mesh(head, part)[0] for part in _EYE_BONES]
-    return np.array([around for eye in eyes if len(eye) > _MIN_EYE for around in sphere_of_lids(eye)]).reshape(-1, 4)
+    spheres = [sphere_of_lids(eye) for eye in eyes if len(eye) > _MIN_EYE]
+    return np.array([sphere for sphere in spheres if sphere is not None]).reshape(-1, 4)
 
 
 def read_kinds(mesh: bpy.types.Mesh) -> NDArray[np.int8]:

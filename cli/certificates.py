@@ -45,7 +45,7 @@ def load_identity(folder: Path) -> Identity:
     Raises
     ------
     SourceError
-        If the files cannot be used, or if there are none yet and `cryptography`, which makes them, is missing.
+        If the files cannot be used, or if there are none yet and the package `cryptography` is not installed.
     OutputError
         If they cannot be written.
     """

@@ -40,7 +40,7 @@ def chosen(scene: bpy.types.Scene) -> FacemimeTake:
 
 
 def at(scene: bpy.types.Scene, place: int) -> FacemimeTake:
-    """Return the take at an index of the list; raises FacemimeError if there is none."""
+    """Return the take at the given index of the list; raises FacemimeError if the list has no such entry."""
     takes = scene.facemime_takes.items
     if not 0 <= place < len(takes):
         raise FacemimeError("No take is selected. Record or import one.")

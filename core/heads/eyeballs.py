@@ -64,7 +64,7 @@ def part_eyeball(points: FloatArray) -> tuple[FloatArray, bool]:
     return np.array([middle[0], middle[1], low[2] + half, half]), False
 
 
-def sphere_of_lids(points: FloatArray) -> list[FloatArray]:
+def sphere_of_lids(points: FloatArray) -> FloatArray | None:
     """Return the sphere around a separate eye over which lids slide.
 
     Parameters
@@ -74,13 +74,15 @@ def sphere_of_lids(points: FloatArray) -> list[FloatArray]:
 
     Returns
     -------
-    list of (4,) float64
-        Centre and radius, as far as the apex of the cornea, over which lids would break otherwise; none for an eye that
-        is not round.
+    (4,) float64 or None
+        Centre and radius, which reaches to the apex of the cornea so that it does not show through a closed lid; None
+        for an eye that is not round.
     """
     sphere, is_round = part_eyeball(points)
+    if not is_round:
+        return None
     apex = float(np.linalg.norm(points - sphere[:3], axis=1).max())
-    return [np.array([*sphere[:3], min(apex, _MOST_BULGE * sphere[3])])] if is_round else []
+    return np.array([*sphere[:3], min(apex, _MOST_BULGE * sphere[3])])
 
 
 class EyeballContact:

@@ -56,12 +56,12 @@ _EYE_SIZE = (0.15, 1.5)
 _BEYOND = 0.08
 """Outer-eye distances to which gums of both rows reach above and below where the rows meet; teeth overlap by less."""
 _TALLEST = 0.7
-"""Outer-eye distances that teeth and gums of both rows are high together; a scanned mouth has .54."""
+"""Outer-eye distances that teeth and gums of both rows are high together; that of ICT-FaceKit has .54."""
 _MOUTH = (0.75, 0.45)
 """Half widths of the mouth, and outer-eye distances above and below it, within which pieces are teeth."""
 _END = 0.1
-"""Share of the height of gums at either end that is sure to belong to that row. Of a scanned mouth whose true motion is
-known, all that is seen from the front is told apart by shares of .05 to .4.
+"""Share of the height of the gums, at either end, that certainly belongs to that row. On ICT-FaceKit, whose motion is
+known, every vertex that is visible from the front is assigned correctly with shares from .05 to .4.
 """
 _FLAT = 0.2
 """Widths of an eye's opening from the rim, in the median, within which a piece as wide as the opening is no eye:

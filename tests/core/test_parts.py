@@ -264,7 +264,7 @@ def test_the_sphere_of_an_eye_is_found_in_spite_of_its_cornea(radius, seed):
     sphere, is_round = part_eyeball(eye)
     assert is_round
     np.testing.assert_allclose(sphere, [1.0, 2.0, 3.0, radius], atol=0.03 * radius)
-    (around,) = sphere_of_lids(eye)
+    around = sphere_of_lids(eye)
     np.testing.assert_allclose(around, [1.0, 2.0, 3.0, radius * bulge.max()], atol=0.05 * radius)
     assert (np.linalg.norm(eye - around[:3], axis=1) < around[3] * (1.0 + 1e-9)).all(), "the lids pass over the cornea"
 
@@ -272,7 +272,7 @@ def test_the_sphere_of_an_eye_is_found_in_spite_of_its_cornea(radius, seed):
 def test_a_flat_eye_is_not_taken_for_a_sphere():
     disc = np.array([[np.cos(a) * r, np.sin(a) * r, 0.0] for a in np.linspace(0, 6, 30) for r in (0.3, 0.7, 1.0)])
     sphere, is_round = part_eyeball(disc)
-    assert not is_round and not sphere_of_lids(disc)
+    assert not is_round and sphere_of_lids(disc) is None
     assert sphere[2] > 0.5
 
 
