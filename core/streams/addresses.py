@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import socket
 
-from ..errors import SourceError
+from ..errors import OutputError, SourceError
 
 LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
 _ALL = {EVERYWHERE, "::"}
@@ -90,6 +90,14 @@ def cannot_listen(host: str, port: int, error: OSError) -> SourceError:
     return SourceError(
         f"Cannot listen on {host}:{port} ({error.strerror or error}). "
         "Close the program that uses the port, or choose another port."
+    )
+
+
+def cannot_send(host: str, port: int, error: OSError) -> OutputError:
+    """Return the error for an address that does not take what is sent to it."""
+    return OutputError(
+        f"Cannot send to {bracketed(host)}:{port} ({error.strerror or error}). "
+        "Check the address and the program that receives there."
     )
 
 

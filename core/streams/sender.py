@@ -20,7 +20,7 @@ from ..takes.neutral import Neutral
 from ..tracking.mirror import mirror_result
 from ..tracking.result import CAMERA_DISTANCE, TrackResult
 from . import datagram, live_link, openseeface, vmc
-from .addresses import LOOPBACK, is_loopback, resolve
+from .addresses import LOOPBACK, cannot_send, is_loopback, resolve
 from .frames import FaceValues, PacketError
 from .security import read_key
 from .sessions import OwnSender
@@ -168,7 +168,7 @@ class StreamSender:
         except BlockingIOError:
             return  # the network is busy, and the next frame is as good
         except OSError as error:
-            self.message = f"Cannot send to {self._address[0]}:{self._address[1]}: {error.strerror}."
+            self.message = str(cannot_send(*self._address, error))
             return
         self.sent += bool(packets)
         self.message = ""

@@ -18,7 +18,7 @@ from ..arrays import FloatArray
 from ..drive.driver import HeadDriver, HeadFrame
 from ..heads.appearance import Appearance
 from ..live.key_driver import KeyDriver
-from .addresses import bracketed, resolve
+from .addresses import cannot_send, resolve
 from .background import Connecting
 
 PORT = 21575
@@ -134,8 +134,7 @@ class VertexSender(Connecting):
                 self.message = ""
                 self._feed(connection)
         except OSError as error:
-            host, port = self._address
-            self.message = f"Cannot send to {bracketed(host)}:{port}: {error.strerror or error}."
+            self.message = str(cannot_send(*self._address, error))
 
     def _feed(self, connection: socket.socket) -> None:
         """Send meshes whenever they are others, and frames, until the connection or the sender ends."""

@@ -301,6 +301,14 @@ def test_the_first_frames_come_to_a_computer_that_was_not_listening_yet_without_
     sender.close()
 
 
+def test_an_address_that_nothing_may_be_sent_to_is_a_message_that_says_what_to_do():
+    sender = StreamSender(SendSettings("livelink", host="255.255.255.255"))
+    sender.send(0.0, acted(5).result(0), coefficient_face().neutral)
+    assert sender.message.startswith("Cannot send to 255.255.255.255:") and "Check the address" in sender.message
+    assert sender.sent == 0
+    sender.close()
+
+
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
