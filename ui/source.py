@@ -5,6 +5,7 @@ import sys
 import bpy
 
 from ..blender.messages import CONTEXT
+from ..blender.messages import interface as _
 from ..core.live.camera import list_cameras
 from ..core.streams.settings import OWN, PROTOCOLS
 from ..operators.puppet import running
@@ -62,7 +63,7 @@ def _draw_stream(layout: bpy.types.UILayout, stream: FacemimeStream) -> None:
     column.prop(stream, "port")
     if stream.protocol == OWN:
         column.prop(stream, "key")
-    layout.prop(stream, "sender")
+    layout.prop(stream, "sender", placeholder=_("First that comes"))
     layout.prop(stream, "delay")
     if stream.protocol == "livelink":
         layout.prop(stream, "angles")
@@ -76,9 +77,13 @@ def _draw_senders(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     heads = heads_in(context) if session is None else [shown.obj for shown in session.objects if not shown.gone]
     if len(heads) < 2:
         return
-    column = layout.column(align=True, heading="Senders", heading_ctxt=CONTEXT)
+    layout.label(text="Senders", text_ctxt=CONTEXT)
+    column = layout.column(align=True)
+    column.use_property_split = False
     for head in heads:
-        column.prop(head.facemime, "sender", text=head.name, translate=False)
+        row = column.split(factor=0.55, align=True)
+        row.label(text=head.name, translate=False)
+        row.prop(head.facemime, "sender", text="", placeholder=_("Automatic"))
 
 
 def _draw_camera(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
