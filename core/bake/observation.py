@@ -69,7 +69,7 @@ class Observer:
         return np.asarray(np.clip(result.coefficients * self._gains, 0.0, 1.0))
 
     def shown(self, result: TrackResult) -> FloatArray:
-        """(15,) activations that an avatar would show (equation 4.5)."""
+        """(15,) activations that an avatar would show (equation 4.6)."""
         if self.options.only_landmarks:
             return np.zeros(len(ACTIONS))
         return self._actions.activations(result.actions, result.shape)

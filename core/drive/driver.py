@@ -15,13 +15,14 @@ from ..deform.rbf import IncrementalDeformer, RBFDeformer
 from ..heads.eyeballs import EyeballContact
 from ..heads.regions import sharp_regions
 from ..heads.rig import HeadRig
-from ..landmarks import CHIN, outer_eye_distance
-from ..rotation import euler_to_matrix, fit_rotation
+from ..landmarks import outer_eye_distance
+from ..rotation import euler_to_matrix
 from ..takes.neutral import MIRROR_WIDTH, Neutral
 from ..tracking.mirror import mirror_result
 from ..tracking.result import CAMERA_DISTANCE, TrackResult
 from .actions import TONGUE, ActionDriver
 from .eyes import EyeDriver
+from .jaw import Jaw
 from .parts import PartDriver
 from .posing import limit_rotation, limit_vector
 from .retarget import retargeter_for
@@ -117,7 +118,7 @@ class HeadDriver:
         if reuse is not None:
             self.eyes.follow(reuse.eyes)
         self.actions = ActionDriver(self.neutral.actions, self.neutral.shape, options.strength)
-        self._chin = landmarks[CHIN] - rig.jaw_pivot
+        self._jaw = Jaw(landmarks, rig.jaw_pivot)
         self._unit = outer_eye_distance(landmarks)
 
     @property
@@ -146,7 +147,7 @@ class HeadDriver:
         elif self.options.contact:
             self.contact.resolve(vertices)
         gaze = self.eyes.rotations(result.gaze, result.vergence, rotation)
-        jaw = fit_rotation(self._chin, self._chin + displacements[CHIN])
+        jaw = self._jaw.rotation(displacements)
         eyes = np.stack([limit_rotation(eye, posing.eyes_strength, posing.eyes_limit) for eye in gaze])
         return HeadFrame(
             vertices=vertices if self.parts is None else self.parts.pose(vertices, jaw, eyes, planar=planar),

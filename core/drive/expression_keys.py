@@ -16,9 +16,10 @@ from ..heads.built_in import Head, load_head
 from ..heads.eyeballs import EyeballContact
 from ..heads.rig import HeadRig
 from ..heads.slits import SlitContact
-from ..landmarks import CHIN, LIPS, LOWER_LIDS, LOWER_LIPS, MOUTH_CORNERS, UPPER_LIDS, UPPER_LIPS
+from ..landmarks import LIPS, LOWER_LIDS, LOWER_LIPS, MOUTH_CORNERS, UPPER_LIDS, UPPER_LIPS
 from ..mesh.nearest import NearestPoints
 from ..rotation import fit_rotation
+from .jaw import Jaw
 from .key_sets import CLOSES, KEY_SETS, OPENS, KeySet
 from .parts import PartDriver
 
@@ -62,10 +63,10 @@ def expression_keys(rig: HeadRig, keys: KeySet = KEY_SETS["arkit"]) -> tuple[tup
     if skin is None:
         return keys.names, skin_motions
     points = np.asarray(alone.vertices, dtype=np.float64)[alone.landmarks]
-    parts = PartDriver(rig, skin, alone)
+    parts, jaw = PartDriver(rig, skin, alone), Jaw(points, rig.jaw_pivot)
     rest = np.asarray(alone.vertices, dtype=np.float32)
     poses = [
-        parts.pose(rest + motion, _jaw(rig, points, motion[alone.landmarks]), gaze) - parts.rest
+        parts.pose(rest + motion, jaw.rotation(motion[alone.landmarks]), gaze) - parts.rest
         for motion, gaze in zip(skin_motions, source.gazes, strict=True)
     ]
     return keys.names, np.stack(poses)
@@ -208,12 +209,6 @@ def _near(vertices: FloatArray, points: FloatArray, unit: float) -> NDArray[np.f
     """(V, 1) share of the carried motion: far from all landmarks, where the warp is a guess, the deformer leads."""
     _, squared = NearestPoints(points).query(vertices)
     return np.asarray(np.exp(-np.maximum(squared, 0.0) / (_REACH * unit) ** 2), dtype=np.float32)
-
-
-def _jaw(rig: HeadRig, points: FloatArray, moved: FloatArray) -> FloatArray:
-    """(3, 3) rotation of the lower teeth about the hinge of the jaw."""
-    chin = points[CHIN] - rig.jaw_pivot
-    return fit_rotation(chin, chin + moved[CHIN])
 
 
 def _gazes(head: Head, mixtures: FloatArray) -> FloatArray:

@@ -1,0 +1,62 @@
+"""The rotation of the jaw, with lower teeth and tongue, from the motion of the skin (docs/method.md, section 4.5)."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..landmarks import CHIN, LOWER_LIPS, outer_eye_distance
+from ..rotation import fit_rotation
+from .posing import limit_rotation
+
+_CHIN_ERROR, _CHIN_ERROR_SHARE = 0.01, 0.3
+"""Error of the motion of the chin, whose outline is faint: outer-eye distances, and relative to the motion."""
+_LIP_ALONE = 0.03
+"""How far the lower lip moves by itself, in outer-eye distances."""
+_MOST = 2.0
+"""How many times as far as the chin says the jaw is opened at most."""
+
+
+class Jaw:
+    """Fits the rotation of a head's jaw.
+
+    Parameters
+    ----------
+    landmarks : (66, 3) float64
+        At rest: head frame, unit of the mesh.
+    hinge : (3,) float64
+        A point of the axis about which the jaw turns.
+    """
+
+    def __init__(self, landmarks: FloatArray, hinge: FloatArray) -> None:
+        self._chin, self._lip = landmarks[CHIN] - hinge, landmarks[LOWER_LIPS].mean(axis=0) - hinge
+        self._unit = outer_eye_distance(landmarks)
+
+    def rotation(self, displacements: FloatArray) -> FloatArray:
+        """Find the rotation about the hinge.
+
+        Parameters
+        ----------
+        displacements : (66, 3) float64
+            Of the landmarks, head frame, unit of the mesh.
+
+        Returns
+        -------
+        (3, 3) float64
+            The rotation that fits the chin, enlarged if the lower lip is further down than this takes it.
+        """
+        moved = displacements[CHIN]
+        rotation = fit_rotation(self._chin, self._chin + moved)
+        taken = rotation @ self._lip - self._lip
+        length = float(np.linalg.norm(taken))
+        if taken[1] <= 1e-6 * self._unit:
+            return rotation
+        # The factor by which both agree best, each in units of its error (equation 4.5).
+        chin = float(np.linalg.norm(moved.mean(axis=0))) / self._unit
+        trust = (chin / (_CHIN_ERROR + _CHIN_ERROR_SHARE * chin)) ** 2
+        lip = float(displacements[LOWER_LIPS].mean(axis=0) @ taken) / length
+        once, squared = lip * length / (self._unit * _LIP_ALONE) ** 2, (length / (self._unit * _LIP_ALONE)) ** 2
+        factor = (trust + once) / (trust + squared)
+        return limit_rotation(rotation, min(max(factor, 1.0), _MOST), pi)
