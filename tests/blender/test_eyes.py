@@ -46,6 +46,7 @@ def seen_of_eyes(obj, vertices):
 
 def test_joined_eyes_of_a_scan_are_reported_until_they_are_opened(scan):
     assert WORDS in [finding.problem for finding in check_object(scan)]
+    assert bpy.ops.facemime.check_head() == {"FINISHED"}
     assert [line.step for line in bpy.context.window_manager.facemime.findings] == ["open_lips", "open_eyes"]
     assert bpy.ops.facemime.open_eyes() == {"FINISHED"}
     assert [line.step for line in bpy.context.window_manager.facemime.findings] == ["open_lips"]
