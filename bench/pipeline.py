@@ -30,7 +30,7 @@ from facemime.core.tracking.tracker import FaceTracker
 ROOT = Path(__file__).resolve().parents[1]
 STAGES = {
     "decode": "decode",
-    "detect": "detect (Viola-Jones), first frame",
+    "detect": "detect, first frame",
     "track": "track, frame to frame",
     "drive": "drive, 1,781 vertices",
     "write": "write to the shape key",

@@ -18,10 +18,11 @@ from ..core.files import check_writable, reason_of, replacing
 from ..core.images import IMAGE_SUFFIXES, read_image, write_image
 from ..core.landmarks import N_LANDMARKS
 from ..core.tracking.overlay import draw_landmarks
+from ..core.tracking.settings import TrackingSettings
 from ..core.tracking.tracker import FaceTracker
 from .puppet.tracked import place_beside
 from .terminal.console import Progress, tell
-from .terminal.options import Commands, add_command, add_output
+from .terminal.options import Commands, add_command, add_output, add_settings, tracking_of
 from .terminal.outputs import outputs_of
 from .terminal.stopping import INTERRUPTED, STOPPING
 
@@ -34,6 +35,7 @@ def add_commands(commands: Commands) -> None:
     landmarks.add_argument(
         "--overlay", type=Path, metavar="DIR", help="also write copies of the images with the landmarks drawn on them"
     )
+    add_settings(landmarks, TrackingSettings)
     landmarks.set_defaults(run=run_landmarks)
 
 
@@ -41,12 +43,11 @@ def run_landmarks(arguments: argparse.Namespace) -> int:
     """Run `facemime landmarks`: one row per image, NaN if there is no face; returns the exit status."""
     paths = _images(arguments.images)
     with outputs_of(((arguments.output, {".npz"}),), {}):
-        return _locate(paths, arguments.output, arguments.overlay)
+        return _locate(paths, arguments.output, arguments.overlay, FaceTracker.load(settings=tracking_of(arguments)))
 
 
-def _locate(paths: Sequence[Path], output: Path, overlay: Path | None) -> int:
+def _locate(paths: Sequence[Path], output: Path, overlay: Path | None, tracker: FaceTracker) -> int:
     drawings = [] if overlay is None else _drawings(paths, overlay)
-    tracker = FaceTracker.load()
     landmarks = np.full((len(paths), N_LANDMARKS, 2), np.nan)
     confidence = np.zeros(len(paths))
     progress = Progress("Finding landmarks", len(paths), unit="images")

@@ -14,8 +14,9 @@ from ..core.live.sources import LiveSource, TakePlayer, VideoPlayer
 from ..core.live.worker import LiveOptions, LiveWorker
 from ..core.takes.file import SUFFIX
 from ..core.takes.neutral import Neutral
+from ..core.tracking.settings import TrackingSettings
 from .terminal.console import Progress, tell
-from .terminal.options import add_face_option, face_of, number
+from .terminal.options import add_face_option, add_settings, face_of, number, tracking_of
 from .terminal.stopping import STOPPING
 from .terminal.takes import load_with_warnings
 
@@ -34,13 +35,14 @@ def add_source(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seconds", type=number, metavar="S", help="stop after this time (Ctrl-C, or the video's end)")
     add_face_option(parser)
+    add_settings(parser, TrackingSettings)
 
 
 def live_options(arguments: argparse.Namespace) -> LiveOptions:
     """Return the options of the worker; FacemimeError if one is impossible."""
     if arguments.smoothing < 0.0:
         raise FacemimeError(f"--smoothing cannot be {arguments.smoothing:g}. Use 0 or more.")
-    return LiveOptions(smoothing=arguments.smoothing, face=face_of(arguments.face))
+    return LiveOptions(smoothing=arguments.smoothing, face=face_of(arguments.face), tracking=tracking_of(arguments))
 
 
 def open_source(arguments: argparse.Namespace) -> tuple[LiveSource, Neutral | None]:

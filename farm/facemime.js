@@ -13,6 +13,8 @@ const JOB_TYPE = {
         // Options, written by tools/farm.py
         { key: "face", type: "string", default: "",
           description: "face to track if several are in view: the leftmost, the rightmost, or the nearest to a pixel of the first frame (the largest)" },
+        { key: "detector", type: "string", choices: ["network", "cascades"], default: "network",
+          description: "what finds the face on the first frame and after a loss (network)" },
         { key: "head", type: "string", default: "",
           description: "your own head, as for bind (the built-in head)" },
         { key: "points", type: "string", default: "",
@@ -72,6 +74,7 @@ const JOB_TYPE = {
 const OPTIONS = [
     // Options, written by tools/farm.py
     "face",
+    "detector",
     "head",
     "points",
     "pose",

@@ -47,11 +47,12 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> set[str]:
         """Track in the background, then bake; without a window, wait for the tracking."""
         path, heads = self.path, _heads(context, context.active_object)
-        settings = context.scene.facemime
-        check_heads(heads, puppet_settings(settings).bake, pose_targets(settings.posing, heads[0]))
+        scene = context.scene.facemime
+        settings = puppet_settings(scene)
+        check_heads(heads, settings.bake, pose_targets(scene.posing, heads[0]))
         if path.suffix == SUFFIX:
             return self.bake(context, heads[0], load_take(path))
-        self._session = TrackingSession(path, face_of(context.scene.facemime.source))
+        self._session = TrackingSession(path, face_of(scene.source), settings.tracking)
         self._head = context.active_object.name
         if bpy.app.background:
             return self.finish(context)

@@ -16,9 +16,11 @@ from ..core.live.key_driver import LiveKeys
 from ..core.live.sources import LiveSource
 from ..core.live.worker import LiveOptions
 from ..core.streams.source import StreamSource
+from ..core.tracking.settings import TrackingSettings
 from ..settings.bake_table import read_table
 from ..settings.preferences import preferences
 from ..settings.properties import FacemimeSettings
+from ..settings.rna import read
 from ..settings.values import (
     drive_settings,
     face_of,
@@ -121,6 +123,7 @@ def live_options(settings: FacemimeSettings) -> LiveOptions:
         smoothing=settings.smoothing,
         preview=round(user.preview_size * bpy.context.preferences.system.ui_scale) if user.preview else 0,
         face=face_of(settings.source),
+        tracking=read(TrackingSettings, settings),
         learn=settings.learn,
     )
 

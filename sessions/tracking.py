@@ -9,6 +9,7 @@ from ..core.errors import FacemimeError
 from ..core.takes.from_video import track_video
 from ..core.takes.take import Take, TakeRecorder
 from ..core.tracking.result import TrackResult
+from ..core.tracking.settings import DEFAULTS, TrackingSettings
 from ..core.tracking.tracker import FaceTracker
 from .session import Session
 
@@ -24,6 +25,7 @@ class TrackingSession(Session):
     video : Path
     face : (float, float), optional
         Face to track, as for `track_video`.
+    settings : TrackingSettings, optional
 
     Attributes
     ----------
@@ -31,9 +33,11 @@ class TrackingSession(Session):
         Frames tracked, and frames in the video according to its header.
     """
 
-    def __init__(self, video: Path, face: tuple[float, float] | None = None) -> None:
+    def __init__(
+        self, video: Path, face: tuple[float, float] | None = None, settings: TrackingSettings = DEFAULTS
+    ) -> None:
         super().__init__()
-        self.video, self._face = Path(video), face
+        self.video, self._face, self._settings = Path(video), face, settings
         self.done, self.total = 0, 0
         self._stopping = threading.Event()
         self._recorder: TakeRecorder | None = None
@@ -72,7 +76,8 @@ class TrackingSession(Session):
 
     def _work(self) -> None:
         try:
-            self._recorder = track_video(self.video, FaceTracker.load(), self._on_frame, face=self._face)
+            tracker = FaceTracker.load(settings=self._settings)
+            self._recorder = track_video(self.video, tracker, self._on_frame, face=self._face)
         except Exception as error:  # raised again by `take`
             self._error = error
 

@@ -13,6 +13,7 @@ from bpy.props import (
 
 from ..core.drive.settings import DriveSettings, PosingSettings
 from ..core.puppet.settings import PuppetSettings
+from ..core.tracking.settings import TrackingSettings
 from .rna import with_settings
 from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer
 
@@ -81,7 +82,7 @@ class FacemimePerformer(bpy.types.PropertyGroup):
     calibration: StringProperty(options={"HIDDEN"})
 
 
-@with_settings(DriveSettings, PuppetSettings)
+@with_settings(DriveSettings, PuppetSettings, TrackingSettings)
 class FacemimeSettings(bpy.types.PropertyGroup):
     """Settings that control how a performance moves the heads."""
 

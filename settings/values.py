@@ -30,6 +30,7 @@ from ..core.streams.vertices import VERTICES
 from ..core.takes.file import load_take
 from ..core.takes.neutral import Neutral
 from ..core.tracking.choice import LEFTMOST, RIGHTMOST
+from ..core.tracking.settings import TrackingSettings
 from ..core.viewer.settings import ViewerSettings
 from .bake_table import read_table
 from .preferences import preferences
@@ -61,8 +62,14 @@ def puppet_settings(settings: FacemimeSettings, bake: BakeSettings = _DEFAULT_BA
     bake : BakeSettings, optional
         New shape keys by default.
     """
-    neutral = None if settings.find_neutral else settings.neutral
-    return read(PuppetSettings, settings, drive=drive_settings(settings), neutral=neutral, bake=bake)
+    return read(
+        PuppetSettings,
+        settings,
+        drive=drive_settings(settings),
+        neutral=None if settings.find_neutral else settings.neutral,
+        tracking=read(TrackingSettings, settings),
+        bake=bake,
+    )
 
 
 def bake_settings(bake: FacemimeBake, name: str) -> BakeSettings:

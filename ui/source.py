@@ -44,6 +44,7 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
             column.prop(source, "speed")
         if source.kind not in ("TAKE", "STREAM"):
             column.prop(source, "face")
+            column.prop(context.scene.facemime, "detector")
         if source.kind != "STREAM":
             draw_preview(layout, chosen)
 

@@ -12,6 +12,7 @@ from ...core.files import free_name, settle
 from ...core.puppet.job import PuppetJob
 from ...core.takes.file import SUFFIX, save_take
 from ...core.takes.smooth import smooth_take
+from ...core.tracking.settings import TrackingSettings
 from ..terminal.options import (
     Commands,
     add_command,
@@ -19,9 +20,11 @@ from ..terminal.options import (
     add_output,
     add_preset_option,
     add_puppet_options,
+    add_settings,
     face_of,
     number,
     puppet_job,
+    tracking_of,
 )
 from ..terminal.outputs import outputs_of
 from ..terminal.stopping import STOPPING
@@ -36,7 +39,8 @@ def add_commands(commands: Commands) -> None:
     add_output(track, "TAKE.facetake", "everything that was tracked, which can drive any head; written while tracking")
     track.add_argument("--smooth", action="store_true", help="reduce jitter")
     add_face_option(track)
-    track.set_defaults(run=lambda a: run_track(a.video, a.output, face_of(a.face), smooth=a.smooth))
+    add_settings(track, TrackingSettings)
+    track.set_defaults(run=lambda a: run_track(a.video, a.output, face_of(a.face), tracking_of(a), smooth=a.smooth))
 
     puppet = add_command(commands, "puppet", "animate a head by a video or a take")
     puppet.add_argument("source", type=Path, metavar="VIDEO|TAKE", help="a video, or a take from track")
@@ -64,12 +68,14 @@ def _job(arguments: argparse.Namespace) -> PuppetJob:
     return puppet_job(arguments, arguments.source, arguments.output, neutral=arguments.neutral, **wanted)
 
 
-def run_track(video: Path, output: Path, face: tuple[float, float] | None, *, smooth: bool) -> int:
+def run_track(
+    video: Path, output: Path, face: tuple[float, float] | None, settings: TrackingSettings, *, smooth: bool
+) -> int:
     """Run `facemime track`: write a video as a take; returns the exit status."""
     unfinished = unfinished_beside(output)
     outputs, inputs = ((output, {SUFFIX}),), {"the video that is tracked": video}
     with outputs_of(outputs, inputs, unfinished), growing(unfinished) as unfinished:
-        take = track(video, unfinished, face)
+        take = track(video, unfinished, face, settings)
         if smooth:
             take = smooth_take(take)
             save_take(take, unfinished)
@@ -107,7 +113,7 @@ def run_puppet(job: PuppetJob) -> int:
             headless.puppet(job, stage, take, None)
             return 0
         with growing(unfinished) as unfinished:
-            take = track(job.source, unfinished, job.face)
+            take = track(job.source, unfinished, job.face, job.settings.tracking)
             if take.info.get("interrupted"):
                 return keep_interrupted(take, unfinished, _part_of(job))
             if job.take is not None:

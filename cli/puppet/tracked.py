@@ -14,6 +14,7 @@ from ...core.takes.file import SUFFIX, load_take
 from ...core.takes.from_video import track_video
 from ...core.takes.take import Take
 from ...core.tracking.result import TrackResult
+from ...core.tracking.settings import DEFAULTS, TrackingSettings
 from ...core.tracking.tracker import FaceTracker
 from ..terminal.console import Progress, tell
 from ..terminal.stopping import INTERRUPTED, STOPPING
@@ -55,7 +56,9 @@ def growing(unfinished: Path) -> Iterator[Path]:
         raise KeyboardInterrupt(f"what was tracked is in {name}") from stop
 
 
-def track(video: Path, unfinished: Path, face: tuple[float, float] | None) -> Take:
+def track(
+    video: Path, unfinished: Path, face: tuple[float, float] | None, settings: TrackingSettings = DEFAULTS
+) -> Take:
     """Track `video`, writing the take to `unfinished` at the same time.
 
     Raises
@@ -64,7 +67,7 @@ def track(video: Path, unfinished: Path, face: tuple[float, float] | None) -> Ta
         If the video cannot be read, or no face was found in it.
     """
     require_file(video)
-    tracker = FaceTracker.load()
+    tracker = FaceTracker.load(settings=settings)
     progress = Progress(f"Tracking {video.name}")
 
     def on_frame(done: int, total: int, _: TrackResult) -> bool:

@@ -20,6 +20,7 @@ from ...core.puppet.settings import PuppetSettings
 from ...core.reading import shown
 from ...core.settings import Setting, changed, settings_of
 from ...core.tracking.choice import LEFTMOST, RIGHTMOST
+from ...core.tracking.settings import TrackingSettings
 from .console import printable, say, write_error
 
 _SIDES = {"left": LEFTMOST, "right": RIGHTMOST}
@@ -119,6 +120,7 @@ def face_of(text: str | None) -> tuple[float, float] | None:
 def add_puppet_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `puppet_job` reads: the face, the head, how it moves, and what it is baked to."""
     add_face_option(parser)
+    add_settings(parser, TrackingSettings)
     parser.add_argument(
         "--head", type=head_file, metavar="FILE[:OBJECT]", help="your own head, as for bind (the built-in head)"
     )
@@ -239,6 +241,11 @@ def _shown(setting: Setting, value: Any) -> str:
     return str(value) if setting.kind in (str, int) else f"{value * _scale(setting):.12g}"
 
 
+def tracking_of(arguments: argparse.Namespace) -> TrackingSettings:
+    """Return how faces are found, from the options of `add_settings`."""
+    return TrackingSettings(**{name: getattr(arguments, name) for name in settings_of(TrackingSettings)})
+
+
 def puppet_job(
     arguments: argparse.Namespace, source: Path, output: Path, neutral: float | None = None, **wanted: Path | None
 ) -> PuppetJob:
@@ -263,6 +270,7 @@ def puppet_job(
         **dict(zip(_FOLLOWED, _POSES[arguments.pose], strict=True)),
         neutral=neutral,
         drive=read(DriveSettings, posing=read(PosingSettings)),
+        tracking=tracking_of(arguments),
         bake=read(BakeSettings),
     )
     face = face_of(arguments.face)

@@ -22,6 +22,7 @@ from ..takes.neutral import Neutral
 from ..takes.take import Take, TakeRecorder
 from ..tracking.overlay import draw_preview
 from ..tracking.result import TrackResult
+from ..tracking.settings import DEFAULTS, TrackingSettings
 from ..tracking.tracker import FaceTracker
 from .calibration import Quality
 from .head_drivers import HeadDrivers, LiveHead
@@ -49,6 +50,8 @@ class LiveOptions:
         Width of the preview in pixels; 0 for none.
     face : (float, float) or None
         Position of the face to track, as for `FaceTracker.choose`; None for the largest.
+    tracking : TrackingSettings
+        How faces are found.
     learn : bool
         Whether to learn the performer meanwhile: the neutral face unless it was asked for, and where eyes are shut.
     """
@@ -56,6 +59,7 @@ class LiveOptions:
     smoothing: float = 1.0
     preview: int = 0
     face: tuple[float, float] | None = None
+    tracking: TrackingSettings = DEFAULTS
     learn: bool = True
 
 
@@ -303,7 +307,7 @@ class LiveWorker:
     def _frame(self, tracker: FaceTracker, frame: LiveFrame) -> None:
         began = perf_counter()
         options = self.options
-        seen = self._tracked(tracker, frame, options.face)
+        seen = self._tracked(tracker, frame, options)
         performer = self._performer_of(frame)
         if not frame.filled:
             self._record(frame, seen)
@@ -332,10 +336,11 @@ class LiveWorker:
             self._first = performer
         return performer
 
-    def _tracked(self, tracker: FaceTracker, frame: LiveFrame, face: tuple[float, float] | None) -> TrackResult:
+    def _tracked(self, tracker: FaceTracker, frame: LiveFrame, options: LiveOptions) -> TrackResult:
         if frame.result is not None:
             return frame.result
         assert frame.image is not None
+        tracker.settings, face = options.tracking, options.face
         if frame.image.shape != self._size or face != self._face:
             tracker.reset()
             self._first.change()

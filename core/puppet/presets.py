@@ -12,6 +12,7 @@ from ..errors import SourceError
 from ..presets import SUFFIX, Values, from_json
 from ..reading import read_text
 from ..settings import Setting, settings_of
+from ..tracking.settings import TrackingSettings
 from .settings import PuppetSettings
 
 BUILT_IN = {"calm_speech": "Calm Speech", "strong": "Strong", "cartoon": "Cartoon", "yao_2019": "Yao et al. 2019"}
@@ -19,7 +20,7 @@ BUILT_IN = {"calm_speech": "Calm Speech", "strong": "Strong", "cartoon": "Cartoo
 COMMAND_NAMES = {"calm-speech": "calm_speech", "strong": "strong", "cartoon": "cartoon", "paper": "yao_2019"}
 """Their names on the command line."""
 CONTENTS: Mapping[str, Mapping[str, Setting]] = {
-    "settings": {**settings_of(DriveSettings), **settings_of(PuppetSettings)},
+    "settings": {**settings_of(DriveSettings), **settings_of(PuppetSettings), **settings_of(TrackingSettings)},
     "posing": settings_of(PosingSettings),
     "selection": {"search": settings_of(SelectionSettings)["search"]},
 }

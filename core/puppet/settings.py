@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from ..bake.settings import BakeSettings
 from ..drive.settings import DriveSettings
 from ..settings import setting
+from ..tracking.settings import TrackingSettings
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class PuppetSettings:
         Whether the head's rotation and location follow the performer's.
     neutral : float or None
         Start of the second in which the performer's face is neutral, seconds; None detects it.
+    tracking : TrackingSettings
+        How faces are found in a video.
     bake : BakeSettings
         What the motion is baked to.
     """
@@ -39,4 +42,5 @@ class PuppetSettings:
     rotation: bool = setting(True, "Head Rotation", "Rotate the head with the performer's")
     translation: bool = setting(False, "Head Location", "Move the head with the performer's")
     neutral: float | None = None
+    tracking: TrackingSettings = field(default_factory=TrackingSettings)
     bake: BakeSettings = field(default_factory=BakeSettings)

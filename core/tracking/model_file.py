@@ -22,12 +22,13 @@ from .action_experts import ActionExperts
 from .check import N_FEATURES, FaceCheck
 from .detect import DETECTORS
 from .experts import FACE_STRIDE, PART_STRIDE, FaceExperts, FacePart, PartExperts
+from .finder import FOUND, STRIDE, FaceFinder
 from .network import Network
 from .patch_experts import PATCH, PatchExperts
 from .pdm import PointDistributionModel
 
 MAGIC = b"FACEMIME TRACKER"
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 _VIEWS = ("frontal", "side")
 _HEADER = struct.Struct("<16sIQ32s")
 _LARGEST_SIDE = 512
@@ -62,6 +63,8 @@ class TrackerModel:
     box_offset : (D, 3) float64
         Per detector, translation of the pose from the centre of the box (x, y) and scale, in box widths.
     check : FaceCheck
+    finder : FaceFinder
+        Where faces may be.
     model_id : str
         First digits of the checksum of the file.
     """
@@ -76,6 +79,7 @@ class TrackerModel:
     visibility: FloatArray
     box_offset: FloatArray
     check: FaceCheck
+    finder: FaceFinder
     model_id: str = "unsaved"
 
 
@@ -166,6 +170,7 @@ def save_model(model: TrackerModel, path: Path) -> str:
         "visibility": model.visibility.astype(np.float32),
         "box_offset": model.box_offset.astype(np.float32),
         "check_weights": model.check.weights.astype(np.float32),
+        "finder_network": _packed(model.finder.network),
         **_pack_faces(model),
         **_pack_parts("part", model.parts),
         **_pack_parts("action", model.actions),
@@ -245,6 +250,7 @@ def _assemble(archive: Archive, model_id: str) -> TrackerModel:
         visibility=visibility,
         box_offset=box_offset,
         check=FaceCheck(archive.reals("check_weights", (N_FEATURES,))),
+        finder=_finder(archive),
         model_id=model_id,
     )
 
@@ -282,6 +288,12 @@ def _face(place: int, archive: Archive) -> FaceExperts:
     cells = size // FACE_STRIDE
     network.check((size, size), (1, N_LANDMARKS, cells, cells), (1, 1, cells // 4, cells // 4))
     return FaceExperts(network, _scales("face_scales", 2, archive)[place], size)
+
+
+def _finder(archive: Archive) -> FaceFinder:
+    network = Network(archive.data("finder_network"), "faces")
+    network.check((64, 32), (1, 1 + len(FOUND), 32 // STRIDE, 64 // STRIDE))
+    return FaceFinder(network)
 
 
 def _parts(archive: Archive) -> tuple[PartExperts, ...]:

@@ -5,29 +5,42 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from .detect import EFFORTS, BoxDetector, Effort, Step
+from .finder import SIDES, FaceFinder
 from .fitter import COARSE, REFINED, FaceFitter, Fit
 from .model_file import TrackerModel
 from .pdm import FittedShape
 
 _MAX_BOXES, _MAX_FACES = 60, 4
-"""Boxes per effort that are fitted coarsely, and those of them that are fitted to the end."""
+"""Starts per effort that are fitted coarsely, and those of them that are fitted to the end."""
 _MAX_GRADUAL = 6
-"""Boxes per step of a gradual search that are fitted coarsely."""
+"""Starts per step of a gradual search that are fitted coarsely."""
+_MAX_FOUND = 8
+"""Findings that are fitted coarsely."""
+_WORTH = 1e-3
+"""Confidence of a coarse fit to a finding from which on it is fitted to the end. Most findings without a face have
+less, hardly any with one."""
 _CERTAIN = 0.85
 """Confidence of a detected face above which no further effort is made."""
 _SEPARATION = 0.6
 """Eye distances between the centres of two fits above which they belong to two people."""
+Look: TypeAlias = "Step | tuple[int, ...]"
+"""A step of the cascades, or sides at which the finder looks."""
+_LARGE, _SMALL = SIDES[:3], SIDES[3:]
+"""Where the finder looks first, and then."""
 _ALL = tuple(Step.whole(effort) for effort in EFFORTS)
+_FIRST = (_LARGE, _ALL[0])
 _QUICK = _ALL[:2]
-"""The efforts that search for other people in view."""
+"""The efforts that search for other people in view, without the finder."""
 _EVERY_FRAME = _ALL[:3]
-"""The efforts that are made in every frame without a face, in addition to one of the others in turn."""
+"""The efforts that are made in every frame without a face, in addition to one of the others in turn, without the
+finder."""
 _IN_TURN = tuple(
     step
     for i, part in enumerate(part for effort in EFFORTS[len(_EVERY_FRAME) :] for part in Step.parts(effort))
@@ -35,6 +48,7 @@ _IN_TURN = tuple(
 )
 """The steps of which a gradual search makes one in each frame, beside those for near faces and for close-ups. Small
 faces, which are common, come often."""
+_T = TypeVar("_T")
 STAGES = ("detect", "experts", "fit", "check", "gaze", "actions")
 
 
@@ -77,6 +91,8 @@ class FaceSearch:
     ----------
     gradual : bool
         Whether the search spreads over many frames, so that none takes long.
+    finder : FaceFinder or None
+        Looks before any cascade does. None leaves the start to the cascades alone, as in the paper.
     timings : dict of str to float
         Seconds that each stage has taken since `begin`: "detect", "experts", "fit", "check", "gaze", "actions".
     """
@@ -86,6 +102,7 @@ class FaceSearch:
 
     def __init__(self, model: TrackerModel) -> None:
         self.gradual = False
+        self.finder: FaceFinder | None = model.finder
         self._model = model
         self._detector = BoxDetector()
         self.timings: dict[str, float] = dict.fromkeys(STAGES, 0.0)
@@ -110,26 +127,40 @@ class FaceSearch:
         """
         return self._judge(self.fitter.follow(grey, last))
 
-    def steps(self, misses: int) -> tuple[Step, ...]:
+    def steps(self, misses: int) -> tuple[Look, ...]:
         """What to do after `misses` frames without a face: all at first, then what is quick, and one more in turn.
 
-        A gradual search does not begin with all, and what it does in turn is short.
+        A gradual search does not begin with all, what it does in turn is short, and the finder looks in every other
+        frame.
         """
+        if self.finder is None:
+            return self._steps_of_cascades(misses)
+        if self.gradual:
+            beside: tuple[Look, ...] = (_SMALL, *_IN_TURN)
+            return (_LARGE if misses % 2 == 0 else _in_turn(misses // 2, beside),)
+        return self._all if misses == 0 else (_LARGE, _in_turn(misses, self._all[1:]))
+
+    def _steps_of_cascades(self, misses: int) -> tuple[Step, ...]:
         if self.gradual:
             near, _, filling = _EVERY_FRAME
-            return near, _IN_TURN[misses % len(_IN_TURN)], filling
-        others = _ALL[len(_EVERY_FRAME) :]
-        return _ALL if misses == 0 else (*_EVERY_FRAME, others[misses % len(others)])
+            return near, _in_turn(misses, _IN_TURN), filling
+        return _ALL if misses == 0 else (*_EVERY_FRAME, _in_turn(misses, _ALL[len(_EVERY_FRAME) :]))
 
-    def detect(self, grey: NDArray[np.uint8], steps: Sequence[Step] = _ALL, *, small: bool = False) -> list[Candidate]:
+    @property
+    def _all(self) -> tuple[Look, ...]:
+        return _ALL if self.finder is None else (_LARGE, _SMALL, *_ALL)
+
+    def detect(
+        self, grey: NDArray[np.uint8], steps: Sequence[Look] | None = None, *, small: bool = False
+    ) -> list[Candidate]:
         """Detect faces, step by step, until one of these finds a certain one.
 
         Parameters
         ----------
         grey : (H, W) uint8
             Grey image.
-        steps : sequence of Step
-            In order.
+        steps : sequence of Step or tuple of int, optional
+            In order: efforts of the cascades, and sides at which the finder looks. By default all.
         small : bool
             Search small faces even if the first effort finds a certain one, as a particular face is awaited that
             may be small.
@@ -139,7 +170,7 @@ class FaceSearch:
         list of Candidate
             The accepted faces.
         """
-        return list(self._detected(grey, steps, small))
+        return list(self._detected(grey, self._all if steps is None else steps, small))
 
     def others(self, grey: NDArray[np.uint8], pose: FloatArray, *, small: bool = False) -> list[Candidate]:
         """Find faces other than the one at `pose`; only boxes beside it are fitted.
@@ -162,45 +193,66 @@ class FaceSearch:
         def apart(other: FloatArray) -> bool:
             return float(np.hypot(*(other[4:6] - pose[4:6]))) > _SEPARATION * float(pose[0])
 
-        steps = _QUICK if small else _QUICK[:1]
+        steps: tuple[Look, ...] = (_LARGE if small else _LARGE[:2],)
+        if self.finder is None:
+            steps = _QUICK if small else _QUICK[:1]
         starts = [[start for start in self._starts(grey, step) if apart(start)] for step in steps]
-        return [c for poses in starts for c in self._faces_in(grey, poses) if apart(c.pose)]
+        return [
+            c
+            for step, poses in zip(steps, starts, strict=True)
+            for c in self._faces_in(grey, poses, step)
+            if apart(c.pose)
+        ]
 
-    def _detected(self, grey: NDArray[np.uint8], steps: Sequence[Step], small: bool) -> Iterator[Candidate]:
+    def _detected(self, grey: NDArray[np.uint8], steps: Sequence[Look], small: bool) -> Iterator[Candidate]:
         for step in steps:
-            found = self._faces_in(grey, self._starts(grey, step))
+            found = self._faces_in(grey, self._starts(grey, step), step)
             yield from found
             certain = any(c.confidence >= _CERTAIN for c in found)
-            if certain and not (step.effort == Effort.NEAR and small):
+            if certain and not (step in _FIRST and small):
                 return
 
-    def _starts(self, grey: NDArray[np.uint8], step: Step) -> list[FloatArray]:
-        """Frontal poses (6,) of the boxes that the detector finds."""
+    def _starts(self, grey: NDArray[np.uint8], step: Look) -> list[FloatArray]:
+        """Poses (6,) of what the finder takes for faces, or frontal ones of the boxes that the detector finds."""
         began = perf_counter()
-        boxes = self._detector.boxes(grey, step)[: _MAX_GRADUAL if self.gradual else _MAX_BOXES]
+        starts = self._boxes(grey, step) if isinstance(step, Step) else self._found(grey, step)
         self.timings["detect"] += perf_counter() - began
+        return starts
+
+    def _boxes(self, grey: NDArray[np.uint8], step: Step) -> list[FloatArray]:
+        boxes = self._detector.boxes(grey, step)[: _MAX_GRADUAL if self.gradual else _MAX_BOXES]
         return [box.start_pose(self._model.box_offset) for box in boxes]
 
-    def _faces_in(self, grey: NDArray[np.uint8], poses: Sequence[FloatArray]) -> list[Candidate]:
-        """The accepted faces near the given poses (6,)."""
-        tried = [self._judge(self.fitter.fit(grey, start, REFINED)) for start in self._promising(grey, poses)]
-        return [c for c in tried if c.confidence >= self.found_above]
+    def _found(self, grey: NDArray[np.uint8], sides: tuple[int, ...]) -> list[FloatArray]:
+        """Large ones first, where half as likely counts like half as large."""
+        assert self.finder is not None
+        found = sorted(self.finder.find(grey, sides), key=lambda f: -f.pose[0] / (1.0 + np.exp(-f.odds)))
+        return [face.pose for face in found[:_MAX_FOUND]]
 
-    def _promising(self, grey: NDArray[np.uint8], poses: Sequence[FloatArray]) -> list[FittedShape]:
-        """The coarse fits from the given poses (6,) to which the face network gives the highest log odds."""
+    def _faces_in(self, grey: NDArray[np.uint8], poses: Sequence[FloatArray], step: Look) -> list[Candidate]:
+        """The accepted faces near the poses (6,) that a step gave."""
         neutral = np.zeros(self._model.pdm.n_modes)
-        fits = [self.fitter.fit(grey, FittedShape(pose, neutral), (COARSE,)) for pose in poses]
-        fits.sort(key=lambda f: -f.features[1])
-        return [f.fitted for f in fits[:_MAX_FACES]]
+        coarse = [self.fitter.fit(grey, FittedShape(pose, neutral), (COARSE,)) for pose in poses]
+        if not isinstance(step, Step):
+            coarse = [fit for fit in coarse if self._model.check.confidence(fit.features) >= _WORTH]
+        coarse.sort(key=lambda f: -f.features[1])  # the log odds of the face network
+        tried = [self._judge(self.fitter.fit(grey, fit.fitted, REFINED)) for fit in coarse[:_MAX_FACES]]
+        return [c for c in tried if c.confidence >= self.found_above]
 
     def _judge(self, fit: Fit) -> Candidate:
         return Candidate(fit, self._model.check.confidence(fit.features))
 
 
+def _in_turn(frame: int, items: Sequence[_T]) -> _T:
+    return items[frame % len(items)]
+
+
 def largest(candidates: Sequence[Candidate]) -> Candidate | None:
-    """The largest face; of fits of about the same size, which may be of one face, the most confident one."""
-    certain = [c for c in candidates if c.confidence >= _CERTAIN] or candidates
-    if not certain:
+    """The largest face, where half the confidence counts like half the size: who turns away in front comes before
+    somebody behind. Of fits that count about the same, which may be of one face, the most confident one.
+    """
+    if not candidates:
         return None
-    size = max(c.pose[0] for c in certain)
-    return max((c for c in certain if c.pose[0] > 0.8 * size), key=lambda c: c.confidence)
+    counts = [c.pose[0] * c.confidence for c in candidates]
+    near = [c for c, count in zip(candidates, counts, strict=True) if count > 0.8 * max(counts)]
+    return max(near, key=lambda c: c.confidence)

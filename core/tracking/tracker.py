@@ -22,6 +22,7 @@ from .model_file import TrackerModel, load_model
 from .pdm import FittedShape, PointDistributionModel
 from .result import TrackResult, project_shape
 from .search import Candidate, FaceSearch, largest
+from .settings import DEFAULTS, NETWORK, TrackingSettings
 
 DEFAULT_MODEL = ASSETS / "tracker" / "face.tracker"
 
@@ -45,15 +46,18 @@ class FaceTracker:
         Whether to spread work over frames, so that none takes long, as is needed live: the search for a face over up
         to 40, and the actions of eyes and mouth over two. By default all of the first frame without a face is
         searched, and all actions are measured in each.
+    settings : TrackingSettings, optional
+        How faces are found; may be replaced between frames.
     """
 
     lost_below = 0.3
     """Confidence below which a tracked face counts as lost; lower than for a new face, as a hand may cover it."""
 
-    def __init__(self, model: TrackerModel, *, gradual: bool = False) -> None:
+    def __init__(self, model: TrackerModel, *, gradual: bool = False, settings: TrackingSettings = DEFAULTS) -> None:
         self._model = model
         self._search = FaceSearch(model)
         self._search.gradual = gradual
+        self.settings = settings
         self._identity = Identity()
         self._choice = FaceChoice()
         self._last: FittedShape | None = None
@@ -62,9 +66,11 @@ class FaceTracker:
         self._mouth = HiddenMouth()
 
     @classmethod
-    def load(cls, path: Path | None = None, *, gradual: bool = False) -> FaceTracker:
+    def load(
+        cls, path: Path | None = None, *, gradual: bool = False, settings: TrackingSettings = DEFAULTS
+    ) -> FaceTracker:
         """Load the model file at `path`, by default the one that is shipped; ModelError if it is invalid."""
-        return cls(load_model(DEFAULT_MODEL if path is None else Path(path)), gradual=gradual)
+        return cls(load_model(DEFAULT_MODEL if path is None else Path(path)), gradual=gradual, settings=settings)
 
     @property
     def pdm(self) -> PointDistributionModel:
@@ -80,6 +86,16 @@ class FaceTracker:
     def fitter(self) -> FaceFitter:
         """Fits the shape model to an image."""
         return self._search.fitter
+
+    @property
+    def settings(self) -> TrackingSettings:
+        """How faces are found."""
+        return self._settings
+
+    @settings.setter
+    def settings(self, settings: TrackingSettings) -> None:
+        self._settings = settings
+        self._search.finder = self._model.finder if settings.detector == NETWORK else None
 
     @property
     def timings(self) -> dict[str, float]:

@@ -14,6 +14,7 @@ from facemime.core.images import read_image
 from facemime.core.landmarks import LIPS, MIRROR, from_ibug, outer_eye_distance
 from facemime.core.tracking.detect import BoxDetector
 from facemime.core.tracking.hidden_mouth import is_hidden
+from facemime.core.tracking.settings import CASCADES, NETWORK, TrackingSettings
 from facemime.core.tracking.tracker import FaceTracker
 
 PORTRAITS = Path(__file__).resolve().parents[1] / "data" / "portraits"
@@ -125,26 +126,28 @@ def test_a_gradual_search_finds_a_face_within_its_turn_where_a_whole_one_does_at
     at_once = tracker.locate(image)
     assert at_once.found
     gradual = FaceTracker.load(gradual=True)
-    results = (gradual.track(image) for _ in range(40))
+    results = (gradual.track(image) for _ in range(80))
     found = next(result for result in results if result.found)
     assert np.linalg.norm(found.landmarks - at_once.landmarks, axis=1).mean() < 0.05 * outer_eye_distance(
         at_once.landmarks
     )
 
 
-def test_no_frame_of_a_gradual_search_makes_more_than_three_scans(monkeypatch):
+@pytest.mark.parametrize(("detector", "most"), [(NETWORK, 1), (CASCADES, 3)])
+def test_no_frame_of_a_gradual_search_makes_more_scans_than_there_is_time_for(monkeypatch, detector, most):
     made = []
     scanned = BoxDetector._scanned
     monkeypatch.setattr(
         BoxDetector, "_scanned", lambda self, picture, scan: made.append(scan) or scanned(self, picture, scan)
     )
-    gradual, nobody = FaceTracker.load(gradual=True), np.full((480, 640), 128, np.uint8)
+    gradual = FaceTracker.load(gradual=True, settings=TrackingSettings(detector))
+    nobody = np.full((480, 640), 128, np.uint8)
     counts = []
     for _ in range(40):
         made.clear()
         assert not gradual.track(nobody).found
         counts.append(len(made))
-    assert max(counts) == 3
+    assert max(counts) == most
 
 
 def test_live_the_actions_of_eyes_and_mouth_are_measured_in_turn_and_in_files_all_in_each_frame(tracker):

@@ -39,7 +39,7 @@ def clutter(photos: list[Photo], count: int, rng: np.random.Generator) -> list[n
     out = []
     for _ in range(count):
         if rng.random() < 0.25:
-            out.append(_surface(rng))
+            out.append(surface(rng))
             continue
         grey = photos[rng.integers(len(photos))].grey()
         side = int(rng.integers(min(grey.shape) // 3, min(grey.shape)))
@@ -49,7 +49,7 @@ def clutter(photos: list[Photo], count: int, rng: np.random.Generator) -> list[n
     return out
 
 
-def _surface(rng: np.random.Generator) -> np.ndarray:
+def surface(rng: np.random.Generator) -> np.ndarray:
     """A wall: one grey, or blotches as fine as noise or as soft as clouds, with or without noise."""
     blotches = cv2.GaussianBlur(rng.normal(0, 1, (SIZE, SIZE)), (0, 0), float(np.exp(rng.uniform(-1.0, 3.7))))
     strength = rng.choice([0.0, rng.uniform(2.0, 60.0)])

@@ -12,7 +12,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from .crops import ActionBatch, Batch
-from .networks import ActionNetwork, FaceNetwork, MapLoss, PartNetwork
+from .finding import SceneBatch
+from .networks import ActionNetwork, FaceNetwork, FinderNetwork, MapLoss, PartNetwork
 
 RATE = 3e-3
 _AVERAGE = 0.005
@@ -43,6 +44,11 @@ def train_maps(
 def train_actions(network: ActionNetwork, draw: Callable[[], ActionBatch], course: Course) -> nn.Module:
     """The network of the expert of actions."""
     return _train(network, lambda: _action_loss(network, draw()), course, "off")
+
+
+def train_finder(network: FinderNetwork, draw: Callable[[], SceneBatch], course: Course) -> nn.Module:
+    """The network that finds faces."""
+    return _train(network, lambda: _finder_loss(network, draw()), course, "off")
 
 
 def _train(
@@ -109,6 +115,21 @@ def _action_loss(network: ActionNetwork, batch: ActionBatch) -> tuple[Tensor, fl
     # Cross-entropy, as what is rare and hard to see would be left out by a loss that asks for the median.
     loss = F.binary_cross_entropy_with_logits(out, wanted, pos_weight=torch.tensor(_RARE))
     return 2.0 * loss, float((torch.sigmoid(out.detach()) - wanted).abs().mean())
+
+
+def _finder_loss(network: FinderNetwork, batch: SceneBatch) -> tuple[Tensor, float]:
+    """Loss, and the mean absolute error of what is found of faces."""
+    out = network(torch.from_numpy(batch.pictures).to(memory_format=torch.channels_last)).float()
+    face, weights = torch.from_numpy(batch.face), torch.from_numpy(batch.weights)
+    odds = out[:, :1]
+    every = F.binary_cross_entropy_with_logits(odds, face, reduction="none")
+    missed = (torch.sigmoid(odds) - face).abs()  # focal: what is clear already counts little (Lin et al. 2017)
+    shown = face.sum().clamp_min(1.0)
+    about_faces = (every * missed**2 * weights).sum() / shown
+    away = (out[:, 1:] - torch.from_numpy(batch.found)) * face
+    return about_faces + F.smooth_l1_loss(away, torch.zeros_like(away), beta=0.1, reduction="sum") / shown, float(
+        away.detach().abs().sum() / shown / away.shape[1]
+    )
 
 
 def _face_loss(log_odds: Tensor, face: Tensor) -> Tensor:

@@ -115,22 +115,25 @@ def canonical_photo(
     return image, landmarks @ linear.T + matrix[:, 2], np.array([SCALE, pose[1], pose[2], 0.0, CENTRE, CENTRE])
 
 
-def degrade(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """What lamps, lenses, small faces, sensors and codecs do to a grey picture (SIZE, SIZE)."""
+def degrade(image: np.ndarray, rng: np.random.Generator, coarsest: float = 26.0 / SCALE) -> np.ndarray:
+    """What lamps, lenses, small faces, sensors and codecs do to a grey picture (S, S), which is reduced at most to
+    `coarsest`.
+    """
+    side = len(image)
     out = image.astype(np.float32)
     if rng.random() < 0.4:
         angle, depth = rng.uniform(0, 2 * np.pi), rng.uniform(0.1, 0.55)
-        y, x = np.mgrid[-1 : 1 : SIZE * 1j, -1 : 1 : SIZE * 1j].astype(np.float32)
+        y, x = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j].astype(np.float32)
         edge = (x * np.cos(angle) + y * np.sin(angle) - rng.uniform(-0.4, 0.4)) / rng.uniform(0.05, 0.8)
         out *= 1.0 - depth / (1.0 + np.exp(-np.clip(edge, -20, 20)))
     out = 255.0 * np.clip(out / 255.0, 0, 1) ** rng.uniform(0.6, 1.6)
     out = (out - 128.0) * rng.uniform(0.45, 1.1) + rng.uniform(75.0, 170.0)
-    small = SIZE
+    small = side
     if rng.random() < 0.55:
-        small = int(SIZE * rng.uniform(26.0, 80.0) / SCALE)
+        small = int(side * rng.uniform(coarsest, 1.0))
         out = cv2.resize(out, (small, small), interpolation=cv2.INTER_AREA)
     if rng.random() < 0.35:
-        out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.4, 1.6) * small / SIZE + 0.1)
+        out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.4, 1.6) * small / side + 0.1)
     if rng.random() < 0.12:
         length = int(rng.integers(2, 6))
         kernel = np.zeros((length, length), np.float32)
@@ -142,8 +145,8 @@ def degrade(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     if rng.random() < 0.5:
         _, packed = cv2.imencode(".jpg", out8, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(20, 85))])
         out8 = cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE)
-    if small != SIZE:
-        out8 = cv2.resize(out8, (SIZE, SIZE), interpolation=cv2.INTER_LINEAR)
+    if small != side:
+        out8 = cv2.resize(out8, (side, side), interpolation=cv2.INTER_LINEAR)
     return out8
 
 

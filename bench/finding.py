@@ -1,0 +1,150 @@
+"""Who is found, and how soon, by the finder and by the cascades: people who turn, tilt, are far away, or not alone.
+
+Usage: python -m bench.finding [--json build/bench/finding.json]. Held-out people are rendered before a grey wall.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.report import Table, finish, people_parser
+from facemime.core.landmarks import INNER
+from facemime.core.tracking.settings import CASCADES, NETWORK, TrackingSettings
+from facemime.core.tracking.tracker import FaceTracker
+from facemime.training.tracker.checks import clutter
+from facemime.training.tracker.heads import load_ict
+from facemime.training.tracker.reproject import WINDOW_LIGHT, Scene, render, skin_head
+from facemime.training.tracker.sources import Photo, read_photos, split
+
+_WIDTH, _HEIGHT = 640, 480
+_NEAR = 0.12
+"""Mean error of the inner points that are seen, in eye distances, below which the right face was found."""
+_LARGE, _BEHIND = 80.0, 26.0
+"""Outer-eye distances in pixels of the person in front, and of the blurred one behind."""
+_FRAMES_OF_NOBODY = 8
+
+
+@dataclass(frozen=True)
+class Case:
+    """A rendered person: degrees and pixels; with somebody behind, or not."""
+
+    title: str
+    yaw: float = 0.0
+    roll: float = 0.0
+    size: float = _LARGE
+    behind: bool = False
+
+
+CASES = (
+    *(Case(f"yaw {yaw} degrees", yaw=yaw) for yaw in (0, 45, 60, 70, 80)),
+    *(Case(f"yaw {yaw} degrees, somebody behind", yaw=yaw, behind=True) for yaw in (0, 45, 60, 70, 80)),
+    *(Case(f"roll {roll} degrees", roll=roll) for roll in (30, 60, 90, 180)),
+    *(Case(f"eyes {size} pixels apart", size=size) for size in (25, 15, 11, 8)),
+)
+
+
+class Stage:
+    """Renders people who are held out of the training, in grey pictures (480, 640)."""
+
+    def __init__(self, data: Path, tracker: FaceTracker) -> None:
+        self._data, self._pdm, self._head = data, tracker.pdm, load_ict(data)
+        self.photos: list[Photo] = split(read_photos(data, "london_neutral"))[1]
+
+    def picture(self, case: Case, number: int) -> tuple[NDArray[np.uint8], np.ndarray, np.ndarray]:
+        """The picture of a person, their landmarks (66, 2) in pixels, and which of these are seen (66,)."""
+        rng = np.random.default_rng(number)
+        picture = np.clip(110.0 + rng.normal(0.0, 3.0, (_HEIGHT, _WIDTH)), 0, 255).astype(np.uint8)
+        if case.behind:
+            self._draw(picture, number + 1, Case("", size=_BEHIND), (60, 90), rng)
+            picture = cv2.GaussianBlur(picture, (0, 0), 2.0)
+        place = (200, 80) if case.size == _LARGE else (300, 200)
+        landmarks, seen = self._draw(picture, number, case, place, rng)
+        return picture, landmarks, seen
+
+    def _draw(
+        self, picture: NDArray[np.uint8], number: int, case: Case, place: tuple[int, int], rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        photo = self.photos[number % len(self.photos)]
+        skinned = skin_head(self._head, self._pdm, photo.grey(), photo.landmarks, acting=False)
+        side, way = int(4 * case.size), 1 if number % 2 else -1
+        turn = np.radians([0.0, way * case.yaw, way * case.roll])
+        drawn = render(
+            self._head,
+            skinned,
+            np.zeros(len(self._head.names), np.float32),
+            np.array([case.size, *turn, side / 2, side / 2]),
+            side,
+            Scene(WINDOW_LIGHT),
+            rng,
+        )
+        x, y = place
+        picture[y : y + side, x : x + side][drawn.covered] = drawn.image[drawn.covered]
+        return drawn.landmarks + place, drawn.visible & np.isin(np.arange(66), INNER)
+
+    def empty(self, count: int) -> list[NDArray[np.uint8]]:
+        """Pictures of nobody: what is beside faces in photos, upside down, and walls."""
+        rng = np.random.default_rng(0)
+        photos = self.photos + split(read_photos(self._data, "canada"))[1]
+        return [cv2.resize(picture, (_WIDTH, _HEIGHT)) for picture in clutter(photos, count, rng)]
+
+
+def found(tracker: FaceTracker, stage: Stage, case: Case, people: int) -> tuple[int, float]:
+    """How many people are found in their pictures, and the median of the milliseconds for that."""
+    right, times = 0, []
+    for number in range(people):
+        picture, landmarks, seen = stage.picture(case, number)
+        began = perf_counter()
+        result = tracker.locate(picture)
+        times.append(1e3 * (perf_counter() - began))
+        away = np.linalg.norm(result.landmarks - landmarks, axis=1)[seen].mean() / case.size
+        right += bool(result.found and away < _NEAR)
+    return right, float(np.median(times))
+
+
+def waiting(detector: str, pictures: list[NDArray[np.uint8]]) -> Iterator[tuple[str, float, float]]:
+    """Milliseconds of a frame of nobody, live and in a file: what it is, the median, and the 95th percentile."""
+    for gradual, where in ((True, "live"), (False, "in a file, after the first frame")):
+        tracker, times = FaceTracker.load(gradual=gradual, settings=TrackingSettings(detector)), []
+        for picture in pictures:
+            tracker.reset()
+            for frame in range(_FRAMES_OF_NOBODY):
+                began = perf_counter()
+                result = tracker.track(picture)
+                if result.found:
+                    break
+                if gradual or frame:
+                    times.append(1e3 * (perf_counter() - began))
+        yield where, float(np.median(times)), float(np.percentile(times, 95))
+
+
+def main() -> int:
+    """Run the benchmark; returns the exit status."""
+    arguments = people_parser(__doc__.splitlines()[0], people=16).parse_args()
+    cv2.setNumThreads(1)
+    trackers = {name: FaceTracker.load(settings=TrackingSettings(name)) for name in (NETWORK, CASCADES)}
+    stage = Stage(arguments.data, trackers[NETWORK])
+    rows = []
+    for case in CASES:
+        told = [found(tracker, stage, case, arguments.people) for tracker in trackers.values()]
+        rows.append((case.title, *(f"{right} of {arguments.people}, {time:.0f} ms" for right, time in told)))
+    columns = ("", "neural network", "Viola-Jones")
+    pictures = stage.empty(40)
+    times = [list(waiting(name, pictures)) for name in trackers]
+    empty = [
+        (title, *(f"{ways[i][1]:.0f} ms, at most {ways[i][2]:.0f} in 95 %" for ways in times))
+        for i, (title, _, _) in enumerate(times[0])
+    ]
+    tables = [Table("Who is found, by detector", columns, rows), Table("A frame of nobody", columns, empty)]
+    finish(arguments, tables, {table.title: [list(row) for row in table.rows] for table in tables})
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,33 @@
+"""Settings that control how faces are found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..settings import Choice, setting
+
+NETWORK, CASCADES = "network", "cascades"
+
+
+@dataclass(frozen=True)
+class TrackingSettings:
+    """How faces are found.
+
+    Attributes
+    ----------
+    detector : {"network", "cascades"}
+        What proposes faces on the first frame and after a loss; "cascades" is the paper's Viola-Jones detector.
+    """
+
+    detector: str = setting(
+        NETWORK,
+        "Face Detector",
+        "What finds the face on the first frame and after a loss",
+        choices=(
+            Choice(NETWORK, "Neural Network", "Find faces from any side; those that it misses are left to Viola-Jones"),
+            Choice(CASCADES, "Viola-Jones", "Find faces by cascades alone, as in the paper"),
+        ),
+    )
+
+
+DEFAULTS = TrackingSettings()

@@ -1,0 +1,102 @@
+"""The network that finds faces: what it states, and whom the tracker finds by it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facemime.core.images import read_image
+from facemime.core.tracking.finder import FOUND, LARGEST, SMALLEST, STRIDE, FaceFinder
+from facemime.core.tracking.settings import CASCADES, TrackingSettings
+from facemime.core.tracking.tracker import FaceTracker
+from facemime.training.tracker.finding import SCENE, SceneBatch, mark
+
+PORTRAITS = Path(__file__).resolve().parents[1] / "data" / "portraits"
+DATA = Path(__file__).parents[3] / "shared" / "data"
+needs_photos = pytest.mark.skipif(not DATA.exists(), reason="the photographs of ../shared/data are not here")
+CELLS = SCENE // STRIDE
+
+
+@pytest.fixture(scope="module")
+def tracker() -> FaceTracker:
+    return FaceTracker.load()
+
+
+class Stated:
+    """Says what the training would have a network say of a scene with one face."""
+
+    def __init__(self, pose: np.ndarray, rim: int) -> None:
+        shape = (1, 1, CELLS, CELLS)
+        batch = SceneBatch(
+            np.empty((1, 1, SCENE, SCENE)), np.zeros(shape), np.ones(shape), np.zeros((1, 7, *shape[2:]))
+        )
+        mark(batch, 0, pose + [0, 0, 0, 0, rim, rim])
+        self.out = np.concatenate([np.where(batch.face > 0, 5.0, -9.0), batch.found], axis=1).astype(np.float32)
+
+    def __call__(self, pictures: np.ndarray) -> tuple[np.ndarray, ...]:
+        assert pictures.shape == (1, SCENE, SCENE)
+        return (self.out,)
+
+
+@given(
+    size=st.floats(SMALLEST, LARGEST),
+    pitch=st.floats(-0.8, 0.8),
+    yaw=st.floats(-1.5, 1.5),
+    roll=st.floats(-3.1, 3.1),
+    x=st.floats(0, 127),
+    y=st.floats(0, 127),
+)
+def test_a_face_is_read_where_training_marks_it(size, pitch, yaw, roll, x, y):
+    pose, rim = np.array([size, pitch, yaw, roll, x, y]), 16
+    finder = FaceFinder(Stated(pose, rim))
+    (found,) = finder.find(np.zeros((SCENE - 2 * rim, SCENE - 2 * rim), np.uint8), (SCENE,))
+    np.testing.assert_allclose(found.pose, pose, atol=2e-3)
+    assert len(finder.network.out[0]) == 1 + len(FOUND)
+
+
+@pytest.mark.parametrize("name", ["collins.jpg", "hopper.jpg"])
+@pytest.mark.parametrize(("scale", "degrees"), [(1.0, 0), (0.3, 0), (0.5, 40), (0.5, -60)])
+def test_the_likeliest_face_of_a_portrait_is_where_the_tracker_fits_it(tracker, name, scale, degrees):
+    image = cv2.cvtColor(read_image(PORTRAITS / name), cv2.COLOR_BGR2GRAY)
+    fitted = tracker.locate(image).pose
+    height, width = image.shape
+    turn = cv2.getRotationMatrix2D((width / 2, height / 2), -degrees, scale)
+    seen = cv2.warpAffine(image, turn, (width, height), flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REPLICATE)
+    found = tracker._model.finder.find(seen)[0].pose
+    assert np.hypot(*(found[4:6] - turn @ [*fitted[4:6], 1.0])) < 0.35 * scale * fitted[0]
+    assert abs(np.log(found[0] / (scale * fitted[0]))) < 0.3
+    away = np.degrees(found[3] - fitted[3]) - degrees
+    assert abs((away + 180) % 360 - 180) < 25
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 900), (480, 640), (17, 31)])
+def test_an_image_of_any_size_can_be_searched(tracker, size):
+    grey = np.random.default_rng(0).integers(0, 256, size, np.uint8)
+    assert all(np.isfinite(face.pose).all() and face.pose[0] > 0 for face in tracker._model.finder.find(grey))
+
+
+def test_viola_jones_alone_finds_the_same_face_without_the_finder(monkeypatch, tracker):
+    image = read_image(PORTRAITS / "hopper.jpg")
+    by_network = tracker.locate(image)
+    monkeypatch.delattr(FaceFinder, "find")
+    with pytest.raises(AttributeError):
+        tracker.locate(image)
+    alone = FaceTracker.load(settings=TrackingSettings(CASCADES)).locate(image)
+    assert np.linalg.norm(by_network.landmarks - alone.landmarks, axis=1).mean() < 0.01 * alone.pose[0]
+
+
+@needs_photos
+@pytest.mark.parametrize("degrees", [0, 45, 60, 70])
+def test_who_turns_away_in_front_is_found_rather_than_somebody_behind(degrees):
+    from bench.finding import Case, Stage
+
+    tracker = FaceTracker.load()
+    picture, landmarks, seen = Stage(DATA, tracker).picture(Case("", yaw=degrees, behind=True), 1)
+    found = tracker.track(picture)
+    assert found.found
+    assert np.linalg.norm(found.landmarks - landmarks, axis=1)[seen].mean() < 0.1 * 80
