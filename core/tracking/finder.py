@@ -28,6 +28,8 @@ _ODDS = -1.5
 """Log odds from which on a cell counts: what is no face is told from one by the fit."""
 _APART = 0.5
 """Outer-eye distances within which two findings are of one face."""
+_QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
+"""A quarter turn, clockwise, as y points down."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,8 @@ class FaceFinder:
     def __init__(self, network: Network) -> None:
         self.network = network
 
-    def find(self, grey: NDArray[np.uint8], sides: tuple[int, ...] = SIDES[:3]) -> list[FoundFace]:
-        """Find the faces of an image.
+    def find(self, grey: NDArray[np.uint8], sides: tuple[int, ...] = SIDES[:3], turns: int = 0) -> list[FoundFace]:
+        """Find the faces of an image, tilted by up to about 60 degrees.
 
         Parameters
         ----------
@@ -59,6 +61,8 @@ class FaceFinder:
             Grey image.
         sides : tuple of int
             Some of `SIDES`.
+        turns : int
+            Quarter turns, clockwise, by which the faces are tilted besides.
 
         Returns
         -------
@@ -69,8 +73,9 @@ class FaceFinder:
         -----
         About 1 ms at a side of 160 pixels and 6 ms at 400.
         """
+        upright = np.ascontiguousarray(np.rot90(grey, turns))
         wanted = [side for i, side in enumerate(sides) if i == 0 or max(grey.shape) > sides[i - 1]]
-        found = [face for side in wanted for face in self._at(grey, side)]
+        found = [_turned(face, turns, upright, grey) for side in wanted for face in self._at(upright, side)]
         found.sort(key=lambda f: -f.odds)
         kept: list[FoundFace] = []
         for face in found:
@@ -97,3 +102,12 @@ class FaceFinder:
             pose = np.array([UNIT * np.exp(length) * factor, *turned, np.arctan2(s, c), *(place * scale - 0.5)])
             faces.append(FoundFace(pose, float(odds[row, column])))
         return faces
+
+
+def _turned(face: FoundFace, turns: int, upright: NDArray[np.uint8], grey: NDArray[np.uint8]) -> FoundFace:
+    """A face that was found in `upright`, in the image `grey`, which is turned clockwise by quarter turns."""
+    middle, origin = ((np.array(image.shape[::-1]) - 1) / 2.0 for image in (upright, grey))
+    pose = face.pose.copy()
+    pose[3] = (pose[3] + turns * np.pi / 2.0 + np.pi) % (2.0 * np.pi) - np.pi
+    pose[4:6] = np.linalg.matrix_power(_QUARTER, turns) @ (pose[4:6] - middle) + origin
+    return FoundFace(pose, face.odds)

@@ -60,18 +60,31 @@ def test_a_face_is_read_where_training_marks_it(size, pitch, yaw, roll, x, y):
 
 
 @pytest.mark.parametrize("name", ["collins.jpg", "hopper.jpg"])
-@pytest.mark.parametrize(("scale", "degrees"), [(1.0, 0), (0.3, 0), (0.5, 40), (0.5, -60)])
-def test_the_likeliest_face_of_a_portrait_is_where_the_tracker_fits_it(tracker, name, scale, degrees):
+@pytest.mark.parametrize(
+    ("scale", "degrees", "turns"),
+    [(1.0, 0, 0), (0.3, 0, 0), (0.5, 40, 0), (0.5, -60, 0), (0.5, 80, 1), (0.5, 190, 2), (0.5, -100, 3)],
+)
+def test_the_likeliest_face_of_a_portrait_is_where_the_tracker_fits_it(tracker, name, scale, degrees, turns):
     image = cv2.cvtColor(read_image(PORTRAITS / name), cv2.COLOR_BGR2GRAY)
     fitted = tracker.locate(image).pose
     height, width = image.shape
     turn = cv2.getRotationMatrix2D((width / 2, height / 2), -degrees, scale)
     seen = cv2.warpAffine(image, turn, (width, height), flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REPLICATE)
-    found = tracker._model.finder.find(seen)[0].pose
+    found = tracker._model.finder.find(seen, turns=turns)[0].pose
     assert np.hypot(*(found[4:6] - turn @ [*fitted[4:6], 1.0])) < 0.35 * scale * fitted[0]
     assert abs(np.log(found[0] / (scale * fitted[0]))) < 0.3
     away = np.degrees(found[3] - fitted[3]) - degrees
     assert abs((away + 180) % 360 - 180) < 25
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_a_picture_that_lies_on_its_side_or_stands_on_its_head_gives_the_same_landmarks(tracker, turns):
+    image = read_image(PORTRAITS / "hopper.jpg")
+    upright, turned = tracker.locate(image), tracker.locate(np.ascontiguousarray(np.rot90(image, turns)))
+    assert turned.found and turned.confidence > 0.85
+    back = turned.landmarks - (np.array(np.rot90(image, turns).shape[1::-1]) - 1) / 2.0
+    back = back @ np.linalg.matrix_power([[0.0, 1.0], [-1.0, 0.0]], turns) + (np.array(image.shape[1::-1]) - 1) / 2.0
+    assert np.linalg.norm(back - upright.landmarks, axis=1).mean() < 0.02 * upright.pose[0]
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 900), (480, 640), (17, 31)])

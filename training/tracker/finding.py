@@ -75,7 +75,7 @@ def heads_of(head: IctHead, model: PointDistributionModel, photo: Photo, count: 
         light = Light(rng.uniform(0.45, 1.0), rng.uniform(0.0, 0.8), lamp / np.linalg.norm(lamp))
         expression = personal_expression(head, skinned, rng, sample_expression)
         picture = render(head, skinned, expression, pose, SIZE, Scene(light, rng.uniform(0, 0.12)), rng)
-        behind = backdrop(skinned, picture.landmarks, head, _bare(grey, landmarks, rng), rng)
+        behind = backdrop(skinned, picture.landmarks, head, bare(grey, landmarks, rng), rng)
         image, covered = _with_hair(
             np.where(picture.covered, picture.image, behind), picture.covered, picture.landmarks, rng
         )
@@ -102,7 +102,7 @@ def _stack(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray, bool]]) -> Heads
     )
 
 
-def _bare(grey: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def bare(grey: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """What a photo shows beside the face: its left, its right or what lies below."""
     left, right = (int(np.clip(v, 8, grey.shape[1] - 8)) for v in (landmarks[:, 0].min(), landmarks[:, 0].max()))
     low = int(np.clip(landmarks[:, 1].max(), 8, grey.shape[0] - 8))
@@ -137,7 +137,7 @@ def _with_hair(
 
 def surfaces(photos: list[Photo], rng: np.random.Generator) -> list[np.ndarray]:
     """Pictures without a face, at most as large as a scene: what photos show beside theirs, and walls."""
-    pieces = [_bare(photo.grey(), photo.landmarks, rng) for photo in photos for _ in range(_PIECES)]
+    pieces = [bare(photo.grey(), photo.landmarks, rng) for photo in photos for _ in range(_PIECES)]
     pieces += [surface(rng) for _ in range(_WALLS)]
     out = []
     for piece in pieces:
