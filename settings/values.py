@@ -95,6 +95,10 @@ def face_of(source: FacemimeSource) -> tuple[float, float] | None:
     return _FACES[source.face]
 
 
+FILE_OF = {"VIDEO": "video", "PICTURES": "folder", "TAKE": "take"}
+"""The property with the file or folder of each kind of source that has one."""
+
+
 def open_source(source: FacemimeSource) -> LiveSource:
     """Open the source of a live session.
 

@@ -12,6 +12,7 @@ from ..operators.puppet import running
 from ..operators.shared import heads_in
 from ..settings.preferences import draw_camera, draw_preview, preferences
 from ..settings.stream_properties import FacemimeStream
+from ..settings.values import FILE_OF
 from .sidebar import Sidebar, labels, place, split_labels
 
 _NUMBERED_CAMERAS = 4
@@ -37,7 +38,7 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
             _draw_senders(column, context)
         else:
             if source.kind != "SAMPLE":
-                column.prop(source, {"VIDEO": "video", "PICTURES": "folder", "TAKE": "take"}[source.kind])
+                column.prop(source, FILE_OF[source.kind])
             if source.kind == "PICTURES":
                 column.prop(source, "rate")
             column.prop(source, "loop")

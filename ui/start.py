@@ -10,6 +10,7 @@ from ..operators.shared import heads_in
 from ..sessions.live import LiveSession
 from ..sessions.show import TakeShow
 from ..sessions.tracking import TrackingSession
+from ..settings.values import FILE_OF
 from .sidebar import Sidebar, place
 from .status import draw_progress, summary
 
@@ -80,9 +81,17 @@ def _next_step(context: bpy.types.Context, heads: list[bpy.types.Object]) -> tup
         return _("Tracking the whole video"), "TIME"
     if TakeShow.running() is not None:
         return _("A take is shown"), "PLAY"
-    if heads:
-        return _("Ready"), "CHECKMARK"
-    return _("Add a head, or select a character"), "INFO"
+    if not heads:
+        return _("Add a head, or select a character"), "INFO"
+    source = context.scene.facemime.source
+    if source.kind in FILE_OF and not getattr(source, FILE_OF[source.kind]):
+        asked = {
+            "VIDEO": _("Choose the video in Source"),
+            "PICTURES": _("Choose the folder in Source"),
+            "TAKE": _("Choose the take in Source"),
+        }
+        return asked[source.kind], "INFO"
+    return _("Ready"), "CHECKMARK"
 
 
 class FACEMIME_MT_add(bpy.types.Menu):

@@ -210,6 +210,19 @@ def test_the_box_on_top_leads_from_no_head_to_start_and_names_the_head():
     assert head.name in draw(FACEMIME_PT_start), "the only head there is can be driven, whatever is selected"
 
 
+@pytest.mark.parametrize(
+    ("kind", "prop", "step"),
+    [("VIDEO", "video", "the video"), ("PICTURES", "folder", "the folder"), ("TAKE", "take", "the take")],
+)
+def test_the_box_on_top_asks_for_the_file_of_the_source_before_it_says_ready(kind, prop, step):
+    add_head(bpy.context)
+    source = bpy.context.scene.facemime.source
+    source.kind = kind
+    assert f"Choose {step} in Source" in draw(FACEMIME_PT_start) and "Ready" not in draw(FACEMIME_PT_start)
+    setattr(source, prop, "mine")
+    assert "Ready" in draw(FACEMIME_PT_start)
+
+
 def test_a_part_that_is_picked_stands_for_its_head():
     head = add_head(bpy.context)
     other = add_head(bpy.context)
