@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facemime.core.images import read_image
-from facemime.core.tracking.finder import FOUND, LARGEST, SMALLEST, STRIDE, FaceFinder
+from facemime.core.tracking.finder import FOUND, LARGEST, SMALLEST, STRIDE, UNIT, FaceFinder
 from facemime.core.tracking.settings import CASCADES, TrackingSettings
 from facemime.core.tracking.tracker import FaceTracker
-from facemime.training.tracker.finding import SCENE, SceneBatch, mark
+from facemime.training.tracker.finding import SCENE, Heads, SceneBatch, Scenes, mark
 
 PORTRAITS = Path(__file__).resolve().parents[1] / "data" / "portraits"
 DATA = Path(__file__).parents[3] / "shared" / "data"
@@ -57,6 +57,26 @@ def test_a_face_is_read_where_training_marks_it(size, pitch, yaw, roll, x, y):
     (found,) = finder.find(np.zeros((SCENE - 2 * rim, SCENE - 2 * rim), np.uint8), (SCENE,))
     np.testing.assert_allclose(found.pose, pose, atol=2e-3)
     assert len(finder.network.out[0]) == 1 + len(FOUND)
+
+
+def test_what_training_says_of_a_scene_is_what_it_shows():
+    # A head with a bright spot on the side that it turns to: where is the spot, by the pose that is stated?
+    image = np.full((1, 136, 136), 40, np.uint8)
+    cv2.circle(image[0], (92, 68), 9, 255, -1)
+    pose = np.float32([[40.0, 0.0, 0.6, 0.0, 68.0, 68.0]])
+    heads = Heads(image, np.ones_like(image, bool), pose, np.array([False]))
+    heads = Heads.join([heads, Heads(image, np.ones_like(image, bool), pose, np.array([True]))])
+    batch = Scenes(heads, [np.full((160, 160), 40, np.uint8)], np.random.default_rng(4)).draw(80)
+    assert 0.1 < (batch.face.max(axis=(1, 2, 3)) == 0).mean() < 0.5, "scenes without a face"
+    shown = []
+    for row, _, *cell in np.argwhere(batch.face > 0):
+        x, y, size, c, s, yaw, _ = batch.found[row, :, cell[0], cell[1]]
+        middle = (np.array(cell[::-1]) + 0.5) * STRIDE - 0.5 + UNIT * np.array([x, y])
+        spot = middle + 24.0 / 40.0 * UNIT * np.exp(size) * np.sign(yaw) * np.array([c, s])
+        if (spot > 2).all() and (spot < SCENE - 3).all():
+            picture = batch.pictures[row, 0]
+            shown.append(picture[tuple(np.round(spot).astype(int)[::-1])] > picture.mean() + picture.std())
+    assert len(shown) > 50 and np.mean(shown) > 0.95
 
 
 @pytest.mark.parametrize("name", ["collins.jpg", "hopper.jpg"])
