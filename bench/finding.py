@@ -18,7 +18,7 @@ from facemime.core.landmarks import INNER
 from facemime.core.tracking.settings import CASCADES, NETWORK, TrackingSettings
 from facemime.core.tracking.tracker import FaceTracker
 from facemime.training.tracker.checks import surface
-from facemime.training.tracker.finding import bare
+from facemime.training.tracker.finding import background_piece
 from facemime.training.tracker.heads import load_ict
 from facemime.training.tracker.reproject import WINDOW_LIGHT, Scene, render, skin_head
 from facemime.training.tracker.sources import Photo, read_photos, split
@@ -50,7 +50,7 @@ CASES = (
 )
 
 
-class Stage:
+class Renderer:
     """Renders people who are held out of the training, in grey pictures (480, 640)."""
 
     def __init__(self, data: Path, tracker: FaceTracker) -> None:
@@ -102,17 +102,17 @@ class Stage:
                 width, height = rng.integers(60, 320, 2).tolist()
                 x, y = int(rng.integers(_WIDTH - width)), int(rng.integers(_HEIGHT - height))
                 picture[y : y + height, x : x + width] = cv2.resize(
-                    bare(photo.grey(), photo.landmarks, rng), (width, height)
+                    background_piece(photo.grey(), photo.landmarks, rng), (width, height)
                 )
             out.append(picture)
         return out
 
 
-def found(tracker: FaceTracker, stage: Stage, case: Case, people: int) -> tuple[int, float]:
+def count_found(tracker: FaceTracker, renderer: Renderer, case: Case, people: int) -> tuple[int, float]:
     """How many people are found in their pictures, and the median of the milliseconds for that."""
     right, times = 0, []
     for number in range(people):
-        picture, landmarks, seen = stage.picture(case, number)
+        picture, landmarks, seen = renderer.picture(case, number)
         began = perf_counter()
         result = tracker.locate(picture)
         times.append(1e3 * (perf_counter() - began))
@@ -121,7 +121,7 @@ def found(tracker: FaceTracker, stage: Stage, case: Case, people: int) -> tuple[
     return right, float(np.median(times))
 
 
-def waiting(detector: str, pictures: list[NDArray[np.uint8]]) -> dict[str, str]:
+def measure_without_a_face(detector: str, pictures: list[NDArray[np.uint8]]) -> dict[str, str]:
     """Milliseconds of a frame of nobody, live and in a file, and in how many pictures a face is found nevertheless."""
     out = {}
     for gradual, where in ((True, "live"), (False, "in a file, after the first frame")):
@@ -146,15 +146,15 @@ def main() -> int:
     arguments = people_parser(__doc__.splitlines()[0], people=16).parse_args()
     cv2.setNumThreads(1)
     trackers = {name: FaceTracker.load(settings=TrackingSettings(name)) for name in (NETWORK, CASCADES)}
-    stage = Stage(arguments.data, trackers[NETWORK])
+    renderer = Renderer(arguments.data, trackers[NETWORK])
     rows = []
     for case in CASES:
-        told = [found(tracker, stage, case, arguments.people) for tracker in trackers.values()]
-        rows.append((case.title, *(f"{right} of {arguments.people}, {time:.0f} ms" for right, time in told)))
+        result = [count_found(tracker, renderer, case, arguments.people) for tracker in trackers.values()]
+        rows.append((case.title, *(f"{right} of {arguments.people}, {time:.0f} ms" for right, time in result)))
     columns = ("", "neural network", "Viola-Jones")
-    pictures = stage.empty(_PICTURES_OF_NOBODY)
-    times = [waiting(name, pictures) for name in trackers]
-    empty = [(title, *(told[title] for told in times)) for title in times[0]]
+    pictures = renderer.empty(_PICTURES_OF_NOBODY)
+    times = [measure_without_a_face(name, pictures) for name in trackers]
+    empty = [(title, *(result[title] for result in times)) for title in times[0]]
     tables = [Table("Who is found, by detector", columns, rows), Table("A frame of nobody", columns, empty)]
     finish(arguments, tables, {table.title: [list(row) for row in table.rows] for table in tables})
     return 0

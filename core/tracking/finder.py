@@ -25,7 +25,7 @@ _ROUND = 16
 _RIM = 16
 """Pixels by which the border of an image is extended: faces may be cut by it."""
 _ODDS = -1.5
-"""Log odds from which on a cell counts: what is no face is told from one by the fit."""
+"""Log odds above which a cell counts as a detection; the fit rejects false ones."""
 _APART = 0.5
 """Outer-eye distances within which two findings are of one face."""
 _QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])

@@ -23,7 +23,7 @@ _MAX_GRADUAL = 6
 """Starts per step of a gradual search that are fitted coarsely."""
 _MAX_FOUND = 8
 """Findings that are fitted coarsely."""
-_WORTH = 1e-3
+_LEAST_COARSE = 1e-3
 """Confidence of a coarse fit to a finding from which on it is fitted to the end. Most findings without a face have
 less, hardly any with one."""
 _CERTAIN = 0.85
@@ -33,21 +33,21 @@ _SEPARATION = 0.6
 
 
 @dataclass(frozen=True)
-class Look:
-    """A look of the finder: the sides and the quarter turns of `FaceFinder.find`."""
+class FinderPass:
+    """One pass of the finder: the sides and the quarter turns of `FaceFinder.find`."""
 
     sides: tuple[int, ...]
     turns: int = 0
 
 
-Way: TypeAlias = "Step | Look"
-_LARGE, _SMALL = Look(SIDES[:3]), Look(SIDES[3:])
-"""Where the finder looks first, and then."""
-_BESIDE = (_SMALL, *(Look(SIDES[:3], turns) for turns in (1, 3, 2)))
-"""What the finder does beside: small faces, and those that lie or hang. Much else looks like these, so they have to be
-certain."""
+SearchStep: TypeAlias = "Step | FinderPass"
+_FIRST_PASS, _SMALL_FACES = FinderPass(SIDES[:3]), FinderPass(SIDES[3:])
+"""The pass that comes first, and the one for small faces."""
+_FURTHER_PASSES = (_SMALL_FACES, *(FinderPass(SIDES[:3], turns) for turns in (1, 3, 2)))
+"""Further passes of the finder: small faces, and those that lie or hang. Much else looks like these, so they have to
+be certain."""
 _ALL = tuple(Step.whole(effort) for effort in EFFORTS)
-_FIRST = (_LARGE, _ALL[0])
+_FIRST = (_FIRST_PASS, _ALL[0])
 _QUICK = _ALL[:2]
 """The efforts that search for other people in view, without the finder."""
 _EVERY_FRAME = _ALL[:3]
@@ -139,18 +139,18 @@ class FaceSearch:
         """
         return self._judge(self.fitter.follow(grey, last))
 
-    def steps(self, misses: int) -> tuple[Way, ...]:
+    def steps(self, misses: int) -> tuple[SearchStep, ...]:
         """What to do after `misses` frames without a face: all at first, then what is quick, and one more in turn.
 
         A gradual search does not begin with all, and what it does in turn is short: the finder looks in every other
-        frame, and the frames between are for its other looks and for the cascades by turns.
+        frame, and the frames between are for its other passes and for the cascades by turns.
         """
         if self.finder is None:
             return self._steps_of_cascades(misses)
         if self.gradual:
             turn, part = divmod(misses, 4)
-            return ((_LARGE, _in_turn(turn, _BESIDE), _LARGE, _in_turn(turn, _IN_TURN))[part],)
-        return self._all if misses == 0 else (_LARGE, _in_turn(misses, self._all[1:]))
+            return ((_FIRST_PASS, _in_turn(turn, _FURTHER_PASSES), _FIRST_PASS, _in_turn(turn, _IN_TURN))[part],)
+        return self._all if misses == 0 else (_FIRST_PASS, _in_turn(misses, self._all[1:]))
 
     def _steps_of_cascades(self, misses: int) -> tuple[Step, ...]:
         if self.gradual:
@@ -159,11 +159,11 @@ class FaceSearch:
         return _ALL if misses == 0 else (*_EVERY_FRAME, _in_turn(misses, _ALL[len(_EVERY_FRAME) :]))
 
     @property
-    def _all(self) -> tuple[Way, ...]:
-        return _ALL if self.finder is None else (_LARGE, *_BESIDE, *_ALL)
+    def _all(self) -> tuple[SearchStep, ...]:
+        return _ALL if self.finder is None else (_FIRST_PASS, *_FURTHER_PASSES, *_ALL)
 
     def detect(
-        self, grey: NDArray[np.uint8], steps: Sequence[Way] | None = None, *, small: bool = False
+        self, grey: NDArray[np.uint8], steps: Sequence[SearchStep] | None = None, *, small: bool = False
     ) -> list[Candidate]:
         """Detect faces, step by step, until one of these finds a certain one.
 
@@ -171,8 +171,8 @@ class FaceSearch:
         ----------
         grey : (H, W) uint8
             Grey image.
-        steps : sequence of Step or Look, optional
-            In order: efforts of the cascades, and looks of the finder. By default all.
+        steps : sequence of Step or FinderPass, optional
+            In order: efforts of the cascades, and passes of the finder. By default all.
         small : bool
             Search small faces even if the first effort finds a certain one, as a particular face is awaited that
             may be small.
@@ -205,7 +205,7 @@ class FaceSearch:
         def apart(other: FloatArray) -> bool:
             return float(np.hypot(*(other[4:6] - pose[4:6]))) > _SEPARATION * float(pose[0])
 
-        steps: tuple[Way, ...] = (_LARGE if small else Look(SIDES[:2]),)
+        steps: tuple[SearchStep, ...] = (_FIRST_PASS if small else FinderPass(SIDES[:2]),)
         if self.finder is None:
             steps = _QUICK if small else _QUICK[:1]
         starts = [[start for start in self._starts(grey, step) if apart(start)] for step in steps]
@@ -216,7 +216,7 @@ class FaceSearch:
             if apart(c.pose)
         ]
 
-    def _detected(self, grey: NDArray[np.uint8], steps: Sequence[Way], small: bool) -> Iterator[Candidate]:
+    def _detected(self, grey: NDArray[np.uint8], steps: Sequence[SearchStep], small: bool) -> Iterator[Candidate]:
         for step in steps:
             found = self._faces_in(grey, self._starts(grey, step), step)
             yield from found
@@ -224,7 +224,7 @@ class FaceSearch:
             if certain and not (step in _FIRST and small):
                 return
 
-    def _starts(self, grey: NDArray[np.uint8], step: Way) -> list[FloatArray]:
+    def _starts(self, grey: NDArray[np.uint8], step: SearchStep) -> list[FloatArray]:
         """Poses (6,) of what the finder takes for faces, or frontal ones of the boxes that the detector finds."""
         began = perf_counter()
         starts = self._boxes(grey, step) if isinstance(step, Step) else self._found(grey, step)
@@ -235,23 +235,24 @@ class FaceSearch:
         boxes = self._detector.boxes(grey, step)[: _MAX_GRADUAL if self.gradual else _MAX_BOXES]
         return [box.start_pose(self._model.box_offset) for box in boxes]
 
-    def _found(self, grey: NDArray[np.uint8], look: Look) -> list[FloatArray]:
+    def _found(self, grey: NDArray[np.uint8], finder_pass: FinderPass) -> list[FloatArray]:
         """Large ones first, where half as likely counts like half as large."""
         assert self.finder is not None
         found = sorted(
-            self.finder.find(grey, look.sides, look.turns), key=lambda f: -f.pose[0] / (1.0 + np.exp(-f.odds))
+            self.finder.find(grey, finder_pass.sides, finder_pass.turns),
+            key=lambda f: -f.pose[0] / (1.0 + np.exp(-f.odds)),
         )
         return [face.pose for face in found[:_MAX_FOUND]]
 
-    def _faces_in(self, grey: NDArray[np.uint8], poses: Sequence[FloatArray], step: Way) -> list[Candidate]:
+    def _faces_in(self, grey: NDArray[np.uint8], poses: Sequence[FloatArray], step: SearchStep) -> list[Candidate]:
         """The accepted faces near the poses (6,) that a step gave."""
         neutral = np.zeros(self._model.pdm.n_modes)
         coarse = [self.fitter.fit(grey, FittedShape(pose, neutral), (COARSE,)) for pose in poses]
         if not isinstance(step, Step):
-            coarse = [fit for fit in coarse if self._model.check.confidence(fit.features) >= _WORTH]
+            coarse = [fit for fit in coarse if self._model.check.confidence(fit.features) >= _LEAST_COARSE]
         coarse.sort(key=lambda f: -f.features[1])  # the log odds of the face network
         tried = [self._judge(self.fitter.fit(grey, fit.fitted, REFINED)) for fit in coarse[:_MAX_FACES]]
-        least = _CERTAIN if step in _BESIDE else self.found_above
+        least = _CERTAIN if step in _FURTHER_PASSES else self.found_above
         return [c for c in tried if c.confidence >= least]
 
     def _judge(self, fit: Fit) -> Candidate:

@@ -1,4 +1,4 @@
-"""The network that finds faces: what it states, and whom the tracker finds by it."""
+"""The network that finds faces: its output, its training scenes, and the tracker that uses it."""
 
 from __future__ import annotations
 
@@ -126,10 +126,10 @@ def test_viola_jones_alone_finds_the_same_face_without_the_finder(monkeypatch, t
 @needs_photos
 @pytest.mark.parametrize("degrees", [0, 45, 60, 70])
 def test_who_turns_away_in_front_is_found_rather_than_somebody_behind(degrees):
-    from bench.finding import Case, Stage
+    from bench.finding import Case, Renderer
 
     tracker = FaceTracker.load()
-    picture, landmarks, seen = Stage(DATA, tracker).picture(Case("", yaw=degrees, behind=True), 1)
+    picture, landmarks, seen = Renderer(DATA, tracker).picture(Case("", yaw=degrees, behind=True), 1)
     found = tracker.track(picture)
     assert found.found
     assert np.linalg.norm(found.landmarks - landmarks, axis=1)[seen].mean() < 0.1 * 80

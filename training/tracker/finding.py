@@ -28,7 +28,7 @@ _FARTHEST_YAW = 1.65
 """Radians: a little beyond the profile."""
 _POSITIVE, _UNCERTAIN = 0.3, 0.65
 """Outer-eye distances from the middle of a face up to which a cell shows it, and up to which it may or may not."""
-_PLAIN, _REAL, _TORN = 0.15, 0.45, 0.5
+_PLAIN, _REAL, _CUT_OUT = 0.15, 0.45, 0.5
 """Shares: scenes without a face, faces from photos, and renders that are cut out of their background."""
 _TILT = 0.45
 """Standard deviation of a head's roll, radians."""
@@ -75,7 +75,7 @@ def heads_of(head: IctHead, model: PointDistributionModel, photo: Photo, count: 
         light = Light(rng.uniform(0.45, 1.0), rng.uniform(0.0, 0.8), lamp / np.linalg.norm(lamp))
         expression = personal_expression(head, skinned, rng, sample_expression)
         picture = render(head, skinned, expression, pose, SIZE, Scene(light, rng.uniform(0, 0.12)), rng)
-        behind = backdrop(skinned, picture.landmarks, head, bare(grey, landmarks, rng), rng)
+        behind = backdrop(skinned, picture.landmarks, head, background_piece(grey, landmarks, rng), rng)
         image, covered = _with_hair(
             np.where(picture.covered, picture.image, behind), picture.covered, picture.landmarks, rng
         )
@@ -102,7 +102,7 @@ def _stack(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray, bool]]) -> Heads
     )
 
 
-def bare(grey: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def background_piece(grey: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """What a photo shows beside the face: its left, its right or what lies below."""
     left, right = (int(np.clip(v, 8, grey.shape[1] - 8)) for v in (landmarks[:, 0].min(), landmarks[:, 0].max()))
     low = int(np.clip(landmarks[:, 1].max(), 8, grey.shape[0] - 8))
@@ -137,7 +137,7 @@ def _with_hair(
 
 def surfaces(photos: list[Photo], rng: np.random.Generator) -> list[np.ndarray]:
     """Pictures without a face, at most as large as a scene: what photos show beside theirs, and walls."""
-    pieces = [bare(photo.grey(), photo.landmarks, rng) for photo in photos for _ in range(_PIECES)]
+    pieces = [background_piece(photo.grey(), photo.landmarks, rng) for photo in photos for _ in range(_PIECES)]
     pieces += [surface(rng) for _ in range(_WALLS)]
     out = []
     for piece in pieces:
@@ -215,8 +215,8 @@ class Scenes:
         c, s = gain * np.cos(roll - pose[3]), gain * np.sin(roll - pose[3])
         linear = np.array([[c, -s], [s, c]])
         matrix = np.column_stack([linear, place - linear @ pose[4:6]])
-        torn = not heads.real[i] and rng.random() < _TORN
-        mask = covered.astype(np.float32) if torn else _patch_mask(rng)
+        cut_out = not heads.real[i] and rng.random() < _CUT_OUT
+        mask = covered.astype(np.float32) if cut_out else _patch_mask(rng)
         if gain < 0.5:
             picture, mask = (cv2.GaussianBlur(v, (0, 0), 0.3 / gain) for v in (picture, mask))
         where = {"M": matrix, "dsize": (SCENE, SCENE)}
