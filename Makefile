@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/three/three.core.js
 
-.PHONY: setup check test test-all test-share test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-finding bench-expressions bench-actions bench-learning bench-coefficients bench-remote paper model expressions coefficients head sample try lock clean blenders windows browser viewer docs
+.PHONY: setup check test test-all test-share test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-actions bench-learning bench-coefficients bench-remote paper model expressions coefficients head sample try lock clean blenders windows browser viewer docs
 
 setup: $(STAMP)
 
@@ -151,9 +151,9 @@ bench-remote: setup
 	$(BIN)/python -m bench.remote --figure docs/images/streams_delay.png --json build/bench/remote.json
 
 # Who is found, and how soon, by either detector; needs ../shared/data. Ten minutes.
-bench-finding: setup
+bench-detection: setup
 	mkdir -p build/bench
-	$(BIN)/python -m bench.finding --json build/bench/finding.json
+	$(BIN)/python -m bench.detection --json build/bench/detection.json
 
 # With the peers from PyPI, which live in an environment of their own; needs ../shared/data.
 bench-tracking: build/peers/.ready

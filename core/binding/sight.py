@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..landmarks import EYE_LEFT, EYE_RIGHT, INNER, MIRROR
 from ..rotation import euler_to_matrix
-from ..tracking.detect import Effort, Step
+from ..tracking.cascade_detector import Effort, Step
 from ..tracking.model_file import load_model
 from ..tracking.pdm import FittedShape, PointDistributionModel
 from ..tracking.search import FaceSearch

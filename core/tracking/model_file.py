@@ -19,11 +19,11 @@ from ..errors import ModelError, OutputError
 from ..landmarks import N_LANDMARKS, outer_eye_distance
 from ..reading import read_bytes
 from .action_experts import ActionExperts
+from .cascade_detector import DETECTORS
 from .check import N_FEATURES, FaceCheck
-from .detect import DETECTORS
 from .experts import FACE_STRIDE, PART_STRIDE, FaceExperts, FacePart, PartExperts
-from .finder import FOUND, STRIDE, FaceFinder
 from .network import Network
+from .network_detector import OUTPUTS, STRIDE, NetworkDetector
 from .patch_experts import PATCH, PatchExperts
 from .pdm import PointDistributionModel
 
@@ -63,7 +63,7 @@ class TrackerModel:
     box_offset : (D, 3) float64
         Per detector, translation of the pose from the centre of the box (x, y) and scale, in box widths.
     check : FaceCheck
-    finder : FaceFinder
+    detector : NetworkDetector
         Where faces may be.
     model_id : str
         First digits of the checksum of the file.
@@ -79,7 +79,7 @@ class TrackerModel:
     visibility: FloatArray
     box_offset: FloatArray
     check: FaceCheck
-    finder: FaceFinder
+    detector: NetworkDetector
     model_id: str = "unsaved"
 
 
@@ -170,7 +170,7 @@ def save_model(model: TrackerModel, path: Path) -> str:
         "visibility": model.visibility.astype(np.float32),
         "box_offset": model.box_offset.astype(np.float32),
         "check_weights": model.check.weights.astype(np.float32),
-        "finder_network": _packed(model.finder.network),
+        "detector_network": _packed(model.detector.network),
         **_pack_faces(model),
         **_pack_parts("part", model.parts),
         **_pack_parts("action", model.actions),
@@ -250,7 +250,7 @@ def _assemble(archive: Archive, model_id: str) -> TrackerModel:
         visibility=visibility,
         box_offset=box_offset,
         check=FaceCheck(archive.reals("check_weights", (N_FEATURES,))),
-        finder=_finder(archive),
+        detector=_detector(archive),
         model_id=model_id,
     )
 
@@ -290,10 +290,10 @@ def _face(place: int, archive: Archive) -> FaceExperts:
     return FaceExperts(network, _scales("face_scales", 2, archive)[place], size)
 
 
-def _finder(archive: Archive) -> FaceFinder:
-    network = Network(archive.data("finder_network"), "faces")
-    network.check((64, 32), (1, 1 + len(FOUND), 32 // STRIDE, 64 // STRIDE))
-    return FaceFinder(network)
+def _detector(archive: Archive) -> NetworkDetector:
+    network = Network(archive.data("detector_network"), "faces")
+    network.check((64, 32), (1, 1 + len(OUTPUTS), 32 // STRIDE, 64 // STRIDE))
+    return NetworkDetector(network)
 
 
 def _parts(archive: Archive) -> tuple[PartExperts, ...]:

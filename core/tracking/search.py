@@ -1,4 +1,4 @@
-"""Finding all faces of an image, whoever they are (docs/method.md, section 3.2)."""
+"""Detection of all faces of an image, whoever they are (docs/method.md, section 3.2)."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from .detect import EFFORTS, BoxDetector, Effort, Step
-from .finder import SIDES, FaceFinder
+from .cascade_detector import EFFORTS, CascadeDetector, Effort, Step
 from .fitter import COARSE, REFINED, FaceFitter, Fit
 from .model_file import TrackerModel
+from .network_detector import SIDES, NetworkDetector
 from .pdm import FittedShape
 
 _MAX_BOXES, _MAX_FACES = 60, 4
 """Starts per effort that are fitted coarsely, and those of them that are fitted to the end."""
 _MAX_GRADUAL = 6
 """Starts per step of a gradual search that are fitted coarsely."""
-_MAX_FOUND = 8
-"""Findings that are fitted coarsely."""
+_MAX_DETECTIONS = 8
+"""Detections by the network that are fitted coarsely."""
 _LEAST_COARSE = 1e-3
-"""Confidence of a coarse fit to a finding from which on it is fitted to the end. Most findings without a face have
-less, hardly any with one."""
+"""Confidence of a coarse fit to such a detection from which on it is fitted to the end. Most false detections have
+less, hardly any true ones."""
 _CERTAIN = 0.85
 """Confidence of a detected face above which no further effort is made."""
 _SEPARATION = 0.6
@@ -33,26 +33,26 @@ _SEPARATION = 0.6
 
 
 @dataclass(frozen=True)
-class FinderPass:
-    """One pass of the finder: the sides and the quarter turns of `FaceFinder.find`."""
+class NetworkPass:
+    """One pass of the network: the sides and the quarter turns of `NetworkDetector.detect`."""
 
     sides: tuple[int, ...]
     turns: int = 0
 
 
-SearchStep: TypeAlias = "Step | FinderPass"
-_FIRST_PASS, _SMALL_FACES = FinderPass(SIDES[:3]), FinderPass(SIDES[3:])
+SearchStep: TypeAlias = "Step | NetworkPass"
+_FIRST_PASS, _SMALL_FACES = NetworkPass(SIDES[:3]), NetworkPass(SIDES[3:])
 """The pass that comes first, and the one for small faces."""
-_FURTHER_PASSES = (_SMALL_FACES, *(FinderPass(SIDES[:3], turns) for turns in (1, 3, 2)))
-"""Further passes of the finder: small faces, and those that lie or hang. Much else looks like these, so they have to
+_FURTHER_PASSES = (_SMALL_FACES, *(NetworkPass(SIDES[:3], turns) for turns in (1, 3, 2)))
+"""Further passes of the network: small faces, and those that lie or hang. Much else looks like these, so they have to
 be certain."""
 _ALL = tuple(Step.whole(effort) for effort in EFFORTS)
 _FIRST = (_FIRST_PASS, _ALL[0])
 _QUICK = _ALL[:2]
-"""The efforts that search for other people in view, without the finder."""
+"""The efforts that search for other people in view, without the network."""
 _EVERY_FRAME = _ALL[:3]
 """The efforts that are made in every frame without a face, in addition to one of the others in turn, without the
-finder."""
+network."""
 _IN_TURN = tuple(
     step
     for i, part in enumerate(part for effort in EFFORTS[len(_EVERY_FRAME) :] for part in Step.parts(effort))
@@ -103,7 +103,7 @@ class FaceSearch:
     ----------
     gradual : bool
         Whether the search spreads over many frames, so that none takes long.
-    finder : FaceFinder or None
+    network : NetworkDetector or None
         Looks before any cascade does. None leaves the start to the cascades alone, as in the paper.
     timings : dict of str to float
         Seconds that each stage has taken since `begin`: "detect", "experts", "fit", "check", "gaze", "actions".
@@ -114,9 +114,9 @@ class FaceSearch:
 
     def __init__(self, model: TrackerModel) -> None:
         self.gradual = False
-        self.finder: FaceFinder | None = model.finder
+        self.network: NetworkDetector | None = model.detector
         self._model = model
-        self._detector = BoxDetector()
+        self._cascades = CascadeDetector()
         self.timings: dict[str, float] = dict.fromkeys(STAGES, 0.0)
         self.fitter = FaceFitter(model, self.timings)
 
@@ -142,10 +142,10 @@ class FaceSearch:
     def steps(self, misses: int) -> tuple[SearchStep, ...]:
         """What to do after `misses` frames without a face: all at first, then what is quick, and one more in turn.
 
-        A gradual search does not begin with all, and what it does in turn is short: the finder looks in every other
+        A gradual search does not begin with all, and what it does in turn is short: the network looks in every other
         frame, and the frames between are for its other passes and for the cascades by turns.
         """
-        if self.finder is None:
+        if self.network is None:
             return self._steps_of_cascades(misses)
         if self.gradual:
             turn, part = divmod(misses, 4)
@@ -160,7 +160,7 @@ class FaceSearch:
 
     @property
     def _all(self) -> tuple[SearchStep, ...]:
-        return _ALL if self.finder is None else (_FIRST_PASS, *_FURTHER_PASSES, *_ALL)
+        return _ALL if self.network is None else (_FIRST_PASS, *_FURTHER_PASSES, *_ALL)
 
     def detect(
         self, grey: NDArray[np.uint8], steps: Sequence[SearchStep] | None = None, *, small: bool = False
@@ -171,8 +171,8 @@ class FaceSearch:
         ----------
         grey : (H, W) uint8
             Grey image.
-        steps : sequence of Step or FinderPass, optional
-            In order: efforts of the cascades, and passes of the finder. By default all.
+        steps : sequence of Step or NetworkPass, optional
+            In order: efforts of the cascades, and passes of the network. By default all.
         small : bool
             Search small faces even if the first effort finds a certain one, as a particular face is awaited that
             may be small.
@@ -205,8 +205,8 @@ class FaceSearch:
         def apart(other: FloatArray) -> bool:
             return float(np.hypot(*(other[4:6] - pose[4:6]))) > _SEPARATION * float(pose[0])
 
-        steps: tuple[SearchStep, ...] = (_FIRST_PASS if small else FinderPass(SIDES[:2]),)
-        if self.finder is None:
+        steps: tuple[SearchStep, ...] = (_FIRST_PASS if small else NetworkPass(SIDES[:2]),)
+        if self.network is None:
             steps = _QUICK if small else _QUICK[:1]
         starts = [[start for start in self._starts(grey, step) if apart(start)] for step in steps]
         return [
@@ -225,24 +225,24 @@ class FaceSearch:
                 return
 
     def _starts(self, grey: NDArray[np.uint8], step: SearchStep) -> list[FloatArray]:
-        """Poses (6,) of what the finder takes for faces, or frontal ones of the boxes that the detector finds."""
+        """Poses (6,) of what the network takes for faces, or frontal ones of the boxes that the cascades propose."""
         began = perf_counter()
-        starts = self._boxes(grey, step) if isinstance(step, Step) else self._found(grey, step)
+        starts = self._boxes(grey, step) if isinstance(step, Step) else self._detections(grey, step)
         self.timings["detect"] += perf_counter() - began
         return starts
 
     def _boxes(self, grey: NDArray[np.uint8], step: Step) -> list[FloatArray]:
-        boxes = self._detector.boxes(grey, step)[: _MAX_GRADUAL if self.gradual else _MAX_BOXES]
+        boxes = self._cascades.boxes(grey, step)[: _MAX_GRADUAL if self.gradual else _MAX_BOXES]
         return [box.start_pose(self._model.box_offset) for box in boxes]
 
-    def _found(self, grey: NDArray[np.uint8], finder_pass: FinderPass) -> list[FloatArray]:
-        """Large ones first, where half as likely counts like half as large."""
-        assert self.finder is not None
+    def _detections(self, grey: NDArray[np.uint8], network_pass: NetworkPass) -> list[FloatArray]:
+        """Poses (6,) of the network's detections, large ones first, where half as likely counts like half as large."""
+        assert self.network is not None
         found = sorted(
-            self.finder.find(grey, finder_pass.sides, finder_pass.turns),
+            self.network.detect(grey, network_pass.sides, network_pass.turns),
             key=lambda f: -f.pose[0] / (1.0 + np.exp(-f.odds)),
         )
-        return [face.pose for face in found[:_MAX_FOUND]]
+        return [face.pose for face in found[:_MAX_DETECTIONS]]
 
     def _faces_in(self, grey: NDArray[np.uint8], poses: Sequence[FloatArray], step: SearchStep) -> list[Candidate]:
         """The accepted faces near the poses (6,) that a step gave."""

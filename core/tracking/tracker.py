@@ -95,7 +95,7 @@ class FaceTracker:
     @settings.setter
     def settings(self, settings: TrackingSettings) -> None:
         self._settings = settings
-        self._search.finder = self._model.finder if settings.detector == NETWORK else None
+        self._search.network = self._model.detector if settings.detector == NETWORK else None
 
     @property
     def timings(self) -> dict[str, float]:

@@ -38,7 +38,7 @@ def test_a_model_survives_saving_and_loading(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.pdm.basis, model.pdm.basis)
     np.testing.assert_allclose(again.check.weights, model.check.weights)
     assert again.face.network.onnx == model.face.network.onnx
-    assert again.finder.network.onnx == model.finder.network.onnx
+    assert again.detector.network.onnx == model.detector.network.onnx
     for a, b in zip(again.parts, model.parts, strict=True):
         assert (a.scale, a.paired, a.network.onnx) == (b.scale, b.paired, b.network.onnx)
         np.testing.assert_array_equal(a.landmarks, b.landmarks)
@@ -98,7 +98,7 @@ def test_a_newer_format_is_refused_and_the_message_says_what_to_do(tmp_path: Pat
         ("frontal_step", np.full((66, 32), 3e38, np.float32), "frontal_step"),
         ("side_output", np.zeros((66, 31), np.float16), "side_output has the shape"),
         ("face_0_network", np.zeros(100, np.uint8), "cannot read a network"),
-        ("finder_network", np.zeros(100, np.uint8), "cannot read a network"),
+        ("detector_network", np.zeros(100, np.uint8), "cannot read a network"),
         ("check_weights", np.zeros(7, np.float32), "check_weights has the shape"),
     ],
 )

@@ -10,15 +10,15 @@ import pytest
 torch = pytest.importorskip("torch", reason="PyTorch is not installed; `make model` does it")
 pytest.importorskip("onnx", reason="ONNX is not installed; `make model` does it")
 
-from facemime.core.tracking.finder import FOUND, FaceFinder  # noqa: E402
 from facemime.core.tracking.network import Network  # noqa: E402
+from facemime.core.tracking.network_detector import OUTPUTS, NetworkDetector  # noqa: E402
 from facemime.training.tracker.crops import ActionBatch, Batch  # noqa: E402
-from facemime.training.tracker.finding import Heads, Scenes  # noqa: E402
-from facemime.training.tracker.learn import Course, train_actions, train_finder, train_maps  # noqa: E402
+from facemime.training.tracker.detection import Heads, Scenes  # noqa: E402
+from facemime.training.tracker.learn import Course, train_actions, train_detector, train_maps  # noqa: E402
 from facemime.training.tracker.networks import (  # noqa: E402
     ActionNetwork,
+    DetectorNetwork,
     FaceNetwork,
-    FinderNetwork,
     MapLoss,
     PartNetwork,
     to_onnx,
@@ -54,24 +54,24 @@ def test_opencv_runs_the_face_network_as_pytorch_does(size: int) -> None:
         np.testing.assert_allclose(ours, theirs.numpy(), atol=1e-4)
 
 
-def test_the_finder_learns_where_a_spot_is_and_opencv_runs_it_at_any_size(tmp_path: Path) -> None:
+def test_the_detector_learns_where_a_spot_is_and_opencv_runs_it_at_any_size(tmp_path: Path) -> None:
     torch.manual_seed(2)
     spot = np.full((1, 136, 136), 40, np.uint8)
     spot[0, 56:80, 56:80] = 240
     pose = np.float32([[16.0, 0.0, 0.0, 0.0, 67.5, 67.5]])
     parts = [Heads(spot, spot > 100, pose, np.array([real])) for real in (False, True)]
     scenes = Scenes(Heads.join(parts), [np.full((160, 160), 40, np.uint8)], np.random.default_rng(3))
-    course = Course(60, tmp_path / "finder.pt", "finder")
-    network = train_finder(FinderNetwork(len(FOUND)), lambda: scenes.draw(8), course).eval()
-    finder = FaceFinder(Network(to_onnx(network, 160, 160), "faces"))
+    course = Course(60, tmp_path / "detector.pt", "detector")
+    network = train_detector(DetectorNetwork(len(OUTPUTS)), lambda: scenes.draw(8), course).eval()
+    detector = NetworkDetector(Network(to_onnx(network, 160, 160), "faces"))
     image = np.full((100, 220), 40, np.uint8)
     image[48:72, 138:162] = 240
-    found = finder.find(image, (400,))[0].pose
+    found = detector.detect(image, (400,))[0].pose
     assert np.hypot(*(found[4:6] - (149.5, 59.5))) < 8.0
     picture = np.random.default_rng(0).normal(0, 1, (1, 96, 144)).astype(np.float32)
     with torch.no_grad():
         expected = network(torch.from_numpy(picture[:, None])).numpy()
-    np.testing.assert_allclose(finder.network(picture)[0], expected, atol=1e-4)
+    np.testing.assert_allclose(detector.network(picture)[0], expected, atol=1e-4)
 
 
 def test_training_resumes_from_its_checkpoint_and_learns_a_spot(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from facemime.core.actions import N_ACTIONS
 from facemime.core.images import read_image
 from facemime.core.landmarks import LIPS, MIRROR, from_ibug, outer_eye_distance
-from facemime.core.tracking.detect import BoxDetector
+from facemime.core.tracking.cascade_detector import CascadeDetector
 from facemime.core.tracking.hidden_mouth import is_hidden
 from facemime.core.tracking.settings import CASCADES, NETWORK, TrackingSettings
 from facemime.core.tracking.tracker import FaceTracker
@@ -136,9 +136,9 @@ def test_a_gradual_search_finds_a_face_within_its_turn_where_a_whole_one_does_at
 @pytest.mark.parametrize(("detector", "most"), [(NETWORK, 1), (CASCADES, 3)])
 def test_no_frame_of_a_gradual_search_makes_more_scans_than_there_is_time_for(monkeypatch, detector, most):
     made = []
-    scanned = BoxDetector._scanned
+    scanned = CascadeDetector._scanned
     monkeypatch.setattr(
-        BoxDetector, "_scanned", lambda self, picture, scan: made.append(scan) or scanned(self, picture, scan)
+        CascadeDetector, "_scanned", lambda self, picture, scan: made.append(scan) or scanned(self, picture, scan)
     )
     gradual = FaceTracker.load(gradual=True, settings=TrackingSettings(detector))
     nobody = np.full((480, 640), 128, np.uint8)

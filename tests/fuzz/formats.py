@@ -50,7 +50,7 @@ from facemime.core.takes.smooth import smooth_zero_phase
 from facemime.core.takes.spreadsheet import from_csv, to_csv
 from facemime.core.takes.take import Take, check_take
 from facemime.core.takes.timing import resample, restart, trim
-from facemime.core.tracking.detect import BoxDetector
+from facemime.core.tracking.cascade_detector import CascadeDetector
 from facemime.core.tracking.model_file import _HEADER, FORMAT_VERSION, MAGIC
 from facemime.core.tracking.tracker import DEFAULT_MODEL, FaceTracker
 from takes import coefficient_take, performance
@@ -152,13 +152,13 @@ def _face() -> np.ndarray:
 
 
 @cache
-def _detector() -> BoxDetector:
-    return BoxDetector()
+def _cascades() -> CascadeDetector:
+    return CascadeDetector()
 
 
 def _read_tracker(path: Path) -> None:
     tracker = FaceTracker.load(path)
-    tracker._search._detector = _detector()  # which would read its own files, slowly
+    tracker._search._cascades = _cascades()  # which would read its own files, slowly
     for _ in range(2):
         tracker.track(_face())
 

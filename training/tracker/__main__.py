@@ -48,9 +48,9 @@ def main() -> None:
         jobs += [Job(*where, "acting_part", (i, part, held_out)) for i, part in enumerate(parts)]
     photos = workshop.photos()
     parts = [photos[i : i + _PHOTOS_A_PART] for i in range(0, len(photos), _PHOTOS_A_PART)]
-    jobs += [Job(*where, "finding_part", (i, part)) for i, part in enumerate(parts)]
+    jobs += [Job(*where, "detection_part", (i, part)) for i, part in enumerate(parts)]
     _run_all(jobs, options.jobs)
-    jobs = [Job(*where, "finder")] + [Job(*where, "network", (name,)) for name in (*FACES, *PARTS)]
+    jobs = [Job(*where, "detector")] + [Job(*where, "network", (name,)) for name in (*FACES, *PARTS)]
     _run_all(jobs + [Job(*where, "actions", (name,)) for name in ACTION_PARTS], options.jobs)
     _run_all([Job(*where, "patches", (view,)) for view in ("frontal", "side")], options.jobs)
     options.output.parent.mkdir(parents=True, exist_ok=True)

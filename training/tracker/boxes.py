@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from facemime.core.tracking.detect import DETECTORS, EFFORTS, BoxDetector, Step
+from facemime.core.tracking.cascade_detector import DETECTORS, EFFORTS, CascadeDetector, Step
 
 
 def fit_box_offsets(pictures: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """(D, 3) median of `(dx, dy, scale)` in box widths, over grey pictures with known poses (6,)."""
-    detector = BoxDetector()
+    detector = CascadeDetector()
     seen: list[list[tuple[float, float, float]]] = [[] for _ in DETECTORS]
     for grey, pose in pictures:
         for face in (f for effort in EFFORTS for f in detector.boxes(grey, Step.whole(effort))):

@@ -12,8 +12,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from .crops import ActionBatch, Batch
-from .finding import SceneBatch
-from .networks import ActionNetwork, FaceNetwork, FinderNetwork, MapLoss, PartNetwork
+from .detection import SceneBatch
+from .networks import ActionNetwork, DetectorNetwork, FaceNetwork, MapLoss, PartNetwork
 
 RATE = 3e-3
 _AVERAGE = 0.005
@@ -46,9 +46,9 @@ def train_actions(network: ActionNetwork, draw: Callable[[], ActionBatch], cours
     return _train(network, lambda: _action_loss(network, draw()), course, "off")
 
 
-def train_finder(network: FinderNetwork, draw: Callable[[], SceneBatch], course: Course) -> nn.Module:
+def train_detector(network: DetectorNetwork, draw: Callable[[], SceneBatch], course: Course) -> nn.Module:
     """The network that finds faces."""
-    return _train(network, lambda: _finder_loss(network, draw()), course, "off")
+    return _train(network, lambda: _detector_loss(network, draw()), course, "off")
 
 
 def _train(
@@ -117,7 +117,7 @@ def _action_loss(network: ActionNetwork, batch: ActionBatch) -> tuple[Tensor, fl
     return 2.0 * loss, float((torch.sigmoid(out.detach()) - wanted).abs().mean())
 
 
-def _finder_loss(network: FinderNetwork, batch: SceneBatch) -> tuple[Tensor, float]:
+def _detector_loss(network: DetectorNetwork, batch: SceneBatch) -> tuple[Tensor, float]:
     """Loss, and the mean absolute error of what is found of faces."""
     out = network(torch.from_numpy(batch.pictures).to(memory_format=torch.channels_last)).float()
     face, weights = torch.from_numpy(batch.face), torch.from_numpy(batch.weights)

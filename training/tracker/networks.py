@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 FACE_CHANNELS, PART_CHANNELS = (16, 32, 64, 96), (32, 32, 48, 72)
-FINDER_CHANNELS = (12, 24, 48, 64)
+DETECTOR_CHANNELS = (12, 24, 48, 64)
 ACTION_CHANNELS = (16, 32, 48, 72, 16)
 
 
@@ -119,14 +119,14 @@ class ActionNetwork(nn.Module):
         return told if self.training else torch.sigmoid(told)
 
 
-class FinderNetwork(nn.Module):
+class DetectorNetwork(nn.Module):
     """(B, 1, H, W) to the log odds that a cell shows a face and to its pose (B, 8, H / 8, W / 8)."""
 
     outputs = ("faces",)
 
     def __init__(self, found: int) -> None:
         super().__init__()
-        a, b, c, d = FINDER_CHANNELS
+        a, b, c, d = DETECTOR_CHANNELS
         self.at_eighth = nn.Sequential(
             *(_convolution(1, a, 3, 2), _Separable(a, b, 2), _Separable(b, b), _Separable(b, c, 2)),
             *(_Separable(c, c), _Separable(c, c), _Separable(c, c)),
@@ -192,7 +192,7 @@ class MapLoss(torch.autograd.Function):
         return out.to(ctx.kind), None, None, None
 
 
-def to_onnx(network: FaceNetwork | PartNetwork | ActionNetwork | FinderNetwork, width: int, height: int) -> bytes:
+def to_onnx(network: FaceNetwork | PartNetwork | ActionNetwork | DetectorNetwork, width: int, height: int) -> bytes:
     """The network for pictures of that size, as OpenCV reads it."""
     buffer = io.BytesIO()
     torch.onnx.export(

@@ -14,9 +14,9 @@ from facemime.core.landmarks import MIRROR
 from facemime.core.tracking.action_experts import ActionExperts
 from facemime.core.tracking.check import N_FEATURES, FaceCheck
 from facemime.core.tracking.experts import FaceExperts, PartExperts
-from facemime.core.tracking.finder import FOUND, FaceFinder
 from facemime.core.tracking.model_file import TrackerModel
 from facemime.core.tracking.network import Network
+from facemime.core.tracking.network_detector import OUTPUTS, NetworkDetector
 from facemime.core.tracking.patch_experts import PatchExperts
 from facemime.core.tracking.pdm import PointDistributionModel
 from facemime.core.tracking.tracker import FaceTracker
@@ -26,7 +26,7 @@ from .boxes import fit_box_offsets
 from .checks import clutter, collect_features, train_check
 from .crops import ActionPart, Crops, draw_actions
 from .definition import definition_offset
-from .finding import SCENE, Heads, Scenes, heads_of, surfaces
+from .detection import SCENE, Heads, Scenes, heads_of, surfaces
 from .heads import load_ict
 from .patches import mirror_samples, reference_set, train_experts
 from .samples import Samples, photo_samples, render_samples
@@ -84,9 +84,9 @@ RECIPES = {
 ACTING = {"london_neutral": 48, "canada": 48, "congress": 8}
 """Renders of a photo for the expert of actions, and of a held-out one, the first of which show a face at rest."""
 _HELD_OUT_ACTING, _RESTING = 60, 10
-FINDING_BY_HAND, FINDING = 24, 4
-"""Renders for the face finder of a photo that was labelled by hand, and of another."""
-FINDER_BATCH, FINDER_STEPS = 48, 9000
+SCENE_HEADS_BY_HAND, SCENE_HEADS = 24, 4
+"""Renders for the face detector of a photo that was labelled by hand, and of another."""
+DETECTOR_BATCH, DETECTOR_STEPS = 48, 9000
 _RENDERS_A_SKIN = 24
 """Renders of a photo until it is mirrored or not anew."""
 
@@ -201,28 +201,28 @@ class Workshop:
             path.write_bytes(to_onnx(network, *part.size))
         return path.read_bytes()
 
-    def finding_part(self, number: int, photos: list[Photo]) -> Path:
-        """One file of heads for the face finder."""
-        path = self.work / "finding" / f"{number:03d}.npz"
+    def detection_part(self, number: int, photos: list[Photo]) -> Path:
+        """One file of heads for the face detector."""
+        path = self.work / "detection" / f"{number:03d}.npz"
         if not path.exists():
             head, model = load_ict(self.data), self.shape()
             rng = np.random.default_rng((SEED, 41, number))
-            counts = [FINDING_BY_HAND if photo.by_hand else FINDING for photo in photos]
+            counts = [SCENE_HEADS_BY_HAND if photo.by_hand else SCENE_HEADS for photo in photos]
             Heads.join([heads_of(head, model, p, n, rng) for p, n in zip(photos, counts, strict=True)]).save(path)
         return path
 
-    def finder(self) -> bytes:
-        """The network of the face finder, in ONNX."""
-        path = self.work / "finder.onnx"
+    def detector(self) -> bytes:
+        """The network of the face detector, in ONNX."""
+        path = self.work / "detector.onnx"
         if not path.exists():
-            from .learn import Course, train_finder
-            from .networks import FinderNetwork, to_onnx
+            from .learn import Course, train_detector
+            from .networks import DetectorNetwork, to_onnx
 
             rng = np.random.default_rng((SEED, 41))
-            heads = Heads.join([Heads.load(p) for p in sorted((self.work / "finding").glob("*[0-9].npz"))])
+            heads = Heads.join([Heads.load(p) for p in sorted((self.work / "detection").glob("*[0-9].npz"))])
             scenes = Scenes(heads, surfaces(self.photos(), rng), rng)
-            course = Course(FINDER_STEPS, path.with_suffix(".pt"), path.stem)
-            network = train_finder(FinderNetwork(len(FOUND)), lambda: scenes.draw(FINDER_BATCH), course)
+            course = Course(DETECTOR_STEPS, path.with_suffix(".pt"), path.stem)
+            network = train_detector(DetectorNetwork(len(OUTPUTS)), lambda: scenes.draw(DETECTOR_BATCH), course)
             path.write_bytes(to_onnx(network, SCENE, SCENE))
         return path.read_bytes()
 
@@ -294,7 +294,7 @@ class Workshop:
             visibility=self.visibility(),
             box_offset=self.boxes(),
             check=check,
-            finder=FaceFinder(Network(self.finder(), "faces")),
+            detector=NetworkDetector(Network(self.detector(), "faces")),
         )
 
     def check(self) -> FaceCheck:

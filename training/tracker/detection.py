@@ -1,4 +1,4 @@
-"""What the face finder sees in training: scenes with faces of any size from any side, and with none.
+"""What the face detector sees in training: scenes with faces of any size from any side, and with none.
 
 Re-projections show faces from all sides up to full profile, photos show real hair, clothes and backgrounds.
 """
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from facemime.core.tracking.finder import FOUND, LARGEST, SMALLEST, STRIDE, UNIT
+from facemime.core.tracking.network_detector import LARGEST, OUTPUTS, SMALLEST, STRIDE, UNIT
 from facemime.core.tracking.pdm import PointDistributionModel
 
 from .checks import surface
@@ -160,7 +160,7 @@ class Scenes:
             np.empty((count, 1, SCENE, SCENE), np.float32),
             np.zeros((count, 1, cells, cells), np.float32),
             np.ones((count, 1, cells, cells), np.float32),
-            np.zeros((count, len(FOUND), cells, cells), np.float32),
+            np.zeros((count, len(OUTPUTS), cells, cells), np.float32),
         )
         for row in range(count):
             image, poses = self._scene()

@@ -171,7 +171,7 @@ class FaceBox:
         return np.array([scale * width, 0.0, 0.0, self.roll, *place])
 
 
-class BoxDetector:
+class CascadeDetector:
     """Proposes boxes that may contain faces; the tracker fits and checks them."""
 
     @cached_property

@@ -1,6 +1,6 @@
-"""Who is found, and how soon, by the finder and by the cascades: people who turn, tilt, are far away, or not alone.
+"""Who is detected, and how soon, by the network and by the cascades: people who turn, tilt, are far away, or not alone.
 
-Usage: python -m bench.finding [--json build/bench/finding.json]. Held-out people are rendered before a grey wall.
+Usage: python -m bench.detection [--json build/bench/detection.json]. Held-out people are rendered before a grey wall.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from facemime.core.landmarks import INNER
 from facemime.core.tracking.settings import CASCADES, NETWORK, TrackingSettings
 from facemime.core.tracking.tracker import FaceTracker
 from facemime.training.tracker.checks import surface
-from facemime.training.tracker.finding import background_piece
+from facemime.training.tracker.detection import background_piece
 from facemime.training.tracker.heads import load_ict
 from facemime.training.tracker.reproject import WINDOW_LIGHT, Scene, render, skin_head
 from facemime.training.tracker.sources import Photo, read_photos, split
@@ -122,7 +122,7 @@ def count_found(tracker: FaceTracker, renderer: Renderer, case: Case, people: in
 
 
 def measure_without_a_face(detector: str, pictures: list[NDArray[np.uint8]]) -> dict[str, str]:
-    """Milliseconds of a frame of nobody, live and in a file, and in how many pictures a face is found nevertheless."""
+    """Milliseconds of a frame of nobody, live and in a file, and in how many pictures there are false detections."""
     out = {}
     for gradual, where in ((True, "live"), (False, "in a file, after the first frame")):
         tracker, times, wrong = FaceTracker.load(gradual=gradual, settings=TrackingSettings(detector)), [], 0
@@ -137,7 +137,7 @@ def measure_without_a_face(detector: str, pictures: list[NDArray[np.uint8]]) -> 
                     times.append(1e3 * (perf_counter() - began))
         out[f"{where}: median"] = f"{np.median(times):.0f} ms"
         out[f"{where}: 95 %"] = f"{np.percentile(times, 95):.0f} ms"
-        out[f"{where}: found nevertheless"] = f"{wrong} of {len(pictures)}"
+        out[f"{where}: false detections"] = f"{wrong} of {len(pictures)}"
     return out
 
 

@@ -1,4 +1,4 @@
-"""A small network that finds faces of any size, from any side, in one pass (docs/method.md, section 3.2)."""
+"""A small network that detects faces of any size, from any side, in one pass (docs/method.md, section 3.2)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ UNIT = 16.0
 """Pixels in which the network measures."""
 SMALLEST, LARGEST = 9.0, 30.0
 """Outer-eye distances in pixels of the faces that it finds."""
-FOUND = ("x", "y", "size", "cos roll", "sin roll", "sin yaw", "sin pitch")
+OUTPUTS = ("x", "y", "size", "cos roll", "sin roll", "sin yaw", "sin pitch")
 """What it says of a face, beside the log odds: place and size in units, size as a logarithm."""
 SIDES = (64, 160, 400, 1000)
 """Pixels to which the longer side of an image is reduced, one after the other, for smaller and smaller faces."""
@@ -27,33 +27,33 @@ _RIM = 16
 _ODDS = -1.5
 """Log odds above which a cell counts as a detection; the fit rejects false ones."""
 _APART = 0.5
-"""Outer-eye distances within which two findings are of one face."""
+"""Outer-eye distances within which two detections are of one face."""
 _QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 """A quarter turn, clockwise, as y points down."""
 
 
 @dataclass(frozen=True)
-class FoundFace:
-    """A place where there may be a face: its pose (6,), image frame, and the log odds."""
+class Detection:
+    """A possible face: its pose (6,), image frame, and the log odds."""
 
     pose: FloatArray
     odds: float
 
 
-class FaceFinder:
-    """Finds faces by a network; see `BoxDetector` for Viola and Jones' way.
+class NetworkDetector:
+    """Detects faces by a network; see `CascadeDetector` for Viola and Jones' way.
 
     Parameters
     ----------
     network : Network
-        From standardised pictures to `FOUND`.
+        From standardised pictures to `OUTPUTS`.
     """
 
     def __init__(self, network: Network) -> None:
         self.network = network
 
-    def find(self, grey: NDArray[np.uint8], sides: tuple[int, ...] = SIDES[:3], turns: int = 0) -> list[FoundFace]:
-        """Find the faces of an image, tilted by up to about 60 degrees.
+    def detect(self, grey: NDArray[np.uint8], sides: tuple[int, ...] = SIDES[:3], turns: int = 0) -> list[Detection]:
+        """Detect the faces of an image, tilted by up to about 60 degrees.
 
         Parameters
         ----------
@@ -66,7 +66,7 @@ class FaceFinder:
 
         Returns
         -------
-        list of FoundFace
+        list of Detection
             The likeliest first, one per face.
 
         Notes
@@ -77,13 +77,13 @@ class FaceFinder:
         wanted = [side for i, side in enumerate(sides) if i == 0 or max(grey.shape) > sides[i - 1]]
         found = [_turned(face, turns, upright, grey) for side in wanted for face in self._at(upright, side)]
         found.sort(key=lambda f: -f.odds)
-        kept: list[FoundFace] = []
+        kept: list[Detection] = []
         for face in found:
             if all(np.hypot(*(face.pose[4:6] - k.pose[4:6])) > _APART * max(face.pose[0], k.pose[0]) for k in kept):
                 kept.append(face)
         return kept
 
-    def _at(self, grey: NDArray[np.uint8], side: int) -> list[FoundFace]:
+    def _at(self, grey: NDArray[np.uint8], side: int) -> list[Detection]:
         factor = max(max(grey.shape) / side, 1.0)
         size = (max(round(grey.shape[1] / factor), 1), max(round(grey.shape[0] / factor), 1))
         small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if factor > 1.0 else grey
@@ -100,14 +100,14 @@ class FaceFinder:
             place = (np.array([column, row]) + 0.5) * STRIDE - _RIM + UNIT * np.array([x, y])  # pixels' edges
             turned = np.arcsin(np.clip([pitch, yaw], -1.0, 1.0))
             pose = np.array([UNIT * np.exp(length) * factor, *turned, np.arctan2(s, c), *(place * scale - 0.5)])
-            faces.append(FoundFace(pose, float(odds[row, column])))
+            faces.append(Detection(pose, float(odds[row, column])))
         return faces
 
 
-def _turned(face: FoundFace, turns: int, upright: NDArray[np.uint8], grey: NDArray[np.uint8]) -> FoundFace:
-    """A face that was found in `upright`, in the image `grey`, which is turned clockwise by quarter turns."""
+def _turned(face: Detection, turns: int, upright: NDArray[np.uint8], grey: NDArray[np.uint8]) -> Detection:
+    """A detection in `upright`, in the image `grey`, which is turned clockwise by quarter turns."""
     middle, origin = ((np.array(image.shape[::-1]) - 1) / 2.0 for image in (upright, grey))
     pose = face.pose.copy()
     pose[3] = (pose[3] + turns * np.pi / 2.0 + np.pi) % (2.0 * np.pi) - np.pi
     pose[4:6] = np.linalg.matrix_power(_QUARTER, turns) @ (pose[4:6] - middle) + origin
-    return FoundFace(pose, face.odds)
+    return Detection(pose, face.odds)

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facemime.core.images import read_image
-from facemime.core.tracking.finder import FOUND, LARGEST, SMALLEST, STRIDE, UNIT, FaceFinder
+from facemime.core.tracking.network_detector import LARGEST, OUTPUTS, SMALLEST, STRIDE, UNIT, NetworkDetector
 from facemime.core.tracking.settings import CASCADES, TrackingSettings
 from facemime.core.tracking.tracker import FaceTracker
-from facemime.training.tracker.finding import SCENE, Heads, SceneBatch, Scenes, mark
+from facemime.training.tracker.detection import SCENE, Heads, SceneBatch, Scenes, mark
 
 PORTRAITS = Path(__file__).resolve().parents[1] / "data" / "portraits"
 DATA = Path(__file__).parents[3] / "shared" / "data"
@@ -53,10 +53,10 @@ class Stated:
 )
 def test_a_face_is_read_where_training_marks_it(size, pitch, yaw, roll, x, y):
     pose, rim = np.array([size, pitch, yaw, roll, x, y]), 16
-    finder = FaceFinder(Stated(pose, rim))
-    (found,) = finder.find(np.zeros((SCENE - 2 * rim, SCENE - 2 * rim), np.uint8), (SCENE,))
+    detector = NetworkDetector(Stated(pose, rim))
+    (found,) = detector.detect(np.zeros((SCENE - 2 * rim, SCENE - 2 * rim), np.uint8), (SCENE,))
     np.testing.assert_allclose(found.pose, pose, atol=2e-3)
-    assert len(finder.network.out[0]) == 1 + len(FOUND)
+    assert len(detector.network.out[0]) == 1 + len(OUTPUTS)
 
 
 def test_what_training_says_of_a_scene_is_what_it_shows():
@@ -90,7 +90,7 @@ def test_the_likeliest_face_of_a_portrait_is_where_the_tracker_fits_it(tracker, 
     height, width = image.shape
     turn = cv2.getRotationMatrix2D((width / 2, height / 2), -degrees, scale)
     seen = cv2.warpAffine(image, turn, (width, height), flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REPLICATE)
-    found = tracker._model.finder.find(seen, turns=turns)[0].pose
+    found = tracker._model.detector.detect(seen, turns=turns)[0].pose
     assert np.hypot(*(found[4:6] - turn @ [*fitted[4:6], 1.0])) < 0.35 * scale * fitted[0]
     assert abs(np.log(found[0] / (scale * fitted[0]))) < 0.3
     away = np.degrees(found[3] - fitted[3]) - degrees
@@ -110,13 +110,13 @@ def test_a_picture_that_lies_on_its_side_or_stands_on_its_head_gives_the_same_la
 @pytest.mark.parametrize("size", [(1, 1), (3, 900), (480, 640), (17, 31)])
 def test_an_image_of_any_size_can_be_searched(tracker, size):
     grey = np.random.default_rng(0).integers(0, 256, size, np.uint8)
-    assert all(np.isfinite(face.pose).all() and face.pose[0] > 0 for face in tracker._model.finder.find(grey))
+    assert all(np.isfinite(face.pose).all() and face.pose[0] > 0 for face in tracker._model.detector.detect(grey))
 
 
-def test_viola_jones_alone_finds_the_same_face_without_the_finder(monkeypatch, tracker):
+def test_viola_jones_alone_finds_the_same_face_without_the_network(monkeypatch, tracker):
     image = read_image(PORTRAITS / "hopper.jpg")
     by_network = tracker.locate(image)
-    monkeypatch.delattr(FaceFinder, "find")
+    monkeypatch.delattr(NetworkDetector, "detect")
     with pytest.raises(AttributeError):
         tracker.locate(image)
     alone = FaceTracker.load(settings=TrackingSettings(CASCADES)).locate(image)
@@ -126,7 +126,7 @@ def test_viola_jones_alone_finds_the_same_face_without_the_finder(monkeypatch, t
 @needs_photos
 @pytest.mark.parametrize("degrees", [0, 45, 60, 70])
 def test_who_turns_away_in_front_is_found_rather_than_somebody_behind(degrees):
-    from bench.finding import Case, Renderer
+    from bench.detection import Case, Renderer
 
     tracker = FaceTracker.load()
     picture, landmarks, seen = Renderer(DATA, tracker).picture(Case("", yaw=degrees, behind=True), 1)
