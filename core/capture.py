@@ -12,12 +12,12 @@ import stat
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from .closing import Closing
 from .errors import SourceError
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -36,7 +36,7 @@ class Frame:
     index: int
 
 
-class VideoSource:
+class VideoSource(Closing):
     """A video file: a context manager, and an iterator over its frames in order.
 
     Parameters
@@ -102,14 +102,6 @@ class VideoSource:
     def close(self) -> None:
         """Release the file; may be called twice."""
         self._capture.release()
-
-    def __enter__(self) -> VideoSource:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def at_constant_rate(frames: Iterable[Frame], fps: float) -> Iterator[Frame]:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
+
+from ..closing import Closing
 
 _ENDING = 5.0
 """Seconds that `close` waits for a thread."""
 
 
-class Connecting(ABC):
+class Connecting(Closing):
     """A thread that keeps connecting to another program and sends what is new, until `close`.
 
     `_news` guards what the thread shares with others; whoever changes it notifies it.
@@ -48,7 +50,7 @@ class Connecting(ABC):
                 self._news.wait_for(lambda: self._over, self._pause)
 
 
-class Serving(ABC):
+class Serving(Closing):
     """An event loop in a thread of its own, until `close`.
 
     Parameters

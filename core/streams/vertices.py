@@ -9,7 +9,6 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Sequence
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,12 +106,6 @@ class VertexSender(Connecting):
         self._rests: list[NDArray[np.float32]] = []
         self._newest: tuple[float, Sequence[HeadFrame]] | None = None
         self._thread.start()
-
-    def __enter__(self) -> VertexSender:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def show(self, taken: float, drivers: Sequence[HeadDriver | KeyDriver], frames: Sequence[HeadFrame]) -> None:
         """Send a frame; as `core.live.outputs.Display`."""

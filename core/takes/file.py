@@ -7,12 +7,12 @@ import os
 import time as clock
 from io import FileIO
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 
 from ..capture import check_readable
+from ..closing import Closing
 from ..errors import OutputError, SourceError
 from ..files import replacing
 from ..reading import read_bytes
@@ -41,7 +41,7 @@ _MAX_RATIO, _MIN_UNPACKED = 192, 32 << 20
 """Bytes in memory that are allowed per byte of the file, and in addition. A take has 4 with a face, and 127 without."""
 
 
-class TakeWriter:
+class TakeWriter(Closing):
     """Writes a take frame by frame, so that a crash or power cut loses no more than a second.
 
     A context manager, to be used by one thread at a time.
@@ -117,14 +117,6 @@ class TakeWriter:
             self._file.close()
             if self._end == 0:
                 self.path.unlink(missing_ok=True)
-
-    def __enter__(self) -> TakeWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _write(self, data: bytes) -> None:
         try:

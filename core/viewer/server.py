@@ -15,7 +15,6 @@ from contextlib import suppress
 from functools import partial
 from http import HTTPStatus
 from time import perf_counter
-from types import TracebackType
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
@@ -98,12 +97,6 @@ class ViewerServer(Serving):
         if not self._ready.wait(_STARTING) or self._error is not None:
             self.close()
             raise cannot_listen(settings.host, settings.port, self._error or TimeoutError("it does not start"))
-
-    def __enter__(self) -> ViewerServer:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def show(self, taken: float, drivers: Sequence[HeadDriver | KeyDriver], frames: Sequence[HeadFrame]) -> None:
         """Show a frame; as `core.live.outputs.Display`."""
