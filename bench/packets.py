@@ -13,6 +13,17 @@ from facemime.core.coefficient_names import COEFFICIENTS, N_COEFFICIENTS
 from facemime.core.streams import live_link, openseeface, osc, vmc
 from facemime.core.streams.datagram import encode_face
 from facemime.core.streams.face_cap import FaceCapDecoder
+from facemime.core.streams.face_motion import (
+    FRAME,
+    POSE,
+    REVISION,
+    SCHEMA,
+    SCHEMA_DATAGRAM,
+    START,
+    STATED,
+    FaceMotionReceiver,
+    message,
+)
 from facemime.core.streams.frames import Decoder, FaceValues, StreamFrame
 from facemime.core.streams.ifacialmocap import IFacialMocapDecoder
 from facemime.core.streams.live_link import LiveLinkDecoder
@@ -48,6 +59,30 @@ class _Signed:
         frames, _ = OwnReceiver(_KEY).receive(data, 0.0)
         assert not frames
         return []
+
+
+class _Motion:
+    """A receiver of Face Motion 3 to which a phone sends, as a decoder."""
+
+    def __init__(self) -> None:
+        self._receiver = FaceMotionReceiver()
+        for packet in _motion()[:-1]:
+            self._receiver.receive(packet, 0.0)
+
+    def decode(self, data: bytes) -> list[StreamFrame]:
+        """Decode a datagram."""
+        return self._receiver.receive(data, 0.0)[0]
+
+
+@cache
+def _motion() -> list[bytes]:
+    stated = STATED | {"blend_names": list(COEFFICIENTS), "blend_encoding": "i16"}
+    schema = START.pack(0, 60, 1200, 10_000, REVISION) + json.dumps(stated).encode()
+    values = np.round(100.0 * _FACE.coefficients).astype("<i2").tobytes()
+    return [
+        *message(SCHEMA, 7, schema, schema=1, largest=SCHEMA_DATAGRAM),
+        *message(FRAME, 7, values + POSE.pack(*range(6), *[0.0] * 6), schema=1, sequence=1, flags=1),
+    ]
 
 
 def _own() -> list[bytes]:
@@ -93,6 +128,7 @@ INTACT: dict[str, tuple[Callable[[], Decoder], Callable[[], list[bytes]]]] = {
     "vmc": (VmcDecoder, lambda: list(vmc.encode(_FACE, 1.5))),
     "openseeface": (OpenSeeFaceDecoder, lambda: [openseeface.encode(_TRACKED, 1.5)]),
     "ifacialmocap": (IFacialMocapDecoder, _phone_text),
+    "face_motion": (_Motion, _motion),
     "vtubestudio": (VTubeStudioDecoder, lambda: [json.dumps(phone_json()).encode()]),
     "facecap": (FaceCapDecoder, _face_cap),
 }

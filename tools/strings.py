@@ -45,7 +45,18 @@ _REASONS = {"ValueError", "fail", "count", "vectors", "array", "indices", "_need
 _MESSAGES = {"report", "Finding", "Quality", "_chosen"}
 _FUNCTIONS = {"explained", "missing_parts", "summary"}
 """Functions that return messages."""
-_TABLES = {"MARKS", "START", "PART_NAMES", "_DESCRIPTIONS", "BONES", "_EXPLANATIONS", "_STAGES", "_TASKS", "BUILT_IN"}
+_TABLES = {
+    "MARKS",
+    "START",
+    "PART_NAMES",
+    "_DESCRIPTIONS",
+    "BONES",
+    "_EXPLANATIONS",
+    "_STAGES",
+    "_TASKS",
+    "BUILT_IN",
+    "REFUSALS",
+}
 """Dictionaries, or tuples of them, whose values are messages."""
 _ITEMS = {"_BOTH_WAYS"}
 """Variables to which items of enumerations are assigned."""

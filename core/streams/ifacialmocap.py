@@ -1,4 +1,4 @@
-"""iFacialMocap and Facemotion3d, versions 1 and 2 of their text (docs/streams.md).
+"""iFacialMocap and Facemotion3d, versions 1 and 2, which are text; see `face_motion` for 3 (docs/streams.md).
 
 The phone sends only after a start message. A packet is `name-percent|...|` (1) or `name&percent|...|` (2), with the
 head's angles in degrees and its position in metres after `=head#`, and the angles of the eyes.
@@ -10,17 +10,10 @@ import re
 from math import pi
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..coefficient_names import column_of
-from .frames import (
-    MAX_DATAGRAM,
-    FaceValues,
-    PacketError,
-    StreamFrame,
-    checked,
-    no_coefficients,
-    turned,
-)
+from .frames import MAX_DATAGRAM, FaceValues, PacketError, StreamFrame, checked, no_coefficients, turned
 
 PORT, PHONE_PORT, FACEMOTION_PORT = 49983, 49983, 49993
 """Of the receiver, and of the two apps on the phone."""
@@ -56,10 +49,26 @@ class IFacialMocapDecoder:
         head = poses.get("head", ())
         if known < _MIN_NAMES or len(head) != 6:
             raise PacketError("the face or its pose is missing")
-        rotation = turned(*(angle * pi / 180.0 for angle in head[:3]))
-        # ARKit's axes are to the viewer's right, up and towards the viewer.
-        position = np.array(head[3:]) * (1.0, -1.0, -1.0)
-        return [StreamFrame(checked(FaceValues(coefficients, rotation, position)))]
+        return [StreamFrame(phone_face(coefficients, head))]
+
+
+def phone_face(coefficients: NDArray[np.float64], head: tuple[float, ...]) -> FaceValues:
+    """Return a face as the apps state it, in every version of the protocol.
+
+    Parameters
+    ----------
+    coefficients : (52,) float64
+    head : tuple of float
+        Three angles in degrees and a position in metres, in ARKit's axes: to the viewer's right, up, and towards the
+        viewer.
+
+    Raises
+    ------
+    PacketError
+        If a number is impossible.
+    """
+    rotation = turned(*(angle * pi / 180.0 for angle in head[:3]))
+    return checked(FaceValues(coefficients, rotation, np.array(head[3:]) * (1.0, -1.0, -1.0)))
 
 
 def _floats(text: str) -> tuple[float, ...]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import SourceError
-from . import datagram, face_cap, ifacialmocap, live_link, openseeface, vmc, vtube_studio
+from . import datagram, face_cap, face_motion, ifacialmocap, live_link, openseeface, vmc, vtube_studio
 from .addresses import EVERYWHERE, LOOPBACK, is_loopback
 from .face_cap import FaceCapDecoder
 from .frames import Decoder
@@ -40,6 +40,8 @@ class StreamProtocol:
         Where the phone has to be asked to send; 0 if it sends by itself.
     request : callable
         Makes that request, for the port on which the answer is received.
+    motion_port : int
+        Where the phone is asked for `face_motion` before; 0 if it does not know that.
     """
 
     label: str
@@ -47,6 +49,7 @@ class StreamProtocol:
     decoder: Callable[[StreamSettings], Decoder] | None
     phone_port: int = 0
     request: Callable[[int], bytes] = lambda port: b""
+    motion_port: int = 0
 
 
 @dataclass(frozen=True)
@@ -142,6 +145,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         lambda s: IFacialMocapDecoder(),
         ifacialmocap.PHONE_PORT,
         lambda port: ifacialmocap.START,
+        face_motion.PHONE_PORT,
     ),
     "facemotion3d": StreamProtocol(
         "Facemotion3d",
@@ -149,6 +153,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         lambda s: IFacialMocapDecoder(),
         ifacialmocap.FACEMOTION_PORT,
         lambda port: ifacialmocap.FACEMOTION_START,
+        face_motion.PHONE_PORT,
     ),
     "vtubestudio": StreamProtocol(
         "VTube Studio, MeowFace",

@@ -18,6 +18,7 @@ from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
 from .addresses import resolve
 from .casting import SILENT, Address, Casting, FaceName, Role, label_of
+from .face_motion import MAGIC, FaceMotionReceiver
 from .frames import MAX_DATAGRAM, Decoder, FaceValues, PacketError, StreamFrame
 from .links import DatagramLink, Link
 from .playout import Playout, Shown
@@ -27,6 +28,8 @@ from .tls_client import TlsLink
 
 _ASK_AGAIN = 2.0
 """Seconds after which a phone is asked again."""
+_ASK_OTHERWISE = 1.0
+"""Seconds after which a phone that did not answer is asked for its other protocol."""
 _MOST_SENDERS = 16
 """Senders at a time, and faces of each."""
 _RATE, _BURST = 8000.0, 2000.0
@@ -127,7 +130,9 @@ class StreamSource(LiveSource):
         self._wake, self._woken = socket.socketpair()
         self._closed = False
         self._phone: tuple[int, Address] | None = None
-        self._asked = -np.inf
+        self._motion = FaceMotionReceiver() if self._protocol.motion_port else None
+        self._motion_address: Address = ("", 0)
+        self._asked, self._requests = -np.inf, 0
         self._senders: dict[Address, _Sender] = {}
         self.chosen: tuple[str, ...] = self.settings.senders
         self._casting = Casting(self._wanted())
@@ -173,6 +178,8 @@ class StreamSource(LiveSource):
         self._closed = True
         with suppress(OSError):
             self._wake.send(b"\0")
+        if self._motion is not None:
+            self._tell(self._motion.stop())
         self._link.close()
         self._wake.close()
 
@@ -180,6 +187,7 @@ class StreamSource(LiveSource):
         self._link.open()
         if self.settings.phone and self._phone is None:
             self._phone = resolve(self.settings.phone, self._protocol.phone_port)
+            self._motion_address = self._phone[1][0], self._protocol.motion_port
 
     def _wait(self, seconds: float) -> None:
         readers, writers = self._link.waits()
@@ -187,13 +195,31 @@ class StreamSource(LiveSource):
             select.select([*readers, self._woken], writers, [], max(seconds, 0.0))
 
     def _ask(self, now: float) -> None:
-        """Ask the phone to send, as long as nothing comes, and for as long as it does if it has to be asked again."""
-        if self._phone is None or now - self._asked < _ASK_AGAIN:
+        """Ask the phone to send, as long as nothing comes, and for as long as it does if it has to be asked again.
+
+        An app that knows the newest protocol is asked for that before; asked for the older one, it would end the newer.
+        """
+        if self._motion is not None:
+            self._tell(self._motion.due(now))
+        if self._phone is None or now - self._asked < (_ASK_AGAIN if self._motion is None else _ASK_OTHERWISE):
             return
         self._asked = now
         leased = self.settings.protocol == "vtubestudio"
-        if leased or not any(now - face.heard < SILENT for _, face in self._faces()):
+        if not leased and (self._heard(now) or (self._motion is not None and self._motion.active(now))):
+            return
+        self._requests += 1
+        if self._motion is not None and self._requests % 2:
+            self._link.reply(self._motion.hello(), self._motion_address)
+        else:
             self._link.reply(self._protocol.request(self.address[1]), self._phone[1])
+
+    def _heard(self, now: float) -> bool:
+        return any(now - face.heard < SILENT for _, face in self._faces())
+
+    def _tell(self, packets: list[bytes]) -> None:
+        """Send packets to the phone that sends by `face_motion`."""
+        for packet in packets:
+            self._link.reply(packet, self._motion_address)
 
     def _drain(self, now: float) -> None:
         self._tokens = min(_BURST, self._tokens + _RATE * max(now - self._counted, 0.0))
@@ -202,6 +228,8 @@ class StreamSource(LiveSource):
             came = self._link.receive(now)
             self.message = self._link.message
             if came is None:
+                if self._motion is not None and not self._heard(now):
+                    self.message = self.message or self._motion.message
                 return
             self.counts.received += 1
             if self._tokens < 1.0:
@@ -227,6 +255,11 @@ class StreamSource(LiveSource):
     def _decoded(self, sender: _Sender, data: bytes, address: Address, now: float) -> list[StreamFrame]:
         if len(data) > MAX_DATAGRAM:
             raise PacketError("too long")
+        if self._motion is not None and data.startswith(MAGIC):
+            frames, answers = self._motion.receive(data, now)
+            self._motion_address = address
+            self._tell(answers)
+            return frames
         if self._own is None:
             assert sender.decoder is not None
             return sender.decoder.decode(data)

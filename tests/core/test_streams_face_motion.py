@@ -1,0 +1,305 @@
+"""Face Motion 3, which newer apps on phones speak: as its specification has it, and by a phone on a real socket."""
+
+import json
+import socket
+import struct
+import threading
+
+import numpy as np
+import pytest
+from stream_values import value_of
+
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
+from facemime.core.rotation import from_face_axes
+from facemime.core.streams import ifacialmocap
+from facemime.core.streams.face_motion import REFUSALS, FaceMotionReceiver
+from facemime.core.streams.frames import PacketError
+from facemime.core.streams.settings import PROTOCOLS
+from facemime.core.streams.source import StreamSource
+from links import collected
+from takes import coefficient_take
+
+# Written from the specification, revision 5: offsets and types of the header are its table in section 3.2.
+HEADER = "<4sBBHQIIIIHHI"
+NONCE, SESSION = 0x8877665544332211, 0x0102030405060708
+HELLO_HEX = "464d56330100280011223344556677880000000000000000000000000800000000000100080000003c00b00405000000"
+ACK_HEX = "464d5633030028000807060504030201010000000000000000000000000000000000010000000000"
+STATED = {
+    "schema_version": 1,
+    "app": "iFacialMocap",
+    "profile": "ifacialmocap-stream",
+    "blend_names": [*COEFFICIENTS, "独自の笑顔"],
+    "blend_encoding": "i16",
+    "blend_unit": "percent",
+    "pose_layout": "head_rxyz_pxyz_rightEye_rxyz_leftEye_rxyz",
+    "rotation_unit": "degree",
+    "position_unit": "meter",
+    "something_new": [1, 2],
+}
+POSE = (-21.5, -6.0, -6.6, -0.03, -0.1, -0.66, 6.0, 2.4, 0.25, 6.0, -1.6, -0.17)
+
+
+def datagrams(kind, payload=b"", *, session=SESSION, schema=0, sequence=0, flags=0, largest=1200) -> list[bytes]:
+    room = largest - 40
+    pieces = [payload[at : at + room] for at in range(0, max(len(payload), 1), room)]
+    fixed = (b"FMV3", kind, flags, 40, session, schema, sequence, 0, len(payload))
+    return [struct.pack(HEADER, *fixed, i, len(pieces), len(p)) + p for i, p in enumerate(pieces)]
+
+
+def schema(nonce, number=1, *, session=SESSION, start=(60, 1200, 10_000, 5), **stated) -> list[bytes]:
+    text = json.dumps(STATED | stated, ensure_ascii=False).encode()
+    payload = struct.pack("<QHHII", nonce, *start) + text
+    return datagrams(2, payload, session=session, schema=number, largest=576)
+
+
+def frame(values, sequence, number=1, *, flags=1, encoding="h", pose=POSE, session=SESSION) -> bytes:
+    payload = struct.pack(f"<{len(values)}{encoding}12f", *values, *pose)
+    return datagrams(4, payload, session=session, schema=number, sequence=sequence, flags=flags)[0]
+
+
+@pytest.fixture
+def receiver(monkeypatch) -> FaceMotionReceiver:
+    monkeypatch.setattr("secrets.randbits", lambda bits: NONCE)
+    return FaceMotionReceiver()
+
+
+@pytest.fixture
+def begun(receiver) -> FaceMotionReceiver:
+    for packet in schema(NONCE):
+        receiver.receive(packet, 0.0)
+    return receiver
+
+
+VALUES = [*range(0, 52), 100]
+
+
+def test_a_phone_is_asked_and_told_that_its_schema_has_come_as_published(receiver):
+    assert receiver.hello().hex() == HELLO_HEX and receiver.hello() == receiver.hello()
+    first, second, third = schema(NONCE)
+    for packet in (third, first, first):
+        assert receiver.receive(packet, 0.0) == ([], [])
+    frames, answers = receiver.receive(second, 0.0)
+    assert not frames and [answer.hex() for answer in answers] == [ACK_HEX]
+
+
+@pytest.mark.parametrize(("encoding", "kind"), [("i16", "h"), ("i32", "i")])
+def test_a_frame_is_read_by_its_schema(receiver, encoding, kind):
+    for packet in schema(0, blend_encoding=encoding):
+        receiver.receive(packet, 0.0)
+    ((got,), answers) = receiver.receive(frame(VALUES, 0, encoding=kind), 0.1)
+    assert not answers
+    np.testing.assert_allclose(got.face.coefficients, np.arange(52) / 100.0)
+    np.testing.assert_allclose(got.face.rotation, from_face_axes(*np.radians(POSE[:3])), atol=1e-7)
+    np.testing.assert_allclose(got.face.position, [-0.03, 0.1, 0.66], atol=1e-7)
+
+
+def test_values_beyond_a_face_are_clipped(begun):
+    ((got,), _) = begun.receive(frame([-25, 150, *VALUES[2:]], 1), 0.1)
+    assert value_of(got.face, COEFFICIENTS[0]) == 0.0 and value_of(got.face, COEFFICIENTS[1]) == 1.0
+
+
+def test_a_lost_face_is_no_face_and_a_recording_is_played(begun):
+    assert begun.receive(frame(VALUES, 1, flags=0), 0.1)[0][0].face is None
+    assert begun.receive(frame(VALUES, 2, flags=3), 0.1)[0][0].face is not None
+
+
+def test_old_and_doubled_frames_are_left_out_even_when_the_counter_begins_again(begun):
+    numbers = (2**32 - 2, 2**32 - 1, 2**32 - 1, 0, 2**32 - 1, 2)
+    assert [len(begun.receive(frame(VALUES, n), 0.1)[0]) for n in numbers] == [1, 1, 0, 1, 0, 1]
+
+
+def test_a_changed_schema_reads_later_frames_and_an_unknown_one_is_asked_for_once(begun):
+    assert begun.receive(frame([1, *VALUES], 1, 2), 0.0) == ([], datagrams(5))
+    assert begun.receive(frame([1, *VALUES], 2, 2), 0.5) == ([], [])
+    packets = schema(NONCE, 2, blend_names=["new", *STATED["blend_names"]])
+    answers = [answer for packet in packets for answer in begun.receive(packet, 0.6)[1]]
+    assert answers == datagrams(3, schema=2)
+    assert begun.receive(frame(VALUES, 3, 1), 0.7) == ([], [])
+    ((got,), _) = begun.receive(frame([99, *VALUES], 4, 2), 0.7)
+    np.testing.assert_allclose(got.face.coefficients, np.arange(52) / 100.0)
+
+
+def test_a_schema_that_comes_again_is_acknowledged_again_once_a_second(begun):
+    counts = [sum(len(begun.receive(p, now)[1]) for p in schema(NONCE)) for now in (0.5, 1.2, 1.9, 2.3)]
+    assert counts == [0, 1, 0, 1]
+    with pytest.raises(PacketError):
+        for packet in schema(NONCE, app="Another"):
+            begun.receive(packet, 9.0)
+
+
+def test_the_phone_hears_that_somebody_listens_and_is_reminded_when_nothing_comes(begun):
+    sent = {now: begun.due(now) for now in np.arange(0.5, 14.0, 0.5).tolist()}
+    pings = [now for now, packets in sent.items() if any(p[4] == 6 for p in packets)]
+    reminders = [now for now, packets in sent.items() if any(p[4] == 5 for p in packets)]
+    assert pings == [3.0, 6.0, 9.0] and reminders == [3.0, 4.0, 5.0, 6.0]
+    assert sent[4.0] == datagrams(3, schema=1) + datagrams(5)
+    assert begun.active(11.9) and not begun.active(12.1)
+    assert begun.stop() == datagrams(8)
+
+
+def test_another_session_waits_until_the_running_one_is_silent(begun):
+    others = schema(0, session=77)
+    for packet in others:
+        with pytest.raises(PacketError, match="another session"):
+            begun.receive(packet, 2.9)
+    answers = [answer for packet in others for answer in begun.receive(packet, 3.1)[1]]
+    assert answers == datagrams(3, session=77, schema=1)
+    with pytest.raises(PacketError):
+        begun.receive(frame(VALUES, 1), 3.2)
+    assert len(begun.receive(frame(VALUES, 1, session=77), 3.2)[0]) == 1
+
+
+def test_a_refusal_says_what_to_do(receiver):
+    receiver.receive(datagrams(9, b"BUSY", session=NONCE)[0], 0.0)
+    assert receiver.message == REFUSALS["BUSY"]
+    receiver.receive(datagrams(9, b"SOMETHING_ELSE", session=NONCE)[0], 0.0)
+    assert receiver.message == REFUSALS[""]
+    for packet in schema(NONCE):
+        receiver.receive(packet, 0.0)
+    assert receiver.message == ""
+
+
+def changed(data: bytes, at: int, value: int) -> bytes:
+    return data[:at] + bytes([value]) + data[at + 1 :]
+
+
+GOOD = frame(VALUES, 5)
+
+
+@pytest.mark.parametrize(
+    "packets",
+    [
+        [b"FMV3"],
+        [GOOD[:-1]],
+        [GOOD + b"\0"],
+        [changed(GOOD, 4, 10)],
+        [changed(GOOD, 4, 1)],
+        [changed(GOOD, 5, 4)],
+        [changed(GOOD, 6, 41)],
+        [changed(GOOD, 32, 1)],
+        [changed(GOOD, 34, 2)],
+        [frame(VALUES[:-1], 5)],
+        [frame(VALUES, 5, encoding="i")],
+        [frame(VALUES, 5, session=0)],
+        [frame(VALUES, 5, pose=(float("nan"), *POSE[1:]))],
+        [frame(VALUES, 5, pose=(1e9, *POSE[1:]))],
+        datagrams(7, b"x"),
+        datagrams(9, b"x" * 513),
+        schema(NONCE, 0),
+        schema(1234, 2, session=9),
+        schema(0, 2, start=(60, 1200, 10_000, 4)),
+        schema(0, 2, start=(0, 1200, 10_000, 5)),
+        schema(0, 2, start=(60, 1201, 10_000, 5)),
+        schema(0, 2, start=(60, 1200, 1, 5)),
+        schema(0, 2, schema_version=2),
+        schema(0, 2, blend_unit="unit"),
+        schema(0, 2, blend_encoding="f32"),
+        schema(0, 2, blend_encoding=["i16"]),
+        schema(0, 2, blend_names=["jawOpen"]),
+        schema(0, 2, blend_names=[*COEFFICIENTS, "jawOpen"]),
+        schema(0, 2, blend_names=[*COEFFICIENTS, 5]),
+        schema(0, 2, blend_names=[*COEFFICIENTS, "x" * 300]),
+        datagrams(2, struct.pack("<QHHII", 0, 60, 1200, 10_000, 5) + b"[1]", schema=2, largest=576),
+        datagrams(2, struct.pack("<QHHII", 0, 60, 1200, 10_000, 5) + b"{" * 90, schema=2, largest=576),
+    ],
+)
+def test_wrong_packets_are_refused_and_change_nothing(begun, packets):
+    with pytest.raises(PacketError):
+        for packet in packets:
+            begun.receive(packet, 3.5)
+    assert len(begun.receive(GOOD, 3.6)[0]) == 1
+
+
+class Phone(threading.Thread):
+    """A phone that sends a second of coefficients: version 3 after HELLO if it is `new`, otherwise text after START."""
+
+    def __init__(self, monkeypatch, protocol: str, *, new: bool, deaf: int = 0) -> None:
+        super().__init__(daemon=True)
+        self.values = np.round(coefficient_take(12).coefficients, 2)
+        self.heard: list[int] = []
+        self._new, self._deaf, self._ended = new, deaf, threading.Event()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.02)
+        port = self._socket.getsockname()[1]
+        stated = PROTOCOLS[protocol].__dict__ | {"phone_port": port, "motion_port": port}
+        monkeypatch.setitem(PROTOCOLS, protocol, type(PROTOCOLS[protocol])(**stated))
+
+    def run(self) -> None:
+        number, where, sends, nonce = 0, None, False, None
+        while not self._ended.is_set():
+            try:
+                data, where = self._socket.recvfrom(4096)
+            except TimeoutError:
+                if sends:
+                    self._send(self._packet(number), where)
+                    number += 1
+                elif nonce is not None:
+                    for packet in schema(nonce):
+                        self._send(packet, where)
+                continue
+            if data.startswith(b"FMV3"):
+                self.heard.append(data[4])
+                if self._new and data[4] == 1:
+                    nonce = struct.unpack_from("<Q", data, 8)[0]
+                sends = self._new and (sends or (data[4] == 3 and self.heard.count(3) > self._deaf))
+            else:
+                self.heard.append(0)
+                sends = sends or not self._new
+
+    def _packet(self, number: int) -> bytes:
+        values = self.values[number % len(self.values)]
+        if self._new:
+            return frame([*np.round(100 * values).astype(int).tolist(), 7], number)
+        parts = [f"{name}-{round(100 * values[i])}" for name, i in COEFFICIENT_INDEX.items()]
+        return ("|".join(parts) + "|=head#5.0,-10.0,2.0,0.0,0.0,-0.5|").encode()
+
+    def _send(self, packet: bytes, where) -> None:
+        self._socket.sendto(packet, where)
+
+    def close(self) -> None:
+        self._ended.set()
+        self.join()
+        self._socket.close()
+
+
+def played_as_sent(source: StreamSource, phone: Phone) -> bool:
+    frames = collected(source, 20)
+    at = int(np.abs(phone.values - frames[0].result.coefficients).max(axis=1).argmin())
+    wanted = [phone.values[(at + number) % len(phone.values)] for number in range(20)]
+    return bool(np.allclose([f.result.coefficients for f in frames], wanted, atol=0.0051))
+
+
+@pytest.mark.parametrize("protocol", ["ifacialmocap", "facemotion3d"])
+def test_a_new_app_sends_version_3_and_is_told_when_it_is_over(opened, monkeypatch, protocol):
+    phone = Phone(monkeypatch, protocol, new=True)
+    phone.start()
+    try:
+        source = opened(protocol, phone="127.0.0.1")
+        assert played_as_sent(source, phone)
+        source.close()
+        phone.join(0.1)
+    finally:
+        phone.close()
+    assert phone.heard[0] == 1 and 3 in phone.heard and phone.heard[-1] == 8
+    assert 0 not in phone.heard, "asked for the text, an app would end its version 3"
+
+
+def test_a_lost_acknowledgement_is_sent_again(opened, monkeypatch):
+    phone = Phone(monkeypatch, "ifacialmocap", new=True, deaf=1)
+    phone.start()
+    try:
+        assert played_as_sent(opened("ifacialmocap", phone="127.0.0.1"), phone)
+    finally:
+        phone.close()
+    assert phone.heard.count(3) >= 2
+
+
+def test_an_old_app_is_asked_for_its_text(opened, monkeypatch):
+    phone = Phone(monkeypatch, "ifacialmocap", new=False)
+    phone.start()
+    try:
+        assert played_as_sent(opened("ifacialmocap", phone="127.0.0.1"), phone)
+    finally:
+        phone.close()
+    assert phone.heard[:2] == [1, 0] and ifacialmocap.START.endswith(b"v2")
