@@ -29,6 +29,7 @@ _ENTRIES = (
         ("facemime.trim_take", "ARROW_LEFTRIGHT"),
         ("facemime.mend_take", "MODIFIER"),
         ("facemime.bake_take", "ACTION"),
+        ("facemime.export_gltf", "EXPORT"),
     ),
     (
         ("facemime.bind_landmarks", "VIEWZOOM"),

@@ -94,6 +94,7 @@ class FACEMIME_MT_takes(bpy.types.Menu):
         layout.operator("facemime.take_from_animation", icon="ANIM")
         layout.operator("facemime.find_takes", icon="VIEWZOOM")
         layout.operator("facemime.export_take", icon="EXPORT")
+        layout.operator("facemime.export_gltf", icon="EXPORT")
         layout.separator()
         layout.operator("facemime.add_sound", icon="SOUND")
         layout.operator("facemime.add_reference", icon="FILE_MOVIE")

@@ -51,6 +51,9 @@ def add_commands(commands: Commands) -> None:
     puppet.add_argument(
         "--sheet", type=Path, metavar="OUT.png", help="also write a contact sheet of the most distinct expressions"
     )
+    puppet.add_argument(
+        "--gltf", type=Path, metavar="OUT.glb", help="also write the head and its animation for browsers and engines"
+    )
     puppet.add_argument("--take", type=Path, metavar="TAKE.facetake", help="also write the take")
     puppet.add_argument(
         "--neutral",
@@ -64,7 +67,7 @@ def add_commands(commands: Commands) -> None:
 
 
 def _job(arguments: argparse.Namespace) -> PuppetJob:
-    wanted = {"preview": arguments.preview, "sheet": arguments.sheet, "take": arguments.take}
+    wanted = {name: getattr(arguments, name) for name in ("preview", "sheet", "gltf", "take")}
     return puppet_job(arguments, arguments.source, arguments.output, neutral=arguments.neutral, **wanted)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...blender.animation.bake_cache import caches_beside
+from ...blender.animation.gltf import export_gltf
 from ...blender.animation.puppet import PuppetReport, check_heads, puppet_head
 from ...blender.heads.built_in import add_head
 from ...blender.media.preview_scene import face_view, setup_preview
@@ -100,6 +101,9 @@ def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> Pupp
         tell(warning)
     if own:  # a file of the user keeps its camera and render settings
         save_blend(job.output)
+    if job.gltf is not None:
+        with STOPPING.holding():
+            export_gltf([head], job.gltf)
     setup_preview(scene, head, (AVATAR_SIDE, AVATAR_SIDE), view)
     if not own:
         look_through_camera()

@@ -36,8 +36,9 @@ class PuppetJob:
         The head; by default the built-in one.
     points, map : Path, optional
         Files with control points, and with the table for "mapped" keys.
-    preview, sheet, take : Path, optional
-        Further files to write: a video of performer and avatar, a contact sheet, and the take.
+    preview, sheet, gltf, take : Path, optional
+        Further files to write: a video of performer and avatar, a contact sheet, the head with its animation as glTF,
+        and the take.
     """
 
     source: Path
@@ -49,6 +50,7 @@ class PuppetJob:
     map: Path | None = None
     preview: Path | None = None
     sheet: Path | None = None
+    gltf: Path | None = None
     take: Path | None = None
 
     @property
@@ -73,5 +75,6 @@ class PuppetJob:
             (self.output, frozenset({".blend"})),
             (self.preview, frozenset({".mp4"})),
             (self.sheet, frozenset({".png", ".jpg"})),
+            (self.gltf, frozenset({".glb"})),
             (self.take, frozenset({SUFFIX})),
         )

@@ -1,0 +1,103 @@
+"""Heads and their animation as a glTF file, which browsers, engines and other programs open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from struct import Struct
+
+import bpy
+
+from ...core.errors import HeadError, OutputError
+from ...core.files import replacing
+from ..characters import objects_of
+from ..heads.family import armature_of, family_of
+from ..media.rendering import quiet
+
+SUFFIX = ".glb"
+_CACHES = {"MESH_CACHE", "MESH_SEQUENCE_CACHE"}
+_HEADER = Struct("<4sII")
+"""Magic, version, and length of a binary glTF file."""
+
+
+def export_gltf(heads: Sequence[bpy.types.Object], path: Path) -> None:
+    """Write heads with all parts, bones and shape keys as binary glTF, the range of the scene as one clip.
+
+    Parameters
+    ----------
+    heads : sequence of bpy.types.Object
+        Any meshes with landmarks; the rest of their characters comes with them.
+    path : Path
+        The file to write; an existing one is replaced only by a complete one.
+
+    Raises
+    ------
+    HeadError
+        If the motion of a head is in a cache, which glTF does not have, or the exporter is disabled.
+    OutputError
+        If the file cannot be written.
+    """
+    chosen = list(dict.fromkeys(obj for head in heads for obj in _character(head)))
+    for obj in chosen:
+        if any(modifier.type in _CACHES for modifier in obj.modifiers):
+            raise HeadError(f"The motion of {obj.name} is in a cache, which glTF does not have. Bake to shape keys.")
+    if "gltf" not in dir(bpy.ops.export_scene):
+        raise HeadError("Blender's glTF add-on is disabled. Enable it in Preferences > Add-ons.")
+    with replacing(path) as temporary, _selected(chosen), quiet():
+        try:
+            bpy.ops.export_scene.gltf(
+                filepath=str(temporary.resolve()),
+                check_existing=False,
+                export_format="GLB",
+                use_selection=True,
+                # One clip: players show one at a time, and a face consists of the keys of several meshes.
+                export_animation_mode="SCENE",
+                export_anim_scene_split_object=False,
+                export_anim_slide_to_zero=True,
+                export_cameras=False,
+                export_lights=False,
+            )
+        except RuntimeError as error:
+            reason = str(error).strip().removeprefix("Error: ").splitlines()[-1]
+            raise OutputError(f"Cannot write {path}: {reason}. Choose another location for the output.") from error
+        if not _is_complete(temporary):
+            raise OutputError(f"Cannot write {path}: no space is left. Choose another location for the output.")
+
+
+def _character(head: bpy.types.Object) -> Iterator[bpy.types.Object]:
+    """The meshes of a character, what carries them, and what they carry."""
+    if (armature := armature_of(head)) is not None:
+        yield armature
+    for obj in (*family_of(head), *objects_of(head)):
+        yield from (obj, *(child for child in obj.children_recursive if child.type == "MESH"))
+        carrier = obj.parent
+        while carrier is not None:
+            yield carrier
+            carrier = carrier.parent
+
+
+def _is_complete(path: Path) -> bool:
+    """Whether a binary glTF file is as long as its header says."""
+    with path.open("rb") as file:
+        header = file.read(_HEADER.size)
+    return len(header) == _HEADER.size and _HEADER.unpack(header)[2] == path.stat().st_size
+
+
+@contextmanager
+def _selected(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
+    """Select just these objects, as far as they are in the view layer, and then those that were selected before."""
+    layer = bpy.context.view_layer
+    before = [obj for obj in layer.objects if obj.select_get()]
+    active = layer.objects.active
+
+    def select(wanted: Sequence[bpy.types.Object]) -> None:
+        for obj in layer.objects:
+            obj.select_set(obj in wanted)
+
+    select(objects)
+    try:
+        yield
+    finally:
+        select(before)
+        layer.objects.active = active
