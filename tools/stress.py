@@ -18,11 +18,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).resolve().parents[1]
+_NAMES = ("live*", "stream*", "reference_video", "viewer_server", "takes_list")
 LIVE = sorted(
-    str(path.relative_to(ROOT))
-    for name in ("live*", "reference_video", "recording", "pose_targets", "takes_list", "random_sequences")
-    for path in ROOT.glob(f"tests/*/test_{name}.py")
+    {str(path.relative_to(ROOT)) for name in _NAMES for path in ROOT.glob(f"tests/*/test_{name}.py")}
+    | {
+        str(path.relative_to(ROOT))
+        for path in ROOT.glob("tests/blender/test_*.py")
+        if "live_ticks" in path.read_text(encoding="utf-8")
+    }
 )
+"""Whatever runs a session, reads a source in real time, or has sockets."""
 WINDOWS = ["tests/gui"]
 
 
