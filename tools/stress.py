@@ -1,6 +1,6 @@
 """Run all live and window tests repeatedly on a busy machine.
 
-Usage: python tools/stress.py [RUNS] [--live | --windows] [-k EXPRESSION]; 50 runs of both by default. As many runs are
+Usage: python tools/stress.py [RUNS] [--live | --windows] [--thorough] [-k EXPRESSION]; 50 runs of both by default. As many runs are
 started at once as give each two busy processes per core beside it. Prints a line per run, then the number of failed
 runs, which is also the exit status. A test that fails once has a race condition: fix that rather than the load.
 """
@@ -20,7 +20,12 @@ from tempfile import TemporaryDirectory
 ROOT = Path(__file__).resolve().parents[1]
 _NAMES = ("live*", "stream*", "reference_video", "viewer_server", "takes_list")
 LIVE = sorted(
-    {str(path.relative_to(ROOT)) for name in _NAMES for path in ROOT.glob(f"tests/*/test_{name}.py")}
+    {
+        str(path.relative_to(ROOT))
+        for name in _NAMES
+        for room in ("blender", "core")
+        for path in ROOT.glob(f"tests/{room}/test_{name}.py")
+    }
     | {
         str(path.relative_to(ROOT))
         for path in ROOT.glob("tests/blender/test_*.py")
@@ -47,10 +52,12 @@ def main() -> int:
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument("--live", action="store_true", help="run only the tests of live sessions")
     chosen.add_argument("--windows", action="store_true", help="run only the tests in windows")
+    parser.add_argument("--thorough", action="store_true", help="run those that `make test` leaves out, too")
     parser.add_argument("-k", dest="only", default="", metavar="EXPRESSION", help="run only these tests, as in pytest")
     arguments = parser.parse_args()
     tests = (LIVE if not arguments.windows else []) + (WINDOWS if not arguments.live else [])
     at_once = 2 * (os.cpu_count() or 2) + 1
+    tests += [] if arguments.thorough else ["-m", "not thorough"]
     tests += ["-k", arguments.only] if arguments.only else []
     failed = 0
     with ThreadPoolExecutor(at_once) as pool:
