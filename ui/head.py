@@ -4,7 +4,7 @@ import bpy
 
 from ..blender.heads.binding import missing_parts, read_marks
 from ..blender.heads.keyed import has_known_names
-from ..blender.meshes import driven_by_keys
+from ..blender.meshes import can_be_driven, driven_by_keys
 from ..blender.messages import interface as _
 from .sidebar import Sidebar, draw_findings, labels, place
 
@@ -56,8 +56,11 @@ class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
             )
             column.operator("facemime.set_landmark")
         else:
-            marked = _("Marked points: {count}").format(count=len(marks))
-            column.label(text=marked if marks else _("No marks yet. The face is found automatically"), translate=False)
+            if marks:
+                marked = _("Marked points: {count}").format(count=len(marks))
+                column.label(text=marked, translate=False)
+            elif not can_be_driven(obj):
+                labels(column, context, "No marks yet. The face is found automatically")
             column.operator("facemime.bind_landmarks", icon="OUTLINER_DATA_ARMATURE")
             memory = context.window_manager.facemime
             wanted = memory.wanted if memory.unsure == obj.name else ""

@@ -71,7 +71,7 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
         if not 0 <= takes.index < len(takes.items):
             return
         take = takes.items[takes.index]
-        layout.prop(take, "note", icon="TEXT")
+        column.prop(take, "note", icon="TEXT")
         column = layout.column(align=True)
         column.operator("facemime.show_take", icon="PLAY", depress=TakeShow.running() is not None)
         row = column.row(align=True)
@@ -144,7 +144,9 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
         """Draw the panel."""
         layout, bake = self.layout, context.scene.facemime_takes.bake
         layout.active = bake.keys in (AUTOMATIC, _MAPPED)
-        layout.prop(bake, "table")
+        column = layout.column()
+        split_labels(column)
+        column.prop(bake, "table")
         buttons = {
             "add_key_row": "ADD",
             "remove_key_row": "REMOVE",
