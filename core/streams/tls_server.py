@@ -151,7 +151,9 @@ class TlsSender(Serving):
         self._wakes.add(wake)
         self.receivers += 1
         try:
-            while not ended.done():
+            # Up to Python 3.11 `wait_for` returns as if nothing had happened if what it waits for is done just when the
+            # task is cancelled.
+            while not (ended.done() or self._over.is_set()):
                 wake.clear()
                 if (frame := self._frame) is not last:
                     last = frame

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import socket
 import ssl
@@ -157,6 +158,27 @@ def test_a_cut_connection_comes_back(identity):
         thread.join()
         for sender in senders:
             sender.close()
+
+
+def test_a_cancellation_that_gets_lost_does_not_keep_the_server_running(identity, monkeypatch):
+    waits, lost = asyncio.wait_for, []
+
+    async def forgetful(future, seconds):
+        """As `wait_for` of Python 3.11 when the future is done in the moment of the cancellation."""
+        try:
+            return await waits(future, seconds)
+        except asyncio.CancelledError:
+            lost.append(seconds)
+
+    monkeypatch.setattr(asyncio, "wait_for", forgetful)
+    sender = TlsSender("127.0.0.1", 0, identity.context, identity.token)
+    with closing(opened(pairing_of(identity, sender.port))) as source:
+        end = time.monotonic() + PATIENCE
+        while not sender.receivers and time.monotonic() < end:
+            source.read(0.05)
+        sender.close()
+        assert lost and not sender._thread.is_alive()
+        assert "keeps trying" in message_of(source)
 
 
 def test_a_peer_that_is_not_there_or_speaks_no_tls_is_a_message_and_not_the_end(identity):
