@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -80,24 +81,42 @@ def test_a_recorded_stream_of_landmarks_is_what_was_tracked(opened, tmp_path, pr
 # Lost and found
 
 
-def test_a_stream_that_ends_holds_then_comes_to_rest_and_is_back_by_itself(opened):
-    take, source = acted(), opened("livelink")
-    sender, neutral = sender_to(source), coefficient_face().neutral
-    streamed(source, take, lambda n: sender.send(take.times[n], take.result(n), neutral))
-    ended, rests = time.perf_counter(), []
-    while time.perf_counter() - ended < HOLD + EASE + 0.5:
-        frame = source.read(0.02)
-        if frame is not None and frame.filled:
-            rests.append((frame.taken - ended, frame.rest))
-    assert max(rest for at, rest in rests if at < 0.8 * HOLD) == 0.0
-    shares = [rest for _, rest in rests]
-    assert shares == sorted(shares) and shares[-1] == 1.0
-    sender.send(take.times[-1] + 2.0, take.result(5), neutral)
-    (back,) = collected(source, 1)
-    assert back.rest > 0.5 and back.time > take.times[-1]
-    again = streamed(source, acted(30), lambda n: sender.send(5.0 + take.times[n], take.result(n), neutral))
-    assert again[-1].rest == 0.0
-    sender.close()
+def test_a_stream_that_ends_holds_then_comes_to_rest_and_is_back_by_itself():
+    take, neutral, now = acted(), coefficient_face().neutral, [0.0]
+    source = StreamSource(StreamSettings("livelink", port=free_port()), clock=lambda: now[0], every=True)
+    source.read(0.0)
+    sender = sender_to(source)
+
+    def until(end: float) -> list[LiveFrame]:
+        """What is played until then, read 60 times a second on the test's own clock."""
+        frames = []
+        while now[0] < end:
+            now[0] += 1.0 / RATE
+            frames += iter(lambda: source.read(0.0), None)
+        return frames
+
+    def sent(numbers: list[int]) -> list[LiveFrame]:
+        """What is played while some frames are sent."""
+        frames = []
+        for number in numbers:
+            before, patience = source.counts.accepted, time.monotonic() + PATIENCE
+            sender.send(now[0], take.result(number), neutral)
+            while source.counts.accepted == before and time.monotonic() < patience:
+                frames += [frame for frame in [source.read(0.0)] if frame is not None]
+            frames += until(now[0] + 1.0 / RATE)
+        return frames
+
+    with closing(source), closing(sender):
+        live = sent(list(range(len(take))))
+        assert live and all(frame.rest == 0.0 for frame in live)
+        ended = now[0]
+        rests = [(frame.taken - ended, frame.rest) for frame in until(ended + HOLD + EASE + 0.5) if frame.filled]
+        assert max(rest for at, rest in rests if at < 0.8 * HOLD) == 0.0
+        shares = [rest for _, rest in rests]
+        assert shares == sorted(shares) and shares[-1] == 1.0
+        back = [frame for frame in sent([5]) + until(now[0] + 0.1) if not frame.filled]
+        assert back[0].rest > 0.5 and back[0].time > live[-1].time
+        assert sent(list(range(30)) * 2)[-1].rest == 0.0
 
 
 def test_a_puppet_returns_to_rest_in_the_worker_and_nothing_of_it_is_recorded(opened):
