@@ -265,11 +265,12 @@ class FaceSearch:
         """The coarse fits that are to be fitted to the end, the likeliest first."""
         coarse = sorted(coarse, key=lambda f: -f.features[1])  # the log odds of the face network
         if by_network:
-            coarse = [fit for fit in coarse if self._model.check.confidence(fit.features) >= _LEAST_COARSE]
-        if self.gradual:
-            unlikely = [self._model.check.confidence(fit.features) < _LIKELY_COARSE for fit in coarse]
-            kept = np.cumsum(unlikely) <= _MAX_UNLIKELY[1]
-            coarse = [fit for fit, doubt, keep in zip(coarse, unlikely, kept, strict=True) if keep or not doubt]
+            judged = [(fit, self._model.check.confidence(fit.features)) for fit in coarse]
+            coarse = [fit for fit, confidence in judged if confidence >= _LEAST_COARSE]
+            if self.gradual:
+                likely = [fit for fit, confidence in judged if confidence >= _LIKELY_COARSE]
+                others = [fit for fit, confidence in judged if _LEAST_COARSE <= confidence < _LIKELY_COARSE]
+                coarse = likely + others[: _MAX_UNLIKELY[1]]
         return coarse[:_MAX_FACES]
 
     def _judge(self, fit: Fit) -> Candidate:

@@ -11,7 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facemime.core.images import read_image
-from facemime.core.tracking.network_detector import LARGEST, OUTPUTS, SMALLEST, STRIDE, UNIT, NetworkDetector
+from facemime.core.tracking.fitter import COARSE
+from facemime.core.tracking.network_detector import (
+    LARGEST,
+    OUTPUTS,
+    SMALLEST,
+    STRIDE,
+    UNIT,
+    Detection,
+    NetworkDetector,
+)
 from facemime.core.tracking.settings import CASCADES, TrackingSettings
 from facemime.core.tracking.tracker import FaceTracker
 from facemime.training.tracker.detection import SCENE, Heads, SceneBatch, Scenes, mark
@@ -133,3 +142,24 @@ def test_who_turns_away_in_front_is_found_rather_than_somebody_behind(degrees):
     found = tracker.track(picture)
     assert found.found
     assert np.linalg.norm(found.landmarks - landmarks, axis=1)[seen].mean() < 0.1 * 80
+
+
+def test_a_live_frame_tries_few_unlikely_detections_and_all_of_them_in_turn(monkeypatch):
+    tracker, tried = FaceTracker.load(gradual=True), []
+    places = [np.array([40.0, 0.0, 0.0, 0.0, 60.0 + 65.0 * i, 240.0]) for i in range(8)]
+    monkeypatch.setattr(NetworkDetector, "detect", lambda *_: [Detection(place, -0.5) for place in places])
+    fit = tracker._search.fitter.fit
+
+    def counted(grey, start, rounds):
+        if rounds == (COARSE,):
+            tried[-1].append(round(float(start.pose[4])))
+        return fit(grey, start, rounds)
+
+    monkeypatch.setattr(tracker._search.fitter, "fit", counted)
+    monkeypatch.setattr(tracker._search, "_boxes", lambda *_: [])
+    nobody = np.random.default_rng(1).integers(0, 256, (480, 640), np.uint8)
+    for _ in range(16):
+        tried.append([])
+        assert not tracker.track(nobody).found
+    assert max(map(len, tried)) == 2
+    assert {place for frame in tried for place in frame} == {round(float(place[4])) for place in places}
