@@ -12,6 +12,7 @@ from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, restart, shift_time, trim
 from ..core.timecode import timecode
 from ..settings import takes_store
+from .shared import require
 from .takes import OnTake
 
 BLEND = FloatProperty(
@@ -149,8 +150,16 @@ class FACEMIME_OT_punch_in_take(AddsEditedTake, bpy.types.Operator):
     start: FloatProperty(name="Start", description="Time at which it is inserted", subtype="TIME_ABSOLUTE", min=0.0)
     blend: BLEND
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require a selected take and another one."""
+        several = len(context.scene.facemime_takes.items) > 1
+        return super().poll(context) and require(cls, several, "Record or import another take first")
+
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Show the dialog; by default the take is inserted at the current frame."""
+        """Show the dialog; by default the newest other take is inserted at the current frame."""
+        selected = takes_store.chosen(context.scene)
+        self.other = [line.name for line in context.scene.facemime_takes.items if line != selected][-1]
         self.start = max(0.0, seconds_of(context.scene))
         return super().invoke(context, event)
 

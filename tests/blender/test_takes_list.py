@@ -120,6 +120,7 @@ def test_neutral_here_uses_the_face_at_the_current_frame(imported):
 
 
 def test_another_take_is_inserted_by_punch_in(imported, takes, tmp_path):
+    assert not bpy.ops.facemime.punch_in_take.poll()
     other = performance(20)
     save_take(other, tmp_path / "Retake.facetake")
     bpy.ops.facemime.import_take(filepath=str(tmp_path / "Retake.facetake"))
