@@ -12,11 +12,11 @@ import bpy
 from ...core.errors import HeadError, OutputError
 from ...core.files import replacing
 from ..characters import objects_of
+from ..heads.binding import CACHES
 from ..heads.family import armature_of, family_of
 from ..media.rendering import quiet
 
 SUFFIX = ".glb"
-_CACHES = {"MESH_CACHE", "MESH_SEQUENCE_CACHE"}
 _HEADER = Struct("<4sII")
 """Magic, version, and length of a binary glTF file."""
 
@@ -40,7 +40,7 @@ def export_gltf(heads: Sequence[bpy.types.Object], path: Path) -> None:
     """
     chosen = list(dict.fromkeys(obj for head in heads for obj in _character(head)))
     for obj in chosen:
-        if any(modifier.type in _CACHES for modifier in obj.modifiers):
+        if any(modifier.type in CACHES for modifier in obj.modifiers):
             raise HeadError(f"The motion of {obj.name} is in a cache, which glTF does not have. Bake to shape keys.")
     if "gltf" not in dir(bpy.ops.export_scene):
         raise HeadError("Blender's glTF add-on is disabled. Enable it in Preferences > Add-ons.")

@@ -50,7 +50,7 @@ _MAX_CANDIDATES = 3
 """Meshes of a character in which a face is sought."""
 _UPRIGHT = np.cos(np.radians(20.0))
 """Cosine of the angle to -Y above which a mesh is rotated; a smaller one is the pose of the head."""
-_CACHES = {"MESH_CACHE", "MESH_SEQUENCE_CACHE"}
+CACHES = {"MESH_CACHE", "MESH_SEQUENCE_CACHE"}
 Result = TypeVar("Result")
 
 
@@ -323,7 +323,7 @@ def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating]) -> None:
     HeadError
         If the vertices come from a file, or other objects share the mesh.
     """
-    if any(modifier.type in _CACHES for modifier in obj.modifiers):
+    if any(modifier.type in CACHES for modifier in obj.modifiers):
         raise HeadError(
             f"The vertices of {obj.name} come from a file, so they cannot be rotated to face -Y. Export it facing -Y."
         )
