@@ -5,7 +5,6 @@ import numpy as np
 from bpy.props import StringProperty
 
 from ..blender.animation.bake_keys import key_names
-from ..blender.animation.gltf import SUFFIX, export_gltf
 from ..blender.animation.puppet import puppet_heads
 from ..blender.animation.underneath import mute_under, playing_under
 from ..blender.meshes import can_be_driven
@@ -30,7 +29,6 @@ from .shared import (
     reporting_range,
     require,
     require_heads,
-    require_no_session,
     require_object_mode,
 )
 from .takes import OnTake
@@ -157,26 +155,6 @@ class FACEMIME_OT_export_key_map(AsksForFileToWrite, bpy.types.Operator):
             temporary.write_text(read_table(context.scene.facemime_takes.bake).to_json() + "\n", encoding="utf-8")
 
 
-class FACEMIME_OT_export_gltf(AsksForFileToWrite, bpy.types.Operator):
-    """Export the selected heads as glTF, with parts, shape keys and bones, and the scene's range as one animation"""
-
-    bl_idname = "facemime.export_gltf"
-    bl_label = "Export glTF"
-
-    filter_glob: StringProperty(default="*.glb", options={"HIDDEN"})
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require Object Mode, a head, and that no puppet moves it."""
-        return require_object_mode(cls, context) and require_no_session(cls) and require_heads(cls, context)
-
-    def work(self, context: bpy.types.Context) -> None:
-        """Write the file."""
-        path = self.path_ending(SUFFIX)
-        export_gltf(heads_in(context), path)
-        report(self, f"Written to {path}")
-
-
 class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
     """Add the current values of the head's shape keys as the pose that the take should give at the current frame"""
 
@@ -249,7 +227,6 @@ CLASSES = (
     FACEMIME_OT_remove_key_row,
     FACEMIME_OT_import_key_map,
     FACEMIME_OT_export_key_map,
-    FACEMIME_OT_export_gltf,
     FACEMIME_OT_add_key_pose,
     FACEMIME_OT_learn_key_map,
 )
