@@ -93,7 +93,7 @@ def _own() -> list[bytes]:
 def _signed() -> list[bytes]:
     sender, receiver = OwnSender(_KEY), OwnReceiver(_KEY)
     hello = sender.hello()
-    sender.answer(receiver.receive(hello, 0.0)[1])
+    sender.answer(*receiver.receive(hello, 0.0)[1])
     return [hello, sender.packet(*encode_face(_TRACKED), 1.5)]
 
 

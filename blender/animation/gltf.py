@@ -9,12 +9,11 @@ from struct import Struct
 
 import bpy
 
-from ...core.errors import HeadError, OutputError
-from ...core.files import replacing
+from ...core.errors import HeadError
 from ..characters import objects_of
 from ..heads.binding import CACHES
 from ..heads.family import armature_of, family_of
-from ..media.rendering import quiet
+from ..media.saving import saved_by_blender
 
 SUFFIX = ".glb"
 _HEADER = Struct("<4sII")
@@ -44,25 +43,19 @@ def export_gltf(heads: Sequence[bpy.types.Object], path: Path) -> None:
             raise HeadError(f"The motion of {obj.name} is in a cache, which glTF does not have. Bake to shape keys.")
     if "gltf" not in dir(bpy.ops.export_scene):
         raise HeadError("Blender's glTF add-on is disabled. Enable it in Preferences > Add-ons.")
-    with replacing(path) as temporary, _selected(chosen), quiet():
-        try:
-            bpy.ops.export_scene.gltf(
-                filepath=str(temporary.resolve()),
-                check_existing=False,
-                export_format="GLB",
-                use_selection=True,
-                # One clip: players show one at a time, and a face consists of the keys of several meshes.
-                export_animation_mode="SCENE",
-                export_anim_scene_split_object=False,
-                export_anim_slide_to_zero=True,
-                export_cameras=False,
-                export_lights=False,
-            )
-        except RuntimeError as error:
-            reason = str(error).strip().removeprefix("Error: ").splitlines()[-1]
-            raise OutputError(f"Cannot write {path}: {reason}. Choose another location for the output.") from error
-        if not _is_complete(temporary):
-            raise OutputError(f"Cannot write {path}: no space is left. Choose another location for the output.")
+    with _selected(chosen), saved_by_blender(path, _is_complete) as temporary:
+        bpy.ops.export_scene.gltf(
+            filepath=temporary,
+            check_existing=False,
+            export_format="GLB",
+            use_selection=True,
+            # One clip: players show one at a time, and a face consists of the keys of several meshes.
+            export_animation_mode="SCENE",
+            export_anim_scene_split_object=False,
+            export_anim_slide_to_zero=True,
+            export_cameras=False,
+            export_lights=False,
+        )
 
 
 def _character(head: bpy.types.Object) -> Iterator[bpy.types.Object]:

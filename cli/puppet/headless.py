@@ -17,7 +17,8 @@ from ...blender.animation.gltf import export_gltf
 from ...blender.animation.puppet import PuppetReport, check_heads, puppet_head
 from ...blender.heads.built_in import add_head
 from ...blender.media.preview_scene import face_view, setup_preview
-from ...blender.media.rendering import quiet, render_frames, set_rate, without_subdivision, write_video
+from ...blender.media.rendering import render_frames, set_rate, without_subdivision, write_video
+from ...blender.media.saving import saved_by_blender
 from ...blender.meshes import write_selection
 from ...blender.timeline import frames_of
 from ...core.bake.key_map import ESSENTIAL, load_map
@@ -27,7 +28,6 @@ from ...core.control_points.greedy import GreedySelection
 from ...core.control_points.select import from_json
 from ...core.drive.motion import select_distinct_frames
 from ...core.errors import OutputError, SourceError
-from ...core.files import replacing
 from ...core.images import write_image
 from ...core.puppet.job import PuppetJob
 from ...core.puppet.settings import PuppetSettings
@@ -158,23 +158,15 @@ def save_blend(path: Path) -> None:
     OutputError
         If it cannot be written.
     """
-    with replacing(path) as temporary:
-        temporary.unlink()
-        try:
-            with STOPPING.holding(), quiet(), caches_beside(path):
-                bpy.ops.wm.save_as_mainfile(filepath=str(temporary.resolve()), copy=True, compress=True)
-        except RuntimeError as error:
-            reason = str(error).strip().removeprefix("Error: ").lower()
-            raise OutputError(f"Cannot write {path}: {reason}. Choose another location for the output.") from error
-        if _end_of(temporary) != _END_OF_BLEND:  # Blender does not notice a disk that becomes full at the very end
-            raise OutputError(f"Cannot write {path}: no space is left. Choose another location for the output.")
+    with saved_by_blender(path, _is_complete) as temporary, STOPPING.holding(), caches_beside(path):
+        bpy.ops.wm.save_as_mainfile(filepath=temporary, copy=True, compress=True)
 
 
-def _end_of(path: Path) -> bytes:
-    """The last bytes of a file, as many as `_END_OF_BLEND` has."""
+def _is_complete(path: Path) -> bool:
+    """Whether a .blend file has its end."""
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - len(_END_OF_BLEND)))
-        return file.read()
+        return file.read() == _END_OF_BLEND
 
 
 def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: Path) -> None:

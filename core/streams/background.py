@@ -25,9 +25,17 @@ class Connecting(Closing):
         Of the thread.
     pause : float
         Seconds between two attempts.
+
+    Attributes
+    ----------
+    sent : int
+        Frames that were sent, of all heads together.
+    message : str
+        Why nothing is being sent; otherwise "".
     """
 
     def __init__(self, name: str, pause: float) -> None:
+        self.sent, self.message = 0, ""
         self._pause, self._over = pause, False
         self._news = threading.Condition()
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)

@@ -157,26 +157,7 @@ class FaceMotionReceiver:
         return message(STOP, self._session) if self._schema is not None else []
 
     def receive(self, data: bytes, now: float) -> tuple[list[StreamFrame], list[bytes]]:
-        """Take a packet of the phone.
-
-        Parameters
-        ----------
-        data : bytes
-        now : float
-            Seconds on any clock.
-
-        Returns
-        -------
-        frames : list of StreamFrame
-            None or one.
-        answers : list of bytes
-            To be sent back.
-
-        Raises
-        ------
-        PacketError
-            If it is malformed, or of another session.
-        """
+        """Take a packet of the phone; as `Receiver.receive`."""
         part = _read(data)
         if part.kind == SCHEMA:
             return [], self._take_schema(part, now)

@@ -77,6 +77,48 @@ class Decoder(Protocol):
         """Return the frames that `data` completes, most often one; PacketError if it is malformed."""
 
 
+class Receiver(Protocol):
+    """Takes the packets of a protocol in which the receiver may have to answer."""
+
+    def receive(self, data: bytes, now: float) -> tuple[list[StreamFrame], list[bytes]]:
+        """Take a packet.
+
+        Parameters
+        ----------
+        data : bytes
+        now : float
+            Seconds on any clock.
+
+        Returns
+        -------
+        frames : list of StreamFrame
+            That `data` completes, most often one.
+        answers : list of bytes
+            Packets to be sent back.
+
+        Raises
+        ------
+        PacketError
+            If it is malformed, or not of this sender.
+        """
+
+
+class Decoding:
+    """A receiver that never answers.
+
+    Parameters
+    ----------
+    decoder : Decoder
+    """
+
+    def __init__(self, decoder: Decoder) -> None:
+        self._decoder = decoder
+
+    def receive(self, data: bytes, now: float) -> tuple[list[StreamFrame], list[bytes]]:
+        """Take a packet; as `Receiver.receive`."""
+        return self._decoder.decode(data), []
+
+
 def no_coefficients() -> FloatArray:
     """(52,) coefficients of a face at rest, to be filled in."""
     return np.zeros(N_COEFFICIENTS)

@@ -43,26 +43,8 @@ class OwnReceiver:
         self._sessions: dict[bytes, _Session] = {}
         self._answers, self._answered = _MOST_ANSWERS, 0.0
 
-    def receive(self, data: bytes, now: float) -> tuple[list[StreamFrame], bytes]:
-        """Take a datagram.
-
-        Parameters
-        ----------
-        data : bytes
-        now : float
-            Seconds on any clock.
-
-        Returns
-        -------
-        frames : list of StreamFrame
-        answer : bytes
-            To be sent back; b"" for none.
-
-        Raises
-        ------
-        PacketError
-            If it is malformed, not signed, or was received before.
-        """
+    def receive(self, data: bytes, now: float) -> tuple[list[StreamFrame], list[bytes]]:
+        """Take a datagram; as `Receiver.receive`, and RefusedError if it is not signed or was received before."""
         packet = datagram.unpack(data)
         if packet.kind == HELLO:
             return [], self._welcome(packet, now)
@@ -73,7 +55,7 @@ class OwnReceiver:
         if not session.window.accept(packet.sequence):
             raise RefusedError("a packet came twice")
         session.heard, session.proved = now, True
-        return [frame], b""
+        return [frame], []
 
     def _session(self, packet: Packet, now: float) -> _Session:
         """The session of a packet that is signed as it should be."""
@@ -92,21 +74,21 @@ class OwnReceiver:
                 return session
         raise RefusedError("signed with another key")
 
-    def _welcome(self, packet: Packet, now: float) -> bytes:
+    def _welcome(self, packet: Packet, now: float) -> list[bytes]:
         if self._key is None or not is_signed(self._key, packet.tag, packet.signed):
             raise RefusedError("a handshake without the key")
         session = self._sessions.get(packet.session)
         if session is not None and session.key is not None and now - session.heard < _SILENT:
-            return b""
+            return []
         if not self._may_answer(now):
-            return b""
+            return []
         answered = secrets.token_bytes(NONCE_BYTES)
         if session is None:
             session = self._add(packet.session, _Session(None, now))
         session.pending = session_key(self._key, packet.session, packet.body, answered)
         welcome = Packet(WELCOME, packet.session, packet.sequence, 0.0, packet.body + answered)
         content = datagram.pack(welcome, signed=True)
-        return content + sign(self._key, content)
+        return [content + sign(self._key, content)]
 
     def _may_answer(self, now: float) -> bool:
         self._answers = min(_MOST_ANSWERS, self._answers + _MOST_ANSWERS * max(now - self._answered, 0.0))

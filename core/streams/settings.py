@@ -42,6 +42,8 @@ class StreamProtocol:
         Makes that request, for the port on which the answer is received.
     motion_port : int
         Where the phone is asked for `face_motion` before; 0 if it does not know that.
+    leased : bool
+        Whether the phone has to be asked again and again while it sends.
     """
 
     label: str
@@ -50,6 +52,7 @@ class StreamProtocol:
     phone_port: int = 0
     request: Callable[[int], bytes] = lambda port: b""
     motion_port: int = 0
+    leased: bool = False
 
 
 @dataclass(frozen=True)
@@ -161,6 +164,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         lambda s: VTubeStudioDecoder(),
         vtube_studio.PORT,
         vtube_studio.request,
+        leased=True,
     ),
     "vmc": StreamProtocol("VMC", vmc.PORT, lambda s: VmcDecoder()),
     "openseeface": StreamProtocol("OpenSeeFace", openseeface.PORT, lambda s: OpenSeeFaceDecoder()),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import select
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from time import perf_counter
@@ -16,20 +16,15 @@ from ..live.sources import LiveFrame, LiveSource
 from ..takes.from_coefficients import coefficient_face
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
-from .addresses import resolve
 from .casting import SILENT, Address, Casting, FaceName, Role, label_of
-from .face_motion import MAGIC, FaceMotionReceiver
-from .frames import MAX_DATAGRAM, Decoder, FaceValues, PacketError, StreamFrame
+from .frames import MAX_DATAGRAM, Decoding, FaceValues, PacketError, Receiver, StreamFrame
 from .links import DatagramLink, Link
+from .phone import Phone
 from .playout import Playout, Shown
 from .sessions import OwnReceiver, RefusedError
 from .settings import AXES, OWN, PROTOCOLS, StreamSettings
 from .tls_client import TlsLink
 
-_ASK_AGAIN = 2.0
-"""Seconds after which a phone is asked again."""
-_ASK_OTHERWISE = 1.0
-"""Seconds after which a phone that did not answer is asked for its other protocol."""
 _MOST_SENDERS = 16
 """Senders at a time, and faces of each."""
 _RATE, _BURST = 8000.0, 2000.0
@@ -82,7 +77,7 @@ class _Face:
 class _Sender:
     """Somebody who sends."""
 
-    decoder: Decoder | None
+    receiver: Receiver
     heard: float
     faces: dict[str, _Face] = field(default_factory=dict)
 
@@ -122,6 +117,7 @@ class StreamSource(LiveSource):
         self.counts = StreamCounts()
         self._clock, self._late = clock, np.inf if every else _LATE
         self._own = OwnReceiver(self.settings.secret()) if self.settings.protocol == OWN else None
+        self._phone = Phone(self.settings)
         self._signs = np.array([-1.0 if axis in self.settings.flip else 1.0 for axis in AXES])
         pairing = self.settings.pairing
         self._link: Link = (
@@ -129,10 +125,6 @@ class StreamSource(LiveSource):
         )
         self._wake, self._woken = socket.socketpair()
         self._closed = False
-        self._phone: tuple[int, Address] | None = None
-        self._motion = FaceMotionReceiver() if self._protocol.motion_port else None
-        self._motion_address: Address = ("", 0)
-        self._asked, self._requests = -np.inf, 0
         self._senders: dict[Address, _Sender] = {}
         self.chosen: tuple[str, ...] = self.settings.senders
         self._casting = Casting(self._wanted())
@@ -160,11 +152,12 @@ class StreamSource(LiveSource):
         """Return the next frame that is due; see `LiveSource.read`."""
         if self._closed:
             return None
-        self._open()
+        self._link.open()
+        self._phone.find()
         end = self._clock() + timeout
         while not self._closed:
             now = self._clock()
-            self._ask(now)
+            self._tell(self._phone.due(now, self.address[1], heard=self._heard(now)))
             self._drain(now)
             if (frame := self._due(now)) is not None:
                 return frame
@@ -178,48 +171,21 @@ class StreamSource(LiveSource):
         self._closed = True
         with suppress(OSError):
             self._wake.send(b"\0")
-        if self._motion is not None:
-            self._tell(self._motion.stop())
+        self._tell(self._phone.farewell())
         self._link.close()
         self._wake.close()
-
-    def _open(self) -> None:
-        self._link.open()
-        if self.settings.phone and self._phone is None:
-            self._phone = resolve(self.settings.phone, self._protocol.phone_port)
-            self._motion_address = self._phone[1][0], self._protocol.motion_port
 
     def _wait(self, seconds: float) -> None:
         readers, writers = self._link.waits()
         with suppress(OSError, ValueError):  # closed meanwhile
             select.select([*readers, self._woken], writers, [], max(seconds, 0.0))
 
-    def _ask(self, now: float) -> None:
-        """Ask the phone to send, as long as nothing comes, and for as long as it does if it has to be asked again.
-
-        An app that knows the newest protocol is asked for that before; asked for the older one, it would end the newer.
-        """
-        if self._motion is not None:
-            self._tell(self._motion.due(now))
-        if self._phone is None or now - self._asked < (_ASK_AGAIN if self._motion is None else _ASK_OTHERWISE):
-            return
-        self._asked = now
-        leased = self.settings.protocol == "vtubestudio"
-        if not leased and (self._heard(now) or (self._motion is not None and self._motion.active(now))):
-            return
-        self._requests += 1
-        if self._motion is not None and self._requests % 2:
-            self._link.reply(self._motion.hello(), self._motion_address)
-        else:
-            self._link.reply(self._protocol.request(self.address[1]), self._phone[1])
-
     def _heard(self, now: float) -> bool:
         return any(now - face.heard < SILENT for _, face in self._faces())
 
-    def _tell(self, packets: list[bytes]) -> None:
-        """Send packets to the phone that sends by `face_motion`."""
-        for packet in packets:
-            self._link.reply(packet, self._motion_address)
+    def _tell(self, packets: Iterable[tuple[bytes, Address]]) -> None:
+        for packet, address in packets:
+            self._link.reply(packet, address)
 
     def _drain(self, now: float) -> None:
         self._tokens = min(_BURST, self._tokens + _RATE * max(now - self._counted, 0.0))
@@ -228,8 +194,8 @@ class StreamSource(LiveSource):
             came = self._link.receive(now)
             self.message = self._link.message
             if came is None:
-                if self._motion is not None and not self._heard(now):
-                    self.message = self.message or self._motion.message
+                if self._phone.message and not self._heard(now):
+                    self.message = self.message or self._phone.message
                 return
             self.counts.received += 1
             if self._tokens < 1.0:
@@ -255,21 +221,13 @@ class StreamSource(LiveSource):
     def _decoded(self, sender: _Sender, data: bytes, address: Address, now: float) -> list[StreamFrame]:
         if len(data) > MAX_DATAGRAM:
             raise PacketError("too long")
-        if self._motion is not None and data.startswith(MAGIC):
-            frames, answers = self._motion.receive(data, now)
-            self._motion_address = address
-            self._tell(answers)
-            return frames
-        if self._own is None:
-            assert sender.decoder is not None
-            return sender.decoder.decode(data)
-        frames, answer = self._own.receive(data, now)
-        if answer:
-            self._link.reply(answer, address)
+        receiver = self._phone.receiver(data, address) or sender.receiver
+        frames, answers = receiver.receive(data, now)
+        self._tell((answer, address) for answer in answers)
         return frames
 
     def _sender(self, address: Address, now: float) -> _Sender:
-        if self._phone is not None and address[0] != self._phone[1][0]:
+        if not self._phone.may_send(address):
             raise RefusedError("not the phone")
         if (sender := self._senders.get(address)) is not None:
             return sender
@@ -278,8 +236,15 @@ class StreamSource(LiveSource):
             if now - self._senders[oldest].heard < SILENT:
                 raise RefusedError("too many senders")
             del self._senders[oldest]
+        return _Sender(self._receiver(), now)
+
+    def _receiver(self) -> Receiver:
+        """What takes the packets of a new sender; Facemime's own tells senders apart by their sessions."""
+        if self._own is not None:
+            return self._own
         decoder = self._protocol.decoder
-        return _Sender(None if decoder is None else decoder(self.settings), now)
+        assert decoder is not None
+        return Decoding(decoder(self.settings))
 
     def _add(self, sender: _Sender, frame: StreamFrame, now: float) -> None:
         face = sender.faces.get(frame.subject)

@@ -85,13 +85,6 @@ class VertexSender(Connecting):
     appearances : sequence of Appearance
         Of each head, in the order of the worker's.
 
-    Attributes
-    ----------
-    sent : int
-        Frames that were sent, of all heads together.
-    message : str
-        Why nothing is being sent; otherwise "".
-
     Raises
     ------
     SourceError
@@ -101,7 +94,6 @@ class VertexSender(Connecting):
     def __init__(self, host: str, port: int, appearances: Sequence[Appearance]) -> None:
         super().__init__("facemime-vertices", _AGAIN)
         self.appearances = tuple(appearances)
-        self.sent, self.message = 0, ""
         self._family, self._address = resolve(host, port or PORT)
         self._rests: list[NDArray[np.float32]] = []
         self._newest: tuple[float, Sequence[HeadFrame]] | None = None

@@ -153,10 +153,6 @@ class VTubeStudioSender(Connecting):
     ----------
     options : DriveSettings
         May be replaced at any time.
-    sent : int
-        Frames that were sent.
-    message : str
-        Why nothing is being sent; otherwise "".
 
     Raises
     ------
@@ -166,7 +162,7 @@ class VTubeStudioSender(Connecting):
 
     def __init__(self, host: str, port: int, token: Path, options: DriveSettings = _DEFAULTS) -> None:
         super().__init__("facemime-vtube-studio", _AGAIN)
-        self.options, self.sent, self.message = options, 0, ""
+        self.options = options
         _, (host, port) = resolve(host or LOOPBACK, port or PORT)
         self._where = f"{bracketed(host)}:{port}"
         self._file = token

@@ -1,0 +1,40 @@
+"""Files that Blender writes, which are complete or not there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ...core.errors import OutputError
+from ...core.files import replacing
+from .rendering import quiet
+
+
+@contextmanager
+def saved_by_blender(path: Path, is_complete: Callable[[Path], bool]) -> Iterator[str]:
+    """Yield the path that Blender is to write, without output; an existing file is replaced only by a complete one.
+
+    Parameters
+    ----------
+    path : Path
+        The file that is wanted.
+    is_complete : callable
+        Whether the file at a path has its end: Blender does not notice a disk that becomes full at the very end.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    with replacing(path) as temporary:
+        temporary.unlink()
+        try:
+            with quiet():
+                yield str(temporary.resolve())
+        except RuntimeError as error:
+            reason = str(error).strip().splitlines()[-1].removeprefix("Error: ")
+            reason = reason[:1].lower() + reason[1:]
+            raise OutputError(f"Cannot write {path}: {reason}. Choose another location for the output.") from error
+        if not temporary.exists() or not is_complete(temporary):
+            raise OutputError(f"Cannot write {path}: no space is left. Choose another location for the output.")

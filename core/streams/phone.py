@@ -1,0 +1,88 @@
+"""A phone that sends only if it is asked to, and for as long as it is told that somebody listens."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .addresses import resolve
+from .casting import Address
+from .face_motion import MAGIC, FaceMotionReceiver
+from .settings import PROTOCOLS, StreamSettings
+
+_ASK_AGAIN = 2.0
+"""Seconds after which a phone is asked again."""
+_ASK_OTHERWISE = 1.0
+"""Seconds after which a phone that did not answer is asked for its other protocol."""
+
+
+class Phone:
+    """What is sent to a phone. An app that may know `face_motion` is asked for that and for the older text by turns.
+
+    Parameters
+    ----------
+    settings : StreamSettings
+        Without the address of a phone, nothing is sent.
+    """
+
+    def __init__(self, settings: StreamSettings) -> None:
+        self._protocol = PROTOCOLS[settings.protocol]
+        self._host = settings.phone
+        self._address: Address | None = None
+        self._motion = FaceMotionReceiver() if self._protocol.motion_port else None
+        self._motion_address: Address = ("", 0)
+        self._asked, self._requests = -np.inf, 0
+
+    @property
+    def message(self) -> str:
+        """Why the phone refuses to send; otherwise ""."""
+        return "" if self._motion is None else self._motion.message
+
+    def find(self) -> None:
+        """Look up its address, once; SourceError if there is none of that name."""
+        if self._host and self._address is None:
+            _, self._address = resolve(self._host, self._protocol.phone_port)
+            self._motion_address = self._address[0], self._protocol.motion_port
+
+    def may_send(self, address: Address) -> bool:
+        """Whether packets from `address` are accepted: those of the phone alone if its address is known."""
+        return self._address is None or address[0] == self._address[0]
+
+    def receiver(self, data: bytes, address: Address) -> FaceMotionReceiver | None:
+        """Return what reads a packet of `face_motion`, or None if `data` is something else."""
+        if self._motion is None or not data.startswith(MAGIC):
+            return None
+        self._motion_address = address
+        return self._motion
+
+    def due(self, now: float, port: int, *, heard: bool) -> list[tuple[bytes, Address]]:
+        """Return the packets that the phone has to get now, and where.
+
+        Parameters
+        ----------
+        now : float
+            Seconds on any clock.
+        port : int
+            On which this computer receives.
+        heard : bool
+            Whether faces are coming.
+        """
+        packets = [] if self._motion is None else [(data, self._motion_address) for data in self._motion.due(now)]
+        if self._address is None or now - self._asked < (_ASK_AGAIN if self._motion is None else _ASK_OTHERWISE):
+            return packets
+        self._asked = now
+        sends = heard or (self._motion is not None and self._motion.active(now))
+        if self._protocol.leased or not sends:
+            packets.append(self._request(port))
+        return packets
+
+    def farewell(self) -> list[tuple[bytes, Address]]:
+        """Return the packets that end the session, and where they go."""
+        return [] if self._motion is None else [(data, self._motion_address) for data in self._motion.stop()]
+
+    def _request(self, port: int) -> tuple[bytes, Address]:
+        """Ask for the newest protocol first: asked for the older one, the app would end the newer."""
+        assert self._address is not None
+        self._requests += 1
+        if self._motion is not None and self._requests % 2:
+            return self._motion.hello(), self._motion_address
+        return self._protocol.request(port), self._address
