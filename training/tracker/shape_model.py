@@ -93,7 +93,7 @@ def definition_bias(model: PointDistributionModel, photos: list[Photo]) -> np.nd
 def build_shape_model(
     head: IctHead, photos: list[Photo], rng: np.random.Generator, samples: int = 6000
 ) -> tuple[PointDistributionModel, np.ndarray]:
-    """The model, and the (66, 3) offset that its mean has over the ICT landmarks.
+    """The model, and the (66, 3) offset in eye distances that its mean has over the ICT landmarks.
 
     The symmetric offset is fitted to the hand-labelled `photos`: the ICT vertices and the labels mark slightly
     different places of a face. What the model then still leaves of the photos gives the last modes.
@@ -118,5 +118,5 @@ def build_shape_model(
     # A mode's unit is free, so the change of unit goes into the coefficients' variances.
     return (
         PointDistributionModel((mean - centre) / unit, basis, np.concatenate([variances, photo_variances]) / unit**2),
-        offset,
+        offset / unit,
     )

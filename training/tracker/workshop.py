@@ -102,10 +102,16 @@ class Workshop:
         path = self.work / "shape.npz"
         if not path.exists():
             photos, _ = split(read_photos(self.data, *HAND_LABELLED))
-            model, _ = build_shape_model(load_ict(self.data), photos, np.random.default_rng(SEED))
-            _keep(path, mean=model.mean_shape, basis=model.basis, eigenvalues=model.eigenvalues)
+            model, offset = build_shape_model(load_ict(self.data), photos, np.random.default_rng(SEED))
+            parts = {"mean": model.mean_shape, "basis": model.basis, "eigenvalues": model.eigenvalues}
+            _keep(path, **parts, offset=offset)
         raw = np.load(path)
         return PointDistributionModel(raw["mean"], raw["basis"], raw["eigenvalues"])
+
+    def definition(self) -> np.ndarray:
+        """(66, 3) from the labels to the reported landmarks."""
+        mean = self.shape().mean_shape
+        return definition_offset(mean, np.load(self.work / "shape.npz")["offset"])
 
     def photos(self, held_out: bool = False) -> list[Photo]:
         """Photos to train on, or those of held-out people; automatic labels corrected and pruned."""
@@ -281,7 +287,7 @@ class Workshop:
             ActionExperts(Network(self.actions(name), "actions"), **vars(part)) for name, part in ACTION_PARTS.items()
         )
         patches = (self.patches("frontal"), self.patches("side"))
-        taught, definition = self.shape(), definition_offset()
+        taught, definition = self.shape(), self.definition()
         reported = PointDistributionModel(taught.mean_shape + definition, taught.basis, taught.eigenvalues)
         return TrackerModel(
             pdm=reported,
