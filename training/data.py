@@ -7,6 +7,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
+ICT_FILE = Path("heads") / "ict_facekit_light.npz"
+"""In the folder of data."""
 
 
 def add_data_option(command: argparse.ArgumentParser) -> None:
@@ -14,7 +16,12 @@ def add_data_option(command: argparse.ArgumentParser) -> None:
     command.add_argument("--data", type=Path, default=DATA, help="folder of photos, heads and models")
 
 
+def has_heads(data: Path) -> bool:
+    """Whether the folder has ICT-FaceKit's head."""
+    return (data / ICT_FILE).is_file()
+
+
 def require_heads(command: argparse.ArgumentParser, data: Path) -> None:
-    """End the command with a message if a folder lacks ICT-FaceKit's head."""
-    if not (data / "heads").is_dir():
-        command.error(f"{data} has no heads/ict_facekit_light.npz; say with --data where ICT-FaceKit lies")
+    """End the command with a message if the folder lacks ICT-FaceKit's head."""
+    if not has_heads(data):
+        command.error(f"{data} has no {ICT_FILE}. Name with --data the folder that training/README.md describes.")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
 from ..landmarks import EYE_LEFT, EYE_RIGHT, INNER, MIRROR
@@ -87,11 +88,23 @@ def look(places: FloatArray, faces: IntArray) -> Sight | None:
     if not np.ptp(places, axis=0)[:2].max() > 0.0 or not len(sitter.triangles):
         return None
     whole = sitter.portrait()
-    found = max(_tracker()[0].detect(whole.image, _STEPS), key=lambda c: c.confidence, default=None)
+    found = _found(whole.image)
     if found is None:
         return None
-    sight = _approached(sitter, whole, found.fit.fitted)
+    sight = _approached(sitter, whole, found)
     return sight if sight.confidence >= FaceSearch.found_above else None
+
+
+def _found(image: NDArray[np.uint8]) -> FittedShape | None:
+    """The most certain face in a portrait, or else in its mirror image, in which a turned one may be easier to find."""
+    search, pdm = _tracker()
+    for flipped in (False, True):
+        seen = np.ascontiguousarray(image[:, ::-1]) if flipped else image
+        found = max(search.detect(seen, _STEPS), key=lambda c: c.confidence, default=None)
+        if found is not None:
+            fitted = found.fit.fitted
+            return FittedShape(fitted.pose * _MIRRORED_POSE + _SHIFT, np.zeros(pdm.n_modes)) if flipped else fitted
+    return None
 
 
 def _approached(sitter: Sitter, whole: Portrait, found: FittedShape) -> Sight:

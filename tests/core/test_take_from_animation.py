@@ -127,7 +127,7 @@ def test_a_sampled_face_displaces_its_own_landmarks_as_they_were_within_a_hundre
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="../shared is missing")
 def test_a_performance_of_ict_displaces_its_landmarks_as_they_were_within_a_hundredth():
-    from training.tracker.heads import load_ict
+    from facemime.training.tracker.heads import load_ict
 
     ict = load_ict(SHARED)
     # Without an open jaw this unit moves the lips through each other, which the avatar's never do.

@@ -14,12 +14,13 @@ from facemime.core.heads.built_in import FORMAT
 from facemime.core.landmarks import from_ibug
 
 from .anatomy import landmark_vertices
-from .hair import crop_lift
+from .hair import crop_lift, inside_hairline
 from .identity import AVATAR, identity_offsets
 from .layout import layout
 from .occlusion import openness, vertex_normals
 from .organs import encode, paint_eye, paint_teeth, paint_tongue
 from .parts import IRIS_RADIUS, TEETH, build_parts, eye_uv_radius, jaw_hinge
+from .refine import swell
 from .regions import region_weights
 from .skin import paint_skin
 from .source import Source
@@ -36,6 +37,9 @@ _OVERLAP = 1.06
 
 _BLINK_REACH = 0.045
 """Metres from the eye beyond which a blink moves nothing."""
+
+_SCALP = 0.012
+"""Metres inside the hairline from which the skin is made finer than hm08."""
 
 _JPEG_QUALITY = 90
 
@@ -73,10 +77,12 @@ def sculpt(source: Source) -> Sculpture:
     """The head's shape, landmarks, regions, face units and parts."""
     base = source.base_mesh()
     points = (base.vertices + identity_offsets(source, AVATAR)) * TO_HEAD
-    surface = build_surface(base, points)
     native_landmarks = landmark_vertices(base.mirror)
-    points = points - points[native_landmarks[[0, 16]]].mean(axis=0) - TRAGUS_TO_CENTRE
-    shape = _symmetric(surface.positions(points), surface.mirror)
+    origin = points[native_landmarks[[0, 16]]].mean(axis=0) + TRAGUS_TO_CENTRE
+    surface = build_surface(base, points, inside_hairline(points - origin) > _SCALP)
+    points = points - origin
+    rise = swell(surface, points, vertex_normals(points, base.faces))
+    shape = _symmetric(surface.positions(points) + rise, surface.mirror)
     landmarks = surface.vertex_of(native_landmarks)
     names = source.unit_names()
     units = [fit_blink(name, source.unit(name) * TO_HEAD, points, native_landmarks) for name in names]

