@@ -1,7 +1,7 @@
-"""Operator that adds the built-in head."""
+"""Operator that adds a built-in head."""
 
 import bpy
-from bpy.props import BoolProperty
+from bpy.props import BoolProperty, EnumProperty
 
 from ..blender.heads.built_in import add_head
 from ..blender.placement import free_place
@@ -15,6 +15,11 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
     bl_idname = "facemime.add_head"
     bl_label = "Facemime Head"
 
+    person: EnumProperty(
+        name="Person",
+        description="Whose head to add",
+        items=(("MAN", "Man", "A man with short hair"), ("WOMAN", "Woman", "A woman with hair combed back")),
+    )
     units: BoolProperty(name="ARKit Shape Keys", description="Add the 52 ARKit face units as shape keys")
     show_textures: BoolProperty(
         name="Show Textures", description="Show the textures of skin and eyes in Solid shading", default=True
@@ -30,7 +35,7 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         """Add the head at the 3D cursor, or to the right of what is there."""
-        head = add_head(context, units=self.units)
+        head = add_head(context, woman=self.person == "WOMAN", units=self.units)
         head.location = free_place(context, head, context.scene.cursor.location)
         space = context.space_data
         if isinstance(space, bpy.types.SpaceView3D):

@@ -103,8 +103,8 @@ class FACEMIME_MT_add(bpy.types.Menu):
         """Draw the ways to a head."""
         layout = self.layout
         layout.operator_context = "INVOKE_DEFAULT"
-        layout.operator("facemime.add_head", text="Head", icon="MONKEY").units = False
-        layout.operator("facemime.add_head", text="Head with ARKit Keys", icon="SHAPEKEY_DATA").units = True
+        for units, text, icon in ((False, _("Head"), "MONKEY"), (True, _("Head with ARKit Keys"), "SHAPEKEY_DATA")):
+            layout.operator_menu_enum("facemime.add_head", "person", text=text, icon=icon).units = units
         layout.operator("facemime.import_facegen", text="FaceGen Head", icon="IMPORT")
         layout.separator()
         layout.operator("facemime.bind_landmarks", text="Find Face of Selected Character", icon="VIEWZOOM")

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.heads.built_in import HeadPart, load_head
+from ...core.heads.built_in import WOMAN_FILE, HeadPart, load_head
 from ..frames import to_blender
 from ..meshes import write_landmarks, write_regions
 from ..names import PART_OBJECTS, PART_PROPERTY, TONGUE_KEY, UV_MAP
@@ -17,14 +17,18 @@ _RENDER_LEVELS = 2
 """Levels of subdivision of the skin in renders."""
 
 
-def add_head(context: bpy.types.Context, *, units: bool = False, name: str = "Facemime Head") -> bpy.types.Object:
-    """Add the built-in head at the origin, in a collection of its own, select it and make it active.
+def add_head(
+    context: bpy.types.Context, *, woman: bool = False, units: bool = False, name: str = "Facemime Head"
+) -> bpy.types.Object:
+    """Add a built-in head at the origin, in a collection of its own, select it and make it active.
 
     It faces -Y and stands upright along +Z, in metres; its origin is between the ears.
 
     Parameters
     ----------
     context : bpy.types.Context
+    woman : bool
+        Whether to add the woman's head instead of the man's.
     units : bool
         Whether to add the 52 face units as shape keys.
     name : str
@@ -35,8 +39,8 @@ def add_head(context: bpy.types.Context, *, units: bool = False, name: str = "Fa
     bpy.types.Object
         The skin; eyeballs, teeth and tongue are its children.
     """
-    head = load_head()
-    materials = head_materials()
+    head = load_head(WOMAN_FILE if woman else None)
+    materials = head_materials(woman=woman)
     mesh = _mesh(name, head.vertices, head.faces, head.uv, materials["skin"])
     write_landmarks(mesh, head.landmarks)
     skin = bpy.data.objects.new(name, mesh)

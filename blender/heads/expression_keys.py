@@ -12,10 +12,10 @@ from ...core.drive.expression_keys import expression_keys
 from ...core.drive.key_quality import KeyQuality, findings, key_qualities
 from ...core.drive.key_sets import KEY_SETS, KeySet
 from ...core.errors import HeadError
-from ...core.heads.built_in import load_head
+from ...core.heads.built_in import HEAD_FILE, WOMAN_FILE, HeadPart, load_head
 from ..characters import members_of
 from ..frames import to_blender
-from ..meshes import mesh_of, require_own
+from ..meshes import mesh_of, read_vertices, require_own
 from ..names import PART_PROPERTY
 from ..rigs import read_rig
 
@@ -105,10 +105,18 @@ def _add(obj: bpy.types.Object, names: Sequence[str], offsets: np.ndarray) -> li
     return [name for name, _ in missing]
 
 
+def _part_of(obj: bpy.types.Object) -> HeadPart | None:
+    """The part that an object was made of; None if it was changed into something else."""
+    rest = read_vertices(obj.data)
+    parts = [part for file in (HEAD_FILE, WOMAN_FILE) for part in load_head(file).parts]
+    alike = [part for part in parts if part.name == obj[PART_PROPERTY] and len(part.vertices) == len(rest)]
+    return min(alike, key=lambda part: float(np.ptp(part.vertices - rest, axis=0).max()), default=None)
+
+
 def _add_to_part(obj: bpy.types.Object, keys: KeySet) -> None:
-    """Add a set of keys to an eye, teeth or the tongue of the built-in head, as far as they move it."""
-    part = next((part for part in load_head().parts if part.name == obj[PART_PROPERTY]), None)
-    if part is None or len(part.vertices) != len(obj.data.vertices):
+    """Add a set of keys to an eye, teeth or the tongue of a built-in head, as far as they move it."""
+    part = _part_of(obj)
+    if part is None:
         return
     offsets = np.einsum("ku,uvc->kvc", keys.mixtures, part.units)
     if np.abs(offsets).max() > _RESTS:

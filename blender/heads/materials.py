@@ -22,12 +22,13 @@ _SATURATION, _BRIGHTNESS = 1.25, 0.8
 Build = Callable[[bpy.types.NodeTree, bpy.types.Node], None]
 
 
-def head_materials() -> dict[str, bpy.types.Material]:
+def head_materials(*, woman: bool = False) -> dict[str, bpy.types.Material]:
     """Create the materials of "skin" and of the parts, by name."""
-    eye = _material("Facemime Eye", "eye.jpg", (0.85, 0.83, 0.80), 0.06, _wet)
+    own = "_woman" if woman else ""
+    eye = _material("Facemime Eye", f"eye{own}.jpg", (0.85, 0.83, 0.80), 0.06, _wet)
     teeth = _material("Facemime Teeth", "teeth.jpg", (0.80, 0.76, 0.66), 0.18, _enamel)
     return {
-        "skin": _material("Facemime Skin", "skin.jpg", (0.69, 0.45, 0.35), 0.46, _skin),
+        "skin": _material("Facemime Skin", f"skin{own}.jpg", (0.69, 0.45, 0.35), 0.46, _skin),
         "eye_left": eye,
         "eye_right": eye,
         "teeth_upper": teeth,

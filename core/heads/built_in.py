@@ -1,7 +1,8 @@
-"""The built-in head: 1,781 vertices with landmarks, regions and the 52 ARKit face units, and its parts.
+"""The built-in heads: 1,781 vertices with landmarks, regions and the 52 ARKit face units, and their parts.
 
-It is stored in `assets/head/head.npz`, which `training/head` builds from CC0 data. The arrays in the file are the
-fields of `Head` and `HeadPart`, offsets as float16, those of a part prefixed with its name and a dot.
+They are stored in `assets/head`, which `training/head` builds from CC0 data, and have the same faces and landmarks. The
+arrays in a file are the fields of `Head` and `HeadPart`, offsets as float16, those of a part prefixed with its name and
+a dot. *The* built-in head is the man's, on which everything is based that needs a known one.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ FORMAT = "facemime-head-1"
 _ROUNDING = 1e-5
 
 HEAD_FILE = ASSETS / "head" / "head.npz"
+WOMAN_FILE = ASSETS / "head" / "woman.npz"
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,7 @@ class Head:
 
 
 def load_head(path: Path | None = None) -> Head:
-    """Load the head at `path`, by default the built-in one, which is read once.
+    """Load the head at `path`, by default the built-in one; those that ship are read once.
 
     Returns
     -------
@@ -101,11 +103,12 @@ def load_head(path: Path | None = None) -> Head:
     ModelError
         If the file is missing, damaged, or of another version.
     """
-    return _built_in(HEAD_FILE) if path is None else _read(Path(path))
+    path = HEAD_FILE if path is None else Path(path)
+    return _shipped(path) if path in (HEAD_FILE, WOMAN_FILE) else _read(path)
 
 
-@lru_cache(maxsize=1)
-def _built_in(path: Path) -> Head:
+@lru_cache(maxsize=2)
+def _shipped(path: Path) -> Head:
     return _read(path)
 
 

@@ -50,6 +50,7 @@ def test_each_zip_contains_its_wheels_and_the_assets_but_no_development_files(pl
         "LICENSE",
         "assets/sample/sample.mp4",
         "assets/head/head.npz",
+        "assets/head/woman.npz",
         "assets/MODEL_CARD.md",
         "assets/viewer/index.html",
         "assets/viewer/three/three.core.js",

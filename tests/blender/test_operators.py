@@ -12,6 +12,8 @@ from mathutils import Vector
 import facemime
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.built_in import add_head
+from facemime.blender.meshes import read_vertices
+from facemime.core.heads.built_in import WOMAN_FILE, load_head
 from facemime.core.takes.file import load_take, save_take
 from facemime.operators.puppet_video import FACEMIME_OT_puppet_video
 from facemime.sessions.session import Session
@@ -52,6 +54,14 @@ def test_add_head_adds_the_head_at_the_3d_cursor():
     assert bpy.ops.facemime.add_head() == {"FINISHED"}
     head = bpy.context.active_object
     assert len(head.data.vertices) == 1781 and tuple(head.location) == (1.0, 2.0, 3.0)
+
+
+def test_the_woman_is_added_if_she_is_chosen():
+    assert bpy.ops.facemime.add_head(person="WOMAN") == {"FINISHED"}
+    woman = bpy.context.active_object
+    rest = read_vertices(woman.data)
+    assert np.allclose(rest, load_head(WOMAN_FILE).vertices, atol=1e-6)
+    assert not np.allclose(rest, load_head().vertices, atol=1e-3)
 
 
 def test_a_head_is_added_beside_what_stands_at_the_cursor_in_a_collection_of_its_own():

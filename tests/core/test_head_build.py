@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facemime.core.heads.built_in import HEAD_FILE
+from facemime.core.heads.built_in import HEAD_FILE, WOMAN_FILE
 
 ROOT = Path(__file__).parents[2]
 
@@ -22,11 +22,13 @@ def build():
     return pytest.importorskip("facemime.training.head.build")
 
 
-def test_building_the_head_gives_the_shipped_arrays(build):
+@pytest.mark.parametrize(("file", "person"), [(HEAD_FILE, "MAN"), (WOMAN_FILE, "WOMAN")])
+def test_building_a_head_gives_the_shipped_arrays(build, file, person):
     from facemime.training.head.source import open_source
 
-    built = build.sculpt(open_source()).arrays
-    with np.load(HEAD_FILE) as shipped:
+    source = open_source()
+    built = build.sculpt(source, build.cut_pattern(source), getattr(build, person)).arrays
+    with np.load(file) as shipped:
         assert set(shipped.files) == set(built)
         for name, array in built.items():
             if array.dtype.kind == "f":

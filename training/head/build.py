@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from facemime.core.heads.built_in import FORMAT
 from facemime.core.landmarks import from_ibug
 
+from . import complexion, identity
 from .anatomy import landmark_vertices
+from .complexion import Complexion
 from .hair import crop_lift, inside_hairline
-from .identity import AVATAR, identity_offsets
+from .identity import Identity, identity_offsets
 from .layout import layout
 from .occlusion import openness, vertex_normals
 from .organs import encode, paint_eye, paint_teeth, paint_tongue
@@ -23,7 +25,7 @@ from .parts import IRIS_RADIUS, TEETH, build_parts, eye_uv_radius, jaw_hinge
 from .refine import swell
 from .regions import region_weights
 from .skin import paint_skin
-from .source import Source
+from .source import BaseMesh, Source
 from .surface import Surface, build_surface, ear_share
 
 TO_HEAD = np.array([0.1, -0.1, -0.1])
@@ -66,29 +68,87 @@ class Sculpture:
     arrays: Arrays
 
 
+@dataclass(frozen=True)
+class Person:
+    """Somebody whose head ships: the face, and how it is painted."""
+
+    identity: Identity
+    look: Complexion
+
+
+MAN, WOMAN = Person(identity.AVATAR, complexion.MAN), Person(identity.WOMAN, complexion.WOMAN)
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """What all heads have in common: vertices of one number are at one place of every face.
+
+    Attributes
+    ----------
+    base : BaseMesh
+    surface : Surface
+        The skin in terms of hm08.
+    regions : (3, V) array
+        Weights of the regions.
+    """
+
+    base: BaseMesh
+    surface: Surface
+    regions: NDArray[np.float64]
+
+
 def build_files(source: Source) -> dict[str, bytes]:
     """The files of `assets/head` but for the licence, by name."""
-    sculpture = sculpt(source)
-    files = {"head.npz": to_bytes(sculpture.arrays)}
-    return files | {f"{name}.jpg": encode(image, _JPEG_QUALITY) for name, image in paint(sculpture).items()}
+    pattern = cut_pattern(source)
+    files, images = {}, {"teeth": paint_teeth(TEETH), "tongue": paint_tongue()}
+    for name, suffix, person in (("head", "", MAN), ("woman", "_woman", WOMAN)):
+        sculpture = sculpt(source, pattern, person)
+        files[f"{name}.npz"] = to_bytes(sculpture.arrays)
+        images[f"skin{suffix}"] = _skin(sculpture, person.look)
+        images[f"eye{suffix}"] = _eye(sculpture, person.look)
+    return files | {f"{name}.jpg": encode(image, _JPEG_QUALITY) for name, image in images.items()}
 
 
-def sculpt(source: Source) -> Sculpture:
-    """The head's shape, landmarks, regions, face units and parts."""
+def cut_pattern(source: Source) -> Pattern:
+    """Choose the vertices and the regions on the man's head."""
     base = source.base_mesh()
-    points = (base.vertices + identity_offsets(source, AVATAR)) * TO_HEAD
-    native_landmarks = landmark_vertices(base.mirror)
-    origin = points[native_landmarks[[0, 16]]].mean(axis=0) + TRAGUS_TO_CENTRE
-    surface = build_surface(base, points, inside_hairline(points - origin) > _SCALP)
-    points = points - origin
+    points = _points(source, base, MAN)
+    scalp = inside_hairline(points, MAN.look.hairline) > _SCALP
+    surface = build_surface(base, _on_body(source, base, MAN), scalp)
+    landmarks = surface.vertex_of(landmark_vertices(base.mirror))
+    return Pattern(base, surface, region_weights(surface, _shape(base, surface, points), landmarks))
+
+
+def _on_body(source: Source, base: BaseMesh, person: Person) -> NDArray[np.float64]:
+    """Vertices of hm08 with a person's face, (N, 3), in the axes of the head frame, with the origin of hm08."""
+    return np.asarray((base.vertices + identity_offsets(source, person.identity)) * TO_HEAD)
+
+
+def _points(source: Source, base: BaseMesh, person: Person) -> NDArray[np.float64]:
+    """Vertices of hm08 with a person's face, (N, 3), head frame."""
+    points = _on_body(source, base, person)
+    tragi = points[landmark_vertices(base.mirror)[[0, 16]]]
+    return np.asarray(points - (tragi.mean(axis=0) + TRAGUS_TO_CENTRE))
+
+
+def _shape(base: BaseMesh, surface: Surface, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vertices of the skin without hair, (V, 3)."""
     rise = swell(surface, points, vertex_normals(points, base.faces))
-    shape = _symmetric(surface.positions(points) + rise, surface.mirror)
+    return _symmetric(surface.positions(points) + rise, surface.mirror)
+
+
+def sculpt(source: Source, pattern: Pattern, person: Person) -> Sculpture:
+    """A head's shape, landmarks, regions, face units and parts."""
+    base, surface = pattern.base, pattern.surface
+    points = _points(source, base, person)
+    shape = _shape(base, surface, points)
+    native_landmarks = landmark_vertices(base.mirror)
     landmarks = surface.vertex_of(native_landmarks)
     names = source.unit_names()
     units = [fit_blink(name, source.unit(name) * TO_HEAD, points, native_landmarks) for name in names]
     hinge = jaw_hinge(base, points, units[names.index("jawOpen")])
     ear = ear_share(surface)
-    lift = crop_lift(shape, ear)[:, None] * vertex_normals(shape, surface.faces)
+    lift = crop_lift(shape, ear, person.look)[:, None] * vertex_normals(shape, surface.faces)
     vertices = _symmetric(shape + lift, surface.mirror)
     arrays: Arrays = {
         "format": np.array(FORMAT),
@@ -96,7 +156,7 @@ def sculpt(source: Source) -> Sculpture:
         "faces": surface.faces.astype(np.int16),
         "uv": layout(surface, shape).astype(np.float32),
         "landmarks": landmarks.astype(np.int16),
-        "regions": region_weights(surface, shape, landmarks).astype(np.float32),
+        "regions": pattern.regions.astype(np.float32),
         "unit_names": np.array(names),
         "units": np.stack([surface.positions(unit) for unit in units]).astype(np.float16),
         "jaw_pivot": hinge.astype(np.float32),
@@ -108,17 +168,6 @@ def sculpt(source: Source) -> Sculpture:
         arrays[f"{part.name}.pivot"] = part.pivot.astype(np.float32)
         arrays[f"{part.name}.units"] = part.units.astype(np.float16)
     return Sculpture(points, surface, shape, ear, arrays)
-
-
-def paint(sculpture: Sculpture) -> dict[str, NDArray[np.uint8]]:
-    """BGR pictures of skin, eye, teeth and tongue."""
-    arrays = sculpture.arrays
-    return {
-        "skin": _skin(sculpture),
-        "eye": paint_eye(_iris_share(arrays["eye_left.vertices"] - arrays["eye_left.pivot"])),
-        "teeth": paint_teeth(TEETH),
-        "tongue": paint_tongue(),
-    }
 
 
 def fit_blink(
@@ -153,7 +202,12 @@ def to_bytes(arrays: Arrays) -> bytes:
     return buffer.getvalue()
 
 
-def _skin(sculpture: Sculpture) -> NDArray[np.uint8]:
+def _eye(sculpture: Sculpture, look: Complexion) -> NDArray[np.uint8]:
+    arrays = sculpture.arrays
+    return paint_eye(_iris_share(arrays["eye_left.vertices"] - arrays["eye_left.pivot"]), look)
+
+
+def _skin(sculpture: Sculpture, look: Complexion) -> NDArray[np.uint8]:
     surface, shape = sculpture.surface, sculpture.shape
     left = np.flatnonzero(shape[:, 0] >= 0.0)
     seen = np.zeros(len(shape))
@@ -167,6 +221,7 @@ def _skin(sculpture: Sculpture) -> NDArray[np.uint8]:
         np.stack([seen, sculpture.ear], axis=1),
         sculpture.points,
         shape[sculpture.arrays["landmarks"]],
+        look,
     )
 
 

@@ -6,51 +6,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .canvas import FrontView, Image, fade, noise
-
-CROP_LENGTH = 0.0042
-"""Metres by which the crop lifts the scalp."""
-
-_HAIRLINE = np.array(
-    [
-        *((0, -0.0745), (16, -0.0755), (32, -0.0690), (42, -0.0640), (50, -0.0500), (56, -0.0330), (62, -0.0220)),
-        *((68, -0.0110), (72, 0.0000), (76, 0.0120), (84, 0.0140), (89, -0.0060), (104, -0.0180), (116, -0.0060)),
-        *((126, 0.0230), (150, 0.0420), (180, 0.0480)),
-    ]
-)
-"""Degrees round from the front, and height of the hair's edge, metres."""
+from .complexion import Complexion
 
 
-def inside_hairline(place: NDArray[np.floating]) -> NDArray[np.floating]:
-    """How far above the hairline (..., 3) positions are, metres; the ears count as inside where they are high."""
+def inside_hairline(place: NDArray[np.floating], hairline: NDArray[np.float64]) -> NDArray[np.floating]:
+    """How far above a hairline (..., 3) positions are, metres; the ears count as inside where they are high."""
     around = np.degrees(np.arctan2(np.abs(place[..., 0]), -place[..., 2]))
-    return np.asarray(np.interp(around, *_HAIRLINE.T) - place[..., 1])
+    return np.asarray(np.interp(around, *hairline.T) - place[..., 1])
 
 
-def crop_lift(vertices: NDArray[np.float64], ear: NDArray[np.float64]) -> NDArray[np.float64]:
+def crop_lift(vertices: NDArray[np.float64], ear: NDArray[np.float64], look: Complexion) -> NDArray[np.float64]:
     """(V,) metres by which hair lifts the scalp; `ear` (V,) is 1 on the ears, where none grows."""
-    return np.asarray(CROP_LENGTH * fade(inside_hairline(vertices), 0.000, 0.014) * (1.0 - ear))
+    return np.asarray(look.hair_lift * fade(inside_hairline(vertices, look.hairline), 0.000, 0.014) * (1.0 - ear))
 
 
-def crop(place: Image, ear: Image) -> tuple[Image, Image]:
+def crop(place: Image, ear: Image, look: Complexion) -> tuple[Image, Image]:
     """Cover (S, S) of the hair in 0..1, and its shade, about 1."""
-    height = inside_hairline(place).astype(np.float32)
+    height = inside_hairline(place, look.hairline).astype(np.float32)
     ragged = 0.0022 * noise(place, 0.0050, 11) + 0.0012 * noise(place, 0.0018, 12)
-    edge = fade(height + ragged, -0.0035, 0.0130)
-    strands = noise(place * np.float32([1.0, 0.22, 0.40]), 0.00055, 13)
+    edge = fade(height + ragged, *look.hair_edge)
+    strands = noise(place * np.float32(look.comb), 0.00055, 13)
     thin = np.clip(edge + 0.9 * edge * (1.0 - edge) * strands * 1.6, 0.0, 1.0)
     shade = 1.0 + 0.22 * strands + 0.10 * noise(place, 0.006, 14)
     return thin * fade(ear, 0.65, 0.25), shade
 
 
-def brow_strokes(view: FrontView, brow: NDArray[np.float64], rng: np.random.Generator) -> None:
+def brow_strokes(view: FrontView, brow: NDArray[np.float64], width: float, rng: np.random.Generator) -> None:
     """Draw both brows.
 
-    `brow` (5, 2) are the left brow's landmarks from its inner end outwards, upper-mid of the hair.
+    `brow` (5, 2) are the left brow's landmarks from its inner end outwards, upper-mid of the hair; `width` is relative
+    to the man's.
     """
     knots = np.linspace(0.0, 1.0, len(brow))
     for _ in range(470):
         t = rng.beta(1.15, 1.15)
-        half = np.interp(t, [0.0, 0.12, 0.55, 1.0], [0.0016, 0.0031, 0.0028, 0.0006])
+        half = width * np.interp(t, [0.0, 0.12, 0.55, 1.0], [0.0016, 0.0031, 0.0028, 0.0006])
         across = np.clip(rng.normal(0.0, 0.48), -1.0, 1.0)
         root = np.array([np.interp(t, knots, brow[:, i]) for i in range(2)])
         root += [0.0, 0.0010 + across * half]

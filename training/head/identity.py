@@ -37,6 +37,23 @@ AVATAR = Identity(
     origins={"caucasian": 0.6, "asian": 0.2, "african": 0.2},
 )
 
+WOMAN = Identity(
+    gender=0.02,
+    age=0.08,
+    muscle=0.45,
+    weight=0.48,
+    proportions=0.85,
+    origins={"caucasian": 0.75, "asian": 0.1, "african": 0.15},
+    details={
+        "chin/chin-width-decr": 0.55,
+        "head/head-oval": 0.35,
+        "forehead/forehead-scale-vert-decr": 0.45,
+        "nose/nose-scale-horiz-decr": 0.35,
+        "nose/nose-scale-vert-decr": 0.25,
+        "eyes/*-eye-scale-incr": 0.25,
+    },
+)
+
 
 def identity_offsets(source: Source, identity: Identity) -> NDArray[np.float64]:
     """(N, 3) offsets in decimetres that turn the base mesh into `identity`, the way MakeHuman combines its macros."""

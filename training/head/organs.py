@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .canvas import Image, cloud, fade, mix, noise
+from .complexion import Complexion
 
 _EYE_SIZE = 512
 _MOUTH_SIZE = (256, 1024)
-_IRIS_EDGE, _IRIS, _IRIS_INNER = (0.085, 0.070, 0.055), (0.300, 0.215, 0.125), (0.460, 0.320, 0.150)
 
 
-def paint_eye(iris: float) -> NDArray[np.uint8]:
+def paint_eye(iris: float, look: Complexion) -> NDArray[np.uint8]:
     """(512, 512, 3) BGR picture of an eye centred on the pupil; `iris` is its radius as a share of the picture."""
     x, y, place = _plane((_EYE_SIZE, _EYE_SIZE))
     radius, angle = np.hypot(x, y) / iris, np.arctan2(y, x)
@@ -25,10 +25,10 @@ def paint_eye(iris: float) -> NDArray[np.uint8]:
     ring = np.stack([np.cos(angle) * 6.0, np.sin(angle) * 6.0, radius * 0.55], axis=-1).astype(np.float32)
     fibres = noise(ring, 0.22, 6) + 0.6 * noise(ring, 0.10, 7)
     tint = np.empty_like(image)
-    tint[:] = _IRIS
-    mix(tint, _IRIS_INNER, fade(radius, 0.80, 0.42))
+    tint[:] = look.iris
+    mix(tint, look.iris_inner, fade(radius, 0.80, 0.42))
     tint *= 1.0 + 0.26 * fibres[..., None]
-    mix(tint, _IRIS_EDGE, fade(radius, 0.74, 0.99))
+    mix(tint, look.iris_edge, fade(radius, 0.74, 0.99))
     mix(tint, (0.62, 0.44, 0.22), 0.30 * np.exp(-(((radius - 0.52) / 0.08) ** 2)) * (0.6 + 0.4 * fibres))
     mix(image, tint, fade(radius, 1.05, 0.95))
     mix(image, (0.015, 0.012, 0.012), fade(radius, 0.43, 0.37))

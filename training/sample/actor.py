@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from facemime.core.landmarks import from_ibug
 from facemime.core.rotation import euler_to_matrix
 
+from ..head import complexion
 from ..head.anatomy import LOWER_LID_EDGE, UPPER_LID_EDGE, landmark_vertices
 from ..head.build import TO_HEAD, TRAGUS_TO_CENTRE, fit_blink
 from ..head.canvas import FrontView, distance_to_line, fade, mix, noise, rasterise
@@ -115,7 +116,7 @@ def build_actor(source: Source, skin: Path) -> Actor:
     ear = _ears(base, chart)
     texture = _texture(points, skins["head"], ear, points[landmarks], skin)
     head_faces = base.faces[chart == FACE]
-    lifted = points + crop_lift(points, ear)[:, None] * vertex_normals(points, head_faces)
+    lifted = points + crop_lift(points, ear, complexion.MAN)[:, None] * vertex_normals(points, head_faces)
     shirt = base.face_group == "helper-tights"
     rows = np.unique(base.faces[shirt])
     lifted[rows] += 0.004 * vertex_normals(points, base.faces[shirt])[rows]
@@ -182,13 +183,13 @@ def _texture(
     lash = distance_to_line(folded, points[[*LOWER_LID_EDGE]])
     mix(image, (0.16, 0.10, 0.09), 0.55 * fade(lash, 0.0008, 0.0002))
     view = FrontView((-0.08, -0.07), (0.08, 0.04), 0.00006)
-    brow_strokes(view, landmarks[from_ibug(range(22, 27)), :2], np.random.default_rng(21))
+    brow_strokes(view, landmarks[from_ibug(range(22, 27)), :2], complexion.MAN.brow, np.random.default_rng(21))
     facing = fade(place[..., 2], -0.040, -0.055)
     soft = cv2.GaussianBlur(view.ink, (0, 0), 14.0)
     for ink, strength in ((soft, 0.55), (view.ink, 0.80)):
         view.ink = ink
         mix(image, _HAIR, strength * np.clip(1.2 * view.look_up(place), 0.0, 1.0) * facing)
-    cover, shade = crop(place, texels.value[..., 0])
+    cover, shade = crop(place, texels.value[..., 0], complexion.MAN)
     tint = np.empty_like(image)
     tint[:] = _HAIR
     tint *= (shade * (1.0 + 0.12 * noise(place, 0.012, 5)))[..., None]
