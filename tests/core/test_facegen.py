@@ -11,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facegen_files import DIFFERENCE, OBJ, QUADS, TARGETS, TRIANGLES, UVS, VERTICES, egm, tri
+from facemime.core.drive.key_sets import KEY_SETS
 from facemime.core.errors import SourceError
+from facemime.core.heads.built_in import load_head
 from facemime.core.heads.facegen import read_egm, read_obj, read_tri
 
 HEAD = np.array([1, -1, -1], np.float32)
@@ -88,6 +90,71 @@ def test_pyffi_reads_the_same_from_an_egm(write, pyffi):
     for morph, (_, offsets) in zip(theirs, modes, strict=True):
         values = np.array([[v.x, v.y, v.z] for v in morph.vertices][:5], float)
         np.testing.assert_allclose(values * morph.scale * HEAD, offsets)
+
+
+def test_a_whole_head_that_pyffi_wrote_is_read(write, pyffi):
+    head, units = load_head(), KEY_SETS["facegen"].mixtures
+    rest = head.vertices * HEAD
+    moved = np.einsum("ku,uvc->kvc", units, head.units) * HEAD
+    modes = [0.01 * np.random.default_rng(seed).normal(size=rest.shape) for seed in range(4)]
+    eyes = np.flatnonzero(np.abs(moved).max(axis=(0, 2)) > 0.005)[:40]
+    mesh = read_tri(write("head.tri", pyffi_tri(pyffi[0], head, moved, eyes)))
+    read = read_egm(write("head.egm", pyffi_egm(pyffi[1], modes, len(eyes))), mesh)
+    np.testing.assert_allclose(mesh.vertices, head.vertices, atol=1e-7)
+    assert [[*face] for face in mesh.faces if face[3] >= 0] == [[*face] for face in head.faces if face[3] >= 0]
+    names = [*KEY_SETS["facegen"].names, "Look"]
+    assert [name for name, _ in mesh.morphs] == names
+    for (_, offsets), true in zip(mesh.morphs, moved * HEAD, strict=False):
+        np.testing.assert_allclose(offsets, true, atol=2e-6)
+    look = dict(mesh.morphs)["Look"]
+    np.testing.assert_allclose(look[eyes], np.tile([0.0, -0.01, 0.0], (len(eyes), 1)), atol=1e-6)
+    assert not np.delete(look, eyes, axis=0).any()
+    for (_, offsets), true in zip(read, modes, strict=True):
+        np.testing.assert_allclose(offsets, true * HEAD, atol=2e-6)
+
+
+def pyffi_tri(formats, head, moved, rows):
+    """A head with FaceGen's 37 difference morphs and a statistical one of some `rows`, as PyFFI writes it."""
+    quads, triangles = head.faces[head.faces[:, 3] >= 0], head.faces[head.faces[:, 3] < 0, :3]
+    data = formats.Data()
+    data.num_vertices, data.num_tri_faces, data.num_quad_faces = len(head.vertices), len(triangles), len(quads)
+    for part in (data.vertices, data.tri_faces, data.quad_faces):
+        part.update_size()
+    fill(data.vertices, "xyz", head.vertices * HEAD)
+    fill(data.tri_faces, ("v_1", "v_2", "v_3"), triangles)
+    fill(data.quad_faces, ("v_1", "v_2", "v_3", "v_4"), quads)
+    for name, offsets in zip(KEY_SETS["facegen"].names, moved, strict=True):
+        morph = data.add_morph()
+        morph.name, morph.arg = name.encode(), len(offsets)
+        morph.vertices.update_size()
+        morph.set_relative_vertices(offsets.tolist())
+    look = data.add_modifier()
+    look.name, look.num_vertices_to_modify = b"Look", len(rows)
+    look.vertices_to_modify.update_size()
+    look.modifier_vertices.update_size()
+    for i, row in enumerate(rows):
+        look.vertices_to_modify[i] = int(row)
+    fill(look.modifier_vertices, "xyz", head.vertices[rows] * HEAD + [0.0, 0.01, 0.0])
+    out = io.BytesIO()
+    data.write(out)
+    return out.getvalue()
+
+
+def pyffi_egm(formats, modes, more):
+    """Modes of face space, half of them asymmetric, with `more` vertices of statistical morphs."""
+    data = formats.Data(num_vertices=len(modes[0]) + more)
+    for number, offsets in enumerate(modes):
+        morph = data.add_sym_morph() if number < len(modes) // 2 else data.add_asym_morph()
+        morph.set_relative_vertices([*offsets.tolist(), *np.zeros((more, 3)).tolist()])
+    out = io.BytesIO()
+    data.write(out)
+    return out.getvalue()
+
+
+def fill(records, names, rows):
+    for record, row in zip(records, np.asarray(rows).tolist(), strict=True):
+        for name, value in zip(names, row, strict=True):
+            setattr(record, name, value)
 
 
 @settings(max_examples=60)
