@@ -141,7 +141,7 @@ def _stored_landmarks(obj: bpy.types.Object, name: str) -> NDArray[np.intp]:
     if bound_at is not None and not np.array_equal(bound_at, count):
         raise HeadError(
             f"The vertex count of {obj.name} has changed from {bound_at} to {count} since its landmarks were bound. "
-            "Undo that change, or bind the landmarks again."
+            "Undo that change, or find the face again."
         )
     if landmarks.min() < 0 or landmarks.max() >= count:
         raise HeadError(f"The landmarks of {obj.name} refer to vertices that no longer exist. Bind them again.")

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from functools import lru_cache
 
 import bpy
-from bpy.app.translations import pgettext_iface, pgettext_rpt
+from bpy.app.translations import pgettext_iface, pgettext_rpt, pgettext_tip
 
 from ..core.assets import ASSETS
 
@@ -91,6 +91,11 @@ def load_languages() -> dict[str, dict[str, str]]:
 def interface(text: str) -> str:
     """Translate a constant text of a panel or menu, in Facemime's context."""
     return pgettext_iface(text, CONTEXT)
+
+
+def tooltip(text: str) -> str:
+    """Translate a tooltip that depends on a button's properties; Blender translates only constant ones by itself."""
+    return pgettext_tip(text, CONTEXT)
 
 
 def translated(message: str, lookup: Callable[[str], str] | None = None) -> str:

@@ -47,9 +47,13 @@ def viewport_under(context: bpy.types.Context, x: int, y: int) -> Viewport | Non
 
 def viewport_of(context: bpy.types.Context) -> Viewport | None:
     """Return the 3D Viewport that is in use, otherwise the largest one of the window; None without any."""
-    found = list(viewports(context.screen))
-    here = [viewport for viewport in found if viewport.area == context.area]
-    return max(here or found, key=lambda viewport: viewport.region.width * viewport.region.height, default=None)
+    here = [viewport for viewport in viewports(context.screen) if viewport.area == context.area]
+    return here[0] if here else largest_viewport(context.screen)
+
+
+def largest_viewport(screen: bpy.types.Screen | None) -> Viewport | None:
+    """Return the 3D Viewport of a screen that has most room; None without any."""
+    return max(viewports(screen), key=lambda viewport: viewport.region.width * viewport.region.height, default=None)
 
 
 def redraw(context: bpy.types.Context, kind: str = "WINDOW") -> None:

@@ -90,7 +90,7 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
             names = ", ".join(preset.name for preset in presets())
             raise HeadError(
                 f"No preset matches the shape keys of {context.active_object.name} ({names}). "
-                "Add rows manually, import a table, or learn one from poses."
+                "Add rows manually, import a mapping, or learn one from poses."
             )
         write_table(context.scene.facemime_takes.bake, table)
         report(self, f"{table.name}: {len(table.keys)} shape keys")
@@ -132,7 +132,7 @@ class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
     """Import a key mapping from a file"""
 
     bl_idname = "facemime.import_key_map"
-    bl_label = "Import Table"
+    bl_label = "Import Mapping"
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
@@ -145,7 +145,7 @@ class FACEMIME_OT_export_key_map(AsksForFileToWrite, bpy.types.Operator):
     """Export the key mapping to a file"""
 
     bl_idname = "facemime.export_key_map"
-    bl_label = "Export Table"
+    bl_label = "Export Mapping"
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 

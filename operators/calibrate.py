@@ -3,10 +3,16 @@
 import bpy
 from bpy.props import EnumProperty, FloatProperty, StringProperty
 
+from ..blender.messages import tooltip
 from ..sessions.countdown import COUNTDOWN
 from ..settings.values import add_performer, remove_performer, selected_performer
 from .puppet import require_puppet, running
 from .shared import ReportsErrors, require
+
+_POSES = (
+    ("NEUTRAL", "Neutral", "Look straight at the camera for a second, with a relaxed face and the mouth closed"),
+    ("RANGE", "Eyes and Mouth", "Within four seconds, close the eyes tightly and open the mouth wide"),
+)
 
 
 class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
@@ -16,17 +22,7 @@ class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
     bl_label = "Calibrate"
     bl_options = {"REGISTER"}
 
-    pose: EnumProperty(
-        name="Pose",
-        items=(
-            (
-                "NEUTRAL",
-                "Neutral",
-                "Look straight at the camera for a second, with a relaxed face and the mouth closed",
-            ),
-            ("RANGE", "Eyes and Mouth", "Within four seconds, close the eyes tightly and open the mouth wide"),
-        ),
-    )
+    pose: EnumProperty(name="Pose", items=_POSES)
     countdown: FloatProperty(name="Countdown", default=COUNTDOWN, min=0.0, max=60.0, subtype="TIME_ABSOLUTE")
 
     @classmethod
@@ -37,9 +33,7 @@ class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
         """Return what the performer has to do."""
-        pose = cls.bl_rna.properties["pose"].enum_items if "pose" in cls.bl_rna.properties else {}
-        item = pose.get(properties.pose)
-        return cls.__doc__ if item is None else item.description
+        return next(tooltip(text) for pose, _, text in _POSES if pose == properties.pose)
 
     def work(self, context: bpy.types.Context) -> None:
         """Start the countdown."""

@@ -214,7 +214,7 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
         report(
             self,
             f"Cut along the lids of {count} eyes. If the cut misses the lids, undo it, mark the corners of the eyes, "
-            "and bind again",
+            "and find the face again",
         )
         report_findings(self, context)
 

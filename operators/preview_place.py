@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import bpy
 
-from ..blender.viewports import Viewport, redo_height, redraw, toolbar_width, viewport_under
+from ..blender.viewports import Viewport, largest_viewport, redo_height, redraw, toolbar_width, viewport_under
 from ..sessions.live import LiveSession
 from ..settings.preferences import FacemimePreferences, preferences
 
@@ -43,6 +43,12 @@ def preview_box(area: bpy.types.Area, region: bpy.types.Region, picture: tuple[i
     return Box(max(0.0, min(left, region.width - width)), max(0.0, min(bottom, region.height - height)), width, height)
 
 
+def has_preview(screen: bpy.types.Screen, area: bpy.types.Area) -> bool:
+    """Return whether the preview is in this 3D Viewport, which is the largest one of the screen."""
+    largest = largest_viewport(screen)
+    return largest is not None and largest.area == area
+
+
 class PreviewDrag:
     """Moves the preview by its middle, and changes its size by its upper right corner."""
 
@@ -69,6 +75,8 @@ class PreviewDrag:
     def _grip(self, context: bpy.types.Context, event: bpy.types.Event) -> bool:
         seen, session = viewport_under(context, event.mouse_x, event.mouse_y), LiveSession.running()
         if seen is None or session is None or session.shown is None or session.shown.preview is None:
+            return False
+        if not has_preview(context.screen, seen.area):
             return False
         box = preview_box(seen.area, seen.region, session.shown.preview.shape[:2])
         right, up = event.mouse_x - seen.region.x - box.left, event.mouse_y - seen.region.y - box.bottom

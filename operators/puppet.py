@@ -190,7 +190,11 @@ def _draw_hints(header: bpy.types.Header, context: bpy.types.Context) -> None:
     row = header.layout.row()
     row.label(text="Stop Puppet", text_ctxt=CONTEXT, icon="EVENT_ESC")
     session = running()
-    if session is not None and session.recording is not None:
+    recording = session is not None and session.recording is not None
+    for icon in ("EVENT_SHIFT", "EVENT_ALT", "EVENT_R"):
+        row.label(text="", icon=icon)
+    row.label(text="Stop Recording" if recording else "Record", text_ctxt=CONTEXT)
+    if recording:
         row.label(text="Recording", text_ctxt=CONTEXT, icon="REC")
 
 

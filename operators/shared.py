@@ -188,6 +188,6 @@ class OnHead(OnMesh):
         bound = is_head if cls.needs_landmarks else can_be_driven
         return (
             super().poll(context)
-            and require(cls, bound(context.active_object), "Bind the landmarks first, in the Head panel")
+            and require(cls, bound(context.active_object), "Find the face first, in the Head panel")
             and require_left_edit_mode(cls, context)
         )

@@ -59,8 +59,8 @@ class FACEMIME_OT_trim_take(AddsEditedTake, bpy.types.Operator):
             ("TO", "To Playhead", "From the start to the current frame"),
         ),
     )
-    start: FloatProperty(name="Start", subtype="TIME_ABSOLUTE", min=0.0)
-    end: FloatProperty(name="End", subtype="TIME_ABSOLUTE", min=0.0)
+    start: FloatProperty(name="Start (s)", description="Start of the part to keep, in seconds", min=0.0)
+    end: FloatProperty(name="End (s)", description="End of the part to keep, in seconds", min=0.0)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Show the dialog, set to the preview range if one is used, otherwise to the whole take."""
@@ -147,7 +147,7 @@ class FACEMIME_OT_punch_in_take(AddsEditedTake, bpy.types.Operator):
     suffix = "Edited"
 
     other: StringProperty(name="Take", description="Take to insert")
-    start: FloatProperty(name="Start", description="Time at which it is inserted", subtype="TIME_ABSOLUTE", min=0.0)
+    start: FloatProperty(name="Start (s)", description="Time at which it is inserted, in seconds", min=0.0)
     blend: BLEND
 
     @classmethod

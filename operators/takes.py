@@ -25,6 +25,7 @@ from .shared import (
     ReportsErrors,
     heads_in,
     report,
+    reporting_range,
     require,
     require_heads,
     require_no_session,
@@ -101,7 +102,8 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
         if (show := TakeShow.running()) is not None:
             show.close()
         else:
-            TakeShow(context.scene, heads_in(context), takes_store.read(takes_store.chosen(context.scene)))
+            with reporting_range(self, context.scene):
+                TakeShow(context.scene, heads_in(context), takes_store.read(takes_store.chosen(context.scene)))
 
 
 class FACEMIME_OT_remove_take(OnTake, bpy.types.Operator):

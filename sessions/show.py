@@ -8,11 +8,12 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
+from ..blender.animation.bake import set_range
 from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
 from ..blender.animation.live_keys import KEYS, live_keys
 from ..blender.meshes import driven_by_keys
 from ..blender.rigs import read_rig
-from ..blender.timeline import seconds_of
+from ..blender.timeline import frames_of, seconds_of
 from ..blender.undo import push_undo
 from ..core.drive.driver import HeadDriver
 from ..core.errors import HeadError
@@ -29,7 +30,7 @@ def _driver(performance: Performance, obj: bpy.types.Object) -> HeadDriver | Key
 
 
 class TakeShow(Session):
-    """Displays a take on heads at the current frame until `close`.
+    """Displays a take on heads at the current frame until `close`; the scene's frame range becomes that of the take.
 
     Parameters
     ----------
@@ -61,6 +62,7 @@ class TakeShow(Session):
         self._take = performance.take.part(performance.take.found)
         self._scene = scene.name
         super().__init__()
+        set_range(scene, frames_of(scene, take.times))
         self.resume()
         push_undo("Preview on Head")
 

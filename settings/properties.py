@@ -92,9 +92,8 @@ class FacemimeSettings(bpy.types.PropertyGroup):
         default=True,
     )
     neutral: FloatProperty(
-        name="Neutral At",
-        description="Start of the second in which the performer's face is neutral",
-        subtype="TIME_ABSOLUTE",
+        name="Neutral At (s)",
+        description="Start of the second in which the performer's face is neutral, in seconds",
         min=0.0,
     )
     drive_by: EnumProperty(

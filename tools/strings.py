@@ -58,7 +58,7 @@ _TABLES = {
     "REFUSALS",
 }
 """Dictionaries, or tuples of them, whose values are messages."""
-_ITEMS = {"_BOTH_WAYS"}
+_ITEMS = {"_BOTH_WAYS", "_POSES"}
 """Variables to which items of enumerations are assigned."""
 _LABELS = {"MARKS"}
 """Those that are shown with a capital letter."""

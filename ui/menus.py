@@ -1,8 +1,12 @@
 """Entries in Blender's menus."""
 
-from typing import ClassVar
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import ClassVar, NamedTuple
 
 import bpy
+
+from ..blender.messages import CONTEXT
 
 
 def _add_head(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
@@ -44,6 +48,21 @@ _ENTRIES = (
     ),
 )
 """Operators of the menu Facemime with their icons, in groups: live, takes, heads."""
+_SUBMENUS = (
+    (
+        ("FACEMIME_MT_calibrate", "USER"),
+        ("FACEMIME_MT_presets", "PRESET"),
+        ("FACEMIME_MT_viewer", "WORLD"),
+    ),
+    (("FACEMIME_MT_takes", "COLLAPSEMENU"), ("FACEMIME_MT_key_mapping", "SHAPEKEY_DATA")),
+    (
+        ("FACEMIME_MT_landmarks", "CON_TRACKTO"),
+        ("FACEMIME_MT_regions", "GROUP_VERTEX"),
+        ("FACEMIME_MT_select_from_take", "CURVE_DATA"),
+        ("FACEMIME_MT_control_points", "CURVE_DATA"),
+    ),
+)
+"""Submenus below the operators of each group, with their icons."""
 _KEYS = (("facemime.puppet", "P"), ("facemime.stop_puppet", "P"), ("facemime.record_take", "R"))
 """Operators and their keys, with Shift and Alt: the first one that can run does."""
 
@@ -58,16 +77,113 @@ class VIEW3D_MT_facemime(bpy.types.Menu):
         layout = self.layout
         layout.operator_context = "INVOKE_REGION_WIN"
         layout.menu("FACEMIME_MT_add", icon="ADD")
-        for group in _ENTRIES:
+        for operators, submenus in zip(_ENTRIES, _SUBMENUS, strict=True):
             layout.separator()
-            for operator, icon in group:
+            for operator, icon in operators:
                 layout.operator(operator, icon=icon)
-        layout.menu("FACEMIME_MT_select_from_take", icon="CURVE_DATA")
+            for menu, icon in submenus:
+                layout.menu(menu, icon=icon)
+
+
+class _Entry(NamedTuple):
+    """An operator with its icon and, if it is not drawn with its own label and defaults, a label and properties."""
+
+    operator: str
+    icon: str
+    text: str = ""
+    properties: Mapping[str, str] = MappingProxyType({})
+
+
+class _Submenu:
+    """Mixin: a menu of operators."""
+
+    entries: ClassVar[tuple[_Entry, ...]]
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the operators."""
+        self.layout.operator_context = "INVOKE_REGION_WIN"
+        for operator, icon, text, properties in self.entries:
+            label = {"text": text, "text_ctxt": CONTEXT} if text else {}
+            button = self.layout.operator(operator, icon=icon, **label)
+            for name, value in properties.items():
+                setattr(button, name, value)
+
+
+class FACEMIME_MT_calibrate(_Submenu, bpy.types.Menu):
+    """Calibrate to the performer's face, and choose who performs"""
+
+    bl_label = "Calibrate"
+    entries = (
+        _Entry("facemime.calibrate", "USER", text="Neutral Face", properties={"pose": "NEUTRAL"}),
+        _Entry("facemime.calibrate", "HIDE_OFF", text="Eyes and Mouth", properties={"pose": "RANGE"}),
+        _Entry("facemime.reset_calibration", "LOOP_BACK"),
+        _Entry("facemime.add_performer", "ADD"),
+        _Entry("facemime.remove_performer", "REMOVE"),
+    )
+
+
+class FACEMIME_MT_viewer(_Submenu, bpy.types.Menu):
+    """Show the running puppet in a browser"""
+
+    bl_label = "Viewer"
+    entries = (_Entry("facemime.open_viewer", "WORLD"), _Entry("facemime.copy_viewer_address", "COPYDOWN"))
+
+
+class FACEMIME_MT_key_mapping(_Submenu, bpy.types.Menu):
+    """Map what is tracked to the shape keys that a head has"""
+
+    bl_label = "Key Mapping"
+    entries = (
+        _Entry("facemime.detect_key_map", "VIEWZOOM"),
+        _Entry("facemime.add_key_pose", "ADD"),
+        _Entry("facemime.learn_key_map", "MODIFIER"),
+        _Entry("facemime.import_key_map", "IMPORT"),
+        _Entry("facemime.export_key_map", "EXPORT"),
+        _Entry("facemime.mute_others", "MUTE_IPO_ON"),
+    )
+
+
+class FACEMIME_MT_landmarks(_Submenu, bpy.types.Menu):
+    """Change the landmarks and the parts of a character"""
+
+    bl_label = "Landmarks and Parts"
+    entries = (
+        _Entry("facemime.pick_landmark", "EYEDROPPER"),
+        _Entry("facemime.set_landmark", "PIVOT_CURSOR"),
+        _Entry("facemime.clear_marks", "X"),
+        _Entry("facemime.find_parts", "VIEWZOOM"),
+    )
+
+
+class FACEMIME_MT_regions(_Submenu, bpy.types.Menu):
+    """Paint and edit the regions of the face"""
+
+    bl_label = "Regions"
+    entries = (
+        _Entry("facemime.paint_region", "BRUSH_DATA", text="Paint Upper", properties={"region": "UPPER"}),
+        _Entry("facemime.paint_region", "BRUSH_DATA", text="Paint Middle", properties={"region": "MIDDLE"}),
+        _Entry("facemime.paint_region", "BRUSH_DATA", text="Paint Lower", properties={"region": "LOWER"}),
+        _Entry("facemime.leave_painting", "LOOP_BACK"),
+        _Entry("facemime.mirror_regions", "MOD_MIRROR", text="Mirror Left to Right", properties={"source": "left"}),
+        _Entry("facemime.mirror_regions", "MOD_MIRROR", text="Mirror Right to Left", properties={"source": "right"}),
+        _Entry("facemime.smooth_regions", "MOD_SMOOTH"),
+    )
+
+
+class FACEMIME_MT_control_points(_Submenu, bpy.types.Menu):
+    """Change which landmarks are control points"""
+
+    bl_label = "Control Points"
+    entries = (
+        _Entry("facemime.select_live_points", "RESTRICT_VIEW_OFF"),
+        _Entry("facemime.add_control_point", "ADD"),
+        _Entry("facemime.drop_control_point", "REMOVE"),
+        _Entry("facemime.use_all_landmarks", "LOOP_BACK"),
+    )
 
 
 def _facemime(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    if context.mode == "OBJECT":
-        menu.layout.menu("VIEW3D_MT_facemime")
+    menu.layout.menu("VIEW3D_MT_facemime")
 
 
 class _Keys:
@@ -76,7 +192,15 @@ class _Keys:
     added: ClassVar[list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]]] = []
 
 
-CLASSES = (VIEW3D_MT_facemime,)
+CLASSES = (
+    VIEW3D_MT_facemime,
+    FACEMIME_MT_calibrate,
+    FACEMIME_MT_viewer,
+    FACEMIME_MT_key_mapping,
+    FACEMIME_MT_landmarks,
+    FACEMIME_MT_regions,
+    FACEMIME_MT_control_points,
+)
 
 
 def register() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..blender.messages import interface as _
 from ..blender.viewports import visible_span
-from ..operators.preview_place import MARGIN, Box, preview_box
+from ..operators.preview_place import MARGIN, Box, has_preview, preview_box
 from ..operators.puppet import running
 from ..sessions.live import LiveSession
 from .drawing import draw_lines, draw_text, draw_wrapped
@@ -39,7 +39,7 @@ def _draw() -> None:
     if context.region is None:
         return
     scale = context.preferences.system.ui_scale
-    if latest is not None and latest.preview is not None:
+    if latest is not None and latest.preview is not None and has_preview(context.screen, context.area):
         box = preview_box(context.area, context.region, latest.preview.shape[:2])
         _draw_picture(latest.number, latest.preview, box)
         _draw_grip(box, scale)

@@ -53,6 +53,10 @@ def latency_text(session: LiveSession) -> str:
     return f"{1000 * watch.latency:.0f} ms   {watch.rate:.0f} fps"
 
 
+def _hidden() -> str:
+    return _("The mouth is covered and stays as it was")
+
+
 def summary(session: LiveSession) -> tuple[str, str]:
     """Return the most important line about a session, and its icon: what is wrong, or else how fast it is."""
     worker, latest = session.worker, session.shown
@@ -64,6 +68,8 @@ def summary(session: LiveSession) -> tuple[str, str]:
         return _("No face in view"), "QUESTION"
     if worker.neutral is None:
         return _("Keep a relaxed face"), "TIME"
+    if is_hidden(latest.result.landmark_confidence):
+        return _hidden(), "HIDE_ON"
     if session.recording is not None:
         return _("{count} frames recorded").format(count=session.recording.frames), "REC"
     return latency_text(session), "PREVIEW_RANGE"
@@ -85,7 +91,7 @@ def status_lines(session: LiveSession) -> list[tuple[str, str]]:
     elif worker.neutral is None:
         lines.append((_("Using the first second as the neutral face"), "TIME"))
     elif is_hidden(latest.result.landmark_confidence):
-        lines.append((_("The mouth is covered and stays as it was"), "HIDE_ON"))
+        lines.append((_hidden(), "HIDE_ON"))
     counts = worker.counts
     lines.append((latency_text(session), "PREVIEW_RANGE"))
     if slowest := session.stopwatch.slowest():

@@ -101,6 +101,7 @@ class FACEMIME_MT_takes(bpy.types.Menu):
         chosen = takes.items[takes.index] if 0 <= takes.index < len(takes.items) else None
         packed = chosen is not None and chosen.packed is not None
         layout.operator("facemime.pack_take", text="Unpack Take" if packed else "Pack Take", icon="PACKAGE")
+        layout.operator("facemime.remove_take", icon="REMOVE")
         layout.separator()
         layout.operator("facemime.rerecord_take", icon="REC")
         layout.operator("facemime.punch_in_take", icon="PASTEDOWN")
@@ -168,7 +169,7 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
                 column.prop(line, "key")
             column.prop(line, "gain")
             column.prop(line, "offset")
-        layout.operator("facemime.detect_key_map", icon="VIEWZOOM")
+        layout.operator("facemime.detect_key_map", text="Detect", icon="VIEWZOOM")
         column = layout.column(align=True)
         added = _("Add Pose ({count} added)").format(count=len(bake.poses))
         column.operator("facemime.add_key_pose", text=added, translate=False, icon="ADD")

@@ -241,5 +241,5 @@ def _object_of(mesh: bpy.types.Mesh, obj: bpy.types.Object | None) -> Iterator[b
 def changed(name: str) -> HeadError:
     """Return the error for a mesh that can no longer be driven."""
     return HeadError(
-        f"The mesh of {name} has changed. Undo that change, or bind the landmarks again; then restart the puppet."
+        f"The mesh of {name} has changed. Undo that change, or find the face again; then restart the puppet."
     )

@@ -89,7 +89,7 @@ def eye_outline(vertices: FloatArray, landmarks: IntArray, eye: IntArray) -> Eye
     width = float(np.linalg.norm(points[3] - points[0]))
     along = (points[3] - points[0]) / max(width, np.finfo(float).tiny)
     if width == 0.0 or abs(along[1]) > _MAX_SLOPE:
-        raise HeadError("The corners of an eye lie above each other. Bind the landmarks again, or mark the corners.")
+        raise HeadError("The corners of an eye lie above each other. Find the face again, or mark the corners.")
     # Axes of the eye: along its width, the head's up direction made orthogonal to it, and towards the viewer.
     up = along * along[1] - (0.0, 1.0, 0.0)
     up /= np.linalg.norm(up)

@@ -54,7 +54,7 @@ def lip_line(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
             line = line[: line.index(vertex) + 1] if vertex in line else [*line, vertex]
     joined = all(b in graph.neighbours(a) for a, b in pairwise(line))
     if not joined:
-        raise HeadError("No line of edges leads from one mouth corner to the other. Bind the landmarks again.")
+        raise HeadError("No line of edges leads from one mouth corner to the other. Find the face again.")
     if len(line) < _MIN_VERTICES:
         raise HeadError("The mesh is too coarse between the lips. Subdivide the mouth first.")
     return np.array(line, dtype=np.intp)

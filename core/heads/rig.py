@@ -105,9 +105,7 @@ class HeadRig:
     def __post_init__(self) -> None:
         landmarks = np.asarray(self.landmarks)
         if landmarks.shape != (N_LANDMARKS,):
-            raise HeadError(
-                f"{N_LANDMARKS} landmark vertices are needed; got {landmarks.shape}. Bind the landmarks first."
-            )
+            raise HeadError(f"{N_LANDMARKS} landmark vertices are needed; got {landmarks.shape}. Find the face first.")
         if landmarks.min() < 0 or landmarks.max() >= len(self.vertices):
             raise HeadError("The mesh no longer has the vertices of the landmarks. Bind them again.")
 

@@ -66,7 +66,7 @@ class PointTracker:
         self.rest, self.pivot, self.trust = rest, pivot, trust
         self.unit = outer_eye_distance(rest.landmarks)
         if not self.unit > 0.0:
-            raise HeadError("The outer corners of the eyes lie at one place. Bind the landmarks again.")
+            raise HeadError("The outer corners of the eyes lie at one place. Find the face again.")
         self._centre = rest.landmarks.mean(axis=0)
 
     def track(self, points: FacePoints) -> TrackResult:

@@ -41,6 +41,16 @@ def test_a_shown_take_equals_the_live_motion_and_leaves_no_trace(imported):
     assert tuple(head.delta_rotation_euler) == (0.0, 0.0, 0.0)
 
 
+def test_the_range_of_the_scene_becomes_that_of_the_shown_take_which_is_reported(imported, capfd):
+    add_head(bpy.context)
+    bpy.context.scene.frame_end = 250
+    bpy.ops.facemime.show_take()
+    frames = len(takes_store.read(imported))
+    assert (bpy.context.scene.frame_start, bpy.context.scene.frame_end) == (1, frames) != (1, 250)
+    assert f"frames 1 to {frames}" in capfd.readouterr().out
+    bpy.ops.facemime.show_take()
+
+
 def test_a_shown_take_is_not_saved_with_the_file_and_continues_afterwards(imported, tmp_path):
     head = add_head(bpy.context)
     bpy.ops.facemime.show_take()
@@ -57,6 +67,13 @@ def test_deleting_the_head_stops_showing_the_take(imported):
     bpy.data.objects.remove(head)
     bpy.context.scene.frame_set(30)
     assert Session.current is None
+
+
+def test_fields_of_longer_times_are_in_seconds_as_blender_shows_90_s_as_minutes():
+    for operator, fields in (("trim_take", ("start", "end")), ("punch_in_take", ("start",))):
+        properties = getattr(bpy.types, f"FACEMIME_OT_{operator}").__annotations__
+        for field in fields:
+            assert "(s)" in properties[field].keywords["name"] and "subtype" not in properties[field].keywords
 
 
 def test_trimming_and_mending_add_takes_below_the_original(imported, takes, tmp_path):
