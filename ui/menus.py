@@ -94,22 +94,16 @@ class _Entry(NamedTuple):
     properties: Mapping[str, str] = MappingProxyType({})
 
 
-class _Submenu:
-    """Mixin: a menu of operators."""
-
-    entries: ClassVar[tuple[_Entry, ...]]
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the operators."""
-        self.layout.operator_context = "INVOKE_REGION_WIN"
-        for operator, icon, text, properties in self.entries:
-            label = {"text": text, "text_ctxt": CONTEXT} if text else {}
-            button = self.layout.operator(operator, icon=icon, **label)
-            for name, value in properties.items():
-                setattr(button, name, value)
+def _draw_entries(layout: bpy.types.UILayout, entries: tuple[_Entry, ...]) -> None:
+    layout.operator_context = "INVOKE_REGION_WIN"
+    for operator, icon, text, properties in entries:
+        label = {"text": text, "text_ctxt": CONTEXT} if text else {}
+        button = layout.operator(operator, icon=icon, **label)
+        for name, value in properties.items():
+            setattr(button, name, value)
 
 
-class FACEMIME_MT_calibrate(_Submenu, bpy.types.Menu):
+class FACEMIME_MT_calibrate(bpy.types.Menu):
     """Calibrate to the performer's face, and choose who performs"""
 
     bl_label = "Calibrate"
@@ -121,15 +115,23 @@ class FACEMIME_MT_calibrate(_Submenu, bpy.types.Menu):
         _Entry("facemime.remove_performer", "REMOVE"),
     )
 
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the operators."""
+        _draw_entries(self.layout, FACEMIME_MT_calibrate.entries)
 
-class FACEMIME_MT_viewer(_Submenu, bpy.types.Menu):
+
+class FACEMIME_MT_viewer(bpy.types.Menu):
     """Show the running puppet in a browser"""
 
     bl_label = "Viewer"
     entries = (_Entry("facemime.open_viewer", "WORLD"), _Entry("facemime.copy_viewer_address", "COPYDOWN"))
 
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the operators."""
+        _draw_entries(self.layout, FACEMIME_MT_viewer.entries)
 
-class FACEMIME_MT_key_mapping(_Submenu, bpy.types.Menu):
+
+class FACEMIME_MT_key_mapping(bpy.types.Menu):
     """Map what is tracked to the shape keys that a head has"""
 
     bl_label = "Key Mapping"
@@ -142,8 +144,12 @@ class FACEMIME_MT_key_mapping(_Submenu, bpy.types.Menu):
         _Entry("facemime.mute_others", "MUTE_IPO_ON"),
     )
 
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the operators."""
+        _draw_entries(self.layout, FACEMIME_MT_key_mapping.entries)
 
-class FACEMIME_MT_landmarks(_Submenu, bpy.types.Menu):
+
+class FACEMIME_MT_landmarks(bpy.types.Menu):
     """Change the landmarks and the parts of a character"""
 
     bl_label = "Landmarks and Parts"
@@ -154,8 +160,12 @@ class FACEMIME_MT_landmarks(_Submenu, bpy.types.Menu):
         _Entry("facemime.find_parts", "VIEWZOOM"),
     )
 
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the operators."""
+        _draw_entries(self.layout, FACEMIME_MT_landmarks.entries)
 
-class FACEMIME_MT_regions(_Submenu, bpy.types.Menu):
+
+class FACEMIME_MT_regions(bpy.types.Menu):
     """Paint and edit the regions of the face"""
 
     bl_label = "Regions"
@@ -169,8 +179,12 @@ class FACEMIME_MT_regions(_Submenu, bpy.types.Menu):
         _Entry("facemime.smooth_regions", "MOD_SMOOTH"),
     )
 
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the operators."""
+        _draw_entries(self.layout, FACEMIME_MT_regions.entries)
 
-class FACEMIME_MT_control_points(_Submenu, bpy.types.Menu):
+
+class FACEMIME_MT_control_points(bpy.types.Menu):
     """Change which landmarks are control points"""
 
     bl_label = "Control Points"
@@ -180,6 +194,10 @@ class FACEMIME_MT_control_points(_Submenu, bpy.types.Menu):
         _Entry("facemime.drop_control_point", "REMOVE"),
         _Entry("facemime.use_all_landmarks", "LOOP_BACK"),
     )
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the operators."""
+        _draw_entries(self.layout, FACEMIME_MT_control_points.entries)
 
 
 def _facemime(menu: bpy.types.Menu, context: bpy.types.Context) -> None:

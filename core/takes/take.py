@@ -58,7 +58,7 @@ class Take:
     info : dict
         Description, initially by `describe`. Later steps add `interrupted` (stopped before the end of the source),
         `recovered` (what is missing from a damaged file), `calibration` (a chosen neutral face), `bridged` (spans in
-        seconds that were filled in), `smoothed`, and `reference_video` and `sound` (paths relative to the take).
+        seconds that were filled in) and `smoothed`.
     """
 
     times: FloatArray

@@ -78,6 +78,29 @@ value = [region.x + box.left, bpy.context.window.height - region.y - box.bottom 
 """
 
 
+_SPLIT = """
+area = max((a for a in bpy.context.window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width)
+region = next(r for r in area.regions if r.type == "WINDOW")
+with bpy.context.temp_override(area=area, region=region):
+    bpy.ops.screen.area_split(direction="VERTICAL", factor=0.3)
+"""
+_WITH_PREVIEW = f"""
+from {MODULE}.operators.preview_place import has_preview
+screen = bpy.context.window.screen
+value = [has_preview(screen, area) for area in screen.areas if area.type == "VIEW_3D"]
+"""
+
+
+def test_of_several_viewports_one_shows_the_preview(blender, sidebar):
+    add_head(sidebar)
+    start(sidebar)
+    blender.do(_SPLIT)
+    blender.redraw()
+    assert sorted(blender.do(_WITH_PREVIEW)) == [False, True]
+    blender.shot("one-preview")
+    stop(sidebar)
+
+
 def test_the_preview_is_moved_and_sized_by_the_mouse_and_stays_sharp(blender, sidebar):
     add_head(sidebar)
     start(sidebar)

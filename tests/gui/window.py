@@ -61,6 +61,7 @@ class Blender:
         self._link: socket.socket | None = None
         self._received = b""
         self._count = 0
+        self.clicks = 0
 
     def __enter__(self) -> Blender:
         try:
@@ -185,6 +186,7 @@ class Blender:
         self.move(x, y)
         self.redraw()
         self.input("click", 1)
+        self.clicks += 1
 
     def drag(self, *points: tuple[float, float]) -> None:
         """Press at the first point, move to the others, release."""
