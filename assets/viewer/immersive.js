@@ -4,6 +4,8 @@ const AWAY = 0.8, BELOW = 0.1; // metres from the viewer's eyes to a single face
 
 // Why there is no augmented reality here, as a key of the texts; "" if there is.
 export async function whyNot() {
+    // No browser of an iPhone or iPad has WebXR; on an iPad, Safari says that it is a Mac, which has no touch screen.
+    if (/iPhone|iPad|iPod/.test(navigator.userAgent) || (navigator.platform === "MacIntel" && navigator.maxTouchPoints > 1)) return "iphone";
     if (!window.isSecureContext) return "insecure";
     if (!navigator.xr) return "unknown";
     try {

@@ -11,6 +11,7 @@ const ENGLISH = {
     insecure: "Augmented reality needs HTTPS, or localhost",
     unknown: "This browser has no augmented reality (WebXR)",
     unsupported: "This device has no augmented reality",
+    iphone: "iPhones and iPads have no augmented reality in browsers (WebXR)",
 };
 const CHINESE = {
     reset: "重置视图",
@@ -23,6 +24,7 @@ const CHINESE = {
     insecure: "增强现实需要 HTTPS 或 localhost",
     unknown: "此浏览器不支持增强现实 (WebXR)",
     unsupported: "此设备不支持增强现实",
+    iphone: "iPhone 和 iPad 的浏览器不支持增强现实 (WebXR)",
 };
 
 const texts = navigator.language.startsWith("zh") ? { ...ENGLISH, ...CHINESE } : ENGLISH;

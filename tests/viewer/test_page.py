@@ -236,3 +236,15 @@ def test_without_augmented_reality_the_page_says_why(open_page, watched):
     until(page, "document.getElementById('reason').textContent !== ''")
     assert "augmented reality" in page.inner_text("#reason")
     assert not page.is_visible("#immersive")
+
+
+@pytest.mark.thorough
+def test_an_iphone_is_told_that_it_has_no_augmented_reality_rather_than_to_use_https(browser, watched):
+    shown = watched()
+    iphone = "Mozilla/5.0 (iPhone; CPU iPhone OS 18_0 like Mac OS X) AppleWebKit/605.1.15 Version/18.0 Mobile/15E148"
+    context = browser.new_context(user_agent=iphone, locale="en-GB")
+    page = context.new_page()
+    page.goto(shown.address)
+    until(page, "document.getElementById('reason').textContent !== ''")
+    assert "iPhones and iPads" in page.inner_text("#reason") and not page.is_visible("#immersive")
+    context.close()
