@@ -10,6 +10,9 @@ from functools import cache
 import numpy as np
 
 from facemime.core.coefficient_names import COEFFICIENTS, N_COEFFICIENTS
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.heads.appearance import Appearance, built_in_appearance
+from facemime.core.heads.rig import built_in_rig
 from facemime.core.streams import live_link, openseeface, osc, vmc
 from facemime.core.streams.datagram import encode_face
 from facemime.core.streams.face_cap import FaceCapDecoder
@@ -26,9 +29,13 @@ from facemime.core.streams.face_motion import (
 )
 from facemime.core.streams.frames import Decoder, FaceValues, StreamFrame
 from facemime.core.streams.ifacialmocap import IFacialMocapDecoder
+from facemime.core.streams.links import LENGTH
 from facemime.core.streams.live_link import LiveLinkDecoder
 from facemime.core.streams.openseeface import OpenSeeFaceDecoder
 from facemime.core.streams.sessions import OwnReceiver, OwnSender
+from facemime.core.streams.vertex_decoder import VertexDecoder
+from facemime.core.streams.vertices import encode_face as encode_points
+from facemime.core.streams.vertices import encode_frame, encode_mesh
 from facemime.core.streams.vmc import VmcDecoder
 from facemime.core.streams.vtube_studio import VTubeStudioDecoder
 from facemime.core.takes.from_coefficients import coefficient_face
@@ -121,6 +128,28 @@ def _face_cap() -> list[bytes]:
     return [*osc.encode_bundles(messages, 9000), messages[-1]]
 
 
+@cache
+def _head() -> tuple[HeadDriver, Appearance]:
+    return HeadDriver(built_in_rig(), coefficient_face().neutral), built_in_appearance()
+
+
+class _Vertices(VertexDecoder):
+    """A receiver that knows the built-in head."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        for packet in _vertices()[:2]:
+            self.decode(packet)
+
+
+@cache
+def _vertices() -> list[bytes]:
+    driver, looks = _head()
+    messages = [encode_mesh(0, looks, driver.rest), encode_points(0, looks, driver.rig)]
+    messages.append(encode_frame(0, 1.5, looks, driver.frame(_TRACKED)))
+    return [message[LENGTH.size :] for message in messages]
+
+
 INTACT: dict[str, tuple[Callable[[], Decoder], Callable[[], list[bytes]]]] = {
     "own": (_Own, _own),
     "own_signed": (_Signed, _signed),
@@ -131,6 +160,7 @@ INTACT: dict[str, tuple[Callable[[], Decoder], Callable[[], list[bytes]]]] = {
     "face_motion": (_Motion, _motion),
     "vtubestudio": (VTubeStudioDecoder, lambda: [json.dumps(phone_json()).encode()]),
     "facecap": (FaceCapDecoder, _face_cap),
+    "vertices": (_Vertices, _vertices),
 }
 """For each protocol, a decoder and sound packets."""
 

@@ -27,6 +27,7 @@ class FacemimeStream(bpy.types.PropertyGroup):
             ("facemotion3d", "Facemotion3d", "The app Facemotion3d on a phone", 5),
             ("vtubestudio", "VTube Studio, MeowFace", "VTube Studio on an iPhone, or MeowFace on Android", 6),
             ("facecap", "Face Cap", "The app Face Cap on an iPhone", 7),
+            ("vertices", "Vertices", "Moved vertices from another Facemime or an engine over TCP", 8),
         ),
         default="livelink",
     )

@@ -15,6 +15,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..coefficient_names import N_COEFFICIENTS
 from ..rotation import from_face_axes
+from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
 
 MAX_DATAGRAM = 16_384
@@ -62,12 +63,15 @@ class StreamFrame:
         Seconds on the sender's clock, if the protocol states them.
     sequence : int or None
         Number of the frame, if the protocol states it.
+    neutral : Neutral or None
+        The neutral face, if the protocol states it.
     """
 
     face: FaceValues | TrackResult | None
     subject: str = ""
     time: float | None = None
     sequence: int | None = None
+    neutral: Neutral | None = None
 
 
 class Decoder(Protocol):

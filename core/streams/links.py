@@ -1,8 +1,9 @@
-"""How packets of a stream come to this computer: as datagrams, or over TLS from a sender that was paired."""
+"""How packets of a stream come to this computer: as datagrams, over TCP, or over TLS from a sender that was paired."""
 
 from __future__ import annotations
 
 import socket
+import struct
 from contextlib import suppress
 from typing import Protocol
 
@@ -10,7 +11,12 @@ from .addresses import cannot_listen, resolve
 from .casting import Address
 from .frames import MAX_DATAGRAM
 
+LENGTH = struct.Struct("<I")
+"""Before each message over TCP."""
 _BUFFER = 1 << 20
+_PORTION = 1 << 16
+"""Bytes that are read at a time at least."""
+_MOST_CONNECTIONS = 4
 
 
 class Link(Protocol):
@@ -22,10 +28,13 @@ class Link(Protocol):
         Where packets are received, or where they come from.
     message : str
         Why nothing comes; otherwise "".
+    largest : int
+        Bytes of a packet at most.
     """
 
     address: Address
     message: str
+    largest: int
 
     def open(self) -> None:
         """Begin; does nothing if it was opened. SourceError if it cannot be used."""
@@ -62,6 +71,8 @@ class DatagramLink:
     host : str
     port : int
     """
+
+    largest = MAX_DATAGRAM
 
     def __init__(self, host: str, port: int) -> None:
         self.address: Address = ("", 0)
@@ -111,3 +122,107 @@ class DatagramLink:
         """Close the socket."""
         if self._socket is not None:
             self._socket.close()
+
+
+class ConnectionsLink:
+    """Messages over TCP, each after its length, from senders that connect to a port of this computer.
+
+    Parameters
+    ----------
+    host : str
+    port : int
+    """
+
+    largest = 1 << 25
+
+    def __init__(self, host: str, port: int) -> None:
+        self.address: Address = ("", 0)
+        self.message = ""
+        self._host, self._port = host, port
+        self._listener: socket.socket | None = None
+        self._connections: dict[Address, _Connection] = {}
+
+    def open(self) -> None:
+        """Listen on the port; as `Link.open`."""
+        if self._listener is not None:
+            return
+        family, address = resolve(self._host, self._port)
+        try:
+            opened = socket.create_server(address, family=family)
+        except OSError as error:
+            raise cannot_listen(self._host, self._port, error) from error
+        opened.setblocking(False)
+        self._listener, self.address = opened, opened.getsockname()[:2]
+
+    def receive(self, now: float) -> tuple[bytes, Address] | None:
+        """Take the next message of any sender; as `Link.receive`."""
+        self._accept()
+        for address, connection in tuple(self._connections.items()):
+            try:
+                if (message := connection.take(self.largest)) is not None:
+                    self._connections[address] = self._connections.pop(address)  # the others come first next time
+                    return message, address
+            except OSError:
+                self._connections.pop(address).close()
+        return None
+
+    def reply(self, data: bytes, address: Address) -> None:
+        """Do nothing, as these senders need no answers; as `Link.reply`."""
+
+    def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
+        """As `Link.waits`."""
+        connected = [connection.socket for connection in self._connections.values()]
+        return ([] if self._listener is None else [self._listener, *connected]), []
+
+    def close(self) -> None:
+        """End all connections, and listen no more."""
+        for connection in tuple(self._connections.values()):
+            connection.close()
+        if self._listener is not None:
+            self._listener.close()
+
+    def _accept(self) -> None:
+        while self._listener is not None:
+            try:
+                connected, address = self._listener.accept()
+            except OSError:  # nobody else, or closed
+                return
+            if len(self._connections) >= _MOST_CONNECTIONS:
+                connected.close()
+                continue
+            connected.setblocking(False)
+            self._connections[str(address[0]), int(address[1])] = _Connection(connected)
+
+
+class _Connection:
+    """A sender that is connected, and what has come of its next message."""
+
+    def __init__(self, connected: socket.socket) -> None:
+        self.socket, self._data = connected, bytearray()
+
+    def take(self, largest: int) -> bytes | None:
+        """Return the next message, or None until it is whole; OSError if the sender has ended, or sends too much."""
+        while (wanted := self._wanted(largest)) > len(self._data):
+            try:
+                portion = self.socket.recv(max(_PORTION, wanted - len(self._data)))
+            except BlockingIOError:
+                return None
+            if not portion:
+                raise ConnectionError("the sender has ended")
+            self._data += portion
+        message = bytes(self._data[LENGTH.size : wanted])
+        del self._data[:wanted]
+        return message
+
+    def close(self) -> None:
+        """End the connection."""
+        self.socket.close()
+
+    def _wanted(self, largest: int) -> int:
+        """Bytes of the next message, with its length."""
+        if len(self._data) < LENGTH.size:
+            return LENGTH.size
+        (length,) = LENGTH.unpack_from(self._data)
+        if length > largest:
+            raise ConnectionError("a message is too long")
+        return int(LENGTH.size + length)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import SourceError
-from . import datagram, face_cap, face_motion, ifacialmocap, live_link, openseeface, vmc, vtube_studio
+from . import datagram, face_cap, face_motion, ifacialmocap, live_link, openseeface, vertices, vmc, vtube_studio
 from .addresses import EVERYWHERE, LOOPBACK, is_loopback
 from .face_cap import FaceCapDecoder
 from .frames import Decoder
@@ -16,6 +16,8 @@ from .live_link import ANGLES, Angles, LiveLinkDecoder
 from .openseeface import OpenSeeFaceDecoder
 from .pairing import Pairing
 from .security import read_key
+from .vertex_decoder import VertexDecoder
+from .vertices import VERTICES
 from .vmc import VmcDecoder
 from .vtube_studio import VTubeStudioDecoder
 
@@ -44,6 +46,8 @@ class StreamProtocol:
         Where the phone is asked for `face_motion` before; 0 if it does not know that.
     leased : bool
         Whether the phone has to be asked again and again while it sends.
+    connected : bool
+        Whether senders connect over TCP; otherwise they send datagrams.
     """
 
     label: str
@@ -53,6 +57,7 @@ class StreamProtocol:
     request: Callable[[int], bytes] = lambda port: b""
     motion_port: int = 0
     leased: bool = False
+    connected: bool = False
 
 
 @dataclass(frozen=True)
@@ -169,5 +174,6 @@ PROTOCOLS: dict[str, StreamProtocol] = {
     "vmc": StreamProtocol("VMC", vmc.PORT, lambda s: VmcDecoder()),
     "openseeface": StreamProtocol("OpenSeeFace", openseeface.PORT, lambda s: OpenSeeFaceDecoder()),
     "facecap": StreamProtocol("Face Cap", face_cap.PORT, lambda s: FaceCapDecoder()),
+    VERTICES: StreamProtocol("Vertices", vertices.PORT, lambda s: VertexDecoder(), connected=True),
 }
 """Protocols that are received, by the name that commands and files use."""

@@ -17,8 +17,8 @@ from ..takes.from_coefficients import coefficient_face
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
 from .casting import SILENT, Address, Casting, FaceName, Role, label_of
-from .frames import MAX_DATAGRAM, Decoding, FaceValues, PacketError, Receiver, StreamFrame
-from .links import DatagramLink, Link
+from .frames import Decoding, FaceValues, PacketError, Receiver, StreamFrame
+from .links import ConnectionsLink, DatagramLink, Link
 from .phone import Phone
 from .playout import Playout, Shown
 from .sessions import OwnReceiver, RefusedError
@@ -70,6 +70,7 @@ class _Face:
     playout: Playout
     heard: float
     origin: FloatArray | None = None
+    neutral: Neutral | None = None
     counted: tuple[int, int, int] = (0, 0, 0)
 
 
@@ -119,10 +120,7 @@ class StreamSource(LiveSource):
         self._own = OwnReceiver(self.settings.secret()) if self.settings.protocol == OWN else None
         self._phone = Phone(self.settings)
         self._signs = np.array([-1.0 if axis in self.settings.flip else 1.0 for axis in AXES])
-        pairing = self.settings.pairing
-        self._link: Link = (
-            TlsLink(pairing) if pairing is not None else DatagramLink(self.settings.host, self.settings.port)
-        )
+        self._link = self._open_link()
         self._wake, self._woken = socket.socketpair()
         self._closed = False
         self._senders: dict[Address, _Sender] = {}
@@ -175,6 +173,12 @@ class StreamSource(LiveSource):
         self._link.close()
         self._wake.close()
 
+    def _open_link(self) -> Link:
+        if self.settings.pairing is not None:
+            return TlsLink(self.settings.pairing)
+        link = ConnectionsLink if self._protocol.connected else DatagramLink
+        return link(self.settings.host, self.settings.port)
+
     def _wait(self, seconds: float) -> None:
         readers, writers = self._link.waits()
         with suppress(OSError, ValueError):  # closed meanwhile
@@ -219,7 +223,7 @@ class StreamSource(LiveSource):
             self._senders.setdefault(address, sender).heard = now
 
     def _decoded(self, sender: _Sender, data: bytes, address: Address, now: float) -> list[StreamFrame]:
-        if len(data) > MAX_DATAGRAM:
+        if len(data) > self._link.largest:
             raise PacketError("too long")
         receiver = self._phone.receiver(data, address) or sender.receiver
         frames, answers = receiver.receive(data, now)
@@ -252,7 +256,7 @@ class StreamSource(LiveSource):
             if len(sender.faces) >= _MOST_SENDERS:
                 sender.faces.pop(min(sender.faces, key=lambda name: sender.faces[name].heard))
             face = sender.faces[frame.subject] = _Face(Playout(self.settings.delay), now)
-        face.heard = now
+        face.heard, face.neutral = now, frame.neutral
         face.playout.push(self._result(face, frame.face), frame.time, now)
         counted = face.playout.late, face.playout.doubled, face.playout.lost
         late, doubled, lost = (new - old for new, old in zip(counted, face.counted, strict=True))
@@ -310,7 +314,7 @@ class StreamSource(LiveSource):
         if shown is None:
             return role.timeline.filled(now)
         start = 0.0 if role.timeline.begun else self._casting.start_of(shown.due)
-        return role.timeline.frame(shown, self._neutral(shown), now, max(dropped, 0), start)
+        return role.timeline.frame(shown, face.neutral or self._neutral(shown), now, max(dropped, 0), start)
 
     def _neutral(self, shown: Shown) -> Neutral | None:
         return coefficient_face().neutral if np.isfinite(shown.result.coefficients).all() else None

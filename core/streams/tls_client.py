@@ -52,6 +52,8 @@ class TlsLink:
         Why nothing comes; otherwise "".
     """
 
+    largest = MAX_MESSAGE
+
     def __init__(self, pairing: Pairing) -> None:
         self.pairing, self.message = pairing, ""
         self.address: Address = (pairing.host, pairing.port)

@@ -16,20 +16,22 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 from ..drive.driver import HeadDriver, HeadFrame
 from ..heads.appearance import Appearance
+from ..heads.rig import HeadRig
 from ..live.key_driver import KeyDriver
 from .addresses import cannot_send, resolve
 from .background import Connecting
+from .links import LENGTH
 
 PORT = 21575
 VERTICES = "vertices"
 """Name of the protocol."""
 VERSION = 1
-MESH, FRAME = 1, 2
+MESH, FRAME, FACE = 1, 2, 3
 """Kinds of messages."""
-_LENGTH = struct.Struct("<I")
-_MESH = struct.Struct("<BBHIIH")
-_FRAME = struct.Struct("<BBHId")
-_TO_RECEIVER = np.array([1.0, -1.0, -1.0])
+MESH_HEADER, FRAME_HEADER, FACE_HEADER = struct.Struct("<BBHIIH"), struct.Struct("<BBHId"), struct.Struct("<BBHIIII")
+MAX_NAME = 1000
+"""Bytes of a head's name at most."""
+TO_RECEIVER = np.array([1.0, -1.0, -1.0])
 """From the head frame to x right, y up, z towards the viewer."""
 _AGAIN, _PATIENCE = 0.5, 3.0
 """Seconds between attempts, and until a receiver that does not read is left."""
@@ -49,9 +51,28 @@ def encode_mesh(number: int, appearance: Appearance, rest: NDArray[np.float32]) 
     patches = [patch.triangles()[0] for patch in appearance.all_patches(len(rest))]
     corners = np.concatenate([np.empty(0, dtype=np.int64), *patches]).astype("<u4")
     points = _points(rest, *(part.vertices for part in appearance.parts))
-    name = appearance.name.encode()[:1000]
-    header = _MESH.pack(MESH, VERSION, number, len(points), len(corners) // 3, len(name))
+    name = appearance.name.encode()[:MAX_NAME]
+    header = MESH_HEADER.pack(MESH, VERSION, number, len(points), len(corners) // 3, len(name))
     return _with_length(header + name + points.tobytes() + corners.tobytes())
+
+
+def encode_face(number: int, appearance: Appearance, rig: HeadRig) -> bytes:
+    """Encode which vertices are the landmarks and the eyeballs, for receivers that drive a face by them.
+
+    Parameters
+    ----------
+    number : int
+        Of the head.
+    appearance : Appearance
+    rig : HeadRig
+    """
+    first, eyes = len(rig.all_vertices), {"eye_right": (0, 0), "eye_left": (0, 0)}
+    for part in appearance.parts:
+        if part.follows in eyes:
+            eyes[part.follows] = first, len(part.vertices)
+        first += len(part.vertices)
+    header = FACE_HEADER.pack(FACE, VERSION, number, *eyes["eye_right"], *eyes["eye_left"])
+    return _with_length(header + np.asarray(rig.landmarks).astype("<u4").tobytes())
 
 
 def encode_frame(number: int, time: float, appearance: Appearance, frame: HeadFrame) -> bytes:
@@ -68,9 +89,9 @@ def encode_frame(number: int, time: float, appearance: Appearance, frame: HeadFr
     """
     parts = [part.posed(frame.jaw, frame.gaze, frame.tongue) for part in appearance.parts]
     points = _points(frame.vertices, *parts)
-    turn = (_TO_RECEIVER[:, None] * frame.rotation * _TO_RECEIVER).astype("<f4")
-    moved = (_TO_RECEIVER * frame.translation).astype("<f4")
-    header = _FRAME.pack(FRAME, VERSION, number, len(points), time)
+    turn = (TO_RECEIVER[:, None] * frame.rotation * TO_RECEIVER).astype("<f4")
+    moved = (TO_RECEIVER * frame.translation).astype("<f4")
+    header = FRAME_HEADER.pack(FRAME, VERSION, number, len(points), time)
     return _with_length(header + turn.tobytes() + moved.tobytes() + points.tobytes())
 
 
@@ -95,7 +116,7 @@ class VertexSender(Connecting):
         super().__init__("facemime-vertices", _AGAIN)
         self.appearances = tuple(appearances)
         self._family, self._address = resolve(host, port or PORT)
-        self._rests: list[NDArray[np.float32]] = []
+        self._heads: list[HeadDriver] = []
         self._newest: tuple[float, Sequence[HeadFrame]] | None = None
         self._thread.start()
 
@@ -105,8 +126,8 @@ class VertexSender(Connecting):
             return
         heads = [driver.head if isinstance(driver, KeyDriver) else driver for driver in drivers]
         with self._news:
-            if len(heads) != len(self._rests) or any(h.rest is not r for h, r in zip(heads, self._rests, strict=True)):
-                self._rests = [head.rest for head in heads]
+            if [id(head.rest) for head in heads] != [id(head.rest) for head in self._heads]:
+                self._heads = heads
             self._newest = taken, frames
             self._news.notify()
 
@@ -123,7 +144,7 @@ class VertexSender(Connecting):
 
     def _feed(self, connection: socket.socket) -> None:
         """Send meshes whenever they are others, and frames, until the connection or the sender ends."""
-        known: list[NDArray[np.float32]] = []
+        known: list[HeadDriver] = []
         while True:
             with self._news:
                 self._news.wait_for(lambda: self._over or self._newest is not None)
@@ -131,19 +152,20 @@ class VertexSender(Connecting):
                     return
                 assert self._newest is not None
                 (taken, frames), self._newest = self._newest, None
-                rests = self._rests
-            if rests is not known:
-                for number, (appearance, rest) in enumerate(zip(self.appearances, rests, strict=False)):
-                    connection.sendall(encode_mesh(number, appearance, rest))
-                known = rests
+                heads = self._heads
+            if heads is not known:
+                for number, (appearance, head) in enumerate(zip(self.appearances, heads, strict=False)):
+                    connection.sendall(encode_mesh(number, appearance, head.rest))
+                    connection.sendall(encode_face(number, appearance, head.rig))
+                known = heads
             for number, (appearance, frame) in enumerate(zip(self.appearances, frames, strict=False)):
                 connection.sendall(encode_frame(number, taken, appearance, frame))
                 self.sent += 1
 
 
 def _points(*parts: NDArray[np.float32]) -> FloatArray:
-    return np.asarray(np.concatenate(parts) * _TO_RECEIVER.astype(np.float32), dtype="<f4")
+    return np.asarray(np.concatenate(parts) * TO_RECEIVER.astype(np.float32), dtype="<f4")
 
 
 def _with_length(message: bytes) -> bytes:
-    return _LENGTH.pack(len(message)) + message
+    return LENGTH.pack(len(message)) + message

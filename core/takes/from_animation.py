@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -74,6 +74,19 @@ class PointTracker:
         if not np.isfinite(points.landmarks).all() or not np.isfinite(points.anchors).all():
             return TrackResult.nothing(0)
         rotation, moved = fit_rigid(self.rest.anchors, points.anchors, self.trust, _LEAST_SPREAD * self.unit)
+        return self.result(points, rotation, moved)
+
+    def result(self, points: FacePoints, rotation: FloatArray, moved: FloatArray) -> TrackResult:
+        """Return what the tracker would have found of a head whose motion is known.
+
+        Parameters
+        ----------
+        points : FacePoints
+            Its anchors do not matter.
+        rotation : (3, 3) float64
+        moved : (3,) float64
+            ``rotation @ rest + moved`` is where the head is, unit of the head frame.
+        """
         pose = pose_of(rotation, (rotation @ self.pivot + moved - self.pivot) / self.unit)
         shape = ((points.landmarks - moved) @ rotation - self._centre) / self.unit
         right, left = (
@@ -85,15 +98,20 @@ class PointTracker:
 
     def neutral(self, take: Take) -> Neutral:
         """Return the face at rest as the neutral face of `take`, which this object tracked."""
+        rest, begin = self.at_rest(), float(take.times[0])
+        shapes = take.shape[take.found].astype(np.float64)
+        return replace(rest, start=begin, end=begin, shut=shut_level(rest.shape, shapes) if len(shapes) else 0.0)
+
+    def at_rest(self) -> Neutral:
+        """Return the face at rest as a neutral face; shut lids are assumed to touch."""
         known = all(map(len, self.rest.eyes))
-        shape = (self.rest.landmarks - self._centre) / self.unit
         return Neutral(
-            shape=shape,
+            shape=(self.rest.landmarks - self._centre) / self.unit,
             rotation=np.eye(3),
             position=REST_POSITION,
-            start=float(take.times[0]),
-            end=float(take.times[0]),
-            shut=shut_level(shape, take.shape[take.found].astype(np.float64)) if take.found.any() else 0.0,
+            start=0.0,
+            end=0.0,
+            shut=0.0,
             gaze=np.zeros(2) if known else np.full(2, np.nan),
             vergence=0.0 if known else np.nan,
             measured=True,

@@ -111,7 +111,6 @@ public sealed class FacemimeStream : IDisposable
         int head = BitConverter.ToUInt16(data, 2), vertices = BitConverter.ToInt32(data, 4);
         if (data[0] == 1) Add(Mesh(data, head, vertices));
         else if (data[0] == 2) Add(Frame(data, head, vertices));
-        else throw new InvalidDataException();
     }
 
     void Add(FacemimeMesh mesh)

@@ -47,14 +47,17 @@ def receive(connection: socket.socket) -> Iterator[Mesh | Frame]:
             (length,) = struct.unpack("<I", start)
             if length > MOST_BYTES or len(data := stream.read(length)) < length:
                 raise ValueError("a message is too long or cut")
-            yield decode(data)
+            if (message := decode(data)) is not None:
+                yield message
 
 
-def decode(data: bytes) -> Mesh | Frame:
-    """Decode a message without its length."""
+def decode(data: bytes) -> Mesh | Frame | None:
+    """Decode a message without its length; None for kinds that are not needed here."""
     kind, version, head = struct.unpack_from("<BBH", data)
-    if version != 1 or kind not in (1, 2):
+    if version != 1:
         raise ValueError("not Facemime's, or of another version")
+    if kind not in (1, 2):
+        return None
     if kind == 1:
         vertices, triangles, length = struct.unpack_from("<IIH", data, 4)
         start = 14 + length

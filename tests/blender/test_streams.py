@@ -21,6 +21,7 @@ from facemime.core.streams.live_link import LiveLinkDecoder
 from facemime.core.streams.pairing import Pairing
 from facemime.core.streams.sender import SendSettings, StreamSender
 from facemime.core.streams.tls_server import TlsSender
+from facemime.core.streams.vertices import VertexSender
 from facemime.core.takes.coefficient_table import write_coefficient_csv
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
@@ -28,9 +29,10 @@ from facemime.operators.puppet import running
 from facemime.settings import takes_store
 from facemime.settings.preferences import preferences
 from facemime.settings.values import open_sender, open_source, read_calibration, write_calibration
-from links import free_port, performing, sending_phone
+from links import all_the_time, free_port, performing, sending_phone
 from live_ticks import shown, some_frames, start, tick, ticks_until
 from takes import coefficient_take, performance
+from watching import built_in, face
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
@@ -64,6 +66,21 @@ def test_a_phone_drives_a_head_with_its_own_neutral_face(phone):
     assert session.worker.neutral.measured and session.worker.source.senders == ("127.0.0.1 Phone",)
     assert bpy.ops.facemime.stop_puppet() == {"FINISHED"}
     np.testing.assert_allclose(shown(head), rest, atol=1e-6)
+
+
+def test_moved_vertices_drive_a_head_with_their_own_rest_as_the_neutral_face():
+    source, port = bpy.context.scene.facemime.source, free_port()
+    source.kind, source.stream.protocol, source.stream.port = "STREAM", "vertices", port
+    head = add_head(bpy.context)
+    rest = shown(head)
+    driver, looks = built_in()
+    moved = driver.frame(face(jawOpen=0.8))
+    with VertexSender("127.0.0.1", port, [looks]) as sender:
+        with all_the_time(lambda seconds: sender.show(seconds, [driver], [moved])):
+            start()
+            ticks_until(lambda: np.abs(shown(head) - rest).max() > 0.015)
+    assert running().worker.neutral.measured
+    assert bpy.ops.facemime.stop_puppet() == {"FINISHED"}
 
 
 def test_a_calibration_of_a_phone_is_not_kept_for_the_camera(phone):

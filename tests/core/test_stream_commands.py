@@ -22,6 +22,7 @@ from facemime.core.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.streams.live_link import LiveLinkDecoder
 from facemime.core.streams.sender import SENT, SendSettings, StreamSender
 from facemime.core.streams.settings import PROTOCOLS
+from facemime.core.streams.vertices import VERTICES
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
@@ -229,5 +230,6 @@ def test_every_protocol_is_documented_with_its_port():
     document = (Path(facemime.__file__).parent / "docs" / "streams.md").read_text(encoding="utf-8")
     for name, protocol in PROTOCOLS.items():
         rows = [line for line in document.splitlines() if line.startswith("|") and f"`{name}`" in line]
-        (row,) = [row for row in rows if "TCP" not in row]
-        assert f"UDP {protocol.port} " in row and ("sends" in row) == (name in SENT)
+        (row,) = [row for row in rows if name == VERTICES or "TCP" not in row]
+        way = "TCP" if protocol.connected else "UDP"
+        assert f"{way} {protocol.port} " in row and ("sends" in row) == (name in (*SENT, VERTICES))

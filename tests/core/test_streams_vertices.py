@@ -8,6 +8,8 @@ import socket
 import subprocess
 import sys
 import threading
+import time
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +20,10 @@ from clocks import PATIENCE
 from commands import run
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.heads.rig import built_in_rig
-from facemime.core.streams.vertices import VertexSender
+from facemime.core.live.sources import LiveFrame
+from facemime.core.streams.settings import StreamSettings
+from facemime.core.streams.source import StreamSource
+from facemime.core.streams.vertices import VertexSender, encode_frame, encode_mesh
 from links import all_the_time, free_port
 from watching import NEUTRAL, built_in, face
 
@@ -115,6 +120,59 @@ def test_a_receiver_that_comes_back_gets_the_mesh_again_and_one_that_changes_ano
             after = next(message for message in messages if isinstance(message, receiver.Mesh))
     count = len(driver.rest)
     np.testing.assert_allclose(after.rest[:count], 2.0 * before.rest[:count], rtol=1e-6)
+
+
+@pytest.fixture
+def source():
+    """A source of moved vertices that listens."""
+    with closing(StreamSource(StreamSettings("vertices", port=free_port()), every=True)) as opened:
+        opened.read(0.0)
+        yield opened
+
+
+def next_frame(source: StreamSource) -> LiveFrame:
+    """The next frame with a face."""
+    until = time.monotonic() + PATIENCE
+    while time.monotonic() < until:
+        if (frame := source.read(0.1)) is not None and frame.result.found:
+            return frame
+    raise AssertionError("nothing came")
+
+
+def test_vertices_that_come_in_drive_another_head_as_they_moved_the_first(source):
+    driver, looks = built_in()
+    sent = driver.frame(face(3))
+    with VertexSender(*source.address, [looks]) as sender:
+        sender.show(2.0, [driver], [sent])
+        came = next_frame(source)
+    larger = replace(built_in_rig(), vertices=2.0 * built_in_rig().vertices, eyeballs=())
+    shown = HeadDriver(larger, came.neutral).frame(came.result)
+    landmarks = built_in_rig().landmarks
+    true = 2.0 * (sent.vertices[landmarks] - driver.rest[landmarks])
+    np.testing.assert_allclose(shown.displacements, true, atol=2e-5)
+    np.testing.assert_allclose(shown.rotation, sent.rotation, atol=1e-5)
+    np.testing.assert_allclose(shown.gaze, sent.gaze, atol=1e-4)
+    np.testing.assert_allclose(shown.translation, 2.0 * sent.translation, atol=1e-5)
+
+
+def test_a_mesh_without_landmarks_and_a_message_that_is_too_long_are_refused_and_others_still_heard(source):
+    driver, looks = built_in()
+    sent = driver.frame(face(3))
+    with socket.create_connection(source.address) as stranger:
+        stranger.sendall(encode_mesh(0, looks, driver.rest) + encode_frame(0, 1.0, looks, sent))
+        until = time.monotonic() + PATIENCE
+        while source.counts.malformed < 1 and time.monotonic() < until:
+            assert source.read(0.05) is None
+    assert source.counts.malformed == 1
+    with socket.create_connection(source.address) as stranger:
+        stranger.settimeout(PATIENCE)
+        stranger.sendall(b"\xff\xff\xff\xff" + bytes(100))
+        source.read(0.3)
+        with suppress(ConnectionResetError):
+            assert stranger.recv(1) == b"", "the connection is ended before anything is stored"
+    with VertexSender(*source.address, [looks]) as sender:
+        sender.show(2.0, [driver], [sent])
+        assert next_frame(source).result.found
 
 
 def test_nobody_who_listens_is_a_message_and_no_error():

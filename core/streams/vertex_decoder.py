@@ -1,0 +1,130 @@
+"""Moved vertices that come in: the landmarks among them are a face, which drives any head (docs/streams.md)."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+from ..errors import HeadError
+from ..landmarks import N_LANDMARKS
+from ..takes.from_animation import FacePoints, PointTracker
+from .frames import MAX_SUBJECT, PacketError, StreamFrame, finite
+from .vertices import FACE, FACE_HEADER, FRAME, FRAME_HEADER, MAX_NAME, MESH, MESH_HEADER, TO_RECEIVER, VERSION
+
+_MOST_HEADS = 16
+_FARTHEST = 1e6
+"""Largest coordinate, in any unit."""
+_ROUND = 1e-3
+"""By how much the product of a rotation with its transpose may differ from the identity."""
+_POSE = 12
+"""Numbers of a pose: a rotation by rows, and a translation."""
+
+
+@dataclass
+class _Head:
+    """A head of the sender: its name, its vertices at rest, and what is known of its face."""
+
+    name: str
+    rest: FloatArray
+    landmarks: IntArray | None = None
+    eyes: tuple[slice, slice] = (slice(0), slice(0))
+    tracker: PointTracker | None = None
+
+    def points(self, vertices: FloatArray) -> FacePoints:
+        """Return the places on the face of its vertices."""
+        return FacePoints(vertices[self.landmarks], np.empty((0, 3)), (vertices[self.eyes[0]], vertices[self.eyes[1]]))
+
+
+class VertexDecoder:
+    """Decodes the messages of a sender of moved vertices; see `frames.Decoder`."""
+
+    def __init__(self) -> None:
+        self._heads: dict[int, _Head] = {}
+
+    def decode(self, data: bytes) -> list[StreamFrame]:
+        """Decode a message without its length; only those of moved vertices have a frame."""
+        if len(data) < 4 or data[1] != VERSION:
+            raise PacketError("not Facemime's, or of another version")
+        try:
+            if data[0] == MESH:
+                self._mesh(data)
+            elif data[0] == FACE:
+                self._face(data)
+            elif data[0] == FRAME:
+                return [self._frame(data)]
+            else:
+                raise PacketError("not a message")
+        except (struct.error, UnicodeDecodeError) as error:
+            raise PacketError("a message is cut") from error
+        return []
+
+    def _mesh(self, data: bytes) -> None:
+        _, _, number, count, triangles, length = MESH_HEADER.unpack_from(data)
+        first = MESH_HEADER.size + length
+        if length > MAX_NAME or len(data) != first + 12 * (count + triangles):
+            raise PacketError("a mesh has another size")
+        if number not in self._heads and len(self._heads) >= _MOST_HEADS:
+            raise PacketError("too many heads")
+        name = data[MESH_HEADER.size : first].decode()[:MAX_SUBJECT]
+        self._heads[number] = _Head(name, _points(data, first, count))
+
+    def _face(self, data: bytes) -> None:
+        _, _, number, *eyes = FACE_HEADER.unpack_from(data)
+        head = self._head(number)
+        if len(data) != FACE_HEADER.size + 4 * N_LANDMARKS:
+            raise PacketError("a face has another size")
+        landmarks = np.frombuffer(data, "<u4", N_LANDMARKS, FACE_HEADER.size).astype(np.int64)
+        right, left = (slice(first, first + count) for first, count in (eyes[:2], eyes[2:]))
+        if max(landmarks.max(), right.stop - 1, left.stop - 1) >= len(head.rest):
+            raise PacketError("a landmark or an eye is no vertex")
+        head.landmarks, head.eyes = landmarks, (right, left)
+        try:
+            head.tracker = PointTracker(head.points(head.rest), np.zeros(3), np.empty(0))
+        except HeadError as error:
+            raise PacketError("a face has no size") from error
+
+    def _frame(self, data: bytes) -> StreamFrame:
+        _, _, number, count, time = FRAME_HEADER.unpack_from(data)
+        head = self._head(number)
+        if count != len(head.rest) or len(data) != FRAME_HEADER.size + 4 * _POSE + 12 * count:
+            raise PacketError("a frame has another size than its mesh")
+        if head.tracker is None:
+            raise PacketError("the landmarks of a mesh are not known")
+        rotation, moved = _pose(data)
+        # Only landmarks and eyes are looked at, as a mesh may be large.
+        points = head.points(np.frombuffer(data, "<f4", 3 * count, FRAME_HEADER.size + 4 * _POSE).reshape(-1, 3))
+        placed = FacePoints(
+            _within(points.landmarks) @ rotation.T + moved,
+            points.anchors,
+            (_within(points.eyes[0]) @ rotation.T + moved, _within(points.eyes[1]) @ rotation.T + moved),
+        )
+        face = head.tracker.result(placed, rotation, moved)
+        return StreamFrame(face, head.name, finite(time), neutral=head.tracker.at_rest())
+
+    def _head(self, number: int) -> _Head:
+        if number not in self._heads:
+            raise PacketError("there is no mesh of that number")
+        return self._heads[number]
+
+
+def _points(data: bytes, first: int, count: int) -> FloatArray:
+    return _within(np.frombuffer(data, "<f4", 3 * count, first).reshape(-1, 3))
+
+
+def _within(points: FloatArray) -> FloatArray:
+    """Return points of a message in the head frame; PacketError if they are impossible."""
+    if not (np.abs(points) <= _FARTHEST).all():
+        raise PacketError("a vertex is impossible")
+    return np.asarray(points * TO_RECEIVER, dtype=np.float64)
+
+
+def _pose(data: bytes) -> tuple[FloatArray, FloatArray]:
+    """Return the rotation (3, 3) and translation (3,) of a frame in the head frame."""
+    numbers = np.frombuffer(data, "<f4", _POSE, FRAME_HEADER.size).astype(np.float64)
+    turn = TO_RECEIVER[:, None] * numbers[:9].reshape(3, 3) * TO_RECEIVER
+    if not (np.abs(turn @ turn.T - np.eye(3)) <= _ROUND).all() or np.linalg.det(turn) < 0.0:
+        raise PacketError("a rotation is none")
+    return turn, _within(numbers[None, 9:])[0]
