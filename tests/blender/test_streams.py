@@ -75,10 +75,12 @@ def test_moved_vertices_drive_a_head_with_their_own_rest_as_the_neutral_face():
     rest = shown(head)
     driver, looks = built_in()
     moved = driver.frame(face(jawOpen=0.8))
-    with VertexSender("127.0.0.1", port, [looks]) as sender:
-        with all_the_time(lambda seconds: sender.show(seconds, [driver], [moved])):
-            start()
-            ticks_until(lambda: np.abs(shown(head) - rest).max() > 0.015)
+    with (
+        VertexSender("127.0.0.1", port, [looks]) as sender,
+        all_the_time(lambda seconds: sender.show(seconds, [driver], [moved])),
+    ):
+        start()
+        ticks_until(lambda: np.abs(shown(head) - rest).max() > 0.015)
     assert running().worker.neutral.measured
     assert bpy.ops.facemime.stop_puppet() == {"FINISHED"}
 
