@@ -33,6 +33,7 @@ from bench.expressions import features, slope
 from bench.heads import AREAS, TrueHead, built_in_head
 from bench.paper_claims import claims
 from bench.pipeline import measure
+from bench.remote import LINK, stream
 from bench.report import Table, finish, parser
 from facemime.core.control_points.greedy import START, GreedySelection
 from facemime.core.control_points.select import select_for_take
@@ -56,6 +57,8 @@ TOLERANCES = (1.0, 1.5, 2.0, 3.0)
 _WIDE = 0.2
 """Sigma in outer-eye distances of a function that is smooth over the whole face."""
 _PLAYS = (1, 2, 5)
+_STREAMED, _CUT = 8.0, 0.5
+"""Seconds for which the clip is streamed, and of a cut after that."""
 _RUNS, _STAGES = 4, ("decode", "track", "drive", "write")
 """Runs of which the fastest counts, stage by stage, in processor time: other load only ever adds to it."""
 FEATURES = {
@@ -99,6 +102,7 @@ def main() -> int:
         "greedy": greedy_table(rig, clip),
         "refit": refit_table(rig, clip),
         "speed": speed_table(),
+        "network": network_table(take),
     }
     if arguments.pictures is not None:
         from bench.paper_pictures import draw
@@ -286,6 +290,18 @@ def speed_table() -> Table:
         rows.append((name, *stages, 1e3 / sum(stages)))
     columns = ("method", "decode ms", "track ms", "drive ms", "write ms", "frames per second")
     return Table("From the clip to the shape key, 1,781 vertices, one core", columns, rows)
+
+
+def network_table(take: Take) -> Table:
+    """From sending a tracked frame to the moved vertices of the head that it drives, over a simulated network."""
+    live = stream(take.part(take.found), _STREAMED, _CUT)
+    rows = [
+        ("frame to moved vertex, median", 1e3 * float(np.median(live.delays))),
+        ("frame to moved vertex, 95 %", 1e3 * float(np.percentile(live.delays, 95.0))),
+        ("of these, the network", 1e3 * LINK.delay),
+        ("the network's jitter", 1e3 * LINK.jitter),
+    ]
+    return Table("Coordinates over a network", ("figure", "ms"), rows)
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ from facemime.core.tracking.tracker import FaceTracker
 SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
 _RATE = 30.0
 _DELAY = StreamSettings().delay
-_LINK = Link(0.02, 0.01)
+LINK = Link(0.02, 0.01)
 _SEEDS = 8
 _VIEWED = ("vertices", "updates/s", "drawn/s", "kB/s", "loaded MB", "worst vertex, %", "latency ms")
 
@@ -198,7 +198,7 @@ def stream(take: Take, seconds: float, cut: float) -> Live:
     """Send a take in a loop through a relay to a worker that drives the built-in head, with a cut at the end."""
     source = StreamSource(StreamSettings(port=_free_port()))
     source.read(0.0)
-    relay = Relay(_LINK, source.address)
+    relay = Relay(LINK, source.address)
     sender = StreamSender(SendSettings(port=relay.port))
     head = LiveHead(built_in_rig(), DriveSettings())
     worker = LiveWorker(source, neutral=calibrate(take), heads=(head,), options=LiveOptions(smoothing=0.0))
@@ -255,7 +255,7 @@ def _free_port() -> int:
 def loss_jerk(take: Take, smoothing: float) -> float:
     """Jerk of what is shown at 10 % loss, relative to that without, over several seeds."""
     lossy = [jerk(take, Link(0.02, 0.01, loss=0.1), smoothing, seed) for seed in range(_SEEDS)]
-    return float(np.mean(lossy) / np.mean([jerk(take, _LINK, smoothing, seed) for seed in range(_SEEDS)]))
+    return float(np.mean(lossy) / np.mean([jerk(take, LINK, smoothing, seed) for seed in range(_SEEDS)]))
 
 
 def jerk(take: Take, link: Link, smoothing: float, seed: int) -> float:

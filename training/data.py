@@ -19,9 +19,3 @@ def add_data_option(command: argparse.ArgumentParser) -> None:
 def has_heads(data: Path) -> bool:
     """Whether the folder has ICT-FaceKit's head."""
     return (data / ICT_FILE).is_file()
-
-
-def require_heads(command: argparse.ArgumentParser, data: Path) -> None:
-    """End the command with a message if the folder lacks ICT-FaceKit's head."""
-    if not has_heads(data):
-        command.error(f"{data} has no {ICT_FILE}. Name with --data the folder that training/README.md describes.")

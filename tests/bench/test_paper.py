@@ -32,6 +32,7 @@ KEYS = {
     "twelve": "Error with fewer control points",
     "greedy": "Control points that the sample clip needs",
     "speed": "From the clip to the shape key, 1,781 vertices, one core",
+    "network": "Coordinates over a network",
 }
 
 
