@@ -147,6 +147,7 @@ def test_the_most_specific_name_decides():
         (["neck_01", "head", "", "FACIAL_L_Eye", "FACIAL_R_Eye"],) * 2,
         (["CC_Base_NeckTwist01", "CC_Base_Head", "", "CC_Base_L_Eye", "CC_Base_R_Eye"],) * 2,
         (["Bip01 Neck", "Bip01 Head", "", "lEye", "rEye"],) * 2,
+        (["neck03", "head", "", "eye.L", "eye.R"],) * 2,
     ],
 )
 def test_the_bones_of_common_rigs_are_found(names, wanted):
