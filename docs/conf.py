@@ -40,6 +40,8 @@ add_module_names = False
 napoleon_google_docstring = False
 napoleon_use_ivar = True
 napoleon_use_rtype = False
+# Attributes are looked up by their bare names, which several classes may have.
+suppress_warnings = ["ref.python"]
 
 html_theme = "furo"
 html_title = f"Facemime {release}"
