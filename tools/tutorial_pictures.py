@@ -1,7 +1,7 @@
 """Make the pictures of `docs/tutorials` from Blender's window, driven by mouse, and from the output of commands.
 
-Run it with `.venv/bin/python tools/tutorial_pictures.py [NAME ...]`, each NAME one of webcam, own_head, take, batch;
-all by default. It needs what `make test-gui` sets up (`make build windows`) and, for the batch report, Chromium.
+Run it with `.venv/bin/python tools/tutorial_pictures.py [NAME ...]`, each NAME one of webcam, live, own_head, take,
+batch; all by default. It needs what `make test-gui` sets up (`make build windows`) and, for the batch report, Chromium.
 """
 
 from __future__ import annotations
@@ -34,9 +34,11 @@ from window import (  # noqa: E402
 PICTURES = ROOT / "docs" / "tutorials" / "images"
 CLIP = ROOT / "assets" / "sample" / "sample.mp4"
 SUITE = "sid"
-_WIDE, _HIGH = (1200, 800), (1200, 1060)
-"""Sizes of the window: the default one, and one that has room for the whole panel Takes."""
+_WIDE, _HIGH, _LIVE = (1200, 800), (1200, 1060), (1000, 640)
+"""Sizes of the window: the default one, one that has room for the whole panel Takes, and one that is drawn in time."""
 _COLOURS = 256
+_IN_TIME, _TRIES = 20.0, 6
+"""Frames per second of the picture of a running puppet at least, and how often the clip is played for it."""
 _HELD = f"""
 import math
 from {MODULE}.core.live import sources
@@ -48,17 +50,23 @@ class Held(sources.Clock):
         if due > self.limit:
             closed.wait(timeout)
             return False
+        closed.wait(max(due - self.time, 0.0))
         self.time = max(self.time, due)
-        closed.wait(0.01)
         return True
 sources.PacedSource.pace = held = Held()
 """
-"""A clock that drops no frame and stops at `limit` seconds, so that a picture shows the intended frame."""
+"""A clock at the pace of the clip, or slower, that stops at `limit` seconds, so that a picture shows that frame."""
 
 
 def main(names: list[str]) -> int:
     """Make the pictures of the given tutorials; return the exit status."""
-    tutorials: dict[str, Callable[[], None]] = {"webcam": webcam, "own_head": own_head, "take": take, "batch": batch}
+    tutorials: dict[str, Callable[[], None]] = {
+        "webcam": webcam,
+        "live": live,
+        "own_head": own_head,
+        "take": take,
+        "batch": batch,
+    }
     PICTURES.mkdir(parents=True, exist_ok=True)
     for name in names or list(tutorials):
         tutorials[name]()
@@ -177,9 +185,6 @@ def webcam() -> None:
         sidebar.press("source.kind")
         studio.picture_as_it_is("source", 500)
         blender.key("Escape")
-        studio.start(2.76, "FACEMIME_PT_source")
-        studio.picture("puppet")
-        studio.stop()
         studio.start(0.4)
         sidebar.open_panel("FACEMIME_PT_calibration")
         sidebar.press("bpy.ops.facemime.calibrate(")
@@ -190,6 +195,28 @@ def webcam() -> None:
         blender.wait_for("len(bpy.context.scene.facemime.performers) == 1")
         sidebar.open_panel("FACEMIME_PT_expression")
         studio.picture("expression", 640)
+        studio.stop()
+
+
+def live() -> None:
+    """Make the picture of a running puppet, with the rate at which it runs."""
+    with Studio("webcam", _LIVE) as studio:
+        blender, sidebar = studio.blender, studio.sidebar
+        blender.do("bpy.context.preferences.system.viewport_aa = 'OFF'")
+        studio.add_head()
+        blender.do("sources.PacedSource.pace = sources.Clock()")
+        sidebar.open_panel("FACEMIME_PT_source")
+        sidebar.press("bpy.ops.facemime.puppet")
+        blender.wait_for("Session.current is not None and Session.current.shown is not None")
+        blender.move(*sidebar.view(0.02, 0.98))
+        for _ in range(_TRIES):
+            blender.wait_for("4.0 < Session.current.shown.time % 10.2 < 9.0")  # the clip runs for a while
+            blender.wait_for("2.6 < Session.current.shown.time % 10.2 < 2.9")
+            if blender.get("Session.current.stopwatch.rate") > _IN_TIME:
+                studio.picture_as_it_is("puppet")
+                break
+        else:
+            raise SystemExit(f"The window was not drawn at {_IN_TIME:g} frames per second. Let nothing else run.")
         studio.stop()
 
 
