@@ -18,7 +18,7 @@ _BROWS = {
 """What landmarks say of the brows: those that move down (y) by that many eye distances for a full action."""
 _BROW_ACTIONS = action_indices(_BROWS)
 _RANGES = {
-    **{"tongueOut": (0.5, 0.9), "mouthRollLower": (0.3, 0.75), "mouthRollUpper": (0.3, 0.75)},
+    **{"tongueOut": (0.7, 0.9), "mouthRollLower": (0.3, 0.75), "mouthRollUpper": (0.3, 0.75)},
     **{"cheekPuff": (0.45, 0.8), "mouthPress": (0.35, 0.7), "browInnerUp": (0.2, 0.75), "browDown": (0.2, 0.6)},
     **{"noseSneer": (0.2, 0.85), "cheekSquint": (0.3, 0.9)},
 }

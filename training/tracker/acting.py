@@ -26,8 +26,13 @@ _SHARES: dict[str, tuple[float, float]] = {
     "browDown": (0.3, 1.4),
 }
 """How often a face shows an action on purpose, besides by chance, and how strongly at most."""
-_SEALED, _TONGUE, _SPOILT = 0.35, 0.2, 0.4
+_SEALED, _TONGUE, _SPOILT = 0.4, 0.2, 0.4
 """Shares of faces with shut lips that are pressed or rolled in, of those with a tongue, and of spoilt pictures."""
+_ONE_SIDED = 0.5
+"""Share of actions of two sides that one side shows alone; it is told from the other side much less than from rest."""
+_BRIGHT, _BARED = 0.7, 0.15
+"""Shares of mouths that are bright inside, whether there is a tongue or not, and of teeth that are bared: both are
+taken for a tongue otherwise."""
 _BROWS = ("browInnerUp", "browDown")
 _PRESSED = action_indices(("mouthPressRight", "mouthPressLeft"))
 _THINNER = 0.45
@@ -98,7 +103,7 @@ def action_samples(
         pose[1:3] *= 0.75
         lamp = rng.normal(0, 1, 3) * (1.0, 0.6, 0.4) + (0, -0.2, -0.7)
         light = Light(rng.uniform(0.35, 1.0), rng.uniform(0.0, 0.9), lamp / np.linalg.norm(lamp))
-        brightness = (0.6, 1.2) if tongue or rng.random() < 0.4 else (0.35, 0.75)
+        brightness = (0.6, 1.2) if rng.random() < _BRIGHT else (0.35, 0.75)
         scene = Scene(light, rng.uniform(0, 0.12), (0.0, 0.0), brightness, tongue, eyes)
         picture = render(head, skinned, expression, pose, SIZE, scene, rng)
         behind = backdrop(skinned, picture.landmarks, head, backgrounds[rng.integers(len(backgrounds))].grey(), rng)
@@ -147,7 +152,7 @@ def _sample_actions(
         if rng.random() < share:
             amount = strength * rng.uniform(0.2, 1.0)
             sides = rng.uniform(0.8, 1.0, 2)
-            if rng.random() < 0.35:
+            if rng.random() < _ONE_SIDED:
                 sides[rng.integers(2)] = rng.uniform(0.0, 0.3)
             weights[[head.index(f"{name}_{side}") for side in "RL"]] = amount * sides
             if name == "cheekSquint":
@@ -155,7 +160,9 @@ def _sample_actions(
     if max(weights[head.index(f"cheekPuff_{side}")] for side in "RL") > 0.3 or rng.random() < _SEALED:
         _seal(head, weights, rng)
     tongue = 0.0
-    if rng.random() < _TONGUE:
+    if rng.random() < _BARED:
+        _bare(head, weights, rng)
+    elif rng.random() < _TONGUE:
         tongue = rng.uniform(0.15, 1.0)
         for name in ("mouthRollLower", "mouthRollUpper", "mouthPress_L", "mouthPress_R", "mouthClose"):
             weights[head.index(name)] = 0.0
@@ -196,15 +203,25 @@ def _seal(head: IctHead, weights: np.ndarray, rng: np.random.Generator) -> None:
     """Shut the lips, and press or roll them in; in place."""
     weights[[head.index(name) for name in _OPENERS]] = 0.0
     kind = rng.random()
-    if kind < 0.35:
+    if kind < 0.45:
         sides = rng.uniform(0.85, 1.0, 2)
-        if rng.random() < 0.4:
+        if rng.random() < _ONE_SIDED:
             sides[rng.integers(2)] = rng.uniform(0.0, 0.2)
         weights[[head.index(f"mouthPress_{side}") for side in "RL"]] = rng.uniform(0.4, 1.3) * sides
-    if 0.25 < kind < 0.75:
+    if 0.35 < kind < 0.8:
         both, amount = rng.random(), rng.uniform(0.3, 1.2)
         weights[head.index("mouthRollLower")] = amount * (both < 0.8)
         weights[head.index("mouthRollUpper")] = amount * rng.uniform(0.7, 1.0) * (both > 0.2)
+
+
+def _bare(head: IctHead, weights: np.ndarray, rng: np.random.Generator) -> None:
+    """Show teeth: the lips apart, the jaw more or less open, the corners drawn aside; in place."""
+    for name in ("mouthRollLower", "mouthRollUpper", "mouthPress_L", "mouthPress_R", "mouthClose"):
+        weights[head.index(name)] = 0.0
+    weights[[head.index(f"cheekPuff_{side}") for side in "RL"]] = 0.0
+    weights[head.index("jawOpen")] = rng.uniform(0.0, 0.7)
+    for name, most in (("mouthUpperUp", 0.9), ("mouthLowerDown", 0.9), ("mouthSmile", 0.9), ("mouthStretch", 0.6)):
+        weights[[head.index(f"{name}_{side}") for side in "RL"]] = rng.uniform(0.0, most) * rng.uniform(0.7, 1.0, 2)
 
 
 def _follow_gaze(head: IctHead, weights: np.ndarray, gaze: np.ndarray) -> None:

@@ -59,7 +59,7 @@ ACTION_PARTS = {
     "mouth": ActionPart(action_indices(_LOWER), np.array([48, 54, 57]), 44.0, (64, 56), False),
 }
 """The eye's picture reaches from above the brow to the wing of the nose, that of the mouth over both cheeks."""
-ACTION_BATCH, ACTION_STEPS = 64, 9000
+ACTION_BATCH, ACTION_STEPS = 64, 30_000
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ RECIPES = {
     "london_smiling": Recipe(18, 4, 10, 0.6),
     "congress": Recipe(10, 4, 3, 0.3),
 }
-ACTING = {"london_neutral": 48, "canada": 48, "congress": 8}
+ACTING = {"london_neutral": 96, "canada": 96, "congress": 8}
 """Renders of a photo for the expert of actions, and of a held-out one, the first of which show a face at rest."""
 _HELD_OUT_ACTING, _RESTING = 60, 10
 SCENE_HEADS_BY_HAND, SCENE_HEADS = 24, 4
