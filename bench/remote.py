@@ -222,7 +222,7 @@ def stream(take: Take, seconds: float, cut: float) -> Live:
                     shown.append((latest.time, latest.driven, latest.number))
                 if restored and not back and _is_true(latest.result, latest.time, take, shown[0][0]):
                     back = perf_counter() - restored
-            waiting = max(waiting, *(len(face.playout._waiting) for _, _, face in source._faces()), 0)
+            waiting = max(waiting, *(len(face.playout._waiting) for _, face in source._faces()), 0)
             relay.cut = seconds <= now < seconds + cut
             if not restored and now >= seconds + cut:
                 restored = perf_counter()
