@@ -34,10 +34,10 @@ from window import (  # noqa: E402
 PICTURES = ROOT / "docs" / "tutorials" / "images"
 CLIP = ROOT / "assets" / "sample" / "sample.mp4"
 SUITE = "sid"
-_WIDE, _HIGH, _LIVE = (1200, 800), (1200, 1060), (1000, 640)
+_WIDE, _HIGH, _LIVE = (1200, 800), (1200, 1060), (960, 640)
 """Sizes of the window: the default one, one that has room for the whole panel Takes, and one that is drawn in time."""
 _COLOURS = 256
-_IN_TIME, _TRIES = 20.0, 6
+_IN_TIME, _TRIES = 12.0, 6
 """Frames per second of the picture of a running puppet at least, and how often the clip is played for it."""
 _HELD = f"""
 import math
@@ -202,7 +202,8 @@ def live() -> None:
     """Make the picture of a running puppet, with the rate at which it runs."""
     with Studio("webcam", _LIVE) as studio:
         blender, sidebar = studio.blender, studio.sidebar
-        blender.do("bpy.context.preferences.system.viewport_aa = 'OFF'")
+        blender.do("bpy.context.preferences.system.viewport_aa = 'OFF'")  # drawn by the processor
+        blender.do(f"from {MODULE}.settings.preferences import preferences; preferences().preview_size = 150")
         studio.add_head()
         blender.do("sources.PacedSource.pace = sources.Clock()")
         sidebar.open_panel("FACEMIME_PT_source")
