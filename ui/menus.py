@@ -1,6 +1,6 @@
 """Entries in Blender's menus."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple
 
@@ -94,20 +94,25 @@ class _Entry(NamedTuple):
     properties: Mapping[str, str] = MappingProxyType({})
 
 
-def _draw_entries(layout: bpy.types.UILayout, entries: tuple[_Entry, ...]) -> None:
-    layout.operator_context = "INVOKE_REGION_WIN"
-    for operator, icon, text, properties in entries:
-        label = {"text": text, "text_ctxt": CONTEXT} if text else {}
-        button = layout.operator(operator, icon=icon, **label)
-        for name, value in properties.items():
-            setattr(button, name, value)
+def _drawing(*entries: _Entry) -> Callable[[bpy.types.Menu, bpy.types.Context], None]:
+    """Return the `draw` of a menu of operators."""
+
+    def draw(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+        self.layout.operator_context = "INVOKE_REGION_WIN"
+        for operator, icon, text, properties in entries:
+            label = {"text": text, "text_ctxt": CONTEXT} if text else {}
+            button = self.layout.operator(operator, icon=icon, **label)
+            for name, value in properties.items():
+                setattr(button, name, value)
+
+    return draw
 
 
 class FACEMIME_MT_calibrate(bpy.types.Menu):
     """Calibrate to the performer's face, and choose who performs"""
 
     bl_label = "Calibrate"
-    entries = (
+    draw = _drawing(
         _Entry("facemime.calibrate", "USER", text="Neutral Face", properties={"pose": "NEUTRAL"}),
         _Entry("facemime.calibrate", "HIDE_OFF", text="Eyes and Mouth", properties={"pose": "RANGE"}),
         _Entry("facemime.reset_calibration", "LOOP_BACK"),
@@ -115,27 +120,19 @@ class FACEMIME_MT_calibrate(bpy.types.Menu):
         _Entry("facemime.remove_performer", "REMOVE"),
     )
 
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the operators."""
-        _draw_entries(self.layout, FACEMIME_MT_calibrate.entries)
-
 
 class FACEMIME_MT_viewer(bpy.types.Menu):
     """Show the running puppet in a browser"""
 
     bl_label = "Viewer"
-    entries = (_Entry("facemime.open_viewer", "WORLD"), _Entry("facemime.copy_viewer_address", "COPYDOWN"))
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the operators."""
-        _draw_entries(self.layout, FACEMIME_MT_viewer.entries)
+    draw = _drawing(_Entry("facemime.open_viewer", "WORLD"), _Entry("facemime.copy_viewer_address", "COPYDOWN"))
 
 
 class FACEMIME_MT_key_mapping(bpy.types.Menu):
     """Map what is tracked to the shape keys that a head has"""
 
     bl_label = "Key Mapping"
-    entries = (
+    draw = _drawing(
         _Entry("facemime.detect_key_map", "VIEWZOOM"),
         _Entry("facemime.add_key_pose", "ADD"),
         _Entry("facemime.learn_key_map", "MODIFIER"),
@@ -144,32 +141,24 @@ class FACEMIME_MT_key_mapping(bpy.types.Menu):
         _Entry("facemime.mute_others", "MUTE_IPO_ON"),
     )
 
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the operators."""
-        _draw_entries(self.layout, FACEMIME_MT_key_mapping.entries)
-
 
 class FACEMIME_MT_landmarks(bpy.types.Menu):
     """Change the landmarks and the parts of a character"""
 
     bl_label = "Landmarks and Parts"
-    entries = (
+    draw = _drawing(
         _Entry("facemime.pick_landmark", "EYEDROPPER"),
         _Entry("facemime.set_landmark", "PIVOT_CURSOR"),
         _Entry("facemime.clear_marks", "X"),
         _Entry("facemime.find_parts", "VIEWZOOM"),
     )
 
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the operators."""
-        _draw_entries(self.layout, FACEMIME_MT_landmarks.entries)
-
 
 class FACEMIME_MT_regions(bpy.types.Menu):
     """Paint and edit the regions of the face"""
 
     bl_label = "Regions"
-    entries = (
+    draw = _drawing(
         _Entry("facemime.paint_region", "BRUSH_DATA", text="Paint Upper", properties={"region": "UPPER"}),
         _Entry("facemime.paint_region", "BRUSH_DATA", text="Paint Middle", properties={"region": "MIDDLE"}),
         _Entry("facemime.paint_region", "BRUSH_DATA", text="Paint Lower", properties={"region": "LOWER"}),
@@ -179,25 +168,17 @@ class FACEMIME_MT_regions(bpy.types.Menu):
         _Entry("facemime.smooth_regions", "MOD_SMOOTH"),
     )
 
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the operators."""
-        _draw_entries(self.layout, FACEMIME_MT_regions.entries)
-
 
 class FACEMIME_MT_control_points(bpy.types.Menu):
     """Change which landmarks are control points"""
 
     bl_label = "Control Points"
-    entries = (
+    draw = _drawing(
         _Entry("facemime.select_live_points", "RESTRICT_VIEW_OFF"),
         _Entry("facemime.add_control_point", "ADD"),
         _Entry("facemime.drop_control_point", "REMOVE"),
         _Entry("facemime.use_all_landmarks", "LOOP_BACK"),
     )
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the operators."""
-        _draw_entries(self.layout, FACEMIME_MT_control_points.entries)
 
 
 def _facemime(menu: bpy.types.Menu, context: bpy.types.Context) -> None:

@@ -11,6 +11,7 @@ from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
 from ..landmarks import N_LANDMARKS
 from ..takes.from_animation import FacePoints, PointTracker
+from ..takes.neutral import Neutral
 from .frames import MAX_SUBJECT, PacketError, StreamFrame, finite
 from .vertices import FACE, FACE_HEADER, FRAME, FRAME_HEADER, MAX_NAME, MESH, MESH_HEADER, TO_RECEIVER, VERSION
 
@@ -32,6 +33,7 @@ class _Head:
     landmarks: IntArray | None = None
     eyes: tuple[slice, slice] = (slice(0), slice(0))
     tracker: PointTracker | None = None
+    neutral: Neutral | None = None
 
     def points(self, vertices: FloatArray) -> FacePoints:
         """Return the places on the face of its vertices."""
@@ -85,6 +87,7 @@ class VertexDecoder:
             head.tracker = PointTracker(head.points(head.rest), np.zeros(3), np.empty(0))
         except HeadError as error:
             raise PacketError("a face has no size") from error
+        head.neutral = head.tracker.at_rest()
 
     def _frame(self, data: bytes) -> StreamFrame:
         _, _, number, count, time = FRAME_HEADER.unpack_from(data)
@@ -102,7 +105,7 @@ class VertexDecoder:
             (_within(points.eyes[0]) @ rotation.T + moved, _within(points.eyes[1]) @ rotation.T + moved),
         )
         face = head.tracker.result(placed, rotation, moved)
-        return StreamFrame(face, head.name, finite(time), neutral=head.tracker.at_rest())
+        return StreamFrame(face, head.name, finite(time), neutral=head.neutral)
 
     def _head(self, number: int) -> _Head:
         if number not in self._heads:
@@ -126,5 +129,5 @@ def _pose(data: bytes) -> tuple[FloatArray, FloatArray]:
     numbers = np.frombuffer(data, "<f4", _POSE, FRAME_HEADER.size).astype(np.float64)
     turn = TO_RECEIVER[:, None] * numbers[:9].reshape(3, 3) * TO_RECEIVER
     if not (np.abs(turn @ turn.T - np.eye(3)) <= _ROUND).all() or np.linalg.det(turn) < 0.0:
-        raise PacketError("a rotation is none")
+        raise PacketError("the rotation is not valid")
     return turn, _within(numbers[None, 9:])[0]

@@ -126,7 +126,8 @@ class VertexSender(Connecting):
             return
         heads = [driver.head if isinstance(driver, KeyDriver) else driver for driver in drivers]
         with self._news:
-            if [id(head.rest) for head in heads] != [id(head.rest) for head in self._heads]:
+            known = self._heads
+            if len(heads) != len(known) or any(h.rest is not k.rest for h, k in zip(heads, known, strict=True)):
                 self._heads = heads
             self._newest = taken, frames
             self._news.notify()

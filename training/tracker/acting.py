@@ -29,7 +29,8 @@ _SHARES: dict[str, tuple[float, float]] = {
 _SEALED, _TONGUE, _SPOILT = 0.4, 0.2, 0.4
 """Shares of faces with shut lips that are pressed or rolled in, of those with a tongue, and of spoilt pictures."""
 _ONE_SIDED = 0.5
-"""Share of actions of two sides that one side shows alone; it is told from the other side much less than from rest."""
+"""Share of two-sided actions that are shown on one side only; telling left from right is harder than telling an action
+from rest."""
 _BRIGHT, _BARED = 0.7, 0.15
 """Shares of mouths that are bright inside, whether there is a tongue or not, and of teeth that are bared: both are
 taken for a tongue otherwise."""
