@@ -19,7 +19,7 @@ N_ACTIONS = len(ACTIONS)
 
 
 def action_indices(names: Iterable[str]) -> NDArray[np.intp]:
-    """Positions of actions by name; ValueError for an unknown one."""
+    """Return the positions of actions in `ACTIONS`; ValueError for an unknown name."""
     return np.array([ACTIONS.index(name) for name in names], dtype=np.intp)
 
 
@@ -30,4 +30,4 @@ def _mirrored(name: str) -> str:
 
 
 ACTION_MIRROR: NDArray[np.intp] = action_indices(_mirrored(name) for name in ACTIONS)
-"""Mirror image of each action; ``actions[ACTION_MIRROR]`` are those of a face that was flipped left to right."""
+"""Mirror image of each action: ``actions[ACTION_MIRROR]`` are the actions of a face that was flipped left to right."""

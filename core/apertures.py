@@ -33,27 +33,27 @@ def lid_gaps(points: FloatArray) -> FloatArray:
 
 
 def lip_gaps(points: FloatArray) -> FloatArray:
-    """(..., 3) signed gaps between facing landmarks of the inner lips, from the viewer's left, as `lid_gaps`."""
+    """Signed gaps between facing landmarks of the inner lips, (..., 3), from the viewer's left; see `lid_gaps`."""
     return _across(_between(points, *_MOUTH_ENDS), _between(points, UPPER_LIPS, LOWER_LIPS))
 
 
 def eye_apertures(points: FloatArray) -> FloatArray:
-    """(..., 2) apertures of the performer's right and left eye: the means of the two gaps of each eye."""
+    """Apertures of the performer's right and left eye, (..., 2): the mean of the two gaps of each eye."""
     gaps = lid_gaps(points)
     return np.asarray(0.5 * (gaps[..., ::2] + gaps[..., 1::2]))
 
 
 def mouth_aperture(points: FloatArray) -> FloatArray:
-    """(...) aperture of the mouth: the mean of the three gaps of the inner lips."""
+    """Aperture of the mouth, (...): the mean of the three gaps of the inner lips."""
     return np.asarray(lip_gaps(points).mean(axis=-1))
 
 
 def _between(points: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
-    """(..., n, D) from the landmarks `first` (n,) to the landmarks `second` (n,)."""
+    """Vectors from the landmarks `first` (n,) to the landmarks `second` (n,), (..., n, D)."""
     return np.asarray(points.take(second, axis=-2) - points.take(first, axis=-2))
 
 
 def _across(along: FloatArray, gap: FloatArray) -> FloatArray:
-    """(...) component of `gap` along the normal of `along` that points down in an upright face, in x and y."""
+    """Component of `gap` along the normal of `along` in x and y, (...); in an upright face the normal points down."""
     length = np.maximum(np.hypot(along[..., 0], along[..., 1]), 1e-12)
     return np.asarray((along[..., 0] * gap[..., 1] - along[..., 1] * gap[..., 0]) / length)

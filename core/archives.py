@@ -1,7 +1,7 @@
 """Safe reading of untrusted numpy archives (`.npz`), with checks of sizes, types and ranges.
 
-`np.load` trusts a file: a header of a hundred bytes can request any amount of memory, and damage ends in a dozen kinds
-of exceptions. Here sizes are checked before anything is allocated, and every problem is a `ValueError`.
+`np.load` trusts its input: a header of a hundred bytes can request any amount of memory, and damaged files raise a
+dozen kinds of exceptions. Here sizes are checked before anything is allocated, and every problem is a `ValueError`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from .errors import ModelError
 from .reading import read_bytes
 
 MAX_BYTES = 16 << 20
-"""Upper bound of the file, and of all members unpacked: several times the largest that is shipped."""
+"""Largest size in bytes of a file, and of all its members unpacked: several times the largest shipped archive."""
 MAX_MEMBERS = 256
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 0x1
@@ -46,25 +46,25 @@ Shape = tuple[int | None, ...]
 class Archive:
     """The arrays of an archive, read by name with an expected kind and shape.
 
-    All methods raise ValueError, which names the array and the problem. A dimension of None may have any length.
+    All methods raise a ValueError that names the array and the problem. A dimension of None may have any length.
     """
 
     def __init__(self, arrays: dict[str, NDArray[Any]]) -> None:
         self._arrays = arrays
 
     def text(self, name: str) -> str:
-        """Read a text; empty if there is no such array."""
+        """Read a text; an empty one if there is no such array."""
         array = self._arrays.get(name)
         return str(array[()]) if array is not None and array.dtype.kind == "U" and array.ndim == 0 else ""
 
     def texts(self, name: str) -> tuple[str, ...]:
         """Read a list of distinct texts."""
-        array = self._of(name, (None,), "U")
+        array = self._get(name, (None,), "U")
         if len(set(array.tolist())) != len(array):
             raise ValueError(f"{name} contains a duplicate")
         return tuple(array.tolist())
 
-    def reals(self, name: str, shape: Shape, dtype: type = np.float64) -> FloatArray:
+    def floats(self, name: str, shape: Shape, dtype: type = np.float64) -> FloatArray:
         """Read finite numbers.
 
         Parameters
@@ -72,7 +72,7 @@ class Archive:
         name : str
             Name of the array.
         shape : tuple of int or None
-            Expected shape.
+            Expected shape; None for a dimension of any length.
         dtype : type
             Type of the result.
 
@@ -81,32 +81,60 @@ class Archive:
         ndarray
             The array.
         """
-        array = self._of(name, shape, "fiu")
+        array = self._get(name, shape, "fiu")
         with np.errstate(over="ignore"):
             out: FloatArray = array.astype(dtype)
         if not np.isfinite(out).all():
             raise ValueError(f"{name} is not finite")
         return out
 
-    def wholes(self, name: str, shape: Shape, low: int, high: int) -> NDArray[np.intp]:
-        """As `reals`, for integers from `low` to `high`."""
-        array = self._of(name, shape, "iu")
+    def integers(self, name: str, shape: Shape, low: int, high: int) -> NDArray[np.intp]:
+        """Read integers within a range.
+
+        Parameters
+        ----------
+        name : str
+            Name of the array.
+        shape : tuple of int or None
+            Expected shape; None for a dimension of any length.
+        low, high : int
+            Range, both ends included.
+
+        Returns
+        -------
+        ndarray of intp
+            The array.
+        """
+        array = self._get(name, shape, "iu")
         if array.size and (int(array.min()) < low or int(array.max()) > high):
             raise ValueError(f"{name} is not within {low} to {high}")
         return array.astype(np.intp)
 
     def flags(self, name: str, shape: Shape) -> NDArray[np.bool_]:
-        """As `reals`, for booleans."""
-        return self._of(name, shape, "b").astype(np.bool_)
+        """Read booleans.
+
+        Parameters
+        ----------
+        name : str
+            Name of the array.
+        shape : tuple of int or None
+            Expected shape; None for a dimension of any length.
+
+        Returns
+        -------
+        ndarray of bool
+            The array.
+        """
+        return self._get(name, shape, "b").astype(np.bool_)
 
     def data(self, name: str) -> bytes:
-        """Read bytes, stored as an array."""
-        array = self._of(name, (None,), "u")
+        """Read bytes, which are stored as an array of uint8."""
+        array = self._get(name, (None,), "u")
         if array.dtype != np.uint8:
             raise ValueError(f"{name} has the type {array.dtype}")
         return array.tobytes()
 
-    def _of(self, name: str, shape: Shape, kinds: str) -> NDArray[Any]:
+    def _get(self, name: str, shape: Shape, kinds: str) -> NDArray[Any]:
         if (array := self._arrays.get(name)) is None:
             raise ValueError(f"{name} is missing")
         if array.dtype.kind not in kinds:
@@ -120,15 +148,15 @@ class Archive:
         return array
 
 
-def read_archive(data: bytes, most: int = MAX_BYTES) -> Archive:
+def read_archive(data: bytes, limit: int = MAX_BYTES) -> Archive:
     """Read an archive of numbers and texts.
 
     Parameters
     ----------
     data : bytes
         A zip file of `.npy` members, stored or deflated.
-    most : int
-        Bytes to which all members together may unpack.
+    limit : int
+        Largest total size of the unpacked members, in bytes.
 
     Returns
     -------
@@ -138,39 +166,44 @@ def read_archive(data: bytes, most: int = MAX_BYTES) -> Archive:
     Raises
     ------
     ValueError
-        If it is not such an archive, is damaged, or would unpack to more.
+        If the data is not such an archive, is damaged, or would unpack to more.
     """
     if data.count(_MEMBER) > MAX_MEMBERS:  # before `zipfile` creates an object for each
         raise ValueError(f"it has more than {MAX_MEMBERS} members")
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
-            _check_members(members, most)
+            _check_members(members, limit)
             return Archive({m.filename.removesuffix(".npy"): _array(m, archive) for m in members})
     except _DAMAGE as error:
         raise ValueError("its archive is damaged") from error
 
 
 @contextmanager
-def shipped(path: Path, form: str) -> Iterator[Archive]:
-    """Open an archive that is shipped, and turn what is wrong with it, or is found while it is read, into a ModelError.
+def open_shipped(path: Path, form: str) -> Iterator[Archive]:
+    """Open an archive of the assets, and raise whatever is wrong with it as a ModelError.
 
     Parameters
     ----------
     path : Path
         The file.
     form : str
-        What its array "format" has to say.
+        Expected value of its array "format".
 
     Yields
     ------
     Archive
-        To be read within the context.
+        The archive. A ValueError within the context becomes a ModelError, too.
+
+    Raises
+    ------
+    ModelError
+        If the file is missing, damaged or of a different version.
     """
     try:
         archive = read_archive(read_bytes(path, MAX_BYTES))
         if archive.text("format") != form:
-            raise ValueError("it has another version")
+            raise ValueError("its version is different")
         yield archive
     except FileNotFoundError as error:
         raise ModelError(f"The model {path} is missing. Reinstall Facemime.") from error
@@ -178,12 +211,12 @@ def shipped(path: Path, form: str) -> Iterator[Archive]:
         raise ModelError(f"The model {path} is damaged ({error}). Reinstall Facemime.") from error
 
 
-def _check_members(members: list[zipfile.ZipInfo], most: int) -> None:
-    if (total := sum(member.file_size for member in members)) > most:
-        raise ValueError(f"it unpacks to {total >> 20} MB, more than {most >> 20} MB")
+def _check_members(members: list[zipfile.ZipInfo], limit: int) -> None:
+    if (total := sum(member.file_size for member in members)) > limit:
+        raise ValueError(f"it unpacks to {total >> 20} MB, more than {limit >> 20} MB")
     for member in members:
         if member.compress_type not in _METHODS or member.flag_bits & _ENCRYPTED:
-            raise ValueError("it is encrypted, or not compressed as by numpy")
+            raise ValueError("it is encrypted, or compressed in a way that numpy does not use")
         if not member.filename.endswith(".npy"):
             raise ValueError("a member is not a numpy array")
     if len({member.filename for member in members}) != len(members):
@@ -224,5 +257,5 @@ def _array_of(content: bytes) -> NDArray[Any]:
         raise ValueError("the length of a member differs from its header")
     flat = np.frombuffer(content, dtype, count, start + length) if count else np.empty(0, dtype)
     if dtype.kind == "U" and count and int(flat.view(f"{dtype.byteorder}u4").max()) > sys.maxunicode:
-        raise ValueError("a member has invalid characters")  # which numpy would answer with a SystemError
+        raise ValueError("a member has invalid characters")  # on which numpy would raise a SystemError
     return flat.reshape(shape, order="F" if found[2] == "True" else "C")

@@ -50,7 +50,7 @@ def as_points(
     Raises
     ------
     error
-        If the shape is wrong, or a value is NaN or infinite although it has to be finite.
+        If the shape is wrong, or if `finite` is set and a value is NaN or infinite.
     """
     array: FloatArray = np.ascontiguousarray(values, dtype=dtype)
     expected = f"({'N' if count is None else count}, {dims})"
@@ -65,8 +65,8 @@ def as_points(
 def as_image(frame: ArrayLike, name: str = "image") -> NDArray[np.uint8]:
     """Convert to an 8-bit grey (H, W) or BGR (H, W, 3) image.
 
-    Alpha is dropped. 16-bit images are reduced to 8 bits. Floats are expected from 0 to 1, and become black if not
-    finite.
+    Alpha is dropped. 16-bit images are reduced to 8 bits. Floats are expected from 0 to 1; those that are not finite
+    become black.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def as_image(frame: ArrayLike, name: str = "image") -> NDArray[np.uint8]:
     Raises
     ------
     FacemimeError
-        If it is not an image of at least one pixel.
+        If the shape or the type is not that of an image, or the image is empty.
     """
     image = np.asarray(frame)
     if image.ndim == 3 and image.shape[2] == 1:

@@ -1,4 +1,4 @@
-"""The folder of the files that are shipped with Facemime."""
+"""The folder of the files that Facemime ships."""
 
 from pathlib import Path
 

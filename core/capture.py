@@ -1,7 +1,7 @@
 """Reading of video files, with the presentation time of each frame.
 
-Times are those in the container, not frame numbers over the nominal rate: recordings of phones and webcams have a
-variable rate, and animation that is timed by counting would run out of step with their sound.
+Times are those in the container, not frame numbers over the nominal rate: phones and webcams record at a variable rate,
+and animation that is timed by counting frames would drift from their sound.
 """
 
 from __future__ import annotations
@@ -23,13 +23,23 @@ from .errors import SourceError
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 MAX_PIXELS = 1 << 26
-"""Upper bound of a frame, 8192 by 8192: decoding a larger one takes gigabytes."""
+"""Largest number of pixels of a frame, 8192 by 8192: decoding a larger one takes gigabytes."""
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+:|subfile,", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame: `image` (H, W, 3) uint8 BGR, `time` in seconds from the first frame, `index` from 0."""
+    """A frame of a video.
+
+    Attributes
+    ----------
+    image : (H, W, 3) uint8
+        BGR.
+    time : float
+        Seconds from the first frame.
+    index : int
+        Number of the frame in the source, from 0.
+    """
 
     image: NDArray[np.uint8]
     time: float
@@ -68,7 +78,7 @@ class VideoSource(Closing):
         # FFmpeg takes text before a colon for a protocol, unless the path begins with a slash.
         self._capture = cv2.VideoCapture(os.path.abspath(self.path), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
-            raise SourceError(f"{self.path} is not a video that can be read. Convert it to MP4 (H.264) and try again.")
+            raise SourceError(f"{self.path} cannot be read as a video. Convert it to MP4 (H.264) and try again.")
         width, height = (int(self._capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         if width * height > MAX_PIXELS:
             self._capture.release()
@@ -105,7 +115,7 @@ class VideoSource(Closing):
 
 
 def at_constant_rate(frames: Iterable[Frame], fps: float) -> Iterator[Frame]:
-    """Resample frames to a constant rate: at each moment, the frame that is on display.
+    """Resample frames to a constant rate, each moment showing the frame that was on display then.
 
     Parameters
     ----------
@@ -117,7 +127,7 @@ def at_constant_rate(frames: Iterable[Frame], fps: float) -> Iterator[Frame]:
     Returns
     -------
     iterator of Frame
-        With even times, and the index of the original frame.
+        Frames at even times, each with the index of its original frame.
     """
     emitted = 0
     shown: Frame | None = None
@@ -131,18 +141,18 @@ def at_constant_rate(frames: Iterable[Frame], fps: float) -> Iterator[Frame]:
 
 
 def require_file(path: Path) -> None:
-    """Raise SourceError if `path` is missing, not a regular file, or not readable."""
+    """Raise a SourceError if `path` is missing, not a regular file, or not readable."""
     if not check_readable(path):
         raise SourceError(f"There is no file {path}. Check the path.")
 
 
 def check_readable(path: Path) -> bool:
-    """Whether there is a file at `path`.
+    """Return whether there is a file at `path`.
 
     Raises
     ------
     SourceError
-        If there is something else, such as a folder, or a pipe, which may never end, or the file is not readable.
+        If it is something else, such as a folder or a pipe, which may never end, or if it is not readable.
     """
     try:
         mode = os.stat(path).st_mode
@@ -164,7 +174,7 @@ def check_readable(path: Path) -> bool:
 
 
 def require_utf8_name(path: Path) -> None:
-    """Raise SourceError if the absolute path is not valid UTF-8, on which OpenCV and Blender would crash."""
+    """Raise a SourceError if the absolute path is not valid UTF-8, which would crash OpenCV and Blender."""
     whole = os.path.abspath(path)
     try:
         whole.encode()
@@ -174,7 +184,7 @@ def require_utf8_name(path: Path) -> None:
 
 
 def is_address(text: str) -> bool:
-    """Whether FFmpeg would take `text` for an address, such as `http:host/x`, and might access the network.
+    """Return whether FFmpeg would take `text` for an address, such as `http:host/x`, and might access the network.
 
     A Windows drive letter is not an address.
     """

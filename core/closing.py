@@ -1,4 +1,4 @@
-"""What has to be closed, and closes itself at the end of a `with` statement."""
+"""Base class of objects that are closed at the end of a `with` statement."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Self
 
 
 class Closing(ABC):
-    """Something that is closed when a `with` statement ends, however it ends."""
+    """Base class of objects that are closed when a `with` statement ends, with or without an exception."""
 
     @abstractmethod
     def close(self) -> None:
-        """Release what is held."""
+        """Release all resources."""
 
     def __enter__(self) -> Self:
         return self

@@ -1,4 +1,4 @@
-"""Names of ARKit's 52 coefficients, and which of them exclude each other."""
+"""Names of ARKit's 52 coefficients, and the pairs that exclude each other."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COEFFICIENT_INDEX = {name: i for i, name in enumerate(COEFFICIENTS)}
 """Column of each coefficient."""
 N_COEFFICIENTS = len(COEFFICIENTS)
 FITTED: NDArray[np.intp] = np.array([i for i, name in enumerate(COEFFICIENTS) if not name.startswith("eyeLook")])
-"""(44,) columns of the coefficients that are fitted; the others are the direction of the eyes."""
+"""(44,) columns of the coefficients that are fitted: all but the eight of the eyes' direction."""
 _EXCLUSIVE = (
     ("jawLeft", "jawRight"),
     ("mouthLeft", "mouthRight"),
@@ -33,7 +33,7 @@ _EXCLUSIVE = (
     ("mouthSmileRight", "mouthFrownRight"),
 )
 EXCLUSIVE: NDArray[np.intp] = np.array([[COEFFICIENT_INDEX[name] for name in pair] for pair in _EXCLUSIVE])
-"""(P, 2) columns of coefficients of which a face shows one at a time: their motions are opposite."""
+"""(P, 2) columns of coefficients that exclude each other, as their motions are opposite."""
 
 
 def _mirrored(name: str) -> str:
@@ -43,11 +43,12 @@ def _mirrored(name: str) -> str:
 
 
 COEFFICIENT_MIRROR: NDArray[np.intp] = np.array([COEFFICIENT_INDEX[_mirrored(name)] for name in COEFFICIENTS])
-"""(52,) mirror image of each coefficient; ``a[COEFFICIENT_MIRROR]`` are those of a face that was flipped."""
+"""(52,) mirror image of each coefficient: ``a[COEFFICIENT_MIRROR]`` are the coefficients of a face that was flipped
+left to right."""
 
 
 def _spellings() -> dict[str, int]:
-    """Column of each coefficient by all its names: `eyeBlinkLeft`, `EyeBlinkLeft`, `eyeBlink_L`, in lower case."""
+    """Column of each coefficient by all its spellings in lower case: `eyeBlinkLeft`, `EyeBlinkLeft`, `eyeBlink_L`."""
     found = {}
     for name, column in COEFFICIENT_INDEX.items():
         found[name.lower()] = column
@@ -61,5 +62,5 @@ SPELLINGS: Mapping[str, int] = _spellings()
 
 
 def column_of(name: str) -> int | None:
-    """Column of a coefficient by any of its usual names; None for other names."""
+    """Return the column of a coefficient by any of its usual names, or None for other names."""
     return SPELLINGS.get(name.lower())

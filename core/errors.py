@@ -1,4 +1,4 @@
-"""Errors that a user can cause. Their messages say what is wrong, and what to do."""
+"""Errors that a user can cause. Their messages say what happened and what to do."""
 
 
 class FacemimeError(Exception):
@@ -10,7 +10,7 @@ class SourceError(FacemimeError):
 
 
 class ModelError(FacemimeError):
-    """A file of the assets is missing, damaged, of another version, or not one of Facemime's."""
+    """A file of the assets is missing, damaged, of a different version, or not one of Facemime's."""
 
 
 class HeadError(FacemimeError):

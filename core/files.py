@@ -1,4 +1,4 @@
-"""Atomic writing of files: a failure never leaves half a file in place of a good one.
+"""Atomic writing of files: a failure never replaces a good file by half a new one.
 
 If an output is a symbolic link, its target is replaced. Permissions of a replaced file are kept.
 """
@@ -62,7 +62,7 @@ def settle(finished: Path, path: Path) -> None:
     Raises
     ------
     OutputError
-        If that fails; `finished` then stays as it is.
+        If the file cannot be moved; `finished` then stays where it is.
     """
     with _reporting(path):
         target = _target(path)
@@ -84,14 +84,15 @@ def write_secret(path: Path, content: bytes, *, replace: bool = False) -> None:
     Parameters
     ----------
     path : Path
+        The file.
     content : bytes
-    replace : bool
+        What to write.
         Whether an existing file may be overwritten.
 
     Raises
     ------
     OSError
-        If it cannot be written; FileExistsError if it exists and may not be overwritten.
+        If the file cannot be written; FileExistsError if it exists and may not be overwritten.
     """
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | (os.O_TRUNC if replace else os.O_EXCL), 0o600)
     with open(descriptor, "wb") as file:
@@ -105,7 +106,7 @@ def free_name(path: Path) -> Path:
 
 
 def check_writable(path: Path, suffixes: Collection[str] = ()) -> None:
-    """Raise OutputError before minutes of work if an output cannot be written. An existing file is not changed.
+    """Raise an OutputError if an output cannot be written, before minutes of work. An existing file is not changed.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def check_writable(path: Path, suffixes: Collection[str] = ()) -> None:
     Raises
     ------
     OutputError
-        If it cannot be written, or has another suffix.
+        If the output cannot be written, or has another suffix.
     """
     path = Path(path)
     if suffixes and path.suffix.lower() not in suffixes:
@@ -143,7 +144,7 @@ def check_writable(path: Path, suffixes: Collection[str] = ()) -> None:
 
 
 def _check_replaceable(path: Path, target: Path) -> None:
-    """Raise OutputError if an existing file cannot be replaced, or only by its owner."""
+    """Raise an OutputError if an existing file cannot be replaced, or only by its owner."""
     if not os.path.lexists(target):
         return
     found = os.stat(target)
@@ -162,7 +163,7 @@ def _check_replaceable(path: Path, target: Path) -> None:
 
 
 def check_distinct(outputs: Iterable[Path | None], inputs: Mapping[str, Path | None]) -> None:
-    """Raise OutputError if an output is an input, by any name or link.
+    """Raise an OutputError if an output is an input, by any name or link.
 
     Parameters
     ----------
@@ -191,14 +192,14 @@ def _same(output: Path, path: Path) -> bool:
 
 @contextmanager
 def claimed(*paths: Path) -> Iterator[None]:
-    """Claim outputs for this process, and delete what killed processes left in their folders.
+    """Claim outputs for this process, and delete what killed processes have left in their folders.
 
     A claim ends with its process, even if that crashes.
 
     Raises
     ------
     OutputError
-        If another process has claimed one of them, or their folder cannot be created.
+        If another process has claimed one of the outputs, or its folder cannot be created.
     """
     with ExitStack() as stack:
         for target, path in sorted({_target(path): path for path in paths}.items()):
@@ -237,7 +238,7 @@ def _folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold the lock file `path`, for which other processes wait; it is deleted at the end.
+    """Hold the lock file `path`, for which other processes wait. It is deleted at the end.
 
     The lock ends with its process, even if that crashes.
 
@@ -255,7 +256,7 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def _target(path: Path) -> Path:
-    """The target of `path`, with links resolved."""
+    """Return `path` with its links resolved."""
     try:
         return Path(os.path.realpath(path))
     except ValueError as error:
@@ -263,21 +264,21 @@ def _target(path: Path) -> Path:
 
 
 def _copy_permissions(new: Path, old: Path) -> None:
-    """Give `new` the permissions of `old`, or the user's default if that does not exist."""
+    """Give `new` the permissions of `old`, or the user's default if `old` does not exist."""
     try:
         found = os.stat(old)
     except FileNotFoundError:
         os.chmod(new, 0o666 & ~_umask())
         return
     if os.name == "posix" and os.stat(new).st_gid != found.st_gid:
-        with suppress(OSError):  # only members of a group may do that
+        with suppress(OSError):  # only members of the group may do this
             os.chown(new, -1, found.st_gid)
     os.chmod(new, stat.S_IMODE(found.st_mode) & 0o777)
 
 
 @contextmanager
 def _reporting(path: Path) -> Iterator[None]:
-    """Convert errors of the system into an OutputError about `path`."""
+    """Convert errors of the operating system to an OutputError about `path`."""
     try:
         yield
     except OSError as error:
@@ -288,7 +289,7 @@ def _reporting(path: Path) -> Iterator[None]:
 
 
 def reason_of(error: OSError) -> str:
-    """The reason of an error, for use within a sentence."""
+    """Return the reason of an error, for use within a sentence."""
     return (error.strerror or str(error)).lower()
 
 

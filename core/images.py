@@ -18,8 +18,8 @@ IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".
 
 
 MAX_PIXELS, MAX_SIDE = 100_000_000, 30_000
-"""Upper bounds of an image: one of 16,384 pixels per side takes two gigabytes and 15 seconds, and OpenCV cannot warp
-more than 32,767 pixels per side."""
+"""Largest number of pixels, and of pixels per side: an image of 16,384 pixels per side takes two gigabytes and 15
+seconds, and OpenCV cannot warp more than 32,767 pixels per side."""
 _MAX_FILE = 1 << 30
 
 
@@ -29,7 +29,7 @@ def read_image(path: Path) -> NDArray[np.uint8]:
     Raises
     ------
     SourceError
-        If there is no such file, it is not an image, or it exceeds `MAX_PIXELS` or `MAX_SIDE`.
+        If there is no such file, or it is not an image, or exceeds `MAX_PIXELS` or `MAX_SIDE`.
     """
     path = Path(path)
     require_file(path)
@@ -51,11 +51,11 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 
 
 def _unreadable(path: Path) -> SourceError:
-    return SourceError(f"{path} is not a picture that can be read. Convert it to JPEG or PNG and try again.")
+    return SourceError(f"{path} cannot be read as an image. Convert it to JPEG or PNG and try again.")
 
 
 def write_image(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write an image in the format of the suffix.
+    """Write an image in the format given by the suffix.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ IBUG68_INDICES: NDArray[np.intp] = np.array([i for i in range(68) if i not in (6
 
 
 def from_ibug(numbers: Iterable[int]) -> NDArray[np.intp]:
-    """Positions in the array of 66 points of iBUG-68 `numbers`; ValueError for 60, 64 and unknown ones."""
+    """Return the positions of iBUG-68 `numbers` in the array of 66 points; ValueError for 60, 64 and unknown ones."""
     position = {int(ibug): i for i, ibug in enumerate(IBUG68_INDICES)}
     numbers = [int(n) for n in numbers]
     if unknown := [n for n in numbers if n not in position]:
@@ -40,9 +40,9 @@ LIPS = np.concatenate([MOUTH_OUTER, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
 INNER = np.arange(17, N_LANDMARKS)
 """The 49 inner points (all but the jaw line), over which errors are reported."""
 EYE_CORNERS = from_ibug((36, 39, 42, 45))
-"""From the viewer's left to right: outer and inner corner of the right eye, inner and outer corner of the left one."""
+"""From the viewer's left to right: outer and inner corner of the right eye, inner and outer corner of the left eye."""
 OUTER_EYE_CORNERS = EYE_CORNERS[[0, 3]]
-"""Their distance is the eye distance, the unit of the shape model and of reported errors."""
+"""The distance between them is the eye distance, the unit of the shape model and of reported errors."""
 UPPER_LIDS, LOWER_LIDS = from_ibug((37, 38, 43, 44)), from_ibug((41, 40, 47, 46))
 """Landmarks that face each other across the eye slits, the performer's right eye first."""
 MOUTH_CORNERS = from_ibug((48, 54))
@@ -50,13 +50,13 @@ MOUTH_CORNERS = from_ibug((48, 54))
 UPPER_LIP, LOWER_LIP = from_ibug(range(49, 54)), from_ibug(range(59, 54, -1))
 """The lips' outer rims between the corners, from the viewer's left."""
 UPPER_LIPS, LOWER_LIPS = MOUTH_INNER_UPPER, MOUTH_INNER_LOWER[::-1]
-"""Landmarks of the inner rims that face each other across the mouth slit, from the viewer's left."""
+"""Landmarks of the inner rims that face each other across the mouth, from the viewer's left."""
 CHIN = from_ibug(range(6, 11))
 NOSE_ROOT = from_ibug((27, 28))
 
 
 def outer_eye_distance(points: ArrayLike) -> float:
-    """Distance of the outer corners of the eyes, in the unit of the landmarks `points`, (66, D)."""
+    """Distance between the outer corners of the eyes, in the unit of the landmarks `points`, (66, D)."""
     right, left = np.asarray(points, dtype=np.float64)[OUTER_EYE_CORNERS]
     return float(np.linalg.norm(right - left))
 
@@ -67,7 +67,7 @@ _MIRROR_IBUG = np.array(
     + [54, 53, 52, 51, 50, 49, 48, 59, 58, 57, 56, 55, 64, 63, 62, 61, 60, 67, 66, 65]
 )
 MIRROR: NDArray[np.intp] = from_ibug(_MIRROR_IBUG[IBUG68_INDICES])
-"""(66,) mirror image of each landmark; ``points[MIRROR]`` relabels a face that was flipped left to right."""
+"""(66,) mirror image of each landmark: ``points[MIRROR]`` relabels a face that was flipped left to right."""
 
 EDGES: tuple[tuple[int, int], ...] = tuple(
     (int(a), int(b))

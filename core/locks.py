@@ -1,8 +1,8 @@
-"""Locks between processes, and removal of what killed processes left behind.
+"""Locks between processes, and removal of what killed processes have left behind.
 
-A lock is one of the system (`flock`, on Windows `msvcrt.locking`) on a small hidden file. It ends with its process,
-even if that crashes, so a leftover file blocks nobody. Temporary files carry the name of such a lock: if the lock is
-free, its owner is gone, and they can be deleted.
+A lock is one of the operating system (`flock`, on Windows `msvcrt.locking`) on a small hidden file. It ends with its
+process, even if that crashes, so a leftover file blocks nobody. The name of a temporary file contains that of such a
+lock: if the lock is free, its owner is gone, and the file can be deleted.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _PAUSE = 0.02
 
 
 def lock_of(path: Path) -> Path:
-    """The lock of an output: a file beside it, named by the checksum of its name, which is never too long."""
+    """Return the lock of an output: a file beside it, named by the checksum of its name, which is never too long."""
     mark = hashlib.sha256(os.fsencode(os.path.normcase(path.name))).hexdigest()[:16]
     return path.with_name(_lock_name(mark))
 
@@ -50,7 +50,7 @@ def holding(path: Path, patience: float | None = None) -> Iterator[bool]:
     Yields
     ------
     bool
-        Whether it is held; False if another process still holds it.
+        Whether the lock is held; False if another process still holds it.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def holding(path: Path, patience: float | None = None) -> Iterator[bool]:
             yield True
         finally:
             if sys.platform != "win32":  # where an open file cannot be deleted
-                with suppress(OSError):  # of another user, in a folder where only owners may delete
+                with suppress(OSError):  # another user's, in a folder where only owners may delete
                     path.unlink()
     if sys.platform == "win32":
         with suppress(OSError):  # the next process already has it open
@@ -94,7 +94,7 @@ def temporary_beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Yield an empty temporary folder, which is deleted at the end, as are those of killed processes.
+    """Yield an empty temporary folder, which is deleted at the end. Those of killed processes are deleted, too.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def sweep(folder: Path) -> None:
         names = os.listdir(folder)
         for name in names:
             if ours := _OURS.fullmatch(name):
-                with suppress(OSError):  # of another user, or already gone
+                with suppress(OSError):  # another user's, or already gone
                     _sweep_one(folder, ours[1], names)
 
 
@@ -149,7 +149,7 @@ def _remove(path: Path) -> None:
 
 @contextmanager
 def _held_if_possible(path: Path) -> Iterator[None]:
-    """Hold a lock that nobody else knows yet; go on without it if the file system has no locks."""
+    """Hold a lock that no other process knows yet; go on without it if the file system has no locks."""
     try:
         stream = _acquired(path, 0.0)
     except OSError:
@@ -168,7 +168,7 @@ def _held_if_possible(path: Path) -> Iterator[None]:
 
 
 def _acquired(path: Path, patience: float | None) -> FileIO | None:
-    """The locked file, or None; opened again if it was deleted while waiting."""
+    """Return the locked file, or None if patience ran out. The file is reopened if it was deleted while waiting."""
     end = None if patience is None else time.monotonic() + patience
     while True:
         stream = _opened(path)
@@ -192,7 +192,7 @@ def _opened(path: Path) -> FileIO:
     except PermissionError:
         if not path.exists():
             raise
-        return FileIO(path, "r")  # of another user; it can be locked nevertheless
+        return FileIO(path, "r")  # another user's, which can be locked nevertheless
 
 
 def _still_there(stream: FileIO, path: Path) -> bool:

@@ -1,6 +1,6 @@
-"""The size that an image file states in its header, read before anything is decoded.
+"""The size stated in the header of an image file, read before anything is decoded.
 
-A PNG of 65 bytes may state any size, and OpenCV allocates up to a thousand megapixels before it reads on.
+A PNG of 65 bytes may state any size, and OpenCV allocates up to a thousand megapixels before it reads further.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257
 
 
 def stated_size(data: bytes) -> Size | None:
-    """Width and height in pixels of a PNG, JPEG, BMP, TIFF, WebP, PGM or PPM; None if `data` is anything else."""
+    """Width and height in pixels of a PNG, JPEG, BMP, TIFF, WebP, PGM or PPM file; None for any other `data`."""
     for start, read in _READERS:
         if data.startswith(start):
             try:

@@ -1,4 +1,4 @@
-"""Serialisation of presets, which are checked as a whole before use, and names of their files."""
+"""Reading and writing of presets, which are checked as a whole before use, and their file names."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ SUFFIX = ".json"
 _FORMAT = "facemime-preset"
 _FORBIDDEN = frozenset('<>:"/\\|?*')
 _DEVICES = frozenset({"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))})
-"""Names that Windows reserves, with any suffix."""
+"""Names that Windows reserves, whatever the suffix."""
 _MAX_NAME = 200
-"""Bytes of a name, which with suffix and temporary prefix fit into the 255 bytes of file systems."""
+"""Largest length of a name in bytes. With suffix and temporary prefix it fits into the 255 bytes of file systems."""
 
 
 Settings = Mapping[str, Mapping[str, Setting]]
@@ -24,7 +24,7 @@ Values = dict[str, dict[str, Any]]
 
 
 def to_json(values: Values) -> str:
-    """Serialise a preset: the values of the settings of each group."""
+    """Serialise a preset: the values of its settings, by group."""
     return json.dumps({"format": _FORMAT} | values, indent=2) + "\n"
 
 
@@ -41,7 +41,7 @@ def from_json(text: str, known: Settings) -> Values:
     Returns
     -------
     dict of str to dict
-        Values of the known settings that the preset contains, checked.
+        The checked values of those known settings that the preset contains.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def from_json(text: str, known: Settings) -> Values:
     try:
         data = as_object(parse_json(text), "the text")
         if data.get("format") != _FORMAT:
-            raise ValueError("it has another format")
+            raise ValueError("its format is different")
         if not data.keys() & known.keys():
             raise ValueError("it has no settings")
         return {
@@ -64,17 +64,17 @@ def from_json(text: str, known: Settings) -> Values:
 
 
 def file_name(name: str) -> str:
-    """File name of the preset `name`, the same on every system.
+    """Return the file name of the preset `name`, which is the same on every system.
 
     Raises
     ------
     OutputError
-        If it cannot be the name of a file.
+        If no file can have that name.
     """
     clean = name.strip()
     odd = any(letter in _FORBIDDEN or not letter.isprintable() for letter in clean)
     if not clean or odd or clean[0] == "." or clean[-1] == "." or clean.split(".")[0].strip().lower() in _DEVICES:
-        raise OutputError(f"{shown(name)} cannot be the name of a preset. Use letters, digits and spaces.")
+        raise OutputError(f"{shown(name)} cannot be used as the name of a preset. Use letters, digits and spaces.")
     if len(clean.encode()) > _MAX_NAME:
-        raise OutputError(f"{shown(name)} cannot be the name of a preset: it is too long. Use a shorter one.")
+        raise OutputError(f"{shown(name)} cannot be used as the name of a preset: it is too long. Use a shorter one.")
     return clean + SUFFIX

@@ -1,4 +1,4 @@
-"""Safe reading of untrusted files and JSON: within bounds, and every problem of their form is a `ValueError`."""
+"""Reading of untrusted files and JSON within bounds; every fault in their content is a `ValueError`."""
 
 from __future__ import annotations
 
@@ -9,36 +9,37 @@ from pathlib import Path
 from typing import Any
 
 MAX_TEXT = 8 << 20
-"""Upper bound of a JSON file in bytes: eighty times the largest that is written."""
+"""Largest size of a JSON file in bytes: eighty times the largest that is written."""
 _DIGITS = 18
 _PIECE = 1 << 20
 
 
-def read_bytes(path: Path, most: int) -> bytes:
+def read_bytes(path: Path, limit: int) -> bytes:
     """Return the content of a file of limited size.
 
     Parameters
     ----------
     path : Path
-    most : int
+        The file.
+    limit : int
         Largest size in bytes.
 
     Raises
     ------
     ValueError
-        If it is larger.
+        If the file is larger.
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     """
     pieces, length = [], 0
     with open(path, "rb") as stream:
-        # Not `read(most)`, which would allocate that memory at once; the stated size of a pipe is 0.
-        wanted = min(os.fstat(stream.fileno()).st_size, most) + 1
+        # Not `read(limit)`, which would allocate that memory at once; the stated size of a pipe is 0.
+        wanted = min(os.fstat(stream.fileno()).st_size, limit) + 1
         while piece := stream.read(wanted):
             pieces.append(piece)
             length, wanted = length + len(piece), _PIECE
-            if length > most:
-                raise ValueError(f"it is larger than {most >> 20} MB")
+            if length > limit:
+                raise ValueError(f"it is larger than {limit >> 20} MB")
     return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
 
@@ -58,7 +59,7 @@ def parse_json(text: str | bytes, *, nan: bool = False) -> Any:
     text : str or bytes
         The text.
     nan : bool
-        Whether numbers may be NaN, which Python writes though JSON has none.
+        Whether numbers may be NaN, which JSON does not have but Python writes.
 
     Returns
     -------
@@ -68,7 +69,7 @@ def parse_json(text: str | bytes, *, nan: bool = False) -> Any:
     Raises
     ------
     ValueError
-        If it is not JSON, is nested too deeply, or has a number that is too large or infinite.
+        If the text is not JSON, is nested too deeply, or contains a number that is too large or infinite.
     """
     try:
         return json.loads(text, parse_int=_whole, parse_float=_real, parse_constant=_nan if nan else _refused)
@@ -81,7 +82,7 @@ def parse_json(text: str | bytes, *, nan: bool = False) -> Any:
 
 
 def as_number(value: Any, name: str, low: float, high: float) -> float:
-    """Check that a value is a number within a range.
+    """Return `value` if it is a number within a range.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ def as_number(value: Any, name: str, low: float, high: float) -> float:
     name : str
         Its name, for messages.
     low, high : float
-        Range, both included.
+        Range, both ends included.
 
     Returns
     -------
@@ -100,45 +101,123 @@ def as_number(value: Any, name: str, low: float, high: float) -> float:
     Raises
     ------
     ValueError
-        If it is anything else.
+        If the value is anything else.
     """
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
         raise ValueError(f"{name} is {shown(value)}, not a number from {low:g} to {high:g}")
     return float(value)
 
 
-def as_whole(value: Any, name: str, low: int, high: int) -> int:
-    """As `as_number`, for an integer."""
+def as_integer(value: Any, name: str, low: int, high: int) -> int:
+    """Return `value` if it is an integer within a range.
+
+    Parameters
+    ----------
+    value : object
+        The value.
+    name : str
+        Its name, for messages.
+    low, high : int
+        Range, both ends included.
+
+    Returns
+    -------
+    int
+        The integer.
+
+    Raises
+    ------
+    ValueError
+        If the value is anything else.
+    """
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
         raise ValueError(f"{name} is {shown(value)}, not a whole number from {low} to {high}")
     return value
 
 
-def as_text(value: Any, name: str, most: int = 200) -> str:
-    """As `as_number`, for a text of at most `most` characters."""
-    if not isinstance(value, str) or len(value) > most:
-        raise ValueError(f"{name} is {shown(value)}, not a text of at most {most} letters")
-    if any("\ud800" <= letter <= "\udfff" for letter in value):  # valid in JSON, but not in files or in Blender
+def as_text(value: Any, name: str, limit: int = 200) -> str:
+    """Return `value` if it is a text of limited length.
+
+    Parameters
+    ----------
+    value : object
+        The value.
+    name : str
+        Its name, for messages.
+    limit : int
+        Largest number of characters.
+
+    Returns
+    -------
+    str
+        The text.
+
+    Raises
+    ------
+    ValueError
+        If the value is anything else, or contains unpaired surrogates.
+    """
+    if not isinstance(value, str) or len(value) > limit:
+        raise ValueError(f"{name} is {shown(value)}, not a text of at most {limit} characters")
+    if any("\ud800" <= letter <= "\udfff" for letter in value):  # valid in JSON, but neither in files nor in Blender
         raise ValueError(f"{name} is {shown(value)}, which has invalid characters")
     return value
 
 
-def as_list(value: Any, name: str, most: int) -> list[Any]:
-    """As `as_number`, for a list of at most `most` items."""
-    if not isinstance(value, list) or len(value) > most:
-        raise ValueError(f"{name} is {shown(value)}, not a list of at most {most} items")
+def as_list(value: Any, name: str, limit: int) -> list[Any]:
+    """Return `value` if it is a list of limited length.
+
+    Parameters
+    ----------
+    value : object
+        The value.
+    name : str
+        Its name, for messages.
+    limit : int
+        Largest number of items.
+
+    Returns
+    -------
+    list
+        The list.
+
+    Raises
+    ------
+    ValueError
+        If the value is anything else.
+    """
+    if not isinstance(value, list) or len(value) > limit:
+        raise ValueError(f"{name} is {shown(value)}, not a list of at most {limit} items")
     return value
 
 
 def as_object(value: Any, name: str) -> dict[str, Any]:
-    """As `as_number`, for a JSON object."""
+    """Return `value` if it is a JSON object.
+
+    Parameters
+    ----------
+    value : object
+        The value.
+    name : str
+        Its name, for messages.
+
+    Returns
+    -------
+    dict
+        The object.
+
+    Raises
+    ------
+    ValueError
+        If the value is anything else.
+    """
     if not isinstance(value, dict):
         raise ValueError(f"{name} is {shown(value)}, not an object")
     return value
 
 
 def shown(value: Any) -> str:
-    """Representation of `value` for a message, shortened if long."""
+    """Return the representation of `value` for a message, shortened if long."""
     text = repr(value)
     return text if len(text) <= 40 else f"{text[:37]}..."
 

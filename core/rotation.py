@@ -10,12 +10,12 @@ from .arrays import FloatArray
 
 
 def euler_to_matrix(pitch: float, yaw: float, roll: float) -> FloatArray:
-    """Rotation matrix of Euler angles, ``R = Rz(roll) Ry(yaw) Rx(pitch)``.
+    """Return the rotation matrix of Euler angles, ``R = Rz(roll) Ry(yaw) Rx(pitch)``.
 
     Parameters
     ----------
     pitch, yaw, roll : float
-        Radians.
+        Angles in radians; positive pitch looks down, positive yaw turns to the viewer's left.
 
     Returns
     -------
@@ -33,7 +33,7 @@ def euler_to_matrix(pitch: float, yaw: float, roll: float) -> FloatArray:
 
 
 def matrix_to_euler(rotation: FloatArray) -> tuple[float, float, float]:
-    """Euler angles (pitch, yaw, roll) with |yaw| <= pi / 2 of a rotation, (3, 3); the inverse of `euler_to_matrix`."""
+    """Return pitch, yaw and roll, |yaw| <= pi / 2, of a rotation, (3, 3); the inverse of `euler_to_matrix`."""
     yaw = np.arctan2(-rotation[2, 0], np.hypot(rotation[2, 1], rotation[2, 2]))
     pitch = np.arctan2(rotation[2, 1], rotation[2, 2])
     roll = np.arctan2(rotation[1, 0], rotation[0, 0])
@@ -41,24 +41,24 @@ def matrix_to_euler(rotation: FloatArray) -> tuple[float, float, float]:
 
 
 def from_face_axes(x: float, y: float, z: float) -> FloatArray:
-    """Convert angles about the axes of ARKit's face anchor: to the viewer's right, up and towards the viewer.
+    """Convert angles about the axes of ARKit's face anchor: to the viewer's right, up, and towards the viewer.
 
     Parameters
     ----------
     x, y, z : float
-        Radians; the head turns about z first, then x, then y.
+        Angles in radians; the head turns about z first, then x, then y.
 
     Returns
     -------
     (3,) float64
-        Pitch, yaw and roll, as `euler_to_matrix` takes them.
+        Pitch, yaw and roll in radians, as for `euler_to_matrix`.
     """
     turn = euler_to_matrix(0.0, -y, 0.0) @ euler_to_matrix(x, 0.0, 0.0) @ euler_to_matrix(0.0, 0.0, -z)
     return np.array(matrix_to_euler(turn))
 
 
 def to_face_axes(rotation: FloatArray) -> tuple[float, float, float]:
-    """Angles (x, y, z), radians, of which `from_face_axes` makes `rotation`, (3,) pitch, yaw and roll."""
+    """Return the angles (x, y, z) in radians that `from_face_axes` converts to `rotation`, (3,) pitch, yaw and roll."""
     turn = euler_to_matrix(*rotation)
     x = float(np.arctan2(-turn[1, 2], np.hypot(turn[1, 0], turn[1, 1])))
     return x, -float(np.arctan2(turn[0, 2], turn[2, 2])), -float(np.arctan2(turn[1, 0], turn[1, 1]))
@@ -94,7 +94,7 @@ def mix_rotations(first: FloatArray, second: FloatArray, share: FloatArray) -> F
     Parameters
     ----------
     first, second : (N, 3) float64
-        `(pitch, yaw, roll)` in radians.
+        Position between the two: 0 gives `first`, 1 gives `second`.
     share : (N,) float64
         0 gives `first`, 1 gives `second`.
 
@@ -111,7 +111,7 @@ def mix_rotations(first: FloatArray, second: FloatArray, share: FloatArray) -> F
     cosine = (a * b).sum(axis=1)
     b = np.where(cosine[:, None] < 0.0, -b, b)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    near = angle < 1e-6  # where the ratio of sines is the share
+    near = angle < 1e-6  # here the ratio of the sines tends to the share
     sine = np.where(near, 1.0, np.sin(angle))
     of_a = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / sine)
     of_b = np.where(near, share, np.sin(share * angle) / sine)
@@ -124,7 +124,7 @@ def mix_rotations(first: FloatArray, second: FloatArray, share: FloatArray) -> F
 
 
 def _quaternions(angles: FloatArray) -> FloatArray:
-    """(N, 4) unit quaternions (w, x, y, z) of (N, 3) pitch, yaw, roll."""
+    """Unit quaternions (w, x, y, z), (N, 4), of pitch, yaw and roll, (N, 3)."""
     (cp, cy, cr), (sp, sy, sr) = np.cos(angles / 2.0).T, np.sin(angles / 2.0).T
     return np.stack(
         [

@@ -11,15 +11,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeVar
 
-from .reading import as_number, as_whole, shown
+from .reading import as_integer, as_number, shown
 
 Group = TypeVar("Group")
 Unit = Literal["", "percent", "angle", "seconds"]
 
 
 class Choice(NamedTuple):
-    """One of the values of a setting, with its label and tooltip in a menu, and the number that a .blend file stores;
-    by default its place among the values.
+    """A value of an enumerated setting.
+
+    Attributes
+    ----------
+    value : str
+        The value.
+    label, description : str
+        Text of the menu item and of its tooltip.
+    number : int
+        Number that a .blend file stores; by default the position among the choices.
     """
 
     value: str
@@ -30,14 +38,14 @@ class Choice(NamedTuple):
 
 @dataclass(frozen=True)
 class Setting:
-    """The values that a field of a group can have, and the text that describes it to users.
+    """The values that a field of a group can have, and the texts that describe it to users.
 
     Attributes
     ----------
     default : bool, int, float or str
         Default value, in the unit of the field.
     label, description : str
-        Text of the button and of its tooltip.
+        Text of the button, and its tooltip.
     low, high : float or None
         Range of a number, in the unit of the field.
     soft_high : float or None
@@ -59,7 +67,7 @@ class Setting:
 
     @property
     def scale(self) -> float:
-        """Factor from the value of the field to the number that users see."""
+        """Factor from the value of the field to the number that the user sees."""
         return 100.0 if self.unit == "percent" else 1.0
 
     @property
@@ -87,7 +95,7 @@ class Setting:
             value = as_number(value, name, low - _ROUNDING * abs(low), high + _ROUNDING * abs(high))
             return min(max(value, low), high)
         if self.kind is int:
-            return as_whole(value, name, *(int(end) for end in self._range()))
+            return as_integer(value, name, *(int(end) for end in self._range()))
         if type(value) is not self.kind or (self.choices and value not in self.values):
             raise ValueError(f"{name} cannot be {shown(value)}")
         return value
@@ -104,7 +112,7 @@ class Setting:
 
 _UNBOUNDED = 1e9
 _ROUNDING = 1e-6
-"""Relative tolerance at the ends of a range: Blender stores numbers with seven digits."""
+"""Relative tolerance at the ends of a range, as Blender stores numbers with seven digits."""
 
 
 def setting(default: Any, label: str, description: str = "", **more: Any) -> Any:
@@ -113,7 +121,7 @@ def setting(default: Any, label: str, description: str = "", **more: Any) -> Any
     Parameters
     ----------
     default, label, description, **more
-        Attributes of `Setting`.
+        Attributes of the `Setting`.
     """
     metadata = {"setting": Setting(default, label, description, **more)}
     return dataclasses.field(default=default, metadata=metadata)
@@ -125,7 +133,7 @@ def settings_of(group: type) -> Mapping[str, Setting]:
 
 
 def changed(group: Any) -> Iterator[tuple[str, Setting, Any]]:
-    """Yield name, setting and value of all settings that differ from their defaults, including nested groups."""
+    """Yield name, setting and value of every setting that differs from its default, including nested groups."""
     for field in dataclasses.fields(group):
         value = getattr(group, field.name)
         if "setting" in field.metadata:

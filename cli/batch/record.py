@@ -7,7 +7,7 @@ import binascii
 from pathlib import PurePath
 from typing import Any
 
-from ...core.reading import as_list, as_number, as_object, as_whole, shown
+from ...core.reading import as_integer, as_list, as_number, as_object, shown
 
 _MOST_FRAMES, _MOST_SECONDS = 2**31, 1e9
 _MOST_OUTPUTS, _MOST_POINTS, _MOST_PICTURES = 16, 1000, 16
@@ -25,11 +25,11 @@ def checked_record(data: Any) -> dict[str, Any]:
     record: dict[str, Any] = {
         "clip": _name(given.get("clip")),
         "outputs": [_name(name) for name in as_list(given.get("outputs"), "outputs", _MOST_OUTPUTS)],
-        "frames": as_whole(given.get("frames"), "frames", 1, _MOST_FRAMES),
+        "frames": as_integer(given.get("frames"), "frames", 1, _MOST_FRAMES),
     }
     if not record["outputs"]:
         raise ValueError("it names no outputs")
-    record["found"] = as_whole(given.get("found"), "found", 0, record["frames"])
+    record["found"] = as_integer(given.get("found"), "found", 0, record["frames"])
     for name in ("length", "seconds"):
         record[name] = as_number(given.get(name), name, 0.0, _MOST_SECONDS)
     curve = as_list(given.get("confidence"), "confidence", _MOST_POINTS)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..actions import N_ACTIONS
-from ..archives import Archive, shipped
+from ..archives import Archive, open_shipped
 from ..arrays import FloatArray
 from ..assets import ASSETS
 from ..coefficient_names import FITTED
@@ -76,15 +76,15 @@ def load_coefficient_model(path: Path = COEFFICIENT_FILE) -> CoefficientModel:
         If the file is missing, damaged, or of another version.
     """
     count = len(FITTED)
-    with shipped(path, FORMAT) as archive:
+    with open_shipped(path, FORMAT) as archive:
         return CoefficientModel(
-            responses=archive.reals("responses", (count, N_OBSERVED)),
+            responses=archive.floats("responses", (count, N_OBSERVED)),
             frame=_spread(archive, "frame"),
             neutral=_spread(archive, "neutral"),
-            together=archive.reals("together", (count, count)),
-            gains=archive.reals("gains", (count,)),
+            together=archive.floats("together", (count, count)),
+            gains=archive.floats("gains", (count,)),
         )
 
 
 def _spread(archive: Archive, name: str) -> Spread:
-    return Spread(archive.reals(f"{name}.modes", (None, N_OBSERVED)), archive.reals(f"{name}.rest", (N_OBSERVED,)))
+    return Spread(archive.floats(f"{name}.modes", (None, N_OBSERVED)), archive.floats(f"{name}.rest", (N_OBSERVED,)))

@@ -139,7 +139,7 @@ def from_json(text: str) -> KeyMap:
     try:
         data = as_object(parse_json(text), "the text")
         if data.get("format") != _FORMAT:
-            raise ValueError("it has another format")
+            raise ValueError("its format is different")
         rows = as_list(data.get("rows"), "rows", _MAX_ROWS)
         return KeyMap(as_text(data.get("name"), "name"), tuple(_row(as_object(row, "a row")) for row in rows))
     except ValueError as error:

@@ -18,7 +18,7 @@ from ..errors import HeadError, SourceError
 from ..heads.regions import REGIONS
 from ..heads.rig import HeadRig
 from ..landmarks import IBUG68_INDICES, N_LANDMARKS, from_ibug
-from ..reading import as_list, as_number, as_object, as_text, as_whole, parse_json, shown
+from ..reading import as_integer, as_list, as_number, as_object, as_text, parse_json, shown
 from ..takes.neutral import Neutral, calibrate
 from ..takes.take import Take
 from .greedy import GreedySelection, GreedyStep, greedy_select
@@ -122,7 +122,7 @@ def from_json(text: str) -> GreedySelection:
     try:
         data = as_object(parse_json(text, nan=True), "the text")
         if data.get("format") != _FORMAT:
-            raise ValueError("it has another format")
+            raise ValueError("its format is different")
         steps = as_list(data.get("steps"), "steps", _MOST_STEPS)
         reached = data.get("reached")
         if not isinstance(reached, bool):
@@ -154,7 +154,7 @@ def _members(regions: Any) -> NDArray[np.bool_]:
 
 
 def _landmark(number: Any) -> int:
-    return int(from_ibug([as_whole(number, "a landmark", 0, 67)])[0])
+    return int(from_ibug([as_integer(number, "a landmark", 0, 67)])[0])
 
 
 def _covariance(triangle: Any) -> FloatArray | None:
@@ -181,11 +181,11 @@ def _step(data: dict[str, Any]) -> GreedyStep:
     return GreedyStep(
         action=data["action"],
         landmark=_landmark(data.get("landmark")),
-        region=as_whole(data.get("region"), "the region of a step", 0, len(REGIONS) - 1),
+        region=as_integer(data.get("region"), "the region of a step", 0, len(REGIONS) - 1),
         reason=as_text(data.get("reason"), "the reason of a step"),
-        points=as_whole(data.get("points"), "the points of a step", 0, N_LANDMARKS),
+        points=as_integer(data.get("points"), "the points of a step", 0, N_LANDMARKS),
         error=nan if unknown else as_number(error, "the error of a step", 0.0, _LARGEST_ERROR),
-        frame=as_whole(data.get("frame"), "the frame of a step", 0, 2**31),
+        frame=as_integer(data.get("frame"), "the frame of a step", 0, 2**31),
         worst=_landmark(data.get("worst")),
     )
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..archives import shipped
+from ..archives import open_shipped
 from ..arrays import FloatArray, IntArray
 from ..assets import ASSETS
 from ..heads.built_in import load_head
@@ -188,13 +188,13 @@ def load_expressions(path: Path = EXPRESSIONS_FILE) -> ExpressionModel:
     ModelError
         If the file is missing, damaged, or of another version.
     """
-    with shipped(path, FORMAT) as archive:
-        places = archive.reals("places", (None, 3), np.float32)
+    with open_shipped(path, FORMAT) as archive:
+        places = archive.floats("places", (None, 3), np.float32)
         return ExpressionModel(
             places=places,
-            sides=archive.reals("sides", (len(places), 3), np.float32),
-            features=archive.reals("features", (len(places), None), np.float32),
-            landmarks=archive.reals("landmarks", (N_LANDMARKS, 3), np.float32),
+            sides=archive.floats("sides", (len(places), 3), np.float32),
+            features=archive.floats("features", (len(places), None), np.float32),
+            landmarks=archive.floats("landmarks", (N_LANDMARKS, 3), np.float32),
         )
 
 

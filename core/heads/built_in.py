@@ -136,13 +136,13 @@ def _read(path: Path) -> Head:
 
 
 def _head(archive: Archive) -> Head:
-    vertices = archive.reals("vertices", (None, 3), np.float32)
+    vertices = archive.floats("vertices", (None, 3), np.float32)
     count = len(vertices)
     names = archive.texts("unit_names")
-    landmarks = archive.wholes("landmarks", (N_LANDMARKS,), 0, count - 1)
+    landmarks = archive.integers("landmarks", (N_LANDMARKS,), 0, count - 1)
     if len(np.unique(vertices[landmarks], axis=0)) != N_LANDMARKS:
         raise ValueError("two landmarks coincide")
-    regions = archive.reals("regions", (len(REGION_NAMES), count), np.float32)
+    regions = archive.floats("regions", (len(REGION_NAMES), count), np.float32)
     if regions.min() < 0.0 or regions.sum(axis=0).max() > 1.0 + _ROUNDING:
         raise ValueError("regions has weights outside 0 to 1")
     faces, uv = _faces(archive, "", count)
@@ -153,29 +153,29 @@ def _head(archive: Archive) -> Head:
         landmarks=landmarks,
         regions=regions,
         unit_names=names,
-        units=archive.reals("units", (len(names), count, 3), np.float32),
+        units=archive.floats("units", (len(names), count, 3), np.float32),
         parts=tuple(_part(name, len(names), archive) for name in PART_NAMES),
-        jaw_pivot=archive.reals("jaw_pivot", (3,), np.float32),
+        jaw_pivot=archive.floats("jaw_pivot", (3,), np.float32),
     )
 
 
 def _part(name: str, unit_count: int, archive: Archive) -> HeadPart:
-    vertices = archive.reals(f"{name}.vertices", (None, 3), np.float32)
+    vertices = archive.floats(f"{name}.vertices", (None, 3), np.float32)
     faces, uv = _faces(archive, f"{name}.", len(vertices))
     return HeadPart(
         name=name,
         vertices=vertices,
         faces=faces,
         uv=uv,
-        pivot=archive.reals(f"{name}.pivot", (3,), np.float32),
-        units=archive.reals(f"{name}.units", (unit_count, len(vertices), 3), np.float32),
+        pivot=archive.floats(f"{name}.pivot", (3,), np.float32),
+        units=archive.floats(f"{name}.units", (unit_count, len(vertices), 3), np.float32),
     )
 
 
 def _faces(archive: Archive, prefix: str, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Faces, checked not to be degenerate, and the texture coordinates of their corners."""
-    faces = archive.wholes(f"{prefix}faces", (None, 4), -1, count - 1)
+    faces = archive.integers(f"{prefix}faces", (None, 4), -1, count - 1)
     ordered = np.sort(faces, axis=1)
     if (faces[:, :3] < 0).any() or (ordered[:, 1:] == ordered[:, :-1]).any():
         raise ValueError(f"{prefix}faces has a degenerate face")
-    return faces.astype(np.int32), archive.reals(f"{prefix}uv", (len(faces), 4, 2), np.float32)
+    return faces.astype(np.int32), archive.floats(f"{prefix}uv", (len(faces), 4, 2), np.float32)

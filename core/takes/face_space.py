@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..archives import shipped
+from ..archives import open_shipped
 from ..arrays import FloatArray
 from ..assets import ASSETS
 from ..landmarks import BROWS, JAW, N_LANDMARKS
@@ -170,9 +170,9 @@ def load_face_space() -> FaceSpace:
     ModelError
         If the file is missing, damaged, or of another version.
     """
-    with shipped(FACE_SPACE_FILE, FORMAT) as archive:
+    with open_shipped(FACE_SPACE_FILE, FORMAT) as archive:
         return FaceSpace(
-            mean=archive.reals("mean", (N_LANDMARKS, 3)),
-            identity=archive.reals("identity", (None, N_LANDMARKS, 3)),
-            units=archive.reals("units", (None, N_LANDMARKS, 3)),
+            mean=archive.floats("mean", (N_LANDMARKS, 3)),
+            identity=archive.floats("identity", (None, N_LANDMARKS, 3)),
+            units=archive.floats("units", (None, N_LANDMARKS, 3)),
         )

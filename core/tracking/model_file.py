@@ -116,17 +116,17 @@ def _pack_patches(patches: tuple[PatchExperts, PatchExperts]) -> dict[str, NDArr
 
 
 def _unpack_patches(name: str, archive: Archive) -> PatchExperts:
-    (scale,) = archive.reals("patch_scale", ()).reshape(1).tolist()
+    (scale,) = archive.floats("patch_scale", ()).reshape(1).tolist()
     if not 1.0 <= scale <= _LARGEST_SIDE:
         raise ValueError(f"patch_scale is not within 1 to {_LARGEST_SIDE}")
-    step = archive.reals(f"{name}_step", (N_LANDMARKS, None), np.float32)
+    step = archive.floats(f"{name}_step", (N_LANDMARKS, None), np.float32)
     units = step.shape[1]
     if float(np.abs(step).max(initial=0.0)) > _HEAVIEST:
         raise ValueError(f"{name}_step is above {_HEAVIEST:g}")
-    hidden = archive.reals(f"{name}_hidden", (N_LANDMARKS, PATCH * PATCH, units), np.float32) * step[:, None]
+    hidden = archive.floats(f"{name}_hidden", (N_LANDMARKS, PATCH * PATCH, units), np.float32) * step[:, None]
     hidden -= hidden.mean(axis=1, keepdims=True)
     bias, output, output_bias = (
-        archive.reals(f"{name}_{part}", shape, np.float32)
+        archive.floats(f"{name}_{part}", shape, np.float32)
         for part, shape in (
             ("hidden_bias", (N_LANDMARKS, units)),
             ("output", (N_LANDMARKS, units)),
@@ -233,10 +233,10 @@ def _checked_payload(path: Path) -> tuple[bytes, bytes]:
 
 def _assemble(archive: Archive, model_id: str) -> TrackerModel:
     face, glance = (_face(i, archive) for i in range(2))
-    visibility = archive.reals("visibility", (2, N_LANDMARKS))
+    visibility = archive.floats("visibility", (2, N_LANDMARKS))
     if visibility.min() < 0.0 or visibility.max() > 1.0:
         raise ValueError("visibility is not within 0 to 1")
-    box_offset = archive.reals("box_offset", (len(DETECTORS), 3))
+    box_offset = archive.floats("box_offset", (len(DETECTORS), 3))
     if not (box_offset[:, 2] > 0.0).all():
         raise ValueError("box_offset has a scale that is not positive")
     return TrackerModel(
@@ -249,7 +249,7 @@ def _assemble(archive: Archive, model_id: str) -> TrackerModel:
         definition=_places("definition", archive),
         visibility=visibility,
         box_offset=box_offset,
-        check=FaceCheck(archive.reals("check_weights", (N_FEATURES,))),
+        check=FaceCheck(archive.floats("check_weights", (N_FEATURES,))),
         detector=_detector(archive),
         model_id=model_id,
     )
@@ -257,7 +257,7 @@ def _assemble(archive: Archive, model_id: str) -> TrackerModel:
 
 def _places(name: str, archive: Archive, *more: int | None) -> FloatArray:
     """(66, 3, ...) positions or displacements in the head frame."""
-    places = archive.reals(name, (N_LANDMARKS, 3, *more))
+    places = archive.floats(name, (N_LANDMARKS, 3, *more))
     if np.abs(places).max(initial=0.0) > _FARTHEST:
         raise ValueError(f"{name} is outside any head")
     return places
@@ -265,7 +265,7 @@ def _places(name: str, archive: Archive, *more: int | None) -> FloatArray:
 
 def _pdm(archive: Archive) -> PointDistributionModel:
     mean, basis = _places("mean_shape", archive), _places("basis", archive, None)
-    eigenvalues = archive.reals("eigenvalues", (basis.shape[2],))
+    eigenvalues = archive.floats("eigenvalues", (basis.shape[2],))
     if not 1 <= len(eigenvalues) <= _MOST_MODES or not (eigenvalues > 0.0).all():
         raise ValueError(f"eigenvalues are not 1 to {_MOST_MODES} positive numbers")
     if not 0.5 < outer_eye_distance(mean) < 2.0:
@@ -274,14 +274,14 @@ def _pdm(archive: Archive) -> PointDistributionModel:
 
 
 def _scales(name: str, count: int | None, archive: Archive) -> list[float]:
-    scales = archive.reals(name, (count,))
+    scales = archive.floats(name, (count,))
     if not ((scales >= 1.0) & (scales <= _LARGEST_SIDE)).all():
         raise ValueError(f"{name} is not within 1 to {_LARGEST_SIDE}")
     return [float(scale) for scale in scales]
 
 
 def _face(place: int, archive: Archive) -> FaceExperts:
-    size = int(archive.wholes("face_sizes", (2,), 16, _LARGEST_SIDE)[place])
+    size = int(archive.integers("face_sizes", (2,), 16, _LARGEST_SIDE)[place])
     network = Network(archive.data(f"face_{place}_network"), "maps", "face")
     if size % 16:
         raise ValueError(f"face_sizes has {size}, which is not a multiple of 16")
@@ -312,7 +312,7 @@ def _actions(archive: Archive) -> tuple[ActionExperts, ...]:
     parts = []
     for i, seen in enumerate(_seen_parts("action", archive)):
         landmarks, _, size, _ = seen
-        actions = archive.wholes(f"action_{i}_actions", (None,), 0, N_ACTIONS - 1)
+        actions = archive.integers(f"action_{i}_actions", (None,), 0, N_ACTIONS - 1)
         network = Network(archive.data(f"action_{i}_network"), "actions")
         if not len(landmarks) or not len(actions):
             raise ValueError(f"part {i} has no landmarks or no actions")
@@ -326,8 +326,8 @@ def _seen_parts(kind: str, archive: Archive) -> Iterator[tuple[IntArray, float, 
     scales = _scales(f"{kind}_scales", None, archive)
     if not 1 <= len(scales) <= _MOST_PARTS:
         raise ValueError(f"{kind}_scales has {len(scales)} parts, not 1 to {_MOST_PARTS}")
-    sizes = archive.wholes(f"{kind}_sizes", (len(scales), 2), 8, _LARGEST_SIDE)
+    sizes = archive.integers(f"{kind}_sizes", (len(scales), 2), 8, _LARGEST_SIDE)
     paired = archive.flags(f"{kind}_paired", (len(scales),)).tolist()
     for i, (width, height) in enumerate(sizes.tolist()):
-        landmarks = archive.wholes(f"{kind}_{i}_landmarks", (None,), 0, N_LANDMARKS - 1)
+        landmarks = archive.integers(f"{kind}_{i}_landmarks", (None,), 0, N_LANDMARKS - 1)
         yield landmarks, scales[i], (width, height), paired[i]

@@ -44,11 +44,11 @@ def test_archives_of_numpy_are_read():
         "none": np.empty((0, 3)),
     }
     archive = read_archive(packed(**arrays, raw=np.frombuffer(b"net", np.uint8)))
-    np.testing.assert_array_equal(archive.reals("a", (None, 4)), arrays["a"])
-    np.testing.assert_array_equal(archive.wholes("b", (2, 3), 0, 5), arrays["b"])
+    np.testing.assert_array_equal(archive.floats("a", (None, 4)), arrays["a"])
+    np.testing.assert_array_equal(archive.integers("b", (2, 3), 0, 5), arrays["b"])
     assert archive.text("name") == "head" and archive.texts("names") == ("x", "yy")
     assert archive.flags("on", (1,)).tolist() == [True] and archive.data("raw") == b"net"
-    assert archive.reals("none", (None, 3)).shape == (0, 3)
+    assert archive.floats("none", (None, 3)).shape == (0, 3)
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_other_files_duplicates_and_too_many_members_are_refused():
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_unusual_compression_is_refused(method):
-    with pytest.raises(ValueError, match="not compressed as by numpy"):
+    with pytest.raises(ValueError, match="compressed in a way that numpy does not use"):
         read_archive(zipped({"a.npy": npy(stated("<f4", "(1,)"), bytes(4))}, method))
 
 
@@ -138,12 +138,12 @@ def test_an_array_of_the_wrong_kind_is_refused():
         packed(a=np.array([1.0, np.nan]), i=np.array([7]), t=np.array(["x", "x"]), big=np.array([1e300]))
     )
     for ask, message in [
-        (lambda: archive.reals("b", (1,)), "b is missing"),
-        (lambda: archive.reals("a", (2,)), "not finite"),
-        (lambda: archive.reals("big", (1,), np.float32), "not finite"),
-        (lambda: archive.reals("i", (2,)), "shape"),
-        (lambda: archive.wholes("a", (2,), 0, 9), "type"),
-        (lambda: archive.wholes("i", (1,), 0, 6), "within 0 to 6"),
+        (lambda: archive.floats("b", (1,)), "b is missing"),
+        (lambda: archive.floats("a", (2,)), "not finite"),
+        (lambda: archive.floats("big", (1,), np.float32), "not finite"),
+        (lambda: archive.floats("i", (2,)), "shape"),
+        (lambda: archive.integers("a", (2,), 0, 9), "type"),
+        (lambda: archive.integers("i", (1,), 0, 6), "within 0 to 6"),
         (lambda: archive.flags("i", (1,)), "type"),
         (lambda: archive.data("i"), "type"),
         (lambda: archive.texts("t"), "duplicate"),

@@ -60,7 +60,7 @@ def test_a_truncated_picture_is_read_or_refused(suffix, tmp_path):
         try:
             assert read_image(tmp_path / "cut").size
         except SourceError as error:
-            assert "not a picture that can be read" in str(error)
+            assert "cannot be read as an image" in str(error)
 
 
 @pytest.mark.parametrize(("width", "height"), [(100_000, 100_000), (16_384, 16_384), (100_000, 10), (2**31 - 1, 1)])
@@ -81,7 +81,7 @@ def test_a_real_picture_that_is_too_wide_is_refused(tmp_path):
 )
 def test_files_that_are_not_pictures_are_refused(tmp_path, content):
     (tmp_path / "odd.png").write_bytes(content)
-    with pytest.raises(SourceError, match="not a picture that can be read"):
+    with pytest.raises(SourceError, match="cannot be read as an image"):
         read_image(tmp_path / "odd.png")
 
 

@@ -118,7 +118,7 @@ def test_a_preset_sets_only_what_it_contains():
     "name", ["", " ", ".", "a/b", "a\\b", "a:b", "x\ny", "x\ud800", "CON", "nul.txt", "end.", "x" * 201]
 )
 def test_names_that_are_invalid_on_any_system_are_refused(name):
-    with pytest.raises(OutputError, match="cannot be the name of a preset") as caught:
+    with pytest.raises(OutputError, match="cannot be used as the name of a preset") as caught:
         file_name(name)
     assert len(str(caught.value)) < 200
 
