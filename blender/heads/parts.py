@@ -67,7 +67,7 @@ def current_skin(obj: bpy.types.Object) -> Skin:
     landmarks = read_landmarks(obj)
     skin = skin_of_object(obj, read_kinds(obj.data) != Part.SKIN, landmarks)
     if (skin.number[landmarks] < 0).any():
-        raise HeadError("Landmarks lie on other parts than the skin. Set these parts to Skin, or bind again.")
+        raise HeadError("Landmarks lie on parts that are not skin. Set these parts to Skin, or find the face again.")
     return skin
 
 

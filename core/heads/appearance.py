@@ -1,4 +1,4 @@
-"""How a head looks where Blender does not draw it: faces, colours and images, and the parts that are attached to it."""
+"""Appearance of a head where Blender does not draw it: faces, colours, images, and the parts attached to it."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ _FINISH = {"skin": 0.46, "eye": 0.06, "teeth": 0.18, "tongue": 0.3}
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """A material.
+    """A surface material.
 
     Attributes
     ----------
     colour : (float, float, float)
         RGB, linear, 0 to 1.
     roughness : float
+        From 0 to 1.
     image : bytes
-        A PNG or JPEG that replaces the colour; empty for none.
+        A PNG or JPEG file that replaces the colour; empty for none.
     """
 
     colour: tuple[float, float, float] = (0.69, 0.45, 0.35)
@@ -41,11 +42,12 @@ class Material:
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """Faces of one surface.
+    """Faces of one material.
 
     Attributes
     ----------
     surface : Material
+        The material.
     faces : (F, K) int
         Vertices of each face, padded with -1.
     uv : (F, K, 2) float32 or None
@@ -57,14 +59,14 @@ class Patch:
     uv: NDArray[np.float32] | None = None
 
     def triangles(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Cut the faces into triangles, which run round as the faces do.
+        """Divide the faces into triangles of the same winding.
 
         Returns
         -------
         corners : (3 T,) int64
             Vertices of the triangles.
         uv : (3 T, 2) float64
-            Their texture coordinates; 0 without any.
+            Their texture coordinates; 0 if there are none.
         """
         faces = np.asarray(self.faces)
         uv = np.zeros((*faces.shape, 2)) if self.uv is None else np.asarray(self.uv)
@@ -79,19 +81,20 @@ class Patch:
 
 @dataclass(frozen=True, eq=False)
 class AttachedPart:
-    """A part that moves as a whole, beside the vertices of the rig.
+    """A rigid part that is attached to the head, beside the vertices of the rig.
 
     Attributes
     ----------
     follows : {"head", "jaw", "eye_right", "eye_left"}
+        What the part moves with.
     vertices : (N, 3) float32
         Head frame, unit of the mesh.
     pivot : (3,) float
-        About which it turns.
+        Centre of rotation, in the same frame.
     patches : tuple of Patch
-        Their faces index `vertices`.
+        Faces of the part, as indices into `vertices`.
     out : (N, 3) float32 or None
-        Displacements of a tongue that is put out.
+        Displacements of a tongue that is out in full; None for other parts.
     """
 
     follows: str
@@ -101,20 +104,21 @@ class AttachedPart:
     out: NDArray[np.float32] | None = None
 
     def posed(self, jaw: FloatArray, gaze: FloatArray, tongue: float) -> NDArray[np.float32]:
-        """Pose the vertices.
+        """Return the vertices of the part in a pose.
 
         Parameters
         ----------
         jaw : (3, 3) float64
+            Rotation of the jaw.
         gaze : (2, 3, 3) float64
-            Of the right and left eye.
+            Rotations of the right and the left eye.
         tongue : float
-            How far it is out.
+            How far the tongue is out, from 0 to 1.
 
         Returns
         -------
         (N, 3) float32
-            Head frame.
+            Positions, in the head frame.
         """
         turn = {"jaw": jaw, "eye_right": gaze[0], "eye_left": gaze[1]}.get(self.follows)
         rest = self.vertices if self.out is None else self.vertices + np.float32(tongue) * self.out
@@ -125,14 +129,16 @@ class AttachedPart:
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """A head as it is drawn.
+    """The surfaces of a head and of its attached parts.
 
     Attributes
     ----------
     name : str
+        Name of the head.
     patches : tuple of Patch
         Their faces index `HeadRig.all_vertices`.
     parts : tuple of AttachedPart
+        Attached parts.
     """
 
     name: str
@@ -140,7 +146,7 @@ class Appearance:
     parts: tuple[AttachedPart, ...] = ()
 
     def all_patches(self, count: int) -> list[Patch]:
-        """All patches, whose faces index the `count` vertices of the rig, then those of each part."""
+        """Return all patches, their faces indexing the `count` vertices of the rig followed by those of each part."""
         patches = list(self.patches)
         for part in self.parts:
             patches += [Patch(p.surface, np.where(p.faces >= 0, p.faces + count, -1), p.uv) for p in part.patches]
@@ -149,7 +155,7 @@ class Appearance:
 
 
 def built_in_appearance(name: str = "Facemime Head") -> Appearance:
-    """The built-in head with its eyes, teeth and tongue; ModelError if an image is missing."""
+    """Return the appearance of the built-in head with eyes, teeth and tongue; ModelError if an image is missing."""
     head = load_head()
     surfaces: dict[str, Material] = {}
 

@@ -1,8 +1,9 @@
-"""The built-in heads: 1,781 vertices with landmarks, regions and the 52 ARKit face units, and their parts.
+"""The built-in heads: 1,781 vertices with landmarks, regions, the 52 ARKit face units, and their parts.
 
-They are stored in `assets/head`, which `training/head` builds from CC0 data, and have the same faces and landmarks. The
-arrays in a file are the fields of `Head` and `HeadPart`, offsets as float16, those of a part prefixed with its name and
-a dot. *The* built-in head is the man's, on which everything is based that needs a known one.
+They are stored in `assets/head`, built by `training/head` from CC0 data, and share their faces and landmarks. The
+arrays in a file are the fields of `Head` and `HeadPart`, with displacements as float16; those of a part are prefixed
+with its name and a dot. "The built-in head" without further qualification is the man's, the reference for everything
+that needs a known head.
 """
 
 from __future__ import annotations
@@ -41,9 +42,9 @@ class HeadPart:
     vertices, faces, uv : (n, 3) float32, (f, 4) int32, (f, 4, 2) float32
         As in `Head`.
     pivot : (3,) float32
-        Centre of rotation: the centre of the eyeball, or the hinge of the jaw.
+        Centre of rotation: the centre of the eyeball, or a point on the hinge of the jaw.
     units : (U, n, 3) float32
-        Displacements of the vertices under each face unit, zero for most.
+        Displacements of the vertices under each face unit, zero for most units.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Head:
     Attributes
     ----------
     vertices : (V, 3) float32
+        Rest positions.
     faces : (F, 4) int32
         Vertices of each face, triangles padded with -1.
     uv : (F, 4, 2) float32
@@ -76,7 +78,7 @@ class Head:
     parts : tuple of HeadPart
         In the order of `PART_NAMES`.
     jaw_pivot : (3,) float32
-        A point on the axis of the jaw, which is parallel to x.
+        A point on the hinge of the jaw, whose axis is parallel to x.
     """
 
     vertices: NDArray[np.float32]
@@ -91,17 +93,17 @@ class Head:
 
 
 def load_head(path: Path | None = None) -> Head:
-    """Load the head at `path`, by default the built-in one; those that ship are read once.
+    """Load the head at `path`, by default the built-in one. Shipped heads are read once.
 
     Returns
     -------
     Head
-        Its arrays cannot be written to.
+        The head; its arrays are read-only.
 
     Raises
     ------
     ModelError
-        If the file is missing, damaged, or of another version.
+        If the file is missing, damaged, or of a different version.
     """
     path = HEAD_FILE if path is None else Path(path)
     return _shipped(path) if path in (HEAD_FILE, WOMAN_FILE) else _read(path)
@@ -122,7 +124,7 @@ def _read(path: Path) -> Head:
     except ValueError as error:
         raise ModelError(f"The head {path} is damaged ({error}). Reinstall Facemime.") from error
     if archive.text("format") != FORMAT:
-        raise ModelError(f"{path} is not a Facemime head of this version. Use a file that training/head built.")
+        raise ModelError(f"{path} is not a Facemime head of this version. Use a file built by training/head.")
     try:
         head = _head(archive)
     except ValueError as error:
@@ -173,7 +175,7 @@ def _part(name: str, unit_count: int, archive: Archive) -> HeadPart:
 
 
 def _faces(archive: Archive, prefix: str, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Faces, checked not to be degenerate, and the texture coordinates of their corners."""
+    """Read faces, none of which may be degenerate, and the texture coordinates of their corners."""
     faces = archive.integers(f"{prefix}faces", (None, 4), -1, count - 1)
     ordered = np.sort(faces, axis=1)
     if (faces[:, :3] < 0).any() or (ordered[:, 1:] == ordered[:, :-1]).any():

@@ -14,13 +14,21 @@ from .regions import REGIONS, membership, own_weights
 
 _MIN_WEIGHT = 0.01
 _HELD = 0.95
-"""Weight in its own regions that a landmark needs for its vertex to follow it."""
+"""Weight in its own regions that the vertex of a landmark needs in order to follow it."""
 _MAX_LISTED = 8
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A problem of a head, its remedy, one sentence each, and the step that remedies it, if there is one."""
+    """A problem of a head and its remedy.
+
+    Attributes
+    ----------
+    problem, remedy : str
+        A sentence each.
+    step : str
+        Name of the step that remedies the problem; "" if there is none.
+    """
 
     problem: str
     remedy: str
@@ -28,12 +36,18 @@ class Finding:
 
 
 def check_head(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> list[Finding]:
-    """Check what would keep a head from being driven well; returns a finding per problem.
+    """Check a head for problems that would keep it from being driven well.
+
 
     Parameters
     ----------
     vertices, faces, landmarks, region_weights : (V, 3), (F, K), (66,), (3, V) array
         As in `HeadRig`.
+
+    Returns
+    -------
+    list of Finding
+        A finding per problem; empty if the head is ready.
     """
     findings = []
     unique, counts = np.unique(landmarks, return_counts=True)

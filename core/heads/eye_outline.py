@@ -1,4 +1,4 @@
-"""The almond of an eye between its corners, fitted to the landmarks of its lids (docs/method.md, section 7.4)."""
+"""The almond between the corners of an eye, fitted to the landmarks of its lids (docs/method.md, section 7.4)."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from ..errors import HeadError
 from ..landmarks import EYE_LEFT, EYE_RIGHT
 
 EYES = EYE_RIGHT, EYE_LEFT[[3, 2, 1, 0, 5, 4]]
-"""Landmarks of the right and left eye: outer corner, upper lid, inner corner, lower lid; mirror images."""
+"""Landmarks of the right and left eye: outer corner, upper lid, inner corner, lower lid. The two are mirror images."""
 _LIDS = (1, 2, 4, 5)
 _USUAL = np.array([0.76, -0.48, 0.0])
-"""Usual bows and lean of an `EyeOutline`, about those of labelled scans."""
+"""Usual bows and lean of an `EyeOutline`, close to those of labelled scans."""
 _TRUST = 0.03
-"""Ridge towards the usual shape, which then counts about a quarter beside two landmarks of a lid."""
+"""Ridge towards the usual shape, which then has about a quarter of the weight of two landmarks of a lid."""
 _SHARE_RANGE, _MIN_BOW, _MAX_LEAN = (0.2, 0.8), 0.5, 0.2
-"""Limits of what misplaced landmarks can do: range of their positions along the eye, least share of the usual bow, and
-largest lean."""
+"""Limits on the effect of misplaced landmarks: range of their positions along the eye, least share of the usual bow,
+and largest lean."""
 _MAX_SLOPE = 0.9
-"""Sine of the angle of the line between the corners, beyond which they lie above each other."""
+"""Sine of the angle of the line between the corners above which one corner counts as above the other."""
 
 
 @dataclass(frozen=True)
 class EyeOutline:
-    """An almond between the corners of an eye (equation 7.2).
+    """The almond of an eye (equation 7.2).
 
     Attributes
     ----------
@@ -35,12 +35,13 @@ class EyeOutline:
     axes : (3, 3) float
         Rows: unit vectors towards the inner corner, up, and towards the viewer.
     width : float
-        Distance of the corners.
+        Distance between the corners.
     bows : (2,) float
-        Of the upper and the lower lid.
+        Bow of the upper and of the lower lid.
     lean : float
-        The height of a lid over the line between the corners, in widths, is ``s (1 - s) (bow + lean (2 s - 1))`` at the
-        share s of the way to the inner corner. The common lean, as in people, lets lids meet everywhere when they shut.
+        Common lean of both lids. At the share s of the way to the inner corner, the height of a lid above the line
+        between the corners is ``s (1 - s) (bow + lean (2 s - 1))`` widths. As in people, a common lean lets the lids
+        meet everywhere when they shut.
     """
 
     corner: FloatArray
@@ -50,7 +51,7 @@ class EyeOutline:
     lean: float
 
     def to_local(self, points: FloatArray) -> FloatArray:
-        """Convert (..., 3) points to the frame of the eye: widths along to the inner corner, up, and to the viewer."""
+        """Convert (..., 3) points to the frame of the eye: widths to the inner corner, up, and towards the viewer."""
         return np.asarray((points - self.corner) @ self.axes.T / self.width)
 
     def from_local(self, local: FloatArray) -> FloatArray:
@@ -58,7 +59,7 @@ class EyeOutline:
         return np.asarray(self.corner + self.width * local @ self.axes)
 
     def depth_within(self, local: FloatArray) -> FloatArray:
-        """(...) depth of points within the almond, vertically and in widths; negative outside."""
+        """Vertical depth of points within the almond, (...), in widths; negative outside."""
         along, up = local[..., 0], local[..., 1]
         upper, lower = (along * (1.0 - along) * (bow + self.lean * (2.0 * along - 1.0)) for bow in self.bows)
         return np.asarray(np.minimum(upper - up, up - lower))
@@ -77,8 +78,8 @@ def eye_outline(vertices: FloatArray, landmarks: IntArray, eye: IntArray) -> Eye
     Returns
     -------
     EyeOutline
-        Meets both corners; meets the landmarks of the lids, which are imprecise on a mesh without rims, as far as
-        these and the usual shape of eyes agree.
+        An almond that meets both corners. The landmarks of the lids, which are imprecise on a mesh without rims, are
+        met as far as they agree with the usual shape of eyes.
 
     Raises
     ------
@@ -89,8 +90,8 @@ def eye_outline(vertices: FloatArray, landmarks: IntArray, eye: IntArray) -> Eye
     width = float(np.linalg.norm(points[3] - points[0]))
     along = (points[3] - points[0]) / max(width, np.finfo(float).tiny)
     if width == 0.0 or abs(along[1]) > _MAX_SLOPE:
-        raise HeadError("The corners of an eye lie above each other. Find the face again, or mark the corners.")
-    # Axes of the eye: along its width, the head's up direction made orthogonal to it, and towards the viewer.
+        raise HeadError("One corner of an eye lies above the other. Find the face again, or mark the corners.")
+    # Axes of the eye: along its width, up (the head's up direction made orthogonal to the first), towards the viewer.
     up = along * along[1] - (0.0, 1.0, 0.0)
     up /= np.linalg.norm(up)
     towards = np.cross(along, up)
@@ -101,7 +102,7 @@ def eye_outline(vertices: FloatArray, landmarks: IntArray, eye: IntArray) -> Eye
 
 
 def _bows(points: FloatArray) -> FloatArray:
-    """(3,) `bows` and `lean` for landmarks (6, 3) in the frame of an eye: least squares with a ridge."""
+    """Fit `bows` and `lean`, (3,), to landmarks (6, 3) in the frame of an eye: least squares with a ridge."""
     share = np.clip(points[_LIDS, 0], *_SHARE_RANGE)
     bow = share * (1.0 - share)
     upper = np.arange(len(_LIDS)) < 2

@@ -1,7 +1,7 @@
-"""Contact of lids and eyeballs (docs/method.md, section 5.8).
+"""Contact between lids and eyeballs (docs/method.md, section 5.8).
 
 A lid that closes along a straight line would cut through the eyeball, which would show through the skin. Vertices near
-an eyeball are therefore kept at least as far from its centre as its surface.
+an eyeball are therefore kept outside its surface.
 """
 
 from __future__ import annotations
@@ -12,21 +12,22 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 
 LID_THICKNESS = 0.03
-"""Distance of an eye that was cut out of the skin from the sphere of its lids, as a share of the radius."""
+"""Gap between an eye that was cut out of the skin and the sphere of its lids, as a share of the radius."""
 _REACH = 1.8
-"""Distance from the centre of an eyeball, in radii, within which vertices are kept outside of it."""
+"""Distance from the centre of an eyeball, in radii, within which vertices are kept outside."""
 _ROBUST_STEPS, _ROBUST_SHARE = 4, 0.8
-"""Fits of an eyeball, each to this share of the vertices, those nearest to the last sphere: a cornea bulges."""
+"""Number of fits of an eyeball, and share of the vertices that each uses: those nearest to the last sphere, as a cornea
+bulges."""
 _MOST_BULGE = 1.2
-"""Distance of the cornea's apex from the centre of its eye, in radii; what lies further out is no cornea."""
+"""Largest distance of the cornea's apex from the centre of the eye, in radii; anything farther out is not a cornea."""
 _SLACK = 1e-5
 """Share of the squared distance that a vertex may lose to rounding without having moved."""
 
 
 def fit_eyeball(points: FloatArray) -> FloatArray:
-    """Fit the sphere of the lids to the vertices (N, 3) of an eye that was cut out; returns centre and radius, (4,).
+    """Fit the sphere of the lids to the vertices (N, 3) of an eye that was cut out; return centre and radius, (4,).
 
-    Least squares of ``|p|^2 = 2 c p + (r^2 - |c|^2)``, which is linear in c and in the bracket.
+    The fit is a least-squares solution of ``|p|^2 = 2 c p + (r^2 - |c|^2)``, which is linear in c and in the bracket.
     """
     middle = points.mean(axis=0)
     about = points - middle
@@ -36,19 +37,19 @@ def fit_eyeball(points: FloatArray) -> FloatArray:
 
 
 def part_eyeball(points: FloatArray) -> tuple[FloatArray, bool]:
-    """Centre and radius of a separate eye, and whether it is round.
+    """Fit a sphere to a separate eye.
 
     Parameters
     ----------
     points : (N, 3) array
-        Vertices of an eyeball, or of its front, possibly with a bulging cornea and an iris inside: head frame.
+        Vertices of an eyeball, or of its front, possibly with a bulging cornea and an iris inside, in the head frame.
 
     Returns
     -------
     sphere : (4,) float64
-        Centre and radius; for a flat eye, as cartoon figures have, of a sphere behind it.
+        Centre and radius. For a flat eye, as cartoon characters have, the sphere lies behind it.
     round : bool
-        Whether the vertices lie on a sphere, on which lids can slide.
+        Whether the vertices lie on the sphere, so that lids can slide over it.
     """
     points = np.asarray(points, dtype=np.float64)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -65,7 +66,7 @@ def part_eyeball(points: FloatArray) -> tuple[FloatArray, bool]:
 
 
 def sphere_of_lids(points: FloatArray) -> FloatArray | None:
-    """Return the sphere around a separate eye over which lids slide.
+    """Return the sphere around a separate eye over which its lids slide.
 
     Parameters
     ----------
@@ -75,8 +76,8 @@ def sphere_of_lids(points: FloatArray) -> FloatArray | None:
     Returns
     -------
     (4,) float64 or None
-        Centre and radius, which reaches to the apex of the cornea so that it does not show through a closed lid; None
-        for an eye that is not round.
+        Centre and radius. The sphere takes in the apex of the cornea, which would otherwise show through a closed lid.
+        None for an eye that is not round.
     """
     sphere, is_round = part_eyeball(points)
     if not is_round:
@@ -99,7 +100,7 @@ class EyeballContact:
 
     Notes
     -----
-    Vertices that are inside the eyeball at rest (the inner rim of the lid) may stay as near as they were.
+    Vertices that are inside an eyeball at rest (the inner rim of a lid) may stay as close to its centre as they were.
     """
 
     def __init__(self, rest: FloatArray, weights: FloatArray, eyeballs: FloatArray) -> None:
@@ -119,13 +120,13 @@ class EyeballContact:
         self._ones = np.ones(3, dtype=np.float32)
 
     def spheres(self, count: int) -> NDArray[np.float32]:
-        """(count, 4) centre of each vertex and its least distance from there; 0 for those that nothing keeps away."""
+        """Centre and least distance of each of `count` vertices, (count, 4); 0 for those that nothing keeps away."""
         table = np.zeros((count, 4), dtype=np.float32)
         table[self._rows] = np.column_stack([self._centres, self._nearest])
         return table
 
     def resolve(self, vertices: NDArray[np.float32]) -> None:
-        """Push `vertices`, (V, 3) float32, that are too deep out along the radius, in place."""
+        """Push `vertices`, (V, 3) float32, that are too deep outwards along the radius, in place."""
         outward = vertices.take(self._rows, axis=0, out=self._outward, mode="clip")
         np.subtract(outward, self._centres, out=outward)
         squared = np.multiply(outward, outward, out=self._products) @ self._ones

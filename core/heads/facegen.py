@@ -1,7 +1,7 @@
 """FaceGen heads: `.tri` (mesh with difference and statistical morphs), `.egm` (modes of face space), and OBJ files.
 
-The order of vertices is the same in all three, and morphs depend on it: nothing is merged or sorted. FaceGen's axes are
-x to the viewer's right, y up and z to the viewer; results are in the head frame (y down, z away). Both are in
+All three list vertices in the same order, on which morphs depend, so nothing is merged or sorted. FaceGen's axes are x
+to the viewer's right, y up and z towards the viewer; results are in the head frame (y down, z away). Both are in
 millimetres.
 """
 
@@ -20,12 +20,12 @@ from ..reading import read_bytes, shown
 
 _TO_HEAD = np.array([1.0, -1.0, -1.0], dtype=np.float32)
 _MOST = 50_000_000
-"""Upper bound of any count in a valid file."""
+"""Largest count in a valid file."""
 _MOST_FILE = 256 << 20
 _MOST_MORPHS, _MOST_MORPH_BYTES = 1000, 256 << 20
-"""Upper bounds per file. An empty statistical morph takes 12 bytes in the file, and as many in memory per vertex."""
+"""Limits per file. An empty statistical morph takes 12 bytes in the file, and as many in memory per vertex."""
 _FARTHEST = 1e9
-"""Upper bound of coordinates in millimetres; squares of larger ones might not be finite."""
+"""Largest coordinate in millimetres; squares of larger ones might not be finite."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +50,12 @@ class FaceGenMesh:
 
 
 def read_tri(path: Path) -> FaceGenMesh:
-    """Read a `.tri` of version 003.
+    """Read a `.tri` file of version 003.
 
     Raises
     ------
     SourceError
-        If the file is missing, encrypted, of another version or damaged; the message names the byte.
+        If the file is missing, encrypted, of a different version or damaged; the message states the byte.
     """
     reader = _Reader(path, b"FRTRI", b"003")
     names = ("V", "T", "Q", "LV", "LS", "X", "ext", "Md", "Ms", "K")
@@ -92,7 +92,7 @@ def read_tri(path: Path) -> FaceGenMesh:
 
 
 def read_egm(path: Path, mesh: FaceGenMesh) -> tuple[tuple[str, NDArray[np.float32]], ...]:
-    """Read the modes of an `.egm` of version 002 that belongs to a mesh.
+    """Read the modes of an `.egm` file of version 002 that belongs to a mesh.
 
     Parameters
     ----------
@@ -104,12 +104,12 @@ def read_egm(path: Path, mesh: FaceGenMesh) -> tuple[tuple[str, NDArray[np.float
     Returns
     -------
     tuple of (str, (V, 3) float32)
-        Name and displacement at one unit of each mode.
+        Name of each mode, and its displacement at one unit.
 
     Raises
     ------
     SourceError
-        As for `read_tri`, and if the file has fewer vertices than the mesh.
+        As for `read_tri`, and if the file belongs to a mesh with another number of vertices.
     """
     reader = _Reader(path, b"FREGM", b"002")
     vertices, symmetric = reader.count("the vertices"), reader.count("the symmetric modes")
@@ -128,12 +128,12 @@ def read_egm(path: Path, mesh: FaceGenMesh) -> tuple[tuple[str, NDArray[np.float
 
 
 def read_obj(path: Path) -> FaceGenMesh:
-    """Read vertices, faces and texture coordinates of a Wavefront OBJ in the order of the file; ignore the rest.
+    """Read vertices, faces and texture coordinates of a Wavefront OBJ in the order of the file, and ignore the rest.
 
     Raises
     ------
     SourceError
-        If the file is missing, or a line cannot be parsed; the message names the line.
+        If the file is missing, or a line cannot be parsed; the message states the line.
     """
     vertices: list[list[float]] = []
     texture: list[list[float]] = []
@@ -167,9 +167,9 @@ def read_obj(path: Path) -> FaceGenMesh:
 
 
 def _sound(path: Path, mesh: FaceGenMesh) -> FaceGenMesh:
-    """Remove degenerate and duplicate faces; SourceError if no area remains.
+    """Remove degenerate and duplicate faces; SourceError if no face with an area remains.
 
-    Blender accepts such faces, but Subdivide then crashes or never ends.
+    Blender accepts such faces, but its Subdivide then crashes or never ends.
     """
     faces = mesh.faces.copy()
     ordered = np.sort(faces, axis=1)
@@ -201,7 +201,7 @@ def _numbers(text: str, count: int) -> list[float]:
 
 
 def _corner(text: str, vertices: int, texture: int) -> tuple[int, int]:
-    """Vertex and texture coordinate, or -1, of a corner `v`, `v/vt`, `v//vn` or `v/vt/vn`."""
+    """Parse a corner `v`, `v/vt`, `v//vn` or `v/vt/vn` as vertex and texture coordinate, or -1."""
     parts = text.split("/")
     vertex = _from_one(int(parts[0]), vertices)
     return vertex, _from_one(int(parts[1]), texture) if len(parts) > 1 and parts[1] else -1
@@ -227,7 +227,7 @@ def _fan(face: list[tuple[int, int]]) -> list[list[tuple[int, int]]]:
 def _tri_uv(
     reader: _Reader, count: dict[str, int], triangles: NDArray[np.int32], quads: NDArray[np.int32]
 ) -> NDArray[np.float32] | None:
-    """(F, 4, 2) texture coordinates, from a list with indices per face, or one per vertex."""
+    """Read texture coordinates, (F, 4, 2), from a list with indices per face, or from one per vertex."""
     if count["X"]:
         table = reader.array("<f4", (count["X"], 2), "texture coordinates")
         of_triangles = reader.indices((count["T"], 3), count["X"], "texture of the triangles")
@@ -244,7 +244,7 @@ def _tri_uv(
 
 
 class _Reader:
-    """Reads little-endian values in sequence; errors state the position in the file."""
+    """Reads little-endian values in sequence. Errors state the position in the file."""
 
     def __init__(self, path: Path, kind: bytes, version: bytes) -> None:
         self.path = path
@@ -264,7 +264,7 @@ class _Reader:
         self._at = 8
 
     def fail(self, what: str) -> None:
-        """Raise SourceError at the current position."""
+        """Raise a SourceError at the current position."""
         raise SourceError(f"{self.path} is damaged at byte {self._at}: {what}. Export it again.")
 
     def end(self) -> None:
@@ -278,7 +278,7 @@ class _Reader:
         self._at += size
 
     def count(self, what: str) -> int:
-        """Read a count, 32 bits."""
+        """Read a 32-bit count."""
         self._need(4, f"the number of {what}")
         (value,) = struct.unpack_from("<i", self._data, self._at)
         if not 0 <= value <= _MOST:
@@ -287,7 +287,7 @@ class _Reader:
         return int(value)
 
     def check_morphs(self, morphs: int, vertices: int) -> None:
-        """Fail if these are more morphs than any head has, before memory is allocated."""
+        """Fail if no head has that many morphs, before memory is allocated."""
         if morphs > _MOST_MORPHS or 12 * morphs * vertices > _MOST_MORPH_BYTES:
             self.fail(f"{morphs} morphs of {vertices} vertices, more than any head has")
 
@@ -327,7 +327,7 @@ class _Reader:
         return np.asarray(self.array("<i2", (count, 3), "a morph") * (scale * _TO_HEAD), dtype=np.float32)
 
     def label(self, wide: bool) -> str:
-        """Read a text with its length in front and a null at the end."""
+        """Read a text that is preceded by its length and ends with a null."""
         length = self.count("letters of a label") * (2 if wide else 1)
         self._need(length, "a label")
         text = self._data[self._at : self._at + length].decode("utf-16-le" if wide else "latin-1", "replace")

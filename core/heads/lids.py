@@ -1,8 +1,8 @@
-"""Opening eyes that are one skin with their lids, as on a scan: where to cut (docs/method.md, section 7.4).
+"""Opening of eyes that are one skin with their lids, as on a scan: where to cut (docs/method.md, section 7.4).
 
-A cut along existing edges would leave jagged rims that cannot meet. Edges are therefore split where an almond through
-the lids crosses them. What is inside becomes an eye on a sphere that touches the lids from behind, and the lids slide
-over it (`EyeballContact`).
+A cut along existing edges would leave jagged rims that cannot meet. Edges are therefore split where they cross an
+almond through the lids. The skin inside becomes an eye on a sphere that touches the lids from behind, and the lids
+slide over it (`EyeballContact`).
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ from .eyeballs import LID_THICKNESS
 from .lips import nearest_at_shares
 
 _MARGIN, _REACH = 0.1, 1.0
-"""In eye widths: margin at the corners, and extent, of the part of the mesh in which paths from lid to lid are sought;
-outside of it a path may lead around an open eye."""
+"""In eye widths: margin at the corners, and extent, of the part of the mesh in which paths from lid to lid are sought.
+Outside of it a path might lead around an open eye."""
 _MAX_EDGE, _STRETCH = 0.1, 0.35
-"""In eye widths: longest edge near an eye that lids can roll over, and how far from the eye they still stretch."""
+"""In eye widths: longest edge near an eye over which lids can roll, and distance from the eye up to which they
+stretch."""
 _SNAP = 0.15
 """Share of an edge within which a vertex is moved onto the cut, which avoids slivers."""
 _MIN_RIM = 12
-"""Fewest vertices of a rim that can follow an almond."""
+"""Smallest number of vertices of a rim that can follow an almond."""
 _MIDDLE = np.array([0.5, 0.04, 0.2])
 """Approximate middle of an eye in its own frame."""
 _LID_SHARES = (0.36, 0.68)
@@ -36,14 +37,14 @@ _LID_SHARES = (0.36, 0.68)
 _RADIUS = 0.7
 """Radius of the sphere on which lids lie, in eye widths; lids of labelled faces lie within 0.01 to 0.02 of it (rms)."""
 _BESIDE, _FRONT_PERCENT = 0.15, 95.0
-"""Skin within this distance of the cut, in eye widths, of which this percentage has to lie in front of the sphere; not
-all, so that a pit of noise does not push the eye inwards."""
+"""Distance from the cut, in eye widths, of skin of which this percentage has to lie in front of the sphere. It is below
+100 so that a noisy pit does not push the eye inwards."""
 _STEEP = 0.95
 """Share of the sphere's radius beyond which its sides are too steep to be used."""
 _SPINE = (0.3, 0.7)
 """The part of an eye's middle line from which outward directions are measured."""
 _HALVINGS, _STEPS = 40, 12
-"""Bisections of an edge, and Gauss-Newton steps for the sphere."""
+"""Number of bisections of an edge, and of Gauss-Newton steps for the sphere."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,9 @@ class EyeCut:
     edges : (K, 2) intp
         Edges to split, the vertex inside the eye first. The new vertices are V, V + 1 and so on.
     shares : (K,) float
-        Where to split them, from the vertex inside.
+        Where to split them, as a share of the edge from the inside vertex.
     chords : (C, 2) intp
-        Pairs of vertices, most of them new, to join by an edge across the face that has both.
+        Pairs of vertices, most of them new, to be joined by an edge across the face that contains both.
     rim : (N,) intp
         Vertices of the closed cut, from the outer corner along the upper lid to the inner corner and back.
     inner : int
@@ -65,6 +66,7 @@ class EyeCut:
     within : (M,) intp
         Vertices inside the cut.
     outline : EyeOutline
+        The almond.
     eyeball : (4,) float
         Centre and radius of the sphere that touches the lids from behind, in the frame of the mesh.
     """
@@ -79,8 +81,8 @@ class EyeCut:
     eyeball: FloatArray
 
     def landmark_places(self, points: FloatArray) -> NDArray[np.intp]:
-        """(6,) indices into the rim, whose positions are `points` (N, 3), for the landmarks of an eye as in `EYES`."""
-        # Opposite each other, so that the upper one meets the lower one.
+        """Return the indices into the rim, at `points` (N, 3), of an eye's landmarks, (6,), ordered as in `EYES`."""
+        # Landmarks of both lids at the same shares, so that upper and lower ones meet.
         along = self.outline.to_local(points)[:, :1]
         upper = np.arange(self.inner + 1)
         lower = np.append(np.arange(self.inner, len(points)), 0)
@@ -95,19 +97,19 @@ class EyeCut:
         return self.outline.from_local(self._onto_sphere(self.outline.to_local(points)))
 
     def behind_lids(self, points: FloatArray, distance: float) -> FloatArray:
-        """Points on the sphere of the eye, outside of its rim.
+        """Return points on the sphere of the eye, outside its rim.
 
         Parameters
         ----------
         points : (N, 3) float64
-            Positions of the rim, frame of the mesh.
+            Positions of the rim, in the frame of the mesh.
         distance : float
             Distance outside the rim, in eye widths.
 
         Returns
         -------
         (N, 3) float64
-            Frame of the mesh.
+            Positions, in the frame of the mesh.
         """
         local = self.outline.to_local(points)
         # Outward from the nearest point of the eye's middle line.
@@ -123,19 +125,24 @@ class EyeCut:
         radius = (1.0 - LID_THICKNESS) * self.eyeball[3] / self.outline.width
         across = local[:, :2] - centre[:2]
         far = np.linalg.norm(across, axis=1, keepdims=True)
-        # Where the sphere is too steep, stay on its edge.
+        # Where the sphere is too steep, stay at its edge.
         across *= np.minimum(1.0, _STEEP * radius / np.maximum(far, 1e-9))
         depth = np.sqrt(radius**2 - np.square(across).sum(axis=1))
         return np.column_stack([centre[:2] + across, centre[2] + depth])
 
 
 def eyes_joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[bool]:
-    """Whether each of `EYES` is one skin with its lids, that is, whether paths from lid to lid lead straight over it.
+    """Return whether eyes are one skin with their lids, that is, whether paths from lid to lid lead straight over them.
 
     Parameters
     ----------
     vertices, faces, landmarks : (V, 3), (F, K), (66,) array
         As in `HeadRig`.
+
+    Returns
+    -------
+    list of bool
+        One for each of `EYES`.
     """
     return [_joined(np.asarray(vertices, dtype=np.float64), np.asarray(faces), landmarks, eye) for eye in EYES]
 
@@ -144,7 +151,7 @@ def _joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray, eye: Int
     try:
         outline = eye_outline(vertices, landmarks, eye)
     except HeadError:
-        return False  # without corners there is no eye
+        return False  # without distinct corners there is no eye
     local = outline.to_local(vertices)
     along = local[:, 0]
     between = (along > _MARGIN) & (along < 1.0 - _MARGIN) & (np.abs(local[:, 1:]) < _REACH).all(axis=1)
@@ -164,14 +171,14 @@ def _joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray, eye: Int
 
 
 def coarse_edges(graph: SurfaceGraph, outline: EyeOutline) -> NDArray[np.intp]:
-    """Edges near an eye that are too long for lids to roll over it.
+    """Find edges near an eye that are too long for lids to roll over it.
 
     Parameters
     ----------
     graph : SurfaceGraph
-        Of the head.
+        Graph of the head.
     outline : EyeOutline
-        Of the eye.
+        Outline of the eye.
 
     Returns
     -------
@@ -186,14 +193,14 @@ def coarse_edges(graph: SurfaceGraph, outline: EyeOutline) -> NDArray[np.intp]:
 
 
 def cut_eye(vertices: FloatArray, faces: IntArray, outline: EyeOutline) -> EyeCut:
-    """Find where to cut the skin along the almond.
+    """Find where to cut the skin along an almond.
 
     Parameters
     ----------
     vertices, faces : (V, 3), (F, K) array
         As in `HeadRig`.
     outline : EyeOutline
-        Of the eye.
+        Outline of the eye.
 
     Returns
     -------
@@ -237,13 +244,15 @@ def cut_eye(vertices: FloatArray, faces: IntArray, outline: EyeOutline) -> EyeCu
 def _sides(
     graph: SurfaceGraph, outline: EyeOutline, local: FloatArray, snap: float
 ) -> tuple[IntArray, NDArray[np.intp], FloatArray]:
-    """Per vertex 1 inside, 0 on the cut, -1 outside; edges (K, 2) from inside to outside; where to split these."""
+    """Classify vertices as inside (1), on the cut (0) or outside (-1); also the edges to split, (K, 2), from inside to
+    outside, and where to split them, (K,).
+    """
     joined = np.isin(np.arange(len(local)), graph.edges)
     inside = _piece(graph, joined & (outline.depth_within(local) > 0.0), local)
     first, second = graph.edges[inside[graph.edges].sum(axis=1) == 1].T
     ends = np.asarray(np.where(inside[first], [first, second], [second, first]).T, dtype=np.intp)
     shares = _crossings(outline, local[ends])
-    # Snap vertices to the cut, then drop what that has separated from the eye.
+    # Snap vertices to the cut, then drop those that this has separated from the eye.
     side = np.where(inside, 1, -1)
     side[ends[shares < snap, 0]] = 0
     side[ends[shares > 1.0 - snap, 1]] = 0
@@ -254,7 +263,7 @@ def _sides(
 
 
 def _piece(graph: SurfaceGraph, among: NDArray[np.bool_], local: FloatArray) -> NDArray[np.bool_]:
-    """(V,) the connected piece of the vertices `among` (V,) around the one nearest to the middle of the eye."""
+    """Mark the connected piece of the vertices `among` (V,) that contains the one nearest to the middle of the eye."""
     found = np.zeros(len(among), dtype=np.bool_)
     rows = np.flatnonzero(among)
     if not len(rows):
@@ -270,7 +279,7 @@ def _piece(graph: SurfaceGraph, among: NDArray[np.bool_], local: FloatArray) -> 
 
 
 def _crossings(outline: EyeOutline, ends: FloatArray) -> FloatArray:
-    """(K,) shares at which edges with ends (K, 2, 3), inside and outside, cross the almond, by bisection."""
+    """Find the shares, (K,), at which edges with ends (K, 2, 3), inside and outside, cross the almond, by bisection."""
     low, high = np.zeros(len(ends)), np.ones(len(ends))
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
@@ -280,17 +289,17 @@ def _crossings(outline: EyeOutline, ends: FloatArray) -> FloatArray:
 
 
 def _between(ends: FloatArray, shares: FloatArray) -> FloatArray:
-    """(K, 3) points on edges (K, 2, 3) at `shares` (K,) of the way from the first end to the second."""
+    """Points on edges (K, 2, 3) at `shares` (K,) of the way from the first end to the second, (K, 3)."""
     return np.asarray(ends[:, 0] + shares[:, None] * (ends[:, 1] - ends[:, 0]))
 
 
 def _pieces(faces: IntArray, side: IntArray, ends: IntArray) -> tuple[list[list[int]], NDArray[np.intp]]:
-    """The parts of faces that lie inside, as lists of vertices, and the chords (C, 2) that separate them."""
+    """Return the parts of faces that lie inside, as lists of vertices, and the chords (C, 2) that bound them."""
     new = {frozenset(pair): len(side) - len(ends) + i for i, pair in enumerate(ends.tolist())}
     pieces, chords = [], []
     for face in faces[((side[faces] > 0) & (faces >= 0)).any(axis=1)].tolist():
         corners = [v for v in face if v >= 0]
-        # The face with new vertices on its split edges; what is not outside is the piece.
+        # The face with the new vertices on its split edges; the vertices that are not outside form the piece.
         ring: list[int] = []
         for a, b in zip(corners, corners[1:] + corners[:1], strict=True):
             ring += [a, new[frozenset((a, b))]] if frozenset((a, b)) in new else [a]
@@ -303,7 +312,7 @@ def _pieces(faces: IntArray, side: IntArray, ends: IntArray) -> tuple[list[list[
 
 
 def _loop(pieces: list[list[int]]) -> list[int] | None:
-    """The border of `pieces`, vertex by vertex; None if it is not a single closed line."""
+    """Return the border of `pieces`, vertex by vertex, or None if it is not a single closed line."""
     count: dict[frozenset[int], int] = {}
     for piece in pieces:
         for pair in zip(piece, piece[1:] + piece[:1], strict=True):
@@ -324,7 +333,7 @@ def _loop(pieces: list[list[int]]) -> list[int] | None:
 
 
 def _from_outer_corner(loop: list[int], places: FloatArray) -> tuple[NDArray[np.intp], int]:
-    """The loop from the outer corner along the upper lid, and the index of the inner corner in it."""
+    """Return the loop from the outer corner along the upper lid, and the index of the inner corner in it."""
     first = int(np.argmin(places[loop, 0]))
     rim = np.array(loop[first:] + loop[:first], dtype=np.intp)
     inner = int(np.argmax(places[rim, 0]))
@@ -334,9 +343,9 @@ def _from_outer_corner(loop: list[int], places: FloatArray) -> tuple[NDArray[np.
 
 
 def _sphere_behind(outline: EyeOutline, rim: FloatArray, skin: FloatArray) -> FloatArray:
-    """(4,) centre and radius of the sphere on which the `rim` lies best, moved back behind the `skin` beside it.
+    """Fit the centre and radius, (4,), of the sphere through the `rim`, moved back behind the `skin` beside it.
 
-    The radius is fixed, as it cannot be estimated from a rim, which is nearly flat; the centre is found by Gauss-Newton
+    The radius is fixed, as it cannot be estimated from a rim, which is nearly flat. The centre is found by Gauss-Newton
     steps.
     """
     centre = np.array([0.5, 0.2, -0.45])

@@ -16,7 +16,7 @@ from ..mesh.surface import SurfaceGraph
 _BETWEEN = (0.25, 0.5, 0.75)
 """Positions of the inner landmarks of each lip, as shares of the line's length."""
 _MIN_VERTICES = 7
-"""Fewest vertices of the line: both corners, the three landmarks of a lip, and one between each two of these."""
+"""Smallest number of vertices of the line: both corners, the three landmarks of a lip, and one between any two."""
 
 
 def lip_line(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
@@ -25,7 +25,7 @@ def lip_line(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
     Parameters
     ----------
     graph : SurfaceGraph
-        Of the head.
+        Graph of the head.
     landmarks : (66,) array of int
         Vertex of each landmark.
 
@@ -37,7 +37,7 @@ def lip_line(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
     Raises
     ------
     HeadError
-        If no line leads along the skin, or it has too few vertices.
+        If no line of edges leads along the skin from corner to corner, or it has too few vertices.
     """
     right, left = (int(v) for v in landmarks[MOUTH_CORNERS])
     points = graph.vertices[landmarks]
@@ -50,7 +50,7 @@ def lip_line(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
     line = [right]
     for start, end in pairwise(stops):
         for vertex in graph.path(start, end)[1:]:
-            # A path that meets the line again has gone around something: drop the loop.
+            # A path that returns to the line has gone around something: drop the loop.
             line = line[: line.index(vertex) + 1] if vertex in line else [*line, vertex]
     joined = all(b in graph.neighbours(a) for a, b in pairwise(line))
     if not joined:
@@ -61,12 +61,12 @@ def lip_line(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
 
 
 def rim_landmarks(points: FloatArray) -> NDArray[np.intp]:
-    """(3,) indices into the line through `points` (N, 3) for the inner landmarks of a lip."""
+    """Return the indices, (3,), into the line through `points` (N, 3) for the inner landmarks of a lip."""
     return nearest_at_shares(points, _BETWEEN)
 
 
 def nearest_at_shares(points: FloatArray, shares: Sequence[float]) -> NDArray[np.intp]:
-    """Select points of a line that are nearest to given shares of its length.
+    """Select the points of a line that are nearest to given shares of its length.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def nearest_at_shares(points: FloatArray, shares: Sequence[float]) -> NDArray[np
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)]) / max(float(steps.sum()), 1e-12)
     chosen = np.array([int(np.argmin(np.abs(along[1:-1] - share))) + 1 for share in shares])
-    # On uneven edges two shares may give the same vertex; move on to the next, for which the line has room.
+    # On uneven edges two shares may select the same vertex; move on to the next, for which the line has room.
     for i in range(1, len(chosen)):
         chosen[i] = max(chosen[i], chosen[i - 1] + 1)
     return np.minimum(chosen, len(points) - 1 - len(chosen) + np.arange(len(chosen)))

@@ -1,4 +1,4 @@
-"""The eyes' direction as ARKit's eight coefficients of it, and back, by the eyes of the built-in head."""
+"""Conversion between the direction of the eyes and ARKit's eight coefficients for it, as on the built-in head."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from ..coefficient_names import COEFFICIENT_INDEX
 from ..rotation import fit_rotation
 from .built_in import load_head
 
-_WAYS = ("In", "Out", "Up", "Down")
+_DIRECTIONS = ("In", "Out", "Up", "Down")
 LOOKS: NDArray[np.intp] = np.array(
-    [COEFFICIENT_INDEX[f"eyeLook{way}{side}"] for side in ("Left", "Right") for way in _WAYS]
+    [COEFFICIENT_INDEX[f"eyeLook{direction}{side}"] for side in ("Left", "Right") for direction in _DIRECTIONS]
 )
-"""(8,) columns of the coefficients of the eyes' direction."""
+"""(8,) columns of the coefficients for the direction of the eyes."""
 
 
 def looks_of(rotations: FloatArray) -> FloatArray:
-    """Find the coefficients of the eyes' direction.
+    """Compute the coefficients for the direction of the eyes.
 
     Parameters
     ----------
     rotations : (N, 2, 3, 3) float64
-        Of the right and left eyeball.
+        Rotations of the right and the left eyeball.
 
     Returns
     -------
     (N, 8) float64
-        Those of `LOOKS`, 0 to 1, as shares of the angle that each unit has.
+        Coefficients in the order of `LOOKS`, 0 to 1: shares of the angle of each unit.
     """
     forward = -rotations[..., 2]
     turned = np.stack([np.arctan2(forward[..., axis], -forward[..., 2]) for axis in (0, 1)])
@@ -40,19 +40,19 @@ def looks_of(rotations: FloatArray) -> FloatArray:
 
 
 def gaze_of(looks: FloatArray) -> tuple[FloatArray, float]:
-    """Find the direction of the eyes that coefficients state.
+    """Compute the direction of the eyes from their coefficients.
 
     Parameters
     ----------
     looks : (8,) float64
-        Those of `LOOKS`.
+        Coefficients in the order of `LOOKS`.
 
     Returns
     -------
     gaze : (2,) float64
-        `(pitch, yaw)` as in `TrackResult`, radians. Up and down is the mean of both eyes.
+        `(pitch, yaw)` in radians, as in `TrackResult`. The pitch is the mean of both eyes.
     vergence : float
-        As in `TrackResult`, radians.
+        As in `TrackResult`, in radians.
     """
     angles = np.zeros((2, 2))
     for value, (side, axis, reach) in zip(looks.tolist(), _reaches(), strict=True):
@@ -63,8 +63,8 @@ def gaze_of(looks: FloatArray) -> tuple[FloatArray, float]:
 
 @lru_cache(maxsize=1)
 def _reaches() -> tuple[tuple[int, int, float], ...]:
-    """For each of `LOOKS`, 0 for the right eye and 1 for the left, the axis along which it looks, and its signed angle
-    at coefficient 1.
+    """Return for each of `LOOKS` the eye (0 right, 1 left), the axis along which it looks, and the signed angle in
+    radians at coefficient 1.
     """
     head = load_head()
     reaches = []

@@ -1,4 +1,4 @@
-"""Parts of a character's face, of one mesh or of several, and the skin among them (docs/method.md, section 7.5)."""
+"""Parts of a character's face, in one mesh or several, and the skin among them (docs/method.md, section 7.5)."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from ..mesh.pieces import border_twins
 from ..mesh.surface import SurfaceGraph
 
 _SLIT_REACH = 0.15
-"""Outer-eye distances from the landmarks of an eye or the mouth within which a closed border is its slit."""
+"""Distance, in outer-eye distances, from the landmarks of an eye or the mouth within which a closed border is its
+slit."""
 
 
 _SLIT_LENGTH = 0.5
-"""Length of a slit, in sizes of the eye or mouth, below which it is a piece of a seam."""
+"""Length of a slit, as a share of the size of the eye or mouth, below which it is a piece of a seam."""
 
 
 class Part(IntEnum):
-    """What a vertex belongs to, and thereby what it follows. Left and right are the character's own."""
+    """The part that a vertex belongs to, which decides what it follows. Left and right are the character's own."""
 
     SKIN = 0
     ON_HEAD = 1
@@ -42,21 +43,21 @@ PART_NAMES = {
     Part.TEETH_UPPER: "Upper Teeth",
     Part.TEETH_LOWER: "Lower Teeth",
 }
-"""Names of the parts, as users see them."""
+"""Names of the parts in the interface."""
 
 
 @dataclass(frozen=True, eq=False)
 class FaceParts:
-    """Parts of a face beside its skin.
+    """The parts of a face other than its skin.
 
     Attributes
     ----------
     kinds : (A,) int8
-        `Part` of each vertex: those of the head's own mesh, then those of other meshes.
+        `Part` of each vertex: first those of the head's own mesh, then those of other meshes.
     others : (A - V, 3) float32
-        Rest positions of the vertices of other meshes, in the frame of the head.
+        Rest positions of the vertices of other meshes, in the head frame.
     faces : (G, K) int
-        Faces of these, padded with -1, as indices into all A vertices.
+        Faces of the other meshes, padded with -1, as indices into all A vertices.
     """
 
     kinds: NDArray[np.int8]
@@ -64,11 +65,22 @@ class FaceParts:
     faces: IntArray
 
 
-def same_parts(one: FaceParts | None, other: FaceParts | None) -> bool:
-    """Whether two faces have the same parts."""
-    if one is None or other is None:
-        return one is other
-    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ("kinds", "others", "faces"))
+def same_parts(first: FaceParts | None, second: FaceParts | None) -> bool:
+    """Return whether two faces have the same parts.
+
+    Parameters
+    ----------
+    first, second : FaceParts or None
+        The parts; None for a face that is all skin.
+
+    Returns
+    -------
+    bool
+        Whether kinds, vertices and faces are equal.
+    """
+    if first is None or second is None:
+        return first is second
+    return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in ("kinds", "others", "faces"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +92,7 @@ class Skin:
     kept : (U,) intp
         Vertex of the mesh of each vertex of the skin.
     number : (V,) intp
-        Vertex of the skin of each vertex of the mesh; twins at a seam share one, and other parts have -1.
+        Vertex of the skin of each vertex of the mesh; twins at a seam share one, and vertices of other parts have -1.
     faces : (F, K) intp
         Faces of the skin.
     """
@@ -91,7 +103,7 @@ class Skin:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the skin is the mesh as it is."""
+        """Whether the skin is the unchanged mesh."""
         return len(self.kept) == len(self.number)
 
 
@@ -103,18 +115,18 @@ def skin_of(
     Parameters
     ----------
     vertices : (V, 3) array
-        Any unit.
+        Positions, in any unit.
     faces : (F, K) array of int
         Vertices of each face, padded with -1.
     others : (V,) bool, optional
-        Vertices of other parts.
+        Whether a vertex belongs to another part.
     landmarks : (66,) array of int, optional
         Vertices of the landmarks. Slits that were cut along lids and lips then stay open.
 
     Returns
     -------
     Skin
-        Its vertices and faces.
+        The skin.
     """
     faces = np.asarray(faces)
     skin = np.ones(len(vertices), dtype=bool) if others is None else ~np.asarray(others)
@@ -133,7 +145,7 @@ def _size(points: FloatArray) -> float:
 
 
 def _slits(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> NDArray[np.intp]:
-    """Vertices of closed borders along the lids or the lips, where skin was cut apart without a gap."""
+    """Find the vertices of closed borders along the lids or the lips, where skin was cut apart without a gap."""
     graph = SurfaceGraph(vertices, faces)
     points = graph.vertices[landmarks]
     reach = _SLIT_REACH * outer_eye_distance(points)

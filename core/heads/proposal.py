@@ -1,9 +1,9 @@
 """Proposed regions of a bound mesh, from its landmarks and openings (docs/method.md, section 7.2).
 
 Across a slit, from lid to lid and from lip to lip, the change is sharp and follows the distance along the surface: lips
-that are closed but not joined are in one place, yet far apart on the skin. Elsewhere regions overlap along the lines on
-which the muscles meet: from the outer corner of the eye to the temple, over the bridge of the nose, and from the corner
-of the mouth to the angle of the jaw.
+that are closed but not joined coincide in space, yet are far apart on the skin. Elsewhere regions overlap along the
+lines on which the muscles meet: from the outer corner of the eye to the temple, over the bridge of the nose, and from
+the corner of the mouth to the angle of the jaw.
 """
 
 from __future__ import annotations
@@ -43,12 +43,13 @@ _INNER_LOWER = np.concatenate([_LEFT_CORNER, LOWER_LIPS[::-1], _RIGHT_CORNER])
 _EYE_SOFTNESS, _MOUTH_SOFTNESS = 0.08, 0.22
 _SLIT_SOFTNESS = 0.002
 _REACH = 0.6
-"""In outer-eye distances: half widths of the overlaps, and distance from a slit within which the surface decides."""
+"""In outer-eye distances: half widths of the overlaps at the eyes, the mouth and a slit, and distance from a slit
+within which distance along the surface decides."""
 
 
 @dataclass(frozen=True)
 class _Slit:
-    """Sides of a slit: `share` (V,) of the upper side for each vertex, valid where `near` (V,)."""
+    """The sides of a slit: `share` (V,) of the upper side for each vertex, valid where `near` (V,)."""
 
     share: FloatArray
     near: NDArray[np.bool_]
@@ -65,8 +66,7 @@ def propose_regions(vertices: FloatArray, faces: IntArray, landmarks: IntArray) 
     Returns
     -------
     (3, V) float64
-        Weights of the regions upper, middle and lower, 0 to 1, with a sum of at most 1, and of 0 where nothing
-        moves.
+        Weights of the regions upper, middle and lower, 0 to 1. They sum to at most 1, and to 0 where nothing moves.
     """
     points = np.asarray(vertices, dtype=np.float64)[landmarks]
     unit = outer_eye_distance(points)
@@ -77,7 +77,7 @@ def propose_regions(vertices: FloatArray, faces: IntArray, landmarks: IntArray) 
     # 1. By height: smooth borders through the corners of the eyes and the mouth.
     above_eyes = _above_eyes(place, points)
     above_mouth = _above_mouth(place, points)
-    # 2. Between the corners of a slit, by the rim that is nearer along the surface.
+    # 2. Between the corners of a slit: the rim that is nearer along the surface decides.
     for upper, lower in zip(_UPPER_LIDS, _LOWER_LIDS, strict=True):
         _decide(above_eyes, _slit(graph, landmarks, [upper], [lower], place, points))
     lips = _slit(graph, landmarks, [_UPPER_LIP, _INNER_UPPER], [_LOWER_LIP, _INNER_LOWER], place, points)
@@ -98,7 +98,7 @@ def _slit(
     place: FloatArray,
     points: FloatArray,
 ) -> _Slit:
-    """Decide between the corners of a slit whether the upper or the lower rim is nearer along the surface."""
+    """Decide between the corners of a slit which rim is nearer along the surface."""
     rims = [{v for line in lines for v in _rim(graph, landmarks[line])} for lines in (upper, lower)]
     corners = rims[0] & rims[1]
     to_upper, to_lower = (graph.path_lengths(rim - corners, _REACH) for rim in rims)
@@ -111,7 +111,7 @@ def _slit(
 
 
 def _rim(graph: SurfaceGraph, line: IntArray) -> list[int]:
-    """Vertices of the path along the surface through the landmark vertices `line`."""
+    """Return the vertices of the path along the surface through the landmark vertices `line`."""
     return [v for a, b in zip(line[:-1].tolist(), line[1:].tolist(), strict=True) for v in graph.path(a, b)]
 
 
@@ -120,7 +120,7 @@ def _decide(above: FloatArray, slit: _Slit) -> None:
 
 
 def _above_eyes(place: FloatArray, points: FloatArray) -> FloatArray:
-    """Share above the line from temple to temple through the corners of the eyes and the bridge of the nose."""
+    """Share above the line from temple to temple through the corners of the eyes and the bridge of the nose, (V,)."""
     corners = points[EYE_CORNERS]
     bridge = points[NOSE_ROOT].mean(axis=0)
     line = np.stack([corners[0] - (0.3, 0.0, 0.0), *corners[:2], bridge, *corners[2:], corners[3] + (0.3, 0.0, 0.0)])
@@ -132,7 +132,7 @@ def _above_eyes(place: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _above_mouth(place: FloatArray, points: FloatArray) -> FloatArray:
-    """Share above the line from the corners of the mouth to the angles of the jaw."""
+    """Share above the line from the corners of the mouth to the angles of the jaw, (V,)."""
     right, left = points[MOUTH_CORNERS]
     angle_right, angle_left = points[from_ibug((3, 4))].mean(axis=0), points[from_ibug((12, 13))].mean(axis=0)
     x = place[:, 0]
@@ -142,13 +142,13 @@ def _above_mouth(place: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _above(place: FloatArray, line: FloatArray, soft: FloatArray) -> FloatArray:
-    """1 above the line (y is down), 0 below, with a transition of `soft` to either side."""
+    """1 above the line (y is down), 0 below, with a transition of `soft` on either side."""
     height = np.interp(place[:, 0], line[:, 0], line[:, 1]) - place[:, 1]
     return _step(height / soft, -1.0, 1.0)
 
 
 def _moving(place: FloatArray, points: FloatArray) -> FloatArray:
-    """1 on the face, 0 on skull, ears and neck, with smooth transitions."""
+    """1 on the face, 0 on skull, ears and neck, with smooth transitions, (V,)."""
     x, y, z = place.T
     ears, chin = points[[0, 16]], points[8]
     brow = points[BROWS, 1].min()
@@ -161,6 +161,6 @@ def _moving(place: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _step(value: FloatArray, start: float, end: float) -> FloatArray:
-    """Smooth step from 0 at `start` to 1 at `end`; `start` may be the greater."""
+    """Smooth step from 0 at `start` to 1 at `end`; `start` may be the larger."""
     t = np.clip((value - start) / (end - start), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))

@@ -16,7 +16,7 @@ Side = Literal["left", "right"]
 
 _RIGHT_HALF = np.concatenate([JAW[:8], BROWS[:5], EYE_RIGHT])
 _NORMAL_DISTANCE = 0.1
-"""Half the outer-eye distances for which opposite normals stand: lips that touch coincide, but face apart."""
+"""Half-distance, in outer-eye distances, that opposite normals stand for: lips that touch coincide, but face apart."""
 
 
 def mirror_regions(
@@ -25,14 +25,14 @@ def mirror_regions(
     """Copy the weights of one half of a head to the other, mirrored.
 
     Each vertex of the other half takes the weights of the vertex whose mirror image is nearest and faces the same way.
-    The plane of symmetry is that of the landmarks, so that the mesh need not be symmetric or upright.
+    The plane of symmetry is that of the landmarks, so the mesh need not be symmetric or upright.
 
     Parameters
     ----------
     vertices, faces, landmarks, weights : (V, 3), (F, K), (66,), (3, V) array
         As in `HeadRig`.
     source : {"left", "right"}
-        The half that stays, from the head's own point of view.
+        The half that is kept, from the head's own point of view.
 
     Returns
     -------
@@ -60,12 +60,12 @@ def smooth_regions(vertices: FloatArray, faces: IntArray, weights: FloatArray, r
     """Smooth weights: move each halfway to the mean of its neighbours along edges.
 
     Lips and lids stay apart, as no edge joins them. The sum of the weights of a vertex never exceeds the largest sum
-    around it.
+    among itself and its neighbours.
 
     Parameters
     ----------
     vertices, faces, weights : (V, 3), (F, K), (3, V) array
-        As in `HeadRig`, but in any frame.
+        As in `HeadRig`; any frame.
     repeat : int
         Number of passes.
 
@@ -84,7 +84,7 @@ def smooth_regions(vertices: FloatArray, faces: IntArray, weights: FloatArray, r
 
 
 def _sums(values: FloatArray, edges: IntArray) -> FloatArray:
-    """(V,) sum of `values` over the neighbours of each vertex."""
+    """Sum of `values` over the neighbours of each vertex, (V,)."""
     sums = np.zeros(len(values))
     for at, other in (edges.T, edges[:, ::-1].T):
         sums += np.bincount(at, values[other], len(values))
@@ -96,7 +96,7 @@ def _reflected(vectors: FloatArray, heights: FloatArray, normal: FloatArray) -> 
 
 
 def _normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """(V, 3) unit normals, from the first three corners of each face."""
+    """Unit normals, from the first three corners of each face, (V, 3)."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     of_faces = np.cross(b - a, c - a)
     normals: FloatArray = np.zeros_like(vertices)

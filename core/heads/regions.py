@@ -1,4 +1,4 @@
-"""The three regions of the face, cut through the slits of eyes and mouth along muscles (docs/method.md, section 5.3).
+"""The three regions of the face, cut through the slits of eyes and mouth along the muscles (docs/method.md, 5.3).
 
 Lips that touch move apart, and so do lids: they are neighbours in space that hardly influence each other. A single
 radial basis function over the whole face would halve the opening of mouth and eyes.
@@ -33,7 +33,7 @@ from ..mesh.kernels import Kernel, distances, wendland
 UPPER, MIDDLE, LOWER = 0, 1, 2
 
 DEFAULT_KERNEL = "multiscale"
-"""Kernel of the regions' functions; that of the paper is "gaussian"."""
+"""Kernel of the regions' functions; the paper's is "gaussian"."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +43,13 @@ class Region:
     Attributes
     ----------
     name : str
+        Name of the region.
     landmarks : (P,) intp
         Landmarks (positions in the 66) that control it.
     spacing_factor : float
-        Width of its kernel over the spacing of its landmarks, as for `RBFDeformer`. Chosen for the least vertex error
-        on two heads with known expressions (`bench/deformation.py`). That of the upper region is small, as lids move
-        close below resting brows.
+        Factor of the kernel's width, see `Kernel.width`. Chosen for the smallest vertex error on two heads with known
+        expressions (`bench/deformation.py`). The factor of the upper region is small, as lids move close below resting
+        brows.
     """
 
     name: str
@@ -57,7 +58,7 @@ class Region:
 
 
 _SHARED_ABOVE = np.concatenate([EYE_CORNERS, NOSE_ROOT])
-"""Landmarks of the upper and the middle region; the corners of the mouth belong to the middle and the lower one."""
+"""Landmarks shared by the upper and the middle region; the corners of the mouth are shared by middle and lower."""
 
 REGIONS: tuple[Region, Region, Region] = (
     Region("upper", np.concatenate([BROWS, UPPER_LIDS, _SHARED_ABOVE]), 0.5),
@@ -73,11 +74,11 @@ REGIONS: tuple[Region, Region, Region] = (
 
 
 _HOLD, _LEAST = 0.3, 0.01
-"""Radius in outer-eye distances within which weights change for a landmark, and the least weight there is then."""
+"""Radius, in outer-eye distances, within which weights change for a landmark, and the least weight after that."""
 
 
 def membership() -> NDArray[np.bool_]:
-    """(3, 66) whether a landmark controls a region; corners of eyes and mouth, and the nose bridge, control two."""
+    """Whether each landmark controls each region, (3, 66); corners of eyes and mouth, and the nose root, have two."""
     table = np.zeros((len(REGIONS), N_LANDMARKS), dtype=np.bool_)
     for row, region in zip(table, REGIONS, strict=True):
         row[region.landmarks] = True
@@ -85,7 +86,7 @@ def membership() -> NDArray[np.bool_]:
 
 
 def sharp_regions(region_weights: FloatArray, landmarks: IntArray, faces: IntArray | None) -> FloatArray:
-    """Turn painted weights into the sets of vertices of the paper, whose borders belong to both sides.
+    """Convert painted weights to the paper's sets of vertices, whose borders belong to both sides.
 
     Parameters
     ----------
@@ -95,9 +96,9 @@ def sharp_regions(region_weights: FloatArray, landmarks: IntArray, faces: IntArr
     Returns
     -------
     (3, V) float64
-        Weights of 0 and 1. A vertex that is painted at all belongs to the region with the largest weight; of two
-        neighbours in different regions, the one that is painted more evenly belongs to both. The vertex of a landmark
-        belongs to the regions of the landmark, so that these meet it exactly.
+        Weights of 0 and 1. A painted vertex belongs to the region with the largest weight. Of two neighbours in
+        different regions, the one that is painted more evenly belongs to both. The vertex of a landmark belongs to the
+        regions of the landmark, so that these meet it exactly.
     """
     painted = np.asarray(region_weights, dtype=np.float64)
     moving = painted.any(axis=0)
@@ -116,7 +117,18 @@ def sharp_regions(region_weights: FloatArray, landmarks: IntArray, faces: IntArr
 
 
 def own_weights(region_weights: FloatArray, landmarks: IntArray) -> FloatArray:
-    """(66,) sum of the weights that the vertex of each landmark has in the landmark's own regions."""
+    """Sum the weights that the vertex of each landmark has in the landmark's own regions.
+
+    Parameters
+    ----------
+    region_weights, landmarks : (3, V), (66,) array
+        As in `HeadRig`.
+
+    Returns
+    -------
+    (66,) float64
+        The sums; 1 for a vertex that follows its landmark exactly.
+    """
     return np.asarray((np.asarray(region_weights, dtype=np.float64)[:, landmarks] * membership()).sum(axis=0))
 
 
@@ -135,8 +147,8 @@ def hold_landmarks(
     Returns
     -------
     (3, V) float64
-        Weights which at the vertex of each landmark are 0 for regions to which it does not belong, and otherwise have
-        the sum 1. They change within `_HOLD` outer-eye distances of landmarks where that was not so.
+        Weights that are 0 at the vertex of each landmark in regions to which the landmark does not belong, and sum to 1
+        in the others. They change within `_HOLD` outer-eye distances of landmarks for which this was not the case.
     """
     painted = np.asarray(region_weights, dtype=np.float64)
     places = np.asarray(vertices, dtype=np.float64)
@@ -156,7 +168,7 @@ def hold_landmarks(
 
 
 def _edges(faces: IntArray) -> NDArray[np.intp]:
-    """(E, 2) edges of faces (F, K) that are padded with -1."""
+    """Edges, (E, 2), of faces (F, K) that are padded with -1."""
     following: NDArray[np.intp] = np.roll(faces, -1, axis=1)
     last = (faces >= 0) & (following < 0)
     following = np.where(last, faces[:, :1], following)
@@ -165,7 +177,7 @@ def _edges(faces: IntArray) -> NDArray[np.intp]:
 
 
 def region_sigmas(landmarks: FloatArray, kernel: Kernel) -> FloatArray:
-    """Width of the kernel in each region of a head.
+    """Compute the width of the kernel in each region of a head.
 
     Parameters
     ----------
@@ -177,8 +189,8 @@ def region_sigmas(landmarks: FloatArray, kernel: Kernel) -> FloatArray:
     Returns
     -------
     (3,) float64
-        In the unit of the landmarks. All landmarks count, whichever are control points, so that fewer points do not
-        stiffen the skin.
+        Sigma of each region, in the unit of the landmarks. It depends on all landmarks, whichever are control points,
+        so that fewer points do not stiffen the skin.
     """
     widths = [
         kernel.width(distances(points, points), region.spacing_factor)
@@ -189,5 +201,5 @@ def region_sigmas(landmarks: FloatArray, kernel: Kernel) -> FloatArray:
 
 
 def rms_extent(points: FloatArray) -> FloatArray:
-    """(2,) root mean square extent of points (N, 3) in x and y."""
+    """Root mean square extent of points (N, 3) in x and y, (2,)."""
     return np.asarray(points[:, :2].std(axis=0))

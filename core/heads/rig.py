@@ -1,4 +1,4 @@
-"""What driving a head requires, wherever its mesh comes from."""
+"""All that driving a head requires, whatever the source of its mesh."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class HeadRig:
     eyeballs : (E, 4) float
         Centre and radius of each eyeball.
     control_points : (3, 66) bool, optional
-        Whether a landmark is a control point of a region, as `greedy_select` chooses; by default all are.
+        Whether each landmark is a control point of each region, as chosen by `greedy_select`; by default all are.
     covariance : (66, 66) float, optional
-        Covariance of the landmarks in the take for which these were chosen, by which the others follow.
+        Covariance of the landmarks in the take for which the control points were chosen, by which the others follow.
     faces : (F, K) int, optional
-        Vertices of each face, padded with -1, for the informed kernel, which otherwise uses distance in space alone.
+        Vertices of each face, padded with -1, for the informed kernel, which otherwise uses only distance in space.
     parts : FaceParts, optional
-        Eyes, teeth, lashes and others, of this mesh and of others; without it all vertices are skin.
+        Eyes, teeth, lashes and other parts, of this mesh and of others; without it all vertices are skin.
     """
 
     vertices: FloatArray
@@ -58,25 +58,25 @@ class HeadRig:
 
     @property
     def kinds(self) -> NDArray[np.int8]:
-        """(A,) `Part` of each of `all_vertices`."""
+        """`Part` of each of `all_vertices`, (A,)."""
         return np.zeros(len(self.vertices), dtype=np.int8) if self.parts is None else self.parts.kinds
 
     @property
     def all_vertices(self) -> NDArray[np.float32]:
-        """(A, 3) rest positions of the vertices of this mesh, then of those of other meshes."""
+        """Rest positions of the vertices of this mesh, then of other meshes, (A, 3)."""
         own = np.asarray(self.vertices, dtype=np.float32)
         return own if self.parts is None else np.concatenate([own, self.parts.others])
 
     @property
     def all_faces(self) -> IntArray:
-        """(F + G, K) faces of all meshes."""
+        """Faces of all meshes, (F + G, K)."""
         own = np.empty((0, 3), dtype=np.intp) if self.faces is None else np.asarray(self.faces, dtype=np.intp)
         others = own[:0] if self.parts is None else np.asarray(self.parts.faces, dtype=np.intp)
         width = max(own.shape[1], others.shape[1])
         return np.concatenate([_widened(own, width), _widened(others, width)])
 
     def skin(self) -> tuple[HeadRig, Skin | None]:
-        """The rig of the skin alone with its seams closed, and which vertices it has; None if it is the whole mesh.
+        """Return the rig of the skin alone with its seams closed, and the skin, or None if it is the whole mesh.
 
         Raises
         ------
@@ -91,7 +91,9 @@ class HeadRig:
             return self, None
         landmarks = skin.number[self.landmarks]
         if (landmarks < 0).any():
-            raise HeadError("Landmarks lie on other parts than the skin. Set these parts to Skin, or bind again.")
+            raise HeadError(
+                "Landmarks lie on parts that are not skin. Set these parts to Skin, or find the face again."
+            )
         alone = replace(
             self,
             vertices=np.asarray(self.vertices)[skin.kept],
@@ -107,11 +109,13 @@ class HeadRig:
         if landmarks.shape != (N_LANDMARKS,):
             raise HeadError(f"{N_LANDMARKS} landmark vertices are needed; got {landmarks.shape}. Find the face first.")
         if landmarks.min() < 0 or landmarks.max() >= len(self.vertices):
-            raise HeadError("The mesh no longer has the vertices of the landmarks. Bind them again.")
+            raise HeadError("The vertices of the landmarks no longer exist. Bind the landmarks again.")
 
 
 def neck_of(points: FloatArray) -> FloatArray:
-    """Point about which a head with landmarks `points`, (66, 3), turns: the built-in head's origin, carried over."""
+    """Return the point about which a head with landmarks `points`, (66, 3), turns: the built-in head's origin, carried
+    over by a similarity.
+    """
     head = load_head()
     source, target = head.vertices[head.landmarks].astype(np.float64), np.asarray(points, dtype=np.float64)
     turn = fit_rotation(source - source.mean(axis=0), target - target.mean(axis=0))
@@ -124,7 +128,7 @@ def _widened(faces: IntArray, width: int) -> IntArray:
 
 
 def built_in_rig() -> HeadRig:
-    """The rig of the built-in head, equal to that of its copy in Blender."""
+    """Return the rig of the built-in head, equal to that of its copy in Blender."""
     head = load_head()
     eyes = [part for part in head.parts if part.name.startswith("eye")]
     eyeballs = [[*eye.pivot, float(np.linalg.norm(eye.vertices - eye.pivot, axis=1).max())] for eye in eyes]

@@ -1,4 +1,4 @@
-"""Contact of lips with each other, and of lids (docs/method.md, section 9.6)."""
+"""Contact between the lips, and between the lids of an eye (docs/method.md, section 9.6)."""
 
 from __future__ import annotations
 
@@ -13,40 +13,54 @@ from ..mesh.intersections import crossing_pairs
 from ..mesh.nearest import NearestPoints
 from ..mesh.surface import surface_normals, triangulate
 
-_LID_WAYS, _LIP_WAYS = ((1, 0.04), (1, 0.02)), ((3, 0.04), (1, 0.04), (3, 0.02), (6, 0.02))
-"""Ways that are tried until nothing crosses: how many of the nearest vertices across the slit a vertex must not pass,
-and their distance along the slit up to which they count. Thick lips need more than thin lids. All lengths are in
-outer-eye distances."""
+_LID_ATTEMPTS, _LIP_ATTEMPTS = ((1, 0.04), (1, 0.02)), ((3, 0.04), (1, 0.04), (3, 0.02), (6, 0.02))
+"""Attempts that are made until nothing crosses: how many of the nearest vertices across the slit a vertex must not
+pass, and the largest distance along the slit at which they count. Thick lips need more neighbours than thin lids. All
+lengths are in outer-eye distances."""
 _SLITS = (
-    (EYE_RIGHT, 0, 0.002, _LID_WAYS),
-    (EYE_LEFT, 0, 0.002, _LID_WAYS),
-    (LIPS, 1, 0.003, _LIP_WAYS),
+    (EYE_RIGHT, 0, 0.002, _LID_ATTEMPTS),
+    (EYE_LEFT, 0, 0.002, _LID_ATTEMPTS),
+    (LIPS, 1, 0.003, _LIP_ATTEMPTS),
 )
-"""Landmarks of each slit, the region above it, which the next one is below, the distance that both sides keep, or that
-at rest if it is less, and the ways."""
+"""For each slit: its landmarks, the region above it (the next region is below), the distance kept between its sides
+(that at rest if smaller), and the attempts."""
 _REACH = 0.12
-"""Distance from its landmarks within which skin belongs to a slit."""
+"""Distance from the landmarks of a slit within which skin belongs to it."""
 _MIN_DEPTH, _MAX_DEPTH = 1e-4, 0.06
-"""Depths between which a vertex has passed through a plane."""
+"""Depths between which a vertex counts as having passed through a plane."""
 _FACING = 0.0
 """Cosine of the angle between two normals below which their surfaces face each other."""
 _STEPS, _SPREADS = 20, 2
-"""Corrections at most, and rings of neighbours that take part in each."""
+"""Largest number of corrections, and rings of neighbours that take part in each."""
 
 
 @dataclass(frozen=True)
 class _Slit:
-    """A slit: vertices above and below it, its triangles, those that cross at rest, the distance to keep, and ways."""
+    """A slit.
+
+    Attributes
+    ----------
+    sides : two arrays of intp
+        Vertices above and below it.
+    triangles : (T, 3) intp
+        Triangles near it.
+    crossing : int
+        Number of pairs of triangles that cross at rest.
+    gap : float
+        Distance kept between the sides, in the unit of the mesh.
+    attempts : tuple of (int, float)
+        As `_LID_ATTEMPTS`.
+    """
 
     sides: tuple[NDArray[np.intp], NDArray[np.intp]]
     triangles: NDArray[np.intp]
     crossing: int
     gap: float
-    ways: tuple[tuple[int, float], ...]
+    attempts: tuple[tuple[int, float], ...]
 
 
 class SlitContact:
-    """Keeps the skin above a slit, of the mouth or an eye, from passing through that below it.
+    """Keeps the skin above a slit of the mouth or an eye from passing through the skin below it.
 
     Parameters
     ----------
@@ -59,8 +73,8 @@ class SlitContact:
 
     Notes
     -----
-    A vertex is too deep if it lies behind the plane through a nearest vertex across the slit that faces it, and did not
-    at rest. Both are then moved apart along the normal of that plane, and their neighbours a share of that.
+    A vertex is too deep if it lies behind the plane through a nearby vertex across the slit that faces it, and did not
+    at rest. Both are then moved apart along the normal of that plane, and their neighbours by a share of that.
     """
 
     def __init__(self, rest: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> None:
@@ -72,7 +86,7 @@ class SlitContact:
             _, squared = NearestPoints(places[landmarks[organ]]).query(places)
             near = squared[:, 0] < (_REACH * self._unit) ** 2
             sides.append([np.flatnonzero(near & (region == side)) for side in (above, above + 1)])
-        # Vertices of the slits and of the faces about them get new numbers, from 0.
+        # Number the vertices of the slits and of the adjoining faces from 0.
         within = np.zeros(len(places) + 1, dtype=bool)
         within[np.concatenate([rows for pair in sides for rows in pair])] = True
         own = np.asarray(faces)[within[np.asarray(faces)].any(axis=1)]
@@ -86,41 +100,41 @@ class SlitContact:
         self._edges = _edges(self._faces)
         self._degree = np.maximum(np.bincount(self._edges[:, 0], minlength=len(self._rows)), 1)
         self._slits = [
-            self._slit((number[upper], number[lower]), gap * self._unit, ways)
-            for (upper, lower), (_, _, gap, ways) in zip(sides, _SLITS, strict=True)
+            self._slit((number[upper], number[lower]), gap * self._unit, attempts)
+            for (upper, lower), (_, _, gap, attempts) in zip(sides, _SLITS, strict=True)
             if len(upper) and len(lower)
         ]
 
     def _slit(
-        self, sides: tuple[NDArray[np.intp], NDArray[np.intp]], gap: float, ways: tuple[tuple[int, float], ...]
+        self, sides: tuple[NDArray[np.intp], NDArray[np.intp]], gap: float, attempts: tuple[tuple[int, float], ...]
     ) -> _Slit:
         near = np.isin(np.arange(len(self._rest)), np.concatenate(sides))
         triangles = triangulate(self._faces)
         triangles = triangles[near[triangles].any(axis=1)]
-        return _Slit(sides, triangles, len(crossing_pairs(self._rest, triangles)), gap, ways)
+        return _Slit(sides, triangles, len(crossing_pairs(self._rest, triangles)), gap, attempts)
 
     def resolve(self, vertices: NDArray[np.float32]) -> None:
-        """Move what has passed through apart, in place: (V, 3) float32."""
+        """Move skin that has passed through a slit apart, in place: `vertices` (V, 3) float32."""
         posed = vertices[self._rows].astype(np.float64)
         for slit in self._slits:
             posed = self._parted(slit, posed)
         vertices[self._rows] = posed
 
     def _parted(self, slit: _Slit, posed: FloatArray) -> FloatArray:
-        """`posed` (N, 3) with the sides of a slit apart, in the way that leaves least crossing."""
-        if not self._pushes(slit, posed, *self._scaled(slit.ways[0])).any():
+        """Return `posed` (N, 3) with the sides of a slit apart, by the attempt that leaves the fewest crossings."""
+        if not self._pushes(slit, posed, *self._scaled(slit.attempts[0])).any():
             return posed
         best, least = posed, len(crossing_pairs(posed, slit.triangles))
-        for way in slit.ways:
+        for attempt in slit.attempts:
             if least <= slit.crossing:
                 break
-            tried = self._pushed_apart(slit, posed, *self._scaled(way))
+            tried = self._pushed_apart(slit, posed, *self._scaled(attempt))
             if (crossing := len(crossing_pairs(tried, slit.triangles))) < least:
                 best, least = tried, crossing
         return best
 
-    def _scaled(self, way: tuple[int, float]) -> tuple[int, float]:
-        return way[0], way[1] * self._unit
+    def _scaled(self, attempt: tuple[int, float]) -> tuple[int, float]:
+        return attempt[0], attempt[1] * self._unit
 
     def _pushed_apart(self, slit: _Slit, posed: FloatArray, neighbours: int, lateral: float) -> FloatArray:
         for _ in range(_STEPS):
@@ -131,7 +145,7 @@ class SlitContact:
         return posed
 
     def _pushes(self, slit: _Slit, posed: FloatArray, neighbours: int, lateral: float) -> FloatArray:
-        """(N, 3) mean of the displacements that each vertex needs."""
+        """Mean of the displacements that each vertex needs, (N, 3)."""
         normals = surface_normals(posed, self._faces)
         total, count = np.zeros_like(posed), np.zeros(len(posed))
         for own, other in (slit.sides, slit.sides[::-1]):
@@ -149,7 +163,7 @@ class SlitContact:
     def _needed(
         self, pairs: tuple[IntArray, IntArray], depth: FloatArray, normals: FloatArray, gap: float
     ) -> FloatArray:
-        """(P,) distance that the first of each pair lacks along the normal of the second; 0 if it is on its side."""
+        """Distance that the first vertex of each pair lacks along the normal of the second, (P,); 0 on its own side."""
         mine, facing = pairs
         before = ((self._rest[mine] - self._rest[facing]) * self._normals[facing]).sum(axis=1)
         lacking = np.minimum(gap, before) - depth
@@ -158,7 +172,7 @@ class SlitContact:
         return np.where(passed, lacking, 0.0)
 
     def _spread(self, push: FloatArray) -> FloatArray:
-        """`push`, with the mean of their neighbours for vertices that are not pushed."""
+        """Extend `push` to vertices that are not pushed, by the mean of their neighbours."""
         pushed, spread = push.any(axis=1)[:, None], push
         first, second = self._edges.T
         for _ in range(_SPREADS):
@@ -168,7 +182,7 @@ class SlitContact:
 
 
 def _edges(faces: IntArray) -> NDArray[np.intp]:
-    """(E, 2) edges of faces padded with -1, in both directions."""
+    """Edges of faces padded with -1, in both directions, (E, 2)."""
     following = np.roll(faces, -1, axis=1)
     following = np.where(following < 0, faces[:, :1], following)
     pairs = np.stack([faces, following], axis=-1)[faces >= 0]

@@ -1,4 +1,4 @@
-"""Sorting of the pieces of a character's face into parts, by name and by place (docs/method.md, section 7.5)."""
+"""Assignment of the pieces of a character's face to parts, by name and by place (docs/method.md, section 7.5)."""
 
 from __future__ import annotations
 
@@ -50,45 +50,43 @@ _NAMED = tuple(
     )
 )
 _NEAR_EYE = 0.6
-"""Widths of an eye from its middle, seen from the front, within which the middle of a piece is for it to be an eye."""
+"""Largest distance of the middle of an eye's piece from the middle of the eye, seen from the front, in eye widths."""
 _EYE_SIZE = (0.15, 1.5)
 """Range of the width of an eye's pieces, in widths of the opening between the lids."""
 _BEYOND = 0.08
-"""Outer-eye distances to which gums of both rows reach above and below where the rows meet; teeth overlap by less."""
+"""Outer-eye distances by which gums of both rows reach above and below where the rows meet; teeth overlap by less."""
 _TALLEST = 0.7
-"""Outer-eye distances that teeth and gums of both rows are high together; that of ICT-FaceKit has .54."""
+"""Largest height of teeth and gums of both rows together, in outer-eye distances; that of ICT-FaceKit is 0.54."""
 _MOUTH = (0.75, 0.45)
 """Half widths of the mouth, and outer-eye distances above and below it, within which pieces are teeth."""
 _END = 0.1
 """Share of the height of the gums, at either end, that certainly belongs to that row. On ICT-FaceKit, whose motion is
-known, every vertex that is visible from the front is assigned correctly with shares from .05 to .4.
-"""
+known, every vertex that is visible from the front is assigned correctly with shares from 0.05 to 0.4."""
 _FLAT = 0.2
-"""Widths of an eye's opening from the rim, in the median, within which a piece as wide as the opening is no eye:
-lashes, the lids' own edge or a film of tears. Eyeballs reach .5, their front halves .3.
-"""
+"""Median distance from the rim of an eye's opening, in its widths, within which a piece as wide as the opening is no
+eye but lashes, the edge of the lids or a film of tears. Eyeballs reach 0.5, their front halves 0.3."""
 _WIDE = 0.75
 """Share of the opening's width above which a piece may be one of these, rather than an iris or a cornea."""
 _CLOSE = 0.12
-"""Outer-eye distances from the skin of the face within which a piece rides on it."""
+"""Distance from the skin of the face, in outer-eye distances, within which a piece rides on it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A piece of a mesh that hangs together.
+    """A connected piece of a mesh.
 
     Attributes
     ----------
     vertices : (N, 3) float
-        Positions, frame of the head.
+        Positions, in the head frame.
     names : tuple of str
-        Names that describe it, the most specific first: of its material and of its object.
+        Names that describe it, the most specific first: those of its material and of its object.
     skin : bool
-        Whether it is known to be skin, as landmarks lie on it.
+        Whether it is known to be skin because landmarks lie on it.
     away : float
-        Largest distance of 9 in 10 of its vertices from the skin, in outer-eye distances.
+        Distance from the skin within which 9 in 10 of its vertices lie, in outer-eye distances.
     moving : bool
-        Whether the nearest skin moves, as the face does, and skull and neck don't.
+        Whether the nearest skin moves, as the face does but skull and neck do not.
     """
 
     vertices: FloatArray
@@ -99,12 +97,17 @@ class Piece:
 
 
 def named_part(names: Sequence[str]) -> Part | None:
-    """The part that names describe; None if they describe none. Teeth count as upper, eyes as left.
+    """Return the part that names describe, or None. Teeth count as upper and eyes as left.
 
     Parameters
     ----------
     names : sequence of str
-        The most specific first.
+        Names, the most specific first.
+
+    Returns
+    -------
+    Part or None
+        The part.
     """
     for name in names:
         text = _plain(name)
@@ -115,36 +118,37 @@ def named_part(names: Sequence[str]) -> Part | None:
 
 
 def names_skin(name: str) -> bool:
-    """Whether a name is that of the skin of a face or head."""
+    """Return whether a name is that of the skin of a face or head."""
     text = _plain(name)
     return bool(re.search(_SKIN, text)) and not any(pattern.search(text) for pattern, _ in _NAMED)
 
 
 def names_body(name: str) -> bool:
-    """Whether a name is that of a body or its clothes."""
+    """Return whether a name is that of a body or its clothes."""
     text = _plain(name)
     return bool(re.search(_BODY, text)) and not re.search(_SKIN, text)
 
 
 def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None]:
-    """Sort the pieces of a character's face.
+    """Assign the pieces of a character's face to parts.
 
     Parameters
     ----------
     pieces : sequence of Piece
         All pieces of the meshes around the face.
     points : (66, 3) array
-        Landmarks, frame of the head.
+        Landmarks, in the head frame.
 
     Returns
     -------
     list of Part or None
-        The part of each piece; None for teeth whose piece has both rows, which `lower_row` divides.
+        The part of each piece; None for a piece that has both rows of teeth, which `lower_row` divides.
 
     Notes
     -----
-    A name decides first, as the maker of a character has given it. Without one the place does: an eye lies behind the
-    lids, teeth lie behind the lips, and what is close to moving skin rides on it. All else rides on the head.
+    Names decide first, as they were given by the maker of the character. Without one the place decides: an eye lies
+    behind the lids, teeth lie behind the lips, and a piece close to moving skin rides on it. All else rides on the
+    head.
     """
     unit = outer_eye_distance(points)
     middle = np.asarray(points, dtype=np.float64)[MOUTH_CORNERS].mean(axis=0)
@@ -166,22 +170,22 @@ def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None
 
 
 def lower_row(vertices: FloatArray, faces: IntArray, points: FloatArray) -> NDArray[np.bool_]:
-    """Find what moves with the lower teeth in a piece with both rows, such as gums that are joined with the tongue.
+    """Find the vertices that move with the lower teeth in a piece with both rows, such as gums joined to the tongue.
 
     Parameters
     ----------
     vertices : (N, 3) array
-        Positions, frame of the head.
+        Positions, in the head frame.
     faces : (F, K) array of int
         Faces of the piece, padded with -1.
     points : (66, 3) array
-        Landmarks, frame of the head.
+        Landmarks, in the head frame.
 
     Returns
     -------
     (N,) bool
-        Whether the lowest vertices are nearer, along the surface, than the highest. A tongue lies above the edge of the
-        lower teeth, yet grows from below.
+        Whether the lowest vertices are nearer along the surface than the highest. A tongue lies above the edge of the
+        lower teeth, but grows from below.
     """
     height = np.asarray(vertices)[:, 1]
     ends = _END * float(np.ptp(height))
@@ -192,7 +196,7 @@ def lower_row(vertices: FloatArray, faces: IntArray, points: FloatArray) -> NDAr
 
 
 def _divide_teeth(pieces: Sequence[Piece], parts: list[Part | None], points: FloatArray, unit: float) -> None:
-    """Tell the rows of teeth whose names do not: by the larger gap between the heights of their middles."""
+    """Separate rows of teeth whose names do not, by the largest gap between the heights of their middles."""
     unsure = [
         i
         for i, (piece, part) in enumerate(zip(pieces, parts, strict=True))
@@ -218,7 +222,7 @@ def _divide_teeth(pieces: Sequence[Piece], parts: list[Part | None], points: Flo
 
 
 def _is_eye(piece: Piece, points: FloatArray) -> bool:
-    """Whether a piece covers the middle of an eye's opening and is about as large."""
+    """Return whether a piece covers the middle of an eye's opening and is about as large."""
     low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
     for lids in (EYE_RIGHT, EYE_LEFT):
         rim = np.asarray(points)[lids]
@@ -242,7 +246,7 @@ def _from_rim(vertices: FloatArray, rim: FloatArray) -> float:
 
 
 def _is_in_mouth(piece: Piece, points: FloatArray, unit: float) -> bool:
-    """Whether a piece lies behind the lips, and is narrower than the face there."""
+    """Return whether a piece lies behind the lips and is narrower than the face there."""
     lips = np.asarray(points)[np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])].mean(axis=0)
     width = float(np.ptp(np.asarray(points)[MOUTH_CORNERS][:, 0]))
     low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
@@ -259,6 +263,6 @@ def _is_in_mouth(piece: Piece, points: FloatArray, unit: float) -> bool:
 
 
 def _plain(name: str) -> str:
-    """A name in lower case, with words set apart by underscores: `EyeLeft` becomes `_eye_left_`."""
+    """Return a name in lower case with words separated by underscores: `EyeLeft` becomes `_eye_left_`."""
     apart = re.sub(r"(?<=[a-z])(?=[A-Z0-9])", "_", name)
     return "_" + re.sub(r"[^a-z]+", "_", apart.lower()) + "_"

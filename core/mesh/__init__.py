@@ -1,1 +1,1 @@
-"""Geometry of any mesh: surfaces, kernels, warps, sparse systems, nearest points."""
+"""Geometry of meshes: surfaces, kernels, warps, sparse systems and nearest points."""

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray, IntArray
 
 _CHUNK = 200_000
-"""Pairs of triangles at a time."""
+"""Pairs of triangles that are tested at a time, which limits memory."""
 _PARALLEL = 1e-12
-"""Product of an edge and a normal, relative to their lengths, below which they count as parallel."""
+"""Triple product of an edge and two sides of a triangle, over their lengths, below which the edge counts as
+parallel."""
 _INSIDE = 1e-9
-"""Share of a triangle by which an edge has to be inside it, so that touching is no crossing."""
+"""Share of a triangle or an edge by which they must meet inside it, so that triangles that only touch do not cross."""
 
 
 def crossing_pairs(
@@ -27,13 +28,13 @@ def crossing_pairs(
     triangles : (T, 3) array of int
         Vertices of each triangle.
     moved : (T,) bool, optional
-        Triangles of which at least one has to be in a pair; by default all.
+        Triangles of which each pair must contain at least one; by default all.
 
     Returns
     -------
     (P, 2) int
-        Pairs of triangles without a common vertex of which an edge of one goes through the other (Moeller & Trumbore
-        1997). Triangles that lie in one plane, or only touch, do not count.
+        Pairs of triangles without a common vertex, of which one has an edge that goes through the other (Moeller &
+        Trumbore 1997). Triangles that lie in one plane, or only touch, do not count.
     """
     triangles = np.asarray(triangles, dtype=np.intp)
     corners = np.asarray(vertices, dtype=np.float64)[triangles]
@@ -50,11 +51,11 @@ def crossing_pairs(
 
 
 def _near(corners: FloatArray) -> NDArray[np.intp]:
-    """(P, 2) pairs of triangles with corners (T, 3, 3) whose boxes overlap, the one with the lesser x first."""
+    """Pairs of triangles with corners (T, 3, 3) whose bounding boxes overlap, (P, 2), that with the smaller x first."""
     low, high = corners.min(axis=1), corners.max(axis=1)
     order = np.argsort(low[:, 0], kind="stable")
     low, high = low[order], high[order]
-    # Sorted by x, the boxes that begin before one ends follow it without a gap.
+    # Sorted by x, the boxes that begin before a given one ends follow it directly.
     ends = np.searchsorted(low[:, 0], high[:, 0], side="right")
     counts = np.maximum(ends - np.arange(len(ends)) - 1, 0)
     found = [np.empty((0, 2), dtype=np.intp)]
@@ -71,7 +72,7 @@ def _near(corners: FloatArray) -> NDArray[np.intp]:
 
 
 def _pierces(edges_of: FloatArray, triangles: FloatArray) -> NDArray[np.bool_]:
-    """(P,) whether an edge of the triangle (P, 3, 3) goes through the other one."""
+    """Whether an edge of each triangle of `edges_of` (P, 3, 3) goes through the other triangle (P, 3, 3), (P,)."""
     corner, u, v = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     through = np.zeros(len(triangles), dtype=bool)
     for k in range(3):

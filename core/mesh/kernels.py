@@ -1,4 +1,4 @@
-"""Kernels of distance: how far, and how smoothly, a control point moves its surroundings (docs/method.md, 5.2)."""
+"""Kernels: how far, and how smoothly, a control point moves its surroundings (docs/method.md, section 5.2)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Kernel:
         between : (P, P) float64
             Distances between the control points.
         factor : float
-            Factor of the region.
+            Factor of the region, `Region.spacing_factor`.
 
         Returns
         -------
@@ -52,8 +52,8 @@ class Kernel:
 
         Notes
         -----
-        The spacing is the median distance to the third nearest neighbour; to the nearest, pairs on opposite lips would
-        decide.
+        The spacing is the median distance to the third nearest neighbour. The distance to the nearest would be
+        dominated by pairs on opposite lips.
         """
         if len(between) == 1:
             return 1.0
@@ -64,14 +64,14 @@ class Kernel:
 
 
 def gaussian(distance: FloatArray, sigma: float) -> FloatArray:
-    """``exp(-r^2 / (2 sigma^2))``, equation 2 of Yao et al. 2019.
+    """Gaussian kernel, ``exp(-r^2 / (2 sigma^2))``: equation 2 of Yao et al. 2019.
 
     Parameters
     ----------
     distance : ndarray
         Distances r.
     sigma : float
-        Width, same unit.
+        Width, in the unit of the distances.
 
     Returns
     -------
@@ -82,33 +82,71 @@ def gaussian(distance: FloatArray, sigma: float) -> FloatArray:
 
 
 def multiscale(distance: FloatArray, sigma: float) -> FloatArray:
-    """A Gaussian and one three times as wide: detail near the landmarks, no gap where these are far apart.
+    """Sum of a Gaussian and one three times as wide: detail near the landmarks, and no gap where they are far apart.
 
-    Parameters and result are as for `gaussian`, with `sigma` the width of the narrow one.
+    Parameters
+    ----------
+    distance : ndarray
+        Distances r.
+    sigma : float
+        Width of the narrow Gaussian, in the unit of the distances.
+
+    Returns
+    -------
+    ndarray
+        Values of the shape of `distance`.
 
     Notes
     -----
-    Landmarks are dense on lids and lips and sparse on the cheeks. A single Gaussian that suits the former leaves the
-    middle of the cheek behind. A sum of Gaussians is positive definite as its terms are (Opfer 2006; Luethi et al.
+    Landmarks are dense on lids and lips and sparse on the cheeks. A single Gaussian that suits lids and lips leaves the
+    middle of the cheek behind. A sum of Gaussians is positive definite because its terms are (Opfer 2006; Luethi et al.
     2018).
     """
     return _NARROW_SHARE * gaussian(distance, sigma) + (1.0 - _NARROW_SHARE) * gaussian(distance, _WIDE * sigma)
 
 
 def wendland(distance: FloatArray, sigma: float) -> FloatArray:
-    """``(1 - r / R)^4 (4 r / R + 1)`` below ``R = 4 sigma`` and 0 beyond, which is C2 with compact support.
+    """Wendland's C2 function, ``(1 - r / R)^4 (4 r / R + 1)`` below ``R = 4 sigma`` and 0 beyond.
 
-    Parameters and result are as for `gaussian`. The kernel is that of Wendland 1995.
+    Parameters
+    ----------
+    distance : ndarray
+        Distances r.
+    sigma : float
+        A quarter of the radius of the support, in the unit of the distances.
+
+    Returns
+    -------
+    ndarray
+        Values of the shape of `distance`.
+
+    Notes
+    -----
+    Wendland 1995; compactly supported, and positive definite in three dimensions.
     """
     r = np.minimum(distance / (4.0 * sigma), 1.0)
     return np.asarray((1.0 - r) ** 4 * (4.0 * r + 1.0))
 
 
 def biharmonic(distance: FloatArray, sigma: float) -> FloatArray:
-    """``1 - r / sigma``: the biharmonic kernel -r of three dimensions, shifted so that it is positive definite.
+    """Biharmonic kernel of three dimensions, -r, as ``1 - r / sigma``.
 
-    Parameters and result are as for `gaussian`; `sigma` has to exceed the extent of the control points (Micchelli
-    1986).
+    Parameters
+    ----------
+    distance : ndarray
+        Distances r.
+    sigma : float
+        Scale, in the unit of the distances; it has to exceed the extent of the control points.
+
+    Returns
+    -------
+    ndarray
+        Values of the shape of `distance`.
+
+    Notes
+    -----
+    -r is conditionally positive definite; shifted by the constant it is positive definite on the control points
+    (Micchelli 1986).
     """
     return np.asarray(1.0 - distance / sigma)
 
@@ -125,14 +163,14 @@ KERNELS: dict[str, Kernel] = {
 
 
 def get_kernel(name: str) -> Kernel:
-    """Return a kernel by its name; HeadError if the name is unknown."""
+    """Return a kernel by name; HeadError if the name is unknown."""
     if name not in KERNELS:
         raise HeadError(f"There is no kernel {name!r}. Choose one of {', '.join(KERNELS)}.")
     return KERNELS[name]
 
 
 def distances(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
-    """Pairwise distances.
+    """Compute the distances between two sets of points.
 
     Parameters
     ----------

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 
 _SINGLE_TREE = 4
-"""FLANN's number of the k-d tree for few dimensions, the only one with an exact search."""
+"""FLANN's number for the k-d tree for few dimensions, the only index with an exact search."""
 
 
 class NearestPoints:
-    """Finds the nearest of given points: preparation is O(N log N), a query O(log N).
+    """Finds the nearest of a set of points: O(N log N) to prepare, O(log N) per query.
 
     Parameters
     ----------
@@ -24,10 +24,10 @@ class NearestPoints:
     def __init__(self, points: FloatArray) -> None:
         self._points = np.ascontiguousarray(points, dtype=np.float32)  # the tree keeps no copy
         tree = {"algorithm": _SINGLE_TREE, "leaf_max_size": 10}
-        self._index = cv2.flann_Index(self._points, tree)  # type: ignore[attr-defined] # its stubs lack it
+        self._index = cv2.flann_Index(self._points, tree)  # type: ignore[attr-defined] # missing from its stubs
 
     def query(self, places: FloatArray, count: int = 1) -> tuple[NDArray[np.intp], FloatArray]:
-        """Find the nearest points to each of some positions.
+        """Find the points nearest to each position.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Pieces of a mesh: vertices that share a place, as at the seams of a texture, and parts that hang together."""
+"""Connected pieces of a mesh, and coincident vertices such as those at the seams of a texture."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from ..arrays import FloatArray, IntArray
 from .surface import SurfaceGraph
 
 _SAME_PLACE = 1e-6
-"""Share of the mesh's size within which vertices count as being in one place."""
+"""Share of the mesh's size within which vertices coincide."""
 
 
 def border_twins(vertices: FloatArray, faces: IntArray, apart: IntArray | None = None) -> NDArray[np.intp]:
-    """Find vertices of open borders that lie in one place, where one skin was split, as exporters do at texture seams.
+    """Find coincident vertices of open borders, where a skin was split, as exporters do at texture seams.
 
     Parameters
     ----------
@@ -27,7 +27,8 @@ def border_twins(vertices: FloatArray, faces: IntArray, apart: IntArray | None =
     Returns
     -------
     (V,) intp
-        For each vertex the first one in its place; itself inside of the mesh, where another layer may touch it.
+        For each vertex the first of those that coincide with it. Vertices inside the mesh are not joined, as another
+        layer may touch them.
     """
     graph = SurfaceGraph(vertices, faces)
     border = np.setdiff1d(graph.edges[graph.faces_at == 1], [] if apart is None else apart)
@@ -50,18 +51,19 @@ def islands(count: int, faces: IntArray, twins: IntArray | None = None) -> NDArr
     faces : (F, K) array of int
         Vertices of each face, padded with -1.
     twins : (V,) array of int, optional
-        `border_twins`, across which pieces hang together.
+        As returned by `border_twins`; pieces are connected across twins.
 
     Returns
     -------
     (V,) intp
-        Number of the piece of each vertex, from 0. A vertex without faces is a piece by itself.
+        Number of the piece of each vertex, from 0. A vertex without faces is a piece of its own.
     """
     corners = np.where(faces >= 0, faces, faces[:, :1]).astype(np.intp)
     label = np.arange(count) if twins is None else np.array(twins, dtype=np.intp)
     root = label[label]
     while True:
-        # Each face takes its lowest label, and each vertex that of its faces; then labels follow their own label.
+        # Union by propagation: each face takes its lowest label, each vertex the lowest of its faces, and each label
+        # the label of the vertex that it names.
         low = root[corners].min(axis=1) if len(corners) else np.empty(0, dtype=np.intp)
         new = root.copy()
         np.minimum.at(new, corners.ravel(), np.repeat(low, corners.shape[1]))

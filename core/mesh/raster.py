@@ -1,4 +1,4 @@
-"""A z-buffer in numpy, fast enough for small pictures of dense meshes: 20,000 triangles in some 30 ms."""
+"""A z-buffer in numpy, fast enough for small images of dense meshes: 20,000 triangles take about 30 ms."""
 
 from __future__ import annotations
 
@@ -11,24 +11,25 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray, IntArray
 
 _CHUNK = 1 << 20
-"""Pixels that are tested at a time, which limits memory."""
+"""Pixels tested at a time, which limits memory."""
 _BUDGET = 1 << 24
-"""Pixels that are tested in all, which limits time: of a heap of large triangles the largest are left out."""
+"""Pixels tested in total, which limits time: beyond that, the largest triangles are left out."""
 
 
 @dataclass(frozen=True)
 class Fragments:
-    """What the nearest surface shows in every covered pixel.
+    """The nearest surface at each covered pixel.
 
     Attributes
     ----------
     pixel : (F,) intp
         Row-major pixel index.
     triangle : (F,) intp
-        Index into the triangles that were drawn.
+        Index of the triangle that is seen there.
     barycentric : (F, 3) float32
+        Barycentric coordinates of the pixel in that triangle.
     depth : (H, W) float32
-        Infinite where nothing was drawn.
+        Depth of the nearest surface at all pixels; infinite where nothing was drawn.
     """
 
     pixel: NDArray[np.intp]
@@ -38,23 +39,23 @@ class Fragments:
 
 
 def rasterise(points: FloatArray, depth: FloatArray, triangles: IntArray, size: int) -> Fragments:
-    """Draw triangles into a square picture.
+    """Draw triangles into a square image with a z-buffer.
 
     Parameters
     ----------
     points : (V, 2) array
-        Pixels, whose centres have integer coordinates.
+        Positions in pixels, whose centres have integer coordinates.
     depth : (V,) array
-        Smaller depth hides larger.
+        Depth; smaller values hide larger ones.
     triangles : (T, 3) int
-        Both sides are drawn: the caller leaves out triangles that face away.
+        Vertices of each triangle. Both sides are drawn, so the caller leaves out triangles that face away.
     size : int
-        Side of the picture, pixels.
+        Side of the image in pixels.
 
     Returns
     -------
     Fragments
-        What is seen.
+        The visible surface.
     """
     corners = points[triangles].astype(np.float32)
     nearness = depth[triangles].astype(np.float32)
@@ -73,9 +74,9 @@ def rasterise(points: FloatArray, depth: FloatArray, triangles: IntArray, size: 
 
 
 def _groups(corners: FloatArray, size: int) -> Iterator[tuple[NDArray[np.intp], IntArray, int]]:
-    """Triangles of about equal bounding boxes, the first pixels of these, and their side.
+    """Yield triangles with bounding boxes of about equal size, the first pixels of these boxes, and their side.
 
-    Each group is tested as a whole, so that none wastes more than it covers.
+    All pixels of a group's boxes are tested at once, and similar sizes keep the waste below the area that is covered.
     """
     low = np.clip(np.ceil(corners.min(axis=1)), 0, size).astype(np.intp)
     high = np.clip(np.floor(corners.max(axis=1)), -1, size - 1).astype(np.intp)
@@ -95,7 +96,7 @@ def _groups(corners: FloatArray, size: int) -> Iterator[tuple[NDArray[np.intp], 
 def _candidates(
     corners: FloatArray, nearness: FloatArray, chosen: NDArray[np.intp], low: IntArray, side: int, size: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
-    """Pixels inside the chosen triangles: index, triangle, barycentric coordinates, depth."""
+    """Pixels inside the chosen triangles, as index, triangle, barycentric coordinates and depth."""
     a, b, c = (corners[chosen, i][:, None] for i in range(3))
     step = np.stack(np.meshgrid(np.arange(side), np.arange(side), indexing="xy"), -1).reshape(-1, 2)
     at = low[:, None] + step

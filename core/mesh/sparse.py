@@ -1,7 +1,7 @@
 """Sparse symmetric systems on meshes, solved with numpy alone by nested dissection (docs/method.md, section 5.4).
 
-Two halves of a mesh are joined by a line of vertices. If that is eliminated after both halves, dense systems of a few
-hundred unknowns remain, instead of one of thousands.
+Two halves of a mesh are joined by a line of vertices, the separator. Eliminating it after both halves leaves dense
+systems of a few hundred unknowns instead of one of thousands.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from numpy.typing import DTypeLike, NDArray
 from ..arrays import FloatArray, IntArray
 
 _LEAF = 80
-"""Unknowns of a part that is not divided further: dense elimination is faster there."""
+"""Number of unknowns up to which a part is not divided further, as dense elimination is then faster."""
 
 
 @dataclass(frozen=True)
 class _Front:
-    """An elimination: ``x[own] = pivot^-1 b - carry x[rest]``, where `rest` is eliminated later.
+    """An elimination step: ``x[own] = pivot^-1 b - carry x[rest]``, where `rest` is eliminated later.
 
-    Unknowns are numbered in the order of elimination, so that those of a front are contiguous.
+    Unknowns are numbered in order of elimination, so that those of a front are contiguous.
     """
 
     own: slice
@@ -31,18 +31,18 @@ class _Front:
 
 
 class NestedDissection:
-    """Solves ``A x = b`` for a positive definite A whose entries join neighbours on a mesh.
+    """Solve ``A x = b`` for a positive definite A whose entries connect neighbours on a mesh.
 
     Parameters
     ----------
     edges : (E, 2) array of int
-        Pairs of different unknowns, each once.
+        Pairs of different unknowns, each pair once.
     weights : (E,) array
         Entries of A at `edges`.
     diagonal : (N,) array
         Diagonal of A.
     places : (N, D) array
-        Positions of the unknowns: parts are halved across their widest side.
+        Positions of the unknowns; parts are halved across their widest side.
     dtype : data type
         Precision of `solve`. Single precision takes half the memory and suffices for well-conditioned systems.
 
@@ -79,10 +79,21 @@ class NestedDissection:
         self._fronts = [replace(front, rest=self._rank[front.rest]) for front in self._fronts]
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """Return x, (N, K), for the right-hand sides `right`, (N, K)."""
+        """Solve for several right-hand sides.
+
+        Parameters
+        ----------
+        right : (N, K) array
+            The right-hand sides.
+
+        Returns
+        -------
+        (N, K) array
+            The solutions, in the precision of the solver.
+        """
         x = np.asarray(right, dtype=self._dtype)[self._order]
-        # Forward elimination, then back substitution. Right-hand sides are mostly zeros: skip fronts that these do not
-        # reach.
+        # Forward elimination, then back substitution. Right-hand sides are mostly zeros, so fronts that they do not
+        # reach are skipped.
         for front in self._fronts:
             given = x[front.own]
             if given.any():
@@ -93,11 +104,11 @@ class NestedDissection:
         return np.asarray(x[self._rank])
 
     def _eliminate(self, nodes: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray]:
-        """Eliminate `nodes`; return the later unknowns that they touch, (B,), and their update, (B, B)."""
+        """Eliminate `nodes`; return the later unknowns coupled to them, (B,), and the update of these, (B, B)."""
         # 1. Eliminate both halves; `own`, the separator between them, comes last.
         own, parts = self._split(nodes)
         updates = [self._eliminate(part) for part in parts]
-        # 2. `rest`: unknowns that are eliminated later and joined to the separator, or to a half.
+        # 2. `rest`: the later unknowns that are coupled to the separator or to a half.
         entries = self._entries(own)
         entries = entries[~self._done[self._to[entries]]]
         unknowns = np.unique(np.concatenate([self._to[entries], *(rest for rest, _ in updates)]))
@@ -114,7 +125,7 @@ class NestedDissection:
         for others, update in updates:
             at = self._column[others]
             front[at[:, None], at] -= update
-        # 4. Eliminate the separator; the Schur complement updates `rest`.
+        # 4. Eliminate the separator; its Schur complement updates `rest`.
         pivot, coupling = front[:count, :count], front[:count, count:]
         carry = np.linalg.solve(pivot, coupling)
         place = self._fronts[-1].own.stop if self._fronts else 0
@@ -125,14 +136,14 @@ class NestedDissection:
         return rest, coupling.T @ carry - front[count:, count:]
 
     def _split(self, nodes: NDArray[np.intp]) -> tuple[NDArray[np.intp], list[NDArray[np.intp]]]:
-        """The separator between two halves of `nodes`, and the halves; a small part is not divided."""
+        """Split `nodes` into a separator and the two halves between which it lies; small parts are not divided."""
         if len(nodes) <= _LEAF:
             return nodes, []
         places = self._places[nodes]
         along = places[:, np.ptp(places, axis=0).argmax()]
         order = np.argpartition(along, len(nodes) // 2)
         low, high = nodes[order[: len(nodes) // 2]], nodes[order[len(nodes) // 2 :]]
-        # The separator: vertices of the lower half with a neighbour in the upper one.
+        # The separator: vertices of the lower half with a neighbour in the upper half.
         self._mark[high] = True
         entries = self._entries(low)
         border = np.unique(self._from[entries[self._mark[self._to[entries]]]])
@@ -143,7 +154,7 @@ class NestedDissection:
         return border, [part for part in (inner, high) if len(part)]
 
     def _entries(self, nodes: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Indices of all entries in the rows `nodes`."""
+        """Indices of all off-diagonal entries in the rows `nodes`."""
         counts = self._starts[nodes + 1] - self._starts[nodes]
         ends = np.cumsum(counts)
         return np.asarray(np.arange(int(counts.sum())) + np.repeat(self._starts[nodes] - ends + counts, counts))

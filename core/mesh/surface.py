@@ -1,4 +1,4 @@
-"""Paths along the surface of a mesh, and its openings, which tell lips and lids apart where they touch in space."""
+"""Paths along the surface of a mesh, and its openings, which separate lips and lids that touch in space."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ..landmarks import LOWER_LIP, MOUTH_CORNERS, UPPER_LIP
 
 JOINED = 1.7
 """Lips or lids count as joined if the path from one to the other is shorter than this multiple of the straight
-distance; around a corner of the mouth it is longer."""
+distance. Around a corner of the mouth it is longer."""
 
 
 def triangulate(faces: IntArray) -> NDArray[np.intp]:
-    """(T, 3) triangles of faces (F, K), padded with -1: each is divided from its first corner."""
+    """Divide faces (F, K), padded with -1, into triangles (T, 3) that share the first corner of their face."""
     whole = np.asarray(faces, dtype=np.intp)
     fans = [whole[whole[:, k] >= 0][:, [0, k - 1, k]] for k in range(2, whole.shape[1])]
     return np.concatenate(fans) if fans else np.empty((0, 3), np.intp)
@@ -74,11 +74,11 @@ class SurfaceGraph:
         self._starts: list[int] = np.searchsorted(both[order, 0], np.arange(len(self.vertices) + 1)).tolist()
 
     def neighbours(self, vertex: int) -> list[int]:
-        """Vertices one edge away from `vertex`."""
+        """Return the vertices that are one edge away from `vertex`."""
         return self._neighbours[self._starts[vertex] : self._starts[vertex + 1]]
 
     def path_lengths(self, seeds: Iterable[int], limit: float = np.inf) -> FloatArray:
-        """Length of the shortest path along edges from each vertex to any seed.
+        """Compute the length of the shortest path along edges from each vertex to any seed.
 
         Parameters
         ----------
@@ -90,7 +90,7 @@ class SurfaceGraph:
         Returns
         -------
         (V,) float64
-            Infinite beyond `limit`.
+            Lengths; infinite beyond `limit`.
         """
         way = np.full(len(self.vertices), np.inf)
         for vertex, (length, _) in self._search(seeds, limit).items():
@@ -98,7 +98,7 @@ class SurfaceGraph:
         return way
 
     def nearest_seeds(self, seeds: Iterable[int]) -> NDArray[np.intp]:
-        """The seed that is nearest along edges to each vertex.
+        """Find the seed that is nearest to each vertex along edges.
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class SurfaceGraph:
         Returns
         -------
         (V,) intp
-            -1 for vertices that are connected to no seed.
+            The seed; -1 for vertices that are connected to none.
         """
         nearest = np.full(len(self.vertices), -1)
         for vertex, (_, before) in self._search(seeds, np.inf).items():  # in order of distance
@@ -116,7 +116,7 @@ class SurfaceGraph:
         return nearest
 
     def path(self, start: int, end: int) -> list[int]:
-        """Shortest path along edges.
+        """Find the shortest path along edges.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class SurfaceGraph:
         Returns
         -------
         list of int
-            Vertices from `start` to `end`; these two alone if they are not connected.
+            Vertices from `start` to `end`; only these two if they are not connected.
         """
         reached = self._search([start], np.inf, end)
         if end not in reached:
@@ -137,7 +137,7 @@ class SurfaceGraph:
         return path[::-1]
 
     def openings(self) -> list[NDArray[np.intp]]:
-        """Connected borders of the mesh as arrays of vertices, the longest first."""
+        """Return the connected borders of the mesh as arrays of vertices, the longest first."""
         border = self.edges[self.faces_at == 1]
         label = {int(v): int(v) for v in np.unique(border)}
 
@@ -156,7 +156,7 @@ class SurfaceGraph:
         return sorted((np.array(piece) for piece in pieces.values()), key=len, reverse=True)
 
     def _search(self, seeds: Iterable[int], limit: float, end: int = -1) -> dict[int, tuple[float, int]]:
-        """Dijkstra's algorithm: vertices within `limit` of `seeds`, each with its distance and predecessor."""
+        """Dijkstra's algorithm: the vertices within `limit` of `seeds`, each with its distance and predecessor."""
         done: dict[int, tuple[float, int]] = {}
         heap = [(0.0, int(seed), int(seed)) for seed in seeds]
         heapq.heapify(heap)
@@ -175,12 +175,12 @@ class SurfaceGraph:
 
 
 def lips_joined(graph: SurfaceGraph, landmarks: IntArray) -> bool:
-    """Whether the lips are one skin, that is, whether the path along the surface from lip to lip is short.
+    """Return whether the lips are one skin, that is, whether the path along the surface from lip to lip is short.
 
     Parameters
     ----------
     graph : SurfaceGraph
-        Of the head.
+        Graph of the head.
     landmarks : (66,) int
         Vertex of each landmark.
 

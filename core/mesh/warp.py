@@ -1,4 +1,4 @@
-"""Smooth warps of space that take given points to others (docs/method.md, section 7.1)."""
+"""Smooth warps of space that map given points to others (docs/method.md, section 7.1)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ _CHUNK = 4_000
 
 
 class Warp:
-    """The smoothest map of space that takes `source` points to `target` points.
+    """The smoothest map of space that takes the `source` points to the `target` points.
 
     Parameters
     ----------
     source, target : (P, 3) array
         Corresponding points.
     smoothing : float or (P,) array
-        Added to the diagonal, as a share of the extent of the source, to allow points to be missed; 0 meets all.
+        Added to the diagonal, as a share of the extent of the source, so that points may be missed; 0 meets all.
 
     Raises
     ------
