@@ -66,7 +66,7 @@ def test_coincident_landmarks_are_not_an_eye(scan):
     places, faces, landmarks = scan
     nowhere = np.full_like(landmarks, landmarks[0])
     assert eyes_joined(places, faces, nowhere) == [False, False]
-    with pytest.raises(HeadError, match="corners of an eye"):
+    with pytest.raises(HeadError, match="corner of an eye"):
         eye_outline(places, nowhere, EYES[0])
 
 
