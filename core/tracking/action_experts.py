@@ -1,4 +1,4 @@
-"""Experts of actions: small networks that read what no landmark shows (docs/method.md, section 3.11)."""
+"""Experts of actions: small networks that measure what no landmark shows (docs/method.md, section 3.11)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class ActionExperts(FacePart):
     Attributes
     ----------
     actions : (k,) int
-        Indices in `actions.ACTIONS`; those of the performer's right side if there are two such parts.
+        Indices into `actions.ACTIONS`; those of the performer's right side if the face has two such parts.
     """
 
     actions: IntArray
@@ -40,14 +40,14 @@ class ActionExperts(FacePart):
         grey : (H, W) uint8
             Grey image.
         pose : (6,) float64
-            Pose of the face, image frame.
+            Pose of the face, in the image frame.
         landmarks : (66, 2) float64
-            Image frame, pixels.
+            Landmarks in pixels.
 
         Returns
         -------
         (k,) or (2 k,) float64
-            Activations of `measured`.
+            Activations of the actions in `measured`.
         """
         poses = pose[None].repeat(len(self.sides), axis=0)
         poses[:, 4:6] = landmarks[self.sides].mean(axis=1)
@@ -67,16 +67,16 @@ def measure_actions(
     Parameters
     ----------
     experts : sequence of ActionExperts
-        Of the parts of the face.
+        Experts of the parts of the face that are measured.
     grey, pose, landmarks
         As for `ActionExperts.respond`.
     before : (15,) float64, optional
-        Activations of parts that `experts` lacks, from an earlier frame.
+        Activations from an earlier frame, kept for parts without experts in `experts`.
 
     Returns
     -------
     (15,) float64
-        About 0 at rest and 1 for a full action. A face at rest may have other values, as people look different.
+        Activations, about 0 at rest and 1 for a full action. They may differ from 0 at rest, as people look different.
     """
     activations = np.zeros(N_ACTIONS) if before is None else before.copy()
     for part in experts:

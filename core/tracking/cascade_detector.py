@@ -1,4 +1,4 @@
-"""Viola-Jones face detection with the cascades that come with OpenCV (docs/method.md, section 3.2)."""
+"""Viola-Jones face detection with the cascades that OpenCV ships (docs/method.md, section 3.2)."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ DETECTORS = ("haarcascade_frontalface_default", "haarcascade_frontalface_alt2", 
 
 
 class Effort(IntEnum):
-    """Kinds of search, in the order in which they are made: cheap and likely ones first."""
+    """Kinds of search, in the order in which they are made: the cheap and likely ones first."""
 
     NEAR = 0
-    """Faces as large as in front of a webcam."""
+    """Faces about as large as in front of a webcam."""
     SMALL = 1
     FILLING = 2
-    """Close-ups that fill the picture or are cut by its border."""
+    """Close-ups that fill the image or are cut by its border."""
     FINE = 3
-    """Also small, dim and unusual faces."""
+    """Small, dim and unusual faces, too."""
     PROFILE = 4
     TILTED = 5
     LYING = 6
@@ -36,57 +36,58 @@ class Effort(IntEnum):
     FARTHER = 8
     """Faces far away, in images that are large enough for them."""
     ANYTHING = 9
-    """Every window that a single stage of a cascade accepts; the tracker has to sort them out."""
+    """Every window that a single stage of a cascade accepts; the tracker rejects the false ones."""
 
 
 EFFORTS = tuple(Effort)
 _QUICK_SIDE = 320
 _SIDES = {Effort.FILLING: 240, Effort.FINE: 480, Effort.FAR: 960, Effort.FARTHER: 1920, Effort.ANYTHING: 480}
-"""Pixels to which the longer side of an image is reduced for an effort, if not `_QUICK_SIDE`."""
+"""Pixels to which the longer side of an image is reduced for an effort; `_QUICK_SIDE` for all others."""
 _SEARCHED = {Effort.FAR: _SIDES[Effort.FINE], Effort.FARTHER: _SIDES[Effort.FAR]}
-"""The side that an earlier effort used: smaller images gain nothing from this one."""
+"""The side that an earlier effort has used. Images that are not larger gain nothing from this effort."""
 _RIM = 60
 """Pixels by which the border of an image is extended for close-ups."""
 _SMALLEST = 28
 _FARTHEST = 72
 """Largest box in pixels of the efforts for faces far away; earlier efforts find larger ones."""
 _NEAR = 72
-"""Smallest box in pixels of the first effort: about a quarter of the picture, which takes a third of the time."""
+"""Smallest box of the first effort in pixels: about a quarter of the image. Larger boxes take a third of the time."""
 _FILLING = 96
-"""Smallest box in pixels of a close-up."""
+"""Smallest box of a close-up in pixels."""
 
 
 class Picture(Enum):
-    """What is done to the image before a cascade sees it."""
+    """How the image is prepared for a cascade."""
 
     PLAIN = 0
     EVEN = 1
-    """Its histogram is equalised."""
+    """Histogram equalised."""
     LOCAL = 2
-    """Its histogram is equalised locally, with limited contrast."""
+    """Histogram equalised locally, with limited contrast."""
     FLIPPED = 3
     """As `EVEN`, and mirrored."""
     RIMMED = 4
-    """As `EVEN`, and its border is extended."""
+    """As `EVEN`, with an extended border."""
 
 
 @dataclass(frozen=True)
 class Scan:
-    """One run of a cascade over an image.
+    """A run of a cascade over an image.
 
     Attributes
     ----------
     detector : int
         Index into `DETECTORS`.
     neighbours : int
-        Windows that have to agree.
+        Number of overlapping windows that have to agree.
     smallest, largest : int
-        Sides of the windows in pixels; a largest of 0 is no limit.
+        Sides of the windows in pixels; 0 for no upper limit.
     growth : float
         Ratio of successive sides.
     picture : Picture
+        How the image is prepared.
     roll : float
-        Radians by which the image is rotated back.
+        Angle in radians by which the image is rotated back first.
     """
 
     detector: int = 1
@@ -98,7 +99,7 @@ class Scan:
     roll: float = 0.0
 
     def split(self, sides: Sequence[int]) -> list[Scan]:
-        """Split into scans of ranges of sizes, which end at the given sides."""
+        """Split into scans of ranges of sizes that end at the given sides, in pixels."""
         bounds = [self.smallest, *sides, self.largest]
         return [replace(self, smallest=low, largest=high) for low, high in pairwise(bounds)]
 
@@ -124,24 +125,24 @@ _SPLITS: dict[Effort, tuple[int, ...]] = {
     Effort.FARTHER: (33, 45),
     Effort.ANYTHING: (40,),
 }
-"""Sides in pixels at which the longest scans are split, so that each part takes some 15 ms at most."""
+"""Sides in pixels at which the longest scans are split, so that each part takes at most about 15 ms."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """An effort, or one of the short scans that it consists of, which may be made in different frames."""
+    """An effort, or one of its short scans, which a gradual search spreads over frames."""
 
     effort: Effort
     scans: tuple[Scan, ...]
 
     @classmethod
     def whole(cls, effort: Effort) -> Step:
-        """All of an effort."""
+        """Return an effort as a single step."""
         return cls(effort, SCANS[effort])
 
     @classmethod
     def parts(cls, effort: Effort) -> list[Step]:
-        """An effort, scan by scan."""
+        """Return an effort as a step per scan."""
         return [cls(effort, (part,)) for scan in SCANS[effort] for part in scan.split(_SPLITS.get(effort, ()))]
 
 
@@ -152,11 +153,11 @@ class FaceBox:
     Attributes
     ----------
     box : (4,) float64
-        `(x, y, width, height)`, pixels. If the image was rotated, only the centre and the size are meaningful.
+        `(x, y, width, height)` in pixels. If the image was rotated, only the centre and the size are meaningful.
     detector : int
         Index into `DETECTORS`.
     roll : float
-        Radians by which the image was rotated back for the detector.
+        Angle in radians by which the image was rotated back for the detector.
     """
 
     box: FloatArray
@@ -164,7 +165,7 @@ class FaceBox:
     roll: float = 0.0
 
     def start_pose(self, offsets: FloatArray) -> FloatArray:
-        """(6,) frontal pose from the learnt offsets (D, 3) of the detectors: translation and scale in box widths."""
+        """Return the frontal pose (6,) by the detectors' learnt offsets (D, 3): translation and scale in box widths."""
         dx, dy, scale = offsets[self.detector]
         x, y, width, height = self.box
         place = (x + width * (0.5 + dx), y + 0.5 * height + width * dy)
@@ -172,7 +173,7 @@ class FaceBox:
 
 
 class CascadeDetector:
-    """Proposes boxes that may contain faces; the tracker fits and checks them."""
+    """Proposes boxes that may contain faces, which the tracker fits and checks."""
 
     @cached_property
     def _cascades(self) -> list[cv2.CascadeClassifier]:
@@ -192,16 +193,16 @@ class CascadeDetector:
         grey : (H, W) uint8
             Grey image.
         step : Step
-            What to do.
+            The step to make.
 
         Returns
         -------
         list of FaceBox
-            Largest first.
+            The boxes, the largest first.
 
         Notes
         -----
-        A whole effort takes 2 to 110 ms. The first one finds most faces.
+        A whole effort takes 2 to 110 ms. The first effort finds most faces.
         """
         plain, factor = _shrink(grey, _SIDES.get(step.effort, _QUICK_SIDE))
         if min(plain.shape) < _SMALLEST or max(grey.shape) <= _SEARCHED.get(step.effort, 0):
@@ -216,7 +217,7 @@ class CascadeDetector:
         return sorted(distinct, key=lambda f: -f.box[2])
 
     def _scanned(self, picture: NDArray[np.uint8], scan: Scan) -> list[FaceBox]:
-        """Boxes in the pixels of the picture before it was prepared."""
+        """Scan a prepared image; the boxes are in pixels of the image before it was prepared."""
         turned, back = _turned(picture, scan.roll)
         cascade, limits = self._cascades[scan.detector], [(side, side) for side in (scan.smallest, scan.largest)]
         out = []
@@ -249,7 +250,7 @@ def _prepared(plain: NDArray[np.uint8], picture: Picture) -> NDArray[np.uint8]:
 
 
 def _turned(picture: NDArray[np.uint8], roll: float) -> tuple[NDArray[np.uint8], FloatArray]:
-    """The picture rotated about its middle by `roll` radians, and the (2, 3) way back."""
+    """Rotate an image about its centre by `roll` radians; also return the (2, 3) matrix of the way back."""
     if not roll:
         return picture, np.eye(2, 3)
     height, width = picture.shape

@@ -1,4 +1,4 @@
-"""Whether there is a face where a fit ended, which is learnt (docs/method.md, section 3.6)."""
+"""Learnt decision whether there is a face where a fit ended (docs/method.md, section 3.6)."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class FaceCheck:
     Attributes
     ----------
     weights : (6,) float64
-        Of 1, the face experts' log odds, and, for the face's and the parts' maps each, the mean certainty and the mean
-        distance between a map's mean and the fitted landmark.
+        Weights of the features: 1; the log odds of the face network; and, for the maps of the face and those of the
+        parts, the mean certainty and the mean distance between a map's mean and the fitted landmark.
     """
 
     weights: FloatArray
 
     def confidence(self, features: FloatArray) -> float:
-        """0 to 1 for features (6,); 0.5 is where a fit is as likely lost as not."""
+        """Return the confidence, 0 to 1, for features (6,); 0.5 means that face and no face are equally likely."""
         return 1.0 / (1.0 + exp(-float(np.clip(features @ self.weights, -30.0, 30.0))))

@@ -1,4 +1,4 @@
-"""Which of several faces is the performer's (docs/method.md, section 3.7)."""
+"""Choice of the performer's face among several (docs/method.md, section 3.7)."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from .search import Candidate, largest
 _WAIT_FRAMES, _WAIT_CROWDED_FRAMES = 25, 75
 """Frames for which a lost face is awaited before another one is taken; longer while a bystander may hide it."""
 LEFTMOST, RIGHTMOST = (-1e6, 0.0), (1e6, 0.0)
-"""Positions for `FaceTracker.choose`, in pixels, far outside either side of any image."""
+"""Positions in pixels for `FaceTracker.choose`, far to the left and right of any image."""
 
 
 class FaceChoice:
-    """Chooses the face that was requested; otherwise the lost one, while it is awaited; otherwise the largest.
+    """Chooses the requested face; else the lost face, while it is awaited; else the largest.
 
     Attributes
     ----------
@@ -38,26 +38,26 @@ class FaceChoice:
         return self._requested is not None or self._lost is not None
 
     def request(self, x: float, y: float) -> None:
-        """Take the face nearest to a point as soon as one is found.
+        """Choose the face nearest to a point as soon as one is found.
 
         Parameters
         ----------
         x, y : float
-            Pixels, image frame.
+            Position in pixels.
         """
         self._requested = np.array([x, y], np.float64)
 
     def wait_for(self, last: FittedShape) -> None:
-        """Wait for the face that was last seen here."""
+        """Wait for the face that was last seen at the fit `last`."""
         self._lost = last
 
     def settle(self) -> None:
-        """Note that a face was found: nothing is awaited any more."""
+        """Note that a face was found, so that none is awaited any more."""
         self._requested = self._lost = None
         self.misses = 0
 
     def pick(self, grey: NDArray[np.uint8], candidates: Sequence[Candidate], identity: Identity) -> Candidate | None:
-        """Pick the face to track; resets `identity` when anybody may be tracked.
+        """Choose the face to track. Resets `identity` if that may be anybody's.
 
         Parameters
         ----------
@@ -66,12 +66,12 @@ class FaceChoice:
         candidates : sequence of Candidate
             The faces in view.
         identity : Identity
-            Of the lost performer.
+            Identity of the lost performer.
 
         Returns
         -------
         Candidate or None
-            None if no candidate qualifies.
+            The face; None if no candidate qualifies.
         """
         if self._requested is not None and candidates:
             x, y = self._requested
@@ -84,7 +84,7 @@ class FaceChoice:
         return largest([candidates[i] for i in own if self._in_reach(candidates[i])])
 
     def _in_reach(self, candidate: Candidate) -> bool:
-        """Whether a face can be the lost one, given the frames since: near enough, and of about the same size."""
+        """Whether a face can be the lost one, given the time since: near enough, and of about the same size."""
         assert self._lost is not None
         pose, reach = self._lost.pose, 1.5 + 0.2 * self.misses
         near = candidate.distance(pose[4], pose[5]) < reach * pose[0]

@@ -27,9 +27,9 @@ from .network import Network
 from .reference import translate_pose, warp_to_reference
 
 FACE_STRIDE, PART_STRIDE = 4, 2
-"""Pixels per cell of the maps, of the whole face and of the parts."""
+"""Pixels per cell of the maps of the whole face and of the parts."""
 _FACE_FLOOR, _PART_FLOOR = 8.0, 6.0
-"""Grey levels added to the standard deviation of a picture, so that the noise of a flat one is not amplified."""
+"""Grey levels added to the standard deviation of a crop, so that the noise of a flat one is not amplified."""
 _NOTHING = np.float32(1e-20)
 _ALL = np.arange(len(MIRROR))
 
@@ -43,11 +43,11 @@ class ResponseMaps:
     landmarks : (n,) int
         Indices of the landmarks, of the 66.
     likelihood : (n, h, w) float32
-        Up to a factor per map.
+        Likelihoods, up to a factor per map.
     corner : (n, 2) float32
         Position `(x, y)` of the first cell of each map, in the frame of the fit.
     stride : (n, 1) float32
-        Distance of neighbouring cells, in the same unit.
+        Distance between neighbouring cells, in the same unit.
     """
 
     landmarks: IntArray
@@ -59,7 +59,7 @@ class ResponseMaps:
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """Mean position (n, 2) and total variance (n,) of each map."""
         count, height, width = self.likelihood.shape
-        # Sums of 1, x, y and x^2 + y^2 by one product; coordinates from the middle keep single precision sufficient.
+        # Sums of 1, x, y and x^2 + y^2 by a single product; coordinates from the centre suit single precision.
         sums = self.likelihood.reshape(count, -1) @ _powers(width, height)
         sums *= 1.0 / sums[:, :1]
         mean = sums[:, 1:3]
@@ -68,7 +68,20 @@ class ResponseMaps:
         return place.astype(np.float64), (self.stride[:, 0] ** 2 * variance).astype(np.float64)
 
     def replaced(self, other: ResponseMaps, chosen: NDArray[np.bool_]) -> ResponseMaps:
-        """These maps, with those of the landmarks `chosen` (n,) taken from `other`, which has the same size."""
+        """Return these maps with some replaced by those of other maps of the same landmarks and size.
+
+        Parameters
+        ----------
+        other : ResponseMaps
+            Source of the replacements.
+        chosen : (n,) bool
+            Which maps to replace.
+
+        Returns
+        -------
+        ResponseMaps
+            The combined maps.
+        """
         return ResponseMaps(
             self.landmarks,
             np.where(chosen[:, None, None], other.likelihood, self.likelihood),
@@ -84,13 +97,13 @@ class ResponseMaps:
         places : (n, 2) float64
             Current positions of the landmarks, in the frame of the maps.
         variance : float
-            Variance of the Gaussian around each landmark, in squared units of that frame; infinity gives the shift
-            to the mean of the map.
+            `rho` of equation 3.3, the variance of the Gaussian about each landmark, in squared units of that frame;
+            infinity gives the shift to the mean of the map.
 
         Returns
         -------
         (n, 2) float64
-            From `places` to the weighted mean of each map.
+            Vectors from `places` to the weighted mean of each map.
 
         Notes
         -----
@@ -157,7 +170,7 @@ def standardise(picture: NDArray[np.uint8], floor: float) -> NDArray[np.float32]
 
 
 def face_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int) -> NDArray[np.float32]:
-    """Crop what the experts of the whole face see.
+    """Crop the input of the experts of the whole face.
 
     Parameters
     ----------
@@ -175,12 +188,12 @@ def face_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: 
 
 
 def part_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Crop what the experts of a part see.
+    """Crop the input of the experts of a part.
 
     Parameters
     ----------
     grey, pose, scale, size
-        As for `warp_to_reference`; the centre of the crop is that of the part.
+        As for `warp_to_reference`; the translation of the pose is the centre of the part.
 
     Returns
     -------
@@ -191,25 +204,25 @@ def part_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: 
 
 
 def first_cell(size: int, stride: int) -> float:
-    """Position of the first cell of the maps along a side, from the centre of the picture.
+    """Position of the first cell of the maps along a side, relative to the centre of the crop.
 
     Parameters
     ----------
     size : int
-        Side of the picture in pixels.
+        Side of the crop in pixels.
     stride : int
         Pixels per cell.
 
     Returns
     -------
     float
-        Pixels; negative.
+        Position in pixels; negative.
     """
     return (stride - 1) / 2.0 - (size - 1) / 2.0
 
 
 def _likelihood(scores: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Likelihoods of at most 1 from scores (n, h, w), which are log-likelihoods up to a constant; works in place."""
+    """Convert scores (n, h, w), log-likelihoods up to a constant, to likelihoods of at most 1, in place."""
     flat = scores.reshape(len(scores), -1)
     flat -= flat.max(axis=1, keepdims=True)
     np.exp(flat, out=flat)
@@ -218,15 +231,16 @@ def _likelihood(scores: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class FaceExperts:
-    """Experts for all 66 landmarks in the whole face, and for whether it is a face.
+    """Experts for all 66 landmarks, and for whether there is a face, that see the whole face.
 
     Attributes
     ----------
     network : Network
+        From crops to maps and log odds.
     scale : float
         Pixels per outer-eye distance.
     size : int
-        Side of the picture in pixels, a multiple of 16.
+        Side of the crop in pixels, a multiple of 16.
     """
 
     network: Network
@@ -241,12 +255,12 @@ class FaceExperts:
         grey : (H, W) uint8
             Grey image.
         pose : (6,) float64
-            Approximate pose of the face, image frame.
+            Approximate pose of the face, in the image frame.
 
         Returns
         -------
         ResponseMaps
-            In the face frame of `pose`.
+            Maps in the face frame of `pose`.
         float
             Log odds that there is a face at about that pose.
         """
@@ -264,18 +278,18 @@ class FaceExperts:
 
 @dataclass(frozen=True)
 class FacePart:
-    """A part of the face, and the network that sees pictures of it.
+    """A part of the face, and the network that sees crops of it.
 
     Attributes
     ----------
     network : Network
-        Knows one side only; the other is shown mirrored.
+        Network for one side; the other side is shown to it mirrored.
     landmarks : (n,) int
-        Their mean is the centre of the picture; of the part on the viewer's left if there are two.
+        Landmarks whose mean is the centre of the crop; those of the part on the viewer's left if there are two.
     scale : float
         Pixels per outer-eye distance.
     size : (int, int)
-        Width and height of the picture in pixels.
+        Width and height of the crop in pixels.
     paired : bool
         Whether the other half of the face has the same part, mirrored.
     """
@@ -288,19 +302,19 @@ class FacePart:
 
     @cached_property
     def sides(self) -> IntArray:
-        """(1 or 2, n) landmarks of the part, and of its mirror image."""
+        """Landmarks of the part, and of its mirror image, (1 or 2, n)."""
         sides: IntArray = np.stack([self.landmarks, MIRROR[self.landmarks]][: 1 + self.paired])
         return sides
 
     def pictures(self, grey: NDArray[np.uint8], poses: Iterable[FloatArray]) -> NDArray[np.float32]:
-        """Crop what the network sees of each side.
+        """Crop the network's input for each side.
 
         Parameters
         ----------
         grey : (H, W) uint8
             Grey image.
         poses : iterable of (6,) float64
-            Of each side, as for `part_picture`.
+            Pose of each side, as for `part_picture`.
 
         Returns
         -------
@@ -319,20 +333,20 @@ class FacePart:
 class PartExperts(FacePart):
     """Experts for the landmarks of one part of the face.
 
-    Sides of its picture are multiples of 8. They have to be those of the training, as they determine how the coarsest
+    Sides of its crop are multiples of 8. They have to be those of the training, as they determine how the coarsest
     cells lie about the centre.
     """
 
     @cached_property
     def _averages(self) -> FloatArray:
-        """(1 or 2, 66) weights whose product with landmarks is the centre of each side."""
+        """Weights whose product with the landmarks is the centre of each side, (1 or 2, 66)."""
         averages = np.zeros((len(self.sides), len(MIRROR)))
         np.put_along_axis(averages, self.sides, 1.0 / len(self.landmarks), axis=1)
         return averages
 
     @cached_property
     def _first_cell(self) -> FloatArray:
-        """(2,) offset from the centre of a part to the first cell of its maps."""
+        """Offset from the centre of a part to the first cell of its maps, (2,)."""
         return np.array([first_cell(side, PART_STRIDE) for side in self.size]) / self.scale
 
     @cached_property
@@ -349,14 +363,14 @@ class PartExperts(FacePart):
         grey, pose
             As for `FaceExperts.respond`.
         shape : (66, 2) float64
-            Approximate landmarks in the face frame of `pose`.
+            Approximate landmarks, in the face frame of `pose`.
         higher : float
-            How far above these landmarks to look, in outer-eye distances.
+            How far above these landmarks the crop lies, in outer-eye distances.
 
         Returns
         -------
         ResponseMaps
-            In the face frame of `pose`, around these landmarks.
+            Maps in the face frame of `pose`, around these landmarks.
         """
         centres = self._averages @ shape - (0.0, higher)
         (maps,) = self.network(self.pictures(grey, (translate_pose(pose, *centre) for centre in centres.tolist())))

@@ -19,19 +19,20 @@ from .pdm import FittedShape, PointDistributionModel
 from .reference import pose_in_image
 
 _SIDE_YAW = 0.36
-"""Radians of yaw beyond which visibilities and patch experts of the side view are used."""
+"""Yaw in radians beyond which the visibilities and patch experts of the side view are used."""
 _HALF_CERTAIN, _HALF_CERTAIN_GLANCE = 0.08, 0.1
-"""`h` of equation 3.2, in eye distances: standard deviation of a map that halves its weight. The glance's maps are
-wider, as their cells are larger."""
+"""`h` of equation 3.2 in eye distances: the standard deviation of a map at which its weight is halved. The glance's
+maps are wider, as their cells are larger."""
 _SEEN, _BETTER, _HIGHER = 0.65, 0.02, 0.12
-"""Mean certainty up to which a brow may lie above its picture, and above which its eye is where it is thought to be; by
-how much a second picture has to be more certain to be believed; how far above the first it is, in eye distances. Chosen
-on clips of raised brows; from 0.08 to 0.15 the second picture shows about the same."""
+"""Re-examination of raised brows (section 3.3): mean certainty below which a brow may lie above its crop, and above
+which its eye is where it is expected; how much more certain a second crop has to be to replace the first; how far above
+the first it lies, in eye distances. Chosen on clips of raised brows; from 0.08 to 0.15 the second crop shows about the
+same."""
 _AGILITY = np.ones(N_LANDMARKS)
 _AGILITY[BROWS] = 4.0
-"""Factor of equation 3.5's `d`: a brow that is raised at once is far from the shape, and yet no outlier."""
+"""Factor of `d` in equation 3.5: a brow that is suddenly raised is far from the shape, and yet no outlier."""
 _REFIT_DISTANCE = 0.05
-"""Eye distances that a part may move between two frames before its experts are evaluated again."""
+"""Distance in eye distances that a part may move between two frames before its experts are evaluated again."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +44,14 @@ class Stage:
     parts : bool
         Whether to use the experts of the parts and the glance, rather than those of the whole face.
     rounds : tuple of MeanShiftOptions
-        In eye distances; each round starts from the result of the previous one.
+        Options in eye distances; each round starts from the result of the previous one.
     """
 
     parts: bool
     rounds: tuple[MeanShiftOptions, ...]
 
 
-# The table of section 3.4. Three rounds with a Jacobian each let the pose turn far from that of a detected box.
+# The table of section 3.4. Three rounds, each with its own Jacobian, let the pose turn far from that of a detected box.
 _APPROACH = MeanShiftOptions((inf,), 0.006)
 COARSE = Stage(False, (_APPROACH, _APPROACH, _APPROACH, MeanShiftOptions((0.02, 0.01), 0.006, outlier_scale=0.05)))
 FINE = Stage(True, (MeanShiftOptions((inf, inf, inf), 2e-4, outlier_scale=0.03),))
@@ -61,7 +62,17 @@ DETECTED = (COARSE, *REFINED)
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of a fit (image frame), features (6,) for the check, and certainty (66,) of each landmark, 0 to 1."""
+    """Result of a fit.
+
+    Attributes
+    ----------
+    fitted : FittedShape
+        The fit, in the image frame.
+    features : (6,) float64
+        Features for `FaceCheck`.
+    certainty : (66,) float64
+        Certainty of each landmark, 0 to 1.
+    """
 
     fitted: FittedShape
     features: FloatArray
@@ -69,25 +80,26 @@ class Fit:
 
 
 class FaceFitter:
-    """Fits a model to frames.
+    """Fits the shape model to frames.
 
     Parameters
     ----------
     model : TrackerModel
+        The tracker model.
     timings : dict of str to float
-        Seconds spent in "experts", "fit" and "check" are added here.
+        Seconds spent in the stages "experts", "fit" and "check" are added to it.
     """
 
     def __init__(self, model: TrackerModel, timings: dict[str, float]) -> None:
         self._model, self._timings = model, timings
-        # The experts were trained on landmarks of a slightly different definition. Fit with a mean shape that follows
-        # theirs; results are reported by `pdm` with the same parameters.
+        # The experts were trained on landmarks of a slightly different definition. The fit uses a mean shape of that
+        # definition; results are reported by `pdm` with the same parameters.
         trained = model.pdm.mean_shape - model.definition
         self._fitted_pdm = PointDistributionModel(trained, model.pdm.basis, model.pdm.eigenvalues)
         self._visibility = {-1: model.visibility[1][MIRROR], 0: model.visibility[0], 1: model.visibility[1]}
         frontal, side = model.patches
         self._patches = {-1: side.mirrored(MIRROR), 0: frontal, 1: side}
-        # Section 3.3: beside the parts, the glance counts little, and less where a part has better maps.
+        # Section 3.3: beside the parts the glance counts little, and less still for landmarks of a part.
         in_parts = np.zeros(N_LANDMARKS, bool)
         for part in model.parts:
             in_parts[part.landmarks] = True
@@ -102,14 +114,14 @@ class FaceFitter:
         grey : (H, W) uint8
             Grey image.
         start : FittedShape
-            Image frame.
+            Start of the fit, in the image frame.
         stages : tuple of Stage
-            `COARSE`, `REFINED` or `DETECTED`. If the last one uses parts, edges are refined at the end.
+            `COARSE`, `REFINED` or `DETECTED`. If the last stage uses parts, edges are refined at the end.
 
         Returns
         -------
         Fit
-            Image frame.
+            The fit, in the image frame.
         """
         out = Fit(start, np.zeros(N_FEATURES), np.zeros(N_LANDMARKS))
         for stage in stages:
@@ -124,12 +136,12 @@ class FaceFitter:
         grey : (H, W) uint8
             Grey image.
         last : FittedShape
-            Fit of the previous frame, image frame.
+            Fit of the previous frame, in the image frame.
 
         Returns
         -------
         Fit
-            Image frame.
+            The fit, in the image frame.
         """
         fit = self._fit_stage(grey, last, FINE)
         if self._moved_far(last, fit.fitted):
@@ -153,13 +165,13 @@ class FaceFitter:
             for m, c in zip(maps, of_parts, strict=True)
         ]
         evidence += [Evidence(face, certainty * visible * (self._face_weight if maps else 1.0), coarse=bool(maps))]
-        # 3. Mean-shift (3.4); the result returns to the image frame.
+        # 3. Mean-shift (3.4); the result is converted back to the image frame.
         for options in stage.rounds:
             local = regularised_mean_shift(self._fitted_pdm, local, evidence, options)
         fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
         ended = perf_counter()
         shape = self._fitted_pdm.project(local.pose, local.shape_params)
-        # 4. Inputs of the loss check (3.6); factors bring them to similar ranges.
+        # 4. Features for the loss check (3.6), scaled to similar ranges.
         features = np.zeros(N_FEATURES)
         features[:4] = 1.0, 0.2 * log_odds, certainty[INNER].mean(), 10.0 * _distance(face, shape)[INNER].mean()
         if maps:
@@ -173,10 +185,9 @@ class FaceFitter:
         return Fit(fitted, features, certainty)
 
     def _respond(self, part: PartExperts, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> ResponseMaps:
-        """Response maps of a part; brows that are not seen in their picture are looked for above it (section 3.3).
+        """Compute the response maps of a part. Brows that are not seen in its crop are sought above it (section 3.3).
 
-        The picture lies around the landmarks of the previous frame, where a brow that is raised high and at once is
-        not.
+        The crop lies around the landmarks of the previous frame; a brow that is suddenly raised high is outside.
         """
         maps = part.respond(grey, pose, shape)
         brows = np.isin(maps.landmarks, BROWS).reshape(1 + part.paired, -1)
@@ -206,7 +217,7 @@ class FaceFitter:
         return Fit(fitted, fit.features, fit.certainty)
 
     def _moved_far(self, before: FittedShape, now: FittedShape) -> bool:
-        """Whether a part is no longer near the middle of the picture in which its experts saw it."""
+        """Whether a part has left the middle of the crop that its experts saw."""
         pdm = self._model.pdm
         moved = pdm.project(now.pose, now.shape_params) - pdm.project(before.pose, before.shape_params)
         parts = [np.abs(moved[part.landmarks].sum(axis=0)).max() / len(part.landmarks) for part in self._model.parts]
@@ -214,28 +225,28 @@ class FaceFitter:
 
 
 def _in_face_frame(start: FittedShape) -> FittedShape:
-    """`start` in its own face frame."""
+    """Convert `start` to its own face frame."""
     return FittedShape(np.array([1.0, start.pose[1], start.pose[2], 0.0, 0.0, 0.0]), start.shape_params)
 
 
 def _view(pose: FloatArray) -> int:
-    """0 frontal, 1 with the nose to the viewer's left, -1 to the right."""
+    """View of a pose: 0 frontal, 1 with the nose to the viewer's left, -1 to the right."""
     return int(np.sign(pose[2])) if abs(pose[2]) > _SIDE_YAW else 0
 
 
 def _mean_certainty(maps: ResponseMaps, chosen: NDArray[np.bool_]) -> FloatArray:
-    """(sides,) mean certainty of the landmarks `chosen` (sides, n) of each side of a part."""
+    """Mean certainty of the landmarks `chosen` (sides, n) of each side of a part, (sides,)."""
     certainty = _certainty(maps, _HALF_CERTAIN).reshape(chosen.shape)
     return np.asarray((certainty * chosen).sum(axis=1) / chosen.sum(axis=1))
 
 
 def _certainty(maps: ResponseMaps, half: float) -> FloatArray:
-    """(n,) certainty of equation 3.2, where `half` is `h`."""
+    """Certainty of each map (equation 3.2), (n,), where `half` is `h`."""
     return np.asarray(half**2 / (half**2 + maps.moments[1]))
 
 
 def _distance(maps: ResponseMaps, shape: FloatArray) -> FloatArray:
-    """(n,) distances from the means of the maps to the landmarks `shape` (66, 2)."""
+    """Distances from the means of the maps to the landmarks `shape` (66, 2), (n,)."""
     away = maps.moments[0] - shape[maps.landmarks]
     out: FloatArray = np.hypot(away[:, 0], away[:, 1])
     return out

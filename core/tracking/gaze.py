@@ -1,8 +1,8 @@
 """Gaze: pupil centres from votes of image gradients, and the direction of an eyeball (docs/method.md, section 3.8).
 
 The edge between a dark iris and the brighter white votes for the centre of its curvature (Timm & Barth 2011). The paper
-squares the dot product of every gradient with every direction. Here the vote is the dot product itself, over the ring
-on which an iris of known size has its rim. That is a correlation with two fixed kernels, which is cheap, and bright
+squares the dot product of every gradient with every direction. Here the vote is the dot product itself, summed over the
+ring where an iris of known size has its rim. This is a correlation with two fixed kernels, which is cheap, and bright
 spots on dark ground get negative votes.
 """
 
@@ -23,25 +23,35 @@ from .reference import warp_to_reference
 
 _EYES = np.array([EYE_RIGHT, EYE_LEFT])
 _SCALE = 60.0
-"""Pixels per outer-eye distance of the picture of the eyes."""
+"""Pixels per outer-eye distance of the crop with both eyes."""
 _WIDTH, _HEIGHT = 72, 24
-"""Pixels of that picture, a band across the face with both eyes."""
+"""Width and height of that crop in pixels, a band across the face."""
 _IRIS = 0.066 * _SCALE
-"""Radius of the iris in that picture: 5.9 mm at an outer-eye distance of 89 mm."""
+"""Radius of the iris in that crop: 5.9 mm at an outer-eye distance of 89 mm."""
 _OPEN_ABOVE = 0.16
-"""Aperture of an eye, as a share of its width, below which it counts as shut."""
+"""Aperture of an eye, as a share of its width, up to which it counts as shut."""
 _CLEAR_ABOVE, _FRONTAL_BELOW = 0.2, 0.4
-"""Apertures, as a share of the width, and radians of yaw of the head and the gaze, between which both pupils are seen
-well enough to tell crossed eyes."""
+"""Limits within which both pupils are seen well enough to detect crossed eyes: least aperture, as a share of the width,
+and largest yaw of the head and of the gaze, in radians."""
 _BALL = np.array([0.0, -0.02, 0.075])
-"""Centre of an eyeball, relative to the middle between the corners of the eye: head frame, outer-eye distances."""
+"""Centre of an eyeball relative to the middle between the corners of the eye: head frame, outer-eye distances."""
 _BALL_RADIUS = 0.13
 """Distance from the centre of an eyeball to its pupil, in outer-eye distances."""
 
 
 @dataclass(frozen=True)
 class Gaze:
-    """Pupil centres (2, 2) in pixels, direction (2,) and vergence in radians, as in `TrackResult`."""
+    """Gaze of a face, as in `TrackResult`.
+
+    Attributes
+    ----------
+    pupils : (2, 2) float64
+        Pupil centres in pixels.
+    direction : (2,) float64
+        Pitch and yaw in radians.
+    vergence : float
+        Radians.
+    """
 
     pupils: FloatArray
     direction: FloatArray
@@ -56,16 +66,16 @@ def find_gaze(grey: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, 
     grey : (H, W) uint8
         Grey image.
     pose : (6,) float64
-        As in `TrackResult`.
+        Pose of the face, as in `TrackResult`.
     landmarks : (66, 2) float64
-        As in `TrackResult`.
+        Landmarks in pixels.
     shape : (66, 3) float64
-        As in `TrackResult`.
+        Landmarks without the pose: head frame, outer-eye distances.
 
     Returns
     -------
     Gaze
-        NaN for shut eyes.
+        Pupils and gaze; NaN for shut eyes.
 
     Notes
     -----
@@ -76,7 +86,7 @@ def find_gaze(grey: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, 
     across = outlines[:, 3] - outlines[:, 0]
     width = np.hypot(across[:, 0], across[:, 1])
     aperture = eye_apertures(landmarks)
-    # An eye counts by its visible area, and not at all while it is shut.
+    # An eye is weighted by its visible area, and not used while it is shut.
     shares = np.where(aperture > _OPEN_ABOVE * width, aperture * width, 0.0)
     looking = np.flatnonzero(shares)
     if len(looking) == 0:
@@ -93,15 +103,15 @@ def find_gaze(grey: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, 
 
 
 def _lines_of_sight(pupils: FloatArray, pose: FloatArray, middles: FloatArray) -> FloatArray:
-    """(E, 3) unit vectors, head frame, from the centres of the eyeballs to their pupils (E, 2) in the image.
+    """Unit vectors, (E, 3), in the head frame, from the centres of the eyeballs to their pupils (E, 2) in the image.
 
-    Under weak perspective the pupil is where the line of sight through its image meets the front of the eyeball. If the
-    line misses the eyeball, the nearest point of its outline is used.
+    Under weak perspective, the pupil is where the line of sight through its image meets the front of the eyeball. If
+    the line misses the eyeball, the nearest point of its outline is used.
     """
     rotation = euler_to_matrix(*pose[1:4].tolist())
     centres = (middles + _BALL) @ rotation[:2].T
     aside = ((pupils - pose[4:6]) / pose[0] - centres) / _BALL_RADIUS
-    # On a unit ball: (x, y) aside, and the rest of the unit vector towards the viewer, -z.
+    # On a unit ball: (x, y) in the image plane, and the rest of the unit vector towards the viewer, -z.
     off = np.hypot(aside[:, 0], aside[:, 1])
     inwards = aside / np.maximum(off, 1.0)[:, None]
     towards = np.sqrt(np.maximum(1.0 - off * off, 0.0))
@@ -110,8 +120,8 @@ def _lines_of_sight(pupils: FloatArray, pose: FloatArray, middles: FloatArray) -
 
 
 def _pupils(grey: NDArray[np.uint8], pose: FloatArray, outlines: FloatArray) -> FloatArray:
-    """(E, 2) pupil centres in the image of the eyes with the given outlines (E, 6, 2)."""
-    # Both eyes in one upright picture around their common centre.
+    """Find the pupil centres (E, 2) in the image for eyes with the given outlines (E, 6, 2)."""
+    # Both eyes in one upright crop around their common centre.
     place = pose.copy()
     place[4:6] = outlines.reshape(-1, 2).sum(axis=0) / (6 * len(outlines))
     frame = warp_to_reference(grey, place, _SCALE, (_WIDTH, _HEIGHT))
@@ -126,16 +136,16 @@ def _pupils(grey: NDArray[np.uint8], pose: FloatArray, outlines: FloatArray) -> 
 
 
 def _votes(pixels: NDArray[np.uint8], near: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """(h, w) likeness of each pixel to the centre of an iris, from the gradients where `near` is not 0."""
+    """Score each pixel as the centre of an iris, (h, w), by the votes of the gradients where `near` is not 0."""
     smooth = cv2.GaussianBlur(pixels.astype(np.float32), (5, 5), 0.9)
     right, down = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
     strength = cv2.magnitude(right, down)
     # Directions count, not contrast: divide by the magnitude, plus its mean so that noise on flat skin stays small.
     weight = near / (strength + np.float32(cv2.mean(strength, near)[0] + 1e-3))
-    # Votes: sum over the ring of gradient times outward direction, as correlations of either component.
+    # Votes: sum over the ring of gradient times outward direction, as a correlation per component.
     across = cv2.filter2D(right * weight, -1, _RING_X, borderType=cv2.BORDER_CONSTANT)
     along = cv2.filter2D(down * weight, -1, _RING_Y, borderType=cv2.BORDER_CONSTANT)
-    # A pupil is also dark: weight by how far the disc around each pixel is below the brightest one.
+    # A pupil is also dark: weight by how much darker the disc around each pixel is than the brightest one.
     brightest = cv2.minMaxLoc(smooth, near)[1]
     darkness = np.float32(brightest + 2.0) - cv2.blur(smooth, _DISC)
     return np.asarray(np.maximum(across + along, 0.0) * np.maximum(darkness, 0.0), np.float32)
@@ -151,7 +161,7 @@ def _peak(votes: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[float, f
 
 
 def _vertex(before: float, best: float, after: float) -> float:
-    """Vertex of the parabola through three values, -0.5 to 0.5 from the middle one."""
+    """Vertex of the parabola through three values, from -0.5 to 0.5 relative to the middle one."""
     bend = before - 2.0 * best + after
     return min(max((before - after) / (2.0 * bend), -0.5), 0.5) if bend < 0.0 else 0.0
 
@@ -159,7 +169,7 @@ def _vertex(before: float, best: float, after: float) -> float:
 def _ring() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Kernels that sum, around a pixel, how far gradients point away from it at about the radius of an iris.
 
-    The sides of the rim count more than its top and bottom, which lids cover.
+    The sides of the rim are weighted more than its top and bottom, which lids cover.
     """
     reach = int(1.35 * _IRIS)
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(np.float64)

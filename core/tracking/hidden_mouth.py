@@ -1,4 +1,4 @@
-"""A mouth that is hidden keeps its last shape (docs/method.md, section 3.6)."""
+"""Lips that are hidden keep their last shape (docs/method.md, section 3.6)."""
 
 from __future__ import annotations
 
@@ -8,45 +8,45 @@ from ..arrays import FloatArray
 from ..landmarks import LIPS
 
 _KNOWN, _SEEN, _HIDDEN = 0.6, 0.5, 0.4
-"""Mean certainty of the lips from which on they are remembered, below which they begin to be held, and below which they
-are held altogether. In strangers' clips a mouth with its tongue out, a beard or a scream has 0.53 or more, one behind
-a hand 0.2 to 0.5."""
+"""Mean certainty of the lips above which they are remembered, below which they are partly held, and below which they
+are held completely. In strangers' clips a mouth with the tongue out, a beard or a scream has 0.53 or more, one behind a
+hand 0.2 to 0.5."""
 
 
 def seen_lips(certainty: FloatArray) -> float:
-    """Return how certain the lips are, 0 to 1, for `certainty` (66,) of each landmark."""
+    """Return the mean certainty of the lips, 0 to 1, for `certainty` (66,) of each landmark."""
     return float(certainty[LIPS].mean())
 
 
 def is_hidden(certainty: FloatArray) -> bool:
-    """Return whether the lips are held, for `certainty` (66,) of each landmark; not if it is unknown."""
+    """Return whether the lips are held, for `certainty` (66,) of each landmark; False if it is unknown."""
     return seen_lips(certainty) < _SEEN
 
 
 class HiddenMouth:
-    """Holds the lips while something is before them, which the experts would take for a gaping mouth."""
+    """Holds the lips while something covers them, which the experts would take for a gaping mouth."""
 
     def __init__(self) -> None:
         self._lips: FloatArray | None = None
 
     def reset(self) -> None:
-        """Forget the mouth, as another face follows."""
+        """Forget the lips, as another face follows."""
         self._lips = None
 
     def hold(self, shape: FloatArray, certainty: FloatArray) -> FloatArray:
-        """Return a shape whose lips are the last ones that were well seen, as far as these are not.
+        """Return a shape whose lips are replaced by the last well-seen ones, by as much as they are hidden.
 
         Parameters
         ----------
         shape : (66, 3) float64
             Fitted shape: head frame, outer-eye distances.
         certainty : (66,) float64
-            Of each landmark, 0 to 1.
+            Certainty of each landmark, 0 to 1.
 
         Returns
         -------
         (66, 3) float64
-            `shape` itself if the mouth is seen.
+            The shape; `shape` itself if the mouth is seen.
         """
         seen = seen_lips(certainty)
         if seen >= _KNOWN:

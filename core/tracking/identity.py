@@ -1,8 +1,8 @@
-"""Telling the performer's face from those of bystanders (docs/method.md, section 3.7).
+"""Distinguishing the performer's face from those of bystanders (docs/method.md, section 3.7).
 
-When two people cross, the landmarks of the one behind slip onto the one in front, which is a perfectly good face.
-Appearance gives the change away. Even a small picture suffices, as it is compared with what the two looked like a
-moment ago in the same light, not with people in general. Nothing is stored.
+When two people cross, the landmarks of the one behind slip onto the one in front, which is a perfectly good face. The
+appearance reveals the change. A coarse description suffices, as it is compared with how the two looked a moment ago in
+the same light, not with people in general. Nothing is stored.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from ..arrays import FloatArray
 from .reference import warp_to_reference
 
 _SIDE, _SCALE, _CELLS = 40, 26.0, 10
-"""Side of the picture that is described, in pixels; its pixels per outer-eye distance; its cells per side."""
+"""Side in pixels of the crop that is described; its pixels per outer-eye distance; its cells per side."""
 _CENTRE, _RADII = (19.5, 21.0), (15.0, 18.0)
-"""The oval from brows to chin that is described, in pixels of that picture."""
+"""The oval from brows to chin that is described, in pixels of that crop."""
 _CONTRAST_FLOOR = 16.0
 """Added to the squared contrast of a cell, so that flat skin contributes little."""
 _SAME, _SAME_BYSTANDER = 0.85, 0.8
 """Similarity above which a face is certainly the tracked one, and above which two faces are the same bystander."""
 _MARGIN, _TOLERANCE = 0.06, 0.1
-"""How much more similar to one person a face has to be to count as theirs, and how much less similar to the lost one it
-may be if nobody else was seen there."""
+"""How much more similar to one person than to another a face has to be to count as theirs, and how much less similar to
+the lost person it may be if nobody else was seen there."""
 _LEARNING_RATE, _UNSURE_RATE, _BYSTANDER_RATE = 0.2, 0.05, 0.3
-"""Share of the newest descriptor in the remembered one: of the tracked face, of the same while it looks unusual (at
-this rate a hand or a new light is accepted after about two seconds), and of a bystander."""
+"""Share of the newest descriptor in the remembered one: for the tracked face, for the same while it looks unusual (at
+this rate a hand or a new light is accepted after about two seconds), and for a bystander."""
 _PROMPT_SEARCHES = 6
-"""Unusual checks in a row that each search for bystanders; after that, only every sixth one does."""
+"""Number of consecutive unusual checks that each search for bystanders; after that, only every sixth does."""
 _MAX_BYSTANDERS = 4
-"""Bystanders that are remembered at a time."""
+"""Largest number of bystanders that are remembered."""
 _STEP, _DRIFT = 0.25, 0.08
-"""Eye distances that a face may move in one frame, and additionally per further frame."""
+"""Distance in eye distances that a face may move in one frame, and additionally per further frame."""
 _POSITION_FRAMES, _PRESENCE_FRAMES = 12, 50
 """Frames for which the position of a bystander stays valid, and for which they count as present."""
 
@@ -49,20 +49,20 @@ def describe_face(grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float
     grey : (H, W) uint8
         Grey image.
     pose : (6,) float64
-        Fitted pose, image frame.
+        Fitted pose, in the image frame.
 
     Returns
     -------
     (400,) float32
-        Descriptor of length 1. The inner product of two is their similarity: about 0.97 from one second to the next
-        for one person, 0.85 across a change of expression, 0.7 between people.
+        Descriptor of length 1. The inner product of two descriptors is their similarity: about 0.97 from one second to
+        the next for one person, 0.85 across a change of expression, 0.7 between people.
 
     Notes
     -----
     A coarse histogram of gradients (Dalal & Triggs 2005): slopes up, down, left and right, averaged over cells and
-    normalised per cell. Takes 0.04 ms.
+    normalised per cell. It takes 0.04 ms.
     """
-    # Slopes in four directions, within the oval.
+    # Slopes in four directions within the oval.
     picture = warp_to_reference(grey, pose, _SCALE, (_SIDE, _SIDE)).pixels
     across = cv2.Sobel(picture, cv2.CV_32F, 1, 0)
     down = cv2.Sobel(picture, cv2.CV_32F, 0, 1)
@@ -70,7 +70,7 @@ def describe_face(grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float
     np.maximum(slopes, 0.0, out=slopes)
     slopes *= _OVAL
     cells = cv2.resize(slopes, (_CELLS, _CELLS), interpolation=cv2.INTER_AREA)
-    # Normalise the contrast per cell, then the length of the whole, which makes descriptors independent of the light.
+    # Normalise the contrast per cell, then the total length, which makes descriptors independent of the light.
     cells /= np.sqrt(np.square(cells).sum(axis=-1, keepdims=True) + np.float32(_CONTRAST_FLOOR))
     return _normalise(cells.reshape(-1) - cells.mean())
 
@@ -93,14 +93,24 @@ def _blend(old: NDArray[np.float32], new: NDArray[np.float32], share: float) -> 
 
 @dataclass
 class _Bystander:
-    """Another person: appearance, and the pose (6,) and frame in which they were last seen."""
+    """Another person.
+
+    Attributes
+    ----------
+    descriptor : (400,) float32
+        Appearance, as returned by `describe_face`.
+    pose : (6,) float64
+        Pose when last seen, in the image frame.
+    frame : int
+        Number of the frame when last seen.
+    """
 
     descriptor: NDArray[np.float32]
     pose: FloatArray
     frame: int
 
     def continues(self, pose: FloatArray, frame: int) -> bool:
-        """Whether this person can have moved to `pose` (6,) since."""
+        """Whether this person can have moved to `pose` (6,) by `frame`."""
         age = frame - self.frame
         away = float(np.hypot(*(pose[4:6] - self.pose[4:6]))) / self.pose[0]
         return age < _POSITION_FRAMES and away < _STEP + _DRIFT * age and 0.75 < pose[0] / self.pose[0] < 1.33
@@ -108,12 +118,12 @@ class _Bystander:
 
 @dataclass
 class Identity:
-    """What the performer and bystanders look like.
+    """Appearance of the performer and of bystanders.
 
     Attributes
     ----------
     frame : int
-        Number of the current frame; the owner increments it.
+        Number of the current frame, incremented by the owner.
     """
 
     frame: int = 0
@@ -128,16 +138,16 @@ class Identity:
 
     @property
     def search_due(self) -> bool:
-        """Whether to search for bystanders when the tracked face looks unusual: often at first, then less."""
+        """Whether to search for bystanders when the tracked face looks unusual: often at first, then less often."""
         return self._unusual < _PROMPT_SEARCHES or self._unusual % _PROMPT_SEARCHES == 0
 
     def reset(self) -> None:
-        """Start again, with any performer."""
+        """Forget everybody, so that anybody may be the performer."""
         self._own, self._unusual = None, 0
         self._bystanders = []
 
     def recognises(self, descriptor: NDArray[np.float32]) -> bool:
-        """Whether a descriptor is certainly the performer's; if so, it is learnt."""
+        """Return whether a descriptor is certainly the performer's; if so, it is learnt."""
         if self._own is None:
             self._own = descriptor
             return True
@@ -147,7 +157,7 @@ class Identity:
         return True
 
     def is_bystander(self, descriptor: NDArray[np.float32]) -> bool:
-        """Whether a descriptor is closer to a bystander's than to the performer's."""
+        """Return whether a descriptor is more similar to a bystander than to the performer."""
         return self._margin(descriptor) < -_MARGIN
 
     def adapt(self, descriptor: NDArray[np.float32]) -> None:
@@ -157,14 +167,14 @@ class Identity:
         self._unusual += 1
 
     def update_bystander(self, descriptor: NDArray[np.float32], pose: FloatArray) -> None:
-        """Remember a face as a bystander's: the one who was there, else one who looks alike, else a new one.
+        """Remember a face as a bystander's: the one at that place, else one that looks alike, else a new one.
 
         Parameters
         ----------
         descriptor : (400,) float32
-            As `describe_face` returns it.
+            Descriptor from `describe_face`.
         pose : (6,) float64
-            Image frame.
+            Pose in the image frame.
         """
         there = [other for other in self._bystanders if other.continues(pose, self.frame)]
         alike = [other for other in self._bystanders if float(other.descriptor @ descriptor) > _SAME_BYSTANDER]
@@ -176,17 +186,17 @@ class Identity:
             self._bystanders = [*self._bystanders, _Bystander(descriptor, pose, self.frame)][-_MAX_BYSTANDERS:]
 
     def candidates(self, descriptors: Sequence[NDArray[np.float32]], poses: Sequence[FloatArray]) -> list[int]:
-        """Select the faces in view that may be the performer's, and update bystanders who are still there.
+        """Select the faces in view that may be the performer's, and update bystanders who are still present.
 
-        Such a face is more similar to the performer than to anybody else, or is about as similar and in a place where
+        Such a face is more similar to the performer than to anybody else, or about as similar and in a place where
         nobody else was.
 
         Parameters
         ----------
         descriptors : sequence of (400,) float32
-            Of the faces in view.
+            Descriptors of the faces in view.
         poses : sequence of (6,) float64
-            Of the same faces, image frame.
+            Their poses, in the image frame.
 
         Returns
         -------
@@ -204,7 +214,7 @@ class Identity:
         return own
 
     def _margin(self, descriptor: NDArray[np.float32]) -> float:
-        """How much more similar a descriptor is to the performer's than to any bystander's."""
+        """How much more similar a descriptor is to the performer than to any bystander."""
         if self._own is None or not self._bystanders:
             return 1.0
         return float(self._own @ descriptor) - max(float(other.descriptor @ descriptor) for other in self._bystanders)

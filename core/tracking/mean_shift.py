@@ -16,17 +16,18 @@ from .pdm import N_POSE, FittedShape, PointDistributionModel
 
 @dataclass(frozen=True)
 class Evidence:
-    """Response maps and their weights.
+    """Response maps and their weights in a fit.
 
     Attributes
     ----------
     maps : ResponseMaps
+        The maps.
     weights : (n,) float64
-        The diagonal of `W`.
+        Diagonal of `W` in equation 3.4.
     coarse : bool
         Whether the maps are so coarse that only their means are used, whatever the variance.
     tolerance : float or (n,) float64
-        Factor of `MeanShiftOptions.outlier_scale`, for landmarks that may move far at once.
+        Factor of `MeanShiftOptions.outlier_scale`, larger for landmarks that may move far at once.
     """
 
     maps: ResponseMaps
@@ -42,13 +43,13 @@ class MeanShiftOptions:
     Attributes
     ----------
     variances : tuple of float
-        `rho` of equation 3.3, one per iteration, in squared units of the fit's frame. Wide kernels come first, so that
-        the shape does not stop at a local maximum; infinity pulls towards the mean of each map.
+        `rho` of equation 3.3, one per iteration, in squared units of the frame of the fit. Wide kernels come first, so
+        that the shape does not stop at a local maximum; infinity pulls towards the mean of each map.
     regularisation : float
         `r` of equation 3.4, the weight of the prior, in the same unit.
     outlier_scale : float
-        `d` of equation 3.5: distance from the shape, in units of the fit's frame, at which the mean of a map halves its
-        weight, from the second iteration on. Down-weights landmarks that a hand occludes.
+        `d` of equation 3.5: distance from the shape, in units of the frame of the fit, at which the mean of a map
+        halves its weight, from the second iteration on. It down-weights landmarks that a hand occludes.
     """
 
     variances: tuple[float, ...]
@@ -68,21 +69,21 @@ def regularised_mean_shift(
     start : FittedShape
         Start of the fit, in the frame of the maps.
     evidence : sequence of Evidence
-        A landmark may have several maps, or none.
+        The maps. A landmark may have several, or none.
     options : MeanShiftOptions
-        Settings.
+        Settings of the fit.
 
     Returns
     -------
     FittedShape
-        In the frame of the maps; shape parameters are clamped to five standard deviations.
+        The fit, in the frame of the maps; shape parameters are clamped to five standard deviations.
 
     Notes
     -----
     Each iteration updates the parameters by ``dp = -(r L + J^T W J)^-1 (r L p - J^T W v)`` with ``L = diag(0, 1 /
     lambda)`` (Saragih et al. 2011, equation 22). Maps and Jacobian are those of the start, and the landmarks move along
     the Jacobian; if the pose changes much, call again with the result. Outliers are down-weighted by the weights of a
-    Cauchy distribution (Holland & Welsch 1977). Takes about 0.1 ms, and 0.06 ms per iteration.
+    Cauchy distribution (Holland & Welsch 1977). A call takes about 0.1 ms, and 0.06 ms per iteration.
     """
     jacobian = model.jacobian(start.pose, start.shape_params)
     flat = jacobian.reshape(-1, jacobian.shape[2])
@@ -92,7 +93,8 @@ def regularised_mean_shift(
     weights = trusted = np.concatenate([e.weights for e in evidence])
     scale = options.outlier_scale * np.concatenate([np.broadcast_to(e.tolerance, len(e.weights)) for e in evidence])
     normal = _normal_matrix(flat, prior, of, weights)
-    # Equation 3.1 at the start: the derivative by the scale, times the scale, is the landmarks without translation.
+    # Equation 3.1 at the start: the derivative with respect to the scale, times the scale, is the untranslated
+    # landmarks.
     landmarks = (start.pose[0] * jacobian[:, :, 0] + start.pose[4:6, None]).T
     moved = np.zeros(len(prior))
     for i, variance in enumerate(options.variances):
@@ -103,7 +105,7 @@ def regularised_mean_shift(
             away = shifts if variance == inf else _shifts(evidence, places, inf)
             weights = trusted / (1.0 + np.square(away / scale[:, None]).sum(axis=1))
             normal = _normal_matrix(flat, prior, of, weights)
-        # J^T W v, summed over the maps of each landmark; then the right-hand side of equation 3.4.
+        # J^T W v, summed over the maps of each landmark, and the right-hand side of equation 3.4.
         pull = [np.bincount(of, weights * shift, len(landmarks)) for shift in shifts.T]
         right = np.concatenate(pull) @ flat
         right[N_POSE:] -= prior[N_POSE:] * (start.shape_params + moved[N_POSE:])
@@ -115,7 +117,7 @@ def regularised_mean_shift(
 
 
 def _shifts(evidence: Sequence[Evidence], places: FloatArray, variance: float) -> FloatArray:
-    """(n, 2) mean-shift vectors `v` of equation 3.3 for all maps, from the landmarks at `places` (n, 2)."""
+    """Mean-shift vectors `v` of equation 3.3 of all maps, (n, 2), from the landmarks at `places` (n, 2)."""
     out, first = np.empty_like(places), 0
     for e in evidence:
         own = slice(first, first + len(e.weights))
@@ -125,7 +127,7 @@ def _shifts(evidence: Sequence[Evidence], places: FloatArray, variance: float) -
 
 
 def _normal_matrix(flat: FloatArray, prior: FloatArray, of: IntArray, weights: FloatArray) -> FloatArray:
-    """`r L + J^T W J` of equation 3.4, for maps of the landmarks `of` (n,) with `weights` (n,)."""
+    """Assemble `r L + J^T W J` of equation 3.4 for maps of the landmarks `of` (n,) with `weights` (n,)."""
     total = np.bincount(of, weights, len(flat) // 2)
     normal = flat.T @ (flat * np.concatenate([total, total])[:, None])
     # If all weights are 0, the pose is undetermined; a small diagonal keeps the system solvable, with a step of 0.

@@ -1,7 +1,7 @@
 """Mirroring of results: what tracking would have found in the image flipped left to right.
 
-Performers who watch themselves expect a mirror: if they raise the brow on the left of the screen, the avatar's left one
-should rise. Mirroring results is free, and the video stays as it is.
+Performers who watch themselves expect a mirror: if they raise the brow on the left of the screen, the avatar's brow on
+the left should rise. Mirroring results costs nothing, and the video stays as it is.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ def mirror_result(result: TrackResult, width: float, mode_signs: FloatArray | No
     width : float
         Width of the image in pixels. Pixel centres have integer coordinates, so x becomes ``width - 1 - x``.
     mode_signs : (K,) float64, optional
-        `PointDistributionModel.mirror_signs` of the model. Without them, the shape parameters become NaN;
-        everything else is exact in any case.
+        `PointDistributionModel.mirror_signs` of the model. Without them the shape parameters become NaN; everything
+        else is exact in any case.
 
     Returns
     -------
@@ -58,5 +58,5 @@ def mirror_result(result: TrackResult, width: float, mode_signs: FloatArray | No
 
 
 def _flipped(points: FloatArray, width: float) -> FloatArray:
-    """(N, 2) image points with x mirrored."""
+    """Mirror the x of image points (N, 2)."""
     return np.stack([width - 1.0 - points[:, 0], points[:, 1]], axis=1)

@@ -1,4 +1,4 @@
-"""The tracker model and its file: magic number, format version, checksum, then a numpy archive without pickles."""
+"""The tracker model and its file: a magic number, format version and checksum, then a numpy archive without pickles."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ FORMAT_VERSION = 5
 _VIEWS = ("frontal", "side")
 _HEADER = struct.Struct("<16sIQ32s")
 _LARGEST_SIDE = 512
-"""Upper bound of picture sizes and scales of experts, in pixels: four times those in use."""
+"""Largest sizes of crops and scales of experts, in pixels: four times those in use."""
 _FARTHEST, _HEAVIEST = 100.0, 1e4
 _MOST_MODES, _MOST_PARTS = 512, 16
-"""Upper bounds of counts; as many modes as a take can hold."""
+"""Largest numbers of modes, as many as a take can hold, and of parts."""
 _ADVICE = "Reinstall Facemime, or rebuild the model with `make model`."
 
 
@@ -46,27 +46,30 @@ class TrackerModel:
     Attributes
     ----------
     pdm : PointDistributionModel
+        The shape model.
     face : FaceExperts
-        For a start that may be far away.
+        Experts for a start that may be far from the face.
     glance : FaceExperts
-        For a face that is being followed.
+        Experts for a face that is being followed.
     parts : tuple of PartExperts
-        An eye with its brow, and the mouth with the base of the nose.
+        Experts of an eye with its brow, and of the mouth with the base of the nose.
     actions : tuple of ActionExperts
-        For what no landmark shows: an eye with its brow and its side of the nose, and the mouth with the cheeks.
+        Experts for what no landmark shows: an eye with its brow and its side of the nose, and the mouth with the
+        cheeks.
     patches : (PatchExperts, PatchExperts)
-        Frontal, and with the nose to the viewer's left; the latter, mirrored, serve the other side.
+        Frontal view, and view with the nose to the viewer's left, which serves the other side mirrored.
     definition : (66, 3) float64
-        Offset from the landmarks on which the experts were trained to those of `pdm`, head frame.
+        Offset from the landmarks on which the experts were trained to those of `pdm`, in the head frame.
     visibility : (2, 66) float64
-        How often each landmark is visible, in the frontal view and with the nose to the viewer's left.
+        Share of faces in which each landmark is visible, in the frontal view and with the nose to the viewer's left.
     box_offset : (D, 3) float64
-        Per detector, translation of the pose from the centre of the box (x, y) and scale, in box widths.
+        For each detector, translation of the pose from the centre of the box (x, y), and scale, in box widths.
     check : FaceCheck
+        Decides whether a fit is a face.
     detector : NetworkDetector
-        Where faces may be.
+        Proposes faces.
     model_id : str
-        First digits of the checksum of the file.
+        First digits of the file's checksum.
     """
 
     pdm: PointDistributionModel
@@ -105,7 +108,7 @@ def _pack_parts(kind: str, parts: Sequence[FacePart]) -> dict[str, NDArray[np.ge
 def _pack_patches(patches: tuple[PatchExperts, PatchExperts]) -> dict[str, NDArray[np.generic]]:
     arrays: dict[str, NDArray[np.generic]] = {"patch_scale": np.array(patches[0].scale)}
     for name, e in zip(_VIEWS, patches, strict=True):
-        # Weights are quantised to 8 bits per column; the rounding is smaller than the noise of training.
+        # Weights are quantised to 8 bits per column; the rounding is below the noise of training.
         step = np.maximum(np.abs(e.hidden).max(axis=1), 1e-12) / 127.0
         arrays[f"{name}_hidden"] = np.round(e.hidden / step[:, None]).astype(np.int8)
         arrays[f"{name}_step"] = step.astype(np.float32)
@@ -197,7 +200,7 @@ def load_model(path: Path) -> TrackerModel:
     Raises
     ------
     ModelError
-        If the file is missing, not a tracker model, of another format version, truncated or damaged.
+        If the file is missing, not a tracker model, of a different format version, truncated or damaged.
     """
     payload, digest = _checked_payload(path)
     try:
@@ -256,7 +259,7 @@ def _assemble(archive: Archive, model_id: str) -> TrackerModel:
 
 
 def _places(name: str, archive: Archive, *more: int | None) -> FloatArray:
-    """(66, 3, ...) positions or displacements in the head frame."""
+    """Read positions or displacements (66, 3, ...) in the head frame."""
     places = archive.floats(name, (N_LANDMARKS, 3, *more))
     if np.abs(places).max(initial=0.0) > _FARTHEST:
         raise ValueError(f"{name} is outside any head")
@@ -322,7 +325,7 @@ def _actions(archive: Archive) -> tuple[ActionExperts, ...]:
 
 
 def _seen_parts(kind: str, archive: Archive) -> Iterator[tuple[IntArray, float, tuple[int, int], bool]]:
-    """Landmarks, scale, size and pairing of each `FacePart` of a kind."""
+    """Yield landmarks, scale, size and pairing of each `FacePart` of a kind."""
     scales = _scales(f"{kind}_scales", None, archive)
     if not 1 <= len(scales) <= _MOST_PARTS:
         raise ValueError(f"{kind}_scales has {len(scales)} parts, not 1 to {_MOST_PARTS}")

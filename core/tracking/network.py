@@ -12,7 +12,7 @@ from ..errors import ModelError
 class Network:
     """A network with one input `(B, 1, H, W)` and named outputs.
 
-    Do not share an instance between threads: OpenCV keeps the buffers of a call in it.
+    Do not share an instance between threads, as OpenCV keeps the buffers of a call in it.
 
     Raises
     ------
@@ -29,7 +29,7 @@ class Network:
             raise _refused("read") from error
 
     def __call__(self, pictures: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
-        """Outputs for standardised pictures (B, H, W), in the order of their names."""
+        """Return the outputs for standardised images (B, H, W), in the order of their names."""
         try:
             self._net.setInput(pictures[:, None])
             return tuple(np.asarray(out, np.float32) for out in self._net.forward(self._outputs))
@@ -37,7 +37,20 @@ class Network:
             raise _refused("run") from error
 
     def check(self, size: tuple[int, int], *shapes: tuple[int, ...]) -> None:
-        """Raise ValueError if outputs for a picture of `size` (width, height) do not have these `shapes`."""
+        """Check the shapes of the outputs.
+
+        Parameters
+        ----------
+        size : (int, int)
+            Width and height of the input image in pixels.
+        *shapes : tuple of int
+            Expected shape of each output.
+
+        Raises
+        ------
+        ValueError
+            If an output has another shape or is not finite.
+        """
         outputs = self(np.zeros((1, *size[::-1]), np.float32))
         for name, output, shape in zip(self._outputs, outputs, shapes, strict=True):
             if output.shape != shape or not np.isfinite(output).all():

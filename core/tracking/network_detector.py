@@ -1,4 +1,4 @@
-"""A small network that detects faces of any size, from any side, in one pass (docs/method.md, section 3.2)."""
+"""A small network that detects faces of any size and from any side in one pass (docs/method.md, section 3.2)."""
 
 from __future__ import annotations
 
@@ -12,66 +12,74 @@ from ..arrays import FloatArray
 from .network import Network
 
 STRIDE = 8
-"""Pixels between the cells of the network."""
+"""Pixels between neighbouring cells of the network."""
 UNIT = 16.0
-"""Pixels in which the network measures."""
+"""Unit of the network's outputs in pixels."""
 SMALLEST, LARGEST = 9.0, 30.0
-"""Outer-eye distances in pixels of the faces that it finds."""
+"""Range of the outer-eye distances, in pixels, of faces that the network finds."""
 OUTPUTS = ("x", "y", "size", "cos roll", "sin roll", "sin yaw", "sin pitch")
-"""What it says of a face, beside the log odds: place and size in units, size as a logarithm."""
+"""Outputs per face beside the log odds. Position and size are in units, the size as a logarithm."""
 SIDES = (64, 160, 400, 1000)
 """Pixels to which the longer side of an image is reduced, one after the other, for smaller and smaller faces."""
 _ROUND = 16
 _RIM = 16
-"""Pixels by which the border of an image is extended: faces may be cut by it."""
+"""Pixels by which the border of an image is extended, as faces may be cut by it."""
 _ODDS = -1.5
 """Log odds above which a cell counts as a detection; the fit rejects false ones."""
 _APART = 0.5
-"""Outer-eye distances within which two detections are of one face."""
+"""Distance, in outer-eye distances, within which two detections are of the same face."""
 _QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
-"""A quarter turn, clockwise, as y points down."""
+"""A quarter turn, clockwise because y points down."""
 
 
 @dataclass(frozen=True)
 class Detection:
-    """A possible face: its pose (6,), image frame, and the log odds."""
+    """A possible face.
+
+    Attributes
+    ----------
+    pose : (6,) float64
+        Pose in the image frame.
+    odds : float
+        Log odds that it is a face.
+    """
 
     pose: FloatArray
     odds: float
 
 
 class NetworkDetector:
-    """Detects faces by a network; see `CascadeDetector` for Viola and Jones' way.
+    """Detects faces by a network. `CascadeDetector` is the Viola-Jones alternative.
 
     Parameters
     ----------
     network : Network
-        From standardised pictures to `OUTPUTS`.
+        Network from standardised images to `OUTPUTS`.
     """
 
     def __init__(self, network: Network) -> None:
         self.network = network
 
     def detect(self, grey: NDArray[np.uint8], sides: tuple[int, ...] = SIDES[:3], turns: int = 0) -> list[Detection]:
-        """Detect the faces of an image, tilted by up to about 60 degrees.
+        """Detect the faces in an image, tilted by up to about 60 degrees.
 
         Parameters
         ----------
         grey : (H, W) uint8
             Grey image.
         sides : tuple of int
-            Some of `SIDES`.
+            Sides from `SIDES` to which the image is reduced.
         turns : int
-            Quarter turns, clockwise, by which the faces are tilted besides.
+            Clockwise quarter turns by which the faces are additionally tilted.
 
         Returns
         -------
         list of Detection
-            The likeliest first, one per face.
+            Detections, the likeliest first, one per face.
 
         Notes
         -----
-        About 1 ms at a side of 160 pixels and 4 ms at 400.
+        It takes about 1 ms at a side of 160 pixels and 4 ms at 400.
         """
         upright = np.ascontiguousarray(np.rot90(grey, turns))
         wanted = [side for i, side in enumerate(sides) if i == 0 or max(grey.shape) > sides[i - 1]]
@@ -91,7 +99,7 @@ class NetworkDetector:
         padded = cv2.copyMakeBorder(small, _RIM, below, _RIM, right, cv2.BORDER_REPLICATE)
         (out,) = self.network(((padded.astype(np.float32) - 128.0) / 64.0)[None])
         odds = out[0, 0]
-        # A face is where the odds are highest among the neighbours.
+        # A face is where the odds are highest among the neighbouring cells.
         peaks = (odds >= cv2.dilate(odds, np.ones((3, 3), np.uint8))) & (odds > _ODDS)
         scale = np.array(grey.shape[::-1]) / size
         faces = []
@@ -105,7 +113,7 @@ class NetworkDetector:
 
 
 def _turned(face: Detection, turns: int, upright: NDArray[np.uint8], grey: NDArray[np.uint8]) -> Detection:
-    """A detection in `upright`, in the image `grey`, which is turned clockwise by quarter turns."""
+    """Convert a detection in `upright` to the image `grey`, which is turned clockwise by quarter turns."""
     middle, origin = ((np.array(image.shape[::-1]) - 1) / 2.0 for image in (upright, grey))
     pose = face.pose.copy()
     pose[3] = (pose[3] + turns * np.pi / 2.0 + np.pi) % (2.0 * np.pi) - np.pi

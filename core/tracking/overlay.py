@@ -1,4 +1,4 @@
-"""Drawing of landmarks over pictures, and of pictures side by side."""
+"""Drawing of landmarks over images, and of images side by side."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _LINEAR = (np.arange(256) / 255.0) ** np.float32(2.2)
 _SURE, _GUESSED = np.array((90.0, 230.0, 90.0)), np.array((60.0, 60.0, 240.0))
 _SHIFT = 4
 _THIN, _RADII = 110.0, (0.7, 3.0)
-"""Size of a face relative to the radius of its landmarks in a preview, which leaves the lids in sight; and the radii's
-limits in pixels."""
+"""Size of a face relative to the radius of its landmarks in a preview, chosen so that the lids stay visible, and limits
+of that radius in pixels."""
 
 
 def draw_landmarks(image: Image, landmarks: FloatArray) -> Image:
@@ -34,7 +34,7 @@ def draw_landmarks(image: Image, landmarks: FloatArray) -> Image:
     image : (H, W, 3) uint8
         BGR.
     landmarks : (66, 2) float64
-        Pixels; nothing is drawn if any is NaN.
+        Positions in pixels; nothing is drawn if any is NaN.
 
     Returns
     -------
@@ -56,21 +56,21 @@ def draw_landmarks(image: Image, landmarks: FloatArray) -> Image:
 
 
 def draw_frame(image: Image, landmarks: FloatArray, width: int, height: int) -> Image:
-    """Scale a frame to fit into a picture, and draw its landmarks at that size.
+    """Scale a frame to fit into a given size, and draw its landmarks at that size.
 
     Parameters
     ----------
     image : (H, W, 3) uint8
         BGR.
     landmarks : (66, 2) float64
-        Pixels of `image`.
+        Positions in pixels of `image`.
     width, height : int
-        Size of the picture in pixels; what the frame does not fill is background.
+        Size of the result in pixels; the rest is background.
 
     Returns
     -------
     (height, width, 3) uint8
-        The picture.
+        The drawing, BGR.
     """
     scale = min(width / image.shape[1], height / image.shape[0])
     centre = np.array([image.shape[1], image.shape[0]]) / 2.0
@@ -118,7 +118,7 @@ def draw_preview(image: Image | None, result: TrackResult, width: int) -> NDArra
     image : (H, W, 3) uint8 or None
         BGR.
     result : TrackResult
-        Of that frame.
+        Result of that frame.
     width : int
         Width of the preview in pixels.
 
@@ -168,12 +168,12 @@ def draw_label(image: Image, text: str) -> Image:
 
 
 def contact_sheet(pairs: Sequence[tuple[Image, Image]], columns: int = 3, gap: int = 10) -> Image:
-    """Arrange pairs of pictures in a grid, the two of each pair touching.
+    """Arrange pairs of images in a grid, the two of each pair touching.
 
     Parameters
     ----------
     pairs : sequence of (image, image)
-        BGR pictures of the same size.
+        BGR images of the same size.
     columns : int
         Pairs per row.
     gap : int

@@ -1,8 +1,8 @@
 """Patch experts: one small network per landmark that rates 11 x 11 patches (docs/method.md, section 3.5).
 
-They refine what the convolutional experts found: they know nothing but a few pixels, and so follow the visible edge. A
-hidden layer, rather than the linear filter of the original model, tells a shut lid from a brow, at the cost of a single
-matrix product for all landmarks.
+They refine what the convolutional experts found: they see only a few pixels, and so follow the visible edge. A hidden
+layer, rather than the linear filter of the original model, distinguishes a shut lid from a brow, at the cost of a
+single matrix product for all landmarks.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ HALF = PATCH // 2
 RADIUS = 2
 """Radius of the search window, in pixels."""
 REACH = 0.95
-"""Outer-eye distances from the translation of the pose within which landmarks are searched; no face extends further."""
+"""Distance from the translation of the pose, in outer-eye distances, within which landmarks are sought; no face is
+larger."""
 _GREY = np.float32(128.0)
 CONTRAST_FLOOR = 4.0
 """Grey levels added to the deviation of a patch, so that the noise of flat ones is not amplified."""
@@ -39,6 +40,7 @@ class PatchExperts:
     hidden : (N, 121, U) float32
         `W`; each column sums to 0, so that the mean of a patch does not matter.
     hidden_bias : (N, U), output : (N, U), output_bias : (N,) float32
+        `b`, `v` and `c`.
     """
 
     scale: float
@@ -55,20 +57,21 @@ class PatchExperts:
         grey : (H, W) uint8
             Grey image.
         pose : (6,) float64
-            Pose, image frame.
+            Pose in the image frame.
         shape : (N, 2) float64
             Landmarks in the face frame of `pose`.
 
         Returns
         -------
         ResponseMaps
-            In the face frame; squared.
+            Squared responses, in the face frame of `pose`.
         (N,) float64
             Highest response of each landmark, 0 to 1.
 
         Notes
         -----
-        One batched product of (N, 25, 122) by (N, 122, U), some 6 million multiplications for N = 66, U = 32; 0.4 ms.
+        One batched product of (N, 25, 122) by (N, 122, U), about 6 million multiplications for N = 66 and U = 32; 0.4
+        ms.
         """
         # Whole pixels from the translation of the pose: independent of the window's extent, which changes with a blink.
         centres = np.round(np.minimum(np.maximum(shape, -REACH), REACH) * self.scale).astype(np.intp)
@@ -80,7 +83,7 @@ class PatchExperts:
         likely, corner = self.responses(pixels, centres - first, RADIUS)
         count = len(shape)
         highest = likely.reshape(count, -1).max(axis=1).astype(np.float64)
-        # Squared, maps are narrower, and the mean-shift ends nearer to the maximum.
+        # Squared maps are narrower, so that the mean-shift ends nearer to the maximum.
         np.square(likely, out=likely)
         place = ((corner + first) / self.scale).astype(np.float32)
         return ResponseMaps(np.arange(count), likely, place, np.full((count, 1), 1.0 / self.scale, np.float32)), highest
@@ -88,16 +91,16 @@ class PatchExperts:
     def responses(
         self, pixels: NDArray[np.uint8], centres: IntArray, radius: int
     ) -> tuple[NDArray[np.float32], IntArray]:
-        """Compute responses in square windows of a picture.
+        """Compute responses in square windows of an image.
 
         Parameters
         ----------
         pixels : (H, W) uint8
-            Grey picture.
+            Grey image.
         centres : (N, 2) int
-            Centres `(x, y)` of the windows; a window that would leave the picture is moved inside.
+            Centres `(x, y)` of the windows in pixels; a window that would leave the image is moved inside.
         radius : int
-            Of the windows, in pixels.
+            Radius of the windows in pixels.
 
         Returns
         -------
@@ -109,14 +112,14 @@ class PatchExperts:
         Notes
         -----
         With the deviation `d` of a patch, ``relu(b + W . patch / d)`` is computed as ``relu(b d + W . patch) / d``:
-        biases become a row of the product, and positions are divided instead of units.
+        biases become a row of the product, and positions are divided instead of hidden units.
         """
         side = 2 * radius + 1
         height, width = pixels.shape
         limit = np.array([width, height]) - side - PATCH + 1
         corner = np.minimum(np.maximum(centres - (radius + HALF), 0), limit)
         crops = np.subtract(_crops(pixels, corner, side + PATCH - 1), _GREY, dtype=np.float32)
-        # Biases times the deviation are the last row of the product; dividing afterwards normalises a patch once (see
+        # The last row of the product holds biases times deviation; dividing afterwards normalises each patch once (see
         # Notes).
         deviation = _deviations(crops, side)
         units = np.matmul(_patches(crops, side, deviation), self._hidden_with_bias)
@@ -132,11 +135,11 @@ class PatchExperts:
 
     @cached_property
     def _hidden_with_bias(self) -> NDArray[np.float32]:
-        """(N, 122, U)."""
+        """`hidden` with its bias as the last row, (N, 122, U)."""
         return np.concatenate([self.hidden, self.hidden_bias[:, None]], axis=1)
 
     def mirrored(self, order: IntArray) -> PatchExperts:
-        """The experts of the mirrored view; `order` (N,) names each landmark's counterpart."""
+        """Return the experts of the mirrored view; `order` (N,) holds the counterpart of each landmark."""
         units = self.hidden.shape[2]
         flipped = self.hidden.reshape(-1, PATCH, PATCH, units)[order, :, ::-1].reshape(self.hidden.shape)
         return PatchExperts(
@@ -149,7 +152,7 @@ class PatchExperts:
 
 
 def _crops(pixels: NDArray[np.uint8], corner: IntArray, side: int) -> NDArray[np.uint8]:
-    """(N, side, side) squares of a picture whose first pixels are `corner` (N, 2)."""
+    """Crop squares of an image whose first pixels are `corner` (N, 2), (N, side, side)."""
     height, width = pixels.shape
     every = (height - side + 1, width - side + 1, side, side)
     squares: NDArray[np.uint8] = np.ndarray(every, np.uint8, pixels, 0, pixels.strides * 2)
@@ -158,7 +161,7 @@ def _crops(pixels: NDArray[np.uint8], corner: IntArray, side: int) -> NDArray[np
 
 
 def _deviations(crops: NDArray[np.float32], side: int) -> NDArray[np.float32]:
-    """(N, side * side) standard deviation of each patch of the crops (N, S, S), with the floor added."""
+    """Standard deviation of each patch of the crops (N, S, S), with the floor added, (N, side * side)."""
     flat = crops.reshape(len(crops), -1)
     boxes = _boxes(crops.shape[1], side)
     mean = flat @ boxes
@@ -171,16 +174,16 @@ def _deviations(crops: NDArray[np.float32], side: int) -> NDArray[np.float32]:
 
 @cache
 def _boxes(span: int, side: int) -> NDArray[np.float32]:
-    """(span * span, side * side) matrix that maps a crop to the mean of each of its patches."""
+    """Matrix that maps a crop to the mean of each of its patches, (span * span, side * side)."""
     first, step = np.arange(side), np.arange(span)[:, None]
     covers = ((step >= first) & (step < first + PATCH)).astype(np.float32) / PATCH
     return np.kron(covers, covers)
 
 
 def _patches(crops: NDArray[np.float32], side: int, deviation: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(N, side * side, 122) all patches of the crops (N, S, S), row by row, each followed by its deviation.
+    """All patches of the crops (N, S, S), row by row, each followed by its deviation, (N, side * side, 122).
 
-    Columns are unfolded first. A patch is then a run of 121 numbers that starts 11 after the one above it, so that the
+    Columns are unfolded first. A patch is then a run of 121 numbers that starts 11 after the one above it, so the
     second copy moves long runs rather than single rows of a patch.
     """
     count, span, _ = crops.shape

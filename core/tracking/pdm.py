@@ -1,7 +1,7 @@
 """The 3-D point distribution model: 66 landmarks as a mean and modes, under weak perspective.
 
 See docs/method.md, section 3.1. Euler angles are updated by addition. They degenerate at 90 degrees of yaw, where no
-landmark detector of this kind works; in return, nothing but the parameters is kept between iterations.
+landmark detector of this kind works; in return, iterations keep no state but the parameters.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ N_POSE = 6
 
 @dataclass(frozen=True)
 class FittedShape:
-    """Pose (6,) and shape parameters (K,) of a fitted face."""
+    """A fitted face: `pose` (6,), as in `TrackResult`, and `shape_params` (K,)."""
 
     pose: FloatArray
     shape_params: FloatArray
@@ -35,7 +35,7 @@ class PointDistributionModel:
     Parameters
     ----------
     mean_shape : (N, 3) float64
-        Head frame, in outer-eye distances of the mean.
+        Mean shape in the head frame, in its own outer-eye distances.
     basis : (N, 3, K) float64
         Modes. They need not be orthonormal; their coefficients are uncorrelated.
     eigenvalues : (K,) float64
@@ -53,7 +53,7 @@ class PointDistributionModel:
 
     @cached_property
     def _flat_basis(self) -> FloatArray:
-        """(3, N * (6 + K)) modes, for rotating all by a single matrix product; 0 in the columns of the pose."""
+        """Modes as (3, N * (6 + K)), so that a single product rotates all; the columns of the pose are 0."""
         modes = self.basis.transpose(1, 0, 2)
         flat: FloatArray = np.concatenate([np.zeros((*modes.shape[:2], N_POSE)), modes], axis=2).reshape(3, -1)
         return flat
@@ -68,9 +68,9 @@ class PointDistributionModel:
 
     @cached_property
     def mirror_signs(self) -> FloatArray:
-        """(K,) factors that mirror the shape parameters: 1 for a symmetric mode, -1 for an antisymmetric one.
+        """Factors that mirror the shape parameters, (K,): 1 for a symmetric mode, -1 for an antisymmetric one.
 
-        NaN for modes that are neither, which a model has that was not learnt from faces and their mirror images.
+        NaN for modes that are neither, in a model that was not learnt from faces and their mirror images.
         """
         flipped = self.basis[MIRROR] * np.array([-1.0, 1.0, 1.0])[:, None]
         size = np.square(self.basis).sum(axis=(0, 1))
@@ -79,7 +79,7 @@ class PointDistributionModel:
         return np.where(pure, signs, np.nan)
 
     def shape(self, shape_params: FloatArray) -> FloatArray:
-        """(N, 3) landmarks in the head frame for coefficients (K,)."""
+        """Return the landmarks in the head frame, (N, 3), for coefficients (K,)."""
         out: FloatArray = (self._shape_basis @ shape_params).reshape(-1, 3)
         out += self.mean_shape
         return out
@@ -105,7 +105,7 @@ class PointDistributionModel:
         return projected
 
     def jacobian(self, pose: FloatArray, shape_params: FloatArray) -> FloatArray:
-        """Derivatives of the projected landmarks.
+        """Differentiate the projected landmarks with respect to the parameters.
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ class PointDistributionModel:
         Returns
         -------
         (2, N, 6 + K) float64
-            Of x and y, by pose and coefficients.
+            Derivatives of x and y with respect to pose and coefficients.
         """
         scale, pitch, yaw, roll, *_ = pose.tolist()
         rotation = scale * euler_to_matrix(pitch, yaw, roll)
@@ -141,7 +141,7 @@ class PointDistributionModel:
         shape_params : (K,) float64
             Coefficients of the modes.
         limit : float
-            Standard deviations.
+            Largest number of standard deviations.
 
         Returns
         -------
@@ -165,7 +165,7 @@ class PointDistributionModel:
         Returns
         -------
         FittedShape
-            With a positive scale, angles from -pi to pi, and coefficients within five standard deviations.
+            The new parameters: positive scale, angles from -pi to pi, coefficients within five standard deviations.
         """
         moved = pose + delta[:N_POSE]
         # A step may at most halve the scale, which keeps it positive.
@@ -174,12 +174,12 @@ class PointDistributionModel:
         return FittedShape(moved, self.clamp(shape_params + delta[N_POSE:]))
 
     def frontal_pose(self, landmarks: FloatArray, weights: FloatArray | None = None) -> FloatArray:
-        """Fit a pose without pitch and yaw: the similarity that takes the mean shape nearest to landmarks.
+        """Fit a pose without pitch and yaw: the similarity that takes the mean shape closest to landmarks.
 
         Parameters
         ----------
         landmarks : (N, 2) float64
-            Pixels.
+            Positions in pixels.
         weights : (N,) float64, optional
             Relative weight of each landmark.
 
@@ -215,21 +215,21 @@ class PointDistributionModel:
         Parameters
         ----------
         landmarks : (N, 2) float64
-            Pixels.
+            Positions in pixels.
         weights : (N,) float64, optional
             Relative weight of each landmark; 0 ignores it.
         noise : float
-            Standard deviation of a landmark of weight 1, in outer-eye distances. 0 disables the prior, which
-            requires more landmarks than parameters.
+            Standard deviation of a landmark of weight 1, in outer-eye distances. 0 disables the prior, which requires
+            more landmarks than parameters.
         iterations : int
             Number of Gauss-Newton steps.
         start : (6,) float64, optional
-            Initial pose; frontal by default.
+            Initial pose; by default `frontal_pose`.
 
         Returns
         -------
         FittedShape
-            Image frame.
+            The fit, in the image frame.
         """
         weights = np.ones(len(landmarks)) if weights is None else weights
         pose = self.frontal_pose(landmarks, weights) if start is None else start
@@ -253,13 +253,13 @@ def solve_update(
     jacobian : (2, N, P) float64
         `J`.
     shift : (2, N) float64
-        `v`, the shift towards which each landmark is pulled, in pixels.
+        `v`, the shift by which each landmark is pulled, in pixels.
     weights : (N,) float64
         Diagonal of `W`.
     prior : (P,) float64
         Diagonal of `r L`, 0 for the pose.
     shape_params : (K,) float64
-        Shape part of `p`; the pose part is multiplied by 0.
+        Shape part of `p`. The pose part is not needed, as `L` is 0 there.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The reference frame: the image warped by a similarity, so that experts see faces upright and of one size."""
+"""The reference frame: the image warped by a similarity, so that experts see faces upright and at a given size."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ from ..arrays import FloatArray
 
 @dataclass(frozen=True)
 class ReferenceFrame:
-    """A grey picture (H, W) and the similarity ``reference = linear @ image + offset`` that maps the image to it.
+    """A grey crop and the similarity ``reference = linear @ image + offset`` that maps the image to it.
 
     Attributes
     ----------
+    pixels : (H, W) uint8
+        The crop.
     turn : (float, float)
         First row of `linear`; the second is the first, rotated by 90 degrees.
     shift : (float, float)
-        `offset`.
+        The vector `offset`.
     """
 
     pixels: NDArray[np.uint8]
@@ -31,13 +33,13 @@ class ReferenceFrame:
 
     @property
     def linear(self) -> FloatArray:
-        """(2, 2)."""
+        """The matrix of the similarity, (2, 2)."""
         c, s = self.turn
         return np.array([[c, s], [-s, c]])
 
     @property
     def offset(self) -> FloatArray:
-        """(2,)."""
+        """The translation of the similarity, (2,)."""
         return np.array(self.shift)
 
 
@@ -69,19 +71,19 @@ def pose_in_image(relative: FloatArray, start: FloatArray) -> FloatArray:
 
 
 def translate_pose(pose: FloatArray, x: float, y: float) -> FloatArray:
-    """Translate a pose to a point of its own face frame.
+    """Move a pose to a point of its own face frame.
 
     Parameters
     ----------
     pose : (6,) float64
-        Image frame.
+        Pose in the image frame.
     x, y : float
-        Face frame of `pose`, in outer-eye distances.
+        Position in the face frame of `pose`, in outer-eye distances.
 
     Returns
     -------
     (6,) float64
-        The translated pose, image frame.
+        The moved pose, in the image frame.
     """
     return pose_in_image(np.array([1.0, pose[1], pose[2], 0.0, x, y]), pose)
 
@@ -94,7 +96,7 @@ def warp_to_reference(grey: NDArray[np.uint8], pose: FloatArray, scale: float, s
     grey : (H, W) uint8
         Grey image.
     pose : (6,) float64
-        Image frame; its translation becomes the centre of the crop.
+        Pose in the image frame; its translation becomes the centre of the crop.
     scale : float
         Pixels per outer-eye distance of the crop.
     size : (int, int)
@@ -110,13 +112,13 @@ def warp_to_reference(grey: NDArray[np.uint8], pose: FloatArray, scale: float, s
     Only the visible part of the image is processed. If the face is much larger than the crop, the image is reduced by
     an integer factor first, as the bilinear warp would alias.
     """
-    # Python floats: operations on numpy scalars take ten times as long.
+    # Python floats, as operations on numpy scalars take ten times as long.
     pose_scale, _, _, roll, x, y = pose.tolist()
     gain = scale / pose_scale
     c, s = gain * cos(roll), gain * sin(roll)
     width, height = size
     right, down = (width - 1) / 2.0 - c * x - s * y, (height - 1) / 2.0 + s * x - c * y
-    # Half the sides of the frame's bounding box in the image.
+    # Half the sides of the crop's bounding box in the image.
     along, across = 0.5 * abs(c) / gain**2, 0.5 * abs(s) / gain**2
     reach = (along * width + across * height + 2.0, across * width + along * height + 2.0)
     patch, step, left, top = _shrunk_region(grey, x, y, reach, int(1.0 / gain))
@@ -135,9 +137,9 @@ def warp_to_reference(grey: NDArray[np.uint8], pose: FloatArray, scale: float, s
 def _shrunk_region(
     grey: NDArray[np.uint8], x: float, y: float, reach: tuple[float, float], step: int
 ) -> tuple[NDArray[np.uint8], int, float, float]:
-    """The part of the image within `reach` (x, y) pixels of (x, y), reduced by averaging step x step pixels.
+    """Return the part of the image within `reach` (x, y) pixels of (x, y), reduced by averaging step x step pixels.
 
-    Returns it, the step that was used, and the position of its first pixel in the image.
+    Also return the step that was used, and the position of the first pixel in the image.
     """
     height, width = grey.shape
     left, right = _span(x, reach[0], width, step)

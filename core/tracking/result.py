@@ -1,4 +1,4 @@
-"""The result of tracking one frame, the type that everything after the tracker reads."""
+"""The result of tracking one frame, which everything after the tracker reads."""
 
 from __future__ import annotations
 
@@ -24,20 +24,33 @@ def _unknown(*shape: int) -> FloatArray:
 
 
 def project_shape(shape: FloatArray, pose: FloatArray) -> FloatArray:
-    """Project a shape (66, 3) in the head frame to landmarks (66, 2) in the image, by a `pose` as in `TrackResult`."""
+    """Project a shape to the image (equation 3.1).
+
+    Parameters
+    ----------
+    shape : (66, 3) float64
+        Landmarks in the head frame, in outer-eye distances.
+    pose : (6,) float64
+        As in `TrackResult`.
+
+    Returns
+    -------
+    (66, 2) float64
+        Landmarks in pixels.
+    """
     return np.asarray(pose[0] * (shape @ euler_to_matrix(*pose[1:4]).T)[:, :2] + pose[4:])
 
 
 @dataclass(frozen=True)
 class TrackResult:
-    """The face in one frame, or that there is none.
+    """The face in one frame, or its absence.
 
     Attributes
     ----------
     found : bool
-        Whether there is a face; if not, all arrays are NaN.
+        Whether there is a face. If not, all arrays are NaN.
     landmarks : (66, 2) float64
-        Image frame, pixels.
+        Positions in pixels.
     pose : (6,) float64
         `(s, pitch, yaw, roll, tx, ty)`: scale in pixels per outer-eye distance, radians, pixels. A point `m` of the
         head frame is seen at ``s R m + t``, first two rows, with ``R = Rz(roll) Ry(yaw) Rx(pitch)``.
@@ -50,22 +63,22 @@ class TrackResult:
     confidence : float
         Confidence that this is a face, 0 to 1.
     landmark_confidence : (66,) float64
-        Certainty of each landmark, 0 to 1. Low if it is covered or turned away, so that the shape model estimated it;
-        NaN if unknown.
+        Certainty of each landmark, 0 to 1. It is low if the landmark is covered or turned away, so that its position is
+        estimated by the shape model. NaN if unknown.
     pupils : (2, 2) float64
-        Image frame, pixels: centres of the performer's right and left pupil; NaN for a shut eye.
+        Centres of the performer's right and left pupil in pixels; NaN for a shut eye.
     gaze : (2,) float64
-        `(pitch, yaw)`, radians: direction of both eyes relative to the head, with the signs of the pose. They look
+        `(pitch, yaw)` in radians: direction of both eyes relative to the head, with the signs of the pose. They look
         along ``Ry(yaw) Rx(pitch) (0, 0, -1)`` in the head frame: (0, 0) is straight ahead, positive pitch down,
         positive yaw to the viewer's left. NaN if both eyes are shut.
     vergence : float
-        Yaw of the left eye less that of the right one, radians: positive for crossed eyes. NaN unless both are open.
+        Yaw of the left eye minus that of the right eye in radians; positive for crossed eyes. NaN unless both are open.
     actions : (15,) float64
-        Activations of `actions.ACTIONS`, which no landmark shows, before what the performer's face has at rest is
-        subtracted; NaN if unknown.
+        Activations of `actions.ACTIONS`, which no landmark shows. The performer's values at rest are not yet
+        subtracted. NaN if unknown.
     coefficients : (52,) float64
-        ARKit's coefficients, 0 to 1, in the order of `COEFFICIENTS`, where the source states them itself, as a phone
-        does; NaN if they have to be found from the landmarks.
+        ARKit's coefficients, 0 to 1, in the order of `COEFFICIENTS`, if the source states them, as a phone does; NaN if
+        they have to be found from the landmarks.
     """
 
     found: bool
@@ -83,7 +96,7 @@ class TrackResult:
 
     @classmethod
     def nothing(cls, n_modes: int) -> TrackResult:
-        """The result without a face, for a shape model with `n_modes` modes."""
+        """Return the result without a face, for a shape model with `n_modes` modes."""
         return cls(
             found=False,
             landmarks=_unknown(N_LANDMARKS, 2),
@@ -95,16 +108,21 @@ class TrackResult:
 
     @classmethod
     def exact(cls, shape: FloatArray, pose: FloatArray, **values: Any) -> TrackResult:
-        """Return the result of a face that is known instead of seen, with full confidence.
+        """Return the result for a face that is known rather than tracked, with full confidence.
 
         Parameters
         ----------
         shape : (66, 3) array
-            As `shape`.
+            Landmarks without the pose: head frame, outer-eye distances.
         pose : (6,) array
-            As `pose`; it places the landmarks.
-        values
+            Pose, as in the attribute; it places the landmarks.
+        **values
             Further attributes.
+
+        Returns
+        -------
+        TrackResult
+            The result.
         """
         return cls(
             found=True,
@@ -119,18 +137,18 @@ class TrackResult:
 
     @property
     def head_pose_degrees(self) -> FloatArray:
-        """(3,) pitch (down is positive), yaw (to the viewer's left) and roll (clockwise to the viewer), degrees."""
+        """Pitch (down is positive), yaw (to the viewer's left) and roll (clockwise to the viewer) in degrees, (3,)."""
         return np.asarray(np.degrees(self.pose[1:4]))
 
     @property
     def eye_apertures(self) -> FloatArray:
-        """(2,) apertures of the right and the left eye in outer-eye distances, without the pose; 0 is shut.
+        """Apertures of the right and left eye without the pose, in outer-eye distances, (2,); 0 is shut.
 
-        Defined in `core.apertures`.
+        See `core.apertures`.
         """
         return eye_apertures(self.shape)
 
     @property
     def mouth_aperture(self) -> float:
-        """Aperture between the inner lips in outer-eye distances, without the pose; 0 is closed."""
+        """Aperture between the inner lips without the pose, in outer-eye distances; 0 is closed."""
         return float(mouth_aperture(self.shape))

@@ -1,4 +1,4 @@
-"""Detection of all faces of an image, whoever they are (docs/method.md, section 3.2)."""
+"""Detection of all faces in an image, whoever they belong to (docs/method.md, section 3.2)."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from .network_detector import SIDES, NetworkDetector
 from .pdm import FittedShape
 
 _MAX_BOXES, _MAX_FACES = 60, 4
-"""Starts per effort that are fitted coarsely, and those of them that are fitted to the end."""
+"""Largest numbers of starts per effort that are fitted coarsely, and of those that are then fitted to the end."""
 _MAX_GRADUAL = 6
-"""Starts per step of a gradual search that are fitted coarsely."""
+"""Largest number of starts per step of a gradual search that are fitted coarsely."""
 _MAX_DETECTIONS = 8
-"""Detections by the network that are fitted coarsely."""
+"""Largest number of the network's detections that are fitted coarsely."""
 _LEAST_COARSE = 1e-3
-"""Confidence of a coarse fit to such a detection from which on it is fitted to the end. Most false detections have
-less, hardly any true ones."""
+"""Confidence of the coarse fit to such a detection above which it is fitted to the end. Most false detections are below
+it, and hardly any true ones."""
 _LIKELY_COARSE, _MAX_UNLIKELY = 4e-3, (2, 1)
-"""Confidence of the coarse fit below which a detection is unlikely, as it is below even odds; and how many unlikely
-ones a frame of a gradual search fits coarsely, in turn, and to the end. Of 47 false detections 43 were below even odds,
-of 96 faces with eyes at least 25 pixels apart none."""
+"""Confidence of the coarse fit below which a detection counts as unlikely, as does one with odds below even; and how
+many unlikely detections a frame of a gradual search fits coarsely, in turn, and to the end. Of 47 false detections 43
+had odds below even, of 96 faces with eyes at least 25 pixels apart none."""
 _CERTAIN = 0.85
 """Confidence of a detected face above which no further effort is made."""
 _SEPARATION = 0.6
-"""Eye distances between the centres of two fits above which they belong to two people."""
+"""Distance between the centres of two fits, in eye distances, above which they belong to two people."""
 
 
 @dataclass(frozen=True)
 class NetworkPass:
-    """One pass of the network: the sides and the quarter turns of `NetworkDetector.detect`."""
+    """A pass of the network: `sides` and `turns` as for `NetworkDetector.detect`."""
 
     sides: tuple[int, ...]
     turns: int = 0
@@ -46,10 +46,10 @@ class NetworkPass:
 
 SearchStep: TypeAlias = "Step | NetworkPass"
 _FIRST_PASS, _SMALL_FACES = NetworkPass(SIDES[:3]), NetworkPass(SIDES[3:])
-"""The pass that comes first, and the one for small faces."""
+"""The first pass, and the pass for small faces."""
 _FURTHER_PASSES = (_SMALL_FACES, *(NetworkPass(SIDES[:3], turns) for turns in (1, 3, 2)))
-"""Further passes of the network: small faces, and those that lie or hang. Much else looks like these, so they have to
-be certain."""
+"""Further passes of the network: for small faces, and for those that lie on their side or hang upside down. Much else
+looks like these, so they have to be certain."""
 _ALL = tuple(Step.whole(effort) for effort in EFFORTS)
 _FIRST = (_FIRST_PASS, _ALL[0])
 _QUICK = _ALL[:2]
@@ -62,36 +62,36 @@ _IN_TURN = tuple(
     for i, part in enumerate(part for effort in EFFORTS[len(_EVERY_FRAME) :] for part in Step.parts(effort))
     for step in ([Step.whole(Effort.SMALL), part] if i % 3 == 0 else [part])
 )
-"""The steps of which a gradual search makes one in each frame, beside those for near faces and for close-ups. Small
-faces, which are common, come often."""
+"""The steps of which a gradual search makes one per frame, besides those for near faces and for close-ups. Small faces,
+which are common, come often."""
 _T = TypeVar("_T")
 STAGES = ("detect", "experts", "fit", "check", "gaze", "actions")
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A fitted face, and the confidence, 0 to 1, that it is a face."""
+    """A fit, and the confidence, 0 to 1, that it is a face."""
 
     fit: Fit
     confidence: float
 
     @property
     def pose(self) -> FloatArray:
-        """(6,) pose, image frame."""
+        """Pose in the image frame, (6,)."""
         return self.fit.fitted.pose
 
     def distance(self, x: float, y: float) -> float:
-        """Distance from a point to the middle of the face.
+        """Return the distance from a point to the middle of the face.
 
         Parameters
         ----------
         x, y : float
-            Pixels, image frame.
+            Position in pixels.
 
         Returns
         -------
         float
-            Pixels.
+            Distance in pixels.
         """
         return float(np.hypot(self.pose[4] - x, self.pose[5] - y))
 
@@ -102,19 +102,20 @@ class FaceSearch:
     Parameters
     ----------
     model : TrackerModel
+        The tracker model.
 
     Attributes
     ----------
     gradual : bool
-        Whether the search spreads over many frames, so that none takes long.
+        Whether the search is spread over many frames, so that none takes long.
     network : NetworkDetector or None
-        Looks before any cascade does. None leaves the start to the cascades alone, as in the paper.
+        Searches before any cascade. None leaves the search to the cascades alone, as in the paper.
     timings : dict of str to float
-        Seconds that each stage has taken since `begin`: "detect", "experts", "fit", "check", "gaze", "actions".
+        Seconds spent in each stage since `begin`: "detect", "experts", "fit", "check", "gaze", "actions".
     """
 
     found_above = 0.5
-    """Confidence from which on a detected face counts."""
+    """Confidence above which a detected face is accepted."""
 
     def __init__(self, model: TrackerModel) -> None:
         self.gradual = False
@@ -126,7 +127,7 @@ class FaceSearch:
         self.fitter = FaceFitter(model, self.timings)
 
     def begin(self) -> None:
-        """Reset the timings for another image."""
+        """Reset the timings for the next image."""
         self._images += 1
         self.timings.update(dict.fromkeys(STAGES, 0.0))
 
@@ -141,15 +142,16 @@ class FaceSearch:
         Returns
         -------
         Candidate
-            Whatever its confidence is.
+            The fit, however low its confidence.
         """
         return self._judge(self.fitter.follow(grey, last))
 
     def steps(self, misses: int) -> tuple[SearchStep, ...]:
-        """What to do after `misses` frames without a face: all at first, then what is quick, and one more in turn.
+        """Return the steps after `misses` frames without a face: all at first, later the quick ones and one more in
+        turn.
 
-        A gradual search does not begin with all, and what it does in turn is short: the network looks in every other
-        frame, and the frames between are for its other passes and for the cascades by turns.
+        A gradual search does not start with all steps, and those that it makes in turn are short: the network looks at
+        every other frame, and the frames between alternate between its other passes and the cascades.
         """
         if self.network is None:
             return self._steps_of_cascades(misses)
@@ -171,17 +173,17 @@ class FaceSearch:
     def detect(
         self, grey: NDArray[np.uint8], steps: Sequence[SearchStep] | None = None, *, small: bool = False
     ) -> list[Candidate]:
-        """Detect faces, step by step, until one of these finds a certain one.
+        """Detect faces, step by step, until a step finds a certain one.
 
         Parameters
         ----------
         grey : (H, W) uint8
             Grey image.
         steps : sequence of Step or NetworkPass, optional
-            In order: efforts of the cascades, and passes of the network. By default all.
+            Efforts of the cascades and passes of the network, in order; by default all.
         small : bool
-            Search small faces even if the first effort finds a certain one, as a particular face is awaited that
-            may be small.
+            Whether to search for small faces even if the first effort finds a certain one, because a particular face is
+            awaited, which may be small.
 
         Returns
         -------
@@ -191,16 +193,16 @@ class FaceSearch:
         return list(self._detected(grey, self._all if steps is None else steps, small))
 
     def others(self, grey: NDArray[np.uint8], pose: FloatArray, *, small: bool = False) -> list[Candidate]:
-        """Find faces other than the one at `pose`; only boxes beside it are fitted.
+        """Find faces other than the one at `pose`. Only boxes away from it are fitted.
 
         Parameters
         ----------
         grey : (H, W) uint8
             Grey image.
         pose : (6,) float64
-            Pose of the tracked face, image frame.
+            Pose of the tracked face, in the image frame.
         small : bool
-            Search small faces, too, which takes longer.
+            Whether to search for small faces, too, which takes longer.
 
         Returns
         -------
@@ -231,7 +233,7 @@ class FaceSearch:
                 return
 
     def _starts(self, grey: NDArray[np.uint8], step: SearchStep) -> list[FloatArray]:
-        """Poses (6,) of what the network takes for faces, or frontal ones of the boxes that the cascades propose."""
+        """Return the poses (6,) of the network's detections, or frontal poses for the boxes of the cascades."""
         began = perf_counter()
         starts = self._boxes(grey, step) if isinstance(step, Step) else self._detections(grey, step)
         self.timings["detect"] += perf_counter() - began
@@ -242,7 +244,7 @@ class FaceSearch:
         return [box.start_pose(self._model.box_offset) for box in boxes]
 
     def _detections(self, grey: NDArray[np.uint8], network_pass: NetworkPass) -> list[FloatArray]:
-        """Poses (6,) of the network's detections, large ones first, where half as likely counts like half as large."""
+        """Return poses (6,) of the network's detections, ordered by size times likelihood."""
         assert self.network is not None
         found = self.network.detect(grey, network_pass.sides, network_pass.turns)
         if self.gradual:
@@ -253,7 +255,7 @@ class FaceSearch:
         return [face.pose for face in found[:_MAX_DETECTIONS]]
 
     def _faces_in(self, grey: NDArray[np.uint8], poses: Sequence[FloatArray], step: SearchStep) -> list[Candidate]:
-        """The accepted faces near the poses (6,) that a step gave."""
+        """Return the accepted faces near the poses (6,) from a step."""
         neutral = np.zeros(self._model.pdm.n_modes)
         coarse = [self.fitter.fit(grey, FittedShape(pose, neutral), (COARSE,)) for pose in poses]
         promising = self._promising(coarse, by_network=not isinstance(step, Step))
@@ -262,7 +264,7 @@ class FaceSearch:
         return [c for c in tried if c.confidence >= least]
 
     def _promising(self, coarse: list[Fit], *, by_network: bool) -> list[Fit]:
-        """The coarse fits that are to be fitted to the end, the likeliest first."""
+        """Select the coarse fits that are fitted to the end, the likeliest first."""
         coarse = sorted(coarse, key=lambda f: -f.features[1])  # the log odds of the face network
         if by_network:
             judged = [(fit, self._model.check.confidence(fit.features)) for fit in coarse]
@@ -282,8 +284,10 @@ def _in_turn(frame: int, items: Sequence[_T]) -> _T:
 
 
 def largest(candidates: Sequence[Candidate]) -> Candidate | None:
-    """The largest face, where half the confidence counts like half the size: who turns away in front comes before
-    somebody behind. Of fits that count about the same, which may be of one face, the most confident one.
+    """Return the largest face, where half the confidence counts like half the size.
+
+    Thus somebody who turns away in front comes before somebody behind. Among fits that count about the same, which may
+    be of one face, the most confident one is returned.
     """
     if not candidates:
         return None

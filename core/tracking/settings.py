@@ -1,4 +1,4 @@
-"""Settings that control how faces are found."""
+"""Settings of face detection."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ NETWORK, CASCADES = "network", "cascades"
 
 @dataclass(frozen=True)
 class TrackingSettings:
-    """How faces are found.
+    """Settings of face detection.
 
     Attributes
     ----------
     detector : {"network", "cascades"}
-        What proposes faces on the first frame and after a loss; "cascades" is the paper's Viola-Jones detector.
+        Detector for the first frame and after a loss; "cascades" is the paper's Viola-Jones detector.
     """
 
     detector: str = setting(

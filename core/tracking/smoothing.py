@@ -1,8 +1,8 @@
-"""Smoothing of live results: one one-euro filter per part of the face (docs/method.md, section 3.10).
+"""Smoothing of live results by a one-euro filter for each part of the face (docs/method.md, section 3.10).
 
-The cutoff of this low-pass filter rises with speed (Casiez, Roussel & Vogel 2012): what rests is held still, and fast
-motion passes. Each part has its own cutoffs and a single speed, so that its landmarks stay together, and a blink passes
-while the brow above it is held.
+The cutoff of this low-pass filter rises with speed (Casiez, Roussel & Vogel 2012): what is at rest is held still, and
+fast motion passes. Each part has its own cutoffs and a single speed, so that its landmarks stay together, and a blink
+passes while the brow above it is held.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ from .result import TrackResult
 
 @dataclass(frozen=True)
 class Cutoffs:
-    """Cutoffs of one part of the face.
+    """Cutoff frequencies of one part of the face.
 
     Attributes
     ----------
     at_rest : float
-        Cutoff in Hz of a part that does not move (`f_0`; `f_cmin` in the paper).
+        Cutoff in Hz at rest (`f_0`; `f_cmin` in the paper).
     by_speed : float
-        Rise of the cutoff in Hz per unit per second (`beta`), where the unit is an outer-eye distance or a radian.
+        Rise of the cutoff with speed (`beta`), in Hz per unit per second; the unit is an outer-eye distance or a
+        radian.
     speed : float
-        Cutoff in Hz of the speed itself (`f_d`).
+        Cutoff in Hz for the speed itself (`f_d`).
     """
 
     at_rest: float
@@ -38,7 +39,7 @@ class Cutoffs:
     speed: float
 
     def softer(self, amount: float) -> Cutoffs:
-        """Divide the cutoffs at rest and by speed by `amount`, which has to be positive."""
+        """Return cutoffs with those at rest and by speed divided by `amount`, which has to be positive."""
         return replace(self, at_rest=self.at_rest / amount, by_speed=self.by_speed / amount)
 
 
@@ -55,11 +56,12 @@ ROTATION = Cutoffs(1.5, 30.0, 4.0)
 PLACE = Cutoffs(1.5, 60.0, 4.0)
 GAZE = Cutoffs(1.5, 8.0, 8.0)
 ACTION = Cutoffs(1.0, 6.0, 4.0)
-"""Of the vergence of the eyes, in radians, of the actions and of stated coefficients, each by itself."""
+"""Cutoffs of the vergence of the eyes, in radians, of the actions and of stated coefficients, each filtered by
+itself."""
 
 
 class OneEuroFilter:
-    """One-euro filter of a vector (D,) that is sampled at increasing times.
+    """One-euro filter for a vector (D,) that is sampled at increasing times.
 
     Its components share one cutoff, unless `dims` is 0, which gives each its own.
 
@@ -78,7 +80,7 @@ class OneEuroFilter:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past: the next value passes unchanged."""
+        """Forget past values, so that the next value passes unchanged."""
         self._time = -np.inf
         self._seen: FloatArray | None = None
         self._value: FloatArray | None = None
@@ -109,13 +111,14 @@ class ResultSmoother:
     """Smooths the results of one performance, frame by frame.
 
     Pose, shape, gaze, actions and coefficients are smoothed, and landmarks follow from pose and shape. Shape
-    parameters, pupils and confidences remain as tracked. If tracking is lost, the filters are reset, so that nothing is
-    smoothed across the gap.
+    parameters, pupils and confidences remain as tracked. When tracking is lost the filters are reset, so that nothing
+    is smoothed across the gap.
 
     Parameters
     ----------
     amount : float
-        1 is the tuned amount; 2 halves the cutoffs, which doubles the delay; towards 0 everything passes.
+        Amount of smoothing: 1 is the tuned amount, 2 halves the cutoffs, which doubles the delay, and near 0 all
+        passes.
     """
 
     def __init__(self, amount: float = 1.0) -> None:
@@ -127,7 +130,7 @@ class ResultSmoother:
         self._unit = 0.0
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget past results."""
         others = (self._rotation, self._place, self._gaze, self._vergence, self._actions, self._coefficients)
         for each in (*others, *(part for _, part in self._shape)):
             each.reset()
@@ -141,7 +144,7 @@ class ResultSmoother:
         result : TrackResult
             The result as tracked.
         time : float
-            Seconds; has to increase from call to call.
+            Time in seconds, which has to increase from call to call.
 
         Returns
         -------
@@ -167,7 +170,7 @@ class ResultSmoother:
         )
 
     def _smooth_pose(self, pose: FloatArray, time: float) -> FloatArray:
-        """Smooth the logarithm of the scale, and positions in eye distances, so that speeds mean the same for all."""
+        """Smooth the logarithm of the scale, and positions in eye distances, so that speeds mean the same at all sizes."""
         self._unit = self._unit or float(pose[0])
         rotation = self._rotation(pose[1:4], time)
         size, x, y = self._place(np.array([np.log(pose[0]), pose[4] / self._unit, pose[5] / self._unit]), time)
@@ -175,7 +178,7 @@ class ResultSmoother:
 
 
 def _smoothed(low_pass: OneEuroFilter, seen: FloatArray, time: float) -> FloatArray:
-    """Return the smoothed value. An unknown one is returned as it is, and the filter starts again after it."""
+    """Return the smoothed value. An unknown value is returned as it is, and the filter restarts after it."""
     if not np.isfinite(seen).all():
         low_pass.reset()
         return seen

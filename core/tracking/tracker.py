@@ -1,4 +1,4 @@
-"""The face tracker: find a face, follow it, and notice when it is somebody else's (docs/method.md, section 3)."""
+"""The face tracker: it finds a face, follows it, and notices when it is somebody else's (docs/method.md, section 3)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .settings import DEFAULTS, NETWORK, TrackingSettings
 DEFAULT_MODEL = ASSETS / "tracker" / "face.tracker"
 
 _IDENTITY_INTERVAL = 3
-"""Frames between two checks of whose face is tracked; cheap enough at a third of all frames."""
+"""Frames from one check of the tracked person's identity to the next."""
 
 
 class FaceTracker:
@@ -35,23 +35,24 @@ class FaceTracker:
 
     `track` continues from the previous frame; `locate` treats an image on its own.
 
-    If several faces are in view, the largest is tracked, or the one that was chosen with `choose`. A lost face is
-    searched near its last position before another one is taken. Other people may pass, even in front of the tracked
-    face: tracking is then lost until the face is seen again, for at most 75 frames.
+    If several faces are in view, the largest is tracked, or the one chosen by `choose`. A lost face is sought near its
+    last position before another one is taken. Other people may pass, even in front of the tracked face: tracking is
+    then lost until the face is seen again, for at most 75 frames.
 
     Parameters
     ----------
     model : TrackerModel
+        The tracker model.
     gradual : bool
-        Whether to spread work over frames, so that none takes long, as is needed live: the search for a face over up
-        to 40, and the actions of eyes and mouth over two. By default all of the first frame without a face is
-        searched, and all actions are measured in each.
+        Whether to spread work over frames so that none takes long, as is needed live: the search for a face over up to
+        40 frames, and the actions of eyes and mouth over two. By default the first frame without a face is searched
+        completely, and all actions are measured in every frame.
     settings : TrackingSettings, optional
         How faces are found; may be replaced between frames.
     """
 
     lost_below = 0.3
-    """Confidence below which a tracked face counts as lost; lower than for a new face, as a hand may cover it."""
+    """Confidence below which a tracked face is lost. It is lower than for a new face, as a hand may cover the face."""
 
     def __init__(self, model: TrackerModel, *, gradual: bool = False, settings: TrackingSettings = DEFAULTS) -> None:
         self._model = model
@@ -69,7 +70,27 @@ class FaceTracker:
     def load(
         cls, path: Path | None = None, *, gradual: bool = False, settings: TrackingSettings = DEFAULTS
     ) -> FaceTracker:
-        """Load the model file at `path`, by default the one that is shipped; ModelError if it is invalid."""
+        """Load a tracker model.
+
+        Parameters
+        ----------
+        path : Path, optional
+            The model file; by default the shipped one.
+        gradual : bool
+            As for the class.
+        settings : TrackingSettings
+            As for the class.
+
+        Returns
+        -------
+        FaceTracker
+            The tracker.
+
+        Raises
+        ------
+        ModelError
+            If the file is missing or invalid.
+        """
         return cls(load_model(DEFAULT_MODEL if path is None else Path(path)), gradual=gradual, settings=settings)
 
     @property
@@ -84,12 +105,12 @@ class FaceTracker:
 
     @property
     def fitter(self) -> FaceFitter:
-        """Fits the shape model to an image."""
+        """The fitter of the shape model."""
         return self._search.fitter
 
     @property
     def settings(self) -> TrackingSettings:
-        """How faces are found."""
+        """Settings of face detection."""
         return self._settings
 
     @settings.setter
@@ -99,35 +120,45 @@ class FaceTracker:
 
     @property
     def timings(self) -> dict[str, float]:
-        """Seconds that each stage of the last call took: "detect", "experts", "fit", "check", "gaze", "actions"."""
+        """Seconds spent in each stage of the last call: "detect", "experts", "fit", "check", "gaze", "actions"."""
         return self._search.timings
 
     def reset(self) -> None:
-        """Forget the tracked face and any choice; the next `track` detects a face."""
+        """Forget the tracked face and any choice, so that the next `track` detects a face."""
         self._last, self._actions, self._switch_requested = None, None, False
         self._choice = FaceChoice()
         self._identity.reset()
         self._mouth.reset()
 
     def choose(self, x: float, y: float) -> None:
-        """Track the face nearest to a point, from the next `track` on.
+        """Track the face nearest to a point, starting with the next `track`.
 
         Parameters
         ----------
         x, y : float
-            Pixels, image frame.
+            Position in pixels.
         """
         self.reset()
         self._choice.request(x, y)
 
     def choose_next(self) -> None:
-        """Switch faces at the next `track`: to the next on the right, or the leftmost; stay if there is only one."""
+        """At the next `track`, switch to the next face on the right, or the leftmost; keep the only one."""
         self._switch_requested = True
 
     def track(self, image: ArrayLike) -> TrackResult:
-        """Track the face in the next frame of a video: (H, W) grey, (H, W, 3) BGR or (H, W, 4) BGRA.
+        """Track the face in the next frame of a video.
 
         Follows the face of the previous call, and detects one if no face was tracked or the face was lost.
+
+        Parameters
+        ----------
+        image : array_like
+            The frame, as for `as_image`: grey, BGR or BGRA.
+
+        Returns
+        -------
+        TrackResult
+            The face, or that there is none.
         """
         grey = self._begin(image)
         self._identity.frame += 1
@@ -136,13 +167,13 @@ class FaceTracker:
             self._identity.reset()
             self._mouth.reset()
             return self._accept(grey, another)
-        # 2. Fit from the face of the previous frame; keep the result while it is a face (3.6), and the same one (3.7).
+        # 2. Fit from the face of the previous frame; accept a face (3.6) of the same person (3.7).
         if self._last is not None:
             followed = self._search.follow(grey, self._last)
             if followed.confidence >= self.lost_below and self._is_same(grey, followed):
                 return self._accept(grey, followed)
             self._choice.wait_for(self._last)
-        # 3. Detect all faces in view (3.2), and choose the performer's among them.
+        # 3. Detect all faces in view (3.2), and choose the performer's (3.7).
         steps = self._search.steps(self._choice.misses)
         found = self._search.detect(grey, steps, small=self._choice.waiting)
         chosen = self._choice.pick(grey, found, self._identity)
@@ -154,7 +185,7 @@ class FaceTracker:
         return self._accept(grey, chosen)
 
     def locate(self, image: ArrayLike) -> TrackResult:
-        """Find the largest face in a single image; does not affect `track`."""
+        """Find the largest face in a single image, without effect on `track`."""
         grey = self._begin(image)
         found = largest(self._search.detect(grey, small=self._choice.waiting))
         return (
@@ -167,7 +198,7 @@ class FaceTracker:
         return pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), np.uint8)
 
     def _is_same(self, grey: NDArray[np.uint8], followed: Candidate) -> bool:
-        """Whether the tracked face is still the same person's, not that of somebody who stepped in front."""
+        """Whether the tracked face is still the same person's, rather than that of somebody who stepped in front."""
         identity = self._identity
         if identity.frame % _IDENTITY_INTERVAL:
             return True
@@ -177,8 +208,8 @@ class FaceTracker:
         if identity.is_bystander(descriptor):
             identity.update_bystander(descriptor, followed.pose)
             return False
-        # It looks like nobody known. Others in view are not the performer: remember them, so that they can be told
-        # apart later. If there is nobody else, the change is a hand, a shadow or the light.
+        # The face is unfamiliar. Others in view are not the performer: remember them for later comparison. If there is
+        # nobody else, the change is a hand, a shadow or the light.
         if identity.crowded or identity.search_due:
             for other in self._search.others(grey, followed.pose):
                 identity.update_bystander(describe_face(grey, other.pose), other.pose)
@@ -186,7 +217,7 @@ class FaceTracker:
         return True
 
     def _next_face(self, grey: NDArray[np.uint8]) -> Candidate | None:
-        """The next face to the right of the tracked one, or else the leftmost; None if there is no other."""
+        """Return the next face to the right of the tracked one, or else the leftmost; None if there is no other."""
         self._switch_requested = False
         if self._last is None:
             return None
@@ -197,7 +228,7 @@ class FaceTracker:
     def _accept(self, grey: NDArray[np.uint8], candidate: Candidate) -> TrackResult:
         self._last = candidate.fit.fitted
         self._choice.settle()
-        # A gradual tracker measures the actions of one part in a frame, after those of all in the first.
+        # A gradual tracker measures all actions in the first frame, and then those of one part per frame.
         parts, before = self._model.actions, self._actions
         if self._search.gradual and before is not None:
             turn = self._identity.frame % len(parts)
@@ -214,7 +245,7 @@ class FaceTracker:
         before: FloatArray | None = None,
         mouth: HiddenMouth | None = None,
     ) -> TrackResult:
-        """The result for a face, with the actions of `parts`, and those of others as `before`."""
+        """Return the result for a face, with the actions of `parts`; those of other parts are taken from `before`."""
         pose, shape_params = candidate.fit.fitted.pose, candidate.fit.fitted.shape_params
         landmarks, shape = self.pdm.project(pose, shape_params), self.pdm.shape(shape_params)
         if mouth is not None and (held := mouth.hold(shape, candidate.fit.certainty)) is not shape:
