@@ -1,1 +1,1 @@
-"""Landmarks on an unlabelled head: what the tracker sees on it, and a template that is bent to it."""
+"""Landmarks on an unlabelled head, from what the tracker sees on it and from a template that is bent to it."""

@@ -1,4 +1,4 @@
-"""Similarities that lay the template over a mesh (docs/method.md, section 7.1)."""
+"""Similarities that align the template with a mesh (docs/method.md, section 7.1)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from .template import Surface, Template
 
 _SCALES = (0.8, 1.0, 1.25)
 _HEIGHTS = (-0.35, -0.15, 0.05, 0.25)
-"""Starts of the alignment without marks: size over width of the mesh, and height of the eyes over its height."""
+"""Starts of the alignment without marks: size relative to the mesh's half width, and height of the eyes relative to the
+middle of the mesh, in heights of the mesh."""
 _RIGID_STEPS = 25
 
 Pose = tuple[float, FloatArray, FloatArray]
@@ -20,7 +21,20 @@ Pose = tuple[float, FloatArray, FloatArray]
 
 
 def pose_from_shape(template: Template, surface: Surface) -> Pose:
-    """The best of the similarities that `follow` finds from several starts."""
+    """Align the template with a mesh from several starts, without marks.
+
+    Parameters
+    ----------
+    template : Template
+        The template.
+    surface : Surface
+        The mesh.
+
+    Returns
+    -------
+    Pose
+        The similarity with the smallest distance; see `follow`.
+    """
     low, high = surface.places.min(axis=0), surface.places.max(axis=0)
     skin = template.skin[::2]
     best: tuple[float, Pose] | None = None
@@ -38,7 +52,7 @@ def pose_from_shape(template: Template, surface: Surface) -> Pose:
 
 
 def follow(template: Template, surface: Surface, pose: Pose, skin: NDArray[np.intp]) -> tuple[float, Pose]:
-    """Iterated closest points (Besl & McKay 1992) without the worst fifth.
+    """Align the template with a mesh by iterated closest points (Besl & McKay 1992), without the worst fifth of pairs.
 
     Parameters
     ----------
@@ -47,16 +61,16 @@ def follow(template: Template, surface: Surface, pose: Pose, skin: NDArray[np.in
     surface : Surface
         The mesh.
     pose : Pose
-        Where to start.
+        Start of the iteration.
     skin : (N,) int
         Vertices of the template to use.
 
     Returns
     -------
     distance : float
-        Mean distance to the mesh, in outer-eye distances.
+        Mean distance to the mesh, in outer-eye distances; each is counted as at most 0.3.
     pose : Pose
-        The best similarity.
+        The similarity after the last step.
     """
     for _ in range(_RIGID_STEPS):
         size, rotation, shift = pose
@@ -69,7 +83,23 @@ def follow(template: Template, surface: Surface, pose: Pose, skin: NDArray[np.in
 
 
 def similarity(source: FloatArray, target: FloatArray) -> Pose:
-    """The least-squares similarity from (N, 3) source to target points (Umeyama 1991)."""
+    """Fit the least-squares similarity between two sets of points (Umeyama 1991).
+
+    Parameters
+    ----------
+    source, target : (N, 3) float64
+        Corresponding points.
+
+    Returns
+    -------
+    Pose
+        The similarity from `source` to `target`.
+
+    Raises
+    ------
+    HeadError
+        If the points lie on one line, or form no face.
+    """
     from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
     a, b = source - from_centre, target - to_centre
     spread = np.linalg.svd(a, compute_uv=False)

@@ -1,9 +1,9 @@
-"""Landmarks on an unlabelled head, by looking at it and bending a template to it (docs/method.md, section 7.1).
+"""Landmarks on an unlabelled head, found by looking at it and bending a template to it (docs/method.md, section 7.1).
 
 The user marks a few points (corners of the eyes and the mouth, tip of the nose, chin), or none if the head is aligned
-with the axes of the mesh. It may have a body. The tracker looks at a picture of the mesh: what it sees decides on the
-attitude and leads the template. This is the built-in head, whose skin follows the mesh through ever more flexible warps
-to the nearest places that face the same way.
+with the axes of the mesh. The mesh may include a body. The tracker looks at a rendering of the mesh; what it sees
+decides on the attitude and guides the template. The template is the built-in head, whose skin is taken by ever more
+flexible warps to the nearest places of the mesh that face the same way.
 """
 
 from __future__ import annotations
@@ -42,26 +42,27 @@ MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left
     54: "left mouth corner",
     8: "chin",
 }
-"""Points that a user may mark, by iBUG number: all or some of them, in any order."""
+"""Points that a user may mark, by iBUG number; all or some of them, in any order."""
 MIN_MARKS = 4
 
 _RIMS = np.concatenate([EYE_RIGHT, EYE_LEFT, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
-"""Landmarks that lie on the rims of openings, where the mesh has some."""
+"""Landmarks that lie on the rims of openings, if the mesh has any there."""
 _RIM_REACH, _RIM_REACH_SEEN = 0.08, 0.04
-"""Outer-eye distances within which these landmarks are moved to a rim; less if they were seen, as often the border of a
-mesh is deep inside the mouth or behind the lids."""
+"""Distance, in outer-eye distances, within which these landmarks are moved to a rim. It is shorter if they were seen,
+as the border of a mesh is often deep inside the mouth or behind the lids."""
 _HEAD_SHARE = 0.8
-"""Share of a mesh's vertices below which its head comes with a body."""
+"""Share of a mesh's vertices below which its head is considered to have a body."""
 _MAX_DISTANCE = 0.1
-"""Outer-eye distances beyond which a vertex that faces the same way is not accepted for a landmark."""
+"""Distance, in outer-eye distances, beyond which a vertex that faces the same way is not accepted for a landmark."""
 _DISTINCT, _DISTINCT_BY_SHAPE = 0.8, 0.95
-"""Share of landmarks that need a vertex of their own, if a face was seen or marked, and if its shape alone speaks.
+"""Share of landmarks that need a vertex of their own, if a face was seen or marked, and if it is known by its shape
+alone.
 
 On a coarse face two landmarks of the lips or lids may share one."""
 _FACING = 0.3
-"""Cosine of the angle between normals up to which a vertex faces roughly the same way."""
+"""Cosine of the angle between normals above which a vertex faces roughly the same way."""
 _SYMMETRY = 1e-3
-"""Outer-eye distances within which vertices count as mirror images."""
+"""Distance, in outer-eye distances, within which vertices count as mirror images."""
 
 
 @dataclass(frozen=True)
@@ -77,18 +78,19 @@ class Binding:
     residual : float
         Median distance of the bent template from the mesh, in outer-eye distances.
     strain : float
-        Bending of the template's landmarks in outer-eye distances: 0.02 to 0.04 for a human head.
+        Mean distance of the bent landmarks from their best similarity, in outer-eye distances: 0.02 to 0.04 for a human
+        head.
     symmetric : bool
-        Whether the head is its own mirror image; if so, the landmarks are too.
+        Whether the head is its own mirror image. If so, the landmarks are too.
     body : bool
         Whether the mesh is much more than a head.
     clarity : float
-        How clearly the tracker sees the face on a picture of the mesh, 0 to 1; 0 if it sees none.
+        How clearly the tracker sees the face on a rendering of the mesh, 0 to 1; 0 if it sees none.
     wanted : tuple of int
-        iBUG numbers of the four marks that would help most, if neither the shape nor the picture is clear. They are
+        iBUG numbers of the four marks that would help most, if neither the shape nor the rendering is clear. They are
         expected where their landmarks are now.
     findings : tuple of Finding
-        What at rest is not as in a neutral face.
+        What distinguishes the head at rest from a neutral face.
     """
 
     landmarks: NDArray[np.intp]
@@ -103,7 +105,7 @@ class Binding:
 
     @property
     def sure(self) -> bool:
-        """Whether this is a face in this attitude: it was marked, it is seen clearly, or a human head's shape fits."""
+        """Whether this certainly is a face in this attitude: marked, clearly seen, or shaped like a human head."""
         return not self.wanted
 
 
@@ -113,12 +115,12 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     Parameters
     ----------
     vertices : (V, 3) array
-        Any unit. Without marks, the head has to be aligned with the axes: upright and facing the viewer in the head
-        frame, which is tried first and is fastest, facing another side, or lying on its back or face.
+        Positions, in any unit. Without marks, the head has to be aligned with the axes: upright and facing the viewer
+        in the head frame (tried first, and fastest), facing another side, or lying on its back or face.
     faces : (F, K) array of int
         Vertices of each face, padded with -1.
     marks : mapping of int to int, optional
-        Vertices that the user marked, by iBUG number: at least four of `MARKS`.
+        Vertices that the user marked, by iBUG number; at least four of `MARKS`.
 
     Returns
     -------
@@ -134,7 +136,7 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     -----
     Nearest places are sought by position and normal together, so that a lip is not taken for the inside of the mouth.
     The steps are those of docs/method.md, section 7.1: a look by the tracker, a similarity (Besl & McKay 1992), warps
-    of falling smoothness (Amberg et al. 2007), rims and symmetry. Takes about 1.5 s for 110,000 vertices.
+    of decreasing smoothness (Amberg et al. 2007), rims and symmetry. It takes about 1.5 s for 110,000 vertices.
     """
     places = as_points(vertices, "vertices", error=HeadError)
     picked = {int(from_ibug([number])[0]): int(vertex) for number, vertex in (marks or {}).items()}
@@ -146,15 +148,15 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
         raise HeadError(
             f"No face was found: {N_LANDMARKS} landmarks need more than {len(places)} vertices. Select another mesh."
         )
-    # 1. to 3. A look, similarity and warps.
+    # 1. to 3. Look, similarity and warps.
     template = load_template()
     fitted = fit_template(template, places, np.asarray(faces), picked)
     surface, (unit, rotation, _), bent, picked = fitted.view.surface, fitted.pose, fitted.bent, dict(fitted.marks)
-    # Nearest vertices of the bent landmarks; marked points override them.
+    # Vertices nearest to the bent landmarks; marked points override them.
     sight = fitted.sight
     landmarks = _nearest(template, surface, bent, _MAX_DISTANCE * unit, sight is not None)
     graph = SurfaceGraph(surface.places, surface.faces)
-    # 4. Rims of openings, and each inner lip on its own side.
+    # 4. Move landmarks to the rims of openings, and inner lips to their own side.
     landmarks = _onto_rims(
         graph, bent[template.landmarks], landmarks, unit * (_RIM_REACH_SEEN if sight else _RIM_REACH)
     )
@@ -184,17 +186,17 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
 
 
 def _wanted(sight: Sight, found: FloatArray) -> tuple[int, ...]:
-    """The marks, by iBUG number, of which the places found (66, 3) differ most from those seen."""
+    """Return the marks, by iBUG number, for which the places found (66, 3) differ most from those seen."""
     off = np.linalg.norm(found - sight.points, axis=1)
     ordered = sorted(MARKS, key=lambda number: -float(off[from_ibug([number])[0]]))
     return tuple(sorted(ordered[:MIN_MARKS]))
 
 
 def _nearest(template: Template, surface: Surface, bent: FloatArray, reach: float, seen: bool) -> NDArray[np.intp]:
-    """(66,) vertices nearest to the landmarks of the bent template.
+    """Find the vertices nearest to the landmarks of the bent template, (66,).
 
-    Where landmarks were seen, so that they are about right, these are nearest in space among those that face roughly
-    the same way; otherwise by position and normal together. If there is none within `reach` at a lid or lip, the
+    If landmarks were seen, so that they are about right, these are nearest in space among those that face roughly the
+    same way; otherwise nearest by position and normal together. If there is none within `reach` at a lid or lip, the
     orientation of the surrounding skin is used: on a mesh without rims, the normal of a rim would lead to the underside
     of something.
     """
@@ -212,7 +214,7 @@ def _nearest(template: Template, surface: Surface, bent: FloatArray, reach: floa
 
 
 def _onto_rims(graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, reach: float) -> NDArray[np.intp]:
-    """Move lids and inner lips to the nearest border within `reach`, if the mesh has openings there."""
+    """Move landmarks of lids and inner lips to the nearest border within `reach`, if the mesh has openings there."""
     moved = np.array(landmarks, dtype=np.intp)
     pieces = [piece for piece in graph.openings() if len(piece) < 0.5 * len(graph.vertices)]
     if not pieces:
@@ -248,7 +250,7 @@ def _on_own_lip(
 
 
 def _mirror(places: FloatArray, rotation: FloatArray, points: FloatArray, unit: float) -> NDArray[np.intp] | None:
-    """(V,) mirror image of each vertex if the mesh is symmetric about the middle of the face, or None."""
+    """Find the mirror image of each vertex, (V,), if the mesh is symmetric about the middle of the face; else None."""
     across = rotation[:, 0]
     axis = int(np.argmax(np.abs(across)))
     if abs(across[axis]) < 0.999:
@@ -266,7 +268,7 @@ def _mirror(places: FloatArray, rotation: FloatArray, points: FloatArray, unit: 
 def _symmetric(
     landmarks: IntArray, mirror: NDArray[np.intp], places: FloatArray, wanted: FloatArray, picked: Mapping[int, int]
 ) -> NDArray[np.intp]:
-    """Mirror the better side of each pair of landmarks; those in the middle go to the middle of the mesh."""
+    """Mirror the better side of each pair of landmarks, and move those in the middle to the middle of the mesh."""
     even = np.array(landmarks, dtype=np.intp)
     middle = np.flatnonzero(mirror == np.arange(len(mirror)))
     off = np.linalg.norm(places[landmarks] - wanted, axis=1)

@@ -1,6 +1,6 @@
-"""Landmarks of the lids where they are seen against the eye, on a character with eyes of their own.
+"""Landmarks of the lids where they are seen against the eye, on a character with separate eyes.
 
-The border of such a mesh is not the rim of its lids: the skin goes on behind them, into the socket. Seen from the
+The border of such a mesh is not the rim of its lids, as the skin continues behind them into the socket. Seen from the
 front, the rim is where the skin ends and the eye begins (docs/method.md, section 7.1).
 """
 
@@ -17,15 +17,15 @@ from ..mesh.raster import rasterise
 from ..mesh.surface import triangulate
 
 _SIDE = 240
-"""Side of the picture of an eye, pixels."""
+"""Side of the rendering of an eye in pixels."""
 _MARGIN = 1.25
-"""Side of that picture, in sizes of the eye."""
+"""Side of that rendering, in sizes of the eye."""
 _SHARES = (0.36, 0.66)
 """Positions of the landmarks of a lid along the eye, from the outer corner, as on labelled faces."""
 _MIN_WIDTH, _MIN_OPEN = 0.25, 0.05
-"""Smallest width and height of what is seen of an eye, in sizes of the eye, for it to be open."""
+"""Smallest visible width and height of an eye, in sizes of the eye, for it to count as open."""
 _RING = 2
-"""Pixels beyond the rim of the eye in which its skin is sought."""
+"""Distance in pixels beyond the rim of the eye within which its skin is sought."""
 
 
 def lids_seen(
@@ -36,7 +36,7 @@ def lids_seen(
     Parameters
     ----------
     skin : (V, 3) array
-        Vertices of the skin, upright and facing the viewer: head frame.
+        Vertices of the skin, upright and facing the viewer, in the head frame.
     skin_faces : (F, K) array of int
         Its faces, padded with -1.
     eye, eye_faces : (E, 3), (G, K) array
@@ -47,7 +47,7 @@ def lids_seen(
     Returns
     -------
     (6,) intp or None
-        Vertices of the skin, in the order of `EYES`; None if the eye is shut or hidden.
+        Vertices of the skin in the order of `EYES`; None if the eye is shut or hidden.
     """
     look = _look(skin, skin_faces, eye, eye_faces)
     mask = _largest(look.owner >= look.skin)
@@ -65,14 +65,37 @@ def lids_seen(
 
 
 def eye_openness(skin: FloatArray, skin_faces: IntArray, eye: FloatArray, eye_faces: IntArray) -> float:
-    """Area of an eye that is seen from the front, as a share of its squared size; parameters as for `lids_seen`."""
+    """Measure how much of an eye is seen from the front.
+
+    Parameters
+    ----------
+    skin, skin_faces, eye, eye_faces : array
+        As for `lids_seen`.
+
+    Returns
+    -------
+    float
+        Visible area as a share of the squared size of the eye.
+    """
     look = _look(skin, skin_faces, eye, eye_faces)
     return float((look.owner >= look.skin).sum() / look.size**2)
 
 
 class _Look(NamedTuple):
-    """A picture of an eye: the triangle in each pixel, or -1; the triangles, of which the first `skin` are skin; the
-    vertices in pixels; and the size of the eye in pixels.
+    """A rendering of an eye.
+
+    Attributes
+    ----------
+    owner : (S, S) intp
+        The triangle in each pixel, or -1.
+    triangles : (T, 3) intp
+        Triangles; the first `skin` are those of the skin.
+    skin : int
+        Number of triangles of the skin.
+    pixels : (V, 2) float64
+        Vertices in pixels.
+    size : float
+        Size of the eye in pixels.
     """
 
     owner: NDArray[np.intp]
@@ -97,7 +120,7 @@ def _look(skin: FloatArray, skin_faces: IntArray, eye: FloatArray, eye_faces: In
 
 
 def _largest(mask: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
-    """The largest connected part of a mask; None if it is empty."""
+    """Return the largest connected part of a mask, or None if it is empty."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     if count < 2:
         return None
@@ -106,7 +129,7 @@ def _largest(mask: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
 
 
 def _rim_points(mask: NDArray[np.uint8], *, left: bool) -> FloatArray:
-    """(6, 2) pixels of the corners and lids, in the order of `EYES`."""
+    """Corners and lids in pixels, (6, 2), in the order of `EYES`."""
     columns = np.flatnonzero(mask.any(axis=0))
     upper, lower = mask.argmax(axis=0), mask.shape[0] - 1 - mask[::-1].argmax(axis=0)
     first, last = columns[0], columns[-1]
@@ -123,7 +146,7 @@ def _rim_points(mask: NDArray[np.uint8], *, left: bool) -> FloatArray:
 
 
 def _distinct(rim: IntArray, away: FloatArray) -> NDArray[np.intp]:
-    """(6,) of the vertices `rim`, each the nearest by `away` (6, R) that no landmark before it has; corners first."""
+    """Choose for each landmark the nearest vertex of `rim` by `away` (6, R) that is still free, (6,); corners first."""
     chosen = np.zeros(len(away), dtype=np.intp)
     free = away.copy()
     for row in (0, 3, 1, 2, 4, 5):

@@ -1,4 +1,4 @@
-"""Fitting the template to a mesh, led by marks or by what is seen (docs/method.md, section 7.1)."""
+"""Fitting of the template to a mesh, guided by marks or by what is seen (docs/method.md, section 7.1)."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from .template import Surface, Template
 from .views import View, seen_view, views_of
 
 _LOW_STRAIN = 0.045
-"""Strain in outer-eye distances below which an attitude is accepted: human heads take 0.02 to 0.035, wrong attitudes
+"""Strain in outer-eye distances below which an attitude is accepted. Human heads have 0.02 to 0.035, wrong attitudes
 0.05 and more."""
 _UNUSUAL_STRAIN = 0.07
-"""Strain above which a head is stylised, so that even what is seen clearly may be off."""
+"""Strain above which a head is stylised, so that even what is clearly seen may be off."""
 _SMOOTHINGS = (1.0, 0.3, 0.1)
-"""Smoothness of successive warps, as a multiple of the smoothing of `_bend`."""
+"""Smoothness of successive warps, as a multiple of the smoothing in `_bend`."""
 _MIN_POINTS = 5
-"""Fewest points of a warp; four determine its affine part."""
+"""Smallest number of points of a warp; four determine its affine part."""
 _SOFTNESS = np.full(N_LANDMARKS, 0.3)
 _SOFTNESS[NOSE] = 2.0
-"""How far landmarks may stay off what is seen, as a multiple of how far the skin may stay off the mesh: more at the
-nose, whose shape says where they are."""
+"""How far landmarks may be off what is seen, relative to how far the skin may be off the mesh. The nose may be off
+more, as its shape shows where its landmarks are."""
 _EXACT = 0.002
-"""Mean distance in outer-eye distances below which a mesh is the built-in head itself: its own landmarks are exact."""
+"""Mean distance in outer-eye distances below which a mesh is the built-in head itself, whose landmarks are exact."""
 _AGREEMENT = 0.12
-"""Outer-eye distances by which what is seen may be off the marks and be believed elsewhere."""
+"""Distance, in outer-eye distances, by which what is seen may differ from the marks and still be trusted elsewhere."""
 _BIAS = np.zeros(N_LANDMARKS)
 _BIAS[BROWS], _BIAS[LIPS] = 0.5, 0.15
-"""Share of what the tracker misses on the template that it is taken to miss on any mesh."""
+"""Share of the tracker's error on the template that is expected on any mesh."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,11 @@ class Guides:
     Attributes
     ----------
     source : (N, 3) float64
-        On the template at rest, in outer-eye distances.
+        Places on the template at rest, in outer-eye distances.
     target : (N, 3) float64
-        On the mesh.
+        Places on the mesh.
     softness : (N,) float64
-        As a multiple of that of the skin.
+        Softness, as a multiple of that of the skin.
     """
 
     source: FloatArray
@@ -58,23 +58,23 @@ class Guides:
     softness: FloatArray
 
     def joined(self, other: Guides) -> Guides:
-        """These and the others."""
+        """Return these guides and the others."""
         both = (np.concatenate(pair) for pair in zip(vars(self).values(), vars(other).values(), strict=True))
         return Guides(*both)
 
 
 @dataclass(frozen=True)
 class FittedTemplate:
-    """The template, fitted to a mesh.
+    """The template after it was fitted to a mesh.
 
     Attributes
     ----------
     view : View
-        The head of the mesh, and its attitude.
+        The head within the mesh, and its attitude.
     sight : Sight or None
         The face that was seen in this view.
     marks : mapping
-        Vertex of the view by landmark.
+        Marked vertex of the view, by landmark.
     pose : Pose
         Alignment of the template.
     bent : (T, 3) float64
@@ -95,15 +95,15 @@ class FittedTemplate:
 
     @property
     def sure(self) -> bool:
-        """Whether this is a face in this attitude: by its shape alone, or as it is seen and not bent too far."""
+        """Whether this is a face in this attitude, by its shape alone, or because it is seen and not bent too far."""
         seen = self.sight is not None and self.sight.sure
         return self.strain < (_UNUSUAL_STRAIN if seen else _LOW_STRAIN)
 
 
 def fit_template(template: Template, places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> FittedTemplate:
-    """Fit the template to a mesh or its head.
+    """Fit the template to a mesh or to its head.
 
-    Without marks, the attitude is the one in which a face is seen, or, if none is seen clearly, the one that bends the
+    Without marks, the attitude is the one in which a face is seen or, if none is clearly seen, the one that bends the
     template least.
 
     Parameters
@@ -125,7 +125,7 @@ def fit_template(template: Template, places: FloatArray, faces: IntArray, picked
     Raises
     ------
     HeadError
-        If nothing of the mesh is near the skin of the template, in any attitude, or nothing looks like a face.
+        If no part of the mesh is near the skin of the template in any attitude, or nothing looks like a face.
     """
     seen: FittedTemplate | None = None
     if not picked and (found := seen_view(places, faces)) is not None:
@@ -143,7 +143,7 @@ def fit_template(template: Template, places: FloatArray, faces: IntArray, picked
 def _fit_by_shape(
     template: Template, places: FloatArray, faces: IntArray, picked: Mapping[int, int]
 ) -> FittedTemplate | None:
-    """The first fit that hardly bends the template, or the one that bends it least."""
+    """Return the first fit that hardly bends the template, or else the one that bends it least."""
     best: FittedTemplate | None = None
     for view in views_of(places, faces, picked):
         numbers = np.full(len(places), -1)
@@ -180,7 +180,7 @@ def _fit(template: Template, view: View, sight: Sight | None, marks: Mapping[int
 
 
 def _seen_along(view: View, pose: Pose, marks: Mapping[int, int]) -> Sight | None:
-    """The face that is seen from where the marks say that it looks, if it agrees with them."""
+    """Return the face that is seen from the direction that the marks imply, if it agrees with them."""
     size, rotation, _ = pose
     sight = look(view.places @ rotation, view.faces)
     if sight is None or not sight.sure:
@@ -196,10 +196,10 @@ def _of_marks(template: Template, surface: Surface, marks: Mapping[int, int]) ->
 
 
 def _of_sight(template: Template, sight: Sight, marks: Mapping[int, int]) -> Guides:
-    """What is seen of the inner landmarks, except marked ones, leads the same landmarks of the template.
+    """Guide the unmarked inner landmarks of the template to where they are seen.
 
-    The tracker misses some of them in the same way on any mesh without texture, such as brows: by a share of that, it
-    leads what it sees on the template instead.
+    The tracker is off in the same way on any mesh without texture, for instance at brows. The sources are therefore
+    moved by a share towards the places where it sees the landmarks of the template.
     """
     led = np.setdiff1d(INNER, list(marks))
     own = template.places[template.landmarks]
@@ -216,15 +216,15 @@ def _strain(template: Template, bent: FloatArray) -> float:
 
 
 def _bend(template: Template, surface: Surface, pose: Pose, guides: Guides) -> tuple[FloatArray, float]:
-    """Bend the template to the mesh: its vertices, and the median distance; infinite if the mesh is elsewhere."""
+    """Bend the template to the mesh; return its vertices and the median distance, infinite if the mesh is elsewhere."""
     size, rotation, shift = pose
     rest = size * template.places @ rotation.T + shift
     led = size * guides.source @ rotation.T + shift
     bent = rest
     for smoothing in _SMOOTHINGS:
         for _ in range(2):
-            # Nonrigid closest points (Amberg et al. 2007): always warp the rest shape, so that errors do not
-            # accumulate.
+            # Nonrigid closest points (Amberg et al. 2007). The rest shape is always the one that is warped, so that
+            # errors do not accumulate.
             normals = surface_normals(bent, template.faces)
             goal = surface.places[surface.nearest(bent[template.skin], normals[template.skin])]
             distance = np.linalg.norm(goal - bent[template.skin], axis=1)

@@ -1,4 +1,4 @@
-"""Grey pictures of a mesh as the viewer sees it, and the way back from these to its surface."""
+"""Grey renderings of a mesh as the viewer sees it, and the way back from pixels to its surface."""
 
 from __future__ import annotations
 
@@ -13,45 +13,46 @@ from ..mesh.raster import rasterise
 from ..mesh.surface import surface_normals, triangulate
 
 SIZE = 256
-"""Side of a portrait, pixels."""
+"""Side of a portrait in pixels."""
 _LIGHT = np.array([0.0, -0.67, -0.74])
-"""Direction to the light, from above: of six lights the one under which lids and nose were found best."""
+"""Direction to the light, from above; of six lights the one under which lids and nose were found best."""
 _AMBIENT, _INSIDE, _BACKDROP = 0.35, 0.12, 0.55
-"""Brightness of skin in shadow, of what is seen from inside, such as an open mouth, and of the background, as shares
-of that of skin in full light."""
+"""Brightness of skin in shadow, of surfaces seen from inside, such as an open mouth, and of the background, relative to
+skin in full light."""
 _SKIN = 200.0
 """Grey value of skin in full light."""
 _WHITE, _DARK = 0.85, 0.2
-"""Brightness of an eye that is put into an empty socket, and of its iris."""
+"""Brightness of an eye that is drawn into an empty socket, and of its iris."""
 _IRIS = 0.065
 """Radius of that iris, in outer-eye distances."""
 _SOCKET = 0.25
-"""Outer-eye distances from the middle of an eye within which there is its socket, which is at most twice as wide."""
+"""Distance from the middle of an eye, in outer-eye distances, within which its socket lies; a socket is at most twice
+as wide."""
 _RIM = 5
-"""Pixels around a place among which the nearest surface counts, so that a lid is not missed for the socket."""
+"""Side in pixels of the neighbourhood whose nearest surface counts, so that a lid is not missed for the socket."""
 _STEP = 8.0
-"""Pixels of depth between these that make the nearest one a rim."""
+"""Difference of depth in pixels above which the nearest surface of a neighbourhood is a rim."""
 
 _SMALLEST = 1e-30
-"""Least size of a pixel, for a mesh that is a point."""
+"""Smallest size of a pixel, for a mesh that is a single point."""
 
 
 @dataclass(frozen=True)
 class Portrait:
-    """A picture of a mesh without perspective.
+    """A rendering of a mesh without perspective.
 
     Attributes
     ----------
     image : (S, S) uint8
-        Grey.
+        Grey image.
     corner : (2,) float64
-        Place of the first pixel, in x and y of the mesh.
+        Position of the first pixel, in x and y of the mesh.
     pixel : float
         Size of a pixel, in the unit of the mesh.
     depth : (S, S) float32
-        z of the surface in each pixel; infinite beside it.
+        z of the surface in each pixel; infinite where there is none.
     hollow : (S, S) bool
-        Where the mesh is seen from inside, or surrounds the background.
+        Whether the mesh is seen from inside, or surrounds the background.
     """
 
     image: NDArray[np.uint8]
@@ -61,9 +62,19 @@ class Portrait:
     hollow: NDArray[np.bool_]
 
     def with_eyes(self, centres: FloatArray, reach: float) -> Portrait:
-        """The portrait with an eye in each empty socket near `centres`, (2, 2) pixels, of eyes `reach` apart.
+        """Draw an eye into each empty socket, because the tracker takes sockets for shut lids.
 
-        The tracker knows no face without eyes: it takes sockets for shut lids.
+        Parameters
+        ----------
+        centres : (2, 2) float64
+            Middles of the eyes in pixels.
+        reach : float
+            Outer-eye distance in pixels.
+
+        Returns
+        -------
+        Portrait
+            The portrait with eyes.
         """
         image = self.image.copy()
         _, label = cv2.connectedComponents(self.hollow.astype(np.uint8), connectivity=4)
@@ -83,7 +94,7 @@ class Portrait:
         return replace(self, image=image)
 
     def places(self, points: FloatArray) -> FloatArray:
-        """Places on the mesh that are seen at (N, 2) pixels: (N, 3), with a depth of NaN beside the mesh."""
+        """Return the places on the mesh, (N, 3), that are seen at (N, 2) pixels; their depth is NaN beside the mesh."""
         nearest = cv2.erode(self.depth, np.ones((_RIM, _RIM), np.uint8))
         x, y = np.clip(np.round(points), 0, SIZE - 1).astype(np.intp).T
         own, rim = self.depth[y, x], nearest[y, x]
@@ -93,7 +104,7 @@ class Portrait:
 
 
 class Sitter:
-    """A mesh of which portraits are made.
+    """A mesh from which portraits are made.
 
     Parameters
     ----------
@@ -116,16 +127,16 @@ class Sitter:
         Parameters
         ----------
         centre : (2,) array, optional
-            Middle of the picture, in x and y of the rotated mesh; all of it by default.
+            Middle of the portrait, in x and y of the rotated mesh; by default the portrait shows the whole mesh.
         reach : float
-            Distance from the middle to the sides.
+            Distance from the middle to the sides, in the unit of the mesh.
         turn : (3, 3) array, optional
             Rotation of the mesh before it is drawn.
 
         Returns
         -------
         Portrait
-            Of the rotated mesh.
+            The portrait of the rotated mesh.
         """
         places, normals = (values if turn is None else values @ turn.T for values in (self.places, self._normals))
         if centre is None:
@@ -149,13 +160,13 @@ class Sitter:
 
 
 def _enclosed(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """(S, S) pixels of the background that the mesh surrounds: eyes and mouth of a face without a back."""
+    """Mark the pixels of the background that the mesh surrounds, (S, S): eyes and mouth of a face without a back."""
     _, label = cv2.connectedComponents((~np.isfinite(depth)).astype(np.uint8), connectivity=4)
     around = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
     return ~np.isin(label, around) & ~np.isfinite(depth)
 
 
 def _volume(places: FloatArray, triangles: IntArray) -> float:
-    """Signed volume between the triangles and the middle of the mesh, positive if normals point outwards."""
+    """Signed volume between the triangles and the middle of the mesh; positive if normals point outwards."""
     a, b, c = (places[triangles] - places.mean(axis=0)).transpose(1, 0, 2)
     return float(np.einsum("td,td->", a, np.cross(b, c)))

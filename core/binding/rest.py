@@ -1,4 +1,4 @@
-"""What in a face at rest is not as in a neutral one (docs/method.md, section 7.1)."""
+"""Differences of a face at rest from a neutral one (docs/method.md, section 7.1)."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from ..heads.checks import Finding
 from ..landmarks import MOUTH_CORNERS, from_ibug
 
 _SHUT = 0.045
-"""Aperture of the eyes below which they count as shut: 0.03 to 0.04 at most on heads that blink, 0.08 and more on
-others. In outer-eye distances, as all here."""
+"""Aperture below which eyes count as shut: at most 0.03 to 0.04 on heads with shut eyes, 0.08 and more on others. All
+lengths are in outer-eye distances."""
 _OPEN = 0.05
-"""Aperture of the mouth above which it counts as open."""
+"""Aperture above which the mouth counts as open."""
 _USUAL_WIDTH = 0.56
-"""Width of the mouth of the tracker's mean shape."""
+"""Width of the mouth in the tracker's mean shape."""
 _SMILE = 0.06
-"""Rise of the corners of a smiling mouth over its middle plus half of what it is wider than usual: up to 0.04 on
-neutral heads, 0.1 and more on broad smiles."""
+"""Rise of the corners of the mouth above its middle, plus half of its excess width, above which a face smiles: up to
+0.04 on neutral heads, 0.1 and more on broad smiles."""
 
 
 def resting_findings(shape: FloatArray) -> tuple[Finding, ...]:
-    """Tell eyes that are shut, an open mouth and a smile from a neutral face.
+    """Detect shut eyes, an open mouth and a smile in a face at rest.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def resting_findings(shape: FloatArray) -> tuple[Finding, ...]:
     Returns
     -------
     tuple of Finding
-        Empty for a neutral face.
+        The findings; empty for a neutral face.
     """
     findings = []
     if float(eye_apertures(shape).max()) < _SHUT:

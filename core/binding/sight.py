@@ -1,4 +1,4 @@
-"""What the tracker sees on a portrait of a mesh: where a face is, and its landmarks (docs/method.md, section 7.1)."""
+"""The face that the tracker sees on a portrait of a mesh (docs/method.md, section 7.1)."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _STEPS = tuple(Step.whole(effort) for effort in (Effort.NEAR, Effort.FILLING, Ef
 _CLOSE = 1.3
 """Half the width of a close-up, in outer-eye distances."""
 _TURNED = np.cos(np.radians(15.0))
-"""Cosine of the rotation above which the close-up is made from in front of the face."""
+"""Cosine of a head's rotation below which the close-up is made from in front of the face."""
 _OPENING = 0.2
-"""Outer-eye distances between the depth seen and that of the tracker's shape above which a ray went astray, through an
-opening or past the mesh."""
+"""Difference, in outer-eye distances, between the depth of the mesh and that of the tracker's shape above which a ray
+counts as having passed through an opening or beside the mesh."""
 _SURE = 0.5
-"""Clarity above which what is seen is a face: heads have 0.55 to 0.75, one that is upside down 0.45."""
+"""Clarity above which a face is certain: heads have 0.55 to 0.75, one that is upside down 0.45."""
 _MIRRORED_POSE = np.array([1.0, 1.0, -1.0, -1.0, -1.0, 1.0])
 _SHIFT = np.array([0.0, 0.0, 0.0, 0.0, SIZE - 1.0, 0.0])
 """Factors and offsets that mirror a pose in a portrait."""
@@ -40,11 +40,11 @@ class Sight:
     Attributes
     ----------
     confidence : float
-        Confidence that it is one, 0 to 1.
+        Confidence that it is a face, 0 to 1.
     points : (66, 3) float64
-        Landmarks, in the frame of the mesh; those of the jaw line are where its outline is seen.
+        Landmarks in the frame of the mesh; those of the jaw line lie on its visible outline.
     certainty : (66,) float64
-        Of each landmark, 0 to 1.
+        Certainty of each landmark, 0 to 1.
     shape : (66, 3) float64
         The tracker's landmarks without the pose: head frame, in outer-eye distances.
     """
@@ -56,7 +56,7 @@ class Sight:
 
     @property
     def clarity(self) -> float:
-        """How clearly the face is seen, 0 to 1: the confidence, times the mean certainty of the inner landmarks."""
+        """How clearly the face is seen, 0 to 1: the confidence times the mean certainty of the inner landmarks."""
         return self.confidence * float(self.certainty[INNER].mean())
 
     @property
@@ -66,23 +66,23 @@ class Sight:
 
 
 def look(places: FloatArray, faces: IntArray) -> Sight | None:
-    """Look at a mesh from in front.
+    """Look for a face on a mesh from in front.
 
     Parameters
     ----------
     places : (V, 3) float64
-        Vertices in any unit; the viewer looks along z, and y is down.
+        Vertices, in any unit; the viewer looks along z, and y is down.
     faces : (F, K) int
         Vertices of each face, padded with -1.
 
     Returns
     -------
     Sight or None
-        The most certain face, or None if there is none.
+        The most certain face; None if there is none.
 
     Notes
     -----
-    Takes 0.1 s for 12,000 faces and 0.4 s for 110,000.
+    It takes 0.1 s for 12,000 faces and 0.4 s for 110,000.
     """
     sitter = Sitter(places, faces)
     if not np.ptp(places, axis=0)[:2].max() > 0.0 or not len(sitter.triangles):
@@ -96,7 +96,7 @@ def look(places: FloatArray, faces: IntArray) -> Sight | None:
 
 
 def _found(image: NDArray[np.uint8]) -> FittedShape | None:
-    """The most certain face in a portrait, or else in its mirror image, in which a turned one may be easier to find."""
+    """Find the most certain face in a portrait, or else in its mirror image, as a turned one may be easier there."""
     search, pdm = _tracker()
     for flipped in (False, True):
         seen = np.ascontiguousarray(image[:, ::-1]) if flipped else image
@@ -108,7 +108,7 @@ def _found(image: NDArray[np.uint8]) -> FittedShape | None:
 
 
 def _approached(sitter: Sitter, whole: Portrait, found: FittedShape) -> Sight:
-    """What a close-up of the face shows that was found in a portrait of the whole mesh."""
+    """Look closely at a face that was found in a portrait of the whole mesh."""
     size, turn = float(found.pose[0]) * whole.pixel, euler_to_matrix(*found.pose[1:4]).T
     if (np.trace(turn) - 1.0) / 2.0 > _TURNED:
         return _close_up(sitter, whole.corner + whole.pixel * found.pose[4:6], size, np.eye(3), found)
@@ -125,7 +125,7 @@ def _tracker() -> tuple[FaceSearch, PointDistributionModel]:
 
 
 def _close_up(sitter: Sitter, centre: FloatArray, size: float, turn: FloatArray, found: FittedShape) -> Sight:
-    """Fit the face again in a close-up and its mirror image, which treats both sides alike."""
+    """Fit the face again in a close-up and in its mirror image, so that both sides are treated alike."""
     search, pdm = _tracker()
     portrait = sitter.portrait(centre, _CLOSE * size, turn)
     middle = (SIZE - 1) / 2.0
@@ -152,7 +152,7 @@ def _close_up(sitter: Sitter, centre: FloatArray, size: float, turn: FloatArray,
 
 
 def _onto_mesh(places: FloatArray, depth: FloatArray, size: float) -> FloatArray:
-    """Places (66, 3) in a portrait; where the ray went astray, the tracker's own depth (66,) is used.
+    """Move places (66, 3) in a portrait to the tracker's own depth (66,) where the ray missed the face.
 
     A ray may pass through an opening, or beside a narrow face.
     """

@@ -1,4 +1,4 @@
-"""The built-in head as a template, and the surface that it follows (docs/method.md, section 7.1)."""
+"""The built-in head as a template, and the surface that it is fitted to (docs/method.md, section 7.1)."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ _EXCLUDED = (
     (np.concatenate([EYE_RIGHT, EYE_LEFT]), 0.12),
     (np.concatenate([MOUTH_OUTER, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER]), 0.06),
 )
-"""Landmarks, and outer-eye distances from these within which the template does not follow the mesh. On a scan, whose
-eyes and mouth are closed by skin, nearest places there are often wrong; the surrounding skin carries them."""
+"""Landmarks, and the distance from them in outer-eye distances within which the template does not follow the mesh. On a
+scan, whose eyes and mouth are closed by skin, nearest places there are often wrong; the surrounding skin carries
+them."""
 _AROUND = 0.3
-"""Outer-eye distances that count as around a lid or lip."""
+"""Distance, in outer-eye distances, that counts as around a lid or lip."""
 _CLOSE_BY = 12
-"""Vertices among which that of a landmark is chosen."""
+"""Number of nearest vertices among which that of a landmark is chosen."""
 _SAMPLES = 900
-"""Points of the template that follow the mesh."""
+"""Number of points of the template that follow the mesh."""
 
 
 class Template:
-    """The skin of the built-in head in outer-eye distances, and the points of it that follow the mesh."""
+    """The skin of the built-in head in outer-eye distances, and the sample of its points that follow the mesh."""
 
     def __init__(self) -> None:
         head = load_head()
@@ -47,13 +48,13 @@ class Template:
 
     @cached_property
     def seen(self) -> FloatArray:
-        """(66, 3) places of the template where the tracker sees the landmarks."""
+        """Places of the template where the tracker sees the landmarks, (66, 3)."""
         sight = look(self.places, self.faces)
         assert sight is not None
         return sight.points
 
     def landmark_normals(self, bent: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(66, 3) normals of the landmarks on the bent vertices, and the same with those around lids and lips."""
+        """Return (66, 3) normals of the landmarks on the bent vertices, and the same averaged around lids and lips."""
         normals = surface_normals(bent, self.faces)
         own = normals[self.landmarks]
         around = own.copy()
@@ -65,7 +66,7 @@ class Template:
 
 
 class Surface:
-    """A mesh that the template follows: finds nearest vertices that face the same way."""
+    """A mesh to which the template is fitted, which finds the nearest vertices that face the same way."""
 
     def __init__(self, places: FloatArray, faces: IntArray) -> None:
         self.places, self.faces, self.normals = places, faces, surface_normals(places, faces)
@@ -74,25 +75,25 @@ class Surface:
         self._points = NearestPoints(self._key(places, self.normals))
 
     def nearest(self, places: FloatArray, normals: FloatArray) -> NDArray[np.intp]:
-        """Find nearest vertices that face the same way.
+        """Find the nearest vertices that face the same way.
 
         Parameters
         ----------
         places : (N, 3) float64
-            Positions.
+            Positions in the frame and unit of the mesh.
         normals : (N, 3) float64
             Unit normals.
 
         Returns
         -------
         (N,) int
-            Vertices.
+            The nearest vertices.
         """
         found, _ = self._points.query(self._key(places, normals))
         return found[:, 0]
 
     def close_by(self, places: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
-        """(N, K) nearest vertices to (N, 3) positions, whichever way they face, and their distances."""
+        """Return the (N, K) vertices nearest to (N, 3) positions, whichever way they face, and their distances."""
         count = min(_CLOSE_BY, len(self.places))
         found, squared = NearestPoints(self.places).query(places, count)
         return found, np.sqrt(squared)
@@ -103,5 +104,5 @@ class Surface:
 
 @cache
 def load_template() -> Template:
-    """The template, which is prepared once."""
+    """Return the template, which is prepared once."""
     return Template()

@@ -29,13 +29,13 @@ _ATTITUDES = tuple(
         (0, 0, -90),
     )
 )
-"""Attitudes of a mesh: towards the viewer, away, on back or face, to a side, upside down, on an ear."""
+"""Attitudes of a mesh: facing the viewer, facing away, on its back or face, to a side, upside down, on an ear."""
 _BODY_RATIO = 2.6
-"""Height over smallest extent above which a mesh is more than a head."""
+"""Ratio of height to smallest extent above which a mesh is more than a head."""
 _HEAD_SHARES = (1.0 / 6.0, 1.0 / 4.0, 0.4)
-"""Share of a body's height that head and neck may have: of an adult, a child, a cartoon figure."""
+"""Share of a body's height that head and neck may take: of an adult, a child, a cartoon character."""
 _MARKS_REACH = 3.0
-"""Reach of the head around the centre of the marks, in distances of the outermost mark."""
+"""Reach of the head around the centre of the marks, as a multiple of the distance of the outermost mark."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ class View:
     attitude : (3, 3) float64
         Rotation that was applied to the mesh.
     part : (P,) intp
-        Vertices of the mesh that belong to the part.
+        Vertices of the mesh that belong to the view.
     places : (P, 3) float64
-        These, rotated.
+        Their rotated positions.
     faces : (F, K) int
         Faces between them, padded with -1.
     """
@@ -66,7 +66,7 @@ class View:
 
 
 def views_of(places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> Iterator[View]:
-    """Yield the views in which the mesh may be a head; with marks, the only one.
+    """Yield the views in which the mesh may be a head; with marks there is only one.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def views_of(places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> 
     Yields
     ------
     View
-        Upright and towards the viewer first.
+        The views, the upright one that faces the viewer first.
     """
     for attitude in _ATTITUDES[:1] if picked else _ATTITUDES:
         turned = places @ attitude.T
@@ -100,7 +100,7 @@ def seen_view(places: FloatArray, faces: IntArray) -> tuple[View, Sight] | None:
     Returns
     -------
     tuple of View and Sight, or None
-        The view, of the head alone if the mesh has a body; None if no face is seen in any.
+        The view, of the head alone if the mesh has a body, and the face; None if no face is seen in any.
     """
     best: tuple[View, Sight] | None = None
     for view in views_of(places, faces, {}):
@@ -126,14 +126,14 @@ def _view(attitude: FloatArray, turned: FloatArray, faces: IntArray, part: NDArr
 
 
 def _around(places: FloatArray, points: FloatArray) -> NDArray[np.intp]:
-    """Vertices of the head on which there are some points of a face."""
+    """Vertices of the head to which some points of a face belong."""
     centre = points.mean(axis=0)
     reach = _MARKS_REACH * float(np.linalg.norm(points - centre, axis=1).max())
     return np.flatnonzero(np.linalg.norm(places - centre, axis=1) < reach)
 
 
 def _heads_of(places: FloatArray) -> list[NDArray[np.intp]]:
-    """Vertices that may form the head: all, or tops of a mesh as tall as a body."""
+    """Sets of vertices that may form the head: all, or the tops of a mesh as tall as a body."""
     low, extent = places.min(axis=0), np.ptp(places, axis=0)
     if extent[1] < _BODY_RATIO * extent.min():
         return [np.arange(len(places))]

@@ -170,7 +170,7 @@ class ResultSmoother:
         )
 
     def _smooth_pose(self, pose: FloatArray, time: float) -> FloatArray:
-        """Smooth the logarithm of the scale, and positions in eye distances, so that speeds mean the same at all sizes."""
+        """Smooth the logarithm of the scale, and positions in eye distances, so that speeds are comparable."""
         self._unit = self._unit or float(pose[0])
         rotation = self._rotation(pose[1:4], time)
         size, x, y = self._place(np.array([np.log(pose[0]), pose[4] / self._unit, pose[5] / self._unit]), time)
