@@ -1,4 +1,4 @@
-"""Results between and beyond others: live, where a frame is missing, or a lost source lets the face come to rest."""
+"""Results between and beyond others, for live frames that are missing, and for faces that return to rest."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def between(first: TrackResult, second: TrackResult, share: float) -> TrackResul
     Parameters
     ----------
     first, second : TrackResult
-        Of the same source.
+        Results of the same source, with a face.
     share : float
-        0 gives `first`, 1 gives `second`, and more continues the motion.
+        Position between the two: 0 gives `first`, 1 gives `second`, and larger values continue the motion.
 
     Returns
     -------
     TrackResult
-        With the confidence 0, as it was not seen. What is unknown in either is unknown.
+        The result, with confidence 0, as it was not tracked. Values that are unknown in either are unknown.
     """
 
     def mixed(name: str) -> FloatArray:
@@ -57,13 +57,14 @@ def at_rest(neutral: Neutral, like: TrackResult) -> TrackResult:
     Parameters
     ----------
     neutral : Neutral
+        The neutral face.
     like : TrackResult
-        With a face, of the same source; coefficients, if it has them, become 0.
+        A result with a face from the same source. If it has coefficients, those of the result are 0.
 
     Returns
     -------
     TrackResult
-        Looking straight ahead, where the performer usually is.
+        The face at rest, looking straight ahead, at the performer's usual position.
     """
     stated = np.isfinite(like.coefficients).all()
     scale, x, y = neutral.position

@@ -1,6 +1,6 @@
-"""Tables of ARKit's coefficients, as Live Link Face and others write them: read as takes, and written from them.
+"""Tables of ARKit's coefficients, as written by Live Link Face and other programs: reading as takes, and writing.
 
-Columns are found by their names, as at least three orders are in use.
+Columns are found by name, as at least three orders are in use.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from .spreadsheet import from_csv
 from .take import Take, TakeRecorder, describe
 
 _LEAST_NAMES = 10
-"""Fewest known coefficients by which a table is taken for one of these."""
+"""Smallest number of known coefficients in a table of coefficients."""
 _MAX_ROWS, _MAX_NUMBER = 1_000_000, 1e15
 _SECONDS = {"time": 1.0, "seconds": 1.0, "timestamp": 1.0, "time_s": 1.0, "timestamp_ms": 1e-3, "time_ms": 1e-3}
-"""Columns of times, in lower case, and their unit in seconds."""
+"""Columns of times, by name in lower case, and their unit in seconds."""
 _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
 _RATE, _APP_RATE = 30.0, 60.0
-"""Rates of a table without times, and of Live Link Face."""
+"""Rates in Hz of a table without times, and of Live Link Face."""
 _ANGLES = ("headyaw", "headpitch", "headroll")
 LIVE_LINK_ORDER: tuple[str, ...] = (
     *("eyeBlinkLeft", "eyeLookDownLeft", "eyeLookInLeft", "eyeLookOutLeft", "eyeLookUpLeft", "eyeSquintLeft"),
@@ -44,17 +44,17 @@ LIVE_LINK_ORDER: tuple[str, ...] = (
     *("browDownRight", "browInnerUp", "browOuterUpLeft", "browOuterUpRight", "cheekPuff", "cheekSquintLeft"),
     *("cheekSquintRight", "noseSneerLeft", "noseSneerRight", "tongueOut"),
 )
-"""The order of Live Link Face's tables, which is not that of its packets."""
+"""The order of coefficients in Live Link Face's tables, which differs from that in its packets."""
 _EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw", "Pitch", "Roll"))
 
 
 def from_any_csv(path: Path) -> Take:
-    """Read a table of either kind: of coefficients, or as `to_csv` writes it; SourceError as for these."""
+    """Read a table of either kind: of coefficients, or as written by `to_csv`; SourceError as for these."""
     return from_coefficient_csv(path) if has_coefficients(path) else from_csv(path)
 
 
 def has_coefficients(path: Path) -> bool:
-    """Whether a table's first line has columns of coefficients; False for a file that cannot be read."""
+    """Return whether a table's first line names coefficients; False for a file that cannot be read."""
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:
             head = next(csv.reader(stream), [])
@@ -64,16 +64,16 @@ def has_coefficients(path: Path) -> bool:
 
 
 def from_coefficient_csv(path: Path) -> Take:
-    """Read a table with a row per frame, and a column for each coefficient that is known.
+    """Read a table with a row per frame and a column for each known coefficient.
 
-    The time is `Timecode` as Live Link Face has it, or a column of seconds or milliseconds; otherwise rows are 1/30 s
-    apart. `HeadYaw`, `HeadPitch` and `HeadRoll` are radians, or degrees if any is beyond what a head can turn. Other
-    columns are ignored, and coefficients that are missing are 0.
+    Times are those of the column `Timecode`, as in Live Link Face's tables, or of a column of seconds or milliseconds;
+    without either, rows are 1/30 s apart. `HeadYaw`, `HeadPitch` and `HeadRoll` are radians, or degrees if any exceeds
+    what a head can turn. Other columns are ignored, and missing coefficients are 0.
 
     Raises
     ------
     SourceError
-        If the file cannot be read, or contains something that is not a number; the message names it.
+        If the file cannot be read, or contains a value that is not a number; the message states it.
     """
     path = Path(path)
     if not check_readable(path):
@@ -95,21 +95,22 @@ def write_coefficient_csv(
     Parameters
     ----------
     path : Path
+        The file to write.
     times : (N,) float64
-        Seconds.
+        Times in seconds.
     values : (N, 52) float64
-        In the order of `COEFFICIENTS`.
+        Coefficients in the order of `COEFFICIENTS`.
     rotations : (N, 3) float64
-        Pitch, yaw and roll of the head from neutral, radians, as in `TrackResult`.
+        Pitch, yaw and roll of the head relative to neutral in radians, as in `TrackResult`.
     live_link : bool
-        Live Link Face's columns, with a timecode, rather than a column of seconds and ARKit's own names.
+        Whether to write Live Link Face's columns, with a timecode, rather than a column of seconds and ARKit's names.
     rate : float
         Frames per second of the timecode.
 
     Raises
     ------
     OutputError
-        If it cannot be written.
+        If the file cannot be written.
     """
     order = LIVE_LINK_ORDER if live_link else COEFFICIENTS
     places = [COEFFICIENT_INDEX[name] for name in order]
@@ -126,7 +127,20 @@ def write_coefficient_csv(
 
 
 def timecode(time: float, rate: float) -> str:
-    """Text of a time as Live Link Face writes it, hours to frames, with thousandths of a frame."""
+    """Format a time as Live Link Face does: hours, minutes, seconds, frames and thousandths of a frame.
+
+    Parameters
+    ----------
+    time : float
+        Time in seconds; negative times count as 0.
+    rate : float
+        Frames per second.
+
+    Returns
+    -------
+    str
+        The timecode, such as 10:20:30:12.500.
+    """
     whole = floor(max(time, 0.0) * rate * 1000.0 + 0.5)
     frames, part = divmod(whole, 1000)
     seconds, frame = divmod(frames, round(rate))
@@ -139,7 +153,7 @@ def _yaw_first(rotation: FloatArray) -> tuple[float, float, float]:
 
 
 def _columns(head: Sequence[str]) -> dict[int, int]:
-    """The coefficient of each column that has one."""
+    """Return the coefficient of each column that has one."""
     found = {column: column_of(name.strip()) for column, name in enumerate(head)}
     return {column: place for column, place in found.items() if place is not None}
 
@@ -186,7 +200,7 @@ def _recorded(times: FloatArray, values: FloatArray, turns: FloatArray, name: st
 
 
 def _times(rows: list[list[str]], head: list[str]) -> FloatArray:
-    """(N,) seconds from the first row; rows must not go back in time."""
+    """Read the times of rows in seconds from the first row, (N,); they must increase."""
     if "timecode" in head:
         times = _timecodes([_cell(row, head.index("timecode")) for row in rows])
     elif named := [title for title in head if title in _SECONDS]:
@@ -200,10 +214,10 @@ def _times(rows: list[list[str]], head: list[str]) -> FloatArray:
 
 
 def _timecodes(texts: list[str]) -> FloatArray:
-    """(N,) seconds, past midnight too.
+    """Convert timecodes to seconds, (N,), also past midnight.
 
-    The rate is the least usual one in which all numbers of frames fit; in less than a second, which does not tell, that
-    of the app.
+    The rate is the lowest usual one that is above all frame numbers. In less than a second, where the numbers do not
+    show the rate, it is at least the app's.
     """
     try:
         parts = np.array([[float(part) for part in text.split(":")] for text in texts], dtype=np.float64)
@@ -211,8 +225,8 @@ def _timecodes(texts: list[str]) -> FloatArray:
         parts = np.empty(0)
     if parts.ndim != 2 or parts.shape[1] != 4 or not ((parts >= 0.0) & (parts < 200.0)).all():
         raise ValueError(f"{shown(texts[0])} is not a timecode such as 10:20:30:12.500")
-    told = len(np.unique(parts[:, 2])) > 2
-    rate = next(rate for rate in (*_RATES, 200.0) if parts[:, 3].max() < rate and (told or rate >= _APP_RATE))
+    shows_rate = len(np.unique(parts[:, 2])) > 2
+    rate = next(rate for rate in (*_RATES, 200.0) if parts[:, 3].max() < rate and (shows_rate or rate >= _APP_RATE))
     times = parts @ np.array([3600.0, 60.0, 1.0, 1.0 / rate])
     days = np.cumsum(np.diff(times, prepend=times[0]) < -43_200.0)
     return np.asarray(times + 86_400.0 * days)

@@ -1,4 +1,4 @@
-"""A picture of what mending changed: one strip per part of the face, before in grey, after in green."""
+"""A figure of the effect of mending: one strip per part of the face, before in grey and after in green."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def draw_before_after(take: Take, mended: Take) -> NDArray[np.uint8]:
     Parameters
     ----------
     take, mended : Take
-        Before and after mending.
+        The take before and after mending.
 
     Returns
     -------
     (H, W, 3) uint8
-        BGR.
+        The figure, BGR.
     """
     times = np.concatenate([take.times, mended.times])
     start, length = float(times.min()), max(float(np.ptp(times)), 1e-9)

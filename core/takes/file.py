@@ -1,4 +1,4 @@
-"""Reading and writing of `.facetake` files: written during the recording, and readable after any damage."""
+"""Reading and writing of `.facetake` files, which are written during the recording and readable after any damage."""
 
 from __future__ import annotations
 
@@ -34,32 +34,32 @@ from .take import FIELDS, Take, TakeRecorder, check_increase, check_take
 
 SUFFIX = ".facetake"
 MAX_WAIT = 1.0
-"""Seconds, of the take or of the clock, after which pending frames are written."""
+"""Time in seconds, of the take or of the clock, after which pending frames are written."""
 FRAMES_PER_CHUNK = 64
 _MAX_FILE = 1 << 30
 _MAX_RATIO, _MIN_UNPACKED = 192, 32 << 20
-"""Bytes in memory that are allowed per byte of the file, and in addition. A take has 4 with a face, and 127 without."""
+"""Bytes of memory that are allowed per byte of the file, and in addition. A take needs 4 with a face, 127 without."""
 
 
 class TakeWriter(Closing):
     """Writes a take frame by frame, so that a crash or power cut loses no more than a second.
 
-    A context manager, to be used by one thread at a time.
+    The writer is a context manager, and may be used by one thread at a time.
 
     Parameters
     ----------
     path : Path
-        Must not exist: a recording never replaces another one.
+        The file, which must not exist: a recording never replaces another one.
     info : dict
-        As `Take.info`. It may be changed until `close`: it is written with the first second and again at the end.
+        As `Take.info`. It may be changed until `close`, as it is written with the first second and again at the end.
     sync : bool
-        Whether to flush every second to the disk itself. Without, a crash of the computer may lose more.
+        Whether to flush every second to the disk itself. If not, a crash of the computer may lose more.
 
     Raises
     ------
     OutputError
         If the file exists or cannot be created; from `append`, `flush` and `close`, if it cannot be written, for
-        instance because the disk is full. What was written before stays readable, and the rest is retried.
+        instance because the disk is full. Frames that were written stay readable, and the rest is retried.
     """
 
     def __init__(self, path: Path, info: dict[str, Any], *, sync: bool = True) -> None:
@@ -80,7 +80,22 @@ class TakeWriter(Closing):
         return self._written + len(self._pending)
 
     def append(self, time: float, result: TrackResult) -> None:
-        """As `TakeRecorder.append`; OutputError if the file cannot be written."""
+        """Add a frame.
+
+        Parameters
+        ----------
+        time : float
+            Time in seconds; has to increase from call to call.
+        result : TrackResult
+            Result of that frame.
+
+        Raises
+        ------
+        ValueError
+            If the time does not increase.
+        OutputError
+            If the file cannot be written.
+        """
         check_increase(self._last, time)
         now = clock.monotonic()
         if not self._pending:
@@ -105,7 +120,7 @@ class TakeWriter(Closing):
             del self._pending[: len(batch)]
 
     def close(self) -> None:
-        """Write pending frames and end the file; without any frame, delete it. May be called twice."""
+        """Write pending frames and end the file, or delete it if there was no frame. May be called twice."""
         if self._file.closed:
             return
         try:
@@ -138,12 +153,14 @@ class TakeWriter(Closing):
 
 
 def save_take(take: Take, path: Path) -> None:
-    """Write a whole take to a file; on failure an existing file stays.
+    """Write a whole take to a file. On failure an existing file is kept.
 
     Parameters
     ----------
     take : Take
+        The take.
     path : Path
+        The file.
 
     Raises
     ------
@@ -165,13 +182,13 @@ def save_take(take: Take, path: Path) -> None:
 def load_take(path: Path) -> Take:
     """Read a take.
 
-    Of a truncated or damaged file, everything intact is read, and ``info["recovered"]`` says in a sentence what is
+    All intact parts of a truncated or damaged file are read, and ``info["recovered"]`` says in a sentence what is
     missing.
 
     Raises
     ------
     SourceError
-        If the file is missing, not a take, of a newer format, or without any intact frame.
+        If the file is missing, not a take, of a newer format, or has no intact frame.
     """
     path = Path(path)
     if not check_readable(path):
@@ -199,7 +216,7 @@ def take_of(data: bytes) -> Take:
 
 
 class _Reading:
-    """Assembles intact chunks and records what is missing between them; `size` is their size in memory."""
+    """Assembles intact chunks, and notes what is missing between them; `size` is their size in memory in bytes."""
 
     def __init__(self) -> None:
         self._info: dict[str, Any] | None = None
@@ -232,7 +249,7 @@ class _Reading:
             self._frames = chunk.first + chunk.count
 
     def take(self) -> Take:
-        """The take, with what is missing in its `info`; to be called once."""
+        """Return the take, with what is missing in its `info`; to be called once."""
         if self._modes < 0:
             raise ValueError("no frame in it can be read")
         if self._stated < 0:
@@ -241,7 +258,7 @@ class _Reading:
             self._missing.append(f"{self._stated - self._frames} frames after {self._until:.2f} s")
         if self._info is None:
             self._missing.append("the description of the recording")
-        # Array by array, so that no more than one is in memory twice.
+        # Array by array, so that at most one is in memory twice.
         take = Take(**{name: np.concatenate(self._parts.pop(name)) for name in FIELDS}, info=dict(self._info or {}))
         if self._missing:
             take.info["recovered"] = f"The file was cut or damaged. Missing: {'; '.join(self._missing)}."

@@ -1,8 +1,8 @@
 """The format of `.facetake` files: independent chunks, each with a checksum (docs/takes.md).
 
 Numbers are stored as multiples of a step far below the tracker's noise. A chunk contains the differences of these
-multiples from frame to frame, sorted by the significance of their bytes and deflated. That is smaller than any format
-of floating-point numbers, and saving a stored value again does not change it.
+multiples from frame to frame, sorted by the significance of their bytes and deflated. This is smaller than any
+floating-point format, and saving a stored value again does not change it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MAX_FRAMES = 256
 MAX_MODES = 512
 MAX_CONTENT = 1 << 22
 _MAX_SIDE = 1 << 14
-"""Upper bound of the side of an image in pixels."""
+"""Largest side of an image in pixels."""
 _UNKNOWN = np.int64(-(2**31))
 _MAX_MULTIPLE = 2**31 - 1
 
@@ -55,15 +55,29 @@ LAYOUT: tuple[Column, ...] = (
     ("coefficients", (N_COEFFICIENTS,), 2.0**-16),
     ("shape_params", (-1,), 2.0**-13),
 )
-"""Name, shape and step of the columns of a frame, without its time; values change by half a step at most. The shape
+"""Name, shape and step of the columns of a frame, without its time. Values change by half a step at most. The shape
 parameters come last, as their number depends on the model."""
 _SINCE = {"vergence": 2, "actions": 2, "coefficients": 3}
-"""Version of the format that introduced a column; others are in all."""
+"""Version of the format that introduced a column; other columns are in all versions."""
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """An intact chunk: `kind`, `count` frames from frame number `first` on, the content, and the format's version."""
+    """An intact chunk.
+
+    Attributes
+    ----------
+    kind : bytes
+        `START`, `FRAMES` or `END`.
+    count : int
+        Number of frames in the chunk.
+    first : int
+        Number of its first frame.
+    content : bytes
+        The content.
+    version : int
+        Version of the format.
+    """
 
     kind: bytes
     count: int
@@ -74,7 +88,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Damage:
-    """Bytes that are not an intact chunk; `end` is whether nothing intact follows."""
+    """Bytes that are not an intact chunk; `end` says that nothing intact follows."""
 
     end: bool
 
@@ -91,9 +105,9 @@ def chunk_bytes(kind: bytes, content: bytes, *, count: int = 0, first: int = 0) 
     kind : bytes
         `START`, `FRAMES` or `END`.
     content : bytes
-        From `info_content` or `frames_content`.
+        Content from `info_content` or `frames_content`.
     count : int
-        Frames in the chunk.
+        Number of frames in the chunk.
     first : int
         Number of its first frame.
 
@@ -108,7 +122,7 @@ def chunk_bytes(kind: bytes, content: bytes, *, count: int = 0, first: int = 0) 
 
 
 def chunks_in(data: bytes) -> Iterator[Chunk | Damage]:
-    """Iterate over the intact chunks of a file, with a `Damage` wherever there is something else.
+    """Iterate over the intact chunks of a file, with a `Damage` in place of anything else.
 
     Raises
     ------
@@ -119,8 +133,8 @@ def chunks_in(data: bytes) -> Iterator[Chunk | Damage]:
 
     Notes
     -----
-    After damage, the next marker is searched, also within the alleged content of a broken chunk, so that a length is
-    not trusted without its checksum. The work is bounded by the size of the file.
+    After damage the next marker is sought, also within the alleged content of a broken chunk, because a length is not
+    trusted without its checksum. The work is bounded by the size of the file.
     """
     at, patience = 0, 4 * len(data) + MAX_CONTENT
     while 0 <= at < len(data):
@@ -137,7 +151,7 @@ def chunks_in(data: bytes) -> Iterator[Chunk | Damage]:
 
 
 def _next_chunk(data: bytes, at: int) -> int:
-    """Start of the next header with a valid checksum, or -1."""
+    """Return the start of the next header with a valid checksum, or -1."""
     at = data.find(MARKER, at)
     while at >= 0 and _header_at(data, at) is None:
         at = data.find(MARKER, at + 1)
@@ -153,7 +167,7 @@ def _header_at(data: bytes, at: int) -> tuple[Any, ...] | None:
 
 
 def _chunk_at(data: bytes, at: int) -> tuple[Chunk | None, int]:
-    """The chunk at byte `at`, None if it is broken, and the number of bytes that were read to find out."""
+    """Return the chunk at byte `at`, or None if it is broken, and the number of bytes that were read to find out."""
     if (fields := _header_at(data, at)) is None:
         return None, 0
     _, version, kind, count, first, length, checksum, _ = fields
@@ -185,7 +199,7 @@ def info_content(info: dict[str, Any], frames: int) -> bytes:
 
 
 def info_of(content: bytes) -> tuple[dict[str, Any], int]:
-    """Parse what `info_content` returned, without invalid entries; ValueError if it is anything else."""
+    """Parse the result of `info_content` without invalid entries; ValueError if it is anything else."""
     data = parse_json(content)
     if not isinstance(data, dict) or not isinstance(data.get("info"), dict) or not isinstance(data.get("frames"), int):
         raise ValueError("its description is missing")
@@ -224,7 +238,7 @@ _CHECKS: dict[str, Callable[[Any], bool]] = {
     "offset": _is_time,
     **dict.fromkeys(("source", "model", "clock", "started", "recovered", "reference_video", "sound"), _is_text),
 }
-"""Checks of entries that are computed with, as a file may contain anything."""
+"""Checks of the entries that are used in computations, as a file may contain anything."""
 
 
 def _plain(value: Any) -> Any:
@@ -249,7 +263,7 @@ def frames_content(take: Take) -> bytes:
 
 
 def frames_of(content: bytes, count: int, version: int = FORMAT_VERSION) -> Take:
-    """Parse what `frames_content` returned.
+    """Parse the result of `frames_content`.
 
     Parameters
     ----------
@@ -258,7 +272,7 @@ def frames_of(content: bytes, count: int, version: int = FORMAT_VERSION) -> Take
     count : int
         Number of frames.
     version : int
-        Version of the format; what earlier ones lack is unknown.
+        Version of the format; columns that earlier versions lack are unknown.
 
     Returns
     -------
@@ -290,7 +304,7 @@ def frames_of(content: bytes, count: int, version: int = FORMAT_VERSION) -> Take
 
 
 def _steps(layout: Sequence[Column], modes: int) -> FloatArray:
-    """(columns,) step of each column, for a model with `modes` modes."""
+    """Step of each column, (columns,), for a model with `modes` modes."""
     widths = [modes if shape == (-1,) else int(np.prod(shape)) for _, shape, _ in layout]
     return np.concatenate([np.broadcast_to(step, width) for (_, _, step), width in zip(layout, widths, strict=True)])
 
@@ -304,7 +318,7 @@ def _pack(multiples: NDArray[np.int64]) -> bytes:
 
 
 def _unpack(deflated: bytes, count: int, fixed: int) -> NDArray[np.int32]:
-    """What `_pack` packed, with `fixed` columns besides the modes."""
+    """Reverse `_pack`, with `fixed` columns besides the modes."""
     limit = 4 * count * (fixed + MAX_MODES)
     stream = zlib.decompressobj()
     try:

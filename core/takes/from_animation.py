@@ -1,4 +1,4 @@
-"""From a face whose vertices move to a take: its landmarks are measured rather than tracked (docs/method.md, 8.5)."""
+"""Takes from a face whose vertices move: landmarks are measured rather than tracked (docs/method.md, section 8.5)."""
 
 from __future__ import annotations
 
@@ -15,26 +15,27 @@ from .neutral import Neutral, shut_level
 from .take import Take, TakeRecorder, describe
 
 IMAGE_SIZE = (1280, 720)
-"""Width and height, pixels, of the image in which landmarks are shown, as if a camera had seen them."""
+"""Width and height in pixels of the image in which landmarks are given, as if seen by a camera."""
 _SCALE = 160.0
-"""Size of the face in that image: pixels per outer-eye distance."""
+"""Size of the face in that image, in pixels per outer-eye distance."""
 REST_POSITION: FloatArray = np.array([_SCALE, *np.array(IMAGE_SIZE) / 2.0])
-"""`Neutral.position` of a face that was measured: scale, and the middle of that image."""
+"""`Neutral.position` of a measured face: scale, and the middle of that image."""
 _ROUNDS, _LEAST_SPREAD = 12, 1e-4
-"""Rounds of the robust fit, and its least spread in eye distances."""
+"""Rounds of the robust fit, and its smallest spread in eye distances."""
 _NEAREST = 0.2
-"""Least distance to the camera, as a share of the one at rest."""
+"""Smallest distance to the camera, as a share of the one at rest."""
 
 
 @dataclass(frozen=True)
 class FacePoints:
-    """Places on a face at one time: axes and unit of the head frame at rest.
+    """Places on a face at one time, with the axes and unit of the head frame at rest.
 
     Attributes
     ----------
     landmarks : (66, 3) float64
+        The landmarks.
     anchors : (M, 3) float64
-        Vertices of the skin by which the pose of the head is found, most of which move only with it.
+        Vertices of the skin from which the pose of the head is found; most of them move only with the head.
     eyes : ((R, 3), (L, 3)) float64
         Vertices of the right and left eyeball; empty if unknown.
     """
@@ -45,47 +46,53 @@ class FacePoints:
 
 
 class PointTracker:
-    """Makes a take of a face whose vertices are known, frame by frame.
+    """Makes a take, frame by frame, from a face whose vertices are known.
 
     Parameters
     ----------
     rest : FacePoints
         The face at rest.
     pivot : (3,) float64
-        Point about which the head turns; its motion is that of the head.
+        Point about which the head turns. Its motion is that of the head.
     trust : (M,) float64
-        Weights of the anchors: how sure it is that they move only with the head.
+        Weights of the anchors: how certain it is that they move only with the head.
 
     Raises
     ------
     HeadError
-        If the outer corners of the eyes lie at one place.
+        If the outer corners of the eyes coincide.
     """
 
     def __init__(self, rest: FacePoints, pivot: FloatArray, trust: FloatArray) -> None:
         self.rest, self.pivot, self.trust = rest, pivot, trust
         self.unit = outer_eye_distance(rest.landmarks)
         if not self.unit > 0.0:
-            raise HeadError("The outer corners of the eyes lie at one place. Find the face again.")
+            raise HeadError("The outer corners of the eyes coincide. Find the face again.")
         self._centre = rest.landmarks.mean(axis=0)
 
     def track(self, points: FacePoints) -> TrackResult:
-        """Return what the tracker would have found, without its errors; no face if a place is not a number."""
+        """Return the result of an ideal tracker; it has no face if a place is not a number."""
         if not np.isfinite(points.landmarks).all() or not np.isfinite(points.anchors).all():
             return TrackResult.nothing(0)
         rotation, moved = fit_rigid(self.rest.anchors, points.anchors, self.trust, _LEAST_SPREAD * self.unit)
         return self.result(points, rotation, moved)
 
     def result(self, points: FacePoints, rotation: FloatArray, moved: FloatArray) -> TrackResult:
-        """Return what the tracker would have found of a head whose motion is known.
+        """Return the result of an ideal tracker for a head whose motion is known.
 
         Parameters
         ----------
         points : FacePoints
-            Its anchors do not matter.
+            The face; its anchors are ignored.
         rotation : (3, 3) float64
+            Rotation of the head from rest.
         moved : (3,) float64
-            ``rotation @ rest + moved`` is where the head is, unit of the head frame.
+            Translation of the head: it is at ``rotation @ rest + moved``, in the unit of the head frame.
+
+        Returns
+        -------
+        TrackResult
+            The result.
         """
         pose = pose_of(rotation, (rotation @ self.pivot + moved - self.pivot) / self.unit)
         shape = ((points.landmarks - moved) @ rotation - self._centre) / self.unit
@@ -103,7 +110,7 @@ class PointTracker:
         return replace(rest, start=begin, end=begin, shut=shut_level(rest.shape, shapes) if len(shapes) else 0.0)
 
     def at_rest(self) -> Neutral:
-        """Return the face at rest as a neutral face; shut lids are assumed to touch."""
+        """Return the face at rest as a neutral face, whose shut lids are assumed to touch."""
         known = all(map(len, self.rest.eyes))
         return Neutral(
             shape=(self.rest.landmarks - self._centre) / self.unit,
@@ -131,14 +138,14 @@ def pose_of(rotation: FloatArray, moved: FloatArray) -> FloatArray:
     Parameters
     ----------
     rotation : (3, 3) float64
-        From rest, head frame.
+        Rotation from rest, in the head frame.
     moved : (3,) float64
-        From rest, head frame, outer-eye distances.
+        Translation from rest, in the head frame and outer-eye distances.
 
     Returns
     -------
     (6,) float64
-        As in `TrackResult`.
+        The pose, as in `TrackResult`.
     """
     across, down, away = moved
     scale = _SCALE / max(1.0 + away / CAMERA_DISTANCE, _NEAREST)
@@ -147,7 +154,7 @@ def pose_of(rotation: FloatArray, moved: FloatArray) -> FloatArray:
 
 
 def describe_animation(source: str, fps: float) -> dict[str, object]:
-    """Create the initial `info` of a take of an animation.
+    """Create the initial `info` of a take from an animation.
 
     Parameters
     ----------
@@ -165,7 +172,7 @@ def describe_animation(source: str, fps: float) -> dict[str, object]:
 
 
 def fit_rigid(source: FloatArray, target: FloatArray, trust: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
-    """Fit the rigid motion that most points follow, whatever the others do.
+    """Fit the rigid motion that most points follow, regardless of the others.
 
     Parameters
     ----------
@@ -174,17 +181,18 @@ def fit_rigid(source: FloatArray, target: FloatArray, trust: FloatArray, least: 
     trust : (N,) float64
         Weights of the points.
     least : float
-        Distance below which differences are noise.
+        Distance below which differences count as noise, in the unit of the points.
 
     Returns
     -------
     rotation : (3, 3) float64
+        The rotation.
     moved : (3,) float64
-        ``rotation @ source + moved`` is near `target` for most points.
+        The translation: ``rotation @ source + moved`` is near `target` for most points.
 
     Notes
     -----
-    Iteratively reweighted least squares with the weights of Geman and McClure (1987), whose spread falls with the
+    Iteratively reweighted least squares with the weights of Geman and McClure (1987), whose spread decreases with the
     median of the distances.
     """
     weights = trust
@@ -210,6 +218,6 @@ def _turned(rest: FloatArray, eye: FloatArray) -> FloatArray:
 
 
 def _direction(rotation: FloatArray) -> FloatArray:
-    """(pitch, yaw) of an eye that looked straight ahead before it was turned."""
+    """Pitch and yaw of an eye that looked straight ahead before it was turned."""
     x, y, z = rotation @ np.array([0.0, 0.0, -1.0])
     return np.array([np.arcsin(np.clip(y, -1.0, 1.0)), np.arctan2(-x, -z)])

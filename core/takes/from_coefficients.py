@@ -1,6 +1,6 @@
-"""From ARKit's 52 coefficients to a tracking result: the built-in head shows them, and its landmarks are measured.
+"""From ARKit's 52 coefficients to tracking results: the built-in head shows them, and its landmarks are measured.
 
-Streams of phones and VTuber programs, and tables of coefficients, thus drive any head as a camera does.
+In this way streams of phones and VTuber programs, and tables of coefficients, drive any head as a camera does.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class CoefficientFace:
     Attributes
     ----------
     neutral : Neutral
-        The neutral face of all results: that of the built-in head.
+        The neutral face of all results, which is that of the built-in head.
     """
 
     def __init__(self) -> None:
@@ -40,27 +40,40 @@ class CoefficientFace:
         self.neutral = replace(_at_rest(self._rest), gaze=gaze_of(shut[LOOKS])[0], vergence=0.0)
 
     def result(self, values: FloatArray, rotation: FloatArray, moved: FloatArray | None = None) -> TrackResult:
-        """Return what the tracker would have found, without its errors.
+        """Return the result of an ideal tracker.
 
         Parameters
         ----------
         values : (52,) float64
             Coefficients in the order of `COEFFICIENTS`; clipped to 0 to 1.
         rotation : (3,) float64
-            Pitch, yaw and roll of the head, radians, as in `TrackResult`.
+            Pitch, yaw and roll of the head in radians, as in `TrackResult`.
         moved : (3,) float64, optional
-            How far the head has moved from rest: head frame, metres.
+            Translation of the head from rest: head frame, metres.
 
         Returns
         -------
         TrackResult
-            With the coefficients, and the pose-free shape that they give.
+            The result, with the coefficients and the pose-free shape that they produce.
         """
         pose = pose_of(euler_to_matrix(*rotation), np.zeros(3) if moved is None else np.asarray(moved) / self.unit)
         return self.posed(np.clip(values, 0.0, 1.0), pose)
 
     def posed(self, values: FloatArray, pose: FloatArray) -> TrackResult:
-        """As `result`, for `values` (52,) from 0 to 1 and a `pose` (6,) as in `TrackResult`."""
+        """Return the result of an ideal tracker for a known pose.
+
+        Parameters
+        ----------
+        values : (52,) float64
+            Coefficients in the order of `COEFFICIENTS`, from 0 to 1.
+        pose : (6,) float64
+            As in `TrackResult`.
+
+        Returns
+        -------
+        TrackResult
+            As for `result`.
+        """
         shape = self._rest + np.tensordot(values[FITTED], self._units, 1)
         gaze, vergence = gaze_of(values[LOOKS])
         return TrackResult.exact(shape, pose, gaze=gaze, vergence=vergence, coefficients=values)

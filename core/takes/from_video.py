@@ -1,4 +1,4 @@
-"""From a video to a take: tracking of all frames, in order, with their presentation times."""
+"""From videos to takes: tracking of all frames, in order, with their presentation times."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ def track_video(
     path : Path
         The video.
     tracker : FaceTracker
-        Reset at the start.
+        The tracker, which is reset at the start.
     on_frame : callable, optional
-        Called after each frame with the frames done, the frames stated by the file, and the result; returning False
-        stops.
+        Called after each frame with the number of frames done, the number stated by the file, and the result. Returning
+        False stops.
     output : Path, optional
-        A take to write while tracking, so that nothing is lost by a crash; must not exist.
+        A take to write while tracking, so that a crash loses nothing; it must not exist.
     face : (float, float), optional
         Position of the face to track, as for `FaceTracker.choose`; by default the largest.
 
     Returns
     -------
     TakeRecorder
-        Its `finish` returns the take. On KeyboardInterrupt, tracking ends early, what was tracked is kept, and
+        Its `finish` returns the take. A KeyboardInterrupt ends tracking early; what was tracked is kept, and
         ``info["interrupted"]`` is set.
 
     Raises

@@ -20,37 +20,39 @@ from .face_space import load_face_space
 from .take import Take
 
 MAX_SHUT = 0.45
-"""Largest opening, relative to the neutral one, that can count as shut."""
+"""Largest opening of the eyes, relative to the neutral one, that can count as shut."""
 _MIN_OPENING, _WIDE_OPENING, _MAX_GAIN = 0.12, 0.35, 1.4
-"""Openings of the mouth from neutral in outer-eye distances: the least that counts, and a wide one; and the largest
-gain (section 4.2)."""
+"""Openings of the mouth beyond neutral in outer-eye distances: the smallest that counts, and a wide one; and the
+largest gain (section 4.2)."""
 _OPTIONAL = ("gaze", "open_mouth", "vergence", "actions")
 """Values that may be NaN."""
 _ADDED = {"removed": 0.0, "vergence": np.nan, "actions": [np.nan] * N_ACTIONS, "measured": 0.0, "asked": 1.0}
 """Values that files of earlier versions lack."""
 _MAX_FRAMES, _MOMENT = 300, 0.2
-"""Frames of a take that are looked at for a neutral face, and seconds that it has to last. A second is too long: strong
-performers seldom rest for one. From 0.15 to 0.5 the bench of expressions hardly changes."""
+"""Largest number of frames of a take that are searched for a neutral face, and its duration in seconds. A second would
+be too long, as strong performers seldom rest that long. From 0.15 to 0.5 the results of `bench.expressions` hardly
+change."""
 _TURNED, _LEAST_TRUST = 0.5, 1e-3
-"""Radians of pitch and yaw at which a frame counts 1/e, and what it counts at least."""
+"""Angle in radians, of pitch and yaw together, at which the weight of a frame is 1/e, and the smallest weight."""
 _CALM = 0.08
-"""Amount of expression, in eye distances, above that of the calmest frame, at which a frame counts 1/e in `rest_of`. On
-the clips of the bench of expressions, 0.01 to 0.08 are about as right; the more frames count, the steadier it is."""
+"""Amount of expression, in eye distances, above that of the calmest frame, at which the weight of a frame is 1/e in
+`rest_of`. On the clips of `bench.expressions`, 0.01 to 0.08 are about as accurate; the more frames count, the steadier
+the result."""
 _DOUBT = 0.2
 """Amount of expression, in eye distances, that a confidence of 0 counts as."""
 _USUAL = 0.35
-"""Share of a take in which brows are lower than at rest at most. From 0.3 to 0.35 the same moments are found."""
+"""Largest share of a take in which brows are lower than at rest. From 0.3 to 0.35 the same moments are found."""
 _LIDS, _LIDS_AT_REST = 0.5, 0.1
-"""Amount of expression, in eye distances, of lids that are open twice as far as usual, and how much may be rest:
-lids move little, and yet half-shut eyes are no neutral face."""
+"""Amount of expression, in eye distances, of lids that are open twice as far as usual, and the relative difference that
+may be rest. Lids move little, and yet half-shut eyes are no neutral face."""
 _WEAK, _MUCH_REMOVED = 0.3, 0.35
-"""Activations up to which an expression may be the face of that person, and above which a removed one is reported."""
+"""Activation up to which an expression may be the person's own face, and above which a removed one is reported."""
 _MAX_VALUES, _MAX_VALUE = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0, "vergence": 10.0, "actions": 100.0}, 1e7
-"""Upper bounds of stored values: outer-eye distances and radians; others are seconds and pixels."""
+"""Largest stored values, in outer-eye distances and radians; others are in seconds and pixels."""
 _MIN_EXTENT, _ROTATION_ERROR = 1e-4, 1e-3
-"""Least extent of a region of a stored shape, and largest error of a stored rotation."""
+"""Smallest extent of a region of a stored shape, and largest error of a stored rotation."""
 MIRROR_WIDTH = 1.0
-"""Width in pixels for which mirroring an image keeps x = 0 in place, as mirroring a `Neutral` does."""
+"""Image width in pixels for which mirroring keeps x = 0 in place, as mirroring a `Neutral` does."""
 
 
 @dataclass(frozen=True)
@@ -62,31 +64,31 @@ class Neutral:
     shape : (66, 3) float64
         Mean pose-free shape: head frame, outer-eye distances.
     rotation : (3, 3) float64
-        Rotation at which the avatar looks straight ahead: that of the time that the user chose, as the camera may be
-        below or beside the screen, and otherwise that of a head that faces the camera.
+        Rotation at which the avatar looks straight ahead: that of the time chosen by the user, as the camera may be
+        below or beside the screen; otherwise that of a head that faces the camera.
     position : (3,) float64
-        `(s, tx, ty)`, medians of the take: pixels per outer-eye distance, pixels, pixels.
+        `(s, tx, ty)`, medians of the take, in pixels per outer-eye distance and pixels.
     start, end : float
         Span of the take that was averaged, in seconds.
     shut : float
-        Opening at which the performer's eyes are shut, as a fraction of the neutral one: small, but not 0, as lashes
-        and blur keep tracked lids apart. 0 if the take shows no shut eyes.
+        Opening at which the performer's eyes count as shut, as a fraction of the neutral one: small, but not 0, as
+        lashes and blur keep tracked lids apart. 0 if the take shows no shut eyes.
     gaze : (2,) float64
-        `(pitch, yaw)` in radians, median of the take: the usual gaze. NaN if the take has none.
+        Usual gaze: the median of `(pitch, yaw)` over the take in radians. NaN if the take has none.
     open_mouth : float
-        Aperture of the mouth when opened wide, in outer-eye distances; NaN if unknown.
+        Aperture of the wide-open mouth in outer-eye distances; NaN if unknown.
     removed : float
-        Largest activation of an expression that was removed, as no moment of the take was neutral; 0 for none, 1 for a
-        full smile, say.
+        Largest activation of an expression that was removed because no moment of the take was neutral: 0 for none, 1
+        for instance for a full smile.
     vergence : float
-        That of the face at rest, radians; NaN if unknown. Unlike a usual gaze, crossed eyes may last.
+        Vergence of the face at rest in radians; NaN if unknown. Unlike a usual gaze, crossed eyes may last.
     actions : (15,) float64
         Activations of the face at rest, before they are subtracted; NaN if unknown.
     measured : bool
-        Whether the shapes were measured on a mesh, so that there is nothing to make up for as in a tracked performance.
+        Whether the shapes were measured on a mesh, so that they need none of the corrections of tracked performances.
     asked : bool
-        Whether the performer was asked to rest, or the user chose the moment; if not, it was found, and a live
-        performance goes on looking for a better one.
+        Whether the performer was asked to rest, or the user chose the moment. If not, it was found automatically, and a
+        live performance continues to look for a better one.
     """
 
     shape: FloatArray
@@ -105,25 +107,25 @@ class Neutral:
 
     @property
     def is_estimated(self) -> bool:
-        """Whether the performer showed an expression even in the calmest moment, so that this face is an estimate."""
+        """Whether even the calmest moment showed an expression, so that this face is an estimate."""
         return self.removed > _MUCH_REMOVED
 
     @property
     def warning(self) -> str:
-        """What the user should know about this neutral face; "" if there is nothing."""
+        """Warning about this neutral face for the user; "" if there is none."""
         warning = "The performer never rests in this take, so the neutral face was estimated. Check the motion."
         return warning if self.is_estimated else ""
 
     @property
     def mouth_gain(self) -> float:
-        """Factor of the lower face's vertical motion, by which the performer's widest opening becomes a wide one."""
+        """Factor of the lower face's vertical motion that turns the performer's widest opening into a wide one."""
         opened = self.open_mouth - float(mouth_aperture(self.shape))
         if not opened > _MIN_OPENING:
             return 1.0
         return float(np.clip(_WIDE_OPENING / opened, 1.0, _MAX_GAIN))
 
     def mirrored(self) -> Neutral:
-        """The neutral face of the mirrored performer, in an image with the width `MIRROR_WIDTH`."""
+        """Return the neutral face of the mirrored performer, in an image of the width `MIRROR_WIDTH`."""
         flip = np.array([-1.0, 1.0, 1.0])
         return replace(
             self,
@@ -140,7 +142,7 @@ class Neutral:
 
     @classmethod
     def from_json(cls, text: str) -> Neutral:
-        """Parse the JSON of what `to_dict` returned; SourceError as for `from_dict`."""
+        """Parse the JSON of `to_dict`; SourceError as for `from_dict`."""
         try:
             return cls.from_dict(as_object(parse_json(text), "it"))
         except ValueError as error:
@@ -148,12 +150,12 @@ class Neutral:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Neutral:
-        """Convert from what `to_dict` returned.
+        """Convert from the result of `to_dict`.
 
         Raises
         ------
         SourceError
-            If a value is missing, or is impossible.
+            If a value is missing or impossible.
         """
         shapes = {
             "shape": (N_LANDMARKS, 3),
@@ -207,15 +209,15 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
     take : Take
         The take.
     start : float, optional
-        Start in seconds of the time to average. By default the calibration that the take contains; or else the
-        calmest moment is found, and what it shows of an expression is removed (equation 4.1).
+        Start in seconds of the time to average. By default the calibration that the take contains is used; without one,
+        the calmest moment is found, and any expression is removed from it (equation 4.1).
     duration : float
-        Seconds to average from `start` on.
+        Length of the time to average in seconds.
 
     Returns
     -------
     Neutral
-        The neutral face. If `start` is given, the head looks straight ahead as it does in that time, otherwise when it
+        The neutral face. With `start`, the head looks straight ahead when it is as in that time; otherwise when it
         faces the camera.
 
     Raises
@@ -231,14 +233,14 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
 
 
 def _average(take: Take, start: float, duration: float) -> Neutral:
-    """The neutral face of a given time."""
+    """Return the neutral face of a given time."""
     chosen = take.found & (take.times >= start - 1e-9) & (take.times <= start + duration)
     if not chosen.any():
         raise SourceError(
             f"No face was found between {start:.2f} s and {start + duration:.2f} s. Choose another neutral."
         )
     shapes = take.shape[chosen].astype(np.float64)
-    # The half of the frames nearest to their median, so that a smile or a blink that begins or ends does not count.
+    # Use the half of the frames nearest to their median, so that the beginning or end of a smile or blink is left out.
     away = np.linalg.norm(shapes - np.median(shapes, axis=0), axis=2).mean(axis=1)
     pitch, yaw, roll = (float(a) for a in np.median(take.pose[chosen, 1:4], axis=0))
     rested = np.flatnonzero(chosen)[away <= np.median(away)]
@@ -247,7 +249,7 @@ def _average(take: Take, start: float, duration: float) -> Neutral:
 
 
 def _calmest(take: Take) -> Neutral:
-    """The neutral face of the calmest moment, without what that shows of an expression."""
+    """Return the neutral face of the calmest moment, without the expression that it shows."""
     found = np.flatnonzero(take.found)
     chosen = found[np.unique(np.linspace(0, len(found) - 1, min(_MAX_FRAMES, len(found))).astype(np.intp))]
     activations = load_face_space().explain(take.shape[chosen].astype(np.float64), trust(take, chosen))
@@ -261,15 +263,28 @@ def _calmest(take: Take) -> Neutral:
 
 
 def trust(take: Take, frames: IntArray) -> FloatArray:
-    """(N,) trust in the frames of a take, for `FaceSpace.explain`: less in turned and unsure ones."""
+    """Compute the weights of frames for `FaceSpace.explain`, which are lower for turned and uncertain ones.
+
+    Parameters
+    ----------
+    take : Take
+        The take.
+    frames : (N,) array of int
+        Frames with a face.
+
+    Returns
+    -------
+    (N,) float64
+        Positive weights.
+    """
     turned = np.square(take.pose[frames, 1:3] / _TURNED).sum(axis=1)
     return np.asarray(take.confidence[frames] * np.exp(-turned) + _LEAST_TRUST)
 
 
 def rest_of(take: Take, frames: IntArray, activations: FloatArray) -> Neutral:
-    """Find the face at rest that all calm frames of a take agree on, without what they show of an expression.
+    """Estimate the face at rest from all calm frames of a take, without the expression that they show.
 
-    It changes little if the performance goes on, unlike that of the calmest moment, which `calibrate` finds.
+    It changes little as the performance continues, unlike the calmest moment, which `calibrate` finds.
 
     Parameters
     ----------
@@ -278,7 +293,7 @@ def rest_of(take: Take, frames: IntArray, activations: FloatArray) -> Neutral:
     frames : (N,) array of int
         Frames with a face.
     activations : (N, U) float64
-        Their expressions, from `FaceSpace.explain`.
+        Activations of their expressions, from `FaceSpace.explain`.
 
     Returns
     -------
@@ -291,19 +306,19 @@ def rest_of(take: Take, frames: IntArray, activations: FloatArray) -> Neutral:
 
 
 def _expressed(take: Take, frames: IntArray, activations: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How far frames are from rest (N,), in eye distances, and what of their activations is an expression, (N, U)."""
+    """Distance of frames from rest in eye distances, (N,), and the activations that are expression, (N, U)."""
     space = load_face_space()
-    # How high brows are at rest differs more between people than the space knows, so the take itself says it.
+    # The height of brows at rest differs more between people than the space covers, so it is taken from the take.
     usual = np.where(space.of_brows, np.quantile(activations, _USUAL, axis=0), 0.0)
     opening = eye_apertures(take.shape[frames].astype(np.float64)).mean(axis=1)
     amount = space.amount(activations - usual) + _DOUBT * (1.0 - take.confidence[frames])
     amount += _LIDS * np.maximum(np.abs(opening / np.median(opening) - 1.0) - _LIDS_AT_REST, 0.0)
-    # Weak activations may be the person's own face; strong ones are an expression, which a rested face would not show.
+    # Weak activations may be the person's own face; strong ones are expressions, which a face at rest would not show.
     return amount, np.maximum(activations - np.maximum(usual, _WEAK), 0.0)
 
 
 def _without(strong: FloatArray, take: Take, frames: IntArray, share: FloatArray) -> Neutral:
-    """The neutral face of frames, averaged by `share` (N,), without their expressions `strong` (N, U)."""
+    """Return the neutral face of frames, averaged by `share` (N,), without their expressions `strong` (N, U)."""
     added = np.tensordot(share @ strong, load_face_space().units, 1)
     shape = np.tensordot(share, take.shape[frames].astype(np.float64), 1) - added
     rested = np.sort(frames[share >= 0.5 * share.max()])
@@ -311,7 +326,7 @@ def _without(strong: FloatArray, take: Take, frames: IntArray, share: FloatArray
 
 
 def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArray) -> Neutral:
-    """The neutral face with the given shape and rotation, of the frames `rested`."""
+    """Return the neutral face with the given shape and rotation, from the frames `rested`."""
     found = take.found
     return Neutral(
         shape=shape,
@@ -328,23 +343,23 @@ def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArr
 
 
 def shut_level(neutral: FloatArray, shapes: FloatArray) -> float:
-    """Estimate `Neutral.shut`: the opening that is left when the eyes are most closed.
+    """Estimate `Neutral.shut`, the opening that remains when the eyes are most closed.
 
     Parameters
     ----------
     neutral : (66, 3) float64
-        Neutral shape.
+        Neutral shape: head frame, outer-eye distances.
     shapes : (N, 66, 3) float64
-        Shapes of the performance.
+        Shapes of the performance, likewise.
 
     Returns
     -------
     float
-        As a fraction of the neutral opening; 0 if the eyes never shut.
+        Opening as a fraction of the neutral one; 0 if the eyes never shut.
 
     Notes
     -----
-    The third smallest opening is used: a blink lasts some frames at any usual rate, a misplaced lid one or two.
+    The third smallest opening is used, as a blink lasts several frames at any usual rate, a misplaced lid one or two.
     """
     opening = eye_apertures(shapes).mean(axis=1)
     at_rest = float(eye_apertures(neutral).mean())
@@ -354,6 +369,6 @@ def shut_level(neutral: FloatArray, shapes: FloatArray) -> float:
 
 
 def _usual(values: FloatArray) -> FloatArray:
-    """(D,) median over frames (N, D), NaN if none is known."""
+    """Median over frames (N, D), (D,); NaN if none is known."""
     known = values[np.isfinite(values).all(axis=1)].astype(np.float64)
     return np.median(known, axis=0) if len(known) else np.full(values.shape[1], np.nan)

@@ -1,4 +1,4 @@
-"""Smoothing of takes, as live or without delay (docs/method.md, section 8.1)."""
+"""Smoothing of takes, either as live or without delay (docs/method.md, section 8.1)."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ CUTOFFS: dict[str, float] = {
     "gaze": 8.0,
     "actions": 6.0,
 }
-"""Cutoffs in Hz, at which half of the amplitude passes, by part."""
+"""Cutoffs in Hz by part, at which half of the amplitude passes."""
 _MIN_CUTOFF, _NO_CUTOFF = 1e-3, 1e5
-"""Hz: the lowest cutoff, and the one above which nothing is smoothed."""
+"""The lowest cutoff in Hz, and the one above which nothing is smoothed."""
 _MAX_STEP = 0.25
-"""Seconds between frames above which nothing is smoothed across."""
+"""Time between frames in seconds across which nothing is smoothed."""
 _MIN_STEP = 1e-3
-"""Least time between frames in seconds: where a part was punched in, two may nearly coincide."""
+"""Smallest time between frames in seconds. Where a part was punched in, two frames may nearly coincide."""
 _MIN_FRAMES = 5
-"""Fewest frames that are smoothed."""
+"""Smallest number of frames that is smoothed."""
 
 
 def smooth_take(take: Take, amount: float = 1.0) -> Take:
@@ -45,7 +45,7 @@ def smooth_take(take: Take, amount: float = 1.0) -> Take:
     Parameters
     ----------
     take : Take
-        The take; returned unchanged if it was smoothed before.
+        The take, which is returned unchanged if it was smoothed before.
     amount : float
         As for `ResultSmoother`; 0 returns the take unchanged.
 
@@ -72,7 +72,7 @@ def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) ->
     take : Take
         The take.
     cutoffs : mapping of str to float, optional
-        Hz by part, overriding `CUTOFFS`; `inf` leaves a part unchanged.
+        Cutoffs in Hz by part, overriding `CUTOFFS`; `inf` leaves a part unchanged.
 
     Returns
     -------
@@ -120,23 +120,23 @@ def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) ->
 
 
 def _runs(times: FloatArray, known: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
-    """Rows of each run of known frames without a gap that is long enough to be smoothed."""
+    """Yield the rows of each run of known frames without a gap that is long enough to be smoothed."""
     rows = np.flatnonzero(known)
     breaks = np.flatnonzero((np.diff(rows) > 1) | (np.diff(times[rows]) > _MAX_STEP)) + 1
     yield from (run for run in np.split(rows, breaks) if len(run) >= _MIN_FRAMES)
 
 
 def low_pass(times: FloatArray, values: FloatArray, cutoff: float) -> FloatArray:
-    """Low-pass filter without delay.
+    """Filter values by a low-pass without delay.
 
     Parameters
     ----------
     times : (N,) float64
-        Increasing, in seconds; need not be even.
+        Times in seconds, increasing and not necessarily even.
     values : (N, D) float64
         Values at these times.
     cutoff : float
-        Hz.
+        Cutoff in Hz, where half of the amplitude passes.
 
     Returns
     -------
@@ -145,17 +145,17 @@ def low_pass(times: FloatArray, values: FloatArray, cutoff: float) -> FloatArray
 
     Notes
     -----
-    Minimises ``sum_i h_i |z_i - y_i|^2 + integral |z''|^2 / (2 pi f_c)^4``, where h_i is the time for which a frame
-    stands (equation 8.1; Whittaker 1923; Eilers 2003). The gain ``1 / (1 + (f / f_c)^4)`` is that of a second-order
-    Butterworth filter run forwards and backwards, but there are no transients at the ends. Straight lines do not
-    change. The system is pentadiagonal, so the cost is linear in N.
+    Minimises ``sum_i h_i |z_i - y_i|^2 + integral |z''|^2 / (2 pi f_c)^4``, where h_i is the time that a frame stands
+    for (equation 8.1; Whittaker 1923; Eilers 2003). The gain ``1 / (1 + (f / f_c)^4)`` is that of a second-order
+    Butterworth filter run forwards and backwards, but there are no transients at the ends. Straight lines are
+    unchanged. The system is pentadiagonal, so the cost is linear in N.
     """
     if not cutoff < _NO_CUTOFF:
         return values
     steps = np.maximum(np.diff(times), _MIN_STEP)
     share = np.convolve(steps, [0.5, 0.5])
     middle = 0.5 * (steps[1:] + steps[:-1])
-    # z'' at the middle of three frames as a second difference, times the root of the time for which it stands.
+    # z'' at the middle of three frames as a second difference, times the root of the time that it stands for.
     weight = np.sqrt(middle) / (middle * (2.0 * pi * cutoff) ** 2)
     first, last = weight / steps[:-1], weight / steps[1:]
     rows = np.stack([first, -(first + last), last])
@@ -170,13 +170,13 @@ def low_pass(times: FloatArray, values: FloatArray, cutoff: float) -> FloatArray
 
 
 def _solve_pentadiagonal(bands: FloatArray, right: FloatArray) -> FloatArray:
-    """(N, D) solution for a symmetric positive definite pentadiagonal matrix, by its factors L D L^T.
+    """Solve a symmetric positive definite pentadiagonal system, (N, D), by the factors L D L^T of its matrix.
 
     `bands[k, i]` (3, N) couples the unknowns i and i + k.
     """
     count = len(right)
     main, near, far = (band.tolist() for band in bands)
-    # Padding with two rows of an identity in front, and two of zeros at the end, avoids special cases.
+    # Padding with two rows of an identity in front, and with two of zeros at the end, avoids special cases.
     d, c, e = [1.0, 1.0], [0.0, 0.0], [0.0, 0.0]
     z = np.zeros((count + 4, right.shape[1]))
     for i in range(count):
@@ -193,12 +193,12 @@ def _solve_pentadiagonal(bands: FloatArray, right: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Curves:
-    """Motion of a part before and after mending: one number per frame, in eye distances, or radians for rotations.
+    """Motion of a part before and after mending, as one number per frame: eye distances, or radians for rotations.
 
     Attributes
     ----------
     times, before : (N,) float64
-        Times in seconds and values before mending.
+        Times in seconds, and values before mending.
     mended_times, after : (M,) float64
         The same after mending.
     """
@@ -210,19 +210,19 @@ class Curves:
 
 
 def before_after(take: Take, mended: Take, part: str) -> Curves:
-    """Curves of a part, before and after, along the direction in which it moves most before.
+    """Compute the curves of a part before and after mending, along the direction of its largest motion before.
 
     Parameters
     ----------
     take, mended : Take
-        Before and after mending.
+        The take before and after mending.
     part : str
         Key in `CUTOFFS`.
 
     Returns
     -------
     Curves
-        NaN where unknown.
+        The curves; NaN where unknown.
     """
     before, after = _PART_VALUES[part](take), _PART_VALUES[part](mended)
     known = np.isfinite(before).all(axis=1)

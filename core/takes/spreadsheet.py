@@ -24,11 +24,11 @@ from .timing import project
 _NOTE = "# facemime take "
 _POSE = ("scale", "pitch", "yaw", "roll", "tx", "ty")
 _SHOWN = ("eye_right_aperture", "eye_left_aperture", "mouth_aperture")
-"""Columns that follow from the shape: written for reference, ignored by `from_csv`."""
+"""Columns that follow from the shape: written for reference, and ignored by `from_csv`."""
 
 
 def _columns(modes: int) -> dict[str, list[str]]:
-    """Names of the columns of each array of a take."""
+    """Return the names of the columns of each array of a take."""
     numbers = IBUG68_INDICES.tolist()
     return {
         "times": ["time"],
@@ -48,9 +48,19 @@ def _columns(modes: int) -> dict[str, list[str]]:
 
 
 def to_csv(take: Take, path: Path) -> None:
-    """Write a take as a table, one row per frame, which `from_csv` reads back exactly.
+    """Write a take as a table with one row per frame, which `from_csv` reads back exactly.
 
-    Parameters and errors are as for `save_take`.
+    Parameters
+    ----------
+    take : Take
+        The take.
+    path : Path
+        The file.
+
+    Raises
+    ------
+    OutputError
+        If `path` cannot be written.
     """
     columns = _columns(take.shape_params.shape[1])
     arrays = [getattr(take, name).reshape(len(take), -1) for name in columns]
@@ -64,22 +74,22 @@ def to_csv(take: Take, path: Path) -> None:
 
 
 def _text(value: Any) -> str:
-    """The shortest text that reads back as the same number; empty for an unknown one."""
+    """Return the shortest text that reads back as the same number; an empty one for an unknown number."""
     if isinstance(value, np.bool_):
         return str(int(value))
     return str(value) if np.isfinite(value) else ""
 
 
 def from_csv(path: Path) -> Take:
-    """Read a table that `to_csv` wrote, or another one with at least time, pose and shape.
+    """Read a table written by `to_csv`, or another one with at least time, pose and shape.
 
-    Columns may be in any order, and others are ignored. Without `found`, a frame has a face if its pose and shape are
-    numbers; without landmarks, these are computed from shape and pose; other missing values are unknown.
+    Columns may be in any order, and unknown ones are ignored. Without `found`, a frame has a face if its pose and shape
+    are numbers; without landmarks, these are computed from shape and pose; other missing values are unknown.
 
     Raises
     ------
     SourceError
-        If the file cannot be read, lacks a column, or contains something that is not a number; the message names it.
+        If the file cannot be read, lacks a column, or contains a value that is not a number; the message states it.
     """
     path = Path(path)
     if not check_readable(path):
@@ -132,7 +142,7 @@ def _read(lines: Iterator[list[str]]) -> Take:
 
 
 def _values(cells: list[list[str]], names: list[str], place: dict[str, int]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """(N, columns) numbers; NaN for empty cells and missing columns."""
+    """Read the numbers of columns, (N, columns); NaN for empty cells and missing columns."""
     values = np.full((len(cells), len(names)), np.nan)
     for column, name in enumerate(names):
         at = place.get(name)

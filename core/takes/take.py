@@ -1,7 +1,7 @@
 """The take: everything that was tracked, with the time of each frame, from which any head can be driven later.
 
-It contains the pose-free 3-D landmarks as well as their parameters, so that it remains usable after the model of the
-tracker has changed.
+It contains the pose-free 3-D landmarks as well as their parameters, so that it remains usable after the tracker's model
+has changed.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class Take:
     Attributes
     ----------
     times : (N,) float64
-        Seconds, strictly increasing; presentation times for a video.
+        Times in seconds, strictly increasing; presentation times for a video.
     landmarks : (N, 66, 2) float32
-        Image frame, pixels; NaN where lost.
+        Positions in pixels; NaN where lost.
     pose : (N, 6) float64
         `(s, pitch, yaw, roll, tx, ty)` as in `TrackResult`; NaN where lost.
     shape_params : (N, K) float32
@@ -46,11 +46,11 @@ class Take:
     landmark_confidence : (N, 66) float32
         Certainty of each landmark, 0 to 1; NaN where unknown.
     pupils : (N, 2, 2) float32
-        Right and left, image frame, pixels; NaN where the eye is shut or the pupil unknown.
+        Centres of the right and left pupil in pixels; NaN where the eye is shut or the pupil unknown.
     gaze : (N, 2) float32
-        `(pitch, yaw)` as in `TrackResult`, radians; NaN where unknown.
+        `(pitch, yaw)` in radians, as in `TrackResult`; NaN where unknown.
     vergence : (N,) float32
-        As in `TrackResult`, radians; NaN where unknown.
+        As in `TrackResult`, in radians; NaN where unknown.
     actions : (N, 15) float32
         As in `TrackResult`; NaN where unknown, as in takes of earlier versions.
     coefficients : (N, 52) float32
@@ -80,7 +80,7 @@ class Take:
         return len(self.times)
 
     def result(self, frame: int) -> TrackResult:
-        """The tracking result of a frame."""
+        """Return the tracking result of a frame."""
         return TrackResult(
             found=bool(self.found[frame]),
             landmarks=self.landmarks[frame].astype(np.float64),
@@ -97,7 +97,7 @@ class Take:
         )
 
     def part(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Take:
-        """The take of the chosen frames."""
+        """Return a take of the chosen frames."""
         return replace(self, **{name: getattr(self, name)[chosen] for name in FIELDS})
 
 
@@ -107,7 +107,7 @@ FIELDS = (
 )
 """Names of the arrays of a take, which have one row per frame."""
 _DTYPES = {"pose": np.float64, "found": np.bool_}
-"""Those of a recorded take; the others are float32."""
+"""Data types of arrays of a recorded take; the others are float32."""
 
 
 def describe(source: str, fps: float, image_size: tuple[int, int], model: str, clock: str = "media") -> dict[str, Any]:
@@ -118,13 +118,13 @@ def describe(source: str, fps: float, image_size: tuple[int, int], model: str, c
     source : str
         Name of the file or the camera.
     fps : float
-        Nominal rate of the source.
+        Nominal rate of the source in frames per second.
     image_size : (int, int)
         Width and height in pixels.
     model : str
         Identifier of the tracker model.
     clock : {"media", "monotonic"}
-        What times count: presentation times of the media, or the clock of the computer.
+        Origin of the times: presentation times of the media, or the clock of the computer.
 
     Returns
     -------
@@ -143,7 +143,7 @@ def describe(source: str, fps: float, image_size: tuple[int, int], model: str, c
 
 
 class TakeRecorder:
-    """Collects results frame by frame; `finish` may be called at any time."""
+    """Collects results frame by frame. `finish` may be called at any time."""
 
     def __init__(self, info: dict[str, Any]) -> None:
         self.info = dict(info)
@@ -159,9 +159,14 @@ class TakeRecorder:
         Parameters
         ----------
         time : float
-            Seconds; has to increase (ValueError).
+            Time in seconds; has to increase from call to call.
         result : TrackResult
-            Of that frame.
+            Result of that frame.
+
+        Raises
+        ------
+        ValueError
+            If the time does not increase.
         """
         check_increase(self._times[-1] if self._times else -np.inf, time)
         self._times.append(time)
@@ -180,7 +185,7 @@ class TakeRecorder:
 
 
 def check_increase(last: float, time: float) -> None:
-    """Raise ValueError if a frame cannot follow another one.
+    """Raise a ValueError if a frame cannot follow another one.
 
     Parameters
     ----------
@@ -201,7 +206,7 @@ def join(takes: Sequence[Take]) -> Take:
 
 
 def check_take(take: Take) -> None:
-    """Raise ValueError if the arrays of `take` are inconsistent."""
+    """Raise a ValueError if the arrays of `take` are inconsistent."""
     count = len(take.times)
     shapes = {
         "times": (count,),

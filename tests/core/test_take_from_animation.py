@@ -164,5 +164,5 @@ def test_places_that_are_no_numbers_are_a_frame_without_a_face():
     landmarks = head.vertices[head.landmarks].astype(float)
     tracker = PointTracker(FacePoints(landmarks, landmarks), np.zeros(3), np.ones(66))
     assert not tracker.track(FacePoints(np.full((66, 3), np.nan), landmarks)).found
-    with pytest.raises(HeadError, match="one place"):
+    with pytest.raises(HeadError, match="coincide"):
         PointTracker(FacePoints(np.zeros((66, 3)), landmarks), np.zeros(3), np.ones(66))
