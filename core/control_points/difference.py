@@ -1,7 +1,7 @@
-"""The difference between the skin moved by some landmarks and by all of them (docs/method.md, section 6.3).
+"""The difference between the skin as moved by some landmarks and by all of them (docs/method.md, section 6.3).
 
-The largest error at a landmark says when points suffice, but not how much skin is wrong. Measuring that needs no true
-motion, as the skin that all landmarks would give is known for every frame of a take.
+The largest error at a landmark shows when the points suffice, but not how much skin is wrong. Measuring that needs no
+true motion, as the skin that all landmarks would give is known for every frame of a take.
 """
 
 from __future__ import annotations
@@ -15,34 +15,35 @@ from ..heads.regions import REGIONS
 from ..mesh.kernels import Kernel, distances
 
 _VERTICES = 4_000
-"""Vertices that are evaluated at most; of more, evenly spaced ones are used."""
+"""Largest number of vertices that are evaluated; of more, evenly spaced ones are used."""
 
 
 class SkinDifference:
-    """Weighted sum of squared distances over vertices, averaged over frames; a call does not depend on either count.
+    """Weighted sum over vertices of squared distances, averaged over frames.
 
-    Vertices that move more weigh less, so that the mouth does not take all points from the eyes and brows.
+    Vertices that move more have lower weights, so that the mouth does not take all points from the eyes and brows. The
+    cost of a call depends neither on the number of vertices nor on that of frames.
 
     Parameters
     ----------
     points : (66, 3) array
-        The landmarks at rest.
+        Landmarks at rest.
     kernel : Kernel
-        Of the regions' functions.
+        Kernel of the regions' functions.
     sigmas : (3,) array
-        Width of `kernel` in each region.
+        Width of `kernel` in each region, in the unit of `points`.
     displacements : (N, 66, 3) array
-        Of the landmarks in each frame, in the unit of `points`.
+        Displacements of the landmarks in each frame, in the unit of `points`.
     vertices : (V, 3) array
         Positions on the skin.
     region_weights : (3, V) array
-        As `RBFDeformer` takes them.
+        As for `RBFDeformer`.
 
     Notes
     -----
     Equation 6.2: ``tr(G^T E^T W E G S)`` with ``G = K (F - I)``, summed over regions. S is the mean of d d^T over
     frames and axes, E the kernel between vertices and landmarks times the region weights, W the weights of the
-    vertices, K the inverse of the regularised kernel matrix, and F maps chosen landmarks to all.
+    vertices, K the inverse of the regularised kernel matrix, and F the matrix from chosen landmarks to all.
     """
 
     def __init__(
@@ -57,7 +58,8 @@ class SkinDifference:
         every = -(-len(vertices) // _VERTICES)
         places, painted = np.asarray(vertices, dtype=np.float64)[::every], np.asarray(region_weights)[:, ::every]
         shares = painted / np.maximum(painted.sum(axis=0), 1.0)
-        # What does not depend on the choice of points is computed here, so that a call is products of small matrices.
+        # Everything that does not depend on the choice of points is computed here, so that a call multiplies only small
+        # matrices.
         covariance = landmark_covariance(displacements)
         parts, squared = [], np.zeros(len(places))
         for region, sigma, share in zip(REGIONS, sigmas.tolist(), shares, strict=True):

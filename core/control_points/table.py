@@ -1,4 +1,4 @@
-"""Control points as a table and a curve, and changes by hand."""
+"""Control points as a table and a curve, and their selection by hand."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .greedy import GreedySelection, GreedyStep
 
 BY_HAND = "added by hand"
 REGION_COLOURS = ((0.10, 0.50, 0.85), (0.95, 0.65, 0.10), (0.05, 0.65, 0.45))
-"""Colours of the regions upper, middle and lower, sRGB, that colour-blind people can tell apart."""
+"""Colours of the regions upper, middle and lower in sRGB, which colour-blind people can distinguish."""
 
 
 @dataclass(frozen=True)
@@ -25,15 +25,15 @@ class PointRow:
     Attributes
     ----------
     landmark : int
-        Position in the 66.
+        Position in the 66 landmarks.
     regions : tuple of int
         Rows of `REGIONS` that it controls; empty if it is not a control point.
     order : int
-        Its number in the order of the selection, from 1; 0 if it was not selected by the search.
+        Position in the order of selection, from 1; 0 if the search did not select it.
     reason : str
-        A muscle, or the error that it removes.
+        A muscle, or the error that the point removes.
     error : float
-        Worst error after it was added, as a fraction of the face's width; NaN if unknown.
+        Worst error after the point was added, as a fraction of the face's width; NaN if unknown.
     """
 
     landmark: int
@@ -44,7 +44,7 @@ class PointRow:
 
 
 def point_rows(selection: GreedySelection | None) -> list[PointRow]:
-    """Rows of all 66 landmarks, in order; without a `selection`, all are control points."""
+    """Return the rows of all 66 landmarks, in order; without a `selection`, all are control points."""
     if selection is None:
         return [PointRow(i, tuple(np.flatnonzero(column).tolist())) for i, column in enumerate(membership().T)]
     added: dict[int, GreedyStep] = {}
@@ -65,18 +65,24 @@ def point_rows(selection: GreedySelection | None) -> list[PointRow]:
 
 
 def add_by_hand(selection: GreedySelection, landmark: int) -> GreedySelection:
-    """Return a selection with a landmark as a control point of all its regions.
+    """Add a landmark to a selection, as a control point of all its regions.
 
     Parameters
     ----------
     selection : GreedySelection
+        The selection.
     landmark : int
-        Position in the 66.
+        Position in the 66 landmarks.
+
+    Returns
+    -------
+    GreedySelection
+        The new selection.
 
     Raises
     ------
     HeadError
-        If it is a control point already.
+        If the landmark is already a control point.
     """
     if selection.membership[:, landmark].any():
         raise HeadError(f"Landmark {IBUG68_INDICES[landmark]} is already a control point. Choose another one.")
@@ -84,12 +90,24 @@ def add_by_hand(selection: GreedySelection, landmark: int) -> GreedySelection:
 
 
 def drop_by_hand(selection: GreedySelection | None, landmark: int) -> GreedySelection:
-    """Return a selection without a landmark; parameters as for `add_by_hand`, where None stands for all landmarks.
+    """Remove a landmark from a selection.
+
+    Parameters
+    ----------
+    selection : GreedySelection or None
+        The selection; None stands for one of all landmarks.
+    landmark : int
+        Position in the 66 landmarks.
+
+    Returns
+    -------
+    GreedySelection
+        The new selection.
 
     Raises
     ------
     HeadError
-        If it is not a control point, or the last one of a region.
+        If the landmark is not a control point, or is the last one of a region.
     """
     selection = selection or GreedySelection(membership(), (), 0.0, True)
     column = selection.membership[:, landmark]
@@ -114,7 +132,7 @@ def _changed(
 
 
 def error_curve(selection: GreedySelection) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Numbers of control points, ascending, and the lowest worst error that was reached with each."""
+    """Return numbers of control points, ascending, and the lowest worst error that was reached with each."""
     best: dict[int, float] = {}
     for step in selection.steps:
         if np.isfinite(step.error):
@@ -131,12 +149,12 @@ def draw_curve(selection: GreedySelection, width: int = 320, height: int = 200) 
     selection : GreedySelection
         The selection.
     width, height : int
-        Pixels.
+        Size in pixels.
 
     Returns
     -------
     (height, width, 4) float32
-        RGBA, bottom row first as in Blender. The background is transparent and the ink legible on light and dark
+        RGBA, bottom row first as in Blender. The background is transparent, and the ink is legible on light and dark
         panels.
     """
     counts, errors = error_curve(selection)

@@ -1,4 +1,4 @@
-"""How the skin moves under actions that no landmark shows (docs/method.md, section 5.9)."""
+"""Motion of the skin under actions that no landmark shows (docs/method.md, section 5.9)."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from .expressions import transferred
 from .rbf import RBFDeformer
 
 _BLEND = 0.1
-"""Half the width, in outer-eye distances, of the middle of the face where the sides of a unit overlap."""
+"""Half width, in outer-eye distances, of the middle of the face, where the two sides of a unit overlap."""
 
 
 def action_modes(rig: HeadRig, deformer: RBFDeformer) -> NDArray[np.float32]:
-    """Displacements by which each action adds to what the landmarks do.
+    """Compute the displacements that each action adds to those that follow from the landmarks.
 
     Parameters
     ----------
@@ -30,22 +30,23 @@ def action_modes(rig: HeadRig, deformer: RBFDeformer) -> NDArray[np.float32]:
     Returns
     -------
     (15, V, 3) float32
-        Head frame, unit of the mesh, at activation 1; those of the tongue, which is no part of the skin, are 0.
+        Displacements at activation 1, in the head frame and the unit of the mesh. Those of the tongue, which is not
+        part of the skin, are 0.
 
     Notes
     -----
     Equation 5.8: ``B_k = U_k - D(U_k)``, where U_k is the face unit of the built-in head, carried over to this head,
-    and D(U_k) what the deformer makes of its displacements at the landmarks. Landmarks therefore stay where they were
-    tracked.
+    and D(U_k) is the response of the deformer to its displacements at the landmarks. Landmarks therefore stay where
+    they were tracked.
     """
     modes = transferred(_units(), rig.vertices, rig.landmarks, rig.region_weights)
-    for _ in range(2):  # the deformer meets its landmarks only nearly
+    for _ in range(2):  # twice, as the deformer meets its landmarks only approximately
         modes -= np.stack([deformer.deform(mode[rig.landmarks]) for mode in modes]) - deformer.rest
     return modes
 
 
 def _units() -> FloatArray:
-    """(15, B, 3) displacements of the built-in head's skin; of a unit with both sides each half by itself."""
+    """Displacements of the built-in head's skin, (15, B, 3); units for both sides are split into halves."""
     head = load_head()
     unit = outer_eye_distance(head.vertices[head.landmarks])
     left = np.clip(0.5 + 0.5 * head.vertices[:, 0] / (_BLEND * unit), 0.0, 1.0)

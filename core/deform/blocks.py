@@ -1,13 +1,13 @@
 """The product of a frame, ``rest + A d``, in blocks of low rank (docs/method.md, section 5.7).
 
-A frame is limited by the reading of `A`, which exceeds the CPU's caches on a head of 100,000 vertices. Within a small
-piece of the face, however, all control points together move the vertices in few ways, as the fields are smooth.
-Vertices of the same regions are therefore grouped into pieces, and each piece keeps the strongest singular vectors of
-its rows: ``A ~ U (Y d)``, with a bound on the error. A sparse matrix would be slower, as its rows are short.
+A frame is limited by reading `A`, which exceeds the CPU's caches on a head of 100,000 vertices. Within a small piece of
+the face, however, all control points together move the vertices in only a few ways, as the fields are smooth. Vertices
+of the same regions are therefore grouped into pieces, and each piece keeps the strongest singular vectors of its rows:
+``A ~ U (Y d)``, with a bound on the error. A sparse matrix would be slower, as its rows are short.
 
 Blocks are stored as (rank, vertices). Their transpose times four columns (three coordinates and one of zeros, as matrix
 products with four columns are faster) gives contiguous coordinates, which are then reordered to the mesh. On a small
-mesh reordering would cost more than it saves, and a single exact block is used.
+mesh, where reordering would cost more than it saves, a single exact block is used.
 """
 
 from __future__ import annotations
@@ -19,18 +19,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 TOLERANCE = 5e-4
-"""Error allowed at a vertex, over the root of the sum of the squared displacements of all control points."""
+"""Error allowed at a vertex, relative to the root of the sum of the squared displacements of all control points."""
 _MAX_PIECE = 2_048
-"""Largest number of vertices of a piece: smaller pieces have lower ranks, but need more calls."""
+"""Largest number of vertices of a piece. Smaller pieces have lower ranks, but need more calls."""
 _EXACT_VERTICES = 4_096
-"""Largest mesh for which a single exact block is used."""
+"""Largest number of vertices of a mesh for which a single exact block is used."""
 _CHUNK = 30_000
-"""Vertices reordered at a time, which fit into the CPU's second-level cache."""
+"""Number of vertices reordered at a time, which fit into the CPU's second-level cache."""
 
 
 @dataclass(frozen=True)
 class RegionMatrix:
-    """Matrix of a region: vertices `rows` (Vr,), control points `columns` (Pr,), and `matrix` (Vr, Pr)."""
+    """The matrix of a region.
+
+    Attributes
+    ----------
+    rows : (Vr,) intp
+        Vertices that the region moves.
+    columns : (Pr,) intp
+        Control points of the region.
+    matrix : (Vr, Pr) float32
+        The matrix.
+    """
 
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
@@ -38,14 +48,14 @@ class RegionMatrix:
 
 
 class BlockProduct:
-    """``rest + A d`` for many `d`, prepared once.
+    """The product ``rest + A d`` for many `d`, prepared once.
 
     Parameters
     ----------
     rest : (V, 3) float32
         Rest positions.
     regions : sequence of RegionMatrix
-        Their sum is `A`; they may share vertices.
+        Matrices whose sum is `A`; they may share vertices.
     n_columns : int
         Number of control points.
 
@@ -69,7 +79,7 @@ class BlockProduct:
             pieces = [order]
             factors = [(build_rows(order), np.eye(n_columns, dtype=np.float32))]
         else:
-            # 1. Group the vertices into pieces; those that nothing moves come last. Factor the rows of each piece.
+            # 1. Group the vertices into pieces, with unmoved ones last, and factor the rows of each piece.
             pieces = [piece for vertices in build_rows.classes() for piece in _pieces(rest, vertices)]
             still = np.ones(count, dtype=np.bool_)
             still[np.concatenate(pieces)] = False
@@ -106,9 +116,9 @@ class BlockProduct:
         Parameters
         ----------
         displacements : (P, 3) float32
-            `d`, of the control points.
+            Displacements `d` of the control points.
         out : (V, 3) float32
-            C-contiguous; overwritten by the result.
+            C-contiguous array for the result, which is overwritten.
         """
         self._inputs[:3, :-3] = displacements.T
         # d -> Y d for all blocks at once, then U (Y d) per block.
@@ -119,7 +129,7 @@ class BlockProduct:
         if self._place is None:
             cv2.cvtColor(self._moved, cv2.COLOR_BGRA2BGR, result)
             return
-        # Back to the order of the mesh; OpenCV drops the fourth column faster than numpy does.
+        # Back to the order of the mesh. OpenCV drops the fourth column faster than numpy does.
         for start in range(0, len(self._place), _CHUNK):
             place = self._place[start : start + _CHUNK]
             part = self._sorted[:, : len(place)]
@@ -145,7 +155,7 @@ class _RowBuilder:
         return rows
 
     def classes(self) -> list[NDArray[np.intp]]:
-        """Vertices grouped by the set of regions that move them; small groups, which lie along slits, are joined."""
+        """Group vertices by the set of regions that move them; small groups, which lie along slits, are joined."""
         bits = np.left_shift(1, np.arange(len(self._regions)))
         key = bits @ (self._places >= 0)
         keys, counts = np.unique(key[key > 0], return_counts=True)
@@ -155,7 +165,7 @@ class _RowBuilder:
 
 
 def _pieces(places: NDArray[np.float32], vertices: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Split `vertices` into compact pieces by halving across the widest side, with positions `places` (V, 3)."""
+    """Split `vertices`, with positions `places` (V, 3), into compact pieces by halving across the widest side."""
     if len(vertices) <= _MAX_PIECE:
         return [np.sort(vertices)]
     there = places[vertices]
@@ -165,9 +175,9 @@ def _pieces(places: NDArray[np.float32], vertices: NDArray[np.intp]) -> list[NDA
 
 
 def _factors(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """`left` (N, K) and orthonormal `modes` (K, P) whose product approximates each row within the tolerance."""
+    """Return `left` (N, K) and orthonormal `modes` (K, P) whose product approximates each row within the tolerance."""
     exact = rows.astype(np.float64)
-    # Right singular vectors from the Gram matrix, strongest first.
+    # Right singular vectors from the Gram matrix, the strongest first.
     _, vectors = np.linalg.eigh(exact.T @ exact)
     modes = vectors[:, ::-1].T.astype(np.float32)
     left = rows @ modes.T

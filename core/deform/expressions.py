@@ -1,9 +1,9 @@
-"""Correlation of motion, learnt from expression shapes of known heads (docs/method.md, section 5.5).
+"""Correlation of motion, learnt from the expression shapes of known heads (docs/method.md, section 5.5).
 
-The skin alone does not know that a lower lid moves with the cheek, and not with the bridge of the nose, which is as
-near. The covariance of its process therefore gains a term that is large between places that move alike in known
-expressions (Luethi et al. 2018). It is a correlation and not a covariance, as the amount of motion differs between
-heads much more than what moves together.
+The skin alone does not show that a lower lid moves with the cheek, but not with the bridge of the nose, which is
+equally near. The covariance of its process therefore gains a term that is large between places that move alike in known
+expressions (Luethi et al. 2018). It is a correlation rather than a covariance, because the amount of motion differs
+between heads much more than which places move together.
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ LEARNT_WEIGHT = 0.7
 REACH = 0.2
 """Weight of the learnt term relative to the process, and its reach in outer-eye distances (equation 5.7)."""
 _FEATURES = 24
-"""Singular vectors that are kept."""
+"""Number of singular vectors that are kept."""
 _REST_MOTION = 0.03
-"""Motion in outer-eye distances below which a place counts as resting (equation 5.6): noise has no direction."""
+"""Motion in outer-eye distances below which a place counts as resting (equation 5.6), as noise has no direction."""
 _REGION_DISTANCE = 0.2
-"""Outer-eye distances for which a difference of 1 in region weights stands in the search for nearest places."""
+"""Distance, in outer-eye distances, that a difference of 1 in region weights stands for in the search for nearest
+places."""
 _NEIGHBOURS = 4
 _CHUNK = 4_000
-"""Vertices at a time, which fit into the CPU's second-level cache."""
+"""Number of vertices processed at a time, which fit into the CPU's second-level cache."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class ExpressionModel:
     features : (S, K) float32
         Features whose inner products are the correlations of motion.
     landmarks : (66, 3) float32
-        In the frame of `places`.
+        Positions of the landmarks in the frame of `places`.
     """
 
     places: NDArray[np.float32]
@@ -74,7 +75,7 @@ class ExpressionModel:
         Returns
         -------
         (V, K) float32
-            Features; 0 where no region moves the vertex.
+            Features; 0 at vertices that no region moves.
         """
         places = _normalised(vertices, landmarks)
         moving = np.flatnonzero(region_weights.any(axis=0))
@@ -105,7 +106,7 @@ def learn(
     vertices, landmarks, region_weights : (V, 3), (66,), (3, V) array
         As in `HeadRig`.
     motions : (E, V, 3) array
-        Displacements under each expression, unit of `vertices`.
+        Displacements under each expression, in the unit of `vertices`.
     kept : (S,) array of int, optional
         Vertices to keep, for a small file; by default all that move.
 
@@ -116,13 +117,13 @@ def learn(
 
     Notes
     -----
-    The features are ``h(x) = m(x) / sqrt(|m(x)|^2 + 3 c^2)`` (equation 5.6), where m(x) holds all coordinates of all
+    The features are ``h(x) = m(x) / sqrt(|m(x)|^2 + 3 c^2)`` (equation 5.6), where m(x) contains all coordinates of all
     motions of the place x, projected to their strongest singular vectors.
     """
     unit = outer_eye_distance(np.asarray(vertices)[landmarks])
     places = _normalised(vertices, landmarks)
     moving = np.flatnonzero(region_weights.any(axis=0)) if kept is None else np.asarray(kept)
-    # m(x) for all places, one row each; equation 5.6.
+    # m(x) of all places, one row each; equation 5.6.
     flat = motions[:, moving].transpose(1, 0, 2).reshape(len(moving), -1) / unit
     size = np.sqrt(np.square(flat).sum(axis=1, keepdims=True) / 3.0 + _REST_MOTION**2)
     alike = flat / (np.sqrt(3.0) * size)
@@ -137,7 +138,7 @@ def learn(
 
 
 def shipped_expressions() -> tuple[ExpressionModel, ...]:
-    """Models of the two known heads: ICT-FaceKit and the built-in head."""
+    """Return the models of the two known heads: ICT-FaceKit's and the built-in one."""
     return load_expressions(), _built_in()
 
 
@@ -148,19 +149,24 @@ def learnt_covariance(
     landmarks: IntArray,
     region_weights: FloatArray,
 ) -> SkinCovariance:
-    """Covariance of the process on the skin plus the learnt correlation, averaged over models.
+    """Compute the covariance of the process on the skin plus the learnt correlation, averaged over models.
 
     Parameters
     ----------
     models : tuple of ExpressionModel
-        Known heads.
+        Models of known heads.
     vertices, faces, landmarks, region_weights
         As for `skin_covariance`.
 
+    Returns
+    -------
+    SkinCovariance
+        Covariance between vertices and landmarks, and among landmarks.
+
     Notes
     -----
-    Adds ``w h(x) . h(y) exp(-|x - y|^2 / (2 REACH^2))`` with ``w = LEARNT_WEIGHT`` between places x and y with features
-    h (equation 5.7).
+    The term ``w h(x) . h(y) exp(-|x - y|^2 / (2 REACH^2))`` with ``w = LEARNT_WEIGHT`` is added between places x and y
+    with features h (equation 5.7).
     """
     skin = skin_covariance(vertices, faces, landmarks, region_weights)
     # Features side by side, scaled so that inner products are means over the models.
@@ -181,12 +187,12 @@ def learnt_covariance(
 
 @lru_cache(maxsize=1)
 def load_expressions(path: Path = EXPRESSIONS_FILE) -> ExpressionModel:
-    """Read a model that `training.expressions` wrote.
+    """Read a model written by `training.expressions`.
 
     Raises
     ------
     ModelError
-        If the file is missing, damaged, or of another version.
+        If the file is missing, damaged, or of a different version.
     """
     with open_shipped(path, FORMAT) as archive:
         places = archive.floats("places", (None, 3), np.float32)
@@ -212,14 +218,14 @@ def transferred(
     Parameters
     ----------
     motions : (E, B, 3) array
-        Displacements of the vertices of the built-in head, metres.
+        Displacements of the vertices of the built-in head in metres.
     vertices, landmarks, region_weights : (V, 3), (66,), (3, V) array
         As in `HeadRig`.
 
     Returns
     -------
     (E, V, 3) float32
-        Displacements in the unit of `vertices`; 0 where no region moves the vertex.
+        Displacements in the unit of `vertices`; 0 at vertices that no region moves.
     """
     known = load_head()
     moving = np.flatnonzero(known.regions.any(axis=0))
@@ -245,7 +251,7 @@ def _normalised(vertices: FloatArray, landmarks: IntArray) -> FloatArray:
 
 
 def _sides(region_weights: FloatArray) -> FloatArray:
-    """(V, 3) share of each region in the weights of a vertex."""
+    """Share of each region in the weights of a vertex, (V, 3)."""
     weights = np.asarray(region_weights, dtype=np.float64)
     return np.asarray((weights / np.maximum(weights.sum(axis=0), 1e-9)).T)
 

@@ -1,8 +1,8 @@
-"""How landmarks that are not control points follow those that are (docs/method.md, section 6.1).
+"""Motion of landmarks that are not control points, which follow those that are (docs/method.md, section 6.1).
 
 A radial basis function predicts them by distance alone. If their motion in a take is known, a ridge regression corrects
-what distance gets wrong. It uses the control points of the same region only, and a strong ridge, so that it also helps
-with expressions that the take did not contain (docs/deformation.md).
+the error of that prediction. It uses only the control points of the same region, and a strong ridge, so that it also
+helps with expressions that the take does not contain (docs/deformation.md).
 """
 
 from __future__ import annotations
@@ -17,12 +17,13 @@ from ..mesh.kernels import Kernel, distances
 
 REGULARISATION = 1e-3
 _RIDGE = 0.2
-"""Share of the mean variance of a region's control points. With 0.2, half the points raise the error by 8 and 6 % (on
-ICT-FaceKit and the built-in head) for what the take shows; for other expressions the error falls by 0.8 to 6 %."""
+"""Ridge as a share of the mean variance of a region's control points. With 0.2, half the points raise the error by 8
+and 6 % (on ICT-FaceKit and the built-in head) for motion that the take contains; for other expressions the error falls
+by 0.8 to 6 %."""
 
 
 def landmark_covariance(displacements: FloatArray) -> FloatArray:
-    """(66, 66) second moments of the landmarks' `displacements` (N, 66, 3), averaged over frames and axes."""
+    """Second moments (66, 66) of the landmarks' `displacements` (N, 66, 3), averaged over frames and axes."""
     moved = np.asarray(displacements, dtype=np.float64).transpose(1, 0, 2).reshape(displacements.shape[1], -1)
     return np.asarray(moved @ moved.T / moved.shape[1])
 
@@ -30,14 +31,14 @@ def landmark_covariance(displacements: FloatArray) -> FloatArray:
 def follow_in_region(
     phi: FloatArray, covariance: FloatArray | None, chosen: NDArray[np.intp], regularisation: float = REGULARISATION
 ) -> FloatArray:
-    """Matrix from the displacements of a region's control points to those of all its landmarks.
+    """Compute the matrix from the displacements of a region's control points to those of all its landmarks.
 
     Parameters
     ----------
     phi : (P, P) array
         Kernel between the landmarks of the region.
     covariance : (P, P) array or None
-        Covariance of their displacements in a take; without it, distance alone decides.
+        Covariance of the landmarks' displacements in a take; None to predict by distance alone.
     chosen : (C,) array of int
         Which of the P landmarks are control points.
     regularisation : float
@@ -52,7 +53,7 @@ def follow_in_region(
     # F_0: by distance alone.
     matrix = np.linalg.solve(phi[pairs] + regularisation * np.eye(len(chosen)), phi[chosen]).T
     if covariance is not None and (spread := covariance[pairs]).any():
-        # Equation 6.1: regress what F_0 gets wrong on the control points.
+        # Equation 6.1: regress the error of F_0 on the control points.
         ridge = _RIDGE * np.trace(spread) / len(chosen)
         wrong = covariance[chosen] - spread @ matrix.T
         matrix += np.linalg.solve(spread + ridge * np.eye(len(chosen)), wrong).T
@@ -68,27 +69,27 @@ def follow_matrix(
     sigmas: FloatArray,
     regularisation: float = REGULARISATION,
 ) -> FloatArray:
-    """Matrix from the displacements of the control points to those of all landmarks.
+    """Compute the matrix from the displacements of the control points to those of all landmarks.
 
     Parameters
     ----------
     landmarks : (66, 3) array
         Rest positions.
     members : (3, 66) array of bool
-        Whether a landmark is a control point of a region; if so, of all regions to which it belongs.
+        Whether a landmark is a control point of a region, and then of all regions to which it belongs.
     covariance : (66, 66) array or None
-        As `landmark_covariance` returns it for a take.
+        As returned by `landmark_covariance` for a take; None to predict by distance alone.
     kernel : Kernel
-        Of the regions' functions.
+        Kernel of the regions' functions.
     sigmas : (3,) array
-        Width of the kernel in each region.
+        Width of the kernel in each region, in the unit of `landmarks`.
     regularisation : float
         As for `RBFDeformer`.
 
     Returns
     -------
     (66, 66) float64
-        Columns of landmarks that are not control points are 0.
+        The matrix; columns of landmarks that are not control points are 0.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What rides on the skin: lashes, brows, a beard, the wall of the mouth (docs/method.md, section 5.10)."""
+"""Parts that ride on the skin: lashes, brows, a beard, the wall of the mouth (docs/method.md, section 5.10)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from ..mesh.nearest import NearestPoints
 
 _NEIGHBOURS = 10
 _BREADTH = 0.02
-"""Outer-eye distances by which the neighbourhood of a root is wider than its distance from the skin."""
+"""Distance, in outer-eye distances, by which the neighbourhood of a root is wider than its distance from the skin."""
 _STIFFNESS = 1e-3
-"""Share of its inertia by which a neighbourhood resists turns that it does not determine, such as one about a line."""
+"""Share of its inertia by which a neighbourhood resists rotations that it does not determine, such as about a line."""
 
 
 class Glue:
@@ -21,22 +21,23 @@ class Glue:
     Parameters
     ----------
     points : (N, 3) array
-        Points at rest.
+        Points at rest, in the frame and unit of the skin.
     roots : (N,) array of int
-        The point at which each is rooted in the skin: of a lash, its end at the lid; itself if it lies on the skin.
+        Point at which each is rooted in the skin: for a lash, its end at the lid; itself for a point on the skin.
     skin : (U, 3) array
         Vertices of the skin at rest.
     sides : (U,) array of int
-        A root is held by the side of the skin that is nearest: an upper lash not by the lower lid.
+        Side of a slit for each vertex of the skin. A root is held by the nearest side only, so that an upper lash does
+        not follow the lower lid.
     unit : float
-        Outer-eye distance.
+        Outer-eye distance, in the unit of the skin.
 
     Notes
     -----
-    With the displacements d_i of the nearest vertices of the skin, r_i their positions from the weighted mean, and
-    weights w_i, the point turns by the rotation vector that fits them best (equation 5.9),
-    ``omega = (sum w_i (|r_i|^2 - r_i r_i^T))^-1 sum w_i r_i x d_i``, about the mean, and moves with it. The length of
-    omega is the sine of the angle, up to a right angle.
+    Let d_i be the displacements of the nearest vertices of the skin, r_i their positions relative to the weighted mean,
+    and w_i weights. A point is rotated about the mean by the vector that fits best (equation 5.9),
+    ``omega = (sum w_i (|r_i|^2 - r_i r_i^T))^-1 sum w_i r_i x d_i``, and moves with the mean. The length of omega is
+    the sine of the angle, up to a right angle.
     """
 
     def __init__(self, points: FloatArray, roots: IntArray, skin: FloatArray, sides: IntArray, unit: float) -> None:
@@ -56,15 +57,15 @@ class Glue:
         self._arms = (places - middle[self._places]).astype(np.float32)
 
     def tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """What `move` computes with, for another program.
+        """Return the tables that `move` uses, for evaluation in another program.
 
         Returns
         -------
         points : (N, 4) float32
-            Middle of the neighbourhood of each point, and the number of its root.
+            Middle of the neighbourhood of each point, and the index of its root.
         roots : (R, K, 3, 4) float32
-            For each neighbour of each root, the matrix from its displacement to the turn; in the fourth column, the
-            vertex of the skin, its weight, and 0.
+            For each neighbour of each root, the matrix from its displacement to the rotation vector; in the fourth
+            column, the vertex of the skin, its weight, and 0.
         """
         roots = np.zeros((*self._rows.shape, 3, 4), dtype=np.float32)
         roots[..., :3] = self._turns
@@ -77,12 +78,12 @@ class Glue:
         Parameters
         ----------
         displacements : (U, 3) float32
-            Displacements of the skin.
+            Displacements of the skin, in its frame and unit.
 
         Returns
         -------
         (N, 3) float32
-            Positions.
+            Positions of the moved points.
         """
         near = displacements[self._rows]
         shift = np.einsum("nk,nkc->nc", self._weights, near)
@@ -93,7 +94,7 @@ class Glue:
 def _neighbours(
     roots: FloatArray, skin: FloatArray, sides: IntArray, unit: float
 ) -> tuple[NDArray[np.intp], FloatArray]:
-    """(R, K) vertices of the skin near each root and on its side, and their weights, whose sum is 1."""
+    """Find the vertices of the skin near each root and on its side, and their weights, which sum to 1, (R, K)."""
     count = min(4 * _NEIGHBOURS, len(skin))
     rows, squared = NearestPoints(skin).query(roots, count)
     distance = np.sqrt(np.maximum(squared, 0.0)).astype(np.float64)
@@ -106,14 +107,14 @@ def _neighbours(
 
 
 def _cross(arms: FloatArray) -> FloatArray:
-    """(..., 3, 3) matrices [r]x with ``[r]x d = r x d``."""
+    """Matrices [r]x with ``[r]x d = r x d``, (..., 3, 3)."""
     x, y, z = np.moveaxis(arms, -1, 0)
     zero = np.zeros_like(x)
     return np.asarray(np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3))
 
 
 def _rotated(arms: NDArray[np.float32], turns: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Rotate (N, 3) vectors about those of `turns`, whose length is the sine of the angle (Rodrigues)."""
+    """Rotate (N, 3) vectors by the rotation vectors `turns`, whose length is the sine of the angle (Rodrigues)."""
     length = np.linalg.norm(turns, axis=1, keepdims=True)
     sine = np.minimum(length, np.float32(1.0))
     axis = turns / np.maximum(length, np.float32(1e-12))

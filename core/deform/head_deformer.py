@@ -1,4 +1,4 @@
-"""The deformer of a head, from its regions, control points and kernel."""
+"""The deformer of a head, from its regions, control points and kernel (docs/method.md, section 5.6)."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def head_deformer(
     incremental, exact : bool
         As in `DriveSettings`.
     expressions : tuple of ExpressionModel, optional
-        Known heads for the informed kernel; by default those that are shipped.
+        Models of known heads for the informed kernel; by default the shipped ones.
 
     Returns
     -------
     RBFDeformer or IncrementalDeformer
         Moves the vertices by the displacements of the 66 landmarks. Without faces, or if incremental, the informed
-        kernel is its distance part alone.
+        kernel is reduced to its distance part.
     """
     places = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
     plain = DEFAULT_KERNEL if kernel == INFORMED else kernel

@@ -1,7 +1,7 @@
 """Radial basis functions, one per region, prepared so that a frame is one matrix product (docs/method.md, section 5.1).
 
-The paper refits the weights in every frame. As rest positions do not change, neither does the matrix of the fit: it is
-solved once, together with the evaluation at every vertex. It is never inverted, as Gaussians become ill-conditioned
+The paper refits the weights in every frame. As rest positions do not change, neither does the matrix of the fit, so it
+is solved once, together with the evaluation at every vertex. It is never inverted, as Gaussians become ill-conditioned
 with growing sigma.
 """
 
@@ -23,11 +23,11 @@ from .follow import REGULARISATION
 from .skin import SkinCovariance
 
 MAX_CONDITION = 1e10
-"""Largest condition number of a fit: beyond it, rounding would be visible."""
+"""Largest condition number of a fit, beyond which rounding errors would be visible."""
 _SKIN_SHARE = 0.6
 """Share of the process on the skin in its mean with the regions' functions (section 5.6)."""
 _CHUNK = 4_000
-"""Vertices fitted at a time, which fit into the CPU's second-level cache."""
+"""Number of vertices fitted at a time, which fit into the CPU's second-level cache."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,9 @@ class RegionFit:
     Attributes
     ----------
     rows : (Vr,) intp
-        The vertices that the region moves.
+        Vertices that the region moves.
     columns : (Pr,) intp
-        The control points that move it.
+        Control points that move them.
     sigma : float
         Width of the kernel, in the unit of the vertices.
     condition : float
@@ -60,38 +60,40 @@ class RBFDeformer:
     Parameters
     ----------
     vertices : (V, 3) array_like
-        Rest positions, any frame and unit.
+        Rest positions, in any frame and unit.
     control_points : (P, 3) array_like
-        Rest positions of the control points, same frame.
+        Rest positions of the control points, in the same frame.
     region_weights : (R, V) array_like
-        Weight of each region at each vertex, >= 0, normalised where the sum exceeds one: vertices take the weighted
-        mean of overlapping regions (for weights of 0 and 1, the paper's mean), and move less where weights fade out.
+        Weight of each region at each vertex, at least 0, normalised where the sum exceeds one. Vertices take the
+        weighted mean of overlapping regions (for weights of 0 and 1, the paper's mean), and move less where weights
+        fade out.
     membership : (R, P) array_like of bool
         Whether a control point belongs to a region.
     kernel : str
-        Key in `KERNELS`; by default the Gaussian of the paper.
+        Key in `KERNELS`; by default the paper's Gaussian.
     sigma : float or (R,) array_like, optional
         Width of the kernel, for all regions or for each; by default the spacing of the region's control points times
         `spacing_factor`.
     spacing_factor : float or (R,) array_like
-        For all regions, or for each.
+        Factor of the default width, for all regions or for each.
     regularisation : float
-        Added to the diagonal of the kernel matrix, whose entries are at most one. With 0.001, the skin between control
-        points is smoother than without, and the points are met within 0.5 mm.
+        Added to the diagonal of the kernel matrix, whose entries are at most one. With 0.001 the skin between control
+        points is smoother than with 0, and the points are met within 0.5 mm.
     skin : SkinCovariance, optional
-        A process on the surface of the mesh, over all control points. Vertices that it joins to any of them take a
+        A process on the surface of the mesh, for all control points. Vertices that it joins to any of them take a
         weighted mean of it and the regions' functions.
     follow : (P, P) array_like, optional
-        Matrix from given displacements to those of all control points, as `follow_matrix` returns it; columns of
-        points that are not given are 0. By default all are given.
+        Matrix from given displacements to those of all control points, as returned by `follow_matrix`. Columns of
+        points that are not given are 0. By default all points are given.
 
     Attributes
     ----------
     rest : (V, 3) float32
+        Rest positions.
     fits : tuple of RegionFit
-        Of the regions that have vertices.
+        Fits of the regions that have vertices.
     nbytes : int
-        Memory that the matrices take.
+        Memory of the matrices in bytes.
 
     Raises
     ------
@@ -100,9 +102,9 @@ class RBFDeformer:
 
     Notes
     -----
-    Equations 5.1 and 5.2 (Yao et al. 2019, equations 1 to 3). Preparation costs O(R P^3 + V P); a frame costs V P
-    multiply-adds per coordinate, with the control points P of a vertex's regions. An instance holds the buffers of a
-    frame, so each thread needs its own.
+    Equations 5.1 and 5.2 (Yao et al. 2019, equations 1 to 3). Preparation costs O(R P^3 + V P). A frame costs V P
+    multiply-adds per coordinate, where P counts the control points of a vertex's regions. An instance contains the
+    buffers of a frame, so each thread needs its own.
     """
 
     def __init__(
@@ -139,7 +141,7 @@ class RBFDeformer:
         if not regions:
             raise HeadError("No vertex lies in a region. Paint the regions Upper, Middle and Lower as vertex groups.")
         matrices = [matrix for _, matrix in regions]
-        # Mean with the process on the skin (5.6); landmarks that are not control points follow (6.1).
+        # Mean with the process on the skin (5.6), then landmarks that are not control points follow (6.1).
         if skin is not None:
             used = np.flatnonzero(members[shares.any(axis=1)].any(axis=0))
             matrices = _blend(matrices, fit.surface(skin, shares.sum(axis=0), used), len(rest))
@@ -157,7 +159,7 @@ class RBFDeformer:
         Parameters
         ----------
         displacements : (P, 3) array_like
-            Of the control points from their rest positions, frame and unit of `vertices`.
+            Displacements of the control points from rest, in the frame and unit of `vertices`.
         out : (V, 3) float32, optional
             C-contiguous array for the result.
 
@@ -176,7 +178,7 @@ class RBFDeformer:
         return result
 
     def matrix(self) -> NDArray[np.float32]:
-        """The whole matrix A of ``rest + A d``, (V, P), for analysis; frames do not need it."""
+        """Return the whole matrix A of ``rest + A d``, (V, P), for analysis; frames do not need it."""
         columns = []
         unit = np.zeros((self.n_control_points, 3), dtype=np.float32)
         for column in range(self.n_control_points):
@@ -187,9 +189,9 @@ class RBFDeformer:
 
 
 class IncrementalDeformer:
-    """The method of the paper (its section 3.2): each frame is fitted to the coordinates of the previous one.
+    """The paper's method (its section 3.2), which fits each frame to the coordinates of the previous one.
 
-    It is some fifty times slower than `RBFDeformer`, and the result depends on all frames since `reset`.
+    It is about fifty times slower than `RBFDeformer`, and the result depends on all frames since `reset`.
 
     Parameters
     ----------
@@ -199,13 +201,13 @@ class IncrementalDeformer:
     Raises
     ------
     HeadError
-        As `RBFDeformer`, at rest.
+        As for `RBFDeformer`, at rest.
 
     Notes
     -----
     With coordinates x' and control points c' of the previous frame, ``x = x' + sum_j w_j phi(|x' - c'_j|)``, where the
-    weights fit the steps of the control points (equations 1 to 3). Moving points may come close to one another; so that
-    no frame is refused, singular values below 1e-10 of the largest are left out.
+    weights fit the steps of the control points (equations 1 to 3). Moving points may come close to one another;
+    singular values below 1e-10 of the largest are left out, so that no frame is refused.
     """
 
     def __init__(
@@ -234,7 +236,18 @@ class IncrementalDeformer:
         self._moved = np.zeros_like(self._points)
 
     def deform(self, displacements: ArrayLike, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """As `RBFDeformer.deform`, from the coordinates of the previous frame; depends on all frames since `reset`."""
+        """Deform the mesh from the coordinates of the previous frame.
+
+        Parameters
+        ----------
+        displacements, out
+            As for `RBFDeformer.deform`.
+
+        Returns
+        -------
+        (V, 3) float32
+            The deformed vertices, which depend on all frames since `reset`; `out` if given.
+        """
         moved = as_points(displacements, "displacements", count=self.n_control_points)
         if self._follow is not None:
             moved = self._follow @ moved
@@ -291,7 +304,7 @@ class _Fit:
         return RegionFit(rows, columns, float(sigma), condition), _solve(system, evaluation, rows, columns, share)
 
     def surface(self, skin: SkinCovariance, share: FloatArray, columns: NDArray[np.intp]) -> RegionMatrix:
-        """Fit `skin` to the control points `columns`, for vertices with `share` (V,) that it joins to any."""
+        """Fit `skin` to the control points `columns`, for vertices with `share` (V,) that it joins to any of them."""
         rows = np.flatnonzero((share > 0.0) & skin.vertices.any(axis=1))
         system, _ = self._system(skin.control_points[np.ix_(columns, columns)], "on the skin")
 
@@ -301,7 +314,7 @@ class _Fit:
         return _solve(system, evaluation, rows, columns, share)
 
     def _system(self, phi: FloatArray, where: str) -> tuple[FloatArray, float]:
-        """The regularised kernel matrix, and its condition number."""
+        """Return the regularised kernel matrix and its condition number."""
         system = phi + self.regularisation * np.eye(len(phi))
         condition = float(np.linalg.cond(system))
         if not condition <= MAX_CONDITION:
@@ -319,7 +332,7 @@ def _solve(
     columns: NDArray[np.intp],
     share: FloatArray,
 ) -> RegionMatrix:
-    """The matrix of a fit for the vertices `rows`; `evaluation` returns the kernel between these and its points."""
+    """Compute the matrix of a fit for the vertices `rows`; `evaluation` returns the kernel from them to its points."""
     matrix = np.empty((len(rows), len(columns)), dtype=np.float32)
     for start in range(0, len(rows), _CHUNK):
         part = rows[start : start + _CHUNK]
@@ -328,7 +341,7 @@ def _solve(
 
 
 def _blend(regions: list[RegionMatrix], surface: RegionMatrix, count: int) -> list[RegionMatrix]:
-    """Weighted mean of the regions' functions and the process on the skin; the former alone where the latter ends."""
+    """Mix the regions' functions with the process on the skin; where the process ends, the functions count alone."""
     share = np.ones(count, dtype=np.float32)
     share[surface.rows] -= _SKIN_SHARE
     scaled = [RegionMatrix(r.rows, r.columns, r.matrix * share[r.rows, None]) for r in regions]
@@ -336,7 +349,7 @@ def _blend(regions: list[RegionMatrix], surface: RegionMatrix, count: int) -> li
 
 
 def _apply_follow(region: RegionMatrix, follow: NDArray[np.float32]) -> RegionMatrix:
-    """The matrix of a region times `follow` (P, P), for the displacements of the given control points alone."""
+    """Multiply the matrix of a region by `follow` (P, P), so that it applies to the given control points alone."""
     columns = np.flatnonzero(follow[region.columns].any(axis=0))
     return RegionMatrix(region.rows, columns, region.matrix @ follow[np.ix_(region.columns, columns)])
 

@@ -1,7 +1,7 @@
 """Covariance of a Matern process on the skin, by distance along the surface (docs/method.md, section 5.4).
 
-Lips and lids that touch are far apart along the skin, and so are the two sides of a fold. A kernel of distance in space
-cannot tell them apart; a process on the surface can, without any cut.
+Lips and lids that touch are far apart along the skin, as are the two sides of a fold. A kernel of distance in space
+cannot separate them; a process on the surface can, without any cut.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from ..mesh.kernels import distances
 from ..mesh.sparse import NestedDissection
 
 REACH = 0.25
-"""Reach of the process in outer-eye distances: distance along the skin at which the covariance falls to 0.6."""
+"""Reach of the process in outer-eye distances: the distance along the skin at which the covariance falls to 0.6."""
 _LID_REDUCTION, _LID_EXTENT = 0.7, 0.45
 """Reduction of the reach at the lids, whose skin is thin and folds, and its extent in outer-eye distances (equation
-5.5). It lowered the error at the eyes by 1 % on ICT-FaceKit and 4 % on the built-in head."""
+5.5). It lowered the error at the eyes by 1 % on ICT-FaceKit and by 4 % on the built-in head."""
 _EYES = np.concatenate([EYE_RIGHT, EYE_LEFT])
 _MAX_COTANGENT = 20.0
-"""Cotangents are clipped to this, for the sake of slivers."""
+"""Largest cotangent; larger ones, of slivers, are clipped."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ class SkinCovariance:
     Attributes
     ----------
     vertices : (V, P) float32
-        Between vertices and control points; 0 if no moving skin joins them.
+        Covariance between vertices and control points; 0 if no moving skin joins them.
     control_points : (P, P) float
-        Among the control points.
+        Covariance among the control points.
     """
 
     vertices: NDArray[np.float32]
@@ -46,23 +46,23 @@ class SkinCovariance:
 def skin_covariance(
     vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray
 ) -> SkinCovariance:
-    """Covariance of a Matern process of smoothness 1 on the part of a head that its regions move.
+    """Compute the covariance of a Matern process of smoothness 1 on the part of a head that its regions move.
 
     Parameters
     ----------
     vertices, faces, landmarks, region_weights : (V, 3), (F, K), (66,), (3, V) array
-        As in `HeadRig`, but in any frame.
+        As in `HeadRig`; any frame.
 
     Returns
     -------
     SkinCovariance
-        Between vertices and landmarks, and among landmarks.
+        Covariance between vertices and landmarks, and among landmarks.
 
     Notes
     -----
     Equation 5.4: ``C = B^-1 M B^-1`` with ``B = M / r^2 + L``, where `L` is the cotangent matrix of the surface, `M`
-    holds the areas of the vertices and `r` is the reach. These are the finite elements of ``(1 / r^2 - Laplacian) u =
-    noise`` with free borders (Lindgren, Rue & Lindstroem 2011).
+    contains the areas of the vertices and `r` is the reach. These are the finite elements of ``(1 / r^2 - Laplacian) u
+    = noise`` with free borders (Lindgren, Rue & Lindstroem 2011).
 
     References
     ----------
@@ -104,22 +104,22 @@ def skin_covariance(
 def _cotangent_laplacian(
     vertices: FloatArray, triangles: IntArray, shares: FloatArray
 ) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
-    """Edges (E, 2), their cotangent weights (E,), and the areas of the vertices (V,) (Pinkall & Polthier 1993).
+    """Return edges (E, 2), their cotangent weights (E,), and the areas of the vertices (V,) (Pinkall & Polthier 1993).
 
-    Edges with negative weights, which are opposite obtuse angles, are dropped, so that no vertex moves against its
+    Edges with negative weights, which lie opposite obtuse angles, are dropped, so that no vertex moves against its
     neighbours.
     """
     corners = [vertices[triangles[:, i]] for i in range(3)]
     sides = [corners[(i + 2) % 3] - corners[(i + 1) % 3] for i in range(3)]
     across = np.linalg.norm(np.cross(sides[0], sides[1]), axis=1)
-    # An edge's weight is half the sum of the cotangents of the opposite angles.
+    # The weight of an edge is half the sum of the cotangents of the opposite angles.
     keys, cotangents = [], []
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         cotangent = -np.einsum("tc,tc->t", sides[j], sides[k]) / np.maximum(across, 1e-30)
         cotangents.append(shares * np.clip(cotangent, -_MAX_COTANGENT, _MAX_COTANGENT))
         keys.append(triangles[:, [j, k]].min(axis=1) * len(vertices) + triangles[:, [j, k]].max(axis=1))
-    # Sum over the triangles at each edge, by sorting edges on a single key.
+    # Sum over the triangles at each edge, by sorting edges by a single key.
     key = np.concatenate(keys)
     order = np.argsort(key, kind="stable")
     starts = np.flatnonzero(np.diff(key[order], prepend=-1))
@@ -131,7 +131,7 @@ def _cotangent_laplacian(
 
 
 def _triangles(faces: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray]:
-    """(T, 3) triangles and their weights (T,); quads are split along both diagonals at half weight, for symmetry."""
+    """Divide faces into triangles (T, 3) with weights (T,); quads are split along both diagonals at half weight."""
     corners = (faces >= 0).sum(axis=1)
     parts, shares = [], []
     for count in np.unique(corners[corners > 2]).tolist():

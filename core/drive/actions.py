@@ -1,4 +1,4 @@
-"""How strongly an avatar shows the actions that no landmark does (docs/method.md, section 4.6)."""
+"""The strength with which an avatar shows actions that no landmark does (docs/method.md, section 4.6)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ _BROWS = {
     "browDownRight": (from_ibug((18, 19, 20, 21)), 0.05),
     "browDownLeft": (from_ibug((22, 23, 24, 25)), 0.05),
 }
-"""What landmarks say of the brows: those that move down (y) by that many eye distances for a full action."""
+"""Evidence of landmarks for actions of the brows: landmarks, and their motion down (y) in eye distances for a full
+action."""
 _BROW_ACTIONS = action_indices(_BROWS)
 _RANGES = {
     **{"tongueOut": (0.7, 0.9), "mouthRollLower": (0.3, 0.75), "mouthRollUpper": (0.3, 0.75)},
@@ -23,31 +24,31 @@ _RANGES = {
     **{"noseSneer": (0.2, 0.85), "cheekSquint": (0.3, 0.9)},
 }
 """Activations above rest at which an action begins to be shown, and at which it is shown in full. Faces reach the first
-without acting, as with a tongue that is seen behind the teeth. The second is less than 1, as uncertain networks are
-cautious."""
+without acting, for instance with a tongue that is visible behind the teeth. The second is below 1, as uncertain
+networks are cautious."""
 _MOST_AT_REST = 0.6
 _MOST = np.array([0.6 if name.startswith("mouthRoll") else 1.0 for name in ACTIONS])
-"""Limits of what is shown. A lip that is rolled in further lets the teeth through the skin below it."""
+"""Largest activations that are shown. A lip that is rolled in further would let the teeth through the skin below it."""
 _UPPER = action_indices(name for name in ACTIONS if name.startswith("brow"))
 _MIDDLE = action_indices(name for name in ACTIONS if name.startswith(("nose", "cheekSquint")))
 
 
 class ActionDriver:
-    """Turns tracked activations into those of an avatar.
+    """Converts tracked activations to those of an avatar.
 
     Parameters
     ----------
     rest : (15,) float64
-        `Neutral.actions`; NaN counts as 0.
+        Activations at rest, `Neutral.actions`; NaN counts as 0.
     shape : (66, 3) float64
-        `Neutral.shape`.
+        Shape at rest, `Neutral.shape`.
     strength : (3,) sequence of float
         Gains of the regions upper, middle and lower.
 
     Attributes
     ----------
     gains : (15,) float64
-        Gain of each action: that of its region.
+        Gain of each action, which is that of its region.
     """
 
     def __init__(
@@ -61,7 +62,7 @@ class ActionDriver:
         self._begin, self._full = np.array(ranges).T
 
     def above_rest(self, actions: FloatArray, shape: FloatArray) -> FloatArray:
-        """What is measured above rest.
+        """Return the activations above rest.
 
         Parameters
         ----------
@@ -73,12 +74,12 @@ class ActionDriver:
         Returns
         -------
         (15,) float64
-            0 at rest; NaN if `actions` is unknown.
+            Activations, 0 at rest; NaN if `actions` is unknown.
 
         Notes
         -----
-        ``u = a - a_0``, where a_0 is the activation at rest. Of the brows, which have landmarks, too, it is the mean of
-        both.
+        ``u = a - a_0``, where a_0 is the activation at rest. For the brows, which have landmarks, too, it is the mean
+        of this and the evidence of the landmarks.
         """
         above = actions - self._rest
         moved = _brow_heights(shape) - self._heights
@@ -86,7 +87,7 @@ class ActionDriver:
         return np.asarray(above)
 
     def activations(self, actions: FloatArray, shape: FloatArray) -> FloatArray:
-        """Activations of the avatar.
+        """Return the activations of the avatar.
 
         Parameters
         ----------
@@ -96,12 +97,13 @@ class ActionDriver:
         Returns
         -------
         (15,) float64
-            0 at rest, about 1 for a full action, times the strength of its region; all 0 if `actions` is unknown.
+            Activations: 0 at rest, about 1 for a full action, times the strength of its region. All are 0 if `actions`
+            is unknown.
 
         Notes
         -----
-        Equation 4.5: ``min(max(u - f, 0) / (c - f), 1)``, and at most 0.6 for rolled lips, where u is `above_rest`, f
-        where the action begins to be shown and c where it is shown in full.
+        Equation 4.6: ``min(max(u - f, 0) / (c - f), 1)``, and at most 0.6 for rolled lips, where u is `above_rest`, f
+        is where an action begins to be shown, and c where it is shown in full.
         """
         if not np.isfinite(actions).all():
             return np.zeros(N_ACTIONS)
@@ -110,5 +112,5 @@ class ActionDriver:
 
 
 def _brow_heights(shape: FloatArray) -> FloatArray:
-    """(4,) what the landmarks of a shape (66, 3) say of `_BROWS`, up to a constant."""
+    """Positions of the landmarks of a shape (66, 3) that are evidence for `_BROWS`, up to a constant, (4,)."""
     return np.array([float(shape[rows, 1].mean()) / full for rows, full in _BROWS.values()])

@@ -21,12 +21,12 @@ _KEPT_INFO = (
 
 
 def anonymise(take: Take) -> Take:
-    """Remove the performer's name and face from a take: an average face then moves as the performer's did.
+    """Remove the performer's name and face from a take; an average face then moves as the performer's did.
 
     The shape of each frame becomes the mean face of the model, displaced by `Retargeter`, and landmarks follow from it.
     Shape parameters, pupils and landmark confidences, which depend on the performer's face, are removed, as are names
-    and dates in `info`. The take drives a head as before, up to rounding. The motion remains, by which somebody who
-    knows the performer may recognise them.
+    and dates in `info`. The take drives a head as before, up to rounding. The motion remains, and somebody who knows
+    the performer may recognise them by it.
     """
     info = {key: take.info[key] for key in _KEPT_INFO if key in take.info}
     result = replace(mark_lost(take, np.ones(len(take), bool)), found=take.found.copy(), info=info)

@@ -1,4 +1,4 @@
-"""From a tracking result to a frame of a head: vertices, pose, jaw and gaze, both live and headless."""
+"""From a tracking result to a frame of a head: vertices, pose, jaw and gaze, live and offline."""
 
 from __future__ import annotations
 
@@ -33,26 +33,26 @@ _BY_DEFAULT = DriveSettings()
 
 @dataclass(frozen=True)
 class HeadFrame:
-    """One frame of a driven head.
+    """A frame of a driven head.
 
     Attributes
     ----------
     vertices : (A, 3) float32
-        As in `HeadRig.all_vertices`: head frame, unit of the mesh, without the pose of the head.
+        Positions as in `HeadRig.all_vertices`: head frame, unit of the mesh, without the pose of the head.
     rotation : (3, 3) float64
         Rotation of the head from neutral.
     translation : (3,) float64
-        Translation of the head from neutral, unit of the mesh.
+        Translation of the head from neutral, in the unit of the mesh.
     jaw : (3, 3) float64
         Rotation of lower teeth and tongue about the pivot of the jaw.
     gaze : (2, 3, 3) float64
-        Rotations of the right and left eyeball about their centres, within the head.
+        Rotations of the right and left eyeball about their centres, relative to the head.
     actions : (15,) float64
-        Activations of `actions.ACTIONS`; `vertices` contain all but that of the tongue.
+        Activations of `actions.ACTIONS`; `vertices` include all but that of the tongue.
     displacements : (66, 3) float64
-        Of the landmarks, which move the skin: head frame, unit of the mesh.
+        Displacements of the landmarks, which move the skin: head frame, unit of the mesh.
     keys : (K,) float64
-        Values of the shape keys that move the vertices instead, in the order of `LiveKeys.offsets`; empty without.
+        Values of shape keys that move the vertices instead, in the order of `LiveKeys.offsets`; empty without keys.
     """
 
     vertices: NDArray[np.float32]
@@ -82,7 +82,7 @@ class HeadDriver:
     options : DriveSettings
         Settings.
     reuse : HeadDriver, optional
-        An earlier driver, whose eyes go on, and whose deformer is reused if it has the same rig and kernel.
+        An earlier driver, whose eyes are continued, and whose deformer is reused if rig and kernel are the same.
     """
 
     def __init__(
@@ -123,18 +123,18 @@ class HeadDriver:
 
     @property
     def rest(self) -> NDArray[np.float32]:
-        """(A, 3) vertices at rest, as in `HeadFrame`."""
+        """Vertices at rest, as in `HeadFrame`, (A, 3)."""
         return np.asarray(self.deformer.rest if self.parts is None else self.parts.rest)
 
     def frame(self, result: TrackResult) -> HeadFrame:
         """Compute the head for a tracking result with a face."""
         result = mirror_result(result, MIRROR_WIDTH) if self.options.mirror else result
         posing, planar = self.options.posing, self.options.mode == "planar"
-        # Sections 4.1 to 4.4: landmarks; 4.5: pose within the user's limits.
+        # Landmarks (sections 4.1 to 4.4); pose within the user's limits (4.5).
         displacements = self.retargeter.displacements(result.shape)
         turned = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
         rotation = limit_rotation(turned, posing.rotation_strength, posing.rotation_limit)
-        # Section 5: the skin, what no landmark shows (5.9), and lids that slide over the eyeballs (5.8).
+        # Skin (section 5), actions that no landmark shows (5.9), and lids that slide over the eyeballs (5.8).
         vertices = self.deformer.deform(displacements)
         actions = np.zeros(N_ACTIONS)
         if not self.options.only_landmarks:
@@ -162,7 +162,7 @@ class HeadDriver:
         )
 
     def _translation(self, pose: FloatArray) -> FloatArray:
-        """(3,) translation from neutral in outer-eye distances, by weak perspective (equation 4.4)."""
+        """Translation from neutral in outer-eye distances, (3,), by weak perspective (equation 4.4)."""
         scale, tx, ty = self.neutral.position
         s = float(pose[0])
         sideways = np.array([pose[4] - tx, pose[5] - ty]) / np.sqrt(s * scale)
@@ -172,7 +172,7 @@ class HeadDriver:
 def _modes(
     rig: HeadRig, deformer: RBFDeformer | IncrementalDeformer, options: DriveSettings
 ) -> NDArray[np.float32] | None:
-    """The modes of the actions, for a deformer that knows how faces move."""
+    """Return the modes of the actions, or None for a deformer without knowledge of how faces move."""
     if options.kernel != INFORMED or rig.faces is None or not isinstance(deformer, RBFDeformer):
         return None
     return action_modes(rig, deformer)

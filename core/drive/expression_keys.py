@@ -1,4 +1,4 @@
-"""Sets of shape keys on any head, from the face units of the built-in head (docs/method.md, section 9.6)."""
+"""Sets of shape keys for any head, made from the face units of the built-in head (docs/method.md, section 9.6)."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from .key_sets import CLOSES, KEY_SETS, OPENS, KeySet
 from .parts import PartDriver
 
 _STEPS = 2
-"""Corrections of the landmarks, which the deformer meets only nearly."""
+"""Number of corrections of the landmarks, which the deformer meets only approximately."""
 _REACH = 0.35
-"""Outer-eye distances from the landmarks within which the carried motion counts."""
+"""Distance from the landmarks, in outer-eye distances, within which the carried motion counts."""
 _OPEN = 1e-3
-"""Opening of a lid, in outer-eye distances, below which it does not count as open at rest."""
+"""Opening of a lid, in outer-eye distances, below which it counts as shut at rest."""
 _SEALED = 0.005
-"""Gap of sealed lips in outer-eye distances, unless they are closer at rest."""
+"""Gap between sealed lips in outer-eye distances, unless they are closer at rest."""
 
 
 def expression_keys(rig: HeadRig, keys: KeySet = KEY_SETS["arkit"]) -> tuple[tuple[str, ...], NDArray[np.float32]]:
@@ -41,12 +41,12 @@ def expression_keys(rig: HeadRig, keys: KeySet = KEY_SETS["arkit"]) -> tuple[tup
     rig : HeadRig
         The head, with its eyes, teeth and other parts.
     keys : KeySet
-        By default ARKit's 52 face units.
+        The set; by default ARKit's 52 face units.
 
     Returns
     -------
     names : (K,) tuple of str
-        Those of the set.
+        Names of the keys.
     motions : (K, A, 3) float32
         Displacements of all vertices at value 1, as in `HeadRig.all_vertices`: head frame, unit of the mesh.
 
@@ -54,8 +54,8 @@ def expression_keys(rig: HeadRig, keys: KeySet = KEY_SETS["arkit"]) -> tuple[tup
     -----
     The motion of the built-in head is carried over by a warp of the landmarks. It is corrected by the deformer where
     landmarks have to meet: a lid closes by the same share of its opening as the built-in head's, and stays outside the
-    eyeball; lips that are sealed meet, and neither lips nor lids pass through each other. Lower teeth rotate with the
-    chin about the hinge of the jaw, and eyes as the built-in head's do.
+    eyeball; sealed lips meet; and neither lips nor lids pass through each other. Lower teeth rotate with the chin about
+    the hinge of the jaw, and eyes rotate as the built-in head's do.
     """
     alone, skin = rig.skin()
     source = _Source.of(keys)
@@ -79,9 +79,9 @@ class _Source:
     Attributes
     ----------
     motions : (K, B, 3) float32
-        Displacements of its vertices.
+        Displacements of the vertices of the built-in head.
     shares : (K, 4) float64
-        Opening of each pair of lid landmarks as a share of that at rest; NaN where neither moves.
+        Opening between each pair of lid landmarks as a share of that at rest; NaN where neither moves.
     gazes : (K, 2, 3, 3) float64
         Rotations of the right and left eye.
     """
@@ -114,7 +114,7 @@ class _Maker:
         self._slits = SlitContact(skin.vertices, faces, skin.landmarks, weights)
 
     def motions(self, keys: KeySet) -> NDArray[np.float32]:
-        """(K, V, 3) displacements of the vertices of the skin."""
+        """Return the displacements of the vertices of the skin, (K, V, 3)."""
         skin = self._skin
         made = transferred(self._source.motions, skin.vertices, skin.landmarks, skin.region_weights)
         near = _near(self._rest, self._points, skin.eye_distance)
@@ -135,7 +135,7 @@ class _Maker:
     def _corrected(
         self, row: int, motion: NDArray[np.float32], before: NDArray[np.float32], *, sealed: bool
     ) -> NDArray[np.float32]:
-        """`motion` with lids and lips that meet, on a face that is displaced by `before` already."""
+        """Correct `motion` so that lids and lips meet, on a face that is already displaced by `before`."""
         landmarks = self._skin.landmarks
         for _ in range(_STEPS):
             moved = (before + motion)[landmarks]
@@ -150,7 +150,7 @@ class _Maker:
         return np.asarray(posed - self._rest - before)
 
     def _lids(self, row: int, moved: FloatArray) -> FloatArray:
-        """(66, 3) displacements that lids lack to open or close by the same share as those of the built-in head."""
+        """Displacements (66, 3) that lids lack to open or close by the same share as those of the built-in head."""
         lacking, points = np.zeros_like(self._points), self._points
         source = self._source.motions[row, load_head().landmarks]
         for upper, lower, share in zip(UPPER_LIDS, LOWER_LIDS, self._source.shares[row], strict=True):
@@ -164,7 +164,7 @@ class _Maker:
         return lacking
 
     def _lips(self, row: int, moved: FloatArray, *, sealed: bool) -> FloatArray:
-        """(66, 3) displacements that lips lack to meet if they are sealed, and not to pass through each other."""
+        """Displacements (66, 3) that lips lack to meet if sealed, and not to pass through each other."""
         lacking, posed = np.zeros_like(self._points), self._points + moved
         source = self._source.motions[row, load_head().landmarks]
         if not source[LIPS].any():
@@ -181,7 +181,7 @@ class _Maker:
 
 
 def _move_apart(out: FloatArray, source: FloatArray, upper: int, lower: int, by: FloatArray) -> None:
-    """Add to the displacements `out` (66, 3) what moves two landmarks apart, each as much as in `source` (66, 3)."""
+    """Add displacements to `out` (66, 3) that move two landmarks apart, each in proportion to `source` (66, 3)."""
     part = np.linalg.norm(source[[upper, lower]], axis=1) + 1e-9
     part /= part.sum()
     out[upper] -= part[0] * by
@@ -189,13 +189,13 @@ def _move_apart(out: FloatArray, source: FloatArray, upper: int, lower: int, by:
 
 
 def _mixed(mixtures: FloatArray, units: FloatArray) -> NDArray[np.float32]:
-    """(K, N, 3) mixtures (K, 52) of units (52, N, 3)."""
+    """Mix units (52, N, 3) by `mixtures` (K, 52), (K, N, 3)."""
     flat = mixtures.astype(np.float32) @ units.reshape(len(units), -1)
     return np.asarray(flat.reshape(len(mixtures), -1, 3), dtype=np.float32)
 
 
 def _shares(head: Head, motions: FloatArray) -> FloatArray:
-    """(K, 4) opening of each pair of lid landmarks of the built-in head as a share of that at rest; NaN at rest."""
+    """Opening between the built-in head's pairs of lid landmarks as a share of that at rest, (K, 4); NaN at rest."""
     known = head.vertices[head.landmarks].astype(np.float64)
     moved = motions[:, head.landmarks]
     rest = known[LOWER_LIDS] - known[UPPER_LIDS]
@@ -206,13 +206,13 @@ def _shares(head: Head, motions: FloatArray) -> FloatArray:
 
 
 def _near(vertices: FloatArray, points: FloatArray, unit: float) -> NDArray[np.float32]:
-    """(V, 1) share of the carried motion: far from all landmarks, where the warp is a guess, the deformer leads."""
+    """Share of the carried motion, (V, 1); far from all landmarks, where the warp is a guess, the deformer leads."""
     _, squared = NearestPoints(points).query(vertices)
     return np.asarray(np.exp(-np.maximum(squared, 0.0) / (_REACH * unit) ** 2), dtype=np.float32)
 
 
 def _gazes(head: Head, mixtures: FloatArray) -> FloatArray:
-    """(K, 2, 3, 3) rotations of the right and left eye of the built-in head under mixtures (K, 52) of its units."""
+    """Rotations (K, 2, 3, 3) of the right and left eye of the built-in head under mixtures (K, 52) of its units."""
     turns = np.tile(np.eye(3), (len(mixtures), 2, 1, 1))
     for side, name in enumerate(("eye_right", "eye_left")):
         eye = next(part for part in head.parts if part.name == name)

@@ -1,4 +1,4 @@
-"""Rotation of an avatar's eyes: by the performer's gaze or, if that is unknown, towards the viewer."""
+"""Rotation of an avatar's eyes, by the performer's gaze or, if that is unknown, towards the viewer."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from ..arrays import FloatArray
 from ..rotation import euler_to_matrix, matrix_to_euler
 
 _PARALLEL, _CROSSED, _LASTING = *np.radians((8.0, 40.0)), 5
-"""Vergence, from that at rest, up to which eyes count as parallel, its limit, and the frames for which eyes have to
-be crossed: a misplaced pupil comes and goes."""
+"""Vergence relative to rest, in radians, up to which eyes count as parallel; its limit; and the number of frames for
+which eyes have to be crossed, as a misplaced pupil comes and goes."""
 _LIMIT = np.radians((7.0, 22.0))
-"""Limits of pitch and yaw. Pitch is small, as the lids, which follow the performer's, would hide the iris."""
+"""Limits of pitch and yaw in radians. Pitch is small, as the lids, which follow the performer's, would hide the
+iris."""
 
 
 class EyeDriver:
-    """Turns the eyes of an avatar by the gaze of a performer.
+    """Rotates the eyes of an avatar by the gaze of a performer.
 
-    Shut eyes have no gaze; the avatar's, behind its lids, then keep their last direction.
+    Shut eyes have no gaze; the avatar's eyes then keep their last direction behind the lids.
 
     Parameters
     ----------
@@ -28,7 +29,7 @@ class EyeDriver:
         The performer's usual gaze, `Neutral.gaze`, at which the avatar looks straight ahead. NaN if a take has no gaze;
         the eyes then stay on the viewer.
     parallel : float
-        The performer's vergence at rest, `Neutral.vergence`; NaN if it is unknown, and the eyes then stay parallel.
+        The performer's vergence at rest, `Neutral.vergence`. NaN if it is unknown; the eyes then stay parallel.
     """
 
     def __init__(self, straight: FloatArray, parallel: float = nan) -> None:
@@ -38,12 +39,12 @@ class EyeDriver:
         self._crossed: deque[float] = deque([0.0] * _LASTING, _LASTING)
 
     def follow(self, earlier: EyeDriver) -> None:
-        """Go on where another driver of the same eyes was: shut ones keep their direction, crossed ones are."""
+        """Continue from another driver of the same eyes: shut eyes keep their direction, crossed eyes stay crossed."""
         self._last = earlier._last + np.nan_to_num(earlier._straight - self._straight)
         self._crossed = earlier._crossed.copy()
 
     def rotations(self, gaze: FloatArray, vergence: float, head: FloatArray) -> FloatArray:
-        """Rotations of the eyeballs within the head.
+        """Compute the rotations of the eyeballs relative to the head.
 
         Parameters
         ----------
@@ -52,7 +53,7 @@ class EyeDriver:
         vergence : float
             `TrackResult.vergence`.
         head : (3, 3) float64
-            Rotation of the avatar's head, against which eyes turn that stay on the viewer.
+            Rotation of the avatar's head, which eyes that stay on the viewer compensate.
 
         Returns
         -------
@@ -72,14 +73,14 @@ class EyeDriver:
 
 
 def measured_eyes(gaze: FloatArray, vergence: float) -> FloatArray:
-    """Rotations of eyes whose direction was measured rather than tracked, which need neither limits nor patience.
+    """Compute the rotations of eyes whose direction was measured rather than tracked, without limits or delay.
 
     Parameters
     ----------
     gaze : (2,) float64
-        `(pitch, yaw)` from straight ahead, radians.
+        `(pitch, yaw)` from straight ahead in radians.
     vergence : float
-        As in `TrackResult`, from that at rest; NaN counts as 0.
+        As in `TrackResult`, relative to rest, in radians; NaN counts as 0.
 
     Returns
     -------
@@ -92,9 +93,9 @@ def measured_eyes(gaze: FloatArray, vergence: float) -> FloatArray:
 
 
 def gaze_at_viewer(head: FloatArray) -> FloatArray:
-    """Rotation of the eyes in a head with the rotation `head`, (3, 3), that keeps them on the viewer within the limits.
+    """Return the rotation of the eyes, within the limits, that keeps them on the viewer for a head's rotation (3, 3).
 
-    People mostly look at the screen in front of which they perform, and fixed eyes look dead.
+    People mostly look at the screen in front of them, and fixed eyes look dead.
     """
     pitch, yaw, _ = matrix_to_euler(head.T)
     return _rotation_within_limits(np.array([pitch, yaw]))

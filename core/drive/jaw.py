@@ -12,11 +12,11 @@ from ..rotation import fit_rotation
 from .posing import limit_rotation
 
 _CHIN_ERROR, _CHIN_ERROR_SHARE = 0.01, 0.3
-"""Error of the motion of the chin, whose outline is faint: outer-eye distances, and relative to the motion."""
+"""Error of the motion of the chin, whose outline is faint: in outer-eye distances, and relative to the motion."""
 _LIP_ALONE = 0.03
-"""How far the lower lip moves by itself, in outer-eye distances."""
+"""Motion of the lower lip by itself, in outer-eye distances."""
 _MOST = 2.0
-"""How many times as far as the chin says the jaw is opened at most."""
+"""Largest factor by which the jaw is opened further than the chin suggests."""
 
 
 class Jaw:
@@ -25,9 +25,9 @@ class Jaw:
     Parameters
     ----------
     landmarks : (66, 3) float64
-        At rest: head frame, unit of the mesh.
+        Landmarks at rest: head frame, unit of the mesh.
     hinge : (3,) float64
-        A point of the axis about which the jaw turns.
+        A point on the axis of the jaw.
     """
 
     def __init__(self, landmarks: FloatArray, hinge: FloatArray) -> None:
@@ -40,12 +40,12 @@ class Jaw:
         Parameters
         ----------
         displacements : (66, 3) float64
-            Of the landmarks, head frame, unit of the mesh.
+            Displacements of the landmarks: head frame, unit of the mesh.
 
         Returns
         -------
         (3, 3) float64
-            The rotation that fits the chin, enlarged if the lower lip is further down than this takes it.
+            The rotation that fits the chin, enlarged if the lower lip is further down than that would take it.
         """
         moved = displacements[CHIN]
         rotation = fit_rotation(self._chin, self._chin + moved)
@@ -53,7 +53,7 @@ class Jaw:
         length = float(np.linalg.norm(taken))
         if taken[1] <= 1e-6 * self._unit:
             return rotation
-        # The factor by which both agree best, each in units of its error (equation 4.5).
+        # The factor that agrees best with both, each in units of its error (equation 4.5).
         chin = float(np.linalg.norm(moved.mean(axis=0))) / self._unit
         trust = (chin / (_CHIN_ERROR + _CHIN_ERROR_SHARE * chin)) ** 2
         lip = float(displacements[LOWER_LIPS].mean(axis=0) @ taken) / length

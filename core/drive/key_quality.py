@@ -1,4 +1,4 @@
-"""How good shape keys are that were made on a head: whether they shut lids and lips, and what passes through what."""
+"""Quality of shape keys that were made for a head: how well they shut lids and lips, and what passes through what."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from ..mesh.surface import triangulate
 from .key_sets import CLOSES, OPENS, KeySet
 
 _REACH = 0.2
-"""Outer-eye distances from the landmarks of lids and lips within which triangles are examined."""
+"""Distance from the landmarks of lids and lips, in outer-eye distances, within which triangles are examined."""
 _SHUT = 0.99
-"""Weight of a blink from which a key shuts an eye."""
+"""Weight of a blink above which a key counts as shutting the eye."""
 _STILL = 1e-4
-"""Motion in outer-eye distances below which a vertex rests."""
+"""Motion in outer-eye distances below which a vertex counts as resting."""
 _INSIDE = 0.02
-"""Share of its radius by which a triangle has to be inside an eyeball, and deeper than at rest."""
+"""Share of the radius by which a triangle has to be inside an eyeball, beyond its depth at rest, to be counted."""
 _LIDS = {"eyeBlinkRight": slice(0, 2), "eyeBlinkLeft": slice(2, 4)}
 """Pairs of lid landmarks that each unit shuts."""
 
@@ -37,15 +37,16 @@ class KeyQuality:
     Attributes
     ----------
     name : str
+        Name of the key.
     moved : float
         Largest displacement of a vertex, in outer-eye distances.
     eyes : float
-        Opening that is left of the eyes that it shuts, as a share of that at rest; NaN if it shuts none.
+        Remaining opening of the eyes that the key shuts, as a share of that at rest; NaN if it shuts none.
     lips : float
-        Widest gap of the lips that it seals, in outer-eye distances; NaN if it does not. ARKit's mouthClose is measured
-        together with jawOpen, which it is made for.
+        Widest gap of the lips that the key seals, in outer-eye distances; NaN if it does not seal them. ARKit's
+        mouthClose is measured together with jawOpen, for which it is made.
     crossing : int
-        Triangles of lids and lips that pass through each other or through an eyeball, and do not at rest.
+        Number of triangles of lids and lips that pass through each other or an eyeball, but do not at rest.
     """
 
     name: str
@@ -56,19 +57,21 @@ class KeyQuality:
 
 
 def key_qualities(rig: HeadRig, keys: KeySet, motions: FloatArray) -> list[KeyQuality]:
-    """Measure keys that `expression_keys` made.
+    """Measure keys that were made by `expression_keys`.
 
     Parameters
     ----------
     rig : HeadRig
+        The head.
     keys : KeySet
+        The set.
     motions : (K, A, 3) array
         Displacements of all vertices at value 1, as in `HeadRig.all_vertices`.
 
     Returns
     -------
     list of KeyQuality
-        In the order of the set.
+        The figures, in the order of the set.
     """
     alone, skin = rig.skin()
     measure, unit = _Measure(alone), rig.eye_distance
@@ -85,7 +88,7 @@ def key_qualities(rig: HeadRig, keys: KeySet, motions: FloatArray) -> list[KeyQu
 
 
 def findings(qualities: Sequence[KeyQuality]) -> list[str]:
-    """Say how well keys shut eyes and lips, and how much passes through; what no key does is left out."""
+    """Report how well keys shut eyes and lips, and how much passes through; figures that no key has are left out."""
     found = []
     if eyes := [100 * q.eyes for q in qualities if not np.isnan(q.eyes)]:
         warning = f"Shut eyes stay open by {max(eyes):.1f} % at most"
@@ -101,7 +104,7 @@ def findings(qualities: Sequence[KeyQuality]) -> list[str]:
 
 
 class _Measure:
-    """Figures of the skin of a head under displacements (V, 3) of its vertices."""
+    """Measures the skin of a head under displacements (V, 3) of its vertices."""
 
     def __init__(self, skin: HeadRig) -> None:
         self._rest = np.asarray(skin.vertices, dtype=np.float64)
@@ -116,7 +119,7 @@ class _Measure:
         self._resting = self._crossed(self._rest, moves[self._triangles].any(axis=1))
 
     def eyes(self, motion: FloatArray, shut: Sequence[slice]) -> float:
-        """Opening that is left of the eyes with the given pairs of lids, as a share of that at rest; NaN for none."""
+        """Remaining opening of the eyes with the given pairs of lids, as a share of that at rest; NaN for none."""
         if not shut:
             return float("nan")
         before, after = (lid_gaps((self._rest + moved)[self._landmarks]) for moved in (np.zeros_like(motion), motion))
@@ -128,7 +131,7 @@ class _Measure:
         return float(np.maximum(lip_gaps((self._rest + motion)[self._landmarks]), 0.0).max()) / self._unit
 
     def crossing(self, motion: FloatArray) -> int:
-        """Number of triangles that pass through others or an eyeball, and do not at rest."""
+        """Number of triangles that pass through others or an eyeball, but do not at rest."""
         moves = (np.abs(motion) > _STILL * self._unit).any(axis=1)[self._triangles].any(axis=1)
         if not moves.any():
             return 0
@@ -137,13 +140,13 @@ class _Measure:
         return int((crossed & ~self._resting).sum())
 
     def _crossed(self, places: FloatArray, moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(T,) whether each triangle passes through another."""
+        """Whether each triangle passes through another, (T,)."""
         crossed = np.zeros(len(self._triangles), dtype=bool)
         crossed[crossing_pairs(places, self._triangles, moves)] = True
         return crossed
 
     def _inside(self, posed: FloatArray) -> NDArray[np.bool_]:
-        """(T,) whether the middle of each triangle lies inside an eyeball, and deeper than at rest."""
+        """Whether the middle of each triangle lies inside an eyeball, and deeper than at rest, (T,)."""
         inside = np.zeros(len(self._triangles), dtype=bool)
         for x, y, z, radius in np.asarray(self._eyeballs, dtype=np.float64).reshape(-1, 4):
             before, after = (self._away(places, (x, y, z), self._triangles) for places in (self._rest, posed))

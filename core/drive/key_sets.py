@@ -13,7 +13,7 @@ from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
 OPENS, CLOSES = "jawOpen", "mouthClose"
 """ARKit's unit that opens the jaw, and the one that seals the lips when both are at 1."""
 Weights = Mapping[str, float]
-"""Weight of each unit; a name without its side stands for both sides."""
+"""Weight of each unit; a name without a side stands for both sides."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +23,11 @@ class KeySet:
     Attributes
     ----------
     label : str
-        Name of the set, as users see it.
+        Name of the set in the interface.
     keys : dict of str to Weights
-        The mixture of each key.
+        Mixture of units for each key.
     sealed : frozenset of str
-        Keys in which the lips touch all along.
+        Keys in which the lips touch along their whole length.
     """
 
     label: str
@@ -41,7 +41,7 @@ class KeySet:
 
     @property
     def mixtures(self) -> FloatArray:
-        """(K, 52) weights of the units of each key."""
+        """Weights of the units in each key, (K, 52)."""
         rows = np.zeros((len(self.keys), len(COEFFICIENTS)))
         for row, weights in zip(rows, self.keys.values(), strict=True):
             for name, weight in weights.items():

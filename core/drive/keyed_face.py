@@ -1,4 +1,4 @@
-"""Where the face of a mesh is, by the motion of its shape keys alone (docs/method.md, section 9.4)."""
+"""The place of a face on a mesh, from the motion of its shape keys alone (docs/method.md, section 9.4)."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from ..mesh.nearest import NearestPoints
 from ..rotation import fit_rotation
 
 _MIN_KEYS = 3
-"""Fewest keys from which a place, a size and an attitude follow."""
+"""Smallest number of keys that determine a place, a size and an attitude."""
 _NEIGHBOURS = 32
-"""Nearest vertices among which one that is still free is taken for a landmark."""
+"""Number of nearest vertices among which a free one is sought for a landmark."""
 
 
 @dataclass(frozen=True)
 class KeyedFace:
-    """The place of a face.
+    """The place of a face on a mesh.
 
     Attributes
     ----------
     upright : (3, 3) float64
         Rotation by right angles from the axes of the mesh to those of the head frame.
     landmarks : (66,) intp
-        Vertices near which the landmarks lie, each a different one.
+        Vertices near the landmarks, all different.
     """
 
     upright: FloatArray
@@ -40,31 +40,31 @@ class KeyedFace:
 
 
 def face_from_keys(vertices: FloatArray, mixtures: FloatArray, offsets: Sequence[FloatArray]) -> KeyedFace:
-    """Find the face of a mesh that nobody has bound.
+    """Find the face of a mesh whose landmarks are unknown.
 
     Parameters
     ----------
     vertices : (V, 3) array
-        The mesh, any unit, axes turned by any right angles from the head frame.
+        Vertices in any unit; the axes may differ from those of the head frame by right angles.
     mixtures : (K, 52) array
-        ARKit's units that each key is closest to.
+        ARKit's units that each key resembles, as weights.
     offsets : sequence of (V, 3) array
-        Displacements of each key at value 1.
+        Displacements under each key at value 1.
 
     Returns
     -------
     KeyedFace
-        Its attitude, and vertices at its landmarks.
+        The attitude of the face, and vertices at its landmarks.
 
     Raises
     ------
     HeadError
-        If fewer than three keys move something, or the mesh has too few vertices.
+        If fewer than three keys move anything, or the mesh has too few vertices.
 
     Notes
     -----
-    The mean place at which each key moves the mesh is compared with the one of the same motion of the built-in head;
-    the similarity that fits these places best carries its landmarks over.
+    The mean place at which each key moves the mesh is compared with that of the same motion of the built-in head. The
+    similarity that fits these places best carries the landmarks over.
     """
     head = load_head()
     units = head.units[FITTED].reshape(len(FITTED), -1)
@@ -86,20 +86,20 @@ def face_from_keys(vertices: FloatArray, mixtures: FloatArray, offsets: Sequence
 
 
 def _centre(vertices: FloatArray, motion: FloatArray) -> FloatArray:
-    """(3,) mean of the vertices (V, 3), weighted by how far each moves."""
+    """Mean of the vertices (V, 3), weighted by how far each moves, (3,)."""
     weights = np.linalg.norm(np.asarray(motion, dtype=np.float64), axis=1)
     return np.asarray(weights @ np.asarray(vertices, dtype=np.float64) / weights.sum())
 
 
 def _by_right_angles(rotation: FloatArray) -> FloatArray:
-    """The one of the 24 rotations by right angles that is nearest to a rotation (3, 3)."""
+    """Return the nearest of the 24 rotations by right angles to a rotation (3, 3)."""
     signs = list(product((1.0, -1.0), repeat=3))
     turns = [np.diag(sign)[list(order)] for order in permutations(range(3)) for sign in signs]
     return np.asarray(max((t for t in turns if np.linalg.det(t) > 0), key=lambda t: float((t * rotation).sum())))
 
 
 def _different(vertices: FloatArray, places: FloatArray) -> NDArray[np.intp]:
-    """(66,) a vertex near each place, none of them twice."""
+    """Choose a vertex near each place, (66,), none of them twice."""
     found, _ = NearestPoints(vertices).query(places, min(_NEIGHBOURS, len(vertices)))
     taken: dict[int, None] = {}
     for row in found.tolist():

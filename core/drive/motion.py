@@ -16,14 +16,14 @@ from .driver import HeadDriver
 
 @dataclass(frozen=True)
 class HeadMotion:
-    """The motion of a head over those frames of a take that have a face.
+    """The motion of a head over the frames of a take that have a face.
 
     Attributes
     ----------
     times : (N,) float64
-        Seconds from the first frame of the take. Lost frames are omitted; animation curves bridge them.
+        Times in seconds from the first frame of the take. Lost frames are omitted; animation curves bridge them.
     vertices : (N, A, 3) float32
-        Displacements from rest, as in `HeadFrame`, head frame, unit of the mesh.
+        Displacements from rest, ordered as in `HeadFrame`: head frame, unit of the mesh.
     rotation, jaw : (N, 3, 3) float64
     gaze : (N, 2, 3, 3) float64
     translation : (N, 3) float64
@@ -46,11 +46,11 @@ def drive_take(driver: HeadDriver, take: Take, on_frame: Callable[[int], None] |
     Parameters
     ----------
     driver : HeadDriver
-        Of the head.
+        Driver of the head.
     take : Take
         The take.
     on_frame : callable, optional
-        Called with the number of frames done.
+        Called after each frame with the number of frames done.
 
     Returns
     -------
@@ -102,8 +102,8 @@ def select_distinct_frames(motion: HeadMotion, count: int) -> NDArray[np.intp]:
 
     Notes
     -----
-    Farthest-point sampling (Gonzalez 1985) on the displacements of the vertices, starting at the frame that is farthest
-    from rest.
+    Farthest-point sampling (Gonzalez 1985) of the displacements of the vertices, starting with the frame that is
+    farthest from rest.
     """
     flat = motion.vertices.reshape(len(motion.times), -1)
     squares = np.square(flat).sum(axis=1)

@@ -1,4 +1,4 @@
-"""Motion of a character's parts: eyes turn, lower teeth follow the jaw, lashes ride on the skin, the rest stays."""
+"""Motion of a character's parts: eyes turn, lower teeth follow the jaw, lashes ride on the skin, all else stays."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from ..mesh.pieces import islands
 from ..mesh.surface import SurfaceGraph
 
 _ON_SKIN = 0.03
-"""Outer-eye distances from the skin below which a vertex rides on the skin right below it. Others, such as the end of
-a lash, follow the nearest such vertex of their piece."""
+"""Distance from the skin, in outer-eye distances, below which a vertex rides on the skin directly beneath it. Others,
+such as those at the end of a lash, follow the nearest such vertex of their piece."""
 _MIN_EYE = 8
-"""Fewest vertices of an eye that turns."""
+"""Smallest number of vertices of an eye that turns."""
 
 
 class PartDriver:
-    """Poses all vertices of a head: those of its skin are given, the others follow.
+    """Poses all vertices of a head: those of its skin are given, and the others follow.
 
     Parameters
     ----------
     rig : HeadRig
-        The head.
+        The head with all its parts.
     skin : Skin
-        Its skin.
+        The skin of the head.
     deformed : HeadRig
         The rig of the skin alone.
     """
@@ -53,19 +53,19 @@ class PartDriver:
 
     @property
     def riding(self) -> tuple[NDArray[np.intp], Glue | None]:
-        """The vertices that ride on the skin, and how."""
+        """The vertices that ride on the skin, and the glue that moves them."""
         return self._riding, self._glue
 
     @property
     def copies(self) -> NDArray[np.intp]:
-        """(A,) the vertex of the skin that each vertex is; -1 for other parts."""
+        """Vertex of the skin that each vertex coincides with, (A,); -1 for vertices of other parts."""
         of = np.full(len(self.rest), -1)
         of[self._skin_rows] = self._copies
         return of
 
     @property
     def turning(self) -> list[tuple[str, NDArray[np.intp], NDArray[np.float32]]]:
-        """Name, vertices and centre of what turns: `eye_right`, `eye_left` and `jaw`."""
+        """Name, vertices and centre of each part that turns: `eye_right`, `eye_left` and `jaw`."""
         eyes = [(("eye_right", "eye_left")[side], rows, centre) for side, rows, centre in self._eyes]
         return [*eyes, ("jaw", self._teeth, self._hinge)]
 
@@ -77,18 +77,18 @@ class PartDriver:
         Parameters
         ----------
         skin : (U, 3) float32
-            Vertices of the skin.
+            Positions of the vertices of the skin.
         jaw : (3, 3) float64
             Rotation of the lower teeth about the hinge of the jaw.
         gaze : (2, 3, 3) float64
             Rotations of the right and left eye about their centres.
         planar : bool
-            Whether what rides on the skin keeps its depth.
+            Whether vertices that ride on the skin keep their depth.
 
         Returns
         -------
         (A, 3) float32
-            Vertices as in `HeadRig.all_vertices`.
+            Positions as in `HeadRig.all_vertices`.
         """
         out = self.rest.copy()
         out[self._skin_rows] = skin[self._copies]
@@ -107,7 +107,7 @@ class PartDriver:
         return Glue(points, self._roots(rig, points), deformed.vertices, sides, rig.eye_distance)
 
     def _roots(self, rig: HeadRig, points: FloatArray) -> NDArray[np.intp]:
-        """(N,) the vertex among `points` at which each is rooted: itself on the skin, else the nearest of its piece."""
+        """Vertex among `points` at which each is rooted, (N,): itself on the skin, else the nearest of its piece."""
         _, squared = NearestPoints(self._skin_rest).query(points)
         away = np.sqrt(np.maximum(squared[:, 0], 0.0))
         roots = np.arange(len(points))
@@ -122,13 +122,13 @@ class PartDriver:
 
 
 def _nearest_along(graph: SurfaceGraph, piece: IntArray, seeds: IntArray) -> NDArray[np.intp]:
-    """For each vertex of a piece the seed that is nearest along its edges."""
+    """Find for each vertex of a piece the seed that is nearest along its edges."""
     reached = graph.nearest_seeds(seeds)
     return np.where(reached[piece] >= 0, reached[piece], seeds[0])
 
 
 def _faces_within(rig: HeadRig, rows: IntArray) -> NDArray[np.intp]:
-    """(F, K) faces between the vertices `rows`, as indices into these."""
+    """Faces between the vertices `rows`, (F, K), as indices into these."""
     faces = rig.all_faces
     number = np.full(len(rig.kinds) + 1, -1)
     number[rows] = np.arange(len(rows))

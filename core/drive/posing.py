@@ -18,14 +18,14 @@ def limit_rotation(rotation: FloatArray, strength: float, limit: float) -> Float
     rotation : (3, 3) float64
         The rotation.
     strength : float
-        Factor of its angle.
+        Factor of the angle.
     limit : float
-        Largest angle in radians.
+        Largest angle in radians, after the factor.
 
     Returns
     -------
     (3, 3) float64
-        Rotation about the same axis.
+        The rotation about the same axis.
     """
     if strength == 1.0 and limit >= pi:
         return rotation
@@ -41,14 +41,14 @@ def limit_vector(vector: FloatArray, strength: float, limit: float) -> FloatArra
     vector : (3,) float64
         The vector.
     strength : float
-        Factor of its length.
+        Factor of the length.
     limit : float
-        Largest length.
+        Largest length, after the factor.
 
     Returns
     -------
     (3,) float64
-        The vector.
+        The scaled vector.
     """
     scaled = strength * np.asarray(vector, dtype=np.float64)
     length = float(np.linalg.norm(scaled))

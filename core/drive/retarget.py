@@ -25,18 +25,19 @@ from .settings import Mode
 _MEETING_RIMS = ((UPPER_LIDS, LOWER_LIDS), (UPPER_LIPS, LOWER_LIPS))
 """Upper and lower landmarks that must not cross."""
 _LIP_GAIN, _CORNER_GAIN = (1.4, 1.3), 1.1
-"""Gains of the lips' motion across and down, and of the corners' down. The tracker sees less of it than there is, as
-its experts are unsure about lips and its shape model draws them towards the mean: in nine clips of eight people, by
-the median, openings of the mouth are 0.73 times as large as by MediaPipe's landmarks, changes of its width 0.68."""
+"""Gains of the lips' motion across and down, and of the corners' motion down. The tracker underestimates this motion,
+as its experts are uncertain about lips and its shape model draws them towards the mean: in nine clips of eight people,
+the median ratio to MediaPipe's landmarks is 0.73 for openings of the mouth and 0.68 for changes of its width."""
 _WIDENING_GAIN = 1.8
-"""Gain of lids that open wider than at rest, for the same reason: in the five clips of the bench of expressions, by the
-median, they do so 0.50 times as far as by MediaPipe's landmarks."""
+"""Gain of lids that open wider than at rest, for the same reason: in the five clips of `bench.expressions`, the median
+ratio to MediaPipe's landmarks is 0.50."""
 _MIN_EYE_OPENING = 0.15
-"""Least opening of an eye as a share of its width: squinting in the neutral face would amplify lids without bound."""
+"""Smallest opening of an eye that is used, as a share of its width: squinting in the neutral face would otherwise
+amplify lids without bound."""
 
 
 class Retargeter:
-    """Converts pose-free shapes of a performer into displacements of an avatar's landmarks.
+    """Converts pose-free shapes of a performer to displacements of an avatar's landmarks.
 
     Parameters
     ----------
@@ -45,15 +46,15 @@ class Retargeter:
     head_landmarks : (66, 3) array_like
         The avatar's landmarks at rest: head frame, unit of the avatar.
     mode : {"3d", "planar"}
-        "planar" keeps all depths at their neutral values, as the paper does.
+        "planar" keeps all depths at their neutral values, as in the paper.
     strength : (3,) array_like
         Factors of the regions upper, middle and lower.
     shut : float
-        `Neutral.shut`: lid opening of the performer at which the avatar's lids meet.
+        `Neutral.shut`, the lid opening of the performer at which the avatar's lids meet.
     mouth_gain : float
         `Neutral.mouth_gain`: additional factor of the vertical motion of the lower region.
     compensate : bool
-        Whether to make up for what the tracker underestimates: the motion of the lips, and wide open eyes.
+        Whether to compensate for motion that the tracker underestimates: of the lips, and of eyes that open wide.
 
     Raises
     ------
@@ -63,7 +64,7 @@ class Retargeter:
     Notes
     -----
     Displacements are scaled by the ratio of the avatar's extent to the performer's, per region, horizontally and
-    vertically (equation 4.2); landmarks of two regions take the mean. Vertically, lids are scaled by the ratio of the
+    vertically (equation 4.2); landmarks of two regions take the mean. Lids are scaled vertically by the ratio of the
     openings of the eyes instead, so that a performer's closed eye closes the avatar's, whatever the shape of the two.
     """
 
@@ -93,23 +94,29 @@ class Retargeter:
             self.scale[MOUTH_CORNERS, 1] *= _CORNER_GAIN / _LIP_GAIN[1]
         self._rest_heights = self.head_landmarks[:, 1]
         self._open = lid_gaps(self.neutral)
-        # Equation 4.3: the factor by which the upper lid moves further for each unit that the lids close.
+        # Equation 4.3: the factor by which the upper lid moves further per unit of closing.
         self._closing_gain = self.scale[UPPER_LIDS, 1] * shut / (1.0 - shut)
         self._widening_gain = self.scale[UPPER_LIDS, 1] * (_WIDENING_GAIN - 1.0 if compensate else 0.0)
         if mode == "planar":
             self.scale[:, 2] = 0.0
 
     def displacements(self, shape: ArrayLike) -> FloatArray:
-        """(66, 3) displacements of the avatar's landmarks, head frame and the avatar's unit.
+        """Compute the displacements of the avatar's landmarks.
 
         Parameters
         ----------
         shape : (66, 3) array_like
             The performer's pose-free shape.
+
+        Returns
+        -------
+        (66, 3) float64
+            Displacements from rest: head frame, unit of the avatar.
         """
         current = as_points(shape, "shape", count=N_LANDMARKS)
         moved = np.asarray(self.scale * (current - self.neutral))
-        # Tracked lids stay apart even when an eye is shut, and near when it is wide open: move the upper one further.
+        # Tracked lids stay apart even when an eye is shut, and close when it is wide open, so the upper lid is moved
+        # further.
         closed = self._open - lid_gaps(current)
         moved[UPPER_LIDS, 1] += np.where(closed > 0.0, self._closing_gain, self._widening_gain) * closed
         for upper, lower in _MEETING_RIMS:
@@ -120,7 +127,7 @@ class Retargeter:
 def retargeter_for(
     neutral: Neutral, head_landmarks: ArrayLike, *, mode: Mode = "3d", strength: ArrayLike = (1.0, 1.0, 1.0)
 ) -> Retargeter:
-    """Create a retargeter with all that a neutral face states.
+    """Create a retargeter from all that a neutral face contains.
 
     Parameters
     ----------
@@ -151,7 +158,7 @@ def retargeter_for(
 
 
 def _keep_apart(moved: FloatArray, upper: IntArray, lower: IntArray, rest: FloatArray) -> None:
-    """Move rims that would cross apart again, each by half the overlap; in place."""
+    """Move rims that would cross apart, each by half the overlap, in place."""
     crossed = (rest[upper] + moved[upper, 1]) - (rest[lower] + moved[lower, 1])
     allowed = np.maximum(rest[upper] - rest[lower], 0.0)
     excess = np.maximum(crossed - allowed, 0.0) / 2.0
@@ -160,7 +167,7 @@ def _keep_apart(moved: FloatArray, upper: IntArray, lower: IntArray, rest: Float
 
 
 def _scale(neutral: FloatArray, head: FloatArray) -> FloatArray:
-    """(66, 3) factors from the performer's displacements to the avatar's (equation 4.2)."""
+    """Factors (66, 3) from the performer's displacements to the avatar's (equation 4.2)."""
     members = membership()
     ratios = np.empty((len(REGIONS), 3))
     for row, region in zip(ratios, REGIONS, strict=True):
@@ -172,7 +179,7 @@ def _scale(neutral: FloatArray, head: FloatArray) -> FloatArray:
             raise HeadError("All landmarks of a region lie on one line. Bind them again.")
         row[2] = np.sqrt(row[0] * row[1])
     scale: FloatArray = np.asarray(members.T @ ratios / members.sum(axis=0)[:, None])
-    # Lids by the ratio of the openings; overrides the vertical factor.
+    # Lids use the ratio of the openings, which replaces the vertical factor.
     opening = _opening(head) / _opening(neutral)
     for lids in (UPPER_LIDS, LOWER_LIDS):
         scale[lids, 1] = np.repeat(opening, 2)

@@ -1,4 +1,4 @@
-"""Settings that control how a performance moves a head."""
+"""Settings of how a performance moves a head."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class PosingSettings:
     Attributes
     ----------
     rotation_strength, location_strength, eyes_strength : float
-        Gain: 0 stays at rest, 1 follows the performer.
+        Gains: 0 stays at rest, 1 follows the performer.
     rotation_limit, eyes_limit : float
-        Largest angle from rest about any axis, radians.
+        Largest angle from rest about any axis in radians.
     location_limit : float
         Largest distance from rest, in the avatar's outer-eye distances.
     """
@@ -54,7 +54,7 @@ class DriveSettings:
     Attributes
     ----------
     mode : {"3d", "planar"}
-        Where the depth of a motion comes from.
+        Source of the depth of the motion.
     kernel : str
         "informed" for `DEFAULT_KERNEL` combined with a covariance learnt from known expressions, or a key of
         `kernels.KERNELS`; the paper uses "gaussian".
@@ -63,16 +63,16 @@ class DriveSettings:
     mirror : bool
         Whether the head moves like the performer's mirror image.
     only_landmarks : bool
-        Ignore what no landmark shows, as the paper does.
+        Whether to ignore what no landmark shows, as in the paper.
     borders : {"soft", "sharp"}
-        How regions meet: "sharp" is the paper's rule, weights of 0 and 1 and the mean for vertices on a border.
+        How regions meet: "sharp" is the paper's rule, with weights of 0 and 1 and the mean for vertices on a border.
     exact : bool
-        Fit without a ridge, as the paper does, so that each region meets its control points exactly.
+        Whether to fit without a ridge, as in the paper, so that each region meets its control points exactly.
     incremental : bool
-        Fit each frame to the coordinates of the previous one, as the paper does.
+        Whether to fit each frame to the coordinates of the previous one, as in the paper.
     contact : bool
-        Keep the lids outside the eyeballs, which the paper does not; never in mode "planar", where it would change
-        depths.
+        Whether to keep the lids outside the eyeballs, which the paper does not. Has no effect in mode "planar", where
+        it would change depths.
     posing : PosingSettings
         Strength and limits of the pose of the head and the eyes.
     """
