@@ -33,7 +33,11 @@ def add_commands(commands: Commands) -> None:
     )
     bind.add_argument("--cut-open", action="store_true", help="cut joined lips and eyes open, such as those of a scan")
     bind.set_defaults(
-        run=lambda a: run_bind(a.character, a.output, a.picture, make_keys=a.make_keys, cut_open=a.cut_open)
+        run=lambda given: run_bind(
+            *(given[name] for name in ("character", "output", "picture")),
+            make_keys=given["make_keys"],
+            cut_open=given["cut_open"],
+        )
     )
 
 

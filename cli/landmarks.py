@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import itertools
@@ -22,7 +21,7 @@ from ..core.tracking.settings import TrackingSettings
 from ..core.tracking.tracker import FaceTracker
 from .puppet.tracked import place_beside
 from .terminal.console import Progress, tell
-from .terminal.options import Commands, add_command, add_output, add_settings, tracking_of
+from .terminal.options import Commands, add_command, add_output, add_settings, filled
 from .terminal.outputs import outputs_of
 from .terminal.stopping import INTERRUPTED, STOPPING
 
@@ -36,14 +35,18 @@ def add_commands(commands: Commands) -> None:
         "--overlay", type=Path, metavar="DIR", help="also write copies of the images with the landmarks drawn on them"
     )
     add_settings(landmarks, TrackingSettings)
-    landmarks.set_defaults(run=run_landmarks)
+    landmarks.set_defaults(
+        run=lambda given: run_landmarks(
+            *(given[name] for name in ("images", "output", "overlay")), filled(TrackingSettings, given)
+        )
+    )
 
 
-def run_landmarks(arguments: argparse.Namespace) -> int:
+def run_landmarks(images: Sequence[Path], output: Path, overlay: Path | None, settings: TrackingSettings) -> int:
     """Run `facemime landmarks`: one row per image, NaN if there is no face; returns the exit status."""
-    paths = _images(arguments.images)
-    with outputs_of(((arguments.output, {".npz"}),), {}):
-        return _locate(paths, arguments.output, arguments.overlay, FaceTracker.load(settings=tracking_of(arguments)))
+    paths = _images(images)
+    with outputs_of(((output, {".npz"}),), {}):
+        return _locate(paths, output, overlay, FaceTracker.load(settings=settings))
 
 
 def _locate(paths: Sequence[Path], output: Path, overlay: Path | None, tracker: FaceTracker) -> int:

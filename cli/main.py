@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from ..core.errors import FacemimeError
 from ..core.version import version
-from . import bind, landmarks, select, serve, streams, takes
+from . import bind, landmarks, receive, select, send, serve, takes
 from .batch import command as batch
 from .puppet import command as puppeting
 from .terminal.console import tell
@@ -34,8 +34,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if sys.stderr is None:  # closed by the caller
             stack.enter_context(contextlib.redirect_stderr(stack.enter_context(open(os.devnull, "w"))))
         try:
-            arguments = parse(_parser(), argv)
-            status = int(arguments.run(arguments))
+            options = parse(_parser(), argv)
+            status = int(options["run"](options))
         except FacemimeError as error:
             tell(f"facemime: {error}")
             return 1
@@ -51,6 +51,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"facemime {version()}")
     commands = parser.add_subparsers(dest="command", required=True)
 
-    for module in (landmarks, bind, puppeting, select, takes, streams, serve, batch):
+    for module in (landmarks, bind, puppeting, select, takes, send, receive, serve, batch):
         module.add_commands(commands)
     return parser

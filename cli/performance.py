@@ -5,18 +5,19 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
 
-from ..core.errors import FacemimeError
 from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
 from ..core.live.sources import LiveSource, TakePlayer, VideoPlayer
 from ..core.live.worker import LiveOptions, LiveWorker
+from ..core.puppet.settings import PuppetSettings
 from ..core.takes.file import SUFFIX
 from ..core.takes.neutral import Neutral
 from ..core.tracking.settings import TrackingSettings
 from .terminal.console import Progress, tell
-from .terminal.options import add_face_option, add_settings, face_of, number, tracking_of
+from .terminal.options import add_face_option, add_settings, number
 from .terminal.stopping import STOPPING
 from .terminal.takes import load_with_warnings
 
@@ -30,37 +31,56 @@ def add_source(parser: argparse.ArgumentParser) -> None:
     source.add_argument("--camera", metavar="N|NAME", help="a camera, by number or name")
     source.add_argument("--video", type=Path, metavar="VIDEO|TAKE", help="a video or a take, played in real time")
     parser.add_argument("--loop", action="store_true", help="start the video again at its end")
-    parser.add_argument(
-        "--smoothing", type=number, default=1.0, metavar="AMOUNT", help="jitter smoothing; 0 for none (1)"
-    )
+    add_settings(parser, PuppetSettings, without=("rotation", "translation"))
     parser.add_argument("--seconds", type=number, metavar="S", help="stop after this time (Ctrl-C, or the video's end)")
     add_face_option(parser)
     add_settings(parser, TrackingSettings)
 
 
-def live_options(arguments: argparse.Namespace) -> LiveOptions:
-    """Return the options of the worker; FacemimeError if one is impossible."""
-    if arguments.smoothing < 0.0:
-        raise FacemimeError(f"--smoothing cannot be {arguments.smoothing:g}. Use 0 or more.")
-    return LiveOptions(smoothing=arguments.smoothing, face=face_of(arguments.face), tracking=tracking_of(arguments))
+@dataclass(frozen=True)
+class Performance:
+    """A performance that is tracked live, from the options of `add_source`.
 
-
-def open_source(arguments: argparse.Namespace) -> tuple[LiveSource, Neutral | None]:
-    """Open the source, and return it with the neutral face that a take has.
-
-    Raises
-    ------
-    SourceError
-        If it cannot be opened.
+    Attributes
+    ----------
+    camera : str or None
+        Number or name of a camera; None for `video`.
+    video : Path or None
+        A video or a take.
+    loop : bool
+        Whether the video starts again at its end.
+    smoothing : float
+        As in `PuppetSettings`.
+    seconds : float or None
+        Time after which to stop; None for the end of the video, or a signal.
+    face : (float, float) or None
+        As for `FaceTracker.choose`.
+    tracking : TrackingSettings
     """
-    if arguments.camera is not None:
-        return Camera(CameraSettings(parse_device(arguments.camera, list_cameras()))), None
-    if arguments.video.suffix.lower() == SUFFIX:
-        take = load_with_warnings(arguments.video)
-        stored = take.info.get("calibration")
-        neutral = None if stored is None else Neutral.from_dict(stored)
-        return TakePlayer(take, arguments.video.name, loop=arguments.loop), neutral
-    return VideoPlayer(arguments.video, loop=arguments.loop), None
+
+    camera: str | None
+    video: Path | None
+    loop: bool
+    smoothing: float
+    seconds: float | None
+    face: tuple[float, float] | None
+    tracking: TrackingSettings = field(default_factory=TrackingSettings)
+
+    @property
+    def options(self) -> LiveOptions:
+        """Options of the worker."""
+        return LiveOptions(smoothing=self.smoothing, face=self.face, tracking=self.tracking)
+
+    def open(self) -> tuple[LiveSource, Neutral | None]:
+        """Open the source, and return it with the neutral face that a take has; SourceError if it cannot be opened."""
+        if self.video is None:
+            return Camera(CameraSettings(parse_device(str(self.camera), list_cameras()))), None
+        if self.video.suffix.lower() == SUFFIX:
+            take = load_with_warnings(self.video)
+            stored = take.info.get("calibration")
+            neutral = None if stored is None else Neutral.from_dict(stored)
+            return TakePlayer(take, self.video.name, loop=self.loop), neutral
+        return VideoPlayer(self.video, loop=self.loop), None
 
 
 def watch(worker: LiveWorker, state: Callable[[], tuple[int, str]], progress: Progress, seconds: float | None) -> None:

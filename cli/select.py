@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..core.control_points.greedy import GreedySelection
@@ -18,10 +19,40 @@ from ..core.puppet.job import HeadFile
 from ..core.settings import settings_of
 from ..core.takes.neutral import calibrate
 from .terminal.console import say, tell
-from .terminal.options import Commands, add_command, add_preset_option, add_settings, head_file, number
+from .terminal.options import Commands, add_command, add_preset_option, add_settings, filled, head_file, number
 from .terminal.outputs import outputs_of
 from .terminal.stopping import STOPPING
 from .terminal.takes import load_with_warnings
+
+
+@dataclass(frozen=True)
+class SelectJob:
+    """Control points to select.
+
+    Attributes
+    ----------
+    take : Path
+    output : Path or None
+        File for the control points.
+    head : HeadFile or None
+        The head; None for the built-in one.
+    settings : SelectionSettings
+    kernel : str or None
+        Kernel that the points are meant for; None for that of the search.
+    add, remove : sequence of int
+        Landmarks that are always, and never, control points.
+    neutral : float or None
+        Start of the second with the neutral face, seconds; None detects it.
+    """
+
+    take: Path
+    output: Path | None
+    head: HeadFile | None
+    settings: SelectionSettings
+    kernel: str | None
+    add: Sequence[int]
+    remove: Sequence[int]
+    neutral: float | None
 
 
 def add_commands(commands: Commands) -> None:
@@ -36,45 +67,41 @@ def add_commands(commands: Commands) -> None:
     add_settings(select, SelectionSettings)
     kernels = settings_of(DriveSettings)["kernel"].values
     select.add_argument("--kernel", choices=kernels, help="skinning that the points are meant for (that of the search)")
-    select.add_argument("--add", default="", metavar="17,19-21", help="landmarks to include, by iBUG number")
-    select.add_argument("--remove", default="", metavar="0-3,30", help="landmarks to exclude")
+    landmarks = {"type": parse_landmarks, "default": ()}
+    select.add_argument("--add", **landmarks, metavar="17,19-21", help="landmarks to include, by iBUG number")
+    select.add_argument("--remove", **landmarks, metavar="0-3,30", help="landmarks to exclude")
     select.add_argument(
         "--neutral",
         type=number,
         metavar="SECONDS",
         help="start of a second with a neutral face (found or estimated)",
     )
-    select.set_defaults(run=run_select)
+    select.set_defaults(run=lambda given: run_select(filled(SelectJob, given)))
 
 
-def run_select(arguments: argparse.Namespace) -> int:
-    """Run `facemime select`: choose control points, and print a line per step."""
-    always, never = parse_landmarks(arguments.add), parse_landmarks(arguments.remove)
-    with outputs_of(((arguments.output, {".json"}),), _inputs(arguments)):
-        take = load_with_warnings(arguments.take)
+def run_select(job: SelectJob) -> int:
+    """Run `facemime select`: choose control points, and print a line per step; returns the exit status."""
+    inputs = {"the take that is read": job.take, "the file of the head": None if job.head is None else job.head.path}
+    with outputs_of(((job.output, {".json"}),), inputs):
+        take = load_with_warnings(job.take)
         selection = select_for_take(
-            built_in_rig() if arguments.head is None else _rig_of(arguments.head),
+            built_in_rig() if job.head is None else _rig_of(job.head),
             take,
-            neutral=calibrate(take, arguments.neutral),
-            tolerance=arguments.tolerance,
-            max_points=arguments.max_points,
-            always=always,
-            never=never,
-            search=arguments.search,
-            kernel=arguments.kernel,
+            neutral=calibrate(take, job.neutral),
+            tolerance=job.settings.tolerance,
+            max_points=job.settings.max_points,
+            always=job.add,
+            never=job.remove,
+            search=job.settings.search,
+            kernel=job.kernel,
         )
-        if arguments.output is not None:
-            with replacing(arguments.output) as temporary:
+        if job.output is not None:
+            with replacing(job.output) as temporary:
                 temporary.write_text(to_json(selection) + "\n", encoding="utf-8")
     say(_table(selection))
     if not selection.reached:
         tell("facemime: the tolerance was not reached. Raise --max-points or --tolerance.")
     return 0
-
-
-def _inputs(arguments: argparse.Namespace) -> dict[str, Path | None]:
-    head = None if arguments.head is None else arguments.head.path
-    return {"the take that is read": arguments.take, "the file of the head": head}
 
 
 def _rig_of(head: HeadFile) -> HeadRig:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,13 +13,38 @@ from ..core.live.worker import LiveWorker
 from ..core.streams.addresses import LOOPBACK, parse_address
 from ..core.viewer.qr import as_text, qr_code
 from ..core.viewer.settings import PORT, ViewerSettings, kept_token
-from .performance import add_source, live_options, open_source, watch
+from .performance import Performance, add_source, watch
 from .terminal.console import Progress, say, tell
-from .terminal.options import Commands, add_command
+from .terminal.options import Commands, add_command, filled
 from .terminal.stopping import STOPPING
 
 if TYPE_CHECKING:
     from ..core.viewer.server import ViewerServer
+
+
+@dataclass(frozen=True)
+class ServeJob:
+    """A performance to show in browsers.
+
+    Attributes
+    ----------
+    performance : Performance
+    listen : str
+        Address of this computer, HOST[:PORT]; "" for this computer alone.
+    cert, key : Path or None
+        PEM files for HTTPS.
+    token : Path or None
+        File that keeps the secret in the address.
+    translation : bool
+        Whether the head moves as well as turns.
+    """
+
+    performance: Performance
+    listen: str
+    cert: Path | None
+    key: Path | None
+    token: Path | None
+    translation: bool
 
 
 def add_commands(commands: Commands) -> None:
@@ -38,27 +63,27 @@ def add_commands(commands: Commands) -> None:
         "--token", type=Path, metavar="FILE", help="keep the secret in the address in this file (a new one each time)"
     )
     serve.add_argument("--translation", action="store_true", help="move the head, too, rather than only turn it")
-    serve.set_defaults(run=run_serve)
+    serve.set_defaults(run=lambda given: run_serve(filled(ServeJob, given)))
 
 
-def run_serve(arguments: argparse.Namespace) -> int:
+def run_serve(job: ServeJob) -> int:
     """Run `facemime serve` until the end, Ctrl-C, or the time is over; returns the exit status."""
     from ..core.viewer.server import ViewerServer  # its libraries would delay the other commands
 
-    options = live_options(arguments)
-    host, port = parse_address(arguments.listen or LOOPBACK, PORT)
-    token = "" if arguments.token is None else kept_token(arguments.token)
-    settings = ViewerSettings(host, port, token, arguments.cert, arguments.key)
-    source, neutral = open_source(arguments)
+    host, port = parse_address(job.listen or LOOPBACK, PORT)
+    token = "" if job.token is None else kept_token(job.token)
+    settings = ViewerSettings(host, port, token, job.cert, job.key)
+    source, neutral = job.performance.open()
     with ViewerServer(settings, [built_in_appearance()]) as server, STOPPING.noting():
-        server.follow = (True, arguments.translation)
-        worker = LiveWorker(source, neutral=neutral, heads=(LiveHead(built_in_rig()),), options=options)
+        server.follow = (True, job.translation)
+        heads = (LiveHead(built_in_rig()),)
+        worker = LiveWorker(source, neutral=neutral, heads=heads, options=job.performance.options)
         worker.displays = (server,)
         _announce(server)
         progress = Progress(f"Serving {source.name}")
         worker.start()
         try:
-            watch(worker, lambda: (server.sent, server.message), progress, arguments.seconds)
+            watch(worker, lambda: (server.sent, server.message), progress, job.performance.seconds)
         finally:
             worker.close()
     if worker.error is not None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
+import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,21 +14,67 @@ from ..core.drive.anonymous import anonymise
 from ..core.errors import FacemimeError
 from ..core.images import write_image
 from ..core.puppet.job import HeadFile
+from ..core.settings import settings_of
 from ..core.streams.sender import turned_from
 from ..core.takes.coefficient_table import from_any_csv, write_coefficient_csv
 from ..core.takes.figure import draw_before_after
 from ..core.takes.file import SUFFIX, save_take
-from ..core.takes.mending import Mending, mend
+from ..core.takes.mending import mend
 from ..core.takes.neutral import calibrate
+from ..core.takes.settings import BLEND, Mending
 from ..core.takes.smooth import CUTOFFS
 from ..core.takes.spreadsheet import to_csv
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
 from .terminal.console import tell
-from .terminal.options import Commands, add_command, add_output, head_file, number
+from .terminal.options import Commands, add_command, add_output, add_settings, filled, head_file, number
 from .terminal.outputs import outputs_of
 from .terminal.stopping import STOPPING
 from .terminal.takes import load_with_warnings
+
+Span = tuple[float, float]
+"""Start and end in seconds, infinite if they were omitted."""
+_EVERYTHING: Span = (-math.inf, math.inf)
+
+
+@dataclass(frozen=True)
+class MendJob:
+    """A take to mend.
+
+    Attributes
+    ----------
+    take, output : Path
+    mending : Mending
+        What to do to it.
+    punch_in : Path or None
+        Another take to insert.
+    at : Span or None
+        Span to insert; None for the whole other take.
+    blend : float
+        Seconds over which the takes blend into each other.
+    trim : Span or None
+        Span to keep.
+    shift : float
+        Seconds by which the take is shifted to later times.
+    rate : float or None
+        Frames per second to resample to.
+    anonymous : bool
+        Whether names, dates and the shape of the face are removed.
+    figure : Path or None
+        File for curves of the motion before and after.
+    """
+
+    take: Path
+    output: Path
+    mending: Mending
+    punch_in: Path | None
+    at: Span | None
+    blend: float
+    trim: Span | None
+    shift: float
+    rate: float | None
+    anonymous: bool
+    figure: Path | None
 
 
 def add_commands(commands: Commands) -> None:
@@ -36,37 +83,47 @@ def add_commands(commands: Commands) -> None:
     mend.add_argument("take", type=Path, metavar="TAKE.facetake", help="the take, which is not changed")
     add_output(mend, "OUT.facetake", "the mended take")
     mend.add_argument("--punch-in", type=Path, metavar="OTHER.facetake", help="insert a part of another take")
-    mend.add_argument("--at", metavar="A:B", help="span to insert, in seconds (the whole other take)")
+    mend.add_argument("--at", type=parse_span, metavar="A:B", help="span to insert, in seconds (the whole other take)")
     mend.add_argument(
         "--blend",
         type=number,
-        default=0.2,
+        default=BLEND,
         metavar="S",
-        help="seconds over which the takes blend into each other (0.2)",
+        help=f"seconds over which the takes blend into each other ({BLEND:g})",
     )
-    mend.add_argument("--outliers", action="store_true", help="remove outliers")
+    add_settings(mend, Mending, without=("gaps", "smoothing"))
     gaps = mend.add_mutually_exclusive_group()
-    gaps.add_argument("--bridge", action="store_true", help="interpolate gaps without a face")
-    gaps.add_argument("--hold", action="store_true", help="hold the last face in gaps without one")
-    mend.add_argument("--longest", type=float, default=1.0, metavar="S", help="longest gap to fill, in seconds (1)")
+    for how, summary in (("bridge", "interpolate gaps without a face"), ("hold", "hold the last face in gaps")):
+        gaps.add_argument(f"--{how}", dest="gaps", action="store_const", const=how, default=Mending.gaps, help=summary)
+    smoothing = settings_of(Mending)["smoothing"]
     mend.add_argument(
         "--smooth",
-        choices=("none", "one-euro", "zero-phase"),
-        default="none",
-        help="smooth as live, or without delay (none)",
+        dest="smoothing",
+        choices=smoothing.values,
+        default=smoothing.default,
+        help=f"smooth as live, or without delay ({smoothing.default})",
     )
     cutoffs = ",".join(f"{part}={cutoff:g}" for part, cutoff in CUTOFFS.items())
-    mend.add_argument("--cutoff", default="", metavar="PART=HZ,...", help=f"cutoffs for zero-phase ({cutoffs})")
-    mend.add_argument("--mirror", action="store_true", help="swap left and right")
+    mend.add_argument(
+        "--cutoff",
+        dest="cutoffs",
+        type=parse_cutoffs,
+        default={},
+        metavar="PART=HZ,...",
+        help=f"cutoffs for zero-phase ({cutoffs})",
+    )
     mend.add_argument("--neutral", type=number, metavar="S", help="use the face at this time as the neutral face")
     mend.add_argument(
-        "--trim", metavar="A:B", help="keep this span in seconds; A or B may be omitted (--trim=-1:4 if A is negative)"
+        "--trim",
+        type=parse_span,
+        metavar="A:B",
+        help="keep this span in seconds; A or B may be omitted (--trim=-1:4 if A is negative)",
     )
     mend.add_argument("--shift", type=float, default=0.0, metavar="S", help="shift the take to later times, in seconds")
     mend.add_argument("--rate", type=float, metavar="FPS", help="resample to an even rate")
     mend.add_argument("--anonymous", action="store_true", help="remove names, dates and the shape of the face")
     mend.add_argument("--figure", type=Path, metavar="CURVES.png", help="also draw the motion before and after")
-    mend.set_defaults(run=run_mend)
+    mend.set_defaults(run=lambda given: run_mend(filled(MendJob, given)))
 
     export = add_command(commands, "export", "write a take as a table of comma-separated values")
     export.add_argument("take", type=Path, metavar="TAKE.facetake", help="a take, from track")
@@ -80,7 +137,7 @@ def add_commands(commands: Commands) -> None:
     export.add_argument(
         "--rate", type=number, default=60.0, metavar="FPS", help="rate of Live Link Face's timecode (60)"
     )
-    export.set_defaults(run=run_export)
+    export.set_defaults(run=lambda given: run_export(*(given[name] for name in ("take", "output", "columns", "rate"))))
 
     read = add_command(commands, "import", "write a table or an animation as a take")
     read.add_argument(
@@ -92,78 +149,75 @@ def add_commands(commands: Commands) -> None:
         "which a face moves, and any mesh of the character (the most likely face)",
     )
     add_output(read, "OUT.facetake", "the take")
-    read.set_defaults(run=run_import)
+    read.set_defaults(run=lambda given: run_import(given["source"], given["output"]))
 
 
-def run_mend(arguments: argparse.Namespace) -> int:
-    """Run `facemime mend`: mend a take."""
-    outputs = ((arguments.output, {SUFFIX}), (arguments.figure, {".png", ".jpg"}))
-    inputs = {"the take that is mended": arguments.take, "the take that is inserted": arguments.punch_in}
+def run_mend(job: MendJob) -> int:
+    """Run `facemime mend`: mend a take; returns the exit status."""
+    outputs = ((job.output, {SUFFIX}), (job.figure, {".png", ".jpg"}))
+    inputs = {"the take that is mended": job.take, "the take that is inserted": job.punch_in}
     with outputs_of(outputs, inputs):
-        take = load_with_warnings(arguments.take)
-        mended = _mended(take, arguments)
-        save_take(mended, arguments.output)
-        if arguments.figure is not None:
-            write_image(arguments.figure, draw_before_after(take, mended))
+        take = load_with_warnings(job.take)
+        mended = _mended(take, job)
+        save_take(mended, job.output)
+        if job.figure is not None:
+            write_image(job.figure, draw_before_after(take, mended))
     lost = len(mended) - int(mended.found.sum())
     tell(f"{len(mended)} frames, {lost} without a face ({len(take) - int(take.found.sum())} before)")
     return 0
 
 
-def _mended(take: Take, arguments: argparse.Namespace) -> Take:
-    if arguments.at is not None and arguments.punch_in is None:
+def _mended(take: Take, job: MendJob) -> Take:
+    if job.at is not None and job.punch_in is None:
         raise FacemimeError("--at needs another take to insert. Add --punch-in.")
-    if arguments.cutoff and arguments.smooth != "zero-phase":
+    if job.mending.cutoffs and job.mending.smoothing != "zero-phase":
         raise FacemimeError("--cutoff is for smoothing without delay. Add --smooth zero-phase.")
-    if arguments.punch_in is not None:
-        insert = load_with_warnings(arguments.punch_in)
-        start, end = parse_span(arguments.at or ":", (float(insert.times[0]), float(insert.times[-1])))
-        take = punch_in(take, insert, start, end, arguments.blend)
-    gaps = "bridge" if arguments.bridge else "hold" if arguments.hold else "leave"
-    cutoffs = parse_cutoffs(arguments.cutoff)
-    smoothing, mirror, neutral = arguments.smooth, arguments.mirror, arguments.neutral
-    take = mend(take, Mending(arguments.outliers, gaps, arguments.longest, smoothing, cutoffs, mirror, neutral))
-    if arguments.trim is not None:
-        take = trim(take, *parse_span(arguments.trim))
-    if arguments.shift:
-        take = shift_time(take, arguments.shift)
-    if arguments.rate is not None:
-        take = resample(take, arguments.rate)
-    return anonymise(take) if arguments.anonymous else take
+    if job.punch_in is not None:
+        insert = load_with_warnings(job.punch_in)
+        start, end = _EVERYTHING if job.at is None else job.at
+        start = start if math.isfinite(start) else float(insert.times[0])
+        end = end if math.isfinite(end) else float(insert.times[-1])
+        take = punch_in(take, insert, start, end, job.blend)
+    take = mend(take, job.mending)
+    if job.trim is not None:
+        take = trim(take, *job.trim)
+    if job.shift:
+        take = shift_time(take, job.shift)
+    if job.rate is not None:
+        take = resample(take, job.rate)
+    return anonymise(take) if job.anonymous else take
 
 
-def run_export(arguments: argparse.Namespace) -> int:
-    """Run `facemime export`: write a take as a table."""
-    with outputs_of(((arguments.output, {".csv"}),), {"the take that is exported": arguments.take}):
-        take = load_with_warnings(arguments.take)
-        if arguments.columns == "all":
-            to_csv(take, arguments.output)
+def run_export(take: Path, output: Path, columns: str, rate: float) -> int:
+    """Run `facemime export`: write a take as a table; returns the exit status."""
+    with outputs_of(((output, {".csv"}),), {"the take that is exported": take}):
+        loaded = load_with_warnings(take)
+        if columns == "all":
+            to_csv(loaded, output)
         else:
-            _export_coefficients(take, arguments)
+            _export_coefficients(loaded, output, rate, live_link=columns == "livelink")
     return 0
 
 
-def _export_coefficients(take: Take, arguments: argparse.Namespace) -> None:
-    if not 1.0 <= arguments.rate <= 200.0:
-        raise FacemimeError(f"The rate of a timecode cannot be {arguments.rate:g}. Use one between 1 and 200.")
+def _export_coefficients(take: Take, output: Path, rate: float, *, live_link: bool) -> None:
+    if not 1.0 <= rate <= 200.0:
+        raise FacemimeError(f"The rate of a timecode cannot be {rate:g}. Use one between 1 and 200.")
     neutral = calibrate(take)
     if neutral.warning:
         tell(f"facemime: {neutral.warning}")
     seen = take.part(take.found)
     values = arkit_coefficients(seen, neutral)
     turns = np.array([turned_from(seen.result(frame), neutral) for frame in range(len(seen))])
-    live_link = arguments.columns == "livelink"
-    write_coefficient_csv(arguments.output, seen.times, values, turns, live_link=live_link, rate=arguments.rate)
+    write_coefficient_csv(output, seen.times, values, turns, live_link=live_link, rate=rate)
 
 
-def run_import(arguments: argparse.Namespace) -> int:
+def run_import(source: HeadFile, output: Path) -> int:
     """Run `facemime import`: write a table, or the motion of a face in an animation, as a take."""
-    source = arguments.source
     is_table = source.path.suffix.lower() == ".csv"
     described = "the table that is imported" if is_table else "the animation that is imported"
-    with outputs_of(((arguments.output, {SUFFIX}),), {described: source.path}):
+    with outputs_of(((output, {SUFFIX}),), {described: source.path}):
         check_readable(source.path)
-        save_take(from_any_csv(source.path) if is_table else _sampled(source), arguments.output)
+        save_take(from_any_csv(source.path) if is_table else _sampled(source), output)
     return 0
 
 
@@ -178,7 +232,7 @@ def _sampled(animation: HeadFile) -> Take:
     return sample(animation)
 
 
-def parse_span(text: str, default: tuple[float, float] = (float("-inf"), float("inf"))) -> tuple[float, float]:
+def parse_span(text: str) -> Span:
     """Parse a span `A:B` in seconds, either end of which may be omitted.
 
     Raises
@@ -188,7 +242,7 @@ def parse_span(text: str, default: tuple[float, float] = (float("-inf"), float("
     """
     first, colon, last = text.partition(":")
     try:
-        start, end = float(first) if first else default[0], float(last) if last else default[1]
+        start, end = float(first) if first else -math.inf, float(last) if last else math.inf
     except ValueError:
         colon = ""
     if not colon or not start < end:

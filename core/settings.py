@@ -127,8 +127,8 @@ def setting(default: Any, label: str, description: str = "", **more: Any) -> Any
     return dataclasses.field(default=default, metadata=metadata)
 
 
-def settings_of(group: type) -> Mapping[str, Setting]:
-    """Return the settings of a group by field name, without those of nested groups."""
+def settings_of(group: Any) -> Mapping[str, Setting]:
+    """Return the settings of a group or its instance by field name, without those of nested groups."""
     return {field.name: field.metadata["setting"] for field in dataclasses.fields(group) if "setting" in field.metadata}
 
 

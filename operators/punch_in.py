@@ -7,7 +7,7 @@ from ..blender.timeline import seconds_at
 from ..settings import takes_store
 from .puppet import require_puppet, running
 from .shared import require
-from .take_edits import BLEND
+from .take_edits import BLEND_PROPERTY
 from .takes import OnTake
 
 
@@ -28,7 +28,7 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
         min=0.0,
         max=30.0,
     )
-    blend: BLEND
+    blend: BLEND_PROPERTY
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -3,20 +3,22 @@
 import math
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
+from bpy.props import EnumProperty, FloatProperty, StringProperty
 
 from ..blender.timeline import frame_range, seconds_at, seconds_of
 from ..core.errors import FacemimeError
-from ..core.takes.mending import Mending, mend, renew_neutral
+from ..core.takes.mending import mend, renew_neutral
+from ..core.takes.settings import BLEND, REPAIR, Mending
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, restart, shift_time, trim
 from ..core.timecode import timecode
 from ..settings import takes_store
+from ..settings.rna import read, with_settings
 from .shared import require
 from .takes import OnTake
 
-BLEND = FloatProperty(
-    name="Blend", description="Duration of the transition at each end", subtype="TIME_ABSOLUTE", default=0.2, min=0.0
+BLEND_PROPERTY = FloatProperty(
+    name="Blend", description="Duration of the transition at each end", subtype="TIME_ABSOLUTE", default=BLEND, min=0.0
 )
 """Property of the operators that insert a range into a take."""
 
@@ -99,6 +101,7 @@ class FACEMIME_OT_trim_take(AddsEditedTake, bpy.types.Operator):
         return restart(trim(take, first + start, first + end))
 
 
+@with_settings(REPAIR)
 class FACEMIME_OT_mend_take(AddsEditedTake, bpy.types.Operator):
     """Add a mended copy of the selected take: without outliers and gaps, smoothed without delay, or mirrored"""
 
@@ -106,26 +109,9 @@ class FACEMIME_OT_mend_take(AddsEditedTake, bpy.types.Operator):
     bl_label = "Mend Take"
     suffix = "Mended"
 
-    outliers: BoolProperty(
-        name="Remove Outliers", description="Remove frames that jump away from their neighbours", default=True
-    )
-    gaps: EnumProperty(
-        name="Gaps",
-        description="What to do with gaps of less than a second without a face",
-        items=(
-            ("leave", "Leave", "Leave gaps as they are"),
-            ("bridge", "Interpolate", "Interpolate between the frames on both sides"),
-            ("hold", "Hold", "Repeat the last frame with a face"),
-        ),
-        default="bridge",
-    )
-    smooth: BoolProperty(name="Smooth", description="Smooth the motion without delay", default=True)
-    mirror: BoolProperty(name="Mirror", description="Swap left and right")
-
     def changed(self, context: bpy.types.Context, take: Take) -> Take:
         """Return `take`, mended."""
-        smoothing = "zero-phase" if self.smooth else "none"
-        return mend(take, Mending(self.outliers, self.gaps, smoothing=smoothing, mirror=self.mirror))
+        return mend(take, read(Mending, self))
 
 
 class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
@@ -148,7 +134,7 @@ class FACEMIME_OT_punch_in_take(AddsEditedTake, bpy.types.Operator):
 
     other: StringProperty(name="Take", description="Take to insert")
     start: FloatProperty(name="Start (s)", description="Time at which it is inserted, in seconds", min=0.0)
-    blend: BLEND
+    blend: BLEND_PROPERTY
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import bpy
@@ -14,11 +15,21 @@ Group = TypeVar("Group")
 Owner = TypeVar("Owner", bound=type[bpy.types.PropertyGroup])
 
 
-def with_settings(*groups: type) -> Callable[[Owner], Owner]:
-    """Decorate a property group or operator with a property for each setting of `groups`, named after its field."""
+def with_settings(*groups: Any) -> Callable[[Owner], Owner]:
+    """Decorate a property group or operator with a property for each setting of `groups`, named after its field.
+
+    Parameters
+    ----------
+    *groups : type or dataclass instance
+        Groups of settings; the values of an instance are the defaults.
+    """
 
     def decorate(owner: Owner) -> Owner:
-        properties = {name: property_of(setting) for group in groups for name, setting in settings_of(group).items()}
+        properties = {
+            name: property_of(setting if isinstance(group, type) else replace(setting, default=getattr(group, name)))
+            for group in groups
+            for name, setting in settings_of(group).items()
+        }
         owner.__annotations__ = properties | owner.__annotations__
         return owner
 
@@ -50,7 +61,7 @@ _DISPLAY: dict[str, dict[str, Any]] = {
     "": {},
     "percent": {"subtype": "PERCENTAGE", "precision": 2},
     "angle": {"subtype": "ANGLE", "precision": 0, "step": 100},
-    "seconds": {"subtype": "TIME_ABSOLUTE"},
+    "seconds": {"subtype": "TIME_ABSOLUTE", "step": 1, "precision": 3},
 }
 
 

@@ -1,10 +1,13 @@
 """Properties of streams: where a face comes from over the network, and where it is sent."""
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..core.streams.addresses import LOOPBACK
+from ..core.streams.sender import SendSettings
+from ..core.streams.settings import StreamSettings
 from ..core.viewer.settings import PORT
+from .rna import with_settings
 
 _BOTH_WAYS = (
     ("own", "Facemime", "Another computer with Facemime", 0),
@@ -15,6 +18,7 @@ _BOTH_WAYS = (
 """Protocols that come in and go out."""
 
 
+@with_settings(StreamSettings)
 class FacemimeStream(bpy.types.PropertyGroup):
     """A stream from the network as the source of the performance."""
 
@@ -41,28 +45,8 @@ class FacemimeStream(bpy.types.PropertyGroup):
     key: StringProperty(
         name="Key", description="File with the key that this computer shares with the sender", subtype="FILE_PATH"
     )
-    delay: FloatProperty(
-        name="Delay",
-        description="Delay that evens out packets that come early or late",
-        subtype="TIME_ABSOLUTE",
-        default=0.02,
-        min=0.0,
-        max=2.0,
-        soft_max=0.2,
-        step=0.5,
-        precision=3,
-    )
     sender: StringProperty(
         name="Sender", description="Address or name of the sender to follow; the first that comes if it is empty"
-    )
-    angles: EnumProperty(
-        name="Angles",
-        description="Unit of the head's angles, in which senders of this protocol differ",
-        items=(
-            ("radians", "Radians", "As Live Link Face sends them"),
-            ("degrees", "Degrees", "As some other programs send them"),
-            ("half-turns", "Half Turns", "Shares of 180 degrees, as programs made after Unreal's plug-in send them"),
-        ),
     )
     flip: EnumProperty(
         name="Flip",
@@ -109,7 +93,9 @@ class FacemimeOutput(bpy.types.PropertyGroup):
     key: StringProperty(
         name="Key", description="File with the key that this computer shares with the receiver", subtype="FILE_PATH"
     )
-    subject: StringProperty(name="Subject", description="Name of the face in Unreal Engine", default="Facemime")
+    subject: StringProperty(
+        name="Subject", description="Name of the face in Unreal Engine", default=SendSettings.subject
+    )
 
 
 class FacemimeViewer(bpy.types.PropertyGroup):

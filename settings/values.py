@@ -165,15 +165,15 @@ def stream_settings(stream: FacemimeStream) -> StreamSettings:
     """
     line = preferences().pairing.strip() if stream.protocol == OWN else ""
     pairing = parse_pairing(line) if line else None
-    settings = StreamSettings(
+    settings = read(
+        StreamSettings,
+        stream,
         protocol=stream.protocol,
         host=stream.host.strip() or LOOPBACK,
         port=stream.port,
         phone=stream.phone.strip() if PROTOCOLS[stream.protocol].phone_port else "",
         key=_key(stream.key) if stream.protocol == OWN and pairing is None else None,
-        delay=stream.delay,
         sender=stream.sender.strip(),
-        angles=stream.angles,
         flip=tuple(sorted(stream.flip)),
         pairing=pairing,
     )
@@ -201,7 +201,7 @@ def open_sender(settings: FacemimeSettings) -> StreamSender | VTubeStudioSender 
         from ..core.streams.vtube_studio_api import VTubeStudioSender  # only now, as its libraries take a moment
 
         return VTubeStudioSender(host, output.port, user_folder("vtube_studio") / "token", drive_settings(settings))
-    wanted = SendSettings(output.protocol, host, output.port, key, output.subject or "Facemime")
+    wanted = SendSettings(output.protocol, host, output.port, key, output.subject or SendSettings.subject)
     return StreamSender(wanted, drive_settings(settings))
 
 

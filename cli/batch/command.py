@@ -50,7 +50,7 @@ def add_commands(commands: Commands) -> None:
     add_output(clip, "DIR", _OUTPUT)
     add_preset_option(clip)
     add_puppet_options(clip)
-    clip.set_defaults(run=lambda a: run_clip(puppet_job(a, a.source, a.output), a.number))
+    clip.set_defaults(run=lambda given: run_clip(puppet_job(given), given["number"]))
 
     batch = add_command(commands, "batch", "puppet many clips; the exit status is the number of failures, at most 99")
     batch.add_argument("sources", nargs="+", type=Path, metavar="FOLDER|LIST|VIDEO", help=_SOURCES)
@@ -66,7 +66,11 @@ def add_commands(commands: Commands) -> None:
     batch.add_argument("--dask", metavar="ADDRESS", help="use the workers of this Dask scheduler")
     add_preset_option(batch)
     add_puppet_options(batch)
-    batch.set_defaults(run=lambda a: run_batch(puppet_job(a, a.sources[0], a.output), a.sources, a.jobs, a.dask))
+    batch.set_defaults(
+        run=lambda given: run_batch(
+            puppet_job(given, source=given["sources"][0]), *(given[name] for name in ("sources", "jobs", "dask"))
+        )
+    )
 
 
 def run_clip(job: PuppetJob, number: int | None) -> int:

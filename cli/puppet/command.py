@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 from pathlib import Path
 
@@ -21,10 +20,9 @@ from ..terminal.options import (
     add_preset_option,
     add_puppet_options,
     add_settings,
-    face_of,
+    filled,
     number,
     puppet_job,
-    tracking_of,
 )
 from ..terminal.outputs import outputs_of
 from ..terminal.stopping import STOPPING
@@ -40,7 +38,13 @@ def add_commands(commands: Commands) -> None:
     track.add_argument("--smooth", action="store_true", help="reduce jitter")
     add_face_option(track)
     add_settings(track, TrackingSettings)
-    track.set_defaults(run=lambda a: run_track(a.video, a.output, face_of(a.face), tracking_of(a), smooth=a.smooth))
+    track.set_defaults(
+        run=lambda given: run_track(
+            *(given[name] for name in ("video", "output", "face")),
+            filled(TrackingSettings, given),
+            smooth=given["smooth"],
+        )
+    )
 
     puppet = add_command(commands, "puppet", "animate a head by a video or a take")
     puppet.add_argument("source", type=Path, metavar="VIDEO|TAKE", help="a video, or a take from track")
@@ -63,12 +67,7 @@ def add_commands(commands: Commands) -> None:
     )
     add_preset_option(puppet)
     add_puppet_options(puppet)
-    puppet.set_defaults(run=lambda a: run_puppet(_job(a)))
-
-
-def _job(arguments: argparse.Namespace) -> PuppetJob:
-    wanted = {name: getattr(arguments, name) for name in ("preview", "sheet", "gltf", "take")}
-    return puppet_job(arguments, arguments.source, arguments.output, neutral=arguments.neutral, **wanted)
+    puppet.set_defaults(run=lambda given: run_puppet(puppet_job(given)))
 
 
 def run_track(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar, get_type_hints
 
 from ...core.bake.settings import AUTOMATIC, BakeSettings
 from ...core.drive.settings import DriveSettings, PosingSettings
@@ -34,6 +35,9 @@ _MAX_PIXEL = 1_000_000
 
 
 Commands = argparse._SubParsersAction  # argparse has no public name for this type
+Options = Mapping[str, Any]
+"""Values of a command's options by name."""
+Job = TypeVar("Job")
 
 
 class Parser(argparse.ArgumentParser):
@@ -90,13 +94,19 @@ def add_face_option(parser: argparse.ArgumentParser) -> None:
     """Add the option for the face to track if several are in view."""
     parser.add_argument(
         "--face",
+        type=face_of,
         metavar="left|right|X,Y",
         help="face to track if several are in view: the leftmost, the rightmost, or the nearest "
         "to a pixel of the first frame (the largest)",
     )
 
 
-def face_of(text: str | None) -> tuple[float, float] | None:
+def add_key_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the shared key of Facemime's own protocol."""
+    parser.add_argument("--key", type=Path, metavar="FILE", help="shared key, for Facemime's own protocol")
+
+
+def face_of(text: str) -> tuple[float, float] | None:
     """Parse `--face` into a position, as for `FaceTracker.choose`; None for the largest face.
 
     Raises
@@ -174,7 +184,7 @@ def add_preset_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def parse(parser: argparse.ArgumentParser, line: Sequence[str] | None) -> argparse.Namespace:
+def parse(parser: argparse.ArgumentParser, line: Sequence[str] | None) -> Options:
     """Parse a command line, in a second pass with the defaults of its preset.
 
     Raises
@@ -182,8 +192,30 @@ def parse(parser: argparse.ArgumentParser, line: Sequence[str] | None) -> argpar
     SourceError
         If the preset cannot be read.
     """
-    arguments = parser.parse_args(line)
-    return arguments if getattr(arguments, "preset", None) is None else parser.parse_args(line)
+    options = vars(parser.parse_args(line))
+    return options if options.get("preset") is None else vars(parser.parse_args(line))
+
+
+def filled(job: type[Job], options: Options, **more: Any) -> Job:
+    """Create a dataclass from the options that have the names of its fields.
+
+    Parameters
+    ----------
+    job : type
+        The dataclass. A field that is a dataclass itself is filled in the same way.
+    options : mapping of str to object
+        Options that name no field are left out, and a field without an option has its default.
+    **more
+        Values of other fields.
+    """
+    kinds = get_type_hints(job)
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(job):  # type: ignore[arg-type]
+        if dataclasses.is_dataclass(kind := kinds[field.name]):
+            values[field.name] = filled(kind, options)  # type: ignore[arg-type]
+        elif field.name in options:
+            values[field.name] = options[field.name]
+    return job(**values | more)
 
 
 def add_settings(
@@ -241,40 +273,26 @@ def _shown(setting: Setting, value: Any) -> str:
     return str(value) if setting.kind in (str, int) else f"{value * _scale(setting):.12g}"
 
 
-def tracking_of(arguments: argparse.Namespace) -> TrackingSettings:
-    """Return how faces are found, from the options of `add_settings`."""
-    return TrackingSettings(**{name: getattr(arguments, name) for name in settings_of(TrackingSettings)})
+def puppet_job(options: Options, **more: Any) -> PuppetJob:
+    """Create the job that the options of `add_puppet_options` describe.
 
-
-def puppet_job(
-    arguments: argparse.Namespace, source: Path, output: Path, neutral: float | None = None, **wanted: Path | None
-) -> PuppetJob:
-    """Create the job that the options of `add_puppet_options` describe; `wanted` are further outputs of `PuppetJob`.
+    Parameters
+    ----------
+    options : mapping of str to object
+    **more
+        Fields of `PuppetJob` that have no option of their name.
 
     Raises
     ------
     FacemimeError
         If options contradict each other.
     """
-    given = dict(vars(arguments))
-    if arguments.map is not None and arguments.keys == AUTOMATIC:
+    given = {**options, **dict(zip(_FOLLOWED, _POSES[options["pose"]], strict=True))}
+    if given["map"] is not None and given["keys"] == AUTOMATIC:
         given["keys"] = "mapped"
-    elif arguments.map is not None and arguments.keys != "mapped":
+    elif given["map"] is not None and given["keys"] != "mapped":
         raise FacemimeError("--map is used with --keys mapped only. Add --keys mapped, or remove --map.")
-
-    def read(group: type, **more: Any) -> Any:
-        return group(**{name: given[name] for name in settings_of(group) if name in given}, **more)
-
-    settings = read(
-        PuppetSettings,
-        **dict(zip(_FOLLOWED, _POSES[arguments.pose], strict=True)),
-        neutral=neutral,
-        drive=read(DriveSettings, posing=read(PosingSettings)),
-        tracking=tracking_of(arguments),
-        bake=read(BakeSettings),
-    )
-    face = face_of(arguments.face)
-    return PuppetJob(source, output, settings, face, arguments.head, arguments.points, arguments.map, **wanted)
+    return filled(PuppetJob, given, **more)
 
 
 def as_options(job: PuppetJob) -> list[str]:

@@ -19,7 +19,7 @@ from ..heads.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
 from ..landmarks import N_LANDMARKS, from_ibug
 from ..mesh.kernels import distances, get_kernel
 from .difference import SkinDifference
-from .settings import DEFAULT_TOLERANCE, Search
+from .settings import Search, SelectionSettings
 
 _FACE_SIDES = from_ibug((0, 16))
 _EXCHANGE_CANDIDATES = 8
@@ -125,11 +125,11 @@ def greedy_select(
     landmarks: FloatArray,
     displacements: FloatArray,
     *,
-    tolerance: float = DEFAULT_TOLERANCE,
+    tolerance: float = SelectionSettings.tolerance,
     max_points: int = N_LANDMARKS,
     always: Iterable[int] = (),
     never: Iterable[int] = (),
-    search: Search = "take",
+    search: Search = SelectionSettings.search,
     kernel: str | None = None,
     skin: tuple[FloatArray, FloatArray] | None = None,
 ) -> GreedySelection:

@@ -22,7 +22,7 @@ from ..reading import as_integer, as_list, as_number, as_object, as_text, parse_
 from ..takes.neutral import Neutral, calibrate
 from ..takes.take import Take
 from .greedy import GreedySelection, GreedyStep, greedy_select
-from .settings import DEFAULT_TOLERANCE, Search
+from .settings import Search, SelectionSettings
 
 _LEFT_OUT = frozenset(range(68)) - frozenset(IBUG68_INDICES.tolist())
 _LAST = int(IBUG68_INDICES[-1])
@@ -41,11 +41,11 @@ def select_for_take(
     take: Take,
     *,
     neutral: Neutral | None = None,
-    tolerance: float = DEFAULT_TOLERANCE,
-    max_points: int = N_LANDMARKS,
+    tolerance: float = SelectionSettings.tolerance,
+    max_points: int = SelectionSettings.max_points,
     always: Iterable[int] = (),
     never: Iterable[int] = (),
-    search: Search = "take",
+    search: Search = SelectionSettings.search,
     kernel: str | None = None,
 ) -> GreedySelection:
     """Choose the control points that a head needs for a take.

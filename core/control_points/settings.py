@@ -9,7 +9,6 @@ from ..landmarks import N_LANDMARKS
 from ..settings import Choice, setting
 
 Search = Literal["take", "paper"]
-DEFAULT_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class SelectionSettings:
         ),
     )
     tolerance: float = setting(
-        DEFAULT_TOLERANCE,
+        0.01,
         "Tolerance",
         "Error allowed at the other landmarks, relative to the width of the face",
         low=0.0001,

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..drive.driver import HeadFrame
 from ..errors import FacemimeError, OutputError
+from ..puppet.settings import PuppetSettings
 from ..takes.neutral import Neutral
 from ..takes.take import Take, TakeRecorder
 from ..tracking.overlay import draw_preview
@@ -56,7 +57,7 @@ class LiveOptions:
         Whether to learn the performer meanwhile: the neutral face unless it was asked for, and where eyes are shut.
     """
 
-    smoothing: float = 1.0
+    smoothing: float = PuppetSettings.smoothing
     preview: int = 0
     face: tuple[float, float] | None = None
     tracking: TrackingSettings = DEFAULTS

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import SourceError
+from ..settings import Choice, setting
 from . import datagram, face_cap, face_motion, ifacialmocap, live_link, openseeface, vertices, vmc, vtube_studio
 from .addresses import EVERYWHERE, LOOPBACK, is_loopback
 from .face_cap import FaceCapDecoder
@@ -95,9 +96,28 @@ class StreamSettings:
     port: int = 0
     phone: str = ""
     key: Path | None = None
-    delay: float = 0.02
+    delay: float = setting(
+        0.02,
+        "Delay",
+        "Delay that evens out packets that come early or late",
+        low=0.0,
+        high=2.0,
+        soft_high=0.2,
+        unit="seconds",
+    )
     sender: str = ""
-    angles: Angles = "radians"
+    angles: Angles = setting(
+        "radians",
+        "Angles",
+        "Unit of the head's angles, in which senders of Live Link Face differ",
+        choices=(
+            Choice("radians", "Radians", "As Live Link Face sends them"),
+            Choice("degrees", "Degrees", "As some other programs send them"),
+            Choice(
+                "half-turns", "Half Turns", "Shares of 180 degrees, as programs made after Unreal's plug-in send them"
+            ),
+        ),
+    )
     flip: tuple[str, ...] = ()
     senders: tuple[str, ...] = ("",)
     pairing: Pairing | None = None

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -15,43 +14,10 @@ from ..rotation import euler_to_matrix
 from ..tracking.mirror import mirror_result
 from ..tracking.tracker import FaceTracker
 from .neutral import Neutral, calibrate
+from .settings import Mending
 from .smooth import smooth_take, smooth_zero_phase
 from .take import FIELDS, Take, TakeRecorder
 from .timing import mark_lost, mix
-
-Gaps = Literal["leave", "bridge", "hold"]
-Smoothing = Literal["none", "one-euro", "zero-phase"]
-
-
-@dataclass(frozen=True)
-class Mending:
-    """What to do to a take, in this order.
-
-    Attributes
-    ----------
-    outliers : bool
-        Remove outliers.
-    gaps : {"leave", "bridge", "hold"}
-        What to do where no face was found, as for `bridge_gaps`.
-    longest : float
-        Longest gap to fill, in seconds.
-    smoothing : {"none", "one-euro", "zero-phase"}
-        Not at all, as live, or without delay.
-    cutoffs : mapping of str to float
-        For "zero-phase": cutoffs in Hz by part, if not the default.
-    mirror : bool
-        Swap left and right.
-    neutral : float, optional
-        Time of the neutral face in seconds.
-    """
-
-    outliers: bool = False
-    gaps: Gaps = "leave"
-    longest: float = 1.0
-    smoothing: Smoothing = "none"
-    cutoffs: Mapping[str, float] = field(default_factory=dict)
-    mirror: bool = False
-    neutral: float | None = None
 
 
 def mend(take: Take, mending: Mending) -> Take:

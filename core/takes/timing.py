@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 from ..errors import SourceError
 from ..rotation import euler_to_matrix, mix_rotations
+from .settings import BLEND
 from .take import FIELDS, Take, join
 
 _MAX_STEP = 2.5
@@ -238,7 +239,7 @@ def trim(take: Take, start: float = -np.inf, end: float = np.inf) -> Take:
     return take.part(inside)
 
 
-def punch_in(take: Take, insert: Take, start: float, end: float, blend: float = 0.2) -> Take:
+def punch_in(take: Take, insert: Take, start: float, end: float, blend: float = BLEND) -> Take:
     """Replace a span of a take by another take on the same clock (see `shift_time`).
 
     Parameters

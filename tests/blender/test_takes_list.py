@@ -84,7 +84,7 @@ def test_trimming_and_mending_add_takes_below_the_original(imported, takes, tmp_
     trimmed = takes_store.read(takes.items[1])
     assert takes.index == 1 and takes.items[1].length == pytest.approx(1.16)
     assert trimmed.times[0] == 0.0 and trimmed.times[-1] == pytest.approx(1.16)
-    assert bpy.ops.facemime.mend_take(outliers=True, gaps="bridge", smooth=True) == {"FINISHED"}
+    assert bpy.ops.facemime.mend_take(outliers=True, gaps="bridge", smoothing="zero-phase") == {"FINISHED"}
     mended = takes_store.read(takes.items[2])
     assert mended.found.all() and not trimmed.found.all() and mended.info["smoothed"] == "zero-phase"
     names = ["First", "First_Trimmed", "First_Trimmed_Mended", "Other"]
@@ -113,7 +113,7 @@ def test_a_take_is_trimmed_by_the_timeline(imported, takes, keep, preview, first
 
 def test_mirroring_a_take_twice_restores_it(imported, takes):
     before = takes_store.read(imported)
-    only_mirror = {"outliers": False, "gaps": "leave", "smooth": False, "mirror": True}
+    only_mirror = {"outliers": False, "gaps": "leave", "smoothing": "none", "mirror": True}
     assert bpy.ops.facemime.mend_take(**only_mirror) == {"FINISHED"}
     once = takes_store.read(takes.items[1])
     np.testing.assert_allclose(once.pose[:, 2], -before.pose[:, 2])

@@ -26,7 +26,7 @@ from facemime.cli.batch.clips import (
     write_record,
 )
 from facemime.cli.batch.report import Entry, write_report
-from facemime.cli.terminal.options import Parser, add_puppet_options, as_options, puppet_job
+from facemime.cli.terminal.options import Parser, add_puppet_options, as_options, parse, puppet_job
 from facemime.core.bake.settings import BakeSettings
 from facemime.core.drive.settings import DriveSettings, PosingSettings
 from facemime.core.errors import FacemimeError, OutputError, SourceError
@@ -102,7 +102,7 @@ def test_a_job_survives_conversion_to_options_and_back(tmp_path, settings):
     job = replace(JOB, settings=settings, face=(320.0, 12.0), head=HeadFile(tmp_path / "a.blend", "Face"), **files)
     parser = Parser()
     add_puppet_options(parser)
-    read = puppet_job(parser.parse_args(as_options(job)), job.source, job.output)
+    read = puppet_job(parse(parser, as_options(job)), source=job.source, output=job.output)
     assert replace(read, settings=settings) == job
     for ours, theirs in zip(_numbers(read.settings), _numbers(settings), strict=True):
         assert ours == (pytest.approx(theirs, rel=1e-9) if type(theirs) is float else theirs)

@@ -328,3 +328,18 @@ def test_a_command_started_to_ignore_ctrl_c_ignores_it(tmp_path):
             time.sleep(0.005)
         process.send_signal(signal.SIGINT)
     assert process.returncode == 0 and len(load_take(tmp_path / "take.facetake")) == 255
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        ["mend", "a.facetake", "-o", "b.facetake", "--hold", "--longest", "-1"],
+        ["serve", "--video", "a.mp4", "--smoothing", "-1"],
+        ["send", "--video", "a.mp4", "--to", "127.0.0.1", "--smoothing", "21"],
+        ["receive", "-o", "a.facetake", "--delay", "2.1"],
+    ],
+)
+def test_a_setting_out_of_range_is_refused_before_anything_is_read(line, capsys):
+    with pytest.raises(SystemExit) as exit_:
+        cli.main(line)
+    assert exit_.value.code == 2 and "is not between 0 and" in capsys.readouterr().err

@@ -44,7 +44,7 @@ def job_of(*line: str) -> PuppetJob:
     parser = Parser()
     add_preset_option(parser)
     add_puppet_options(parser)
-    return puppet_job(parse(parser, line), Path("a.mp4"), Path("b.blend"))
+    return puppet_job(parse(parser, line), source=Path("a.mp4"), output=Path("b.blend"))
 
 
 def blinking() -> Take:

@@ -38,7 +38,6 @@ def test_a_take_moves_the_head_on_the_page_until_ctrl_c(take, tmp_path):
         (("--cert", "none.pem"), "There is no certificate none.pem"),
         (("--key", "none.pem"), "Give the certificate, too"),
         (("--listen", "a b"), "is not an address"),
-        (("--smoothing", "-1"), "Use 0 or more"),
     ),
 )
 def test_what_cannot_be_served_is_one_clear_error(take, options, message, capsys):

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from facemime.cli.terminal.options import Parser, add_puppet_options, puppet_job
+from facemime.cli.terminal.options import Parser, add_puppet_options, parse, puppet_job
 from facemime.core.bake.settings import BakeSettings
 from facemime.core.deform.head_deformer import INFORMED
 from facemime.core.drive.settings import DriveSettings, PosingSettings
@@ -40,7 +40,7 @@ def test_every_kernel_can_be_chosen():
 def test_without_options_a_job_has_the_default_settings(tmp_path):
     parser = Parser()
     add_puppet_options(parser)
-    assert puppet_job(parser.parse_args([]), tmp_path / "a.mp4", tmp_path / "b.blend").settings == PuppetSettings()
+    assert puppet_job(parse(parser, []), source=tmp_path, output=tmp_path).settings == PuppetSettings()
     assert list(changed(PuppetSettings())) == []
 
 

@@ -142,6 +142,6 @@ def test_invalid_faces_are_refused_with_advice(text: str) -> None:
         face_of(text)
 
 
-@pytest.mark.parametrize(("text", "place"), [(None, None), ("", None), ("left", LEFTMOST), ("12,34", (12.0, 34.0))])
-def test_a_face_is_chosen_by_side_or_position(text: str | None, place: tuple[float, float] | None) -> None:
+@pytest.mark.parametrize(("text", "place"), [("", None), ("left", LEFTMOST), ("12,34", (12.0, 34.0))])
+def test_a_face_is_chosen_by_side_or_position(text: str, place: tuple[float, float] | None) -> None:
     assert face_of(text) == place

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy loads: sums in another order give other bytes
 
@@ -45,22 +46,22 @@ def main() -> int:
     tracker, head, rng = FaceTracker.load(), load_ict(arguments.data), np.random.default_rng(5)
     faces = [built_in_face(rng) for _ in range(_FACES)] + [ict_face(head, rng) for _ in range(_FACES)]
     simulated = simulate(faces, tracker.pdm, _EACH, rng)
-    content = model_bytes(learn(_rendered(arguments, tracker, head), simulated, rng))
+    content = model_bytes(learn(_rendered(arguments.data, arguments.people, tracker, head), simulated, rng))
     COEFFICIENT_FILE.write_bytes(content)
     print(f"{COEFFICIENT_FILE.relative_to(ROOT)}: {len(content) / 1024:.0f} KB")
     return 0
 
 
-def _rendered(arguments: argparse.Namespace, tracker: FaceTracker, head: IctHead) -> list[Observed]:
-    photos = split(read_photos(arguments.data, *HAND_LABELLED))[0]
+def _rendered(data: Path, people: int, tracker: FaceTracker, head: IctHead) -> list[Observed]:
+    photos = split(read_photos(data, *HAND_LABELLED))[0]
     takes = []
-    for number, i in enumerate(np.linspace(0, len(photos) - 1, arguments.people).round().astype(int)):
+    for number, i in enumerate(np.linspace(0, len(photos) - 1, people).round().astype(int)):
         person = performer(head, tracker.pdm, photos[i], _FIRST + number)
         take, keys = tracked(tracker, person, _SECONDS, _FPS)
         observer = Observer(calibrate(take), DriveSettings())
         found = np.flatnonzero(take.found)
         takes.append(Observed(np.array([observer.face(take.result(int(row))) for row in found]), keys[found]))
-        print(f"{number + 1}/{arguments.people}", end="\r", flush=True)
+        print(f"{number + 1}/{people}", end="\r", flush=True)
     return takes
 
 

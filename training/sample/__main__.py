@@ -32,9 +32,9 @@ def main() -> int:
     arguments = parser.parse_args()
     actor = build_actor(open_source(), arguments.skin)
     if arguments.stills:
-        _film_stills(actor, arguments)
+        _film_stills(actor, arguments.skin, arguments.samples, arguments.stills)
     else:
-        _film_clip(actor, arguments)
+        _film_clip(actor, arguments.skin, arguments.samples)
     return 0
 
 
@@ -45,13 +45,13 @@ def _moments(
         yield actor.posed(units_at(time), pose_at(time), place_at(time))
 
 
-def _film_clip(actor: Actor, arguments: argparse.Namespace) -> None:
+def _film_clip(actor: Actor, skin: Path, samples: int) -> None:
     from facemime.blender.media.rendering import write_video
 
     from .stage import Stage, project
 
     clip = times()
-    stage = Stage(actor, arguments.skin, arguments.samples)
+    stage = Stage(actor, skin, samples)
     write_video(stage.film(_moments(actor, clip)), FPS, ASSETS / "sample.mp4")
     points = np.stack([project(base[actor.landmarks]) for base, _ in _moments(actor, clip)])
     truth = {
@@ -63,18 +63,18 @@ def _film_clip(actor: Actor, arguments: argparse.Namespace) -> None:
     (ASSETS / "sample_landmarks.npz").write_bytes(to_bytes(truth))
 
 
-def _film_stills(actor: Actor, arguments: argparse.Namespace) -> None:
+def _film_stills(actor: Actor, skin: Path, samples: int, folder: Path) -> None:
     from .stage import Stage, project
 
     clip = np.array([0.4, 1.64, 2.6, 3.5, 4.4, 5.28, 5.93, 6.94, 7.7, 8.55])
-    stage = Stage(actor, arguments.skin, arguments.samples)
-    arguments.stills.mkdir(parents=True, exist_ok=True)
+    stage = Stage(actor, skin, samples)
+    folder.mkdir(parents=True, exist_ok=True)
     moments = list(_moments(actor, clip))
     for time, (base, _), image in zip(clip, moments, stage.film(iter(moments)), strict=True):
-        cv2.imwrite(str(arguments.stills / f"{time:05.2f}.png"), image)
+        cv2.imwrite(str(folder / f"{time:05.2f}.png"), image)
         for x, y in project(base[actor.landmarks]):
             cv2.circle(image, (round(x * 8), round(y * 8)), 12, (0, 255, 0), -1, cv2.LINE_AA, 3)
-        cv2.imwrite(str(arguments.stills / f"{time:05.2f}-landmarks.png"), image)
+        cv2.imwrite(str(folder / f"{time:05.2f}-landmarks.png"), image)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,213 @@
+"""The command `receive`: faces from the network as takes, without Blender."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic, sleep
+
+from ..core.errors import FacemimeError, OutputError, SourceError
+from ..core.files import settle
+from ..core.live.sources import LiveFrame
+from ..core.streams.addresses import LOOPBACK, parse_address
+from ..core.streams.pairing import parse_pairing
+from ..core.streams.security import write_key
+from ..core.streams.settings import AXES, OWN, PROTOCOLS, StreamSettings
+from ..core.streams.source import StreamSource
+from ..core.takes.file import SUFFIX, TakeWriter
+from ..core.takes.from_animation import IMAGE_SIZE
+from ..core.takes.take import describe
+from .performance import LOOK
+from .puppet.tracked import growing, unfinished_beside
+from .terminal.console import Progress, tell
+from .terminal.options import Commands, Options, add_command, add_key_option, add_settings, filled, number
+from .terminal.outputs import outputs_of
+from .terminal.stopping import STOPPING
+
+_FLUSH = 1.0
+"""Seconds after which what was received is on the disk."""
+
+
+@dataclass(frozen=True)
+class ReceiveJob:
+    """Streams to record.
+
+    Attributes
+    ----------
+    settings : StreamSettings
+        Where the streams come from, with a sender for each take.
+    outputs : sequence of Path
+        The takes.
+    seconds : float or None
+        Time after which to stop; None for a signal.
+    """
+
+    settings: StreamSettings
+    outputs: Sequence[Path]
+    seconds: float | None
+
+
+def add_commands(commands: Commands) -> None:
+    """Add the command to the parser."""
+    receive = add_command(commands, "receive", "record the faces that another computer, program or phone sends")
+    receive.add_argument(
+        *("-o", "--output"),
+        type=Path,
+        action="append",
+        metavar="TAKE.facetake",
+        help="the take; Ctrl-C ends it. Repeat the option to record several senders, one take for each",
+    )
+    receive.add_argument("--new-key", type=Path, metavar="FILE", help="only write a new shared key, for both computers")
+    receive.add_argument("--protocol", choices=tuple(PROTOCOLS), default=OWN, help=f"protocol ({OWN})")
+    receive.add_argument(
+        "--listen",
+        default="",
+        metavar="HOST[:PORT]",
+        help="address of this computer to listen on; 0.0.0.0 for all (this computer alone, and the usual port)",
+    )
+    receive.add_argument(
+        "--pairing", default="", metavar="LINE", help="connect over TLS to the sender that printed this pairing line"
+    )
+    receive.add_argument(
+        "--phone", default="", metavar="HOST", help="address of the phone, for apps that have to be asked to send"
+    )
+    add_key_option(receive)
+    receive.add_argument(
+        "--sender",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="address or name of the sender, once for each take (the first that comes, then the next)",
+    )
+    add_settings(receive, StreamSettings)
+    receive.add_argument("--flip", default="", metavar="AXIS,...", help="rotations to reverse: pitch, yaw, roll (none)")
+    receive.add_argument("--seconds", type=number, metavar="S", help="stop after this time (Ctrl-C)")
+    receive.set_defaults(run=run_receive)
+
+
+def run_receive(options: Options) -> int:
+    """Run `facemime receive`: record, or make a shared key; returns the exit status."""
+    if options["new_key"] is not None:
+        write_key(options["new_key"])
+        tell(f"facemime: {options['new_key']} is a new key. Copy it to the other computer by a way that you trust.")
+        return 0
+    return record(_job(options))
+
+
+def _job(options: Options) -> ReceiveJob:
+    outputs, senders = options["output"] or (), options["sender"]
+    if not outputs:
+        raise OutputError("There is no output. Add -o TAKE.facetake.")
+    if len(senders) > len(outputs):
+        raise FacemimeError("There are more senders than takes. Add another -o TAKE.facetake.")
+    flip = tuple(filter(None, (axis.strip() for axis in options["flip"].split(","))))
+    if unknown := set(flip) - set(AXES):
+        raise FacemimeError(f"{', '.join(sorted(unknown))} cannot be flipped. Use pitch, yaw and roll.")
+    host, port = parse_address(options["listen"] or LOOPBACK)
+    return ReceiveJob(
+        filled(
+            StreamSettings,
+            {name: value for name, value in options.items() if name != "sender"},
+            host=host,
+            port=port,
+            flip=flip,
+            senders=(*senders, *[""] * (len(outputs) - len(senders))),
+            pairing=parse_pairing(options["pairing"]) if options["pairing"] else None,
+        ),
+        outputs,
+        options["seconds"],
+    )
+
+
+def record(job: ReceiveJob) -> int:
+    """Record until a signal, or the time is over; returns the exit status.
+
+    Raises
+    ------
+    FacemimeError
+        If nothing came, or a take cannot be written.
+    """
+    source = StreamSource(job.settings, every=True)
+    unfinished = [unfinished_beside(output) for output in job.outputs]
+    with (
+        outputs_of([(output, {SUFFIX}) for output in job.outputs], {"the key": job.settings.key}, *unfinished),
+        ExitStack() as stack,
+    ):
+        paths = [stack.enter_context(growing(path)) for path in unfinished]
+        try:
+            counts = _record(source, paths, job.seconds)
+        finally:
+            source.close()
+        if not any(counts):
+            raise FacemimeError(f"Nothing came: {_what_came(source)}. Check the address, the port and the firewall.")
+        for path, output, count in zip(paths, job.outputs, counts, strict=True):
+            if count:
+                settle(path, output)
+            else:
+                tell(f"facemime: {output} was not written, as its sender never appeared.")
+    return 0
+
+
+def _record(source: StreamSource, paths: Sequence[Path], seconds: float | None) -> list[int]:
+    """Record what comes into a take for each sender; returns their numbers of frames."""
+    progress = Progress(f"Receiving {source.name}")
+    end = monotonic() + (seconds if seconds is not None else float("inf"))
+    writers: dict[int, TakeWriter] = {}
+    first, last, told = 0.0, monotonic(), ""
+    with STOPPING.noting():
+        while not STOPPING.heard and monotonic() < end:
+            frame, told = _read(source, told, begun=bool(writers))
+            if frame is not None and not frame.filled and frame.result is not None:
+                number = frame.heads[0] if frame.heads else 0
+                first = first if writers else frame.time
+                if number not in writers:
+                    writers[number] = TakeWriter(paths[number], _description(source, frame))
+                if frame.time >= first:
+                    writers[number].append(frame.time - first, frame.result)
+            if monotonic() - last > _FLUSH:
+                for writer in writers.values():
+                    writer.flush()
+                last = monotonic()
+            progress.update(sum(map(len, writers.values())))
+        for writer in writers.values():
+            writer.close()
+    progress.finish(_what_came(source))
+    return [len(writers[number]) if number in writers else 0 for number in range(len(paths))]
+
+
+def _read(source: StreamSource, told: str, *, begun: bool) -> tuple[LiveFrame | None, str]:
+    """Read a frame, and say why none comes if that was not said last; returns what was said."""
+    frame = None
+    try:
+        frame = source.read(LOOK)
+        message = source.message
+    except SourceError as error:
+        if not begun:
+            raise
+        message = str(error)  # what came before is recorded, and the sender may come back
+        sleep(LOOK)
+    if message and message != told:
+        tell(f"facemime: {message}")
+    return frame, message
+
+
+def _description(source: StreamSource, frame: LiveFrame) -> dict[str, object]:
+    info = describe(source.name, 60.0, IMAGE_SIZE, "stream", source.clock) | {"sender": frame.sender}
+    if frame.neutral is not None:
+        info |= {"measured": True, "calibration": frame.neutral.to_dict()}
+    return info
+
+
+def _what_came(source: StreamSource) -> str:
+    counts = source.counts
+    parts = {
+        "packets": counts.received,
+        "not of this protocol": counts.malformed,
+        "refused": counts.refused,
+        "late": counts.late,
+        "doubled": counts.doubled,
+        "frames lost": counts.lost,
+    }
+    return ", ".join(f"{count} {name}" for name, count in parts.items() if count or name == "packets")

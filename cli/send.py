@@ -1,0 +1,178 @@
+"""The command `send`: a face over the network, without Blender."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..core.errors import FacemimeError
+from ..core.heads.appearance import built_in_appearance
+from ..core.heads.rig import built_in_rig
+from ..core.live.head_drivers import LiveHead
+from ..core.live.worker import LiveWorker
+from ..core.streams.addresses import parse_address, reachable
+from ..core.streams.pairing import PORT as TLS_PORT
+from ..core.streams.pairing import Pairing
+from ..core.streams.sender import SENT, VTUBE_STUDIO, SendSettings, StreamSender
+from ..core.streams.settings import OWN
+from ..core.streams.vertices import VERTICES, VertexSender
+from .performance import Performance, add_source, watch
+from .terminal.console import Progress, say, tell
+from .terminal.options import Commands, add_command, add_key_option, filled
+from .terminal.stopping import STOPPING
+
+if TYPE_CHECKING:
+    from ..core.streams.tls_server import TlsSender
+    from ..core.streams.vtube_studio_api import VTubeStudioSender
+
+    Sender = StreamSender | VertexSender | TlsSender | VTubeStudioSender
+
+
+@dataclass(frozen=True)
+class SendJob:
+    """A performance to send.
+
+    Attributes
+    ----------
+    performance : Performance
+    to : str or None
+        Address of the receiver, HOST[:PORT].
+    serve : str or None
+        Address of this computer at which to wait for receivers over TLS instead.
+    token : Path or None
+        File for the permission of VTube Studio; None for the user's settings.
+    tls : Path or None
+        Folder of the certificate for `serve`.
+    public : str
+        Address by which other networks reach this computer; "" for its own.
+    protocol : str
+        One of `SENT`, `VERTICES` or `VTUBE_STUDIO`.
+    key : Path or None
+        File with the shared key of Facemime's own protocol.
+    subject : str
+        As in `SendSettings`.
+    """
+
+    performance: Performance
+    to: str | None
+    serve: str | None
+    token: Path | None
+    tls: Path | None
+    public: str
+    protocol: str
+    key: Path | None
+    subject: str
+
+
+def add_commands(commands: Commands) -> None:
+    """Add the command to the parser."""
+    send = add_command(commands, "send", "track a face, and send it to another computer or program")
+    add_source(send)
+    where = send.add_mutually_exclusive_group(required=True)
+    where.add_argument("--to", metavar="HOST[:PORT]", help="where to, as in 192.168.1.7:39539")
+    where.add_argument(
+        "--serve",
+        metavar="HOST[:PORT]",
+        help=f"wait for receivers over TLS at this address of this computer; 0.0.0.0 for all (port {TLS_PORT})",
+    )
+    send.add_argument(
+        "--token", type=Path, metavar="FILE", help="file for the permission that VTube Studio gives (in your settings)"
+    )
+    send.add_argument("--tls", type=Path, metavar="FOLDER", help="certificate and token for --serve, made if missing")
+    send.add_argument(
+        "--public", default="", metavar="HOST[:PORT]", help="address by which other networks reach this computer"
+    )
+    send.add_argument("--protocol", choices=(*SENT, VERTICES, VTUBE_STUDIO), default=OWN, help=f"protocol ({OWN})")
+    add_key_option(send)
+    send.add_argument(
+        "--subject",
+        default=SendSettings.subject,
+        metavar="NAME",
+        help=f"name of the face in Unreal ({SendSettings.subject})",
+    )
+    send.set_defaults(run=lambda given: run_send(filled(SendJob, given)))
+
+
+def run_send(job: SendJob) -> int:
+    """Run `facemime send`: track and send until the end, Ctrl-C, or the time is over; returns the exit status."""
+    open_output = _open_sender(job) if job.serve is None else _open_server(job, job.serve)
+    source, neutral = job.performance.open()
+    worker = LiveWorker(source, neutral=neutral, options=job.performance.options)
+    sender = open_output(worker)
+    progress = Progress(f"Sending {source.name} to {job.to or 'receivers over TLS'}")
+    with STOPPING.noting():
+        worker.start()
+        try:
+            watch(worker, lambda: (sender.sent, sender.message), progress, job.performance.seconds)
+        finally:
+            worker.close()
+            sender.close()
+    if worker.error is not None:
+        raise worker.error
+    progress.finish(sender.message or ("" if sender.sent else "nothing was sent, as nobody answered"))
+    return 0
+
+
+def _open_sender(job: SendJob) -> Callable[[LiveWorker], Sender]:
+    """Return what makes a worker send what it tracks, or the built-in head that it drives."""
+    if job.tls is not None or job.public:
+        raise FacemimeError("--tls and --public are for --serve. Leave them out, or use --serve instead of --to.")
+    if job.protocol == VTUBE_STUDIO:
+        return _open_vtube_studio(job)
+    host, port = parse_address(job.to or "")
+    settings = SendSettings(job.protocol, host, port, job.key, job.subject)
+
+    def open_output(worker: LiveWorker) -> Sender:
+        if settings.protocol == VERTICES:
+            vertices = VertexSender(settings.host, settings.port, [built_in_appearance()])
+            worker.heads, worker.displays = (LiveHead(built_in_rig()),), (vertices,)
+            return vertices
+        worker.output = sender = StreamSender(settings)
+        return sender
+
+    return open_output
+
+
+def _open_vtube_studio(job: SendJob) -> Callable[[LiveWorker], Sender]:
+    """Return what makes a worker send what it tracks to VTube Studio on a computer."""
+    from ..core.streams.vtube_studio_api import VTubeStudioSender  # its libraries would delay the other commands
+
+    host, port = parse_address(job.to or "")
+    token = job.token or user_settings() / "vtube_studio_token"
+
+    def open_output(worker: LiveWorker) -> Sender:
+        worker.output = sender = VTubeStudioSender(host, port, token)
+        return sender
+
+    return open_output
+
+
+def user_settings() -> Path:
+    """Return the folder of the user's settings."""
+    places = (os.environ.get("APPDATA"), os.environ.get("XDG_CONFIG_HOME"))
+    return Path(next(filter(None, places), Path.home() / ".config")) / "facemime"
+
+
+def _open_server(job: SendJob, address: str) -> Callable[[LiveWorker], Sender]:
+    """Return what makes a worker serve what it tracks over TLS, and shows the pairing line."""
+    from ..core.streams.tls_server import TlsSender  # its libraries would delay the other commands
+    from .certificates import load_identity
+
+    if job.tls is None:
+        raise FacemimeError("There is no certificate. Add --tls FOLDER; it is made there the first time.")
+    if job.protocol != OWN or job.key is not None:
+        raise FacemimeError("Over TLS, Facemime's own protocol is sent without a key. Leave out --protocol and --key.")
+    host, port = parse_address(address, TLS_PORT)
+    identity = load_identity(job.tls)
+
+    def open_output(worker: LiveWorker) -> Sender:
+        worker.output = sender = TlsSender(host, port, identity.context, identity.token)
+        public = parse_address(job.public, sender.port) if job.public else (reachable(host), sender.port)
+        say(Pairing(*public, identity.fingerprint, identity.token).line)
+        tell("facemime: paste this line at the other computer. Whoever has it can receive.")
+        return sender
+
+    return open_output
