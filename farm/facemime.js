@@ -1,10 +1,10 @@
-/* Flamenco job type: the clips of a folder or a list, one task each, then a report of all.
- * Goes into the `scripts` folder of the Flamenco manager. The workers need `facemime` on their
- * path, and must see the clips, the head and the output folder under the same paths. Run again, it skips clips that are
- * done. */
+/* Flamenco job type: one task for each clip in a folder or a list, followed by a report on all clips.
+ * Copy this file to the `scripts` folder of the Flamenco manager. The workers need `facemime` on their path, and must
+ * have the clips, the head and the output folder under the same paths. If the job is run again, clips that are done are
+ * skipped. */
 const JOB_TYPE = {
     label: "Facemime",
-    description: "Move a head by the faces of many video clips",
+    description: "Drive a head with the faces in many video clips",
     settings: [
         { key: "clips", type: "string", required: true,
           description: "Folder of clips, or a text file with one path per line" },
