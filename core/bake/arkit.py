@@ -1,6 +1,6 @@
 """ARKit's 52 coefficients of a take (docs/method.md, section 9.3).
 
-Other programs and tables describe a face by them; a head that is driven directly does not need them.
+They serve other programs, tables and key mappings; a head that is driven directly does not need them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _MEASURED = {
     "tongueOut": action_indices(["tongueOut"]),
     "cheekPuff": action_indices(["cheekPuffRight", "cheekPuffLeft"]),
 }
-"""Coefficients of which landmarks show next to nothing, and the actions whose mean each is at least."""
+"""Coefficients that landmarks hardly show, and the actions whose mean is the least value of each."""
 
 
 def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _DEFAULTS) -> FloatArray:
@@ -46,15 +46,15 @@ def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _D
     neutral : Neutral
         The performer's neutral face.
     options : DriveSettings
-        Strength, mirror, the settings of the eyes, and whether only landmarks count; the others are not used.
+        Strength, mirror, the settings of the eyes, and whether only landmarks count; other settings are not used.
 
     Returns
     -------
     (N, 52) float64
-        Coefficients from 0 to 1 of the frames with a face. Those of the eyes' direction come from the gaze; the others
-        are fitted to the landmarks and to what the tracker measures besides. Landmarks that were measured on a mesh are
-        taken at their word, so that weights of the built-in head's units come back within some 2 %. Coefficients that
-        the source stated are taken over, times the strength of their region.
+        Coefficients, 0 to 1, of the frames with a face. Those of the eyes' direction come from the gaze; the others are
+        fitted to the landmarks and the measured actions. Landmarks that were measured on a mesh are taken as exact, so
+        that weights of the built-in head's units are recovered within about 2 %. Coefficients stated by the source are
+        used as they are, times the strength of their region.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _D
 
 
 def _found(observer: Observer, results: Sequence[TrackResult]) -> FloatArray:
-    """(N, 52) coefficients of the results of a take, found from what was tracked or measured."""
+    """Fit coefficients, (N, 52), to the tracked or measured results of a take."""
     gaze = np.array([observer.gaze(result) for result in results])
     if observer.neutral.measured:
         moved = np.array([observer.displacements(result) for result in results])
@@ -88,7 +88,7 @@ def _found(observer: Observer, results: Sequence[TrackResult]) -> FloatArray:
 
 
 class FrameCoefficients:
-    """Coefficients of single frames, as a live performance has them.
+    """Finds the coefficients of single frames, as in a live performance.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class FrameCoefficients:
         self._measured = neutral.measured
 
     def of(self, result: TrackResult) -> FloatArray:
-        """(52,) coefficients from 0 to 1 of a frame with a face; frames have to come in their order."""
+        """Return the coefficients, (52,), 0 to 1, of a frame with a face. Frames have to be passed in order."""
         result = self._observer.mirrored(result)
         stated = self._observer.stated(result)
         if np.isfinite(stated).all():
@@ -119,21 +119,21 @@ class FrameCoefficients:
 
 
 def coefficients_of(observed: FloatArray, gaze: FloatArray, shown: FloatArray) -> FloatArray:
-    """Coefficients of observed frames of one performer.
+    """Find the coefficients of observed frames of one performer.
 
     Parameters
     ----------
     observed : (N, 213) float64
-        From `Observer.face`.
+        Observations from `Observer.face`.
     gaze : (N, 2, 3, 3) float64
         Rotations of the right and left eyeball.
     shown : (N, 15) float64
-        Activations of `actions.ACTIONS` from `Observer.shown`.
+        Activations of `actions.ACTIONS`, from `Observer.shown`.
 
     Returns
     -------
     (N, 52) float64
-        0 to 1.
+        Coefficients, 0 to 1, in the order of `COEFFICIENTS`.
     """
     fitted = np.zeros((len(observed), len(FITTED)))
     complete = has_actions(observed)
@@ -149,7 +149,7 @@ def _solver(actions: bool) -> CoefficientSolver:
 
 
 def _with_measured(coefficients: FloatArray, shown: FloatArray) -> FloatArray:
-    """`coefficients` (N, 52), in place, where those of which landmarks show nothing are at least their actions."""
+    """Raise `coefficients` (N, 52) that landmarks hardly show to the values of their actions, in place."""
     for name, columns in _MEASURED.items():
         column = coefficients[:, COEFFICIENT_INDEX[name]]
         np.maximum(column, shown[:, columns].mean(axis=1).clip(0.0, 1.0), out=column)
@@ -157,14 +157,14 @@ def _with_measured(coefficients: FloatArray, shown: FloatArray) -> FloatArray:
 
 
 def _fitted(moved: FloatArray) -> FloatArray:
-    """(N, 44) coefficients `FITTED` of exact displacements (N, 66, 3) of the built-in head's landmarks."""
+    """Fit the coefficients `FITTED`, (N, 44), to exact displacements (N, 66, 3) of the built-in head's landmarks."""
     head = load_head()
     units = head.units[FITTED][:, head.landmarks]
     return fit_keys(moved, units, np.zeros(len(FITTED)), np.ones(len(FITTED))).weights
 
 
 def _with_looks(fitted: FloatArray, gaze: FloatArray) -> FloatArray:
-    """(N, 52) coefficients from the 44 `FITTED` and the directions of the eyes."""
+    """Combine the 44 coefficients `FITTED` with those of the eyes' directions, (N, 52)."""
     coefficients = np.zeros((len(fitted), len(COEFFICIENTS)))
     coefficients[:, FITTED] = fitted
     coefficients[:, LOOKS] = looks_of(gaze)

@@ -1,4 +1,4 @@
-"""A small basis for a long motion, instead of one shape key per frame (docs/method.md, section 9.1)."""
+"""A small basis for a long motion, in place of one shape key per frame (docs/method.md, section 9.1)."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 
 _ROWS = 4
-"""Frames at a time."""
+"""Number of frames processed at a time."""
 
 
 @dataclass(frozen=True)
 class MotionBasis:
-    """``motion[n] ~ sum_k weights[n, k] modes[k]``.
+    """A motion as a product, ``motion[n] ~ sum_k weights[n, k] modes[k]``.
 
     Attributes
     ----------
     modes : (K, V, 3) float32
-        Displacements at weight 1; the largest |weight| of each mode over the motion is 1.
+        Displacements at weight 1. The largest absolute weight of each mode over the motion is 1.
     weights : (N, K) float32
-        -1 to 1.
+        Weights, -1 to 1.
     worst_error : float
-        Largest distance of any vertex in any frame from the motion, in its unit.
+        Largest distance of a vertex in any frame from the motion, in its unit.
     """
 
     modes: NDArray[np.float32]
@@ -40,9 +40,9 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
     motion : (N, V, 3) array
         Displacements from rest.
     tolerance : float
-        In the unit of `motion`.
+        Largest allowed distance of a vertex, in the unit of `motion`.
     max_modes : int
-        Largest number of modes; if it does not suffice, `worst_error` exceeds the tolerance.
+        Largest number of modes. If it does not suffice, `worst_error` exceeds the tolerance.
 
     Returns
     -------
@@ -51,11 +51,11 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
 
     Notes
     -----
-    Costs O(N^2 V): singular vectors are found from the N x N Gram matrix, as N is far below 3 V.
+    The cost is O(N^2 V): singular vectors are found from the N x N Gram matrix, as N is far below 3 V.
     """
     frames, vertices = motion.shape[:2]
     flat = np.ascontiguousarray(motion, dtype=np.float32).reshape(frames, -1)
-    # Singular vectors from the Gram matrix, strongest first; those of rounding are dropped.
+    # Singular vectors from the Gram matrix, the strongest first, without those that consist of rounding errors.
     values, vectors = np.linalg.eigh((flat @ flat.T).astype(np.float64))
     strongest = values[-1] if values[-1] > 0 else 1.0
     order = [i for i in np.argsort(values)[::-1][:max_modes] if values[i] > 1e-10 * strongest]

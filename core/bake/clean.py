@@ -9,16 +9,16 @@ from ..arrays import FloatArray
 
 
 def needed_keys(times: FloatArray, values: FloatArray, tolerance: float) -> NDArray[np.intp]:
-    """Select the keyframes that a polyline needs to stay within a tolerance of all.
+    """Select the keyframes that a polyline needs to stay within a tolerance of all keyframes.
 
     Parameters
     ----------
     times : (N,) array
-        Increasing.
+        Times of the keyframes, increasing.
     values : (N,) array
         Values of the keyframes; errors are differences in value at the same time.
     tolerance : float
-        In the unit of `values`; 0 keeps every keyframe that is not on the line.
+        Largest allowed error, in the unit of `values`; 0 keeps every keyframe that is off the line.
 
     Returns
     -------
@@ -27,8 +27,8 @@ def needed_keys(times: FloatArray, values: FloatArray, tolerance: float) -> NDAr
 
     Notes
     -----
-    Douglas & Peucker 1973, without recursion. The error is bounded at the keyframes, and so everywhere, as the curve
-    between them is straight.
+    The algorithm of Douglas & Peucker 1973, without recursion. The error is bounded at the keyframes, and therefore
+    everywhere, as the curve between them is straight.
     """
     count = len(values)
     if count < 3:

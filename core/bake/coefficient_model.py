@@ -18,7 +18,7 @@ from ..landmarks import N_LANDMARKS
 FORMAT = "facemime-coefficients-1"
 COEFFICIENT_FILE = ASSETS / "expressions" / "coefficients.npz"
 N_OBSERVED = 3 * N_LANDMARKS + N_ACTIONS
-"""What is observed of a frame: 66 displacements in the built-in head's outer-eye distances, and 15 activations."""
+"""Size of an observation: 66 displacements in the built-in head's outer-eye distances, and 15 activations."""
 
 
 @dataclass(frozen=True)
@@ -28,35 +28,35 @@ class Spread:
     Attributes
     ----------
     modes : (K, 213) float64
-        F, the directions in which most of it lies.
+        F, the directions of most of the variance.
     rest : (213,) float64
-        s, standard deviations of what is left.
+        s, standard deviations of the remainder.
     """
 
     modes: FloatArray
     rest: FloatArray
 
     def matrix(self) -> FloatArray:
-        """(213, 213) float64."""
+        """Return the covariance matrix, (213, 213) float64."""
         return np.asarray(self.modes.T @ self.modes + np.diag(np.square(self.rest)))
 
 
 @dataclass(frozen=True)
 class CoefficientModel:
-    """``x = a R + e + n``: an observation of coefficients a, with the errors of a frame and of the neutral face.
+    """Model of observations, ``x = a R + e + n``, of coefficients a with the errors of a frame and of the neutral face.
 
     Attributes
     ----------
     responses : (44, 213) float64
-        R, what is observed of each of the coefficients `FITTED` at 1.
+        R, the observation of each of the coefficients `FITTED` at value 1.
     frame : Spread
-        Of e, which differs from frame to frame: noise of the tracker, and how people differ.
+        Covariance of e, which differs from frame to frame: the tracker's noise, and differences between people.
     neutral : Spread
-        Of n, which stays the same for a whole take.
+        Covariance of n, which is the same for a whole take.
     together : (44, 44) float64
-        Inverse of the mean product of two coefficients: how they go together.
+        P, the inverse of the mean product of any two coefficients: how they go together.
     gains : (44,) float64
-        Factors that make up for what the prior takes from the amplitudes.
+        Factors that compensate for the shrinkage of the amplitudes by the prior.
     """
 
     responses: FloatArray
@@ -68,12 +68,12 @@ class CoefficientModel:
 
 @lru_cache(maxsize=1)
 def load_coefficient_model(path: Path = COEFFICIENT_FILE) -> CoefficientModel:
-    """Read the model that is shipped.
+    """Read the shipped model, once.
 
     Raises
     ------
     ModelError
-        If the file is missing, damaged, or of another version.
+        If the file is missing, damaged, or of a different version.
     """
     count = len(FITTED)
     with open_shipped(path, FORMAT) as archive:

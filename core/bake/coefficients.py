@@ -12,30 +12,31 @@ from .coefficient_model import N_OBSERVED, CoefficientModel
 from .least_squares import bounded_least_squares, bounded_minimum
 
 _SPARSITY = 1.0
-"""Weight of the sum of the coefficients in the first fit."""
+"""`lambda` of equation 9.3: weight of the sum of the coefficients in the first fit."""
 _SHARPNESS, _SMALL = 0.6, 0.05
-"""Weight of ``(a / (a_0 + s))^2`` in the next fits, and s, below which a coefficient counts as absent."""
+"""`tau` and `s` of equation 9.4: weight of ``(a / (a_0 + s))^2`` in later fits, and the value below which a coefficient
+counts as absent."""
 _TOGETHER = 0.5
-"""Weight of the prior in the next fits."""
+"""`kappa` of equation 9.4: weight of the prior in later fits."""
 _LEFT = 0.1
-"""Share of the covariance of the neutral face's error that is left once the error was estimated."""
+"""Share of the covariance of the neutral face's error that remains once the error was estimated."""
 _ROUNDS, _SAMPLE, _INDEPENDENT, _CALM = 4, 100, 40.0, 0.3
-"""Rounds and frames for that estimate, the frames that count as independent at most, as neighbours err alike, and the
-sum of coefficients up to which frames count alike."""
+"""Estimation of the neutral face's error (equation 9.5): number of rounds and of frames, largest number of frames that
+count as independent, as neighbours err alike, and sum of coefficients below which frames count alike."""
 _EXCLUDED = 1e6
-"""Penalty of the weaker one of an exclusive pair, far above what an observation could outweigh."""
+"""Penalty of the weaker coefficient of an exclusive pair, far above what an observation could outweigh."""
 _PLACES: NDArray[np.intp] = np.searchsorted(FITTED, EXCLUSIVE)
 
 
 class CoefficientSolver:
-    """Finds the 44 coefficients `FITTED`, each frame by itself.
+    """Finds the 44 coefficients `FITTED` from observations.
 
     Parameters
     ----------
     model : CoefficientModel
-        What is observed of each coefficient.
+        Model of the observations.
     actions : bool
-        Whether the activations of actions are known; otherwise only the landmarks count.
+        Whether the activations of actions are known. If not, only the landmarks count.
     """
 
     def __init__(self, model: CoefficientModel, *, actions: bool = True) -> None:
@@ -49,17 +50,17 @@ class CoefficientSolver:
         self._corrected = self._responses @ np.linalg.inv(frame + _LEFT * neutral)
 
     def frames(self, observed: FloatArray) -> FloatArray:
-        """Find the coefficients of single frames, as a live performance has them.
+        """Find the coefficients of single frames, as in a live performance.
 
         Parameters
         ----------
         observed : (N, 213) float64
-            From `Observer.face`.
+            Observations from `Observer.face`.
 
         Returns
         -------
         (N, 44) float64
-            0 to 1.
+            Coefficients, 0 to 1.
         """
         return self._finished(self._fit(observed[:, self._known], self._single, 2))
 
@@ -69,12 +70,12 @@ class CoefficientSolver:
         Parameters
         ----------
         observed : (N, 213) float64
-            As for `frames`.
+            Observations from `Observer.face`.
 
         Returns
         -------
         (N, 44) float64
-            0 to 1.
+            Coefficients, 0 to 1.
 
         Notes
         -----
@@ -92,7 +93,7 @@ class CoefficientSolver:
         return self._finished(self._fit(values - error, self._corrected, 2))
 
     def _fit(self, values: FloatArray, readout: FloatArray, rounds: int) -> FloatArray:
-        """(N, 44) coefficients of known values (N, D), reweighted `rounds` times (equations 9.3 and 9.4)."""
+        """Fit coefficients, (N, 44), to known values (N, D), reweighted `rounds` times (equations 9.3 and 9.4)."""
         gram, products = readout @ self._responses.T, values @ readout.T
         gram = 0.5 * (gram + gram.T)
         count = len(gram)
@@ -112,11 +113,11 @@ class CoefficientSolver:
 
 
 def _weaker(found: FloatArray) -> NDArray[np.intp]:
-    """Places of the weaker ones of exclusive pairs of which one is present, among the coefficients (44,)."""
+    """Positions, among the coefficients (44,), of the weaker ones of exclusive pairs of which one is present."""
     present = _PLACES[found[_PLACES].max(axis=1) > 0.0]
     return np.asarray(present[np.arange(len(present)), np.argmin(found[present], axis=1)])
 
 
 def has_actions(observed: FloatArray) -> NDArray[np.bool_]:
-    """(N,) whether the activations of observations (N, 213) are known; the landmarks always are."""
+    """Whether the activations of observations (N, 213) are known, (N,); the landmarks always are."""
     return np.asarray(np.isfinite(observed[:, 3 * N_LANDMARKS :]).all(axis=1))

@@ -1,4 +1,4 @@
-"""A motion of vertices as weights of shape keys that a mesh already has (docs/method.md, section 9.2)."""
+"""Fitting of a motion of vertices by shape keys that a mesh already has (docs/method.md, section 9.2)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from ..arrays import FloatArray
 from .least_squares import bounded_least_squares
 
 RIDGE = 1e-4
-"""Ridge as a share of the mean square of a key: similar keys share motion, undetermined ones stay at 0."""
+"""Ridge as a share of the mean square of a key. Similar keys then share motion, and undetermined ones stay at 0."""
 _ROWS = 64
-"""Frames at a time."""
+"""Number of frames processed at a time."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class KeyFit:
     Attributes
     ----------
     weights : (N, K) float64
-        Within the bounds.
+        Weights, within the bounds.
     worst_error, mean_error : float
         Largest and root mean square distance of the vertices from the motion, in its unit.
     """
@@ -43,7 +43,7 @@ def fit_keys(motion: FloatArray, keys: FloatArray, lower: FloatArray, upper: Flo
     keys : (K, V, 3) array
         Displacements at weight 1.
     lower, upper : (K,) array
-        Range of each key.
+        Range of the weight of each key.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def fit_keys(motion: FloatArray, keys: FloatArray, lower: FloatArray, upper: Flo
     Equation 9.1.
     """
     flat = np.ascontiguousarray(keys, dtype=np.float64).reshape(len(keys), -1)
-    # Normal equations of equation 9.1; the motion enters by its products with the keys only.
+    # Normal equations of equation 9.1, in which the motion enters only by its products with the keys.
     gram = flat @ flat.T
     gram[np.diag_indices(len(gram))] += RIDGE * max(float(np.trace(gram)) / max(len(gram), 1), 1e-30)
     products = np.concatenate(
@@ -66,7 +66,7 @@ def fit_keys(motion: FloatArray, keys: FloatArray, lower: FloatArray, upper: Flo
 
 
 def mix_errors(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tuple[float, float]:
-    """Errors of a mix of shape keys.
+    """Compute the errors of a mix of shape keys.
 
     Parameters
     ----------

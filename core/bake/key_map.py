@@ -1,7 +1,7 @@
-"""Tables from ARKit's coefficients to the shape keys of a mesh, with gains and offsets (docs/method.md, section 9.4).
+"""Key mappings: tables from ARKit's coefficients to the shape keys of a mesh (docs/method.md, section 9.4).
 
-Presets for common vocabularies are in `assets/key_maps`. Names are compared without case, separators and the spelling
-of left and right: `eyeBlink_L`, `EyeBlinkLeft` and `eye blink.l` are equal.
+Presets for common vocabularies are in `assets/key_maps`. Names are compared regardless of case, separators and the
+spelling of left and right: `eyeBlink_L`, `EyeBlinkLeft` and `eye blink.l` are equal.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from .least_squares import bounded_least_squares
 PRESETS = ASSETS / "key_maps"
 _FORMAT = "facemime-key-map"
 _MAX_ROWS, _MAX_VALUE = 10_000, 1e6
-"""Upper bounds of rows, and of gains and offsets, in a file."""
+"""Largest number of rows, and largest gains and offsets, in a file."""
 ESSENTIAL = frozenset({"jawOpen", "eyeBlinkLeft", "eyeBlinkRight"})
-"""Coefficients without which keys are no set for a whole face."""
+"""Coefficients without which keys do not form a set for a whole face."""
 _KINDS = ("modifier", "expression", "phoneme")
 """Prefixes of FaceGen's morphs, which are ignored."""
 _MIN_MATCHES = 3
-"""Fewest keys by which a preset is recognised."""
+"""Smallest number of keys by which a preset is recognised."""
 _RIDGE = 1e-3
-"""Ridge of equation 9.6 towards the gains of the table so far."""
+"""Ridge of equation 9.6 towards the gains of the given table."""
 _MIN_GAIN = 0.01
-"""Learnt gains below this are dropped."""
+"""Smallest learnt gain that is kept."""
 
 
 @dataclass(frozen=True)
 class KeyRow:
-    """A row of a table: sets `key` to `gain` times the coefficient `source`, plus `offset`; rows of a key add up."""
+    """A row of a table: it sets `key` to `gain` times the coefficient `source`, plus `offset`; rows of a key add up."""
 
     source: str
     key: str
@@ -51,7 +51,15 @@ class KeyRow:
 
 @dataclass(frozen=True)
 class KeyPose:
-    """Shape key `values` by name, as the user posed them for a frame with `coefficients` (52,)."""
+    """Shape key values that the user posed for a frame.
+
+    Attributes
+    ----------
+    coefficients : (52,) float64
+        ARKit's coefficients of the frame.
+    values : dict of str to float
+        Value of each shape key, by name.
+    """
 
     coefficients: FloatArray
     values: dict[str, float]
@@ -62,7 +70,7 @@ class KeyPose:
 
     @classmethod
     def from_json(cls, text: str) -> KeyPose:
-        """Parse what `to_json` returned; SourceError if it is anything else."""
+        """Parse the result of `to_json`; SourceError if it is anything else."""
         try:
             data = as_object(parse_json(text), "the text")
             numbers = as_list(data.get("coefficients"), "coefficients", len(COEFFICIENTS))
@@ -81,7 +89,7 @@ class KeyPose:
 
 @dataclass(frozen=True)
 class KeyMap:
-    """A named table of shape keys."""
+    """A key mapping: a named table of rows."""
 
     name: str
     rows: tuple[KeyRow, ...]
@@ -102,14 +110,14 @@ class KeyMap:
         Parameters
         ----------
         coefficients : (N, 52) float64
-            In the order of `COEFFICIENTS`.
+            Coefficients in the order of `COEFFICIENTS`.
         ranges : mapping of str to (float, float)
-            Range of each key of the mesh.
+            Range of each shape key of the mesh.
 
         Returns
         -------
         dict of str to (N,) float64
-            Values, clipped to the ranges, of the keys that are in both table and mesh.
+            Values, clipped to the ranges, of the keys that are both in the table and in the mesh.
         """
         names, values = COEFFICIENTS, {}
         for key in self.keys:
@@ -120,7 +128,7 @@ class KeyMap:
         return values
 
     def matched(self, keys: Iterable[str]) -> KeyMap:
-        """Rows whose key is among `keys`, regardless of spelling, with the names in `keys`."""
+        """Return the rows whose key is among `keys`, regardless of spelling, with the names in `keys`."""
         known = {normalised(key): key for key in reversed(list(keys))}
         rows = (replace(row, key=known[normalised(row.key)]) for row in self.rows if normalised(row.key) in known)
         return KeyMap(self.name, tuple(rows))
@@ -135,7 +143,7 @@ class KeyMap:
 
 
 def from_json(text: str) -> KeyMap:
-    """Parse a table; SourceError if `text` is anything else."""
+    """Parse a key mapping; SourceError if `text` is anything else."""
     try:
         data = as_object(parse_json(text), "the text")
         if data.get("format") != _FORMAT:
@@ -143,7 +151,7 @@ def from_json(text: str) -> KeyMap:
         rows = as_list(data.get("rows"), "rows", _MAX_ROWS)
         return KeyMap(as_text(data.get("name"), "name"), tuple(_row(as_object(row, "a row")) for row in rows))
     except ValueError as error:
-        raise SourceError(f"This is not a table of keys ({error}). Use one that Facemime exported.") from error
+        raise SourceError(f"This is not a key mapping ({error}). Use one exported by Facemime.") from error
 
 
 def _row(data: Mapping[str, Any]) -> KeyRow:
@@ -162,20 +170,21 @@ def load_map(path: Path) -> KeyMap:
     try:
         return from_json(read_text(Path(path)))
     except (OSError, ValueError) as error:
-        raise SourceError(f"{path} cannot be read ({error}). Choose a table of keys.") from error
+        raise SourceError(f"{path} cannot be read ({error}). Choose a key mapping.") from error
     except SourceError as error:
         raise SourceError(f"{path}: {error}") from error
 
 
 @lru_cache(maxsize=1)
 def presets() -> tuple[KeyMap, ...]:
-    """The tables that are shipped, ARKit's first."""
+    """Return the shipped tables, ARKit's first."""
     return tuple(load_map(path) for path in sorted(PRESETS.glob("*.json")))
 
 
 def best_preset(keys: Sequence[str]) -> KeyMap | None:
-    """The preset that fits `keys` best, with their names: that of the most essential coefficients, and then of the most
-    keys. None if none sets at least three.
+    """Return the preset that fits `keys` best, with the names in `keys`, or None if none sets at least three.
+
+    The best preset sets most of the essential coefficients, and then most of the keys.
     """
     matches = [preset.matched(keys) for preset in presets()]
     best = max(matches, key=lambda match: (len(ESSENTIAL & match.sources), len(match.keys)), default=None)
@@ -183,7 +192,7 @@ def best_preset(keys: Sequence[str]) -> KeyMap | None:
 
 
 def expression_keys(keys: Sequence[str]) -> list[str]:
-    """Those of `keys` that are in any preset, or all if none is."""
+    """Return those of `keys` that are in any preset, or all if none is."""
     known = {normalised(key) for preset in presets() for key in preset.keys}
     return [key for key in keys if normalised(key) in known] or list(keys)
 
@@ -203,13 +212,13 @@ def learn_map(coefficients: FloatArray, poses: FloatArray, keys: Sequence[str], 
     Parameters
     ----------
     coefficients : (P, 52) array
-        Of the posed frames.
+        Coefficients of the posed frames.
     poses : (P, K) array
         Values of the keys in these frames.
     keys : sequence of str
         Names of the keys.
     start : KeyMap
-        The table so far; its offsets are kept.
+        The given table, whose offsets are kept.
 
     Returns
     -------
@@ -218,11 +227,11 @@ def learn_map(coefficients: FloatArray, poses: FloatArray, keys: Sequence[str], 
 
     Notes
     -----
-    Equation 9.6. A few poses leave most gains undetermined; these stay as they were.
+    Equation 9.6. A few poses leave most gains undetermined; these keep their given values.
     """
     names = COEFFICIENTS
     coefficients = np.asarray(coefficients, dtype=np.float64)
-    # Gains of the table so far, which are the centre of the ridge.
+    # Gains of the given table, which are the centre of the ridge.
     before, offsets = np.zeros((len(keys), len(names))), np.zeros(len(keys))
     for row in start.rows:
         if row.key in keys:

@@ -10,7 +10,7 @@ from ..arrays import FloatArray
 _TOLERANCE = 1e-10
 """Gradient at a bound, relative to the largest number of the system, below which a variable stays there."""
 _STEPS = 200
-"""Projected gradient steps, after which most active bounds are found."""
+"""Number of projected gradient steps, after which most active bounds are known."""
 
 
 def bounded_least_squares(gram: FloatArray, products: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
@@ -23,7 +23,7 @@ def bounded_least_squares(gram: FloatArray, products: FloatArray, lower: FloatAr
     products : (N, K) array
         ``A^T y``, one row per y.
     lower, upper : (K,) array
-        Bounds, which may be infinite; ``lower < upper``.
+        Bounds, which may be infinite, with ``lower < upper``.
 
     Returns
     -------
@@ -51,13 +51,13 @@ def bounded_minimum(
     Parameters
     ----------
     gram : (K, K) array
-        Positive definite.
+        Matrix, positive definite.
     product : (K,) array
         Linear term.
     lower, upper : (K,) array
-        Bounds; ``lower < upper``.
+        Bounds, with ``lower < upper``.
     start : (K,) array
-        Start, within the bounds.
+        Starting point, within the bounds.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def bounded_minimum(
 
 
 def _approximate(gram: FloatArray, products: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """(N, K) rows near the solution, within the bounds, by accelerated projected gradients (Beck & Teboulle 2009)."""
+    """Return rows (N, K) near the solution, within the bounds, by accelerated projected gradients."""
     # Scale unknowns to a unit diagonal, which evens out the steps.
     unit = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     scaled, wanted = gram * np.outer(unit, unit), products * unit
@@ -89,7 +89,7 @@ def _approximate(gram: FloatArray, products: FloatArray, lower: FloatArray, uppe
 def _solve(
     gram: FloatArray, product: FloatArray, lower: FloatArray, upper: FloatArray, x: FloatArray, free: NDArray[np.bool_]
 ) -> None:
-    """Move `x` to the minimum (Stark & Parker 1995); `free` are the variables off their bounds. Works in place."""
+    """Move `x` to the minimum (Stark & Parker 1995), in place; `free` marks the variables off their bounds."""
     tolerance = _TOLERANCE * max(float(np.abs(product).max(initial=0.0)), float(np.abs(gram).max(initial=0.0)), 1e-300)
     _descend(gram, product, lower, upper, x, free)
     for _ in range(64 * len(gram)):  # terminates, as the objective falls with each step; the limit is for rounding
@@ -107,7 +107,7 @@ def _solve(
 def _descend(
     gram: FloatArray, product: FloatArray, lower: FloatArray, upper: FloatArray, x: FloatArray, free: NDArray[np.bool_]
 ) -> None:
-    """Minimise over the free variables; those that reach a bound on the way stay there."""
+    """Minimise over the free variables, in place; those that reach a bound on the way stay there."""
     while free.any():
         rows, fixed = np.flatnonzero(free), np.flatnonzero(~free)
         right = product[rows] - gram[np.ix_(rows, fixed)] @ x[fixed]

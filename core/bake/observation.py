@@ -1,4 +1,4 @@
-"""What of a tracked frame is compared with ARKit's coefficients (docs/method.md, section 9.3)."""
+"""Observations of tracked frames, from which ARKit's coefficients are found (docs/method.md, section 9.3)."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class Observer:
     neutral : Neutral
         The performer's neutral face.
     options : DriveSettings
-        Strength, mirror, the limits of the eyes, and whether only landmarks count. Depths always do, as little as
-        they are known.
+        Strength, mirror, the limits of the eyes, and whether only landmarks count. Depths are always used, although
+        they are hardly known.
     """
 
     def __init__(self, neutral: Neutral, options: DriveSettings) -> None:
@@ -46,17 +46,18 @@ class Observer:
         self._eyes = EyeDriver(self.neutral.gaze, self.neutral.vergence)
 
     def mirrored(self, result: TrackResult) -> TrackResult:
-        """The result as the other methods take it: flipped left to right if that is set."""
+        """Return the result as the other methods expect it, flipped left to right if the settings say so."""
         return mirror_result(result, MIRROR_WIDTH) if self.options.mirror else result
 
     def displacements(self, result: TrackResult) -> FloatArray:
-        """(66, 3) displacements of the built-in head's landmarks, its unit."""
+        """Return the displacements of the built-in head's landmarks, (66, 3), in its unit."""
         return self._retargeter.displacements(result.shape)
 
     def face(self, result: TrackResult) -> FloatArray:
-        """(213,) displacements without those of the whole head, in outer-eye distances, and activations above rest.
+        """Return the observation of a frame, (213,).
 
-        Activations are NaN if they are unknown, or are ignored.
+        It contains the displacements without those of the whole head, in outer-eye distances, and the activations above
+        rest, which are NaN if they are unknown or ignored.
         """
         own = (self.displacements(result) / self._unit).ravel() @ self._own
         above = np.full(len(ACTIONS), np.nan)
@@ -65,17 +66,17 @@ class Observer:
         return np.concatenate([own, above])
 
     def stated(self, result: TrackResult) -> FloatArray:
-        """(52,) coefficients that the source stated, times the strength of their region; NaN if it states none."""
+        """Return the coefficients stated by the source, (52,), times the strength of their region; NaN without any."""
         return np.asarray(np.clip(result.coefficients * self._gains, 0.0, 1.0))
 
     def shown(self, result: TrackResult) -> FloatArray:
-        """(15,) activations that an avatar would show (equation 4.6)."""
+        """Return the activations that an avatar would show (equation 4.6), (15,)."""
         if self.options.only_landmarks:
             return np.zeros(len(ACTIONS))
         return self._actions.activations(result.actions, result.shape)
 
     def gaze(self, result: TrackResult) -> FloatArray:
-        """(2, 3, 3) rotations of the right and left eyeball within the head; frames have to come in their order."""
+        """Return the rotations of the right and left eyeball, (2, 3, 3). Frames have to be passed in order."""
         posing = self.options.posing
         turned = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
         if self.neutral.measured and np.isfinite(result.gaze).all():
@@ -86,7 +87,7 @@ class Observer:
 
 
 def _gains(options: DriveSettings) -> FloatArray:
-    """(52,) strength of each coefficient: that of its region, or of the eyes' direction."""
+    """Strength of each coefficient, (52,), which is that of its region or of the eyes' direction."""
     upper, middle, lower = options.strength
 
     def gain(name: str) -> float:
@@ -100,14 +101,14 @@ def _gains(options: DriveSettings) -> FloatArray:
 
 
 def _landmarks() -> FloatArray:
-    """(66, 3) landmarks of the built-in head at rest, its unit."""
+    """Landmarks of the built-in head at rest, (66, 3), in its unit."""
     head = load_head()
     return head.vertices[head.landmarks].astype(np.float64)
 
 
 @lru_cache(maxsize=1)
 def _own_motion() -> FloatArray:
-    """(198, 198) what is left of each coordinate, as rows, if the motion of the whole head is removed.
+    """Projection, (198, 198), whose rows map coordinates to what remains without the motion of the whole head.
 
     Removing a similarity is linear.
     """

@@ -23,11 +23,11 @@ def write_point_cache(path: Path, samples: Iterable[FloatArray], vertices: int, 
     path : Path
         The file.
     samples : iterable of (V, 3) array
-        Positions of the vertices.
+        Positions of the vertices, one sample per frame.
     vertices : int
-        V, the same in every sample.
+        Number of vertices V, the same in every sample.
     start : float
-        Frame of the first sample; there is one sample per frame.
+        Frame of the first sample.
 
     Returns
     -------
@@ -53,21 +53,21 @@ def write_point_cache(path: Path, samples: Iterable[FloatArray], vertices: int, 
 
 
 def in_between(times: FloatArray, values: FloatArray, at: float) -> FloatArray:
-    """Interpolate linearly, constant beyond both ends.
+    """Interpolate linearly between values, which are constant beyond both ends.
 
     Parameters
     ----------
     times : (N,) float64
-        Increasing.
+        Times, increasing.
     values : (N, ...) array
         Values at these times.
     at : float
-        Time to interpolate at.
+        Time at which to interpolate.
 
     Returns
     -------
     ndarray
-        Values of one time.
+        Values at that time.
     """
     after = int(np.searchsorted(times, at, side="left"))
     if after == 0 or after == len(times):

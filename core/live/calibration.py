@@ -1,6 +1,6 @@
-"""Live calibration: the neutral face, and how far the eyes close and the mouth opens (docs/method.md, section 4.1).
+"""Live calibration: the neutral face, and how far eyes close and the mouth opens (docs/method.md, section 4.1).
 
-In a take, `calibrate` finds a neutral second; live, the performer is asked for one, and told how well it went.
+In a take, `calibrate` finds a neutral moment. Live, the performer is asked for one, and told how well it went.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from ..tracking.result import TrackResult
 DURATION = 1.0
 RANGE_DURATION = 4.0
 _MIN_FRAMES = 5
-"""Fewest frames with a face."""
+"""Smallest number of frames with a face."""
 _MAX_MOTION = 0.02
-"""Standard deviation of landmarks in outer-eye distances above which the performer moved."""
+"""Standard deviation of landmarks, in outer-eye distances, above which the performer has moved."""
 _MAX_YAW = np.radians(20.0)
-"""Yaw above which the head was turned."""
+"""Yaw in radians above which the head was turned."""
 
 
 @dataclass(frozen=True)
 class Quality:
-    """Quality of a calibration: whether it is `good`, and a message that says so or what to do better."""
+    """Quality of a calibration: whether it is `good`, and a `message` that says so or what to do better."""
 
     good: bool
     message: str
 
 
 class NeutralCalibration:
-    """Collects the results of about a second and averages them.
+    """Collects results for about a second and averages them.
 
     Parameters
     ----------
     asked : bool
-        Whether the performer was asked to rest. If not, what an expression adds to the face is removed.
+        Whether the performer was asked to rest. If not, expressions are removed from the face.
     duration : float
-        Seconds from the first result with a face.
+        Time in seconds from the first result with a face.
     """
 
     def __init__(self, *, asked: bool = True, duration: float = DURATION) -> None:
@@ -58,14 +58,14 @@ class NeutralCalibration:
         Parameters
         ----------
         time : float
-            Seconds.
+            Time in seconds.
         result : TrackResult
-            Of that time.
+            Result at that time.
 
         Returns
         -------
         bool
-            Whether that is enough.
+            Whether the calibration is complete.
         """
         if len(self._recorder) == 0:
             self._since = time
@@ -73,7 +73,7 @@ class NeutralCalibration:
         return time - self._since >= self._duration
 
     def neutral(self) -> Neutral:
-        """The neutral face; SourceError if none was found."""
+        """Return the neutral face; SourceError if no face was found."""
         take = self._recorder.finish()
         return calibrate(take, float(take.times[0]), self._duration + 1e-6) if self._asked else calibrate(take)
 
@@ -96,14 +96,14 @@ class NeutralCalibration:
 
 
 class RangeCalibration:
-    """Collects some seconds in which the performer shuts the eyes and opens the mouth wide.
+    """Collects results for some seconds in which the performer shuts the eyes and opens the mouth wide.
 
     Parameters
     ----------
     neutral : Neutral
         The neutral face to extend.
     duration : float
-        Seconds from the first result.
+        Time in seconds from the first result.
     """
 
     def __init__(self, neutral: Neutral, duration: float = RANGE_DURATION) -> None:
@@ -113,7 +113,18 @@ class RangeCalibration:
         self._since: float | None = None
 
     def add(self, time: float, result: TrackResult) -> bool:
-        """As `NeutralCalibration.add`."""
+        """Add a result.
+
+        Parameters
+        ----------
+        time, result
+            As for `NeutralCalibration.add`.
+
+        Returns
+        -------
+        bool
+            Whether the calibration is complete.
+        """
         self._since = time if self._since is None else self._since
         if result.found:
             self._shapes.append(result.shape)
@@ -121,7 +132,7 @@ class RangeCalibration:
         return time - self._since >= self._duration
 
     def neutral(self) -> Neutral:
-        """The neutral face with the range; SourceError if the face was hardly seen."""
+        """Return the neutral face with the range; SourceError if the face was hardly seen."""
         if len(self._shapes) < _MIN_FRAMES:
             raise SourceError(
                 "Your face was hardly visible. Look at the camera, with light from the front, and try again."

@@ -1,8 +1,8 @@
-"""A camera that is read by a process of its own.
+"""A camera that is read by a separate process.
 
-Drivers hang or crash, and macOS terminates programs that open a camera without permission. That affects
-`camera_process` only. Here it becomes a message for the user, and the next `read` tries again, so that a camera that
-was unplugged continues when it is back.
+Drivers hang or crash, and macOS terminates programs that open a camera without permission. This affects only
+`camera_process`. Here it becomes a message for the user, and the next `read` tries again, so that a camera that was
+unplugged continues when it is back.
 """
 
 from __future__ import annotations
@@ -27,23 +27,24 @@ from .sources import LiveFrame, LiveSource
 
 PROGRAM = Path(__file__).with_name("camera_process.py")
 _OPENING, _SILENCE, _RETRY = 15.0, 4.0, 2.0
-"""Seconds without a frame after which a camera counts as hanging, while it opens and later; and until the next try."""
+"""Seconds without a frame after which a camera counts as hanging, while it opens and later; and seconds until the next
+attempt."""
 _ENDING = 2.0
-"""Seconds for which to wait for a killed process; if its driver hangs in the kernel, it dies later."""
+"""Seconds to wait for a killed process to end. If its driver hangs in the kernel, it ends later."""
 _MAX_BYTES = 1 << 28
-"""Upper bound of a frame in bytes."""
+"""Largest size of a frame in bytes."""
 
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """Which camera to open, and the format to request, from which the camera may deviate.
+    """Camera to open, and format to request, from which the camera may deviate.
 
     Attributes
     ----------
     device : str
-        A number, a path, or the address of a stream, for instance of a phone.
+        A number, a path, or the address of a stream, such as a phone's.
     width, height : int
-        Pixels.
+        Size of the frames in pixels.
     rate : float
         Frames per second.
     """
@@ -55,12 +56,12 @@ class CameraSettings:
 
 
 class Camera(LiveSource):
-    """The newest frame of a camera.
+    """Source of the newest frame of a camera.
 
     Parameters
     ----------
     settings : CameraSettings
-        Which camera, and the requested format.
+        Camera and requested format.
     command : tuple of str, optional
         Command to start instead of `camera_process`, without its arguments.
     opening, silence : float
@@ -92,7 +93,7 @@ class Camera(LiveSource):
         self._closed = False
 
     def read(self, timeout: float) -> LiveFrame | None:
-        """The newest frame; see `LiveSource.read`."""
+        """Return the newest frame. See `LiveSource.read`."""
         with self._news:
             if self._closed:
                 return None
@@ -109,7 +110,7 @@ class Camera(LiveSource):
         return frame
 
     def close(self) -> None:
-        """End the process, which takes `_ENDING` seconds at most; may be called twice."""
+        """End the process, which takes at most `_ENDING` seconds. May be called twice."""
         with self._news:
             self._closed = True
             self._news.notify_all()
@@ -120,7 +121,7 @@ class Camera(LiveSource):
         named = asked.device.isdecimal() or is_address(asked.device)
         device = (
             asked.device if named else os.path.abspath(asked.device)
-        )  # absolute, so as not to be taken for an address
+        )  # an absolute path is not taken for an address
         self._failure, self._frame = "", None
         self._heard = perf_counter() + self._opening - self._silence
         try:
@@ -139,7 +140,7 @@ class Camera(LiveSource):
         self._listener.start()
 
     def _attend(self, process: subprocess.Popen[bytes]) -> None:
-        """Listen to `process` until it ends, and clean up; runs in a thread of its own, as either may take long."""
+        """Listen to `process` until it ends, and clean up; runs in a separate thread, as either may take long."""
         self._listen(process)
         process.kill()
         process.wait()
@@ -179,7 +180,7 @@ class Camera(LiveSource):
         return "hangs" if self._process is not None and perf_counter() - self._heard > self._silence else ""
 
     def _end(self) -> None:
-        """Kill the process; if it does not die in time, leave it to its listener."""
+        """Kill the process; if it does not end in time, leave it to its listener."""
         with self._news:
             process, self._process = self._process, None
             listener, self._listener = self._listener, None
@@ -191,7 +192,7 @@ class Camera(LiveSource):
 
 
 def _message(stream: IO[bytes]) -> LiveFrame | str | None:
-    """Read a frame, the reason of a failure, or None at the end."""
+    """Read a frame or the reason of a failure; None at the end."""
     head = stream.read(HEADER.size)
     if len(head) < HEADER.size:
         return None
@@ -207,12 +208,12 @@ def _message(stream: IO[bytes]) -> LiveFrame | str | None:
 
 
 def module_folders() -> str:
-    """Folders with cv2 and numpy for a child process, separated as in PATH."""
+    """Return the folders that contain cv2 and numpy for a child process, separated as in PATH."""
     return os.pathsep.join({str(Path(str(module.__file__)).parents[1]) for module in (cv2, np)})
 
 
 def python_executable() -> str:
-    """The Python executable that runs here, also inside Blender; never another one from PATH.
+    """Return the Python executable that runs here, also inside Blender; never another one from PATH.
 
     Raises
     ------
@@ -229,12 +230,12 @@ def python_executable() -> str:
 
 
 def explain_failure(failure: str, device: str) -> str:
-    """Explain what happened to a camera, and what to do.
+    """Explain a failure of a camera, and what to do.
 
     Parameters
     ----------
     failure : str
-        Reason that `camera_process` gave, or "hangs", "died" or "no python".
+        Reason given by `camera_process`, or "hangs", "died" or "no python".
     device : str
         As in `CameraSettings`.
 
@@ -251,7 +252,7 @@ def explain_failure(failure: str, device: str) -> str:
             return f"There is no permission to use {path}. Join the group 'video' and log in again, or use a video."
     if sys.platform == "darwin" and failure in ("closed", "silent", "died"):
         return (
-            "macOS did not give Blender the camera. Start Blender from Terminal and allow Terminal in System "
+            "macOS did not grant access to the camera. Start Blender from Terminal and allow Terminal in System "
             "Settings > Privacy & Security > Camera, or use a video or a phone's stream."
         )
     return _EXPLANATIONS.get(failure, _EXPLANATIONS["died"]).format(device=device)
@@ -259,7 +260,7 @@ def explain_failure(failure: str, device: str) -> str:
 
 _EXPLANATIONS = {
     "closed": "Camera {device} cannot be opened. Plug it in, close other programs that use it, or choose another.",
-    "silent": "Camera {device} gives no picture; another program may be using it. Close it, or choose another camera.",
+    "silent": "Camera {device} sends no images; another program may be using it. Close it, or choose another camera.",
     "gone": "Camera {device} stopped: it was unplugged, or its stream ended. Plug it in again to continue.",
     "hangs": "Camera {device} does not respond. Unplug it and plug it in again, or choose another source.",
     "died": "The driver of camera {device} crashed. Plug the camera in again, or choose another source.",
@@ -286,12 +287,12 @@ def parse_device(text: str, cameras: Sequence[CameraName]) -> str:
     text : str
         A number, an address, or a `CameraName` as text.
     cameras : sequence of CameraName
-        The cameras of the computer.
+        Cameras of the computer.
 
     Returns
     -------
     str
-        As in `CameraSettings`; a named camera is found by its name if its number has changed.
+        Device as in `CameraSettings`. A named camera is found by its name if its number has changed.
     """
     number, separator, name = text.strip().partition(": ")
     if not (separator and number.isdecimal()):
@@ -300,7 +301,7 @@ def parse_device(text: str, cameras: Sequence[CameraName]) -> str:
 
 
 def list_cameras() -> list[CameraName]:
-    """Cameras that the system lists, without opening any; empty if it lists none."""
+    """Return the cameras that the system lists, without opening any; empty if it lists none."""
     if sys.platform == "linux":
         return _list_on_linux(Path("/sys/class/video4linux"))
     if sys.platform == "darwin":
@@ -309,7 +310,7 @@ def list_cameras() -> list[CameraName]:
 
 
 def _list_on_linux(folder: Path) -> list[CameraName]:
-    """List cameras on Linux; of the several devices of a camera, the first one has the pictures."""
+    """List cameras on Linux. Of several devices of a camera, the first one delivers the images."""
     cameras = []
     for device in sorted(folder.glob("video*"), key=lambda path: int(path.name[5:] or 0)):
         try:

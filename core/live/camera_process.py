@@ -3,10 +3,10 @@
 Usage: python camera_process.py FOLDERS DEVICE WIDTH HEIGHT RATE, where FOLDERS contain cv2 and numpy, and DEVICE is the
 number of a camera, or a path or address that OpenCV can open as a stream.
 
-A driver that hangs, crashes or is refused by the system affects this process only, not Blender. Nothing of Facemime is
+A driver that hangs, crashes or is refused by the system affects only this process, not Blender. Nothing of Facemime is
 imported, as its package is not on the path. A message is `HEADER` (kind, time.perf_counter(), which all processes of a
-machine share, height, width, number of bytes) and BGR pixels, or a reason in UTF-8. The process ends when its standard
-input does, that is, with the process that started it, even by a crash.
+machine share, height, width, number of bytes) followed by BGR pixels, or by a reason in UTF-8. The process ends with
+its standard input, that is, with the process that started it, even if that crashes.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""Drivers of the heads of a live session, prepared again only where something has changed."""
+"""Drivers of the heads of a live session, prepared again only if something has changed."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class LiveHead:
     Attributes
     ----------
     rig : HeadRig
-        If it is another object, the driver is prepared again.
+        The head. If it is replaced by another object, the driver is prepared again.
     options : DriveSettings
-        Its settings.
+        How the performance moves the head.
     prepare : callable
-        Called in the thread with each `HeadFrame`, to prepare what would delay its display.
+        Called in the worker's thread with each `HeadFrame`, to prepare what would otherwise delay its display.
     keys : LiveKeys, optional
-        Shape keys that drive its vertices instead of the landmarks.
+        Shape keys that drive the vertices instead of the landmarks.
     """
 
     rig: HeadRig
@@ -39,7 +39,7 @@ class LiveHead:
 
 @dataclass
 class _Driven:
-    """The current state of a head: who drives it, and how."""
+    """The current state of a head."""
 
     head: LiveHead
     neutral: Neutral
@@ -50,7 +50,7 @@ class _Driven:
 
 
 class HeadDrivers:
-    """Drivers of several heads, which may be exchanged from one frame to the next."""
+    """Drivers of several heads, which may be replaced from one frame to the next."""
 
     def __init__(self) -> None:
         self._driven: list[_Driven] = []
@@ -58,7 +58,7 @@ class HeadDrivers:
 
     @property
     def drivers(self) -> list[HeadDriver | KeyDriver]:
-        """Drivers of the heads of the last frame."""
+        """Drivers of the heads in the last frame."""
         return [driven.driver for driven in self._driven]
 
     def drive(
@@ -68,24 +68,26 @@ class HeadDrivers:
         result: TrackResult,
         chosen: tuple[int, ...] | None = None,
     ) -> tuple[tuple[HeadFrame, ...], tuple[Any, ...]]:
-        """Return the frames of `heads`, and what `LiveHead.prepare` makes of each.
+        """Drive heads by a result of a performer.
 
         Parameters
         ----------
         heads : tuple of LiveHead
-            If this or `neutral` is another object than before, drivers are prepared; deformers of unchanged rigs are
-            reused.
+            The heads. If this or `neutral` is another object than before, drivers are prepared; deformers of unchanged
+            rigs are reused.
         neutral : Neutral or None
-            The performer's neutral face; without one there are no frames.
+            The performer's neutral face; None for no frames.
         result : TrackResult
-            Of the performer; without a face there are no frames.
+            Result of the performer; without a face there are no frames.
         chosen : tuple of int, optional
-            The heads that this performer drives, by default all. The others stay as they are, at first at rest.
+            The heads that this performer drives; by default all. The others keep their last frame, initially at rest.
 
         Returns
         -------
         frames : tuple of HeadFrame
+            Frame of each head.
         prepared : tuple
+            Result of `LiveHead.prepare` for each head.
         """
         if neutral is not None and result.found:
             self._update(heads, neutral, result, chosen)
@@ -130,7 +132,7 @@ def _drive(
 
 
 def _prepare(head: LiveHead, neutral: Neutral, drivers: list[HeadDriver | KeyDriver]) -> HeadDriver | KeyDriver:
-    """Make a driver, with the deformer of one of `drivers` that has the same rig."""
+    """Create a driver, with the deformer of one of `drivers` that has the same rig."""
     earlier = [driver.head if isinstance(driver, KeyDriver) else driver for driver in drivers]
     before = {id(driver.rig): driver for driver in earlier}
     driver = HeadDriver(head.rig, neutral, head.options, reuse=before.get(id(head.rig)))

@@ -1,4 +1,4 @@
-"""A head that is driven live by shape keys of its own, as a bake by a key mapping would drive it."""
+"""A head that is driven live by its own shape keys, as a bake by a key mapping would drive it."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ class LiveKeys:
     Attributes
     ----------
     table : KeyMap
+        The key mapping.
     offsets : dict of str to (A, 3) float32
         Displacements at value 1 of the vertices in `HeadRig.all_vertices`: head frame, unit of the mesh.
     ranges : dict of str to (float, float)
-        Least and greatest value of each.
+        Smallest and largest value of each key.
     """
 
     table: KeyMap
@@ -33,14 +34,23 @@ class LiveKeys:
 
 
 class KeyDriver:
-    """Drives a head by its keys; the pose comes from its `HeadDriver`.
+    """Drives a head by its shape keys; the pose comes from a `HeadDriver`.
 
     Parameters
     ----------
     head : HeadDriver
+        Driver of the pose.
     neutral : Neutral
-        That of `head`, not mirrored.
+        Neutral face of `head`, not mirrored.
     keys : LiveKeys
+        The shape keys.
+
+    Attributes
+    ----------
+    head : HeadDriver
+        As given.
+    keys : LiveKeys
+        As given.
 
     Attributes
     ----------

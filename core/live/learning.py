@@ -1,7 +1,7 @@
-"""Learning the performer while the puppet runs: the neutral face, and where the eyes are shut (docs/method.md, 4.1).
+"""Learning the performer during a session: the neutral face, and where the eyes are shut (docs/method.md, 4.1).
 
-Nobody is asked for anything. The first second seldom shows a rested face, and hardly ever a blink; whoever performs
-for a while shows both.
+The performer is not asked for anything. The first second seldom shows a face at rest, and hardly ever a blink, but a
+longer performance shows both.
 """
 
 from __future__ import annotations
@@ -21,39 +21,39 @@ from ..takes.take import TakeRecorder
 from ..tracking.result import TrackResult
 
 _FRAMES, _RATE = 150, 15.0
-"""Frames that are looked at for a neutral face, and how many of a second at first; when there are more, every second
-one of those before is left out, so that they are spread over the whole performance."""
+"""Largest number of frames that are searched for a neutral face, and frames per second at first. Whenever there are
+more, every second earlier frame is left out, so that the rest is spread over the whole performance."""
 _FEWEST, _SWEEPS, _AT_FIRST = 30, 2, 4
-"""Frames that have to be kept before they are looked at, and sweeps of equation 4.1 with each new frame, usually and
-until a first face at rest is found; 300 of them solve it."""
+"""Smallest number of frames that are searched; sweeps of equation 4.1 per new frame, usually and until a first face at
+rest is found. 300 sweeps solve the equation."""
 _ENOUGH = 4.0
-"""Seconds of a face after which what was found counts in full."""
+"""Seconds of a face after which the result counts in full."""
 _STEP, _TIME = 0.2, 1.5
-"""Seconds between two steps towards what was found, and the time constant of the approach."""
+"""Seconds between two steps towards the result, and time constant of the approach in seconds."""
 _UNCHANGED = 2e-3
-"""Eye distances that landmarks of the neutral face have to be off to be moved."""
+"""Distance in eye distances that landmarks of the neutral face have to be off to be moved."""
 _REOPENED = 0.6
-"""Opening, relative to the neutral one, above which a blink is over."""
+"""Opening of the eyes, relative to the neutral one, above which a blink is over."""
 _BLINKS, _BLINK_FRAMES = 64, 2
-"""Blinks that are remembered, and frames that a blink lasts at least: a misplaced lid lasts one."""
+"""Number of blinks that are remembered, and smallest number of frames of a blink; a misplaced lid lasts one frame."""
 _LEFT = 10.0
-"""Seconds without a face after which somebody else may have sat down."""
+"""Seconds without a face after which the performer may have changed."""
 
 
 class PerformerLearner:
     """Improves the neutral face of a live performance, slowly, as more of the performer is seen.
 
-    One that was asked for keeps its shape; only its shut eyes are learnt.
+    A calibrated neutral face keeps its shape; only where its eyes are shut is learnt.
 
     Parameters
     ----------
     neutral : Neutral
-        To start from.
+        Neutral face to start from.
 
     Attributes
     ----------
     neutral : Neutral
-        The neutral face by now; another object if it has changed.
+        The current neutral face; another object if it has changed.
     """
 
     def __init__(self, neutral: Neutral) -> None:
@@ -65,7 +65,7 @@ class PerformerLearner:
 
     @property
     def is_sure(self) -> bool:
-        """Whether enough has been seen of the performer."""
+        """Whether enough of the performer has been seen."""
         return self._seen >= _ENOUGH
 
     def add(self, time: float, result: TrackResult) -> Neutral:
@@ -74,18 +74,18 @@ class PerformerLearner:
         Parameters
         ----------
         time : float
-            Seconds. If it decreases, as when a video begins again, what was seen is forgotten.
+            Time in seconds. If it decreases, as when a video starts over, everything is forgotten.
         result : TrackResult
-            Of that time, smoothed as that which is shown.
+            Result at that time, smoothed as for display.
 
         Returns
         -------
         Neutral
-            The neutral face by now.
+            The current neutral face.
 
         Notes
         -----
-        Takes 2 ms.
+        It takes 2 ms.
         """
         if not result.found:
             return self.neutral
@@ -108,9 +108,9 @@ class PerformerLearner:
         self._seen = 0.0
 
     def _approach(self, passed: float) -> None:
-        """Move some of the way towards what was found, in `passed` seconds."""
+        """Move some of the way towards the result, for `passed` seconds."""
         before, found = self.neutral, self._rest.found or self.neutral
-        # Eyes that are shut tight when asked to are shut tighter than in a blink, which the avatar has to show, too.
+        # Eyes that are shut on request are shut more tightly than in a blink, which the avatar has to show, too.
         left = self._blinks.left / max(float(eye_apertures(found.shape).mean()), 1e-9)
         found = replace(found, shut=max(self._shut, left) if left < MAX_SHUT else self._shut)
         off = float(np.abs(found.shape - before.shape).max(initial=abs(found.shut - before.shut)))
@@ -119,11 +119,12 @@ class PerformerLearner:
 
 
 class _Rest:
-    """Looks for the face at rest in frames that are spread over all that was seen, a little with each new one.
+    """Searches frames that are spread over the performance for the face at rest, in small steps.
 
     Attributes
     ----------
     found : Neutral or None
+        The face at rest; None until it is found.
     """
 
     def __init__(self) -> None:
@@ -133,7 +134,7 @@ class _Rest:
         self._search = self._searching()
 
     def add(self, time: float, result: TrackResult) -> None:
-        """Add a frame with a face, and go on looking."""
+        """Add a frame with a face, and continue the search."""
         if not self._kept or time >= self._kept[-1][0] + self._interval:
             self._kept.append((time, result))
         if len(self._kept) > _FRAMES:
@@ -156,12 +157,12 @@ class _Rest:
 
 
 class _Blinks:
-    """How far apart lids stay in blinks.
+    """Measures how far lids stay apart in blinks.
 
     Attributes
     ----------
     left : float
-        Aperture of the eyes in a usual blink, eye distances; NaN before the first.
+        Aperture of the eyes in a usual blink, in eye distances; NaN before the first blink.
     """
 
     def __init__(self) -> None:
@@ -181,7 +182,7 @@ class _Blinks:
 
 
 def _between(before: Neutral, found: Neutral, share: float) -> Neutral:
-    """`before`, moved by a share of the way to `found`; what is unknown in one of them is as in the other."""
+    """Move `before` by a share of the way to `found`; values unknown in one are taken from the other."""
 
     def blend(name: str) -> FloatArray:
         old, new = (np.asarray(getattr(neutral, name), dtype=np.float64) for neutral in (before, found))

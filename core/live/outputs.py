@@ -1,4 +1,4 @@
-"""Interfaces of what takes a live performance besides the heads: recordings, and streams to others."""
+"""Interfaces of the recipients of a live performance other than heads: recordings, streams and displays."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ class Recorder(Protocol):
         Parameters
         ----------
         frame : LiveFrame
+            The frame.
         result : TrackResult
-            What was tracked in it.
+            Its result, as tracked.
         """
 
     def flush(self) -> None:
@@ -35,33 +36,33 @@ class Recorder(Protocol):
 
 
 class Output(Protocol):
-    """Interface of what passes the performance on, such as a stream; it must neither wait nor raise.
+    """Interface of an output that passes the performance on, such as a stream. It must neither wait nor raise.
 
     Attributes
     ----------
     sent : int
-        Frames that were passed on.
+        Number of frames that were passed on.
     message : str
-        Why none are; otherwise "".
+        Reason why none are; otherwise "".
     """
 
     sent: int
 
     @property
     def message(self) -> str:
-        """Why nothing is passed on; otherwise ""."""
+        """Reason why nothing is passed on; otherwise ""."""
 
     def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
-        """Pass a frame on.
+        """Pass on a frame.
 
         Parameters
         ----------
         time : float
-            Seconds in the source.
+            Time in the source in seconds.
         result : TrackResult
-            Smoothed according to the options.
+            Result of the performer, smoothed according to the options.
         neutral : Neutral or None
-            The performer's neutral face, if it is known.
+            The performer's neutral face; None if it is not known.
         """
 
     def close(self) -> None:
@@ -69,7 +70,7 @@ class Output(Protocol):
 
 
 class Display(Protocol):
-    """Interface of what shows the driven heads elsewhere, such as a viewer; it must neither wait nor raise."""
+    """Interface of a display of the driven heads elsewhere, such as a viewer. It must neither wait nor raise."""
 
     def show(self, taken: float, drivers: Sequence[HeadDriver | KeyDriver], frames: Sequence[HeadFrame]) -> None:
         """Show a frame.
@@ -77,9 +78,9 @@ class Display(Protocol):
         Parameters
         ----------
         taken : float
-            `time.perf_counter()` of its arrival.
+            `time.perf_counter()` when the frame arrived.
         drivers : sequence of HeadDriver or KeyDriver
-            Of the heads.
+            Drivers of the heads.
         frames : sequence of HeadFrame
-            One for each; empty if there is no face.
+            Frame of each head; empty if there is no face.
         """

@@ -1,4 +1,4 @@
-"""A performer of a live session: calibration, what is learnt of the face, and smoothing."""
+"""A performer in a live session: calibration, what is learnt about the face, and smoothing."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from .learning import PerformerLearner
 from .sources import LiveFrame
 
 _RECENT = 900
-"""Frames of `Performer.recent`: half a minute with most cameras."""
+"""Number of frames in `Performer.recent`: half a minute with most cameras."""
 
 
 class Performer:
-    """What is known of somebody who performs.
+    """The current knowledge of a performer.
 
     Parameters
     ----------
@@ -29,12 +29,13 @@ class Performer:
     Attributes
     ----------
     neutral : Neutral or None
+        The neutral face.
     quality : Quality or None
         Quality of the last calibration.
     result : TrackResult or None
         The newest result, smoothed.
     recent : deque of (float, TrackResult)
-        Times and results of the last half minute.
+        Times in seconds and results of the last half minute.
     """
 
     def __init__(self, neutral: Neutral | None = None) -> None:
@@ -56,7 +57,7 @@ class Performer:
 
     @property
     def learnt(self) -> Neutral | None:
-        """The neutral face if enough has been learnt of the performer to keep it."""
+        """The neutral face, once enough has been learnt about the performer to keep it; otherwise None."""
         learner = self._learner
         return learner.neutral if learner is not None and learner.is_sure else None
 
@@ -66,30 +67,31 @@ class Performer:
         self._calibration = NeutralCalibration() if range_of is None else RangeCalibration(range_of)
 
     def forget(self) -> None:
-        """Forget the neutral face; the next second with a face is used, and the performer is learnt from scratch."""
+        """Forget the neutral face. The next second with a face is used, and learning starts from scratch."""
         self._forget = True
 
     def change(self) -> None:
-        """Learn from scratch, as another face is tracked."""
+        """Start learning from scratch, as another face is tracked."""
         self._learner = None
 
     def add(self, frame: LiveFrame, seen: TrackResult, *, smoothing: float, learn: bool) -> TrackResult:
-        """Take a frame.
+        """Add a frame.
 
         Parameters
         ----------
         frame : LiveFrame
+            The frame.
         seen : TrackResult
-            What was tracked in it.
+            Its result, as tracked.
         smoothing : float
             Amount for `ResultSmoother`; 0 disables smoothing.
         learn : bool
-            Whether to learn the performer from it.
+            Whether to learn from the frame.
 
         Returns
         -------
         TrackResult
-            What is shown: brought to rest if nothing comes any more, and smoothed.
+            Result for display: returned to rest if the source has stopped, and smoothed.
         """
         self._adopt(frame.neutral)
         if not frame.filled:
@@ -102,7 +104,7 @@ class Performer:
         return result
 
     def _adopt(self, neutral: Neutral | None) -> None:
-        """Take over the neutral face of a source that states it, once, so that it can be calibrated afterwards."""
+        """Use the neutral face stated by a source, once, so that it can be calibrated afterwards."""
         if neutral is not None and neutral is not self._stated:
             self._stated = self.neutral = neutral
         if self._forget and self._stated is None:
@@ -141,7 +143,7 @@ class Performer:
             self.neutral, self._first = self._first.neutral(), None
 
     def _learn(self, time: float, result: TrackResult) -> None:
-        """Learn from a frame; a neutral face that was calibrated meanwhile is where that starts again."""
+        """Learn from a frame. If a neutral face was calibrated meanwhile, learning restarts from it."""
         neutral = self.neutral
         if neutral is None or neutral.measured:
             return

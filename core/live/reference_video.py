@@ -1,7 +1,7 @@
-"""Reference video: what the camera saw, stored beside a take, for viewing and for tracking again.
+"""Reference video: the camera's frames, stored beside a take for viewing and for tracking again.
 
-It is written by a process of its own (`video_process`), as the last seconds of a video wait in memory to be encoded,
-and only a process that survives a crash of Blender can still write them.
+It is written by a separate process (`video_process`): the last seconds of a video wait in memory to be encoded, and
+only a process that survives a crash of Blender can still write them.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ SUFFIX = ".mkv"
 """Suffix of the container, which can be played even if its end was never written."""
 PROGRAM = Path(__file__).with_name("video_process.py")
 _ROOM = 1 << 28
-"""Bytes of frames that may wait to be encoded; further ones are dropped, and the frame before is repeated."""
+"""Bytes of frames that may wait to be encoded. Further frames are dropped, and the frame before is repeated."""
 _ENDING = 20.0
-"""Seconds for which `close` waits for the last frames; after that they are written in the background."""
+"""Seconds that `close` waits for the last frames. After that they are written in the background."""
 
 
 class ReferenceVideo:
@@ -36,7 +36,7 @@ class ReferenceVideo:
     Parameters
     ----------
     path : Path
-        The file, with `SUFFIX`; created with the first frame.
+        The file, with `SUFFIX`; it is created with the first frame.
     fps : float
         Frames per second of the file.
     """
@@ -55,7 +55,7 @@ class ReferenceVideo:
         Parameters
         ----------
         time : float
-            Seconds since the first frame.
+            Time in seconds since the first frame.
         image : (H, W, 3) or (H, W) uint8
             BGR or grey.
         """

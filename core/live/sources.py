@@ -1,7 +1,7 @@
-"""Sources of live frames: videos, pictures and takes, played in real time; for cameras see `camera`.
+"""Sources of live frames: videos, images and takes, played in real time; for cameras see `camera`.
 
-Unlike `capture.VideoSource`, which delivers every frame on request, these keep to the clock and drop late frames:
-following an old frame is worse than skipping it.
+Unlike `capture.VideoSource`, which delivers every frame on request, these sources keep to the clock and drop late
+frames, as following an old frame is worse than skipping it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ..tracking.result import TrackResult
 _LATEST = 1.0
 """Seconds by which frames may be late before the clock is set back, for instance after the computer slept."""
 _CATCHING_UP = 0.1
-"""Seconds that skipping late frames may take: a video that is read more slowly than it plays would never catch up."""
+"""Seconds that skipping late frames may take. A video that is read more slowly than it plays would never catch up."""
 
 
 @dataclass(frozen=True)
@@ -37,27 +37,27 @@ class LiveFrame:
     Attributes
     ----------
     time : float
-        Seconds from the first frame, strictly increasing, even if a recording loops.
+        Time in seconds from the first frame, strictly increasing even if a recording loops.
     image : (H, W, 3) uint8 or None
         BGR; None for a frame of a take.
     result : TrackResult or None
-        Result of the frame, if it comes from a take.
+        Result of the frame, if the source has one, as a take does.
     taken : float
-        `time.perf_counter()` of its arrival, from which latency counts.
+        `time.perf_counter()` when the frame arrived, from which latency is measured.
     dropped : int
-        Frames dropped since the last one, as they came too fast.
+        Number of frames dropped since the last one because they came too fast.
     neutral : Neutral or None
-        The neutral face of a source that measures faces, or states coefficients, rather than track them.
+        Neutral face of a source that measures faces or states coefficients rather than tracks them.
     filled : bool
-        Whether the source filled it in, as none came: it is displayed, but not recorded.
+        Whether the source filled in the frame because none came. It is displayed, but not recorded.
     rest : float
-        How far the face has come to rest, 0 to 1, as nothing comes from the source any more.
+        How far the face has returned to rest, 0 to 1, because nothing comes from the source any more.
     performer : int
-        Number of the performer, in a source of several.
+        Number of the performer, in a source with several.
     heads : tuple of int or None
         The heads that this performer drives; None for all.
     sender : str
-        Who sent it, in a source of several.
+        Name of the sender, in a source with several.
     """
 
     time: float
@@ -83,11 +83,11 @@ class LiveSource(ABC):
     clock : str
         Clock of `LiveFrame.time`: "media" or "monotonic".
     complete : bool
-        Whether all of the performance is known beforehand, so that its neutral face need not be learnt.
+        Whether the whole performance is known in advance, so that its neutral face need not be learnt.
     ended : bool
         Whether there are no more frames.
     message : str
-        Why no frames are coming although nothing is wrong here; otherwise "".
+        Reason why no frames come although nothing is wrong here; otherwise "".
     """
 
     name: str
@@ -98,24 +98,24 @@ class LiveSource(ABC):
 
     @abstractmethod
     def read(self, timeout: float) -> LiveFrame | None:
-        """Return the newest frame; None if none came within `timeout` seconds, or the source has ended or is closed.
+        """Return the newest frame, or None if none came within `timeout` seconds or the source has ended or is closed.
 
         Raises
         ------
         SourceError
-            If the source cannot be opened or is gone; the next call tries again.
+            If the source cannot be opened or is gone. The next call tries again.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Release the source and wake a waiting `read`; may be called twice."""
+        """Release the source and wake a waiting `read`. May be called twice."""
 
 
 class Clock:
     """The clock of a `PacedSource`; tests replace it by one that advances on request."""
 
     def now(self) -> float:
-        """Seconds since an arbitrary moment."""
+        """Return the seconds since an arbitrary moment."""
         return perf_counter()
 
     def wait_until(self, due: float, timeout: float, closed: threading.Event) -> bool:
@@ -124,16 +124,16 @@ class Clock:
         Parameters
         ----------
         due : float
-            The moment, as `now` returns it.
+            The moment, on the scale of `now`.
         timeout : float
-            Seconds to wait at most.
+            Largest time to wait in seconds.
         closed : threading.Event
             Ends the wait when set.
 
         Returns
         -------
         bool
-            Whether the moment is within the timeout.
+            Whether the moment came within the timeout.
         """
         ahead = due - self.now()
         closed.wait(min(max(ahead, 0.0), timeout))
@@ -141,7 +141,7 @@ class Clock:
 
 
 class PacedSource(LiveSource):
-    """A recorded source, played in real time; late frames are dropped.
+    """A recorded source, played in real time. Late frames are dropped.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ class PacedSource(LiveSource):
     Attributes
     ----------
     pace : Clock
-        Shared by all sources; may be replaced before the first `read`.
+        The clock, shared by all sources; may be replaced before the first `read`.
     """
 
     pace = Clock()
@@ -173,16 +173,16 @@ class PacedSource(LiveSource):
 
     @abstractmethod
     def frames(self) -> Iterator[LiveFrame]:
-        """Iterate over all frames; the time of the first one is 0."""
+        """Iterate over all frames. The time of the first one is 0."""
 
     def read(self, timeout: float) -> LiveFrame | None:
-        """Return the newest frame that is due; see `LiveSource.read`."""
+        """Return the newest frame that is due. See `LiveSource.read`."""
         if self._frames is None and not self.ended:
             self._start()
         if self._next is None or not self._wait(timeout):
             return None
         now, shown, dropped = self.pace.now(), self._next, -1
-        # Frames that are later than the limit set the clock back; others are skipped up to the newest one that is due.
+        # Frames later than the limit set the clock back; otherwise skip to the newest frame that is due.
         self._began += max(0.0, now - self._due(shown) - _LATEST)
         while self._next is not None and self._due(self._next) <= now:
             shown, dropped = self._next, dropped + 1
@@ -193,7 +193,7 @@ class PacedSource(LiveSource):
         return replace(shown, taken=perf_counter(), dropped=dropped)
 
     def close(self) -> None:
-        """Stop; a waiting `read` returns None."""
+        """Stop, so that a waiting `read` returns None."""
         self._closed.set()
 
     def _start(self) -> None:
@@ -203,7 +203,7 @@ class PacedSource(LiveSource):
             self._began = self.pace.now() - self._next.time / self._speed
 
     def _repeated(self) -> Iterator[LiveFrame]:
-        """The frames, repeated if they loop, with increasing times."""
+        """Yield the frames, again and again if they loop, with increasing times."""
         while True:
             last, step, start = 0.0, 1.0 / 30.0, self._offset
             for frame in self.frames():
@@ -226,7 +226,7 @@ class PacedSource(LiveSource):
         return self._began + frame.time / self._speed
 
     def _wait(self, timeout: float) -> bool:
-        """Wait for the next frame; whether it was due within `timeout` and the source is not closed."""
+        """Wait for the next frame; return whether it was due within `timeout` and the source is not closed."""
         assert self._next is not None
         came = self.pace.wait_until(self._due(self._next), timeout, self._closed)
         return came and not self._closed.is_set()
@@ -240,14 +240,14 @@ class VideoPlayer(PacedSource):
         self._path = Path(path)
 
     def frames(self) -> Iterator[LiveFrame]:
-        """All frames of the file."""
+        """Iterate over all frames of the file."""
         with VideoSource(self._path) as source:
             for frame in source:
                 yield LiveFrame(frame.time, frame.image)
 
 
 class PicturePlayer(PacedSource):
-    """Plays the pictures of a folder, sorted by name, at `rate` frames per second."""
+    """Plays the images in a folder, sorted by name, at `rate` frames per second."""
 
     def __init__(self, folder: Path, *, rate: float = 25.0, loop: bool = False, speed: float = 1.0) -> None:
         super().__init__(Path(folder).name, loop=loop, speed=speed)
@@ -258,12 +258,12 @@ class PicturePlayer(PacedSource):
         self._folder, self._rate = Path(folder), rate
 
     def frames(self) -> Iterator[LiveFrame]:
-        """Iterate over the pictures of the folder; those that cannot be read are skipped."""
+        """Iterate over the images in the folder; those that cannot be read are skipped."""
         if not os.path.isdir(self._folder):
-            raise SourceError(f"There is no folder {self._folder}. Choose the folder with the pictures.")
+            raise SourceError(f"There is no folder {self._folder}. Choose the folder with the images.")
         paths = sorted(path for path in self._folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
         if not paths:
-            raise SourceError(f"There is no picture in {self._folder}. Use JPEG, PNG, BMP, TIFF or WebP.")
+            raise SourceError(f"There are no images in {self._folder}. Use JPEG, PNG, BMP, TIFF or WebP.")
         unreadable: SourceError | None = None
         shown = 0
         for path in paths:
@@ -288,6 +288,6 @@ class TakePlayer(PacedSource):
         self._neutral = calibrate(take) if measured else None
 
     def frames(self) -> Iterator[LiveFrame]:
-        """All frames of the take."""
+        """Iterate over all frames of the take."""
         for index, time in enumerate((self._take.times - self._take.times[0]).tolist()):
             yield LiveFrame(time, None, self._take.result(index), neutral=self._neutral)

@@ -1,4 +1,4 @@
-"""Delays of the stages of a live frame, and which of them is slow."""
+"""Delays of the stages of a live frame, and the slowest of them."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ import numpy as np
 from ..arrays import FloatArray
 
 STAGES = ("wait", "track", "drive", "hand over", "write")
-"""Until the worker takes the frame; landmarks; vertices; until Blender's main thread asks; writing to the mesh."""
+"""Stages of a frame: until the worker takes it; landmarks; vertices; until Blender's main thread asks; writing to the
+mesh."""
 REDRAW = "redraw"
-"""Until Blender has redrawn its viewports, which follows the mesh and is no part of the delay."""
+"""Until Blender has redrawn its viewports, which follows writing to the mesh and is not part of the delay."""
 _KEPT = 300
-"""Frames over which delays are measured."""
+"""Number of frames over which delays are measured."""
 _REDRAWS = 20
-"""Redraws that are measured: another view or shading changes how long they take, which is said at once."""
+"""Number of redraws that are measured. Few, as another view or shading changes their duration, which is reported at
+once."""
 _RECENT = 2.0
 """Seconds over which the rate is measured."""
 _NOTABLE = 0.004
@@ -27,7 +29,7 @@ _NOTABLE = 0.004
 
 @dataclass(frozen=True)
 class Delays:
-    """Seconds that each of `STAGES` of a frame took, from the camera to the mesh."""
+    """Seconds spent in each of `STAGES` of a frame, from the camera to the mesh."""
 
     stages: tuple[float, ...]
 
@@ -38,7 +40,7 @@ class Delays:
 
 
 class Stopwatch:
-    """Delays of the last frames; written by one thread, read by any."""
+    """Measures the delays of the last frames; written by one thread, read by any."""
 
     def __init__(self) -> None:
         self._delays: deque[tuple[float, ...]] = deque(maxlen=_KEPT)
@@ -59,34 +61,34 @@ class Stopwatch:
 
     @property
     def latency(self) -> float:
-        """Median seconds from the camera to the mesh; NaN before the first frame."""
+        """Median time from the camera to the mesh in seconds; NaN before the first frame."""
         return float(np.median(self._table().sum(axis=1))) if self._delays else float("nan")
 
     @property
     def rate(self) -> float:
-        """Recent frames per second that reached the mesh."""
+        """Number of recent frames per second that reached the mesh."""
         since = perf_counter() - _RECENT
         return sum(when > since for when in tuple(self._when)) / _RECENT
 
     def medians(self) -> Mapping[str, float]:
-        """Median seconds of each stage; empty before the first frame."""
+        """Return the median seconds of each stage; empty before the first frame."""
         return dict(zip(STAGES, np.median(self._table(), axis=0).tolist(), strict=True)) if self._delays else {}
 
     def percentiles(self, *wanted: float) -> Mapping[str, tuple[float, ...]]:
-        """Seconds of each stage, and of "total", at the `wanted` percentiles."""
+        """Return the seconds of each stage, and of "total", at the `wanted` percentiles."""
         table = self._table()
         rows = np.percentile(np.column_stack([table, table.sum(axis=1)]), wanted, axis=0).T
         return {name: tuple(row) for name, row in zip((*STAGES, "total"), rows.tolist(), strict=True)}
 
     @property
     def redraw(self) -> float:
-        """Median seconds until Blender has redrawn; 0 if that is not known."""
+        """Median seconds until Blender has redrawn; 0 if unknown."""
         return float(np.median(self._redraws)) if self._redraws else 0.0
 
     def slowest(self) -> str:
-        """The slowest stage, or `REDRAW`, or "" if all are fast.
+        """Return the slowest stage, or `REDRAW`, or "" if all are fast.
 
-        While Blender redraws, the worker goes on with newer frames: a slow redraw shows in no stage.
+        While Blender redraws, the worker continues with newer frames, so a slow redraw shows in no stage.
         """
         spans = {**self.medians(), REDRAW: self.redraw}
         name = max(spans, key=lambda stage: spans[stage])

@@ -1,12 +1,12 @@
 """A separate process that writes the frames from its standard input to a video.
 
 Usage: python video_process.py FOLDERS PATH FPS, where FOLDERS contain cv2 and numpy. A message is `HEADER` (seconds
-since the first frame, height, width) and BGR pixels. At the end of the input, which is also the end of the process that
-started it, even by a crash, the file is ended properly. Nothing of Facemime is imported, as its package is not on the
+since the first frame, height, width) followed by BGR pixels. When the input ends, which is also when the process that
+started it ends, even by a crash, the file is completed. Nothing of Facemime is imported, as its package is not on the
 path.
 
-A camera has frames at uneven times, a video at even ones. Frames are therefore repeated or dropped so that frame n of
-the file shows what was seen at n / fps seconds.
+A camera delivers frames at uneven times, a video plays them at even ones. Frames are therefore repeated or dropped, so
+that frame n of the file shows what was seen at n / fps seconds.
 """
 
 import os
@@ -21,7 +21,7 @@ _CODEC = "mp4v"
 
 
 def main() -> int:
-    """Write until the input ends; the exit status is 1 if the video cannot be written."""
+    """Write until the input ends. The exit status is 1 if the video cannot be written."""
     sys.path[:0] = sys.argv[1].split(os.pathsep)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that started this one
     import cv2

@@ -1,1 +1,1 @@
-"""Jobs and performances: which face moves which head, how, and with which output."""
+"""Jobs and performances: which face drives which head, how, and with which outputs."""

@@ -1,4 +1,4 @@
-"""A job as a plain value: which face moves which head, how, and where the output goes."""
+"""A job as a plain value: which face drives which head, how, and where the outputs go."""
 
 from __future__ import annotations
 
@@ -12,7 +12,15 @@ from .settings import PuppetSettings
 
 @dataclass(frozen=True)
 class HeadFile:
-    """A head in a .blend file: the object of this name or, if that is empty, the only one with landmarks."""
+    """A head in a .blend file.
+
+    Attributes
+    ----------
+    path : Path
+        The .blend file.
+    name : str
+        Name of the object; "" for the only one with landmarks.
+    """
 
     path: Path
     name: str = ""
@@ -20,7 +28,7 @@ class HeadFile:
 
 @dataclass(frozen=True)
 class PuppetJob:
-    """A head driven by a video or a take, written as an animation with pictures.
+    """A head that is driven by a video or a take and written as an animation with pictures.
 
     Attributes
     ----------
@@ -29,16 +37,16 @@ class PuppetJob:
     output : Path
         The .blend file to write; caches are written next to it.
     settings : PuppetSettings
-        Its table and the path of its cache are set from `map` and `output` when the job runs.
+        Settings. The key mapping and the path of the cache are set from `map` and `output` when the job runs.
     face : (float, float), optional
         Position of the face to track, as for `FaceTracker.choose`; by default the largest is tracked.
     head : HeadFile, optional
         The head; by default the built-in one.
     points, map : Path, optional
-        Files with control points, and with the table for "mapped" keys.
+        Files with control points, and with the key mapping for "mapped" keys.
     preview, sheet, gltf, take : Path, optional
-        Further files to write: a video of performer and avatar, a contact sheet, the head with its animation as glTF,
-        and the take.
+        Further files to write: a video of performer and avatar, a contact sheet, the animated head as glTF, and the
+        take.
     """
 
     source: Path
@@ -65,7 +73,7 @@ class PuppetJob:
             "the video that is tracked" if self.tracks else "the take that moves the head": self.source,
             "the file of the head": None if self.head is None else self.head.path,
             "the file of the control points": self.points,
-            "the table of keys": self.map,
+            "the key mapping": self.map,
         }
 
     @property

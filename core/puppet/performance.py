@@ -1,4 +1,4 @@
-"""A take that is ready to drive heads: smoothed, with the performer's neutral face."""
+"""A take that is ready to drive heads: smoothed, and with the performer's neutral face."""
 
 from __future__ import annotations
 
@@ -15,7 +15,17 @@ from .settings import PuppetSettings
 
 @dataclass(frozen=True)
 class Performance:
-    """What drives a head, whether it is shown, baked or written to a file."""
+    """A prepared take, whether it is displayed, baked or written to a file.
+
+    Attributes
+    ----------
+    take : Take
+        The smoothed take.
+    neutral : Neutral
+        The performer's neutral face.
+    settings : DriveSettings
+        How the performance moves a head.
+    """
 
     take: Take
     neutral: Neutral
@@ -30,7 +40,7 @@ class Performance:
         take : Take
             The take.
         settings : PuppetSettings
-            Smoothing, neutral face and the settings of driving.
+            Smoothing, neutral face and driving.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Presets that are shipped with Facemime, and what presets contain."""
+"""Presets that Facemime ships, and the contents of presets."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ..tracking.settings import TrackingSettings
 from .settings import PuppetSettings
 
 BUILT_IN = {"calm_speech": "Calm Speech", "strong": "Strong", "cartoon": "Cartoon", "yao_2019": "Yao et al. 2019"}
-"""Labels of the presets that are shipped with Facemime, by file name; they cannot be removed."""
+"""Labels of the shipped presets by file name; these cannot be removed."""
 COMMAND_NAMES = {"calm-speech": "calm_speech", "strong": "strong", "cartoon": "cartoon", "paper": "yao_2019"}
-"""Their names on the command line."""
+"""Names of the shipped presets on the command line."""
 CONTENTS: Mapping[str, Mapping[str, Setting]] = {
     "settings": {**settings_of(DriveSettings), **settings_of(PuppetSettings), **settings_of(TrackingSettings)},
     "posing": settings_of(PosingSettings),
@@ -28,12 +28,12 @@ CONTENTS: Mapping[str, Mapping[str, Setting]] = {
 
 
 def built_in_path(name: str) -> Path:
-    """Path of a preset that is shipped with Facemime, a key of `BUILT_IN`."""
+    """Return the path of a shipped preset, a key of `BUILT_IN`."""
     return ASSETS / "presets" / f"{name}{SUFFIX}"
 
 
 def read_preset(path: Path) -> Values:
-    """Read a preset; returns the values of its settings by group.
+    """Read a preset, and return the values of its settings by group.
 
     Raises
     ------

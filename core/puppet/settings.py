@@ -1,4 +1,4 @@
-"""Settings that control how a take moves a head and is baked."""
+"""Settings of how a take drives a head and is baked."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..tracking.settings import TrackingSettings
 
 @dataclass(frozen=True)
 class PuppetSettings:
-    """How a take moves a head.
+    """How a take drives a head.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class PuppetSettings:
     rotation, translation : bool
         Whether the head's rotation and location follow the performer's.
     neutral : float or None
-        Start of the second in which the performer's face is neutral, seconds; None detects it.
+        Start in seconds of the second in which the performer's face is neutral; None to detect it.
     tracking : TrackingSettings
         How faces are found in a video.
     bake : BakeSettings

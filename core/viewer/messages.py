@@ -15,7 +15,7 @@ from .model import ViewerModel
 FRAME, CLOCK = 1, 2
 """Kinds of messages."""
 CLOCK_REQUEST = struct.Struct("<d")
-"""The one message that a page sends: its own time."""
+"""The only message that a page sends: its own time."""
 _FRAME_HEADER = struct.Struct("<BBHId")
 _CLOCK = struct.Struct("<B7xdd")
 _STEP, _AMOUNT_STEP = 2.0**-14, 2.0**-13
@@ -35,16 +35,22 @@ def encode_frame(
     Parameters
     ----------
     scene : int
-        Number of the list of heads for which it holds, modulo 65,536.
+        Number of the list of heads to which the frame belongs, modulo 65,536.
     number : int
         Number of the frame, modulo 2^32.
     taken : float
-        `time.perf_counter()` of its arrival.
+        `time.perf_counter()` when the frame arrived.
     models : sequence of ViewerModel
+        The heads.
     frames : sequence of HeadFrame
-        One for each model; empty if there is no face.
+        A frame for each head; empty if there is no face.
     follow : (bool, bool)
         Whether heads follow the performer's rotation and translation.
+
+    Returns
+    -------
+    bytes
+        The message.
     """
     parts = [_FRAME_HEADER.pack(FRAME, len(frames), scene & 0xFFFF, number & 0xFFFFFFFF, taken)]
     for model, frame in zip(models, frames, strict=False):
@@ -56,12 +62,25 @@ def encode_frame(
 
 
 def encode_clock(sent: float, now: float) -> bytes:
-    """Answer a request for the time: the time of the page that asked, and that of the server."""
+    """Encode the answer to a request for the time.
+
+    Parameters
+    ----------
+    sent : float
+        Time of the page that asked, from its request.
+    now : float
+        Time of the server in seconds.
+
+    Returns
+    -------
+    bytes
+        The message.
+    """
     return _CLOCK.pack(CLOCK, sent, now)
 
 
 def _pose(frame: HeadFrame, follow: tuple[bool, bool]) -> bytes:
-    """16 float32: rotation vectors of head, jaw, right and left eye; translation; the tongue."""
+    """Encode 16 float32: rotation vectors of head, jaw, right and left eye; translation; the tongue."""
     turned = frame.rotation if follow[0] else np.eye(3)
     moved = frame.translation if follow[1] else np.zeros(3)
     turns = [_vector(turn) for turn in (turned, frame.jaw, *frame.gaze)]

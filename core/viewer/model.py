@@ -1,8 +1,8 @@
-"""What the page loads once of a head: its vertices, and all that moves them, in the order of the graphics card.
+"""What the page loads once for a head: its vertices and everything that moves them, as the graphics card needs it.
 
 The page computes what `HeadDriver` does. The skin is ``rest + W d + sum a_k M_k``, with the displacements `d` of the
-landmarks and the amounts `a` of the actions; lids then slide over the eyeballs; eyes and lower teeth turn, and what
-rides on the skin follows it. A head that is driven by shape keys has no `W`, and `a` are their values.
+landmarks and the amounts `a` of the actions; lids then slide over the eyeballs; eyes and lower teeth turn, and lashes
+and the like follow the skin. A head that is driven by shape keys has no `W`, and its `a` are the values of the keys.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ MAGIC = b"FMVM"
 STILL, SKIN, EYE_RIGHT, EYE_LEFT, JAW, RIDING, TONGUE = range(7)
 """What a vertex of the page follows."""
 MAX_AMOUNTS = 512
-"""Shape keys that a page can mix: each four need one of the 224 uniforms that every graphics card has."""
+"""Largest number of shape keys that a page can mix. Four keys need one of the 224 uniforms that any graphics card
+has."""
 _TURNS = {"eye_right": EYE_RIGHT, "eye_left": EYE_LEFT, "jaw": JAW, "head": STILL}
 
 
@@ -37,15 +38,15 @@ class ViewerModel:
     Attributes
     ----------
     data : bytes
-        Header and arrays, as docs/viewer.md describes them.
+        Header and arrays, as described in docs/viewer.md.
     images : tuple of bytes
-        PNG or JPEG files, which the header numbers.
+        PNG or JPEG files, to which the header refers by number.
     unit : float
         Outer-eye distance, in the unit of the mesh.
     landmarks : int
-        Displacements that a frame has: 66, or 0 for a head that is driven by shape keys.
+        Number of displacements per frame: 66, or 0 for a head that is driven by shape keys.
     amounts : int
-        Activations or values of keys that a frame has.
+        Number of activations, or of values of keys, per frame.
     """
 
     data: bytes
@@ -61,8 +62,14 @@ def viewer_model(driver: HeadDriver | KeyDriver, appearance: Appearance) -> View
     Parameters
     ----------
     driver : HeadDriver or KeyDriver
+        Driver of the head.
     appearance : Appearance
-        Its patches index `HeadRig.all_vertices`.
+        Appearance of the head; its patches index `HeadRig.all_vertices`.
+
+    Returns
+    -------
+    ViewerModel
+        The head for the page.
 
     Raises
     ------
@@ -104,7 +111,20 @@ def viewer_model(driver: HeadDriver | KeyDriver, appearance: Appearance) -> View
 
 
 def pack(header: dict[str, object], arrays: dict[str, NDArray[np.generic]]) -> bytes:
-    """Serialise a header, extended by the places of the arrays, and the arrays, each aligned to 4 bytes."""
+    """Serialise a header and arrays.
+
+    Parameters
+    ----------
+    header : dict
+        Header, which is extended by the positions of the arrays.
+    arrays : dict of str to ndarray
+        Arrays by name; each is aligned to 4 bytes.
+
+    Returns
+    -------
+    bytes
+        The content of a model.
+    """
     places, chunks, offset = {}, [], 0
     for name, array in arrays.items():
         little = array.astype(array.dtype.newbyteorder("<"), copy=False)
@@ -118,9 +138,11 @@ def pack(header: dict[str, object], arrays: dict[str, NDArray[np.generic]]) -> b
 
 
 def _skin_of(head: HeadDriver) -> dict[str, NDArray[np.generic]]:
-    """The deformer as arrays: rest (U, 3), spheres (U, 4), weights (U, 66 and padding), modes (U, K, 4)."""
+    """Return the deformer as arrays: rest (U, 3), spheres (U, 4), weights (U, 66 and padding), modes (U, K, 4)."""
     if not isinstance(head.deformer, RBFDeformer):
-        raise HeadError("A head that is fitted anew in each frame cannot be viewed. Turn the incremental method off.")
+        raise HeadError(
+            "A head that is refitted every frame cannot be shown in the viewer. Turn off Refit Every Frame."
+        )
     rest = head.deformer.rest
     weights = np.zeros((len(rest), -(-N_LANDMARKS // 4) * 4), dtype=np.float16)
     weights[:, :N_LANDMARKS] = head.deformer.matrix()
@@ -136,7 +158,10 @@ def _skin_of(head: HeadDriver) -> dict[str, NDArray[np.generic]]:
 def _skin_of_keys(driver: KeyDriver) -> dict[str, NDArray[np.generic]]:
     rest, offsets = driver.head.rest, driver.keys.offsets
     if len(offsets) > MAX_AMOUNTS:
-        raise HeadError(f"The head is driven by {len(offsets)} shape keys, and the viewer mixes {MAX_AMOUNTS} at most.")
+        raise HeadError(
+            f"The head is driven by {len(offsets)} shape keys; the viewer supports at most {MAX_AMOUNTS}. "
+            "Use a key mapping with fewer keys."
+        )
     modes = np.zeros((len(rest), len(offsets), 4), dtype=np.float16)
     for number, motion in enumerate(offsets.values()):
         modes[:, number, :3] = motion
@@ -151,7 +176,7 @@ def _skin_of_keys(driver: KeyDriver) -> dict[str, NDArray[np.generic]]:
 def _follows(
     head: HeadDriver, parts: tuple[AttachedPart, ...], *, driven_by_keys: bool
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint32]]:
-    """What each vertex follows, and the vertex of the skin, the riding point, or that of the tongue which it is."""
+    """Return what each vertex follows, and its vertex of the skin, its riding point, or its vertex of the tongue."""
     count = len(head.rest)
     kinds, sources = np.full(count, SKIN, dtype=np.uint8), np.arange(count, dtype=np.uint32)
     if head.parts is not None and not driven_by_keys:
@@ -179,7 +204,7 @@ def _pivots(head: HeadDriver, parts: tuple[AttachedPart, ...]) -> dict[str, list
 
 
 def _drawn(appearance: Appearance, count: int) -> tuple[list[Material], dict[str, NDArray[np.generic]]]:
-    """Surfaces, and what the graphics card draws: a corner for each pair of vertex and texture coordinate."""
+    """Return the materials, and what the graphics card draws: a corner per pair of vertex and texture coordinate."""
     patches = appearance.all_patches(count)
     surfaces = list(dict.fromkeys(patch.surface for patch in patches))
     rows: list[IntArray] = [np.empty(0, dtype=np.int64)]

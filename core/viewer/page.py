@@ -1,4 +1,4 @@
-"""The files of the page, and the headers that keep it to itself."""
+"""The files of the page, and the headers that isolate it from other sites."""
 
 from __future__ import annotations
 
@@ -23,27 +23,33 @@ _IMPORT_MAP = re.compile(rb'<script type="importmap">(.*?)</script>', re.DOTALL)
 
 @lru_cache(maxsize=1)
 def page_files() -> dict[str, tuple[str, bytes]]:
-    """Type and content of each file of the page, by its path below the token.
+    """Return the type and the content of each file of the page, by its path below the token.
 
     Raises
     ------
     ModelError
-        If one is missing.
+        If a file is missing.
     """
     return {"" if name == "index.html" else name: _file(PAGE / name) for name in ("index.html", *_OWN, *_THREE)}
 
 
 def security_headers(host: str, *, secure: bool) -> dict[str, str]:
-    """Headers for every answer.
+    """Return the headers of every answer.
 
-    The page runs its own scripts only, talks to its own server only, and nobody else can embed it or learn its address.
+    The page may only run its own scripts and talk to its own server, and no other site can embed it or learn its
+    address.
 
     Parameters
     ----------
     host : str
         Host of the request, which was checked.
     secure : bool
-        Whether it came by HTTPS.
+        Whether the request came by HTTPS.
+
+    Returns
+    -------
+    dict of str to str
+        Headers by name.
     """
     scripts = f"'self' 'sha256-{_import_map_hash()}'"
     socket = f"{'wss' if secure else 'ws'}://{host}"

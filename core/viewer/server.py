@@ -1,7 +1,7 @@
 """The server of the viewer: one page, and a stream of frames to everybody who has its address.
 
-It runs in a thread of its own. The worker hands over a frame and goes on; a viewer that is slow gets the newest frame
-when it is ready, and never an old one.
+It runs in a thread of its own, so the worker never waits. A slow viewer gets the newest frame when it is ready, never
+an old one.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from .settings import MAX_VIEWERS, ViewerSettings, new_token, same_token
 
 _STREAM = "stream"
 _MAX_MESSAGE = 64
-"""Bytes of a message of a page, which only asks for the time."""
+"""Largest size in bytes of a message from a page, which only asks for the time."""
 _LEAST_PAUSE = 0.05
-"""Seconds between two such messages; a page that asks more often is disconnected."""
+"""Smallest time in seconds between two such messages; a page that asks more often is disconnected."""
 _STARTING, _CLOSING = 10.0, 1.0
-"""Seconds to wait for the server, and for a page that should close."""
+"""Time in seconds to wait for the server to start, and for a page to close."""
 _SEND_BUFFER = 65536
 """Bytes that may wait for a viewer, beyond those in the system's buffer, before frames are left out."""
 _LOG = logging.getLogger("facemime.viewer")
@@ -52,21 +52,22 @@ class ViewerServer(Serving):
     Parameters
     ----------
     settings : ViewerSettings
+        Where to serve.
     appearances : sequence of Appearance
-        Of each head, in the order of the worker's.
+        Appearance of each head, in the order of the worker's heads.
 
     Attributes
     ----------
     address : str
-        Of the page, with the token; whoever has it can watch.
+        Address of the page with its token; anybody who has it can watch.
     follow : (bool, bool)
         Whether the heads follow the performer's rotation and translation.
     viewers : int
-        Pages that are connected.
+        Number of connected pages.
     sent : int
-        Frames that were handed to the server.
+        Number of frames that were passed to the server.
     message : str
-        Why nothing is shown; otherwise "".
+        Reason why nothing is shown; otherwise "".
 
     Raises
     ------
@@ -99,7 +100,13 @@ class ViewerServer(Serving):
             raise cannot_listen(settings.host, settings.port, self._error or TimeoutError("it does not start"))
 
     def show(self, taken: float, drivers: Sequence[HeadDriver | KeyDriver], frames: Sequence[HeadFrame]) -> None:
-        """Show a frame; as `core.live.outputs.Display`."""
+        """Show a frame. See `core.live.outputs.Display.show`.
+
+        Parameters
+        ----------
+        taken, drivers, frames
+            As for `Display.show`.
+        """
         if not frames:
             return
         made_of = [part for driver in drivers for part in _made_of(driver)]
@@ -113,7 +120,7 @@ class ViewerServer(Serving):
         self._call(partial(self._publish, frame))
 
     def _prepare(self, drivers: Sequence[HeadDriver | KeyDriver]) -> None:
-        """Make what the pages load, as the heads or their deformers are others."""
+        """Make what the pages load if the heads or their deformers have changed."""
         try:
             models = tuple(map(viewer_model, drivers, self.appearances))
             self.message = ""
@@ -122,7 +129,7 @@ class ViewerServer(Serving):
         self._scene, self._models = self._scene + 1, models
         self._call(partial(self._replace, self._scene, models))
 
-    # What follows runs in the server's thread.
+    # The methods below run in the server's thread.
 
     async def _run(self) -> None:
         try:
@@ -180,7 +187,7 @@ class ViewerServer(Serving):
         return _response(HTTPStatus.OK, *found, security_headers(host, secure=self._context is not None))
 
     def _refused(self, request: Request, host: str) -> Response | None:
-        """Refuse a stream to another site's page, or to one viewer too many."""
+        """Refuse a stream to a page of another site, or beyond the largest number of viewers."""
         origin = request.headers.get("Origin", "")
         if origin and origin.lower() != f"{self.settings.scheme}://{host}".lower():
             return _response(HTTPStatus.FORBIDDEN, "text/plain", b"Another site asks.\n")
@@ -189,7 +196,7 @@ class ViewerServer(Serving):
         return None
 
     def _content(self, path: str) -> tuple[str, bytes] | None:
-        """A file of the page, or `SCENE/HEAD/model` or `SCENE/HEAD/IMAGE` of the heads that are served."""
+        """Return a file of the page, or `SCENE/HEAD/model` or `SCENE/HEAD/IMAGE` of the served heads."""
         if path in self._files:
             return self._files[path]
         scene, models = self._served
@@ -217,7 +224,7 @@ class ViewerServer(Serving):
             stream.cancel()
 
     async def _stream(self, connection: ServerConnection) -> None:
-        """Send the list of heads, then the newest frame whenever the last one is through, until the page is closed."""
+        """Send the list of heads, then the newest frame whenever the last one has been sent, until the page closes."""
         scene, last, wake = -1, b"", asyncio.Event()
         self._wakes.add(wake)
         try:
@@ -238,7 +245,7 @@ class ViewerServer(Serving):
             self._wakes.discard(wake)
 
     async def _tell_time(self, connection: ServerConnection) -> None:
-        """Answer what the page asks, until it is closed; disconnect it if it is anything else, or asks too often."""
+        """Answer requests for the time until the page closes; disconnect it if it sends anything else, or too often."""
         last = float("-inf")
         async for message in connection:
             now = perf_counter()
@@ -251,7 +258,7 @@ class ViewerServer(Serving):
 
 
 def _made_of(driver: HeadDriver | KeyDriver) -> tuple[object, ...]:
-    """What a model depends on, by identity; a new calibration keeps it."""
+    """Return the objects that a model depends on, compared by identity; a new calibration keeps them."""
     head = driver.head if isinstance(driver, KeyDriver) else driver
     return driver.keys if isinstance(driver, KeyDriver) else None, head.rig, head.deformer
 

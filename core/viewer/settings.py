@@ -1,4 +1,4 @@
-"""Where the viewer is served, and who may ask for it."""
+"""Address of the viewer, and access to it."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from ..streams.security import server_context
 
 PORT = 21574
 MAX_VIEWERS = 16
-"""Pages that may watch at a time."""
+"""Largest number of pages that may watch at a time."""
 _LEAST_TOKEN, _MOST_TOKEN = 16, 128
 
 
 @dataclass(frozen=True)
 class ViewerSettings:
-    """Where the viewer is served.
+    """Address of the viewer, and access to it.
 
     Attributes
     ----------
     host : str
         Address of this computer; only this computer can open a loopback address.
     port : int
-        0 for any that is free.
+        Port; 0 for any free one.
     token : str
-        The secret in the address of the page; "" for a new one.
+        Secret in the address of the page; "" for a new one.
     certificate, key : Path or None
         PEM files of a certificate and its private key, for HTTPS.
     """
@@ -58,12 +58,14 @@ class ViewerSettings:
         """Load the certificate, if there is one; SourceError if it cannot be used."""
         if self.certificate is None:
             if self.key is not None:
-                raise SourceError("A private key alone is of no use. Give the certificate, too.")
+                raise SourceError("A private key was given without its certificate. Give the certificate, too.")
             return None
         try:
             return server_context(self.certificate, self.key)
         except FileNotFoundError as error:
-            raise SourceError(f"There is no certificate {self.certificate}, or no key {self.key}.") from error
+            raise SourceError(
+                f"There is no certificate {self.certificate}, or no key {self.key}. Check the paths."
+            ) from error
         except (OSError, ValueError) as error:
             raise SourceError(
                 f"The certificate {self.certificate} and its key cannot be used ({error}). "
@@ -71,13 +73,19 @@ class ViewerSettings:
             ) from error
 
     def allows(self, host: str) -> bool:
-        """Whether the Host of a request is a name of this computer or an address, rather than a name that somebody
-        else's page has pointed here (DNS rebinding).
+        """Return whether a request may name this host, which protects against DNS rebinding.
+
+        Allowed are names of this computer and addresses, but not names that another site has pointed here.
 
         Parameters
         ----------
         host : str
-            With or without a port.
+            Host of the request, with or without a port.
+
+        Returns
+        -------
+        bool
+            Whether the host is allowed.
         """
         name = _without_port(host).lower().rstrip(".")
         own = socket.gethostname().lower()
@@ -90,8 +98,9 @@ class ViewerSettings:
         return address.is_loopback or not self.is_local
 
     def shown_host(self) -> str:
-        """The address to enter in a browser; of a computer that listens on all of its networks, the one that leads
-        outside.
+        """Address to enter in a browser.
+
+        For a computer that listens on all its networks, it is the address that leads outside.
         """
         return bracketed(reachable(self.host))
 
@@ -102,14 +111,14 @@ def new_token() -> str:
 
 
 def kept_token(path: Path) -> str:
-    """Read a token from a file, which is made if it does not exist, so that an address stays valid.
+    """Read a token from a file, which is created if it does not exist, so that an address stays valid.
 
     Raises
     ------
     SourceError
-        If the file cannot be read, or is not a token.
+        If the file cannot be read, or does not contain a token.
     OutputError
-        If it cannot be written.
+        If the file cannot be written.
     """
     try:
         text = read_bytes(path, _MOST_TOKEN).decode("ascii").strip()
@@ -118,12 +127,25 @@ def kept_token(path: Path) -> str:
     except (OSError, ValueError) as error:
         raise SourceError(f"The token {path} cannot be read ({error}). Choose another file.") from error
     if len(text) < _LEAST_TOKEN or not text.replace("-", "").replace("_", "").isalnum():
-        raise SourceError(f"{path} is not a token, which is at least {_LEAST_TOKEN} letters and digits.")
+        raise SourceError(f"{path} has no token of at least {_LEAST_TOKEN} letters and digits. Choose another file.")
     return text
 
 
 def same_token(given: str, token: str) -> bool:
-    """Whether a token is the right one, in a time that says nothing of the difference."""
+    """Compare tokens in constant time.
+
+    Parameters
+    ----------
+    given : str
+        Token of a request.
+    token : str
+        The right token.
+
+    Returns
+    -------
+    bool
+        Whether they are equal.
+    """
     return hmac.compare_digest(given.encode(), token.encode())
 
 
@@ -132,7 +154,7 @@ def _written_token(path: Path) -> str:
     try:
         write_secret(path, token.encode() + b"\n")
     except OSError as error:
-        raise OutputError(f"The token {path} cannot be written ({error.strerror}). Choose another place.") from error
+        raise OutputError(f"The token {path} cannot be written ({error.strerror}). Choose another location.") from error
     return token
 
 

@@ -144,7 +144,7 @@ def test_a_table_adds_its_rows_within_slider_ranges():
 )
 def test_invalid_tables_are_refused(text, tmp_path):
     (tmp_path / "table.json").write_text(text)
-    with pytest.raises(SourceError, match="not a table"):
+    with pytest.raises(SourceError, match="not a key mapping"):
         load_map(tmp_path / "table.json")
     with pytest.raises(SourceError, match="cannot be read"):
         load_map(tmp_path / "none.json")

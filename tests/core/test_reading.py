@@ -87,7 +87,7 @@ def test_control_points_changed_by_hand_have_no_error():
     ],
 )
 def test_a_table_of_keys_with_wrong_types_is_refused(value, place):
-    with pytest.raises(SourceError, match="not a table of keys") as caught:
+    with pytest.raises(SourceError, match="not a key mapping") as caught:
         key_map.from_json(changed(TABLE, value, *place))
     assert len(str(caught.value)) < 300
 
