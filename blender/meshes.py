@@ -35,7 +35,7 @@ def require_own(mesh: bpy.types.Mesh) -> None:
     """Raise HeadError if `mesh` is linked from another file, as changes to it would not be saved."""
     if mesh.library is not None:
         raise HeadError(
-            f"The mesh {mesh.name} is linked from another file, so that changes to it would be lost. "
+            f"The mesh {mesh.name} is linked from another file, so changes to it would be lost. "
             "Change it in that file, or make it local."
         )
 
@@ -224,7 +224,7 @@ def read_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
     weights = read_weights(obj, slice(None))
     if empty := [name for name, row in zip(REGION_GROUPS, weights, strict=True) if not row.any()]:
         raise HeadError(
-            f"Empty vertex groups of {obj.name}: {', '.join(empty)}. Paint these regions, or propose them again."
+            f"Empty vertex groups of {obj.name}: {', '.join(empty)}. Paint these regions, or use Reset Regions."
         )
     return weights
 
@@ -251,7 +251,7 @@ def read_weights(obj: bpy.types.Object, part: slice) -> NDArray[np.float32]:
     groups = [obj.vertex_groups.get(name) for name in REGION_GROUPS]
     if missing := [name for name, group in zip(REGION_GROUPS, groups, strict=True) if group is None]:
         raise HeadError(
-            f"Missing vertex groups of {obj.name}: {', '.join(missing)}. Paint these regions, or propose them again."
+            f"Missing vertex groups of {obj.name}: {', '.join(missing)}. Paint these regions, or use Reset Regions."
         )
     vertices = obj.data.vertices[part]
     weights = np.zeros((len(groups), len(vertices)), dtype=np.float32)

@@ -63,7 +63,7 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
 
 
 class FACEMIME_OT_mute_others(OnHead, bpy.types.Operator):
-    """Mute actions and NLA tracks that move the character's shape keys together with the bake"""
+    """Mute actions and NLA tracks that move the character's shape keys in addition to the bake"""
 
     bl_idname = "facemime.mute_others"
     bl_label = "Mute Other Animation"

@@ -41,7 +41,7 @@ class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
 
 
 class FACEMIME_OT_reset_calibration(ReportsErrors, bpy.types.Operator):
-    """Remove the calibration of the selected performer, and what was learnt of them"""
+    """Remove the calibration of the selected performer, and everything learnt about them"""
 
     bl_idname = "facemime.reset_calibration"
     bl_label = "Reset Calibration"

@@ -28,8 +28,10 @@ from .shared import AsksForFile, OnHead, OnMesh, report, require
 class SelectsPoints(OnMesh):
     """Mixin: selects control points for the operator's `performance`."""
 
-    add: StringProperty(name="Add", description="Landmarks to select in any case, by iBUG number: 17,19-21")
-    remove: StringProperty(name="Remove", description="Landmarks never to select, by iBUG number: 0-3,30")
+    add: StringProperty(name="Add", description="Landmarks that are always selected, by iBUG number, such as 17,19-21")
+    remove: StringProperty(
+        name="Remove", description="Landmarks that are never selected, by iBUG number, such as 0-3,30"
+    )
 
     def work(self, context: bpy.types.Context) -> None:
         obj = context.active_object

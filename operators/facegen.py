@@ -8,7 +8,7 @@ from .shared import AsksForFile, report, require_object_mode
 
 
 class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
-    """Import a FaceGen head: a .tri file with its morphs and the .egm file beside it, or an OBJ file"""
+    """Import a FaceGen head: a .tri file with its morphs and the .egm file next to it, or an OBJ file"""
 
     bl_idname = "facemime.import_facegen"
     bl_label = "FaceGen Head (.tri, .obj)"

@@ -8,7 +8,7 @@ from .shared import AsksForFileToWrite, heads_in, report, require_heads, require
 
 
 class FACEMIME_OT_export_gltf(AsksForFileToWrite, bpy.types.Operator):
-    """Export the selected heads as glTF, with parts, shape keys and bones, and the scene's range as one animation"""
+    """Export the selected heads as glTF, with parts, bones, shape keys, and the frame range as one animation"""
 
     bl_idname = "facemime.export_gltf"
     bl_label = "Export glTF"

@@ -10,14 +10,14 @@ from .shared import ReportsErrors, require_object_mode
 
 
 class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
-    """Add a head that is ready to be puppeted, with landmarks, regions, eyes, teeth and a tongue"""
+    """Add a head that is ready to be driven, with landmarks, regions, eyes, teeth and a tongue"""
 
     bl_idname = "facemime.add_head"
     bl_label = "Facemime Head"
 
     person: EnumProperty(
         name="Person",
-        description="Whose head to add",
+        description="Head to add",
         items=(("MAN", "Man", "A man with short hair"), ("WOMAN", "Woman", "A woman with hair combed back")),
     )
     units: BoolProperty(name="ARKit Shape Keys", description="Add the 52 ARKit face units as shape keys")
@@ -25,7 +25,7 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
         name="Show Textures", description="Show the textures of skin and eyes in Solid shading", default=True
     )
     frame_view: BoolProperty(
-        name="Frame in View", description="View the head, which is life-size, close-up from the front", default=True
+        name="Frame in View", description="Frame the head, which is life-size, from the front", default=True
     )
 
     @classmethod

@@ -39,7 +39,7 @@ class OnTakesVideo(AsksForFile, OnTake):
 
 
 class FACEMIME_OT_add_sound(OnTakesVideo, bpy.types.Operator):
-    """Add the sound of the take's video, or of a sound file beside it, to the sequencer in sync with the take"""
+    """Add the sound of the take's video, or a sound file next to it, to the Sequencer in sync with the take"""
 
     bl_idname = "facemime.add_sound"
     bl_label = "Add Sound"
@@ -54,7 +54,7 @@ class FACEMIME_OT_add_sound(OnTakesVideo, bpy.types.Operator):
 
 
 class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):
-    """Show the take's video beside the active head, in sync with the take"""
+    """Show the take's video next to the active head, in sync with the take"""
 
     bl_idname = "facemime.add_reference"
     bl_label = "Add Reference"

@@ -78,7 +78,7 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
 
 
 class FACEMIME_OT_bind_keys(InObjectMode, OnMesh, bpy.types.Operator):
-    """Drive the character by shape keys that it has, such as ARKit's or VRM's, without landmarks"""
+    """Drive the character by its existing shape keys, such as ARKit's or VRM's, without landmarks"""
 
     bl_idname = "facemime.bind_keys"
     bl_label = "Use Its Shape Keys"
@@ -93,7 +93,7 @@ class FACEMIME_OT_bind_keys(InObjectMode, OnMesh, bpy.types.Operator):
 
 
 class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnMesh, bpy.types.Operator):
-    """Find the 66 landmarks of the active mesh and propose its regions; a mesh without marks may face along any axis"""
+    """Find the 66 landmarks of the active mesh and create its regions; without marks, it may face along any axis"""
 
     bl_idname = "facemime.bind_landmarks"
     bl_label = "Find Face"
@@ -128,12 +128,13 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnMesh, bpy.types.O
         memory = context.window_manager.facemime
         memory.unsure = context.active_object.name if binding.wanted else ""
         memory.wanted = ",".join(map(str, binding.wanted))
-        report(self, "Face found. Please check the points")
+        report(self, "Face found. Check the points")
         if binding.wanted:
             label1, label2, label3, label4 = (MARKS[number].capitalize() for number in binding.wanted)
             report(
                 self,
-                f"This face is unusual. If landmarks are off, mark four points: {label1}; {label2}; {label3}; {label4}",
+                "This face is unusual. If landmarks are misplaced, mark four points: "
+                f"{label1}; {label2}; {label3}; {label4}",
                 "WARNING",
             )
         for finding in binding.findings:
@@ -165,7 +166,7 @@ class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
 
 
 class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
-    """Replace the three regions by weights derived from the landmarks and the openings of eyes and mouth"""
+    """Replace the three regions with weights derived from the landmarks and the openings of the eyes and mouth"""
 
     bl_idname = "facemime.propose_regions"
     bl_label = "Reset Regions"
@@ -188,7 +189,9 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         if not report_findings(self, context):
-            report(self, f"{context.active_object.name} is ready to be puppeted")
+            report(self, f"{context.active_object.name} is ready to be driven")
+        if not bpy.app.background and context.window is not None:
+            bpy.ops.wm.call_panel("INVOKE_DEFAULT", name=_CHECK_PANEL, keep_open=True)
 
 
 class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):

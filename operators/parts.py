@@ -23,8 +23,8 @@ _DESCRIPTIONS = {
     Part.SKIN: "Skin of the face, which the landmarks move",
     Part.ON_HEAD: "Rides on the head, such as hair, glasses and a hat",
     Part.ON_SKIN: "Rides on the skin, such as lashes, brows and a beard",
-    Part.EYE_RIGHT: "The character's right eye, which turns",
-    Part.EYE_LEFT: "The character's left eye, which turns",
+    Part.EYE_RIGHT: "The character's right eye, which follows the gaze",
+    Part.EYE_LEFT: "The character's left eye, which follows the gaze",
     Part.TEETH_UPPER: "Upper teeth, which stay with the head",
     Part.TEETH_LOWER: "Lower teeth and the tongue, which follow the jaw",
 }
@@ -37,15 +37,19 @@ _bone_items: list[tuple[str, str, str]] = []
 
 
 class FACEMIME_OT_set_part(ReportsErrors, bpy.types.Operator):
-    """Change what a part of the character is: that of an object, or the selected vertices in Edit Mode"""
+    """Assign an object, or the selected vertices in Edit Mode, to a part of the character"""
 
     bl_idname = "facemime.set_part"
     bl_label = "Set Part"
 
     part: EnumProperty(name="Part", items=_ITEMS)
-    name: StringProperty(name="Object", description="Object to change; the active one if empty", options={"SKIP_SAVE"})
+    name: StringProperty(
+        name="Object", description="Object to change; if empty, the active object", options={"SKIP_SAVE"}
+    )
     before: StringProperty(
-        name="Before", description="Part of the vertices to change; all of the object if empty", options={"SKIP_SAVE"}
+        name="Before",
+        description="Current part of the vertices to change; if empty, all vertices of the object",
+        options={"SKIP_SAVE"},
     )
 
     def work(self, context: bpy.types.Context) -> None:
@@ -91,7 +95,7 @@ class FACEMIME_OT_add_part(OnHead, bpy.types.Operator):
 
 
 class FACEMIME_OT_remove_part(ReportsErrors, bpy.types.Operator):
-    """Remove an object from the character, so that the performance leaves it alone"""
+    """Remove an object from the character, so that the performance does not move it"""
 
     bl_idname = "facemime.remove_part"
     bl_label = "Remove from Character"
@@ -108,7 +112,7 @@ class FACEMIME_OT_remove_part(ReportsErrors, bpy.types.Operator):
 
 
 class FACEMIME_OT_find_parts(OnHead, bpy.types.Operator):
-    """Sort the meshes of the character into parts again, find its bones, and propose its regions"""
+    """Sort the meshes of the character into parts again, find its bones, and create its regions"""
 
     bl_idname = "facemime.find_parts"
     bl_label = "Find Parts"
@@ -129,7 +133,7 @@ def _items_of_bones(operator: bpy.types.Operator, context: bpy.types.Context | N
 
 
 class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
-    """Choose the bone that takes the pose of the head, or the gaze of an eye"""
+    """Choose the bone that follows the pose of the head or the gaze of an eye"""
 
     bl_idname = "facemime.set_bone"
     bl_label = "Set Bone"
@@ -163,7 +167,7 @@ class FACEMIME_OT_make_expression_keys(InObjectMode, OnHead, bpy.types.Operator)
 
     keys: EnumProperty(
         name="Keys",
-        description="Which programs are to find the keys",
+        description="Programs that the keys are for",
         items=[(name, keys.label, "") for name, keys in KEY_SETS.items()],
     )
 

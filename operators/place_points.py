@@ -153,7 +153,7 @@ class FACEMIME_OT_adjust_landmarks(PlacesPoints, OnHead, bpy.types.Operator):
 
 
 class FACEMIME_OT_mark_face(PlacesPoints, OnMesh, bpy.types.Operator):
-    """Click the points of the face that are asked for, one by one; then the face is found by them"""
+    """Click the requested points of the face one by one, then find the face from them"""
 
     bl_idname = "facemime.mark_face"
     bl_label = "Mark Face"
@@ -164,7 +164,9 @@ class FACEMIME_OT_mark_face(PlacesPoints, OnMesh, bpy.types.Operator):
         return Placing(obj, marks_to_ask([int(IBUG68_INDICES[i]) for i in parse_landmarks(self.points)]))
 
     def hint(self) -> str:
-        return _("Click the point that is shown; Backspace for the one before, Enter to find the face, Esc to cancel")
+        return _(
+            "Click the point that is shown; Backspace to remove the last point, Enter to find the face, Esc to cancel"
+        )
 
     def handle(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Mark a point by a click, or clear the last one by Backspace."""
@@ -228,7 +230,7 @@ class FACEMIME_OT_accept_points(EndsPlacing, bpy.types.Operator):
 
 
 class FACEMIME_OT_discard_points(EndsPlacing, bpy.types.Operator):
-    """Put the points back to where they were"""
+    """Move the points back to where they were"""
 
     bl_idname = "facemime.discard_points"
     bl_label = "Discard"

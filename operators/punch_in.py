@@ -22,7 +22,7 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
     end: IntProperty(name="End", description="Last frame of the range", default=50)
     lead: FloatProperty(
         name="Pre-Roll",
-        description="Time that is played before the range",
+        description="Time played before the range",
         subtype="TIME_ABSOLUTE",
         default=2.0,
         min=0.0,

@@ -38,7 +38,7 @@ def start_puppet() -> None:
 
 
 class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
-    """Drive the active head and all other selected heads by the face in the source; Esc in the viewport stops"""
+    """Drive the active head and all other selected heads with the face in the source; Esc in the viewport stops it"""
 
     bl_idname = "facemime.puppet"
     bl_label = "Start Puppet"
@@ -166,7 +166,7 @@ class FACEMIME_OT_stop_puppet(bpy.types.Operator):
 
 
 class FACEMIME_OT_next_face(bpy.types.Operator):
-    """Track the next face to the right, or the leftmost one after the last"""
+    """Track the next face to the right; after the last one, the leftmost"""
 
     bl_idname = "facemime.next_face"
     bl_label = "Next Face"

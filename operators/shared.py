@@ -42,7 +42,7 @@ def reporting_range(operator: bpy.types.Operator, scene: bpy.types.Scene) -> Ite
     yield
     if before != (scene.frame_start, scene.frame_end):
         first, last = scene.frame_start, scene.frame_end
-        report(operator, f"The range of the scene is now that of the take: frames {first} to {last}")
+        report(operator, f"The scene's frame range is now that of the take: frames {first} to {last}")
 
 
 class ReportsErrors:

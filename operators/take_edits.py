@@ -126,7 +126,7 @@ class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
 
 
 class FACEMIME_OT_punch_in_take(AddsEditedTake, bpy.types.Operator):
-    """Add a copy of the selected take into which another one is inserted, blended at both ends"""
+    """Add a copy of the selected take with another take inserted, blended at both ends"""
 
     bl_idname = "facemime.punch_in_take"
     bl_label = "Insert Take"

@@ -52,7 +52,7 @@ def _countdown(session: LiveSession, scene: bpy.types.Scene) -> float:
 
 
 class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
-    """Record everything that is tracked, starting the puppet if necessary; the take is on disk from the first second"""
+    """Record everything that is tracked, starting the puppet if necessary; the take is saved while it is recorded"""
 
     bl_idname = "facemime.record_take"
     bl_label = "Record Take"
@@ -192,7 +192,7 @@ class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
 
 
 class FACEMIME_OT_take_from_animation(WorksInSteps, OnHead, bpy.types.Operator):
-    """Sample the active head in the frame range as a take, whether shape keys, bones or a cache move it"""
+    """Sample the active head over the frame range as a take, whether shape keys, bones or a cache move it"""
 
     bl_idname = "facemime.take_from_animation"
     bl_label = "Take from Animation"

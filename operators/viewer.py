@@ -20,7 +20,7 @@ class _OfViewer:
 
 
 class FACEMIME_OT_open_viewer(_OfViewer, bpy.types.Operator):
-    """Open the viewer in the browser of this computer"""
+    """Open the viewer in this computer's browser"""
 
     bl_idname = "facemime.open_viewer"
     bl_label = "Open in Browser"
@@ -31,7 +31,7 @@ class FACEMIME_OT_open_viewer(_OfViewer, bpy.types.Operator):
 
 
 class FACEMIME_OT_copy_viewer_address(_OfViewer, bpy.types.Operator):
-    """Copy the address of the viewer; whoever has it can watch"""
+    """Copy the address of the viewer; anyone who has it can watch"""
 
     bl_idname = "facemime.copy_viewer_address"
     bl_label = "Copy Address"
@@ -39,7 +39,7 @@ class FACEMIME_OT_copy_viewer_address(_OfViewer, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Copy the address to the clipboard."""
         context.window_manager.clipboard = running().viewer.address
-        report(self, "The address is in the clipboard")
+        report(self, "Address copied to the clipboard")
         return {"FINISHED"}
 
 

@@ -56,9 +56,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
         raise HeadError("No head is selected. Add one with Add > Mesh > Facemime Head, or bind your own.")
     settings = scene.facemime
     if settings.posing.object is not None and len(objects) > 1:
-        raise HeadError(
-            "One pose object cannot take the pose of several heads. Clear Pose Object, or select a single head."
-        )
+        raise HeadError("One pose object cannot follow several heads. Clear Pose Object, or select a single head.")
     options = drive_settings(settings)
     shown = [LiveHeadObject(obj, pose_targets(settings.posing, obj), _follow(settings)) for obj in objects]
     keys = [_keys_of(scene, obj) for obj in objects]

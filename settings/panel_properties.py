@@ -75,7 +75,7 @@ class FacemimeMemory(bpy.types.PropertyGroup):
     checked: StringProperty(description="Name of the last head that was checked")
     findings: CollectionProperty(type=FacemimeFinding)
     landmarks: CollectionProperty(type=FacemimeLandmark)
-    unsure: StringProperty(description="Name of the last head of which the search was not sure")
+    unsure: StringProperty(description="Name of the last head on which the search was uncertain")
     wanted: StringProperty(description="iBUG numbers of the marks that would help most there")
 
 
@@ -122,7 +122,7 @@ def register() -> None:
     # Within a property group, a function of Python here makes Blender 4.2 crash when it quits.
     bpy.types.WindowManager.facemime_picked = PointerProperty(
         name="Head",
-        description="Head to be driven; choose any part of a character",
+        description="Head to drive; choose any part of a character",
         type=bpy.types.Object,
         poll=_is_mesh,
         update=_make_active,

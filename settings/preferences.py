@@ -26,16 +26,16 @@ class FacemimePreferences(bpy.types.AddonPreferences):
     rate: FloatProperty(name="Rate", description="Requested frames per second", default=30.0, min=1.0, max=240.0)
     preview: BoolProperty(
         name="Preview",
-        description="Show the image and the landmarks in the viewport; drag to move it, and its upper right corner to "
-        "change its size",
+        description="Show the image and the landmarks in the viewport; drag it to move it, or its upper right corner "
+        "to resize it",
         default=True,
     )
     preview_size: IntProperty(
         name="Size", description="Width of the preview", subtype="PIXEL", default=240, min=80, max=640
     )
     preview_place: FloatVectorProperty(
-        name="Place",
-        description="Place of the preview, relative to the lower left corner of the viewport; drag it there",
+        name="Position",
+        description="Position of the preview from the lower left corner of the viewport; drag the preview to move it",
         size=2,
         default=(0.0, 0.0),
     )
@@ -45,14 +45,14 @@ class FacemimePreferences(bpy.types.AddonPreferences):
     pairing: StringProperty(
         name="Pairing",
         description=(
-            "Line that facemime send --serve shows at the other computer, to receive its stream over TLS. It is "
-            "secret, and is not stored in the .blend file"
+            "Line that facemime send --serve prints on the other computer, to receive its stream over TLS; it is "
+            "secret, and not stored in the .blend file"
         ),
         subtype="PASSWORD",
     )
     takes_folder: StringProperty(
         name="Takes",
-        description="Folder for takes recorded before the .blend file is saved; later ones are stored beside it",
+        description="Folder for takes recorded before the .blend file is saved; later takes are stored next to it",
         subtype="DIR_PATH",
     )
 

@@ -30,7 +30,7 @@ class FacemimeSource(bpy.types.PropertyGroup):
             ("PICTURES", "Image Sequence", "Use the images in a folder, sorted by name", "IMAGE_DATA", 2),
             ("TAKE", "Take", "Play a recorded take", "ACTION", 3),
             ("SAMPLE", "Sample Clip", "Use the clip that comes with Facemime, to try it without a camera", "PLAY", 4),
-            ("STREAM", "Stream", "Use what a phone, a VTuber program or another computer sends", "URL", 5),
+            ("STREAM", "Stream", "Use the face sent by a phone, a VTuber program or another computer", "URL", 5),
         ),
         default="SAMPLE",
     )
@@ -62,18 +62,18 @@ class FacemimePosing(bpy.types.PropertyGroup):
 
     object: PointerProperty(
         name="Pose Object",
-        description="Object that takes the pose instead of the head, such as an empty or an armature",
+        description="Object that follows the pose instead of the head, such as an empty or an armature",
         type=bpy.types.Object,
     )
-    bone: StringProperty(name="Bone", description="Bone of the armature that takes the pose of the head")
+    bone: StringProperty(name="Bone", description="Bone of the armature that follows the pose of the head")
     eye_left: PointerProperty(
-        name="Left Eye", description="Object that takes the gaze of the left eye", type=bpy.types.Object
+        name="Left Eye", description="Object that follows the gaze of the left eye", type=bpy.types.Object
     )
-    eye_left_bone: StringProperty(name="Left Bone", description="Bone that takes the gaze of the left eye")
+    eye_left_bone: StringProperty(name="Left Bone", description="Bone that follows the gaze of the left eye")
     eye_right: PointerProperty(
-        name="Right Eye", description="Object that takes the gaze of the right eye", type=bpy.types.Object
+        name="Right Eye", description="Object that follows the gaze of the right eye", type=bpy.types.Object
     )
-    eye_right_bone: StringProperty(name="Right Bone", description="Bone that takes the gaze of the right eye")
+    eye_right_bone: StringProperty(name="Right Bone", description="Bone that follows the gaze of the right eye")
 
 
 class FacemimePerformer(bpy.types.PropertyGroup):
@@ -88,7 +88,7 @@ class FacemimeSettings(bpy.types.PropertyGroup):
 
     find_neutral: BoolProperty(
         name="Find Neutral",
-        description="Find or estimate the performer's neutral face; otherwise set the start of a second with it",
+        description="Find or estimate the performer's neutral face; otherwise set the time when the face is neutral",
         default=True,
     )
     neutral: FloatProperty(
@@ -98,22 +98,22 @@ class FacemimeSettings(bpy.types.PropertyGroup):
     )
     drive_by: EnumProperty(
         name="Driven By",
-        description="What of a head moves live",
+        description="What a live puppet moves",
         items=(
             (
                 "AUTOMATIC",
                 "Automatic",
-                "The shape keys of a character with a known set of them, such as ARKit's or VRM's; otherwise the skin",
+                "Drive the shape keys of a character with a known set, such as ARKit's or VRM's; otherwise the skin",
             ),
-            ("SKIN", "Skin", "The skin follows the landmarks of the performer"),
-            ("KEYS", "Shape Keys", "Existing shape keys, by the key mapping; it is detected if it is empty"),
+            ("SKIN", "Skin", "Move the skin with the performer's landmarks"),
+            ("KEYS", "Shape Keys", "Drive existing shape keys by the key mapping, which is detected if it is empty"),
         ),
     )
     learn: BoolProperty(
         name="Learn Performer",
         description=(
-            "While the puppet runs, learn where the performer's eyes are shut, and improve a neutral face that was not "
-            "calibrated"
+            "While the puppet is running, learn when the performer's eyes are shut, and improve the neutral face "
+            "unless it was calibrated"
         ),
         default=True,
     )

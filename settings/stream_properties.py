@@ -11,9 +11,9 @@ from .rna import with_settings
 
 _BOTH_WAYS = (
     ("own", "Facemime", "Another computer with Facemime", 0),
-    ("livelink", "Live Link Face", "Epic's iPhone app in its mode ARKit, or Unreal Engine", 1),
-    ("vmc", "VMC", "VTuber programs that speak the VMC protocol", 2),
-    ("openseeface", "OpenSeeFace", "OpenSeeFace's tracker, or VTuber programs that listen to it", 3),
+    ("livelink", "Live Link Face", "Epic's iPhone app in ARKit mode, or Unreal Engine", 1),
+    ("vmc", "VMC", "VTuber programs that use the VMC protocol", 2),
+    ("openseeface", "OpenSeeFace", "OpenSeeFace's tracker, or VTuber programs that receive from it", 3),
 )
 """Protocols that come in and go out."""
 
@@ -40,13 +40,13 @@ class FacemimeStream(bpy.types.PropertyGroup):
         description="Address of this computer on which the stream is received; 0.0.0.0 for all of its networks",
         default=LOOPBACK,
     )
-    port: IntProperty(name="Port", description="Port of the stream; 0 for the usual one", min=0, max=65535)
+    port: IntProperty(name="Port", description="Port of the stream; 0 for the default", min=0, max=65535)
     phone: StringProperty(name="Phone", description="Address of the phone, which the app shows")
     key: StringProperty(
         name="Key", description="File with the key that this computer shares with the sender", subtype="FILE_PATH"
     )
     sender: StringProperty(
-        name="Sender", description="Address or name of the sender to follow; the first that comes if it is empty"
+        name="Sender", description="Address or name of the sender to follow; if empty, the first sender"
     )
     flip: EnumProperty(
         name="Flip",
@@ -89,7 +89,7 @@ class FacemimeOutput(bpy.types.PropertyGroup):
         ),
     )
     host: StringProperty(name="Host", description="Address of the computer that receives the face", default=LOOPBACK)
-    port: IntProperty(name="Port", description="Port of the stream; 0 for the usual one", min=0, max=65535)
+    port: IntProperty(name="Port", description="Port of the stream; 0 for the default", min=0, max=65535)
     key: StringProperty(
         name="Key", description="File with the key that this computer shares with the receiver", subtype="FILE_PATH"
     )
@@ -106,15 +106,17 @@ class FacemimeViewer(bpy.types.PropertyGroup):
     )
     host: StringProperty(
         name="Listen On",
-        description="Address of this computer at which browsers find the page; 0.0.0.0 for all of its networks",
+        description="Address of this computer at which browsers open the page; 0.0.0.0 for all of its networks",
         default=LOOPBACK,
     )
-    port: IntProperty(name="Port", description="Port of the page; 0 for any", default=PORT, min=0, max=65535)
+    port: IntProperty(name="Port", description="Port of the page; 0 for any free port", default=PORT, min=0, max=65535)
     certificate: StringProperty(
-        name="Certificate", description="Certificate for HTTPS, a PEM file; HTTP without it", subtype="FILE_PATH"
+        name="Certificate",
+        description="Certificate for HTTPS, as a PEM file; without it, the page uses HTTP",
+        subtype="FILE_PATH",
     )
     key: StringProperty(
-        name="Private Key", description="Private key of the certificate, a PEM file", subtype="FILE_PATH"
+        name="Private Key", description="Private key of the certificate, as a PEM file", subtype="FILE_PATH"
     )
 
 

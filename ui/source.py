@@ -65,7 +65,7 @@ def _draw_stream(layout: bpy.types.UILayout, stream: FacemimeStream) -> None:
     column.prop(stream, "port")
     if stream.protocol == OWN:
         column.prop(stream, "key")
-    layout.prop(stream, "sender", placeholder=_("First that comes"))
+    layout.prop(stream, "sender", placeholder=_("First Sender"))
     layout.prop(stream, "delay")
     if stream.protocol == "livelink":
         layout.prop(stream, "angles")

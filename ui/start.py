@@ -76,7 +76,7 @@ def _next_step(context: bpy.types.Context, heads: list[bpy.types.Object]) -> tup
     if context.mode == "EDIT_MESH":
         return _("Leave Edit Mode first"), "INFO"
     if (placing := placing_on(context.active_object)) is not None:
-        return _("Click the point that is shown") if placing.asked else _("Drag points that are off"), "INFO"
+        return _("Click the point that is shown") if placing.asked else _("Drag misplaced points"), "INFO"
     if TrackingSession.running() is not None:
         return _("Tracking the whole video"), "TIME"
     if TakeShow.running() is not None:
@@ -108,7 +108,7 @@ class FACEMIME_MT_add(bpy.types.Menu):
         layout.operator("facemime.import_facegen", text="FaceGen Head", icon="IMPORT")
         layout.separator()
         layout.operator("facemime.bind_landmarks", text="Find Face of Selected Character", icon="VIEWZOOM")
-        layout.operator("facemime.mark_face", text="Find Face by Marks...", icon="PIVOT_CURSOR")
+        layout.operator("facemime.mark_face", text="Find Face from Marks...", icon="PIVOT_CURSOR")
 
 
 CLASSES = (FACEMIME_MT_add, FACEMIME_PT_start)

@@ -64,7 +64,7 @@ def _check_keys(obj: bpy.types.Object, *, new: bool, old: bool) -> None:
     mesh = obj.data
     if new and (mesh.library is not None or mesh.override_library is not None):
         raise HeadError(
-            f"The mesh of {obj.name} is linked from another file, so that no shape keys can be added. "
+            f"The mesh of {obj.name} is linked from another file, so shape keys cannot be added. "
             "Bake to a cache or to existing shape keys, or make it local."
         )
     if new:
@@ -92,7 +92,7 @@ def check_range(take: Take, frames: NDArray[np.floating]) -> None:
     """
     if max(-frames[0], frames[-1]) > _LAST_FRAME:
         raise SourceError(
-            f"The take reaches from {take.times[0]:.2f} s to {take.times[-1]:.2f} s, beyond Blender's last frame. "
+            f"The take extends from {take.times[0]:.2f} s to {take.times[-1]:.2f} s, beyond Blender's last frame. "
             "Check that the times are in seconds. To shift a take: facemime mend TAKE --shift SECONDS -o OUT"
         )
 

@@ -33,14 +33,14 @@ def export_gltf(heads: Sequence[bpy.types.Object], path: Path) -> None:
     Raises
     ------
     HeadError
-        If the motion of a head is in a cache, which glTF does not have, or the exporter is disabled.
+        If the motion of a head is in a cache, which glTF cannot store, or the exporter is disabled.
     OutputError
         If the file cannot be written.
     """
     chosen = list(dict.fromkeys(obj for head in heads for obj in _character(head)))
     for obj in chosen:
         if any(modifier.type in CACHES for modifier in obj.modifiers):
-            raise HeadError(f"The motion of {obj.name} is in a cache, which glTF does not have. Bake to shape keys.")
+            raise HeadError(f"The motion of {obj.name} is in a cache, which glTF cannot store. Bake to shape keys.")
     if "gltf" not in dir(bpy.ops.export_scene):
         raise HeadError("Blender's glTF add-on is disabled. Enable it in Preferences > Add-ons.")
     with _selected(chosen), saved_by_blender(path, _is_complete) as temporary:

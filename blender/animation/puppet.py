@@ -98,8 +98,11 @@ class PuppetReport:
             return f"{self.keys} shape keys"
         keys, error = self.keys, f"{100 * self.worst_error:.2g}"
         if self.worst_error > _POOR:
-            return f"{keys} shape keys, which cannot follow everything: largest deviation {error} % of the eye distance"
-        return f"{keys} shape keys, largest deviation {error} % of the eye distance"
+            return (
+                f"{keys} shape keys, which cannot reproduce all of the motion: "
+                f"largest error {error} % of the eye distance"
+            )
+        return f"{keys} shape keys, largest error {error} % of the eye distance"
 
 
 def puppet_head(
@@ -307,8 +310,8 @@ def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
         return next(known for known in presets() if known.name == preset.name).matched(names)
     if table is None:
         raise HeadError(
-            f"No preset of a key mapping matches the shape keys of {obj.name}. "
-            "Use a table of your own, or bake to new or existing shape keys without a table."
+            f"No key mapping preset matches the shape keys of {obj.name}. "
+            "Use your own mapping, or bake to new or existing shape keys without a mapping."
         )
     if not (matched := table.matched(names)).rows:
         raise HeadError(

@@ -72,7 +72,7 @@ class PoseTarget:
             If an armature does not have that bone.
         """
         if obj.type == "ARMATURE" and not bone:
-            raise HeadError(f"No bone of the armature {obj.name} is selected. Choose the bone that takes the pose.")
+            raise HeadError(f"No bone of the armature {obj.name} is selected. Choose the bone that follows the pose.")
         if obj.type == "ARMATURE" and bone not in obj.pose.bones:
             raise HeadError(f"The armature {obj.name} has no bone {bone}. Choose one of its bones.")
         return cls(obj, bone if obj.type == "ARMATURE" else "", head)

@@ -44,7 +44,7 @@ class BakeSettings:
             Choice(
                 AUTOMATIC,
                 "Automatic",
-                "The shape keys of a character with a known set of them, such as ARKit's or VRM's; otherwise new ones",
+                "Use the shape keys of a character with a known set, such as ARKit's or VRM's; otherwise add new ones",
                 5,
             ),
             Choice("new", "New Shape Keys", "Add as few shape keys as the motion needs", 0),
@@ -74,7 +74,7 @@ class BakeSettings:
         soft_high=0.02,
         unit="percent",
     )
-    nla: bool = setting(False, "Push to NLA", "Put the animation onto an NLA track instead of the active action")
+    nla: bool = setting(False, "Push to NLA", "Put the animation on an NLA track instead of the active action")
     table: KeyMap | None = None
     path: Path | None = None
 

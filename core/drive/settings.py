@@ -121,15 +121,15 @@ class DriveSettings:
     only_landmarks: bool = setting(
         False,
         "Only Landmarks",
-        "Ignore what no landmark shows: the tongue, puffed cheeks, pressed lips, and wrinkles of the nose",
+        "Ignore actions that no landmark shows: the tongue, puffed cheeks, pressed lips and a wrinkled nose",
     )
     borders: Borders = setting(
         "soft",
         "Borders",
         "How neighbouring regions meet",
         choices=(
-            Choice("soft", "Soft", "Regions blend as they are painted"),
-            Choice("sharp", "Sharp", "A vertex belongs to a region or not, and on a border to both, as in the paper"),
+            Choice("soft", "Soft", "Regions blend according to their painted weights"),
+            Choice("sharp", "Sharp", "Each vertex belongs to one region, or to both on a border, as in the paper"),
         ),
     )
     exact: bool = setting(

@@ -99,7 +99,7 @@ class StreamSettings:
     delay: float = setting(
         0.02,
         "Delay",
-        "Delay that evens out packets that come early or late",
+        "Delay that compensates for packets arriving at uneven intervals",
         low=0.0,
         high=2.0,
         soft_high=0.2,
@@ -109,12 +109,14 @@ class StreamSettings:
     angles: Angles = setting(
         "radians",
         "Angles",
-        "Unit of the head's angles, in which senders of Live Link Face differ",
+        "Unit of the head's angles, which differs between senders of Live Link Face's protocol",
         choices=(
             Choice("radians", "Radians", "As Live Link Face sends them"),
             Choice("degrees", "Degrees", "As some other programs send them"),
             Choice(
-                "half-turns", "Half Turns", "Shares of 180 degrees, as programs made after Unreal's plug-in send them"
+                "half-turns",
+                "Half Turns",
+                "Fractions of 180 degrees, as programs modelled on Unreal's plug-in send them",
             ),
         ),
     )

@@ -34,7 +34,7 @@ class Mending:
         Time of the neutral face in seconds.
     """
 
-    outliers: bool = setting(False, "Remove Outliers", "Remove frames that jump away from their neighbours")
+    outliers: bool = setting(False, "Remove Outliers", "Remove frames that differ abruptly from their neighbours")
     gaps: Gaps = setting(
         "leave",
         "Gaps",
@@ -55,7 +55,7 @@ class Mending:
         choices=(
             Choice("none", "None", "Leave the motion as it is"),
             Choice("one-euro", "As Live", "Smooth as a live puppet does, with some lag"),
-            Choice("zero-phase", "Without Delay", "Smooth forwards and backwards, so that nothing lags"),
+            Choice("zero-phase", "Without Delay", "Smooth forwards and backwards, without lag"),
         ),
     )
     cutoffs: Mapping[str, float] = field(default_factory=dict)

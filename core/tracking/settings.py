@@ -22,10 +22,10 @@ class TrackingSettings:
     detector: str = setting(
         NETWORK,
         "Face Detector",
-        "What finds the face on the first frame and after a loss",
+        "How faces are found on the first frame and after tracking was lost",
         choices=(
-            Choice(NETWORK, "Neural Network", "Find faces from any side; those that it misses are left to Viola-Jones"),
-            Choice(CASCADES, "Viola-Jones", "Find faces by cascades alone, as in the paper"),
+            Choice(NETWORK, "Neural Network", "Find faces from any angle, with Viola-Jones for those that are missed"),
+            Choice(CASCADES, "Viola-Jones", "Find faces with cascades alone, as in the paper"),
         ),
     )
 

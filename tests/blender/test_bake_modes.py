@@ -336,7 +336,7 @@ def test_unmatched_and_absolute_shape_keys_are_rejected():
     head = add_head(bpy.context)
     for name in ("Basis", "Fat", "Thin"):
         head.shape_key_add(name=name, from_mix=False)
-    with pytest.raises(HeadError, match="No preset of a key mapping matches"):
+    with pytest.raises(HeadError, match="No key mapping preset matches"):
         bake(head, keys="mapped")
     with pytest.raises(HeadError, match="key mapping mine matches none"):
         bake(head, keys="mapped", table=KeyMap("mine", (KeyRow("jawOpen", "Open"),)))

@@ -72,7 +72,7 @@ def test_puppet_writes_a_blend_a_video_a_contact_sheet_and_a_take(clip, tmp_path
         "--take", out["take.facetake"],
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert "largest deviation" in done.stderr and "Traceback" not in done.stderr and done.stdout == ""
+    assert "largest error" in done.stderr and "Traceback" not in done.stderr and done.stdout == ""
     take = load_take(out["take.facetake"])
     assert len(take) == 50 and take.found.all()
     video = cv2.VideoCapture(str(out["out.mp4"]))
