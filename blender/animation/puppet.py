@@ -316,7 +316,7 @@ def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
     if not (matched := table.matched(names)).rows:
         raise HeadError(
             f"The key mapping {table.name} matches none of the shape keys of {obj.name}. "
-            "Use another table, or bake to new or existing shape keys without a table."
+            "Use another mapping, or bake to new or existing shape keys without a mapping."
         )
     return matched
 
