@@ -51,7 +51,10 @@ class Curve:
 def write_curves(
     owner: bpy.types.ID, name: str, frames: NDArray[np.floating], curves: Iterable[Curve], *, nla: bool = False
 ) -> None:
-    """Animate a data-block with linear keyframes, replacing only curves of the same paths.
+    """Animate a data-block with linear keyframes, replacing only curves that a bake wrote.
+
+    Where the active action has a muted curve of someone else in the same channel, the new ones go onto an NLA track:
+    an action has one curve per channel, and the muted one is kept.
 
     Parameters
     ----------
@@ -67,7 +70,7 @@ def write_curves(
     curves = list(curves)
     if not curves:
         return
-    if nla:
+    if nla or _muted_paths(owner).intersection(curve.data_path for curve in curves):
         _push(owner, name, frames, curves)
         return
     data = owner.animation_data or owner.animation_data_create()
@@ -103,7 +106,7 @@ def check_curves(owner: bpy.types.ID, paths: Sequence[str]) -> None:
 
 
 def animated_paths(owner: bpy.types.ID, paths: Sequence[str]) -> list[str]:
-    """Return those of the data paths that have animation or a driver that Facemime did not make.
+    """Return those of the data paths that have animation or a driver that Facemime did not make and that is not muted.
 
     Parameters
     ----------
@@ -113,9 +116,32 @@ def animated_paths(owner: bpy.types.ID, paths: Sequence[str]) -> list[str]:
     data = owner.animation_data
     if data is None:
         return []
-    driven = {driver.data_path for driver in data.drivers}
-    animated = {curve.data_path for curve in _existing(owner)} - _owned(data.action)
+    driven = {driver.data_path for driver in data.drivers if not driver.mute}
+    animated = {curve.data_path for curve in _existing(owner) if not curve.mute} - _owned(data.action)
     return [path for path in paths if path in driven | animated and not path.startswith(_KEYS)]
+
+
+def _muted_paths(owner: bpy.types.ID) -> set[str]:
+    """Return the data paths of muted curves in the active action that Facemime did not make."""
+    data = owner.animation_data
+    if data is None or data.action is None:
+        return set()
+    return {curve.data_path for curve in _existing(owner) if curve.mute} - _owned(data.action)
+
+
+def mute_paths(owner: bpy.types.ID, paths: Sequence[str]) -> int:
+    """Mute the curves and drivers that `animated_paths` names, and return how many there were.
+
+    Parameters
+    ----------
+    owner : bpy.types.ID
+    paths : sequence of str
+    """
+    animated = animated_paths(owner, paths)
+    found = [item for item in (*_existing(owner), *owner.animation_data.drivers) if item.data_path in animated]
+    for item in found:
+        item.mute = True
+    return len(found)
 
 
 def remove_curves(owner: bpy.types.ID, prefix: str) -> None:

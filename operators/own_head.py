@@ -30,6 +30,8 @@ from ..settings.panel_properties import keep_findings
 from .shared import InObjectMode, OnHead, OnMesh, report, require_left_edit_mode
 from .steps import Background, WorksInSteps
 
+_CHECK_PANEL = "FACEMIME_PT_check"
+"""The popup that shows the result of a check; it is in `ui`, which imports the operators."""
 _WAIT = 0.02
 """Seconds between two redraws during a search."""
 
@@ -181,7 +183,7 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
 
 
 class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
-    """Check this head for problems"""
+    """Check this head for problems, and list its parts and bones"""
 
     bl_idname = "facemime.check_head"
     bl_label = "Check Head"

@@ -1,14 +1,15 @@
-"""Panel Character: the parts of the face, and the bones that take its pose."""
+"""Panel Character: the parts of the face, and the bones that take its pose; also shown by a check of the head."""
 
 import bpy
 
+from ..blender.animation.targets import PoseTarget
 from ..blender.characters import objects_of, part_table, read_bones
 from ..blender.meshes import can_be_driven, is_head
 from ..blender.messages import CONTEXT
-from ..blender.names import HEAD_PROPERTY
-from ..core.heads.parts import PART_NAMES
+from ..blender.names import HEAD_PROPERTY, PART_OBJECTS, PART_PROPERTY
+from ..core.heads.parts import PART_NAMES, Part
 from ..operators.parts import BONES
-from .sidebar import Sidebar
+from .sidebar import Sidebar, draw_findings, labels
 
 
 class FACEMIME_PT_parts(Sidebar, bpy.types.Panel):
@@ -44,6 +45,29 @@ class FACEMIME_PT_parts(Sidebar, bpy.types.Panel):
         layout.operator_menu_enum("facemime.make_expression_keys", "keys", icon="SHAPEKEY_DATA")
 
 
+class FACEMIME_PT_check(bpy.types.Panel):
+    """The result of a check, as a popup: problems, and what was made of each part and bone."""
+
+    bl_label = "Check Head"
+    bl_space_type, bl_region_type = "VIEW_3D", "WINDOW"
+    bl_options = {"INSTANCED"}
+    bl_ui_units_x = 18
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the popup."""
+        layout, head = self.layout, context.active_object
+        if head is None or not is_head(head):
+            return
+        layout.label(text=head.name, icon="USER", translate=False)
+        draw_findings(layout, context)
+        layout.separator()
+        _draw_parts(layout, head)
+        if read_bones(head)[0] is None:
+            labels(layout, context, "No bones: the head turns as a whole")
+        else:
+            _draw_bones(layout, head)
+
+
 def _draw_parts(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
     column = layout.column(align=True)
     others, last = set(objects_of(head)), None
@@ -56,6 +80,11 @@ def _draw_parts(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
         if obj in others and obj != last:
             row.operator("facemime.remove_part", text="", icon="X").name = obj.name
         last = obj
+    for child in (child for child in head.children if child.get(PART_PROPERTY) in PART_OBJECTS):
+        line = column.split(factor=0.45, align=True)
+        line.label(text=child.name, translate=False, icon="MESH_DATA")
+        name = child[PART_PROPERTY]
+        line.label(text="Tongue" if name == "tongue" else PART_NAMES[Part[name.upper()]], text_ctxt=CONTEXT)
 
 
 def _draw_bones(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
@@ -68,7 +97,10 @@ def _draw_bones(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
         row = column.split(factor=0.45)
         row.label(text=label, text_ctxt=CONTEXT)
         bone = getattr(bones, target)
+        row = row.row(align=True)
         row.operator("facemime.set_bone", text=bone or "None", translate=not bone, icon="BONE_DATA").target = target
+        if bone in armature.pose.bones and PoseTarget(armature, bone).is_animated:
+            row.operator("facemime.mute_bone", text="", icon="ACTION").target = target
 
 
-CLASSES = (FACEMIME_PT_parts,)
+CLASSES = (FACEMIME_PT_parts, FACEMIME_PT_check)

@@ -82,7 +82,7 @@ class PuppetReport:
         warnings = [self.neutral.warning] if self.neutral.warning else []
         if self.kept:
             names = ", ".join(self.kept)
-            warning = f"Bones that keep their own animation: {names}. Remove it and bake again to move them."
+            warning = f"Bones that keep their own animation: {names}. Mute it in Head > Character to move them."
             warnings.append(warning)
         if self.others:
             names = ", ".join(self.others)

@@ -13,7 +13,7 @@ from mathutils import Euler, Matrix, Vector
 from numpy.typing import NDArray
 
 from ...core.errors import HeadError
-from ..actions import Curve, animated_paths
+from ..actions import Curve, animated_paths, mute_paths
 from ..characters import (
     objects_of,
     own_rotation,
@@ -128,11 +128,22 @@ class PoseTarget:
     @property
     def data_paths(self) -> list[str]:
         """Data paths of all channels that a bake may animate."""
-        return [] if self.still else self._paths()
+        return [] if self.still else self.channels
 
-    def _paths(self) -> list[str]:
+    @property
+    def channels(self) -> list[str]:
+        """Data paths of the rotation and the location."""
         channels = ("rotation_quaternion", "rotation_euler", "location")
         return [f"{self.path}{self.prefix}{channel}" for channel in channels]
+
+    @property
+    def is_animated(self) -> bool:
+        """Whether it has animation that Facemime did not make."""
+        return bool(animated_paths(self.obj, self.channels))
+
+    def mute(self) -> None:
+        """Mute the animation that it has, so that it takes the pose."""
+        mute_paths(self.obj, self.channels)
 
     def curves(
         self,
@@ -261,7 +272,7 @@ def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
 def _bone_target(armature: bpy.types.Object, bone: str, head: bpy.types.Object) -> PoseTarget:
     """Return the target for a bone, which stays still if it has animation that Facemime did not make."""
     target = PoseTarget(armature, bone, head)
-    return replace(target, still=bool(animated_paths(armature, target.data_paths)))
+    return replace(target, still=target.is_animated)
 
 
 def carried_targets(head: bpy.types.Object, target: PoseTarget) -> list[PoseTarget]:

@@ -4,10 +4,12 @@ import bpy
 import numpy as np
 import pytest
 from characters import TRUTH, shown, strangers, turn_between
-from mathutils import Vector
+from mathutils import Matrix, Vector
 from thorough import first_of
 
 from commands import run
+from facemime.blender.actions import _existing
+from facemime.blender.animation.bake import remove_baked
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.targets import own_targets
@@ -197,6 +199,57 @@ def test_a_bone_that_moves_already_keeps_its_animation_and_the_report_says_so():
     np.testing.assert_allclose(bone.rotation_quaternion, (0.9, 0.1, 0.0, 0.0), atol=1e-6)
     armature.animation_data_clear()
     assert puppet_head(bpy.context.scene, head, performance()).kept == ()
+
+
+def _bound_with_own_animation(*, driven: bool) -> tuple[bpy.types.Object, bpy.types.Object]:
+    """A character whose head bone turns by itself, by keyframes or a driver; the head and its armature."""
+    objects = strangers(rig=True)
+    head, _ = bind_character(objects["head"])
+    armature, _ = read_bones(head)
+    bone = armature.pose.bones["Head"]
+    if driven:
+        bone.driver_add("rotation_quaternion", 1).driver.expression = "0.25"
+    else:
+        for frame, turn in ((1, 0.1), (40, 0.3)):
+            bone.rotation_quaternion = (0.9, turn, 0.0, 0.0)
+            bone.keyframe_insert("rotation_quaternion", frame=frame)
+    bpy.context.view_layer.objects.active = head
+    return head, armature
+
+
+def _turn_at(armature: bpy.types.Object, frame: int) -> np.ndarray:
+    bpy.context.scene.frame_set(frame)
+    return np.array(armature.pose.bones["Head"].rotation_quaternion)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("driven", [False, True])
+@pytest.mark.parametrize("nla", [False, True])
+def test_a_bone_whose_animation_is_muted_follows_the_performer_in_a_bake(driven, nla):
+    head, armature = _bound_with_own_animation(driven=driven)
+    assert bpy.ops.facemime.mute_bone(target="head") == {"FINISHED"}
+    settings = PuppetSettings(bake=BakeSettings(nla=nla))
+    report = puppet_head(bpy.context.scene, head, performance(), settings)
+    assert report.kept == ()
+    frames = frames_of(bpy.context.scene, report.motion.times)
+    for row in (0, 17, 29):
+        turned = Matrix(own_targets(head)["head"].turned(report.motion.rotation[row]).tolist())
+        found = _turn_at(armature, round(frames[row]))
+        assert abs(found @ np.array(turned.to_quaternion())) == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.thorough
+def test_muting_a_bone_keeps_its_keyframes_through_two_bakes():
+    head, armature = _bound_with_own_animation(driven=False)
+    bpy.ops.facemime.mute_bone(target="head")
+    for _ in range(2):
+        puppet_head(bpy.context.scene, head, performance())
+    remove_baked(head, own_targets(head))
+    assert not armature.animation_data.nla_tracks
+    for curve in _existing(armature):
+        assert curve.mute
+        curve.mute = False
+    np.testing.assert_allclose(_turn_at(armature, 40)[:2], (0.9, 0.3), atol=1e-6)
 
 
 @pytest.mark.thorough

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import blf
 import bpy
 import pytest
+from characters import TRUTH, strangers
 
 from facemime.blender.heads.binding import write_marks
 from facemime.blender.heads.built_in import add_head
@@ -29,6 +30,7 @@ from facemime.ui.drawing import wrap
 from facemime.ui.expression import FACEMIME_PT_expression
 from facemime.ui.head import FACEMIME_PT_own_head
 from facemime.ui.menus import VIEW3D_MT_facemime
+from facemime.ui.parts import FACEMIME_PT_check
 from facemime.ui.puppet import FACEMIME_PT_bake, FACEMIME_PT_pose, FACEMIME_PT_puppet
 from facemime.ui.regions import FACEMIME_PT_regions
 from facemime.ui.source import FACEMIME_PT_source
@@ -169,6 +171,27 @@ def test_damaged_control_points_are_reported_and_can_be_reset():
     assert "not a control point file" in drawn and "facemime.use_all_landmarks" in drawn
 
 
+def test_the_check_lists_the_parts_and_bones_and_offers_to_mute_a_bone_that_moves_by_itself():
+    objects = strangers(rig=True)
+    bpy.context.view_layer.objects.active = objects["head"]
+    bpy.ops.facemime.bind_landmarks()
+    bpy.ops.facemime.check_head()
+    drawn = draw(FACEMIME_PT_check)
+    for text in ("Ready", "facemime.set_part", *(objects[name].name for name in TRUTH), "facemime.set_bone", "Head"):
+        assert text in drawn
+    assert "facemime.mute_bone" not in drawn
+    objects["head"].parent.pose.bones["Head"].keyframe_insert("rotation_quaternion", frame=1)
+    assert "facemime.mute_bone" in draw(FACEMIME_PT_check)
+    bpy.ops.facemime.mute_bone(target="head")
+    assert "facemime.mute_bone" not in draw(FACEMIME_PT_check)
+
+
+def test_the_check_of_a_head_without_bones_says_how_it_turns():
+    add_head(bpy.context)
+    drawn = draw(FACEMIME_PT_check)
+    assert "turns as a whole" in drawn and "Tongue" in drawn and "Right Eye" in drawn
+
+
 def test_regions_show_the_paint_buttons_and_the_findings_of_the_check():
     head = add_head(bpy.context)
     assert FACEMIME_PT_regions.poll(bpy.context)
@@ -234,7 +257,7 @@ def test_a_part_that_is_picked_stands_for_its_head():
 # Of lists, dialogs and sessions: they have no meaning without the row or the session that they belong to.
 _ELSEWHERE = frozenset(
     ("add_key_row", "remove_key_row", "mark_point", "set_part", "add_part", "remove_part", "set_bone", "choose_camera")
-    + ("accept_points", "discard_points")
+    + ("accept_points", "discard_points", "mute_bone")
 )
 
 

@@ -58,6 +58,11 @@ def test_regions_are_shown_edited_and_checked_by_clicks(blender, sidebar):
     for button in ("mirror_regions(source='left')", "smooth_regions", "propose_regions", "check_head"):
         sidebar.press(f"bpy.ops.facemime.{button}")
     assert blender.get("bpy.context.window_manager.facemime.checked") == blender.get(f"{HEAD}.name")
+    listed = cv2.imread(str(blender.shot("checked")))
+    blender.key("Escape")
+    blender.redraw()
+    closed = cv2.imread(str(blender.shot("check-closed")))
+    assert (np.abs(listed.astype(int) - closed).max(axis=2) > 40).mean() > 0.02, "the parts are listed in a popup"
     sidebar.press("bpy.ops.facemime.paint_region(region='MIDDLE')")
     blender.wait_for(f"{HEAD}.vertex_groups.active.name == 'Facemime Middle'")
     blender.shot("painting")
