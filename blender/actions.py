@@ -1,6 +1,6 @@
 """F-Curves written in bulk, in every Blender from 4.2 (legacy actions) to 5.x (slots and channel bags).
 
-An action remembers the curves that Facemime made, so that a second bake replaces them and never an animator's own.
+An action lists the curves that Facemime made, so that a second bake replaces these and never an animator's own.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..core.bake.clean import needed_keys
 from ..core.errors import HeadError
 
 TRACK = "Facemime"
-"""Name of a bake's NLA tracks, numbered if there are several; a track that was renamed belongs to the user."""
+"""Name of a bake's NLA tracks, numbered if there are several; a renamed track belongs to the user."""
 _TRACK_NAME = re.compile(rf"{TRACK}(\.\d{{3}})?")
 _OWNED = "facemime_curves"
 """Custom property of an action: the data paths of the curves that Facemime made, one per line."""
@@ -169,7 +169,7 @@ def baked_paths(owner: bpy.types.ID) -> set[str]:
 def remove_bake(owner: bpy.types.ID) -> set[str]:
     """Remove all curves and strips of `owner` that a bake wrote, and return their data paths.
 
-    A strip that the user put onto a bake's track stays, and the track with it.
+    A strip that the user added to a bake's track is kept, and so is the track.
     """
     removed, data = baked_paths(owner), owner.animation_data
     for track in _tracks(owner):
@@ -230,14 +230,14 @@ def mute_curves(owner: bpy.types.ID, prefix: str) -> list[Muted]:
 
 
 def mute_bake(owner: bpy.types.ID) -> list[Muted]:
-    """Mute what a bake wrote for `owner`, and return what was not muted before."""
+    """Mute the curves and tracks that a bake wrote for `owner`, and return those that were not muted before."""
     owned = _owned(owner.animation_data.action) if owner.animation_data is not None else set()
     tracks = [partial(_find_track, owner, track.name) for track in _tracks(owner)]
     return Muted.all_of([*_curve_finders(owner, owned.__contains__), *tracks])
 
 
 def others_playing(owner: bpy.types.ID) -> list[str]:
-    """Return the names of the action and the NLA tracks that animate `owner` besides what a bake wrote."""
+    """Return the names of the action and the NLA tracks that animate `owner` in addition to a bake."""
     data = owner.animation_data
     if data is None:
         return []
@@ -247,7 +247,7 @@ def others_playing(owner: bpy.types.ID) -> list[str]:
 
 
 def mute_others(owner: bpy.types.ID) -> int:
-    """Mute what `others_playing` names, and return how many curves and tracks were muted."""
+    """Mute the animation that `others_playing` names, and return how many curves and tracks were muted."""
     if owner.animation_data is None:
         return 0
     owned = _owned(owner.animation_data.action)

@@ -1,6 +1,6 @@
-"""Characters: a head whose face has several meshes, what each vertex belongs to, and the bones that take its pose.
+"""Characters: heads whose faces have several meshes, the part to which each vertex belongs, and the bones of the pose.
 
-Everything is stored with the head and its parts, so that any program that opens the file obeys it: the part of each
+Everything is stored with the head and its parts, so that it applies wherever the file is opened: the part of each
 vertex as an attribute of its mesh, the head in a custom property of each other object, and the bones in custom
 properties of the head.
 """
@@ -122,13 +122,13 @@ def head_of(obj: bpy.types.Object) -> bpy.types.Object:
 
 
 def read_parts(head: bpy.types.Object) -> FaceParts | None:
-    """Return the parts of the face of `head` beside its skin; None if all of it is skin.
+    """Return the parts of the face of `head` other than its skin; None if all of it is skin.
 
-    Eyes that bones turn count as part of the head, which they do not leave otherwise.
+    Eyes that bones rotate count as part of the head, as only the bones move them within it.
     """
     members = members_of(head)
     kinds = np.concatenate([_rigid(head, read_kinds(member.obj.data)) for member in members])
-    if driven_by_keys(head):  # its keys move all of it
+    if driven_by_keys(head):  # its keys move every part
         kinds[:] = np.where(np.arange(len(kinds)) < len(head.data.vertices), Part.SKIN, Part.ON_HEAD)
     if not kinds.any():
         return None
@@ -206,7 +206,7 @@ def write_kinds(mesh: bpy.types.Mesh, kinds: NDArray[np.integer]) -> None:
 
 
 def read_bones(head: bpy.types.Object) -> tuple[bpy.types.Object | None, FaceBones]:
-    """Return the armature that takes the pose of `head`, and its bones; those that no longer exist are ""."""
+    """Return the armature that follows the pose of `head`, and its bones; those that no longer exist are ""."""
     armature, stored = head.get(ARMATURE_PROPERTY), head.get(BONES_PROPERTY)
     if not isinstance(armature, bpy.types.Object) or armature.type != "ARMATURE" or not hasattr(stored, "to_dict"):
         return None, FaceBones()
@@ -215,7 +215,7 @@ def read_bones(head: bpy.types.Object) -> tuple[bpy.types.Object | None, FaceBon
 
 
 def write_bones(head: bpy.types.Object, armature: bpy.types.Object | None, bones: FaceBones) -> None:
-    """Store the bones that take the pose of a head.
+    """Store the bones that follow the pose of a head.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Translation of messages that contain values, such as errors of `core`, which must not know Blender.
+"""Translation of messages that contain values, such as errors of `core`, which does not import Blender.
 
 Blender looks up constant texts. A message such as "head.tri cannot be read. Choose another file." is compared with the
 templates in `assets/translations` instead ("{path} cannot be read. Choose another file."), and its values are inserted

@@ -31,7 +31,7 @@ HEAD_PROPERTY = "facemime_head"
 """Custom property of another mesh of a face: the head to which it belongs."""
 
 ARMATURE_PROPERTY, BONES_PROPERTY = "facemime_armature", "facemime_bones"
-"""Custom properties of a head: the armature that takes its pose, and the names of its bones by part of the face."""
+"""Custom properties of a head: the armature that follows its pose, and the names of its bones by part of the face."""
 
 PIVOT_PROPERTY = "facemime_pivot"
 """Custom property of a head: the point about which it turns, in the axes of the object; its origin if missing."""
@@ -52,7 +52,7 @@ PART_OBJECTS = {
 """Object name of each part. Left and right are the head's own."""
 
 TONGUE_KEY = "tongueOut"
-"""Shape key of the tongue, by which it comes out."""
+"""Shape key that sticks out the tongue."""
 
 BAKED_KEY_PREFIX = "Facemime "
 """Prefix of the names of shape keys that a bake or a live session adds."""

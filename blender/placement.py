@@ -1,4 +1,4 @@
-"""Where a new object has room."""
+"""Free space for a new object."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 _GAP = 2.0
 """Space between two objects, relative to the width of the new one: a view of it does not show the other."""
 _SURROUNDINGS = 20.0
-"""Objects that are so many times as large as the new one surround it: a room, a ground, a sky."""
+"""Objects larger than the new one by this factor are taken to surround it, such as a room, a ground or a sky."""
 
 
 def free_place(context: bpy.types.Context, obj: bpy.types.Object, place: Vector) -> Vector:
-    """Return where an object stands in no other one: at `place`, or else to the right of what is there.
+    """Return a position where an object intersects no other: `place`, or otherwise to the right of the objects there.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ def read_rig(obj: bpy.types.Object | None) -> HeadRig:
 
 
 def _least_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
-    """Return regions, (3, V), of the landmarks' vertices alone: what its keys drive has none of its own."""
+    """Return regions, (3, V), of only the landmarks' vertices, for a head that only its keys drive."""
     own = membership()
     weights = np.zeros((len(own), len(obj.data.vertices)), dtype=np.float32)
     weights[:, read_places(obj)] = own / own.sum(axis=0)
@@ -104,7 +104,7 @@ def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating]) -> NDA
     ----------
     obj : bpy.types.Object
     landmarks : (66, 3) array
-        Positions in the head frame; they tell the left eye of a mesh from the right one.
+        Positions in the head frame, which distinguish the left eye of a mesh from the right one.
 
     Returns
     -------

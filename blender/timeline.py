@@ -57,7 +57,7 @@ def seconds_at(scene: bpy.types.Scene, frame: float, start: float = 1.0) -> floa
 
 
 def frame_range(scene: bpy.types.Scene) -> range:
-    """Return the frames that Blender plays: the preview range, if one is set, or else those of the scene."""
+    """Return the frames that Blender plays: the preview range, if one is set, or otherwise those of the scene."""
     if scene.use_preview_range:
         return range(scene.frame_preview_start, scene.frame_preview_end + 1)
     return range(scene.frame_start, scene.frame_end + 1)

@@ -52,7 +52,7 @@ def viewport_of(context: bpy.types.Context) -> Viewport | None:
 
 
 def largest_viewport(screen: bpy.types.Screen | None) -> Viewport | None:
-    """Return the 3D Viewport of a screen that has most room; None without any."""
+    """Return the largest 3D Viewport of a screen; None without any."""
     return max(viewports(screen), key=lambda viewport: viewport.region.width * viewport.region.height, default=None)
 
 
@@ -72,7 +72,7 @@ def toolbar_width(area: bpy.types.Area) -> float:
 
 
 def visible_span(area: bpy.types.Area, region: bpy.types.Region) -> tuple[float, float]:
-    """Return the left and the right end of what toolbar and sidebar leave of a viewport, pixels.
+    """Return the left and right ends of the part of a viewport that the toolbar and Sidebar do not cover, pixels.
 
     Parameters
     ----------

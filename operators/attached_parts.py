@@ -1,7 +1,7 @@
-"""Operators, and the watch that calls them, by which the parts of a head are deleted, duplicated and linked with it.
+"""Operators that delete, duplicate and link the parts of a head with it, and the handlers that call them.
 
-Blender's operators know of objects only, so the parts follow at the next update of the scene. An operator that does
-this belongs to the undo group of the user's step, which it extends: a single undo takes back both.
+Blender's operators handle objects separately, so the parts follow at the next update of the scene. An operator that
+does this belongs to the undo group of the user's step, which it extends: a single undo reverts both.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from ..blender.undo import push_undo
 from ..sessions.session import Session
 
 _STEPS = ("Delete", "Duplicate Objects", "Duplicate Linked", "Append", "Link", "Paste Objects", "Add Parts")
-"""Names of undo steps that are extended; the last is that of a step of its own, after any other."""
+"""Names of undo steps that are extended; the last is that of a separate step, after any other."""
 _INTERVAL = 0.01
 
 
 class _Watch:
-    """What was seen at the last update.
+    """State at the last update.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class _Watch:
     hidden : dict of int to bool
         Whether each head was hidden.
     undone : tuple of int
-        What an undo has left unfinished, which is left alone, as a new step would make redoing impossible.
+        State that an undo has left unfinished, which is not changed, as a new step would make redoing impossible.
     """
 
     known: set[int] = set()

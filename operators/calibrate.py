@@ -49,12 +49,12 @@ class FACEMIME_OT_reset_calibration(ReportsErrors, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Require something to reset."""
+        """Require a performer or a calibration to reset."""
         there = running() is not None or selected_performer(context.scene.facemime) is not None
         return require(cls, there, "There is no performer. One is added when you calibrate.")
 
     def work(self, context: bpy.types.Context) -> None:
-        """Reset it; a running puppet takes the next second for the neutral face."""
+        """Reset the calibration; a running puppet uses the next second as the neutral face."""
         if (performer := selected_performer(context.scene.facemime)) is not None:
             performer.calibration = ""
         if (session := running()) is not None:

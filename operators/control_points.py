@@ -76,11 +76,11 @@ class FACEMIME_OT_select_control_points(AsksForFile, SelectsPoints, bpy.types.Op
     filter_glob: StringProperty(default="*.facetake", options={"HIDDEN"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Use the take of the list, or else open the file browser."""
+        """Use the take in the list, or otherwise open the file browser."""
         return self.execute(context) if self.take >= 0 else super().invoke(context, event)
 
     def performance(self, context: bpy.types.Context) -> tuple[Take, Neutral]:
-        """Return the take, of the list or at `filepath`, and its neutral face."""
+        """Return the take, from the list or at `filepath`, and its neutral face."""
         take = load_take(self.path) if self.take < 0 else takes_store.read(takes_store.at(context.scene, self.take))
         return take, calibrate(take, puppet_settings(context.scene.facemime).neutral)
 

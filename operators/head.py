@@ -34,7 +34,7 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
         return require_object_mode(cls, context)
 
     def work(self, context: bpy.types.Context) -> None:
-        """Add the head at the 3D cursor, or to the right of what is there."""
+        """Add the head at the 3D cursor, or to the right of the objects there."""
         head = add_head(context, woman=self.person == "WOMAN", units=self.units)
         head.location = free_place(context, head, context.scene.cursor.location)
         space = context.space_data
@@ -46,9 +46,9 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
 
 
 def _frame_selected(context: bpy.types.Context) -> None:
-    """Frame the selection from the front, also when the operator was called from the sidebar.
+    """Frame the selection from the front, even when the operator was called from the Sidebar.
 
-    While a puppet runs the view stays: see `blender.contexts`.
+    While a puppet is running the view does not change: see `blender.contexts`.
     """
     if Session.running() is not None:
         return

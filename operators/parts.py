@@ -1,4 +1,4 @@
-"""Operators that change what the parts of a character are, and which bones take the pose of its head and eyes."""
+"""Operators that change the parts of a character, and the bones that follow the pose of its head and eyes."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ _DESCRIPTIONS = {
 }
 _ITEMS = [(part.name, PART_NAMES[part], _DESCRIPTIONS[part]) for part in Part]
 BONES = {"head": "Head Bone", "eye_right": "Right Eye Bone", "eye_left": "Left Eye Bone"}
-"""Labels of the bones that take the pose."""
+"""Labels of the bones that follow the pose."""
 _NO_BONE = "NONE"
 _bone_items: list[tuple[str, str, str]] = []
 """Blender keeps no copy of the items of a dynamic enumeration."""

@@ -28,7 +28,7 @@ def placing_on(obj: bpy.types.Object | None) -> Placing | None:
 class PlacesPoints(ReportsErrors):
     """Mixin: a modal operator that places points on the active mesh until Enter or Esc; the view can be turned.
 
-    It also ends, and keeps what was done, as soon as the mesh is changed or anything is puppeted.
+    It also ends, and keeps the points, as soon as the mesh is changed or a puppet is started.
     """
 
     _placing: Placing | None = None
@@ -36,7 +36,7 @@ class PlacesPoints(ReportsErrors):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Require an active mesh in Object Mode, and that nothing is puppeted."""
+        """Require an active mesh in Object Mode, and that no puppet is running."""
         return (
             require_object_mode(cls, context)
             and super().poll(context)
@@ -44,11 +44,11 @@ class PlacesPoints(ReportsErrors):
         )
 
     def begin(self, obj: bpy.types.Object) -> Placing:
-        """Return what is to be placed."""
+        """Return the placing to start."""
         raise NotImplementedError
 
     def hint(self) -> str:
-        """Return what the status bar shows, translated."""
+        """Return the translated text of the status bar."""
         raise NotImplementedError
 
     def handle(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -82,7 +82,7 @@ class PlacesPoints(ReportsErrors):
         return self.handle(context, event)
 
     def end(self, context: bpy.types.Context) -> set[str]:
-        """Keep what was placed, if it is enough."""
+        """Keep the placed points, if there are enough."""
         if self._placing.asked and not self._placing.enough:
             report(self, f"Mark at least {MIN_MARKS} points, or press Esc to cancel", "WARNING")
             return {"RUNNING_MODAL"}
@@ -186,14 +186,14 @@ class FACEMIME_OT_mark_face(PlacesPoints, OnMesh, bpy.types.Operator):
 
 
 def _keep(placing: Placing) -> None:
-    """Keep what was placed; a face whose points were marked is then found by them."""
+    """Keep the placed points; marked points are then used to find the face."""
     placing.accept()
     if placing.asked and placing.enough:
         bpy.app.timers.register(_find_face, first_interval=0.0)
 
 
 def _find_face() -> None:
-    """Start the search once the marks are an undo step of their own."""
+    """Start the search once the marks have their own undo step."""
     with in_a_window():
         if bpy.ops.facemime.bind_landmarks.poll():
             bpy.ops.facemime.bind_landmarks("INVOKE_DEFAULT")

@@ -1,4 +1,4 @@
-"""Place and size of the preview in a viewport, and how the mouse changes them."""
+"""Position and size of the preview in a viewport, and how the mouse changes them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Box(NamedTuple):
 
 
 def preview_box(area: bpy.types.Area, region: bpy.types.Region, picture: tuple[int, int]) -> Box:
-    """Return where the preview is drawn: as the user placed it, or else in the lower left corner; always in view.
+    """Return where the preview is drawn: where the user placed it, or in the lower left corner; always in view.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def has_preview(screen: bpy.types.Screen, area: bpy.types.Area) -> bool:
 
 
 class PreviewDrag:
-    """Moves the preview by its middle, and changes its size by its upper right corner."""
+    """Moves the preview when its middle is dragged, and resizes it when its upper right corner is dragged."""
 
     def __init__(self) -> None:
         self._from: tuple[int, int] | None = None
@@ -58,7 +58,7 @@ class PreviewDrag:
         self._before: tuple[float, ...] = ()
 
     def handle(self, context: bpy.types.Context, event: bpy.types.Event) -> bool:
-        """Handle an event; return whether it was for the preview."""
+        """Handle an event, and return whether it was for the preview."""
         if event.type == "LEFTMOUSE" and event.value == "PRESS":
             return self._grip(context, event)
         if self._from is None:

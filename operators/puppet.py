@@ -116,7 +116,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         if abs(self._timer_seconds() - self._redrawn_at) > _STATUS_INTERVAL:
             self._redrawn_at = self._timer_seconds()
             redraw(context, "UI")
-            if session.countdown is not None:  # it goes on while no frame comes
+            if session.countdown is not None:  # it continues while no frame arrives
                 redraw(context, "WINDOW")
         return {"PASS_THROUGH"}
 
@@ -186,7 +186,7 @@ class FACEMIME_OT_next_face(bpy.types.Operator):
 
 
 def _draw_hints(header: bpy.types.Header, context: bpy.types.Context) -> None:
-    """Draw in the status bar what keys do while a puppet is running."""
+    """Draw the keys of a running puppet in the status bar."""
     row = header.layout.row()
     row.label(text="Stop Puppet", text_ctxt=CONTEXT, icon="EVENT_ESC")
     session = running()

@@ -41,7 +41,7 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
         )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for a file, unless the button comes with one."""
+        """Ask for a file, unless the button provides one."""
         return self.execute(context) if self.filepath else super().invoke(context, event)
 
     def work(self, context: bpy.types.Context) -> set[str]:
@@ -94,7 +94,7 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
             self.cancel(context)
 
     def _keep(self, context: bpy.types.Context, take: Take) -> str:
-        """Add the take to the list; return its name, or "" if it cannot be written: it can be baked all the same."""
+        """Add the take to the list; return its name, or "" if it cannot be written: it can be baked anyway."""
         try:
             return takes_store.keep(context.scene, take, self._session.video.stem).name
         except FacemimeError as error:

@@ -52,7 +52,7 @@ class ReportsErrors:
     """
 
     bl_options = {"REGISTER", "UNDO"}
-    """What most operators change is data of the file; those that do not leave UNDO out."""
+    """Most operators change data of the file; those that do not leave out UNDO."""
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Run `work`."""
@@ -105,9 +105,9 @@ def require_no_session(operator: type[bpy.types.Operator]) -> bool:
 
 
 def heads_in(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """Return the heads to be driven: the active one first, then the other selected ones; or else the only one there is.
+    """Return the heads to be driven: the active one, then the other selected ones; otherwise the only head there is.
 
-    A part of a head stands for it.
+    A selected part stands for its head.
     """
     chosen = [head_of(obj) for obj in (context.active_object, *context.selected_objects) if obj is not None]
     heads = list(dict.fromkeys(obj for obj in chosen if can_be_driven(obj)))
@@ -156,7 +156,7 @@ class AsksForFileToWrite(AsksForFile):
 
 
 class InObjectMode:
-    """Mixin before one with a `poll`: requires Object Mode, too."""
+    """Mixin placed before one with a `poll`: also requires Object Mode."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -177,7 +177,7 @@ class OnMesh(ReportsErrors):
 class OnHead(OnMesh):
     """Mixin: requires an active head outside Edit Mode, where vertex groups cannot be written.
 
-    With `needs_landmarks` false, a head that is bound by its shape keys alone is one, too.
+    If `needs_landmarks` is false, a head that is bound only by its shape keys also counts.
     """
 
     needs_landmarks = True

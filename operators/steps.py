@@ -1,4 +1,4 @@
-"""Long work of operators: Blender's window stays alive, progress is shown, and Esc cancels."""
+"""Long-running operators: Blender's window stays responsive, progress is shown, and Esc cancels."""
 
 from __future__ import annotations
 
@@ -40,22 +40,22 @@ class ShowsProgress:
 
 
 class WorksInSteps(ShowsProgress, ReportsErrors):
-    """Mixin: does the operator's `steps`, in Blender's window one by one, and elsewhere at once.
+    """Mixin: runs the operator's `steps`, one by one if Blender has a window, and otherwise all at once.
 
     While it works in a window, nothing else can be changed there; the viewport can be turned. Esc closes the iterator
-    of the steps, which has to leave nothing half done.
+    of the steps, which must leave nothing incomplete.
     """
 
     in_window = False
-    """Whether it was started in a window."""
+    """Whether the work was started in a window."""
     _steps: Iterator[float] | None = None
 
     def steps(self, context: bpy.types.Context) -> Iterator[float]:
-        """Do the work; yield the share that is done, 0 to 1, whenever the window may be redrawn."""
+        """Do the work; yield the fraction that is done, 0 to 1, whenever the window may be redrawn."""
         raise NotImplementedError
 
     def status(self) -> str:
-        """Return what the status bar shows while it works, translated."""
+        """Return the translated text that the status bar shows during the work."""
         raise NotImplementedError
 
     def work(self, context: bpy.types.Context) -> None:
@@ -116,9 +116,9 @@ class Background:
     Attributes
     ----------
     result
-        What it returned.
+        Its result.
     error : Exception or None
-        What it raised.
+        The exception that it raised.
     """
 
     def __init__(self, work: Callable[[], Any]) -> None:

@@ -29,7 +29,7 @@ class AddsEditedTake(OnTake):
     Attributes
     ----------
     suffix : str
-        What follows the name of the selected take.
+        Text appended to the name of the selected take.
     """
 
     suffix = ""

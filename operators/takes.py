@@ -44,7 +44,7 @@ class OnTake(ReportsErrors):
 
 
 def _countdown(session: LiveSession, scene: bpy.types.Scene) -> float:
-    """Return the seconds before a recording; by default whoever is in front of a camera has time to get ready."""
+    """Return the seconds before a recording; by default performers in front of a camera get time to prepare."""
     chosen = scene.facemime_takes.countdown
     if chosen == "AUTO":
         return 0.0 if isinstance(session.worker.source, PacedSource) else COUNTDOWN

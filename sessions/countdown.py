@@ -1,4 +1,4 @@
-"""What starts after a countdown: a calibration, or a recording."""
+"""Calibrations and recordings that start after a countdown."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TASKS = {
     True: "Close the eyes tightly, and open the mouth wide",
     None: "Get ready: the recording starts. Esc cancels",
 }
-"""What the performer has to do, by whether the range of eyes and mouth is calibrated; None is before a recording."""
+"""Instructions for the performer, by whether the range of eyes and mouth is calibrated; None is before a recording."""
 
 
 class Calibration:
@@ -46,7 +46,7 @@ class Calibration:
         return 0.0 if self._started else max(0.0, self._at - perf_counter())
 
     def step(self) -> bool:
-        """Start it when it is due, and return whether it has ended."""
+        """Start the calibration when it is due, and return whether it has ended."""
         if self._started:
             return not self._worker.calibrating
         if perf_counter() >= self._at:

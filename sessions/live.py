@@ -35,7 +35,7 @@ TICK = 1.0 / 120.0
 """Seconds between two calls of `LiveSession.step`."""
 _DEFAULTS = LiveOptions()
 _KEEPING = 5.0
-"""Seconds between two times at which what was learnt is kept."""
+"""Seconds after which the learnt calibration is stored again."""
 
 
 class LiveSession(Session):
@@ -54,9 +54,9 @@ class LiveSession(Session):
     on_calibrated : callable, optional
         Called with the `Neutral` of each calibration that was requested.
     on_learnt : callable, optional
-        Called now and then with the `Neutral` that was learnt meanwhile.
+        Called from time to time with the `Neutral` learnt so far.
     output : Output, optional
-        Gets every frame; closed with the session.
+        Receives every frame; closed with the session.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class LiveSession(Session):
     shown : LiveResult or None
         The result on display; the worker may have a newer one.
     warning : str
-        What went wrong at the end; "" if nothing.
+        The error at the end; "" if there was none.
     operator : bpy.types.Operator or None
         The modal operator that calls `step`, which Blender itself keeps only if there is a window. Its `release` is
         called when the session is closed.
@@ -154,21 +154,21 @@ class LiveSession(Session):
 
     @property
     def viewer(self) -> ViewerServer | None:
-        """Shows the heads in browsers, if it is switched on."""
+        """The server that shows the heads in browsers, if enabled."""
         return self._viewer
 
     def view(self, viewer: ViewerServer | None) -> None:
-        """Replace the viewer, and end the last one."""
+        """Replace the viewer, and end the previous one."""
         before, self._viewer = self._viewer, viewer
         self._show_elsewhere(before)
 
     @property
     def vertices(self) -> VertexSender | None:
-        """Sends the moved vertices, if they are sent."""
+        """The sender of the moved vertices, if enabled."""
         return self._vertices
 
     def send_vertices(self, sender: VertexSender | None) -> None:
-        """Replace the sender of the moved vertices, and end the last one."""
+        """Replace the sender of the moved vertices, and end the previous one."""
         before, self._vertices = self._vertices, sender
         self._show_elsewhere(before)
 
@@ -294,7 +294,7 @@ class LiveSession(Session):
 
     @property
     def has_events(self) -> bool:
-        """Whether the operator attends to the session."""
+        """Whether the operator handles the session."""
         return self.operator is not None
 
     def attend(self) -> None:
@@ -343,7 +343,7 @@ class LiveSession(Session):
             push_undo("Puppet")
 
     def _show_elsewhere(self, before: ViewerServer | VertexSender | None) -> None:
-        """Show the heads where they are to be shown now, and end what was replaced."""
+        """Start the viewer or sender that the settings ask for, and end the one that it replaces."""
         self.worker.displays = tuple(one for one in (self._viewer, self._vertices) if one is not None)
         if before is not None:
             before.close()
@@ -379,7 +379,7 @@ class LiveSession(Session):
         _signal()
 
     def _keep_learnt(self) -> None:
-        """Keep what was learnt of the performer, now and then, so that the next session starts from it."""
+        """Store what was learnt about the performer from time to time, so that the next session starts from it."""
         if self._on_learnt is None or perf_counter() < self._kept_at + _KEEPING:
             return
         self._kept_at = perf_counter()
@@ -407,6 +407,6 @@ class LiveSession(Session):
 
 
 def _signal() -> None:
-    """Tell a performer that something has started or ended, unless the user does not want sounds."""
+    """Signal to the performer that something has started or ended, unless the user has turned sounds off."""
     if preferences().sounds:
         beep()

@@ -17,7 +17,7 @@ from .recording import Recording
 
 
 class Recordable(Protocol):
-    """What is recorded: a live session."""
+    """A live session that can be recorded."""
 
     closed: bool
     recording: Recording | None

@@ -37,8 +37,8 @@ class _Part:
 class Recording:
     """Recorder of everything that is tracked, `offset` seconds after the times of the source.
 
-    If several performers drive heads, there is a take for each of them, at the same times; that of the first head comes
-    first, and is the one that `path` and `seconds` are of. If a video is kept beside the take, that becomes the source
+    If several performers drive heads, each has a take over the same period; that of the first head comes
+    first, and is the one to which `path` and `seconds` refer. If a video is kept with the take, it becomes the source
     of the take.
 
     Parameters

@@ -72,18 +72,18 @@ class Session:
 
     @property
     def pending(self) -> bool:
-        """Whether `attend` has something to do, which may outlast the session."""
+        """Whether `attend` has work to do, possibly after the session has ended."""
         return self._closing and not self.closed
 
     def attend(self) -> None:
-        """Do what is due apart from displaying frames; called by a timer as long as the session is `pending`."""
+        """Do pending work other than displaying frames; called by a timer as long as the session is `pending`."""
         if self._closing:
             self.close()
         self._forget()
 
     @property
     def has_events(self) -> bool:
-        """Whether a modal operator attends to the session, whose context has a window, as a timer's does not."""
+        """Whether a modal operator handles the session; its context has a window, unlike that of a timer."""
         return False
 
     def attend_later(self) -> None:

@@ -35,7 +35,7 @@ from .live import LiveSession
 from .viewing import follow_viewer, open_vertices, open_viewer
 
 _SELF = ("CAMERA", "STREAM")
-"""Kinds of sources that show the performer whose calibration is selected; anybody may be in a video."""
+"""Kinds of sources that show the performer whose calibration is selected; a video may show anyone."""
 
 
 def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> LiveSession:
@@ -102,7 +102,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
 
 
 def _keys_of(scene: bpy.types.Scene, obj: bpy.types.Object) -> LiveKeys | None:
-    """Return the keys that drive a head, by the mapping in the panel if it has rows and is asked for."""
+    """Return the keys that drive a head, using the mapping in the panel if it has rows and is requested."""
     choice = scene.facemime.drive_by
     bake = scene.facemime_takes.bake
     return live_keys(obj, choice, read_table(bake) if choice == KEYS and len(bake.rows) else None)

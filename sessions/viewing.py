@@ -1,4 +1,4 @@
-"""Where else a live session shows its heads: in browsers, and as moved vertices in other programs."""
+"""Other places where a live session shows its heads: browsers, and other programs that receive moved vertices."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 @lru_cache(maxsize=1)
 def token() -> str:
-    """Return the secret in the address, which stays the same until Blender quits, so that open pages come back."""
+    """Return the secret in the address, which stays the same until Blender quits, so that open pages reconnect."""
     return new_token()
 
 
 def open_viewer(settings: FacemimeSettings, objects: Sequence[bpy.types.Object | None]) -> ViewerServer | None:
-    """Start the server if it is switched on.
+    """Start the server if it is enabled.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def open_viewer(settings: FacemimeSettings, objects: Sequence[bpy.types.Object |
     Raises
     ------
     FacemimeError
-        If it cannot be started, or other computers may look and Blender's online access is turned off.
+        If it cannot be started, or other computers may connect and Blender's online access is turned off.
     """
     wanted = viewer_settings(settings.viewer, token())
     if wanted is None:
@@ -56,7 +56,7 @@ def open_viewer(settings: FacemimeSettings, objects: Sequence[bpy.types.Object |
 
 
 def open_vertices(output: FacemimeOutput, objects: Sequence[bpy.types.Object]) -> VertexSender | None:
-    """Start sending the moved vertices if that is switched on.
+    """Start sending the moved vertices if this is enabled.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ def read_table(bake: FacemimeBake) -> KeyMap:
 
 
 def write_table(bake: FacemimeBake, table: KeyMap) -> None:
-    """Replace the rows and the name of the key mapping by those of `table`.
+    """Replace the rows and the name of the key mapping with those of `table`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Properties of the panels Regions and Control Points, and what panels remember while Blender runs."""
+"""Properties of the panels Regions and Control Points, and the state of panels until Blender quits."""
 
 import bpy
 from bpy.app.handlers import persistent
@@ -70,7 +70,7 @@ def _make_active(manager: bpy.types.WindowManager, context: bpy.types.Context) -
 
 
 class FacemimeMemory(bpy.types.PropertyGroup):
-    """What panels remember until Blender quits."""
+    """State of panels until Blender quits."""
 
     checked: StringProperty(description="Name of the last head that was checked")
     findings: CollectionProperty(type=FacemimeFinding)

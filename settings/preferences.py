@@ -68,7 +68,7 @@ class FacemimePreferences(bpy.types.AddonPreferences):
 
 
 def preferences() -> FacemimePreferences:
-    """Return the preferences, also if the package is not running as an enabled extension."""
+    """Return the preferences, even if the package is not running as an enabled extension."""
     addons = bpy.context.preferences.addons
     if EXTENSION not in addons:
         addons.new().module = EXTENSION

@@ -58,7 +58,7 @@ class FacemimeSource(bpy.types.PropertyGroup):
 
 @with_settings(PosingSettings)
 class FacemimePosing(bpy.types.PropertyGroup):
-    """Strength and limits of the pose of head and eyes, and the objects or bones that take it."""
+    """Strength and limits of the pose of the head and eyes, and the objects or bones that follow it."""
 
     object: PointerProperty(
         name="Pose Object",

@@ -1,4 +1,4 @@
-"""Default locations of files: beside the .blend file, or in the user's folder."""
+"""Default locations of files: next to the .blend file, or in the user's folder."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def user_folder(name: str) -> Path:
 
 
 def project_folder(name: str) -> Path:
-    """Return the folder `name` beside the open .blend file, or the user's folder if it has not been saved."""
+    """Return the folder `name` next to the open .blend file, or the user's folder if it has not been saved."""
     return Path(bpy.path.abspath(f"//{name}")) if bpy.data.filepath else user_folder(name)
 
 

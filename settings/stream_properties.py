@@ -15,7 +15,7 @@ _BOTH_WAYS = (
     ("vmc", "VMC", "VTuber programs that use the VMC protocol", 2),
     ("openseeface", "OpenSeeFace", "OpenSeeFace's tracker, or VTuber programs that receive from it", 3),
 )
-"""Protocols that come in and go out."""
+"""Protocols that are received and sent."""
 
 
 @with_settings(StreamSettings)
@@ -62,7 +62,7 @@ class FacemimeStream(bpy.types.PropertyGroup):
 
 
 class FacemimeHead(bpy.types.PropertyGroup):
-    """What is chosen for one head of several."""
+    """Settings of one head among several."""
 
     sender: StringProperty(
         name="Sender",

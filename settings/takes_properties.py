@@ -17,7 +17,7 @@ from .rna import with_settings
 
 
 class FacemimeTake(bpy.types.PropertyGroup):
-    """A take in the list: its file, and what the user noted about it."""
+    """A take in the list: its file, and the user's notes on it."""
 
     path: StringProperty(name="File", description="Path of the take, relative to a saved .blend file")
     packed: PointerProperty(

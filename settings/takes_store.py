@@ -25,11 +25,11 @@ _SOUNDS = (".wav", ".flac", ".mp3", ".ogg")
 
 
 class MisnamedError(SourceError):
-    """The name of a take cannot be stored by Blender."""
+    """Raised if Blender cannot store the name of a take."""
 
 
 def folder() -> Path:
-    """Return the folder for new takes: `takes` beside a saved .blend file, otherwise that of the preferences."""
+    """Return the folder for new takes: `takes` next to a saved .blend file, otherwise that of the preferences."""
     preferred = preferences().takes_folder
     return Path(bpy.path.abspath(preferred)) if preferred and not bpy.data.filepath else project_folder(_FOLDER)
 
@@ -103,7 +103,7 @@ def keep(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
 
 
 def keep_beside(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
-    """As `keep`, but the take comes below the selected one."""
+    """Like `keep`, but add the take below the selected one."""
     takes = scene.facemime_takes
     place = min(takes.index + 1, len(takes.items))
     keep(scene, take, name)
@@ -148,7 +148,7 @@ def video_of(scene: bpy.types.Scene, line: FacemimeTake) -> Path | None:
     Parameters
     ----------
     scene : bpy.types.Scene
-        Its source is searched besides the folder of the take.
+        Its source is searched in addition to the folder of the take.
     line : FacemimeTake
 
     Returns
@@ -166,7 +166,7 @@ def video_of(scene: bpy.types.Scene, line: FacemimeTake) -> Path | None:
 
 
 def sound_beside(video: Path) -> Path:
-    """Return the sound file beside `video` with the same name, or `video` itself if there is none."""
+    """Return the sound file next to `video` with the same name, or `video` itself if there is none."""
     return next((path for suffix in _SOUNDS if (path := video.with_suffix(suffix)).is_file()), video)
 
 

@@ -49,12 +49,12 @@ SAMPLE = ASSETS / "sample" / "sample.mp4"
 
 
 def drive_settings(settings: FacemimeSettings) -> DriveSettings:
-    """Return how a frame moves a head."""
+    """Return the settings of how a frame moves a head."""
     return read(DriveSettings, settings, posing=read(PosingSettings, settings.posing))
 
 
 def puppet_settings(settings: FacemimeSettings, bake: BakeSettings = _DEFAULT_BAKE) -> PuppetSettings:
-    """Return how a take moves a head and is baked.
+    """Return the settings of how a take moves a head and is baked.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def puppet_settings(settings: FacemimeSettings, bake: BakeSettings = _DEFAULT_BA
 
 
 def bake_settings(bake: FacemimeBake, name: str) -> BakeSettings:
-    """Return what a take is baked to.
+    """Return the settings of a bake.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def viewer_settings(viewer: FacemimeViewer, token: str) -> ViewerSettings | None
     Raises
     ------
     SourceError
-        If other computers may look, and Blender's online access is turned off.
+        If other computers may connect, and Blender's online access is turned off.
     """
     if not viewer.enabled:
         return None
@@ -254,13 +254,13 @@ def _chosen(path: str, message: str) -> Path:
 
 
 def pose_targets(posing: FacemimePosing, head: bpy.types.Object) -> dict[str, PoseTarget]:
-    """Return the objects or bones that take the pose.
+    """Return the objects or bones that follow the pose.
 
     Parameters
     ----------
     posing : FacemimePosing
     head : bpy.types.Object
-        Its bones, or it itself, take the pose if no pose object is set.
+        Its bones, or the head itself, follow the pose if no pose object is set.
 
     Returns
     -------

@@ -111,7 +111,7 @@ def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) 
 
 
 def _apply(steps: bpy.types.PropertyGroup, button: bpy.types.OperatorProperties) -> bpy.types.OperatorProperties:
-    """Let a button select control points with the settings of the panel, and return it."""
+    """Give a button that selects control points the settings of the panel, and return it."""
     button.tolerance, button.max_points, button.search = steps.tolerance, steps.max_points, steps.search
     return button
 

@@ -1,6 +1,6 @@
 """Links to the documentation: in the headers of panels, and for Online Manual (F1) on Facemime's buttons.
 
-The extension brings its pages along, so that they open without a network; `tools/manual.py` renders them from docs/.
+The pages are part of the extension, so that they open without a network; `tools/manual.py` renders them from docs/.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _MANUAL = (
     ("bpy.types.facemimesettings.*", f"{_WEBCAM}#adjust-the-expression"),
     ("bpy.types.facemime*", "index.html"),
 )
-"""Pages of operators and properties, in lower case as Blender looks them up; the first that matches counts."""
+"""Pages of operators and properties, in lower case as Blender looks them up; the first match is used."""
 
 
 def address(page: str) -> str:

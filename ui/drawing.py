@@ -19,9 +19,9 @@ _WIDE = "\u2e80-\u9fff\uf900-\ufaff\uff00-\uffef"
 """Characters of Chinese and Japanese, between which a line may end."""
 _OPENING = "\uff08\u300a\u300c\u201c"
 _CLOSING = "\uff0c\u3002\u3001\uff1a\uff1b\uff01\uff1f\uff09\u300b\u300d\u201d"
-"""Brackets and quotation marks, and what ends a sentence or its parts, as Chinese writes them."""
+"""Chinese brackets, quotation marks, and punctuation at the end of sentences and clauses."""
 _PIECE = re.compile(rf" ?[{_OPENING}]*(?:[{_WIDE}]|[^ {_WIDE}{_OPENING}{_CLOSING}]+)[{_CLOSING}]*| ?\S")
-"""What stays on one line: a word, or a wide character, with the punctuation beside it."""
+"""Text that stays on one line: a word, or a wide character, with adjacent punctuation."""
 
 
 def dot(place: NDArray[np.float64], radius: float, colour: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -91,7 +91,7 @@ def draw_text(
     text : str
         Translated.
     place : (float, float)
-        Its left or, if `centred`, its middle; and its base line.
+        Its left or, if `centred`, its middle; and its baseline.
     size : float
         Pixels.
     colour : tuple of float
@@ -116,9 +116,9 @@ def draw_wrapped(text: str, place: tuple[float, float], size: float, width: floa
     text : str
         Translated.
     place : (float, float)
-        The middle and the base line of the first line.
+        The middle and the baseline of the first line.
     size, width : float
-        Size of the font, and width of a line at most, pixels.
+        Size of the font, and maximum width of a line, pixels.
     """
     blf.size(_FONT, size)
     for number, line in enumerate(wrap(text, width)):

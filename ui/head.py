@@ -10,7 +10,7 @@ from .sidebar import Sidebar, draw_findings, labels, place
 
 
 class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
-    """What the active mesh still needs to be a head."""
+    """The steps that the active mesh still needs to become a head."""
 
     bl_label = "Head"
     bl_order = place(__name__)

@@ -64,7 +64,7 @@ _SUBMENUS = (
 )
 """Submenus below the operators of each group, with their icons."""
 _KEYS = (("facemime.puppet", "P"), ("facemime.stop_puppet", "P"), ("facemime.record_take", "R"))
-"""Operators and their keys, with Shift and Alt: the first one that can run does."""
+"""Operators and their keys, with Shift and Alt: the first one that can run is run."""
 
 
 class VIEW3D_MT_facemime(bpy.types.Menu):

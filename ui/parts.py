@@ -1,4 +1,4 @@
-"""Panel Character: the parts of the face, and the bones that take its pose; also shown by a check of the head."""
+"""Panel Character: the parts of the face, and the bones that follow its pose; also shown by a check of the head."""
 
 import bpy
 
@@ -13,7 +13,7 @@ from .sidebar import Sidebar, draw_findings, labels
 
 
 class FACEMIME_PT_parts(Sidebar, bpy.types.Panel):
-    """What each part of the character is, to be changed by a click."""
+    """The part of the character that each mesh is, which a click changes."""
 
     bl_label = "Character"
     bl_parent_id = "FACEMIME_PT_head"
@@ -46,7 +46,7 @@ class FACEMIME_PT_parts(Sidebar, bpy.types.Panel):
 
 
 class FACEMIME_PT_check(bpy.types.Panel):
-    """The result of a check, as a popup: problems, and what was made of each part and bone."""
+    """The result of a check, as a popup: problems, and the part or bone that each mesh or bone was found to be."""
 
     bl_label = "Check Head"
     bl_space_type, bl_region_type = "VIEW_3D", "WINDOW"

@@ -1,4 +1,4 @@
-"""Viewport overlay while points of a face are marked: a small face shows which one is asked for."""
+"""Viewport overlay while points of a face are marked: a small face shows which point comes next."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _pixel(context: bpy.types.Context, obj: bpy.types.Object, vertex: int) -> ND
 
 
 def _draw_guide(context: bpy.types.Context, placing: Placing, scale: float) -> None:
-    """Draw the small face, with the point that is asked for and its name."""
+    """Draw the small face, with the next point and its name."""
     size = _FACE * scale
     outline = size * _outline()
     corner = np.array([toolbar_width(context.area) + MARGIN * scale, MARGIN * scale + redo_height(context.area)])

@@ -66,7 +66,7 @@ def _draw_picture(number: int, picture: np.ndarray, box: Box) -> None:
 
 
 def _draw_grip(box: Box, scale: float) -> None:
-    """Draw two strokes in the corner by which the preview is sized."""
+    """Draw two strokes in the corner that resizes the preview."""
     corner = np.array([box.left + box.width, box.bottom + box.height]) - 3.0 * scale
     ends = [[corner - (reach * scale, 0.0), corner - (0.0, reach * scale)] for reach in (6.0, 11.0)]
     draw_lines(np.array(ends), _GRIP_COLOUR)

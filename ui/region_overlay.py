@@ -25,7 +25,7 @@ _SLOW, _PAUSE = 0.02, 1.0
 
 
 class _Cache:
-    """What was read from the mesh, and the draw handler."""
+    """The data read from the mesh, and the draw handler."""
 
     handle: object = None
     key: tuple = ()

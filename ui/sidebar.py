@@ -84,7 +84,7 @@ def draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
 
 
 def split_labels(layout: bpy.types.UILayout) -> None:
-    """Draw settings with their labels in a column of their own, and without dots for keyframes."""
+    """Draw settings with their labels in a separate column, and without dots for keyframes."""
     layout.use_property_split = True
     layout.use_property_decorate = False
 
@@ -98,7 +98,7 @@ def draw_list(
     buttons: dict[str, str],
     menu: str = "",
 ) -> None:
-    """Draw a list with buttons beside it, and a menu below them.
+    """Draw a list with buttons next to it, and a menu below them.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def draw_list(
     fields : (str, str)
         Its collection, and the index of the selected item.
     rows : int
-        Number of rows at least.
+        Minimum number of rows.
     buttons : dict of str to str
         Icon of each operator.
     menu : str
@@ -142,7 +142,7 @@ def is_narrow(context: bpy.types.Context) -> bool:
 
 
 def _text_width(context: bpy.types.Context) -> float:
-    """Set the font size of the interface, and return the width available beside an icon, pixels."""
+    """Set the font size of the interface, and return the width available next to an icon, pixels."""
     scale = context.preferences.system.ui_scale
     blf.size(0, 11.5 * scale)
     width = context.region.width if context.region is not None else 300.0

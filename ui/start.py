@@ -1,4 +1,4 @@
-"""The box on top of the tab: head, source, Start and Record, and how it goes. It has the same height in every state."""
+"""The box at the top of the tab: head, source, Start, Record, and status. It has the same height in every state."""
 
 import bpy
 
@@ -16,7 +16,7 @@ from .status import draw_progress, summary
 
 
 class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
-    """What is needed for a puppet, from top to bottom, with the next step as a large button."""
+    """The requirements of a puppet, from top to bottom, with the next step as a large button."""
 
     bl_label = "Start"
     bl_order = place(__name__)
@@ -72,7 +72,7 @@ def _draw_record(layout: bpy.types.UILayout, session: LiveSession) -> None:
 
 
 def _next_step(context: bpy.types.Context, heads: list[bpy.types.Object]) -> tuple[str, str]:
-    """Return what is to be done next, and an icon."""
+    """Return the next step, and an icon."""
     if context.mode == "EDIT_MESH":
         return _("Leave Edit Mode first"), "INFO"
     if (placing := placing_on(context.active_object)) is not None:
@@ -100,7 +100,7 @@ class FACEMIME_MT_add(bpy.types.Menu):
     bl_label = "Add Head"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw the ways to a head."""
+        """Draw the ways to add or find a head."""
         layout = self.layout
         layout.operator_context = "INVOKE_DEFAULT"
         for units, text, icon in ((False, _("Head"), "MONKEY"), (True, _("Head with ARKit Keys"), "SHAPEKEY_DATA")):

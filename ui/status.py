@@ -36,7 +36,7 @@ def draw_progress(layout: bpy.types.UILayout, session: TrackingSession) -> None:
 
 
 def countdown_text(session: LiveSession) -> str:
-    """Return the seconds of a countdown that are left, and at its end what to do; "" without a countdown."""
+    """Return the seconds left in a countdown, or at its end what to do; "" without a countdown."""
     left = session.countdown
     if left is None:
         return ""
@@ -58,7 +58,7 @@ def _hidden() -> str:
 
 
 def summary(session: LiveSession) -> tuple[str, str]:
-    """Return the most important line about a session, and its icon: what is wrong, or else how fast it is."""
+    """Return the most important line about a session, and its icon: what is wrong, or otherwise how fast it is."""
     worker, latest = session.worker, session.shown
     if (error := worker.message or (worker.recording_error and str(worker.recording_error))) and error:
         return error, "ERROR"
@@ -109,7 +109,7 @@ def _who_drives(session: LiveSession, sender: str, heads: tuple[int, ...]) -> st
 
 
 def _stream_lines(session: LiveSession) -> list[tuple[str, str]]:
-    """Return what comes over the network, and what is sent."""
+    """Return the counts of packets received over the network, and of frames sent."""
     lines, source, output = [], session.worker.source, session.worker.output
     if isinstance(source, StreamSource):
         counts = source.counts

@@ -82,7 +82,7 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
 
 
 class FACEMIME_MT_takes(bpy.types.Menu):
-    """What else can be done with takes"""
+    """More operators on takes"""
 
     bl_label = "Takes"
 
@@ -109,7 +109,7 @@ class FACEMIME_MT_takes(bpy.types.Menu):
 
 
 class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
-    """What the selected take is baked to."""
+    """Settings for baking the selected take."""
 
     bl_label = "Bake"
     bl_parent_id = "FACEMIME_PT_takes"

@@ -12,11 +12,11 @@ from ..operators.puppet import running
 from .sidebar import Sidebar, labels, side_by_side, split_labels
 
 _MODULE = 8
-"""Pixels of a module of the code."""
+"""Pixels per module of the QR code."""
 
 
 class _Icons:
-    """The code of the address that is served."""
+    """The QR code of the address that is served."""
 
     previews: object = None
     address = ""
@@ -57,7 +57,7 @@ class FACEMIME_PT_viewer(Sidebar, bpy.types.Panel):
 
 
 def _code(address: str) -> int:
-    """Return the icon of the code of an address."""
+    """Return the icon of the QR code of an address."""
     if _Icons.address != address or "code" not in _Icons.previews:
         _Icons.previews.clear()
         icon = _Icons.previews.new("code")
@@ -72,11 +72,11 @@ CLASSES = (FACEMIME_PT_viewer,)
 
 
 def register() -> None:
-    """Make room for the code."""
+    """Create the collection of icons."""
     _Icons.previews, _Icons.address = bpy.utils.previews.new(), ""
 
 
 def unregister() -> None:
-    """Remove the code."""
+    """Remove the collection of icons."""
     bpy.utils.previews.remove(_Icons.previews)
     _Icons.previews, _Icons.address = None, ""

@@ -1,4 +1,4 @@
-"""How a head in Blender looks, for a viewer outside: its faces, colours, images, and the parts that come along."""
+"""Appearance of a head, for viewers outside Blender: its faces, colours and images, and its parts."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from ..names import PART_PROPERTY, TONGUE_KEY
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue
 
 _MAX_IMAGE = 32_000_000
-"""Bytes of an image beyond which a surface has its plain colour."""
+"""Size of an image in bytes above which a surface is shown in its plain colour."""
 _SIGNATURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff")
-"""Beginnings of the images that a browser shows: PNG and JPEG."""
+"""First bytes of the images that a browser shows: PNG and JPEG."""
 _NEUTRAL = Material((0.8, 0.8, 0.8), 0.5)
 
 
 def read_appearance(head: bpy.types.Object) -> Appearance:
-    """Read how a head looks, at rest.
+    """Read the appearance of a head at rest.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def _attached(
 
 
 def _placed(matrix: Matrix, points: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Move (N, 3) points of the head frame by a matrix of Blender's."""
+    """Transform (N, 3) points of the head frame by a matrix in Blender's axes."""
     move = np.array(matrix)
     return from_blender(to_blender(points) @ move[:3, :3].T + move[:3, 3]).astype(np.float32)
 
@@ -142,6 +142,6 @@ def _encoded(image: bpy.types.Image | None) -> bytes:
             data = bytes(image.packed_file.data)
         else:
             data = read_bytes(Path(bpy.path.abspath(image.filepath, library=image.library)), _MAX_IMAGE)
-    except (OSError, ValueError):  # a missing file has its colour alone, as in Blender's viewport
+    except (OSError, ValueError):  # without its file, only the colour is shown, as in Blender's viewport
         return b""
     return data if len(data) <= _MAX_IMAGE and data.startswith(_SIGNATURES) else b""

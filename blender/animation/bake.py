@@ -37,7 +37,7 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
     obj : bpy.types.Object
         The head.
     targets : mapping
-        Objects or bones that take the pose.
+        Objects or bones that follow the pose.
     new_keys, old_keys : bool
         Whether new shape keys are added, or existing ones animated.
 
@@ -169,7 +169,7 @@ def _all_targets(obj: bpy.types.Object, targets: Targets) -> list[PoseTarget]:
 
 
 def _part_targets(obj: bpy.types.Object, targets: Targets) -> Iterator[tuple[str, PoseTarget]]:
-    """Yield what rotates with jaw and gaze: eyes in `targets`, and otherwise children of `obj`."""
+    """Yield the parts that rotate with the jaw and the gaze: eyes in `targets`, and otherwise children of `obj`."""
     for child in obj.children:
         part = str(child.get(PART_PROPERTY, ""))
         if part in JAW_PARTS or (part in EYE_PARTS and part not in targets):
@@ -178,7 +178,7 @@ def _part_targets(obj: bpy.types.Object, targets: Targets) -> Iterator[tuple[str
 
 
 def has_tongue(part: bpy.types.Object) -> bool:
-    """Return whether an object is a tongue that can be put out, by its shape key."""
+    """Return whether an object is a tongue with a shape key that sticks it out."""
     return (
         part.get(PART_PROPERTY) == "tongue"
         and part.type == "MESH"
@@ -188,12 +188,12 @@ def has_tongue(part: bpy.types.Object) -> bool:
 
 
 def show_tongue(part: bpy.types.Object, amount: float) -> None:
-    """Put out a tongue.
+    """Stick out a tongue.
 
     Parameters
     ----------
     part : bpy.types.Object
-        Any part of a head; others stay as they are.
+        Any part of a head; parts other than a tongue are not changed.
     amount : float
         0 to 1.
     """

@@ -77,8 +77,9 @@ def moving_key_names(members: Sequence[Member]) -> list[str]:
 
 
 def has_known_set(obj: bpy.types.Object) -> bool:
-    """Return whether a character has a set of keys for a whole face that Facemime knows; the built-in head's skin shows
-    more than its keys.
+    """Return whether a character has a known set of keys for the complete face.
+
+    The built-in head counts as having none, as its skin shows more than its keys.
     """
     if any(PART_PROPERTY in child for child in obj.children):
         return False

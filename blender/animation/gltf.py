@@ -21,12 +21,12 @@ _HEADER = Struct("<4sII")
 
 
 def export_gltf(heads: Sequence[bpy.types.Object], path: Path) -> None:
-    """Write heads with all parts, bones and shape keys as binary glTF, the range of the scene as one clip.
+    """Write heads with all parts, bones and shape keys as binary glTF, with the scene's frame range as one clip.
 
     Parameters
     ----------
     heads : sequence of bpy.types.Object
-        Any meshes with landmarks; the rest of their characters comes with them.
+        Any meshes with landmarks; the other parts of their characters are included.
     path : Path
         The file to write; an existing one is replaced only by a complete one.
 
@@ -59,7 +59,7 @@ def export_gltf(heads: Sequence[bpy.types.Object], path: Path) -> None:
 
 
 def _character(head: bpy.types.Object) -> Iterator[bpy.types.Object]:
-    """The meshes of a character, what carries them, and what they carry."""
+    """The meshes of a character, their ancestors, and their descendants."""
     if (armature := armature_of(head)) is not None:
         yield armature
     for obj in (*family_of(head), *objects_of(head)):

@@ -21,7 +21,7 @@ from .live_mesh import LiveMesh, changed
 from .targets import PoseTarget, carried_targets
 
 FlatMeshes = Sequence[NDArray[np.float32]]
-"""What `foreach_set` takes for each mesh of a head."""
+"""Arrays for `foreach_set`, one for each mesh of a head."""
 _TARGET_LABELS = {"head": "Pose Object", "eye_left": "Left Eye", "eye_right": "Right Eye"}
 """Labels of the fields in which targets are chosen."""
 
@@ -113,7 +113,7 @@ class LiveHeadObject:
         Raises
         ------
         HeadError
-            If the mesh was changed so that it can no longer be driven, or an object or bone that takes the pose was
+            If the mesh was changed so that it can no longer be driven, or an object or bone that follows the pose was
             deleted.
         """
         if self.obj.mode == "EDIT":

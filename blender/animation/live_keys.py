@@ -1,4 +1,4 @@
-"""Whether a head is driven live by shape keys of its own, and by which."""
+"""Shape keys of a head's own that drive it live."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -
     Raises
     ------
     HeadError
-        If there are no keys, or no mapping matches them, and they were asked for.
+        If keys were requested, but there are none, or no mapping matches them.
     """
     if driven_by_keys(obj) and choice == SKIN:
         raise HeadError(f"{obj.name} is bound by its shape keys alone. Drive it by its keys, or find its face.")

@@ -1,7 +1,7 @@
 """A mesh during a session: displayed by one shape key, and restored at the end.
 
 The rest shape is in the Basis and is never written, so that the mesh itself is safe whatever happens to the session (a
-crash, an undo, a file saved in the middle).
+crash, an undo, a file saved while it runs).
 """
 
 from __future__ import annotations

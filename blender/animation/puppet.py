@@ -43,12 +43,12 @@ from .targets import own_targets
 from .underneath import playing_under
 
 TOLERANCE = 0.009
-"""Error allowed of a basis of new shape keys, in eye distances."""
+"""Error allowed for a basis of new shape keys, in eye distances."""
 _DEFAULTS = PuppetSettings()
 
 
 _POOR = 0.1
-"""Deviation in eye distances above which keys are said not to suffice."""
+"""Error in eye distances above which the report says that keys cannot reproduce the motion."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ class PuppetReport:
     neutral : Neutral
     motion : HeadMotion
     kept : tuple of str
-        Bones that were not moved, as they have animation of their own.
+        Bones that were not moved, as they have their own animation.
     others : tuple of str
-        Actions and NLA tracks that move shape keys of the character too.
+        Other actions and NLA tracks that move shape keys of the character.
     """
 
     keys: int
@@ -78,7 +78,7 @@ class PuppetReport:
 
     @property
     def warnings(self) -> list[str]:
-        """What the user should know of the result."""
+        """Warnings for the user about the result."""
         warnings = [self.neutral.warning] if self.neutral.warning else []
         if self.kept:
             names = ", ".join(self.kept)
@@ -112,7 +112,7 @@ def puppet_head(
     settings: PuppetSettings = _DEFAULTS,
     targets: Targets | None = None,
 ) -> PuppetReport:
-    """Drive a head by a take and bake the motion, in sync with the take's time.
+    """Drive a head with a take and bake the motion, in sync with the take's time.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def puppet_head(
     take : Take
     settings : PuppetSettings, optional
     targets : mapping, optional
-        Objects or bones that take the pose: "head" instead of `obj`, "eye_left" and "eye_right" instead of its eyes.
+        Objects or bones that follow the pose: "head" instead of `obj`, "eye_left" and "eye_right" instead of its eyes.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def puppet_heads(
     settings: PuppetSettings = _DEFAULTS,
     targets: Targets | None = None,
 ) -> list[PuppetReport]:
-    """Drive several heads by one take, each with its own landmarks, regions and pose.
+    """Drive several heads with one take, each with its own landmarks, regions and pose.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def check_heads(objects: Sequence[bpy.types.Object], bake: BakeSettings, targets
     Raises
     ------
     HeadError
-        If one of them cannot.
+        If one of them cannot be driven or baked to.
     """
     for number, obj in enumerate(objects):
         mesh_of(obj)
@@ -215,7 +215,7 @@ def check_heads(objects: Sequence[bpy.types.Object], bake: BakeSettings, targets
 
 
 def _chosen(obj: bpy.types.Object, bake: BakeSettings) -> BakeSettings:
-    """Return what is baked to `obj` if that depends on the keys it has."""
+    """Resolve "automatic" for `obj`, which depends on the keys it has."""
     if bake.keys != AUTOMATIC:
         return bake
     mapped = driven_by_keys(obj) or has_known_set(obj)

@@ -27,12 +27,12 @@ _CONSTRUCTIVE = {
     *("ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MIRROR", "MULTIRES", "REMESH"),
     *("SCREW", "SKIN", "SOLIDIFY", "SUBSURF", "TRIANGULATE", "WELD", "WIREFRAME"),
 }
-"""Types of modifiers that change the number of vertices, and move no landmark."""
+"""Types of modifiers that change the number of vertices but move no landmark."""
 _MAX_ANCHORS = 1000
 _REACH = 2.0
-"""How far from the middle of the eyes vertices tell the pose of the head, in eye distances."""
+"""Distance from the middle of the eyes within which vertices determine the pose of the head, in eye distances."""
 _LEAST_MOTION = 1e-4
-"""Eye distances that a landmark has to move in some frame."""
+"""Minimum motion of a landmark in some frame, in eye distances."""
 _NOSE_BASE = int(from_ibug([33])[0])
 _EYES = {Part.EYE_RIGHT: "eye_right", Part.EYE_LEFT: "eye_left"}
 
@@ -113,7 +113,7 @@ class Sampling:
 
 
 class _Face:
-    """The vertices of a face that tell its expression, pose and gaze."""
+    """The vertices of a face that determine its expression, pose and gaze."""
 
     def __init__(self, head: bpy.types.Object) -> None:
         vertices, landmarks = read_vertices(head.data).astype(np.float64), read_landmarks(head)
@@ -136,12 +136,12 @@ class _Face:
         return [self._head, *(obj for eye in self._eyes for obj, _ in eye if obj != self._head)]
 
     def rest(self) -> FacePoints:
-        """Return the places at rest; where the objects are now, without poses, is where they are at rest."""
+        """Return the positions at rest: those of the objects now, without poses."""
         self._from_scene = HEAD_TO_BLENDER.T @ np.array(rest_matrix(self._head).inverted_safe())[:3]
         return self._points(lambda obj: (read_vertices(obj.data), np.array(rest_matrix(obj))))
 
     def current(self) -> FacePoints:
-        """Return the places in the current frame.
+        """Return the positions in the current frame.
 
         Raises
         ------

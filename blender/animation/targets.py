@@ -45,7 +45,7 @@ class PoseTarget:
         Point about which an object turns, in the axes of the head; its own origin by default. A bone turns about its
         head.
     still : bool
-        Whether it keeps its own animation, and takes no pose.
+        Whether it keeps its own animation and does not follow the pose.
     """
 
     obj: bpy.types.Object
@@ -64,7 +64,7 @@ class PoseTarget:
         bone : str
             Required for an armature, ignored for other objects.
         head : bpy.types.Object, optional
-            As the attribute.
+            See the attribute.
 
         Raises
         ------
@@ -195,7 +195,7 @@ class PoseTarget:
         setattr(self.owner, f"{self.prefix}location", (0.0, 0.0, 0.0))
 
     def _location(self, rotation: FloatArray | None, translation: FloatArray | None) -> FloatArray | None:
-        """Return (..., 3) of the location's channels; None if they stay as they are."""
+        """Return (..., 3) values of the location's channels; None if they are not changed."""
         location = None if translation is None else self.moved(translation)
         if rotation is None or self.bone or self.pivot is None:
             return location
@@ -246,7 +246,7 @@ class PoseTarget:
 
 
 def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
-    """Return what takes the pose of a head by itself: the bones that were found when it was bound, or the head.
+    """Return the default targets of a head's pose: the bones that were found when it was bound, or the head.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
     Returns
     -------
     dict
-        "head", and "eye_left" and "eye_right" if bones turn the eyes. Bones that move already stay still.
+        "head", and "eye_left" and "eye_right" if bones rotate the eyes. Bones with other animation stay still.
     """
     armature, bones = read_bones(head)
     if armature is None or not bones.head:
@@ -276,7 +276,7 @@ def _bone_target(armature: bpy.types.Object, bone: str, head: bpy.types.Object) 
 
 
 def carried_targets(head: bpy.types.Object, target: PoseTarget) -> list[PoseTarget]:
-    """Return what takes the pose of the head: `target` and, if that is the head itself, also its other objects.
+    """Return the targets of the head's pose: `target` and, if that is the head itself, also its other objects.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Animation of a character's shape keys that plays together with a bake, such as an imported one."""
+"""Animation of a character's shape keys that plays in addition to a bake, such as an imported one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..characters import objects_of
 
 
 def playing_under(head: bpy.types.Object) -> list[str]:
-    """Return the names of actions and NLA tracks that move shape keys of a character besides what a bake wrote.
+    """Return the names of actions and NLA tracks that move shape keys of a character in addition to a bake.
 
     Parameters
     ----------
@@ -21,7 +21,7 @@ def playing_under(head: bpy.types.Object) -> list[str]:
 
 
 def mute_under(head: bpy.types.Object) -> int:
-    """Mute what `playing_under` names, and return how many curves and tracks that were."""
+    """Mute the animation that `playing_under` names, and return how many curves and tracks were muted."""
     return sum(mute_others(keys) for keys in _shape_keys(head))
 
 

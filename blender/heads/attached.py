@@ -1,4 +1,4 @@
-"""Parts that stay with their head: eyes, teeth and tongue are deleted, hidden, linked and duplicated with it.
+"""Parts that follow their head: eyes, teeth and tongue are deleted, hidden, linked and duplicated with it.
 
 The head points to its parts, so that Blender appends and links them with it, and a driver hides each part in renders
 while its head is hidden there; it also tells a part whose head was deleted from one that was unparented.
@@ -18,7 +18,7 @@ _HIDDEN = "hide_render"
 
 @dataclass(frozen=True)
 class Unfinished:
-    """What deleting, linking or duplicating heads has left undone.
+    """Changes to parts that are pending after heads were deleted, linked or duplicated.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Unfinished:
 
     @property
     def summary(self) -> tuple[int, ...]:
-        """What identifies the same state again, also after an undo."""
+        """A key that identifies the same state, even after an undo."""
         others = [obj for head, _, part in (*self.shared, *self.absent) for obj in (head, part)]
         return tuple(obj.session_uid for obj in (*self.orphans, *others))
 
@@ -59,7 +59,7 @@ def attach(head: bpy.types.Object, parts: Mapping[str, bpy.types.Object]) -> Non
 
 
 def attach_all() -> None:
-    """Attach the parts of heads that have none attached, as those of files of earlier versions."""
+    """Attach the parts of heads that have none attached, such as those in files from earlier versions."""
     found: dict[bpy.types.Object, dict[str, bpy.types.Object]] = {}
     for obj in bpy.data.objects:
         head = obj.parent if PART_PROPERTY in obj else None
@@ -82,7 +82,7 @@ def heads_with_parts() -> list[bpy.types.Object]:
 
 
 def unfinished() -> Unfinished:
-    """Return what deleting, linking or duplicating heads has left undone."""
+    """Return the changes to parts that are pending after heads were deleted, linked or duplicated."""
     parts = [obj for obj in bpy.data.objects if PART_PROPERTY in obj]
     if not parts:
         return Unfinished()
@@ -97,7 +97,7 @@ def unfinished() -> Unfinished:
 
 
 def finish(left: Unfinished, known: set[int]) -> None:
-    """Delete orphans, give duplicated heads parts of their own, and put the parts of linked heads beside them.
+    """Delete orphans, copy the parts of duplicated heads, and add the parts of linked heads to their collections.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def hide_with_heads(layer: bpy.types.ViewLayer, hidden: Mapping[int, bool]) -> d
     ----------
     layer : bpy.types.ViewLayer
     hidden : mapping of int to bool
-        What was returned the last time.
+        The previous result.
 
     Returns
     -------

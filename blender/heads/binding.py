@@ -49,13 +49,13 @@ from .parts import current_skin, forget_parts, is_sorted, named_others, skin_of_
 _MAX_CANDIDATES = 3
 """Meshes of a character in which a face is sought."""
 _UPRIGHT = np.cos(np.radians(20.0))
-"""Cosine of the angle to -Y above which a mesh is rotated; a smaller one is the pose of the head."""
+"""Cosine of the angle to -Y above which a mesh is rotated; a smaller angle is the pose of the head."""
 CACHES = {"MESH_CACHE", "MESH_SEQUENCE_CACHE"}
 Result = TypeVar("Result")
 
 
 class VertexTakenError(HeadError):
-    """Another landmark is bound to the vertex."""
+    """Raised if another landmark is bound to the vertex."""
 
 
 Search = Generator[Callable[[], Binding], Binding, Result]
@@ -73,7 +73,7 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
 
 
 def _found(search: Search[Result]) -> Result:
-    """Do all the work of a search."""
+    """Run a search to its end."""
     resume: Callable[[Any], Callable[[], Binding]]
     resume, outcome = search.send, None
     try:
@@ -131,7 +131,7 @@ def search_head(obj: bpy.types.Object | None) -> Search[Binding]:
     Without marks the face is searched along the axes of the scene, first upright towards -Y, as importers rotate the
     object rather than its vertices. Then it is searched along the object's own axes, as the object may be rotated by
     any angle. If the vertices are not upright, they are rotated, and the object is rotated back, so that nothing moves
-    in the scene. Parts that were sorted before stay as they are.
+    in the scene. Parts that were sorted before are not changed.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def search_head(obj: bpy.types.Object | None) -> Search[Binding]:
 def _with_lids(
     head: bpy.types.Object, landmarks: IntArray, rotation: NDArray[np.floating], marks: dict[int, int]
 ) -> NDArray[np.intp]:
-    """Return the landmarks with those of each eye where its lids are seen against it, unless the user marked them."""
+    """Return the landmarks, with those of each eye moved to the rim of its lids, unless the user marked them."""
     skin = skin_of_object(head, read_kinds(head.data) != Part.SKIN, landmarks)
     places = read_vertices(head.data)[skin.kept] @ rotation.T
     improved = np.array(landmarks)
@@ -188,7 +188,7 @@ def _with_lids(
 
 
 def propose_head_regions(obj: bpy.types.Object) -> None:
-    """Replace the weights of the regions of `obj` by a proposal from its landmarks."""
+    """Replace the weights of the regions of `obj` with those derived from its landmarks."""
     write_regions(obj, proposed_weights(obj, read_landmarks(obj)))
 
 
@@ -210,7 +210,7 @@ def check_object(obj: bpy.types.Object | None) -> list[Finding]:
 
 
 def missing_parts(obj: bpy.types.Object) -> list[tuple[str, str]]:
-    """Return what the mesh `obj` lacks to be driven: a sentence, and the operator that adds it.
+    """Return what the mesh `obj` still lacks: a sentence, and the operator that adds it.
 
     Only names are examined, which is fast enough for drawing a panel; `check_object` examines the mesh itself.
     """
@@ -279,7 +279,7 @@ def _bound(
     vertices: NDArray[np.floating], skin: Skin, marks: dict[int, int], axes: list[NDArray[np.floating]]
 ) -> Search[tuple[Binding, NDArray[np.floating]]]:
     """Return the binding of a skin, and the one of `axes`, (3, 3) rotations, along which it was found: the first along
-    which there is a face beyond doubt, or otherwise that along which the template was bent least.
+    which a face is clearly visible, or otherwise the one along which the template was deformed least.
 
     Raises
     ------

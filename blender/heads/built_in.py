@@ -20,7 +20,7 @@ _RENDER_LEVELS = 2
 def add_head(
     context: bpy.types.Context, *, woman: bool = False, units: bool = False, name: str = "Facemime Head"
 ) -> bpy.types.Object:
-    """Add a built-in head at the origin, in a collection of its own, select it and make it active.
+    """Add a built-in head at the origin, in a new collection, select it and make it active.
 
     It faces -Y and stands upright along +Z, in metres; its origin is between the ears.
 
@@ -94,7 +94,7 @@ def _mesh(
 
 
 def _subdivide_in_renders(obj: bpy.types.Object) -> None:
-    """Add a subdivision that renders only: in the viewport it would take far longer than all else of a live frame."""
+    """Add a subdivision for renders only: in the viewport it would take far longer than the rest of a live frame."""
     modifier = obj.modifiers.new("Subdivision", "SUBSURF")
     modifier.levels, modifier.render_levels, modifier.show_viewport = 1, _RENDER_LEVELS, False
 

@@ -47,7 +47,7 @@ def surface_of(work: bmesh.types.BMesh) -> tuple[FloatArray, IntArray]:
 
 
 def close_seams(obj: bpy.types.Object, skin: Skin) -> None:
-    """Weld vertices of the skin that were doubled at seams of its texture, which lie on the corners of faces anyway.
+    """Weld vertices of the skin that are duplicated at texture seams; seams are stored on the corners of faces anyway.
 
     Parameters
     ----------

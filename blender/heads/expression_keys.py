@@ -1,4 +1,4 @@
-"""Sets of shape keys, such as ARKit's face units, made on a user's own head."""
+"""Sets of shape keys, such as ARKit's face units, added to any head."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..names import PART_PROPERTY
 from ..rigs import read_rig
 
 _STILL = 1e-5
-"""Share of the eye distance below which no vertex of a mesh moves: other meshes than the head then get no keys."""
+"""Motion relative to the eye distance below which a mesh other than the head is still and gets no keys."""
 
 _RESTS = 1e-4
 """Motion in metres up to which a part of the built-in head gets no keys."""
@@ -28,7 +28,7 @@ _RESTS = 1e-4
 
 @dataclass(frozen=True)
 class MadeKeys:
-    """What was made on a head.
+    """The keys added to a head.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class MadeKeys:
 
     @property
     def findings(self) -> list[str]:
-        """How well the keys shut eyes and lips, and what passes through."""
+        """Warnings about how well the keys close the eyes and lips, and about intersections."""
         return findings(self.qualities)
 
 
@@ -114,7 +114,7 @@ def _part_of(obj: bpy.types.Object) -> HeadPart | None:
 
 
 def _add_to_part(obj: bpy.types.Object, keys: KeySet) -> None:
-    """Add a set of keys to an eye, teeth or the tongue of a built-in head, as far as they move it."""
+    """Add those keys of a set that move it to an eye, the teeth or the tongue of a built-in head."""
     part = _part_of(obj)
     if part is None:
         return

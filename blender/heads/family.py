@@ -17,7 +17,7 @@ from ..names import PART_PROPERTY
 def family_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
     """Return the meshes of a character, with `obj` first: those of its armature, its root or its collection.
 
-    Of a collection only meshes count that are named after a part of a face, as it may hold the whole scene.
+    In a collection, only meshes named after a part of a face count, as it may hold the entire scene.
     """
     armature = armature_of(obj)
     root = _root_of(obj)

@@ -1,4 +1,4 @@
-"""Characters that are driven by shape keys of their own alone, without landmarks."""
+"""Characters that are driven only by their own shape keys, without landmarks."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from .family import armature_of, family_of
 from .parts import bones_of, group_weights
 
 _STILL = 1e-6
-"""Displacement, as a share of the size of a mesh, below which a vertex rests."""
+"""Displacement, as a fraction of the size of a mesh, below which a vertex is at rest."""
 _OWN_WEIGHT = 0.5
 """Weight of the bone of an eye above which a vertex belongs to that eye."""
 
 
 def known_set(obj: bpy.types.Object) -> KeyMap | None:
-    """Return the mapping of the set of shape keys that a mesh has and that move it; None if it has no known one."""
+    """Return the mapping of the known set of shape keys that moves a mesh; None if it has no such set."""
     return best_preset([name for name in _named(obj) if _offsets(obj, name).any()])
 
 
@@ -112,7 +112,7 @@ def _offsets(obj: bpy.types.Object, name: str) -> np.ndarray:
 
 
 def _mixture(table: KeyMap, key: str) -> np.ndarray:
-    """Return (52,) the units that a mapping gives to a key."""
+    """Return (52,) gains of the units that a mapping assigns to a key."""
     mixture = np.zeros(len(COEFFICIENTS))
     for row in table.rows:
         if row.key == key:
@@ -121,7 +121,7 @@ def _mixture(table: KeyMap, key: str) -> np.ndarray:
 
 
 def _without_moved_eyes(bones: FaceBones, meshes: list[bpy.types.Object]) -> FaceBones:
-    """Return `bones` without those of eyes that keys turn already."""
+    """Return `bones` without those of eyes that keys already rotate."""
     moved = [name for name in (bones.eye_right, bones.eye_left) if name and any(_look(m, name) for m in meshes)]
     return replace(
         bones,
@@ -131,6 +131,6 @@ def _without_moved_eyes(bones: FaceBones, meshes: list[bpy.types.Object]) -> Fac
 
 
 def _look(obj: bpy.types.Object, bone: str) -> bool:
-    """Return whether a key for the direction of the eyes moves what belongs to the bone of an eye."""
+    """Return whether a key for the direction of the eyes moves the vertices of an eye's bone."""
     own = group_weights(obj, bone) > _OWN_WEIGHT
     return bool(own.any()) and any(_offsets(obj, key)[own].any() for key in _named(obj) if "look" in key.lower())

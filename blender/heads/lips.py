@@ -31,7 +31,7 @@ _COLOUR = (0.035, 0.012, 0.01)
 def open_lips(obj: bpy.types.Object | None) -> int:
     """Cut the mesh of `obj` between the lips, bind the inner lips to the two rims, and propose its regions again.
 
-    A dark pocket is added behind the cut, so that one cannot look through the open mouth.
+    A dark pocket is added behind the cut, so that the open mouth cannot be seen through.
 
     Returns
     -------

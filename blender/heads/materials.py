@@ -116,7 +116,7 @@ def _skin(tree: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
 
 
 def _saturate(tree: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
-    """Deepen the colours of the image, which are made for viewports: in daylight under AgX they would look pale."""
+    """Deepen the colours of the image, which are made for viewports and would look pale in daylight under AgX."""
     colour = shader.inputs["Base Color"]
     node = tree.nodes.new("ShaderNodeHueSaturation")
     node.location = (-250.0, 300.0)

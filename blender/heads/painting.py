@@ -12,7 +12,7 @@ from ..names import REGION_GROUPS
 
 _BRUSH = "Facemime Paint"
 _FULL = 0.99
-"""Weight from which a landmark counts as held by its regions; smoothing keeps it so."""
+"""Minimum weight of a landmark in its regions, which smoothing preserves."""
 
 
 def paint_region(context: bpy.types.Context, obj: bpy.types.Object, region: int) -> None:

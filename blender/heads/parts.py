@@ -1,4 +1,4 @@
-"""Search for the parts of a character: what each vertex of its meshes is, and its bones."""
+"""Search for the parts of a character: the part to which each vertex of its meshes belongs, and its bones."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from .family import armature_of, family_of, material_names
 _FACE_LANDMARKS = np.concatenate([JAW, NOSE])
 """Landmarks that lie on the skin of any face."""
 _MIN_ON_SKIN = 3
-"""Fewest of them on a piece that is skin."""
+"""Minimum number of these on a piece that is skin."""
 _STILL = 0.05
 """Sum of the region weights below which skin counts as still."""
 _REACH = 1.5
-"""Outer-eye distances from the skin beyond which an object is no part of a head."""
+"""Distance from the skin, in outer-eye distances, beyond which an object does not belong to a head."""
 _OWN_SHARE = 0.5
-"""Share of the weights of a piece that a bone has to have to be its own."""
+"""Minimum share of the weights of a piece for a bone to be the bone of that piece."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class _Pieces:
 
 
 def named_others(obj: bpy.types.Object) -> NDArray[np.bool_]:
-    """Return (V,) whether the name of a vertex's material says that it is no skin, before landmarks are known."""
+    """Return (V,) whether the name of a vertex's material rules out skin, before landmarks are known."""
     faces = read_faces(obj.data)
     materials = material_names(obj)
     others = np.array([named_part([name]) is not None for name in materials] or [False])
@@ -132,7 +132,7 @@ def is_sorted(head: bpy.types.Object) -> bool:
 
 
 def forget_parts(head: bpy.types.Object) -> None:
-    """Forget the parts and bones of `head`, so that binding finds them anew."""
+    """Discard the parts and bones of `head`, so that binding finds them again."""
     for obj in objects_of(head):
         write_kinds(obj.data, np.zeros(len(obj.data.vertices), dtype=np.int8))
         del obj[HEAD_PROPERTY]
@@ -143,13 +143,13 @@ def forget_parts(head: bpy.types.Object) -> None:
 
 
 class _SkinDistance:
-    """Distance of pieces from the skin of the face, and whether that moves."""
+    """Distance of pieces from the skin of the face, and whether the skin there moves."""
 
     def __init__(self, skin: FloatArray, weights: NDArray[np.floating], unit: float) -> None:
         self._nearest, self._moving, self._unit = NearestPoints(skin), weights.sum(axis=0) > _STILL, unit
 
     def of(self, points: FloatArray) -> tuple[float, bool]:
-        """Return the distance of 9 in 10 of the points, in outer-eye distances, and whether most skin there moves."""
+        """Return the 90th percentile of the distances, in outer-eye distances, and whether most skin there moves."""
         found, squared = self._nearest.query(points)
         away = np.sqrt(np.maximum(squared[:, 0], 0.0)) / self._unit
         return float(np.quantile(away, 0.9)), bool(self._moving[found[:, 0]].mean() > 0.5)
@@ -207,7 +207,7 @@ def _store(group: _Pieces, parts: Sequence[Part | None], head: bpy.types.Object,
 
 
 def _by_bone(part: Part | None, owner: str, bones: FaceBones) -> Part | None:
-    """Return the part of a piece, given the bone that moves most of it: what the bone of an eye moves is an eye."""
+    """Return the part of a piece, given the bone that moves most of it; the bone of an eye makes it an eye."""
     if owner and owner in (bones.eye_right, bones.eye_left):
         return Part.EYE_RIGHT if owner == bones.eye_right else Part.EYE_LEFT
     return part
@@ -218,7 +218,7 @@ def _eye_bone(part: Part | None, bones: FaceBones) -> str:
 
 
 def _owners(group: _Pieces, armature: bpy.types.Object | None, bones: FaceBones) -> list[str]:
-    """Return the bone that moves most of each piece; "" if there is none. Only bones of eyes are looked at."""
+    """Return the bone that moves most of each piece; "" if there is none. Only bones of eyes are considered."""
     names = [name for name in (bones.eye_right, bones.eye_left) if name]
     if armature is None or not names:
         return [""] * len(group.pieces)
@@ -245,7 +245,7 @@ def group_weights(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
 
 
 def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmarks: IntArray) -> FaceBones:
-    """Return the bones of the armature for head, eyes and jaw; those that something else moves do not count."""
+    """Return the bones of the armature for head, eyes and jaw, except those that something else moves."""
     if armature is None:
         return FaceBones()
     free = [bone.name for bone in armature.pose.bones if not bone.constraints]

@@ -25,7 +25,7 @@ from .binding import (
 )
 
 EASY_FIRST = (36, 45, 48, 54, 30, 8, 39, 42)
-"""iBUG numbers of `MARKS`, in the order in which users are asked for them: four that lie far apart lead."""
+"""iBUG numbers of `MARKS`, in the order in which users are asked for them: four that lie far apart come first."""
 _BEFORE = 10.0
 """Distance before the middle of an orthographic view at which a ray starts, relative to that of the view."""
 
@@ -63,7 +63,7 @@ class Placing:
 
     @property
     def obj(self) -> bpy.types.Object | None:
-        """The object, or None if it has been deleted or changed otherwise meanwhile."""
+        """The object, or None if it has been deleted or changed in the meantime."""
         obj = bpy.data.objects.get(self.name)
         return obj if obj is not None and obj.type == "MESH" and len(obj.data.vertices) == self._count else None
 
@@ -103,7 +103,7 @@ class Placing:
             return
 
     def accept(self) -> None:
-        """Keep the landmarks. Regions that follow from the former ones are updated; painted ones stay."""
+        """Keep the landmarks. Regions derived from the former ones are updated; painted regions are kept."""
         obj = self.obj
         if obj is None or self._landmarks is None or not is_head(obj):
             return
@@ -161,7 +161,7 @@ def skin_under(
     to_object = evaluated.matrix_world.inverted_safe()
     begin = view3d_utils.region_2d_to_origin_3d(seen.region, seen.view, pixel)
     ahead = view3d_utils.region_2d_to_vector_3d(seen.region, seen.view, pixel)
-    if not seen.view.is_perspective:  # Blender starts such a ray in the middle of what is in view
+    if not seen.view.is_perspective:  # Blender starts such a ray in the middle of the view
         begin -= _BEFORE * seen.view.view_distance * ahead
     hit, place, *_ = evaluated.ray_cast(to_object @ begin, to_object.to_3x3() @ ahead)
     if not hit or len(evaluated.data.vertices) < len(obj.data.vertices):

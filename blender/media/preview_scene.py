@@ -30,7 +30,7 @@ _BACKGROUND = (0.16, 0.17, 0.19)
 
 @dataclass(frozen=True)
 class FaceView:
-    """What a picture of a head shows.
+    """The part of a head that an image shows.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ def face_view(obj: bpy.types.Object) -> FaceView:
     Parameters
     ----------
     obj : bpy.types.Object
-        Any mesh; one that is not bound is shown as a whole, from the front of the scene.
+        Any mesh; one that is not bound is shown completely, from the front of the scene.
     """
     points = face_points(obj)
     if not can_be_driven(obj):
@@ -80,7 +80,7 @@ def setup_preview(
     size : (int, int)
         Width and height of the render, pixels.
     view : FaceView, optional
-        What is in view; by default the head as it is now.
+        The part that is in view; by default the head in its current state.
     """
     view = face_view(head_object) if view is None else view
     points = view.points
@@ -98,7 +98,7 @@ def setup_preview(
 
 
 def look_at_face(view: bpy.types.RegionView3D, obj: bpy.types.Object) -> None:
-    """Turn a viewport to a head, straight in front of its face and near enough to place landmarks.
+    """Turn a viewport towards a head, straight in front of its face and close enough to place landmarks.
 
     Parameters
     ----------

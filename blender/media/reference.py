@@ -1,4 +1,4 @@
-"""Reference video of a performance beside the head, in sync with the bake."""
+"""Reference video of a performance next to the head, in sync with the bake."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _HEIGHTS = 0.1
 
 
 def add_reference(scene: bpy.types.Scene, path: Path, offset: float, head: bpy.types.Object) -> bpy.types.Object:
-    """Add an image empty beside a head, as tall as the head, that plays a video in sync.
+    """Add an image empty next to a head, as tall as the head, that plays a video in sync.
 
     Parameters
     ----------

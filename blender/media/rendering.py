@@ -75,7 +75,7 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
 
 @contextlib.contextmanager
 def without_subdivision(scene: bpy.types.Scene) -> Iterator[None]:
-    """Render objects of a scene without subdivision, which takes three quarters of the time of a small picture."""
+    """Render objects of a scene without subdivision, which would take three quarters of the time of a small image."""
     modifiers = [m for obj in scene.objects for m in obj.modifiers if m.type == "SUBSURF" and m.show_render]
     for modifier in modifiers:
         modifier.show_render = False

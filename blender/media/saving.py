@@ -1,4 +1,4 @@
-"""Files that Blender writes, which are complete or not there."""
+"""Files that Blender writes either completely or not at all."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from .rendering import quiet
 
 @contextmanager
 def saved_by_blender(path: Path, is_complete: Callable[[Path], bool]) -> Iterator[str]:
-    """Yield the path that Blender is to write, without output; an existing file is replaced only by a complete one.
+    """Yield the path for Blender to write to, without output; an existing file is replaced only by a complete one.
 
     Parameters
     ----------
     path : Path
-        The file that is wanted.
+        The requested file.
     is_complete : callable
         Whether the file at a path has its end: Blender does not notice a disk that becomes full at the very end.
 

@@ -1,4 +1,4 @@
-"""Sound of a performance in the sequencer, in sync with the bake."""
+"""Sound of a performance in the Sequencer, in sync with the bake."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Short sounds for performers, who look at the camera and not at the screen."""
+"""Short sounds for performers, who look at the camera rather than at the screen."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _PITCH, _SECONDS, _FADE, _VOLUME = 880.0, 0.2, 0.05, 0.3
 
 
 class _Output:
-    """The audio device, which is opened once, and what is played."""
+    """The audio device, which is opened once, and the sound that is played."""
 
     device: Any = None
     playing: Any = None

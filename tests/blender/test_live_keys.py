@@ -77,5 +77,5 @@ def test_keys_of_which_there_are_few_are_not_taken_for_a_set():
 def test_a_head_without_keys_cannot_be_driven_by_keys():
     head = add_head(bpy.context)
     assert PART_PROPERTY in head.children[0]
-    with pytest.raises(HeadError, match="No preset"):
+    with pytest.raises(HeadError, match="No key mapping preset"):
         live_keys(head, "KEYS")
