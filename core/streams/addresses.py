@@ -1,4 +1,4 @@
-"""Addresses of computers: what users enter, and which of them are this computer's."""
+"""Addresses of computers: parsing, and which of them are this computer's."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _ALL = {EVERYWHERE, "::"}
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is of this computer alone. Names other than `localhost` count as others."""
+    """Return whether an address is of this computer alone. Names other than `localhost` count as other computers."""
     if host.strip().lower() == "localhost":
         return True
     try:
@@ -27,19 +27,21 @@ def parse_address(text: str, port: int = 0) -> tuple[str, int]:
     Parameters
     ----------
     text : str
+        The address.
     port : int
-        Used if `text` states none.
+        Port if `text` states none.
 
     Returns
     -------
     host : str
-        Of this computer if `text` states none.
+        Host; this computer if `text` states none.
     port : int
+        Port.
 
     Raises
     ------
     SourceError
-        If it is neither.
+        If the text is none of these.
     """
     host, colon, number = text.strip().rpartition(":")
     if not colon or (":" in host and not host.startswith("[")):
@@ -56,37 +58,54 @@ def resolve(host: str, port: int) -> tuple[int, tuple[str, int]]:
     Parameters
     ----------
     host : str
+        Name or address.
     port : int
+        Port.
 
     Returns
     -------
     family : int
+        Address family, such as `socket.AF_INET`.
     address : (str, int)
+        Numeric address and port.
 
     Raises
     ------
     SourceError
-        If the host is not known.
+        If the host cannot be found.
     """
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
     except (OSError, UnicodeError) as error:
-        raise SourceError(f"There is no computer {host!r} in the network. Check the address.") from error
+        raise SourceError(f"The computer {host!r} was not found on the network. Check the address.") from error
     return family, (str(address[0]), int(address[1]))
 
 
 def bracketed(host: str) -> str:
-    """Return a host as it is written before a port: an IPv6 address is in brackets."""
+    """Return a host as written before a port, which puts an IPv6 address in brackets."""
     return f"[{host}]" if ":" in host else host
 
 
 def reachable(host: str) -> str:
-    """Return the address by which others reach what listens at `host` of this computer."""
+    """Return the address at which others reach a server that listens at `host` on this computer."""
     return _way_out() if host in _ALL else host
 
 
 def cannot_listen(host: str, port: int, error: OSError) -> SourceError:
-    """Return the error for an address that cannot be listened on."""
+    """Return the error for an address that cannot be listened on.
+
+    Parameters
+    ----------
+    host, port : str, int
+        The address.
+    error : OSError
+        The cause.
+
+    Returns
+    -------
+    SourceError
+        To be raised.
+    """
     return SourceError(
         f"Cannot listen on {host}:{port} ({error.strerror or error}). "
         "Close the program that uses the port, or choose another port."
@@ -94,7 +113,20 @@ def cannot_listen(host: str, port: int, error: OSError) -> SourceError:
 
 
 def cannot_send(host: str, port: int, error: OSError) -> OutputError:
-    """Return the error for an address that does not take what is sent to it."""
+    """Return the error for an address that cannot be sent to.
+
+    Parameters
+    ----------
+    host, port : str, int
+        The address.
+    error : OSError
+        The cause.
+
+    Returns
+    -------
+    OutputError
+        To be raised.
+    """
     return OutputError(
         f"Cannot send to {bracketed(host)}:{port} ({error.strerror or error}). "
         "Check the address and the program that receives there."
@@ -102,7 +134,7 @@ def cannot_send(host: str, port: int, error: OSError) -> OutputError:
 
 
 def _way_out() -> str:
-    """Return the address of this computer in the network that leads outside; nothing is sent."""
+    """Return this computer's address in the network that leads outside; nothing is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # an address that is reserved for documentation (RFC 5737)

@@ -1,4 +1,4 @@
-"""Threads of senders and servers, which a session starts, hands frames to, and ends."""
+"""Background threads of senders and servers, which a session starts, feeds with frames, and ends."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ _ENDING = 5.0
 
 
 class Connecting(Closing):
-    """A thread that keeps connecting to another program and sends what is new, until `close`.
+    """A thread that connects to another program, again and again, and sends new data, until `close`.
 
-    `_news` guards what the thread shares with others; whoever changes it notifies it.
+    `_news` guards the data that the thread shares with others, and is notified of every change.
 
     Parameters
     ----------
     name : str
-        Of the thread.
+        Name of the thread.
     pause : float
         Seconds between two attempts.
 
     Attributes
     ----------
     sent : int
-        Frames that were sent, of all heads together.
+        Number of frames sent, of all heads together.
     message : str
-        Why nothing is being sent; otherwise "".
+        Reason why nothing is sent; otherwise "".
     """
 
     def __init__(self, name: str, pause: float) -> None:
@@ -41,7 +41,7 @@ class Connecting(Closing):
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
 
     def close(self) -> None:
-        """End the thread; may be called twice."""
+        """End the thread. May be called twice."""
         with self._news:
             self._over = True
             self._news.notify()
@@ -49,7 +49,7 @@ class Connecting(Closing):
 
     @abstractmethod
     def _connect(self) -> None:
-        """Connect, and send until the connection is cut or `_over` is set; errors become a message."""
+        """Connect, and send until the connection is lost or `_over` is set; errors become a message."""
 
     def _work(self) -> None:
         while not self._over:
@@ -59,12 +59,12 @@ class Connecting(Closing):
 
 
 class Serving(Closing):
-    """An event loop in a thread of its own, until `close`.
+    """An event loop in its own thread, until `close`.
 
     Parameters
     ----------
     name : str
-        Of the thread.
+        Name of the thread.
     """
 
     def __init__(self, name: str) -> None:
@@ -72,7 +72,7 @@ class Serving(Closing):
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
 
     def close(self) -> None:
-        """End the server; may be called twice."""
+        """End the server. May be called twice."""
         self._call(self._over.set)
         self._thread.join(_ENDING)
 
@@ -81,7 +81,7 @@ class Serving(Closing):
         """Serve until `_over` is set; runs in the thread."""
 
     def _call(self, task: Callable[[], object]) -> None:
-        """Call something in the thread, unless it has ended."""
+        """Call a function in the thread, unless the thread has ended."""
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(task)
 

@@ -1,4 +1,4 @@
-"""Which of several senders drives which head."""
+"""Assignment of senders to heads."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SILENT = 2.0
 """Seconds without a packet after which another sender may be followed."""
 Address = tuple[str, int]
 FaceName = tuple[Address, str]
-"""Where a face is sent from, and its name."""
+"""Address that a face is sent from, and its name."""
 _NOBODY, _ANYBODY, _ADDRESS, _SUBJECT, _BOTH = range(-1, 4)
 
 
@@ -28,16 +28,17 @@ class Role:
     Attributes
     ----------
     wanted : str
-        Address or name of the sender; "" for whoever comes next.
+        Address or name of the sender; "" for the next one that comes.
     number : int
-        Of the performer; the same as long as the same sender is followed.
+        Number of the performer, which is the same as long as the same sender is followed.
     timeline : Timeline
         Times of the performer's frames.
     own : tuple of int
-        Heads that nobody else may drive while the sender is there.
+        Heads that no other sender may drive while this one is there.
     heads : tuple of int
         Heads that are driven now.
     followed : FaceName or None
+        The face that is followed now.
     """
 
     wanted: str
@@ -49,10 +50,10 @@ class Role:
 
 
 class Casting:
-    """Gives each head a sender.
+    """Assigns a sender to each head.
 
-    A head follows the sender that was chosen for it. Of the others, the first follows the first sender that comes, the
-    second the second, and so on; as long as there are fewer, the first sender drives what is left.
+    A head follows the sender that was chosen for it. Of the other heads, the first follows the first sender that comes,
+    the second the second, and so on; while there are fewer senders, the first one drives the remaining heads.
 
     Parameters
     ----------
@@ -62,6 +63,7 @@ class Casting:
     Attributes
     ----------
     roles : list of Role
+        What each sender drives.
     """
 
     def __init__(self, wanted: tuple[str, ...] = ("",)) -> None:
@@ -72,7 +74,7 @@ class Casting:
         self.choose(wanted)
 
     def choose(self, wanted: tuple[str, ...]) -> None:
-        """Choose other senders; a sender that is followed and still wanted keeps its number and its times."""
+        """Choose other senders. A sender that is followed and still wanted keeps its number and its times."""
         if wanted == self._wanted:
             return
         self._wanted = wanted
@@ -90,14 +92,14 @@ class Casting:
         self._share()
 
     def update(self, heard: Mapping[FaceName, float], now: float) -> None:
-        """Follow those who are there.
+        """Follow the senders that are there.
 
         Parameters
         ----------
         heard : mapping
-            When each face was last heard of, in the order in which they came.
+            Time in seconds when each face was last heard of, in the order of arrival.
         now : float
-            Seconds.
+            Time in seconds.
         """
         waiting = False
         for role in self.roles:
@@ -109,7 +111,7 @@ class Casting:
         self._share()
 
     def start_of(self, due: float) -> float:
-        """Return the time at which a performer begins whose first frame is due then: 0 for the first of them."""
+        """Return the start time of a performer whose first frame is due at `due`; 0 for the first performer."""
         self._origin = due if self._origin is None else self._origin
         return max(due - self._origin, 0.0)
 
@@ -132,7 +134,7 @@ class Casting:
         return _match(role.wanted, name) == max(levels) > _NOBODY
 
     def _share(self) -> None:
-        """Leave heads without a sender of their own to the role whose sender is meant for them, too."""
+        """Leave heads without their own sender to the role whose sender may drive them, too."""
         for role in self.roles:
             role.heads = role.own
         for role in self.roles:
@@ -149,7 +151,7 @@ class Casting:
 
 
 def _heads_by_choice(wanted: tuple[str, ...]) -> list[tuple[str, tuple[int, ...]]]:
-    """Heads that one sender drives: all that have the same choice, or one that has none."""
+    """Return the heads that one sender drives: all with the same choice, or one without a choice."""
     chosen: dict[str, tuple[int, ...]] = {}
     heads: list[tuple[str, tuple[int, ...]]] = []
     for number, name in enumerate(wanted):
@@ -163,14 +165,14 @@ def _heads_by_choice(wanted: tuple[str, ...]) -> list[tuple[str, tuple[int, ...]
 
 
 def _fits(role: Role, wanted: str) -> bool:
-    """Whether a role of before can go on as one of which `wanted` is the choice."""
+    """Return whether an earlier role can continue as one with the choice `wanted`."""
     if role.followed is None:
         return role.wanted == wanted
     return role.wanted == wanted or _match(wanted, role.followed) > _ANYBODY
 
 
 def _match(wanted: str, name: FaceName | None) -> int:
-    """How exactly a choice means a face."""
+    """Rank how exactly a choice names a face."""
     if name is None:
         return _NOBODY
     address, subject = name

@@ -1,7 +1,7 @@
-"""Facemime's own stream: a datagram for each frame, complete by itself (docs/streams.md).
+"""Facemime's own stream: one self-contained datagram per frame (docs/streams.md).
 
-A frame of landmarks takes 482 bytes and a signature: 122 to 126 kbit/s at 30 frames per second, with all headers. It
-does not depend on the model of the tracker. All numbers are big-endian.
+A frame of landmarks takes 482 bytes and a signature: 122 to 126 kbit/s at 30 frames per second, including all headers.
+It does not depend on the tracker's model. All numbers are big-endian.
 """
 
 from __future__ import annotations
@@ -47,22 +47,24 @@ _UNKNOWN_ACTION = 255
 
 @dataclass(frozen=True)
 class Packet:
-    """A packet without its content being understood.
+    """A packet whose content has not been parsed.
 
     Attributes
     ----------
     kind : int
+        `LOST` to `WELCOME`.
     session : bytes
-        Of the sender, 8 random bytes for each start.
+        Session of the sender, 8 random bytes per start.
     sequence : int
         Number of the packet in the session.
     time : float
-        Seconds, of the media.
+        Time of the media in seconds.
     body : bytes
+        The content.
     signed : bytes
-        What is signed: all but the signature.
+        The part that is signed: all but the signature.
     tag : bytes
-        The signature; empty in packets without one.
+        The signature; empty in unsigned packets.
     """
 
     kind: int
@@ -75,11 +77,12 @@ class Packet:
 
 
 def pack(packet: Packet, *, signed: bool) -> bytes:
-    """Serialise a packet but for its signature.
+    """Serialise a packet without its signature.
 
     Parameters
     ----------
     packet : Packet
+        The packet.
     signed : bool
         Whether a signature will follow.
 
@@ -98,15 +101,15 @@ def unpack(data: bytes) -> Packet:
         raise PacketError("not Facemime's")
     magic, version, kind, flags, session, sequence, time = HEADER.unpack_from(data)
     if magic != _MAGIC or version != VERSION or flags & ~_SIGNED or kind not in _BODIES:
-        raise PacketError("not Facemime's, or of another version")
+        raise PacketError("not Facemime's, or of a different version")
     end = HEADER.size + _BODIES[kind]
     if len(data) != end + (TAG_BYTES if flags else 0) or not 0.0 <= time <= _MAX_TIME:
-        raise PacketError("a packet is cut")
+        raise PacketError("a packet is truncated")
     return Packet(kind, session, sequence, time, data[HEADER.size : end], data[:end], data[end:])
 
 
 def encode_face(result: TrackResult) -> tuple[int, bytes]:
-    """Encode a tracking result: the kind of its packet, and the body."""
+    """Encode a tracking result as the kind of its packet and the body."""
     if not result.found:
         return LOST, b""
     pose = _POSE.pack(*result.pose)
@@ -127,7 +130,7 @@ def encode_face(result: TrackResult) -> tuple[int, bytes]:
 
 
 def decode_face(packet: Packet) -> StreamFrame:
-    """Decode a packet of a face; PacketError if a number in it is impossible, or it is of another kind.
+    """Decode a packet of a face; PacketError if a number in it is impossible, or the packet is of another kind.
 
     The result has no shape parameters, and its landmarks are projected.
     """
@@ -169,6 +172,6 @@ def _landmarks(body: bytes, pose: FloatArray) -> TrackResult:
 
 
 def _shorts(values: FloatArray) -> bytes:
-    """Numbers as multiples of the step in 16 bits, -32768 for unknown ones."""
+    """Encode numbers as 16-bit multiples of the step, with -32768 for unknown ones."""
     steps = np.clip(np.rint(values / _STEP), _UNKNOWN + 1, -_UNKNOWN - 1)
     return np.where(np.isfinite(values), steps, _UNKNOWN).astype(">i2").tobytes()

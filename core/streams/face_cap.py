@@ -23,14 +23,14 @@ NAMES: tuple[str, ...] = (
     *("mouthUpperUpLeft", "mouthUpperUpRight", "mouthLowerDownLeft", "mouthLowerDownRight", "mouthPressLeft"),
     *("mouthPressRight", "mouthStretchLeft", "mouthStretchRight", "tongueOut"),
 )
-"""The coefficients by their number in this protocol."""
+"""The coefficients in the order of their numbers in this protocol."""
 _COLUMNS = tuple(COEFFICIENT_INDEX[name] for name in NAMES)
 _COUNTS = {"/HT": 3, "/HR": 3, "/HRQ": 4, "/ELR": 2, "/ERR": 2}
-"""Numbers of floats of the messages that are not coefficients."""
+"""Number of floats in each message that is not a coefficient."""
 
 
 class FaceCapDecoder:
-    """Collects the messages of a frame, which ends with a bundle, or with the last coefficient."""
+    """Collects the messages of a frame, which ends with a bundle or with the last coefficient."""
 
     def __init__(self) -> None:
         self._coefficients = no_coefficients()
@@ -38,7 +38,7 @@ class FaceCapDecoder:
         self._position: FloatArray | None = None
 
     def decode(self, data: bytes) -> list[StreamFrame]:
-        """Decode a datagram; see `frames.Decoder`."""
+        """Decode a datagram. See `Decoder.decode`."""
         messages = osc.decode(data)
         ends, any_value = osc.is_bundle(data), False
         for address, arguments in messages:

@@ -1,8 +1,8 @@
 """Face Motion version 3, the binary protocol of iFacialMocap and Facemotion3d (docs/streams.md).
 
-The receiver asks with HELLO, the phone answers with SCHEMA, which names the values, and sends a FRAME for each moment
-once SCHEMA_ACK has told it that the schema has come. A phone whose user enters the address of this computer begins with
-SCHEMA. PING tells a phone that somebody still listens.
+The receiver sends HELLO. The phone answers with SCHEMA, which names the values, and sends a FRAME for each moment once
+SCHEMA_ACK has confirmed the schema. A phone whose user enters the address of this computer starts with SCHEMA. PING
+tells a phone that the receiver still listens.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from .ifacialmocap import phone_face
 
 MAGIC = b"FMV3"
 PHONE_PORT = 49983
-"""Where the apps listen, Facemotion3d, too."""
+"""Port on which both apps listen."""
 HELLO, SCHEMA, SCHEMA_ACK, FRAME, GET_SCHEMA, PING, PONG, STOP, ERROR = range(1, 10)
 REVISION = 5
 HEADER = Struct("<4sBBHQIIIIHHI")
-"""Magic, kind, flags, size of the header, session, schema, sequence, token, length of the payload, number of the part,
-parts, and length of this part's payload."""
+"""Magic, kind, flags, size of the header, session, schema, sequence, token, length of the payload, index of the part,
+number of parts, and length of this part's payload."""
 HELLO_PAYLOAD = Struct("<HHI")
-"""Most frames per second, largest datagram, revision."""
+"""Largest number of frames per second, largest datagram, revision."""
 START = Struct("<QHHII")
-"""The beginning of a schema: nonce of HELLO, frames per second, largest datagram, lease in milliseconds, revision."""
+"""Start of a schema: nonce of HELLO, frames per second, largest datagram, lease in milliseconds, revision."""
 POSE = Struct("<12f")
-"""Rotation and position of the head, and rotation of the right and the left eye; degrees and metres."""
+"""Rotation and position of the head, and rotation of the right and the left eye, in degrees and metres."""
 SCHEMA_DATAGRAM = 576
 _TRACKED, _FLAGS = 1, 3
 _RATES, _DATAGRAMS, _LEASES = (1, 60), (SCHEMA_DATAGRAM, 1200), (5_000, 60_000)
@@ -48,25 +48,25 @@ STATED = {
     "position_unit": "meter",
 }
 _MIN_NAMES = 10
-"""Known names below which it is no face."""
+"""Smallest number of known names in the schema of a face."""
 _PING, _REPAIR, _AGAIN, _REPAIRED, _OVER = 3.0, 3.0, 1.0, 6.5, 12.0
-"""Seconds between two pings; without a frame, until the schema is asked for, and another session may begin;
-between two such requests; until there are no more of them; and until the session has ended."""
+"""Seconds between two pings; seconds without a frame after which the schema is requested and another session may begin;
+between two such requests; until these requests end; and until the session has ended."""
 REFUSALS = {
     "BUSY": "The phone is sending to another program. Stop that first.",
-    "NOT_ALLOWED": "The app may not send now: its trial is over, or it was not bought.",
+    "NOT_ALLOWED": "The app is not allowed to send: its trial has ended, or it was not purchased.",
     "PC_CONNECTION_DISABLED": "The app refuses connections from computers. Allow them in its settings.",
     "V3_NOT_AVAILABLE": "The app is not on its tracking screen. Open it on the phone.",
     "APP_INACTIVE": "The app is not on its tracking screen. Open it on the phone.",
     "CAMERA_UNAVAILABLE": "The app cannot use the camera of the phone.",
     "": "The app on the phone refuses to send.",
 }
-"""What the words mean by which an app refuses, and what is said of other words."""
+"""Messages for the words by which an app refuses; the last one is for all other words."""
 
 
 @dataclass(frozen=True)
 class _Part:
-    """A datagram: all of a message, or a part of it."""
+    """A datagram, which contains a whole message or a part of one."""
 
     kind: int
     flags: int
@@ -81,7 +81,7 @@ class _Part:
 
 @dataclass
 class _Parts:
-    """The parts of a message that have come."""
+    """The parts of a message that have arrived."""
 
     like: tuple[int, ...] = ()
     payloads: dict[int, bytes] = field(default_factory=dict)
@@ -89,7 +89,7 @@ class _Parts:
 
 @dataclass(frozen=True)
 class _Schema:
-    """How the frames of a session are read: for each value, the number of its coefficient, or -1."""
+    """Layout of the frames of a session: for each value, the column of its coefficient, or -1."""
 
     number: int
     payload: bytes
@@ -99,12 +99,12 @@ class _Schema:
 
 
 class FaceMotionReceiver:
-    """The receiver's side: what is sent to the phone, and what its packets say.
+    """The receiver's side of the protocol: parses the phone's packets and makes those for the phone.
 
     Attributes
     ----------
     message : str
-        Why the phone refuses to send; otherwise "".
+        Reason why the phone refuses to send; otherwise "".
     """
 
     def __init__(self) -> None:
@@ -118,27 +118,37 @@ class FaceMotionReceiver:
         self._pings = 0
 
     def hello(self) -> bytes:
-        """Packet that asks the phone to send; the same one until it does."""
+        """Return the packet that asks the phone to send; it is the same one until the phone does."""
         payload = HELLO_PAYLOAD.pack(_RATES[1], _DATAGRAMS[1], REVISION)
         return message(HELLO, self._nonce, payload)[0]
 
     def active(self, now: float) -> bool:
-        """Whether the phone sends, or has done so a moment ago.
+        """Return whether the phone sends, or did so a moment ago.
 
         Parameters
         ----------
         now : float
-            Seconds on any clock.
+            Time in seconds on any clock.
+
+        Returns
+        -------
+        bool
+            Whether it is active.
         """
         return self._schema is not None and now - self._moving < _OVER
 
     def due(self, now: float) -> list[bytes]:
-        """Return the packets that the phone has to get now, so that it goes on sending.
+        """Return the packets that the phone needs now in order to continue sending.
 
         Parameters
         ----------
         now : float
-            Seconds on any clock.
+            Time in seconds on any clock.
+
+        Returns
+        -------
+        list of bytes
+            The packets.
         """
         if self._schema is None or not self.active(now):
             return []
@@ -157,7 +167,7 @@ class FaceMotionReceiver:
         return message(STOP, self._session) if self._schema is not None else []
 
     def receive(self, data: bytes, now: float) -> tuple[list[StreamFrame], list[bytes]]:
-        """Take a packet of the phone; as `Receiver.receive`."""
+        """Receive a packet from the phone. See `Receiver.receive`."""
         part = _read(data)
         if part.kind == SCHEMA:
             return [], self._take_schema(part, now)
@@ -208,7 +218,7 @@ class FaceMotionReceiver:
         return [StreamFrame(face if part.flags & _TRACKED else None)], []
 
     def _whole(self, part: _Part, largest: int) -> bytes | None:
-        """The payload, once all of its parts have come; of incomplete messages the newest is kept."""
+        """Return the payload once all its parts have come; of incomplete messages the newest is kept."""
         capacity = largest - HEADER.size
         begin = part.part * capacity
         if part.parts != max(1, ceil(part.total / capacity)) or len(part.payload) != min(capacity, part.total - begin):
@@ -248,10 +258,11 @@ def message(
     session : int
         Number of the session; in HELLO and its refusal, the nonce.
     payload : bytes
+        Content of the message.
     schema, sequence, flags : int
-        Of the header.
+        Fields of the header.
     largest : int
-        Bytes of a datagram at most.
+        Largest size of a datagram in bytes.
 
     Returns
     -------
@@ -269,7 +280,7 @@ def _number() -> int:
 
 
 def _read(data: bytes) -> _Part:
-    """Read the header of a packet from the phone."""
+    """Parse the header of a packet from the phone."""
     if len(data) < HEADER.size:
         raise PacketError("too short")
     magic, kind, flags, size, session, schema, sequence, token, total, part, parts, length = HEADER.unpack_from(data)
@@ -290,7 +301,7 @@ def _read(data: bytes) -> _Part:
 
 
 def _read_schema(number: int, payload: bytes, nonce: int | None) -> _Schema:
-    """Read a schema; of a new session, it has to answer `nonce`, or nobody."""
+    """Parse a schema; that of a new session has to answer `nonce`, or no request at all."""
     answered, rate, largest, lease, revision = START.unpack_from(payload)
     for value, (low, high) in ((rate, _RATES), (largest, _DATAGRAMS), (lease, _LEASES)):
         if not low <= value <= high:

@@ -1,4 +1,4 @@
-"""What a packet says of a face, whatever its protocol, and the checks that all decoders share.
+"""The content of packets with faces, whatever their protocol, and the checks that all decoders share.
 
 Packets come from strangers. A decoder bounds what it reads, and refuses anything else with a `PacketError`, whose
 messages are constants, so that a bad packet costs next to nothing.
@@ -19,11 +19,11 @@ from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
 
 MAX_DATAGRAM = 16_384
-"""Bytes of a datagram at most, far more than any of the protocols sends."""
+"""Largest size of a datagram in bytes, far more than any of the protocols sends."""
 MAX_SUBJECT = 64
-"""Letters of the name of a face at most."""
+"""Largest number of characters in the name of a face."""
 _MAX_ANGLE, _MAX_MOVED = 7.0, 100.0
-"""Radians and metres beyond which a pose is refused."""
+"""Largest angle in radians and distance in metres of a pose."""
 
 
 class PacketError(ValueError):
@@ -37,11 +37,11 @@ class FaceValues:
     Attributes
     ----------
     coefficients : (52,) float64
-        In the order of `COEFFICIENTS`, 0 to 1.
+        Coefficients in the order of `COEFFICIENTS`, 0 to 1.
     rotation : (3,) float64
-        Pitch, yaw and roll of the head, radians, as in `TrackResult`.
+        Pitch, yaw and roll of the head in radians, as in `TrackResult`.
     position : (3,) float64 or None
-        Of the head: axes of the head frame, metres, from any origin.
+        Position of the head in metres: axes of the head frame, any origin.
     """
 
     coefficients: FloatArray
@@ -56,11 +56,11 @@ class StreamFrame:
     Attributes
     ----------
     face : FaceValues, TrackResult or None
-        None if the sender sees no face.
+        The face; None if the sender sees none.
     subject : str
-        Which of the sender's faces it is.
+        Name of the face among those of the sender.
     time : float or None
-        Seconds on the sender's clock, if the protocol states them.
+        Time in seconds on the sender's clock, if the protocol states it.
     sequence : int or None
         Number of the frame, if the protocol states it.
     neutral : Neutral or None
@@ -75,35 +75,36 @@ class StreamFrame:
 
 
 class Decoder(Protocol):
-    """Decodes the datagrams of one sender, in the order of their arrival."""
+    """Interface of a decoder for the datagrams of one sender, in order of arrival."""
 
     def decode(self, data: bytes) -> list[StreamFrame]:
-        """Return the frames that `data` completes, most often one; PacketError if it is malformed."""
+        """Return the frames that `data` completes, usually one; PacketError if it is malformed."""
 
 
 class Receiver(Protocol):
-    """Takes the packets of a protocol in which the receiver may have to answer."""
+    """Interface of a receiver of packets, which may have to answer them."""
 
     def receive(self, data: bytes, now: float) -> tuple[list[StreamFrame], list[bytes]]:
-        """Take a packet.
+        """Receive a packet.
 
         Parameters
         ----------
         data : bytes
+            The packet.
         now : float
-            Seconds on any clock.
+            Time in seconds on any clock.
 
         Returns
         -------
         frames : list of StreamFrame
-            That `data` completes, most often one.
+            Frames that `data` completes, usually one.
         answers : list of bytes
             Packets to be sent back.
 
         Raises
         ------
         PacketError
-            If it is malformed, or not of this sender.
+            If the packet is malformed, or not from this sender.
         """
 
 
@@ -113,23 +114,24 @@ class Decoding:
     Parameters
     ----------
     decoder : Decoder
+        Decoder of the packets.
     """
 
     def __init__(self, decoder: Decoder) -> None:
         self._decoder = decoder
 
     def receive(self, data: bytes, now: float) -> tuple[list[StreamFrame], list[bytes]]:
-        """Take a packet; as `Receiver.receive`."""
+        """Receive a packet. See `Receiver.receive`."""
         return self._decoder.decode(data), []
 
 
 def no_coefficients() -> FloatArray:
-    """(52,) coefficients of a face at rest, to be filled in."""
+    """Return coefficients of a face at rest, (52,), to be filled in."""
     return np.zeros(N_COEFFICIENTS)
 
 
 def checked(face: FaceValues) -> FaceValues:
-    """Return a face whose numbers are possible, with coefficients within 0 and 1; PacketError if they are not."""
+    """Return a face with coefficients clipped to 0 and 1; PacketError if a number of it is impossible."""
     position = np.zeros(3) if face.position is None else face.position
     if not (
         np.isfinite(face.coefficients).all()
@@ -148,14 +150,46 @@ def finite(value: float) -> float:
 
 
 def turned(x: float, y: float, z: float) -> FloatArray:
-    """(3,) pitch, yaw and roll of angles as `from_face_axes` takes them; PacketError if they are impossible."""
+    """Convert angles about the axes of ARKit's face anchor; see `from_face_axes`.
+
+    Parameters
+    ----------
+    x, y, z : float
+        Angles in radians.
+
+    Returns
+    -------
+    (3,) float64
+        Pitch, yaw and roll in radians, as in `TrackResult`.
+
+    Raises
+    ------
+    PacketError
+        If an angle is impossible.
+    """
     if not all(abs(finite(angle)) <= _MAX_ANGLE for angle in (x, y, z)):
         raise PacketError("an angle is impossible")
     return from_face_axes(x, y, z)
 
 
 def from_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:
-    """Rotation matrix (3, 3) of a quaternion that is nearly of unit length; PacketError if it is not."""
+    """Convert a quaternion of approximately unit length.
+
+    Parameters
+    ----------
+    x, y, z, w : float
+        The quaternion; w is the real part.
+
+    Returns
+    -------
+    (3, 3) float64
+        The rotation.
+
+    Raises
+    ------
+    PacketError
+        If the length is far from 1.
+    """
     size = finite(x * x + y * y + z * z + w * w)
     if not 0.25 <= size <= 4.0:
         raise PacketError("a rotation has no length")
@@ -170,8 +204,8 @@ def from_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:
 
 
 def to_quaternion(turn: FloatArray) -> tuple[float, float, float, float]:
-    """Quaternion (x, y, z, w), w at least 0, of a rotation matrix (3, 3)."""
-    # The symmetric matrix whose greatest eigenvalue is 1 and has the quaternion as its eigenvector (Bar-Itzhack 2000).
+    """Convert a rotation matrix (3, 3) to a quaternion (x, y, z, w) with w at least 0."""
+    # The symmetric matrix whose largest eigenvalue is 1, with the quaternion as its eigenvector (Bar-Itzhack 2000).
     t = turn
     k = np.array(
         [

@@ -1,7 +1,7 @@
-"""iFacialMocap and Facemotion3d, versions 1 and 2, which are text; see `face_motion` for 3 (docs/streams.md).
+"""iFacialMocap and Facemotion3d, versions 1 and 2, which are text; for version 3 see `face_motion` (docs/streams.md).
 
-The phone sends only after a start message. A packet is `name-percent|...|` (1) or `name&percent|...|` (2), with the
-head's angles in degrees and its position in metres after `=head#`, and the angles of the eyes.
+The phone sends only after a start message. A packet is `name-percent|...|` (1) or `name&percent|...|` (2), followed by
+the head's angles in degrees and its position in metres after `=head#`, and the angles of the eyes.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from ..coefficient_names import column_of
 from .frames import MAX_DATAGRAM, FaceValues, PacketError, StreamFrame, checked, no_coefficients, turned
 
 PORT, PHONE_PORT, FACEMOTION_PORT = 49983, 49983, 49993
-"""Of the receiver, and of the two apps on the phone."""
+"""Ports of the receiver, and of the two apps on the phone."""
 START = b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719|sendDataVersion=v2"
 FACEMOTION_START = b"FACEMOTION3D_OtherStreaming"
-"""What asks the phone to send, to `PHONE_PORT` and `FACEMOTION_PORT`."""
+"""Messages that ask the phone to send, to `PHONE_PORT` and `FACEMOTION_PORT`."""
 _VALUE = re.compile(r"([A-Za-z][A-Za-z0-9_]{0,63})[-&](-?\d{1,6}(?:\.\d{1,9})?)")
 _NUMBERS = re.compile(r"=?(head|rightEye|leftEye)#(-?[\d.eE+-]{1,24}(?:,-?[\d.eE+-]{1,24}){2,5})")
 _MAX_PARTS, _MIN_NAMES = 400, 10
-"""Parts of a packet at most, and the fewest known names."""
+"""Largest number of parts of a packet, and smallest number of known names."""
 
 
 class IFacialMocapDecoder:
     """Decodes both versions."""
 
     def decode(self, data: bytes) -> list[StreamFrame]:
-        """Decode a packet; see `frames.Decoder`."""
+        """Decode a packet. See `Decoder.decode`."""
         if len(data) > MAX_DATAGRAM or not data.isascii():
             raise PacketError("not iFacialMocap")
         parts = data.decode("ascii").removesuffix("|").split("|")
@@ -53,14 +53,20 @@ class IFacialMocapDecoder:
 
 
 def phone_face(coefficients: NDArray[np.float64], head: tuple[float, ...]) -> FaceValues:
-    """Return a face as the apps state it, in every version of the protocol.
+    """Return a face from the values that the apps state in every version of the protocol.
 
     Parameters
     ----------
     coefficients : (52,) float64
+        Coefficients in the order of `COEFFICIENTS`.
     head : tuple of float
         Three angles in degrees and a position in metres, in ARKit's axes: to the viewer's right, up, and towards the
         viewer.
+
+    Returns
+    -------
+    FaceValues
+        The face.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How packets of a stream come to this computer: as datagrams, over TCP, or over TLS from a sender that was paired."""
+"""Transport of packets to this computer: datagrams, TCP, or TLS from a paired sender."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from .casting import Address
 from .frames import MAX_DATAGRAM
 
 LENGTH = struct.Struct("<I")
-"""Before each message over TCP."""
+"""Prefix of each message over TCP."""
 _BUFFER = 1 << 20
 _PORTION = 1 << 16
-"""Bytes that are read at a time at least."""
+"""Number of bytes that are read at a time."""
 _MOST_CONNECTIONS = 4
 
 
 class Link(Protocol):
-    """Interface of a way by which packets come; nothing in it waits.
+    """Interface of the transport of packets. None of its methods waits.
 
     Attributes
     ----------
     address : (str, int)
-        Where packets are received, or where they come from.
+        Address at which packets are received, or from which they come.
     message : str
-        Why nothing comes; otherwise "".
+        Reason why nothing comes; otherwise "".
     largest : int
-        Bytes of a packet at most.
+        Largest size of a packet in bytes.
     """
 
     address: Address
@@ -37,7 +37,7 @@ class Link(Protocol):
     largest: int
 
     def open(self) -> None:
-        """Begin; does nothing if it was opened. SourceError if it cannot be used."""
+        """Open the link, unless it is open; SourceError if it cannot be used."""
 
     def receive(self, now: float) -> tuple[bytes, Address] | None:
         """Return the next packet and its sender, or None if nothing has come yet.
@@ -45,22 +45,37 @@ class Link(Protocol):
         Parameters
         ----------
         now : float
-            Seconds on any clock.
+            Time in seconds on any clock.
+
+        Returns
+        -------
+        bytes
+            The packet.
+        (str, int)
+            Address of the sender.
 
         Raises
         ------
         SourceError
-            If whoever is there is not the sender that was meant.
+            If another computer answers than the intended sender.
         """
 
     def reply(self, data: bytes, address: Address) -> None:
-        """Send a packet back, if that is possible now."""
+        """Send a packet back, if that is possible without waiting.
+
+        Parameters
+        ----------
+        data : bytes
+            The packet.
+        address : (str, int)
+            Address of the sender to answer.
+        """
 
     def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
         """Return the sockets that have to become readable, and writable, before there is anything to receive."""
 
     def close(self) -> None:
-        """End it; may be called twice, and by another thread."""
+        """Close the link. May be called twice, and by another thread."""
 
 
 class DatagramLink:
@@ -69,7 +84,9 @@ class DatagramLink:
     Parameters
     ----------
     host : str
+        Address of this computer to listen on.
     port : int
+        Port to listen on.
     """
 
     largest = MAX_DATAGRAM
@@ -81,7 +98,7 @@ class DatagramLink:
         self._socket: socket.socket | None = None
 
     def open(self) -> None:
-        """Bind the port; as `Link.open`."""
+        """Bind the port. See `Link.open`."""
         if self._socket is not None:
             return
         family, address = resolve(self._host, self._port)
@@ -97,11 +114,11 @@ class DatagramLink:
         self._socket, self.address = opened, opened.getsockname()[:2]
 
     def receive(self, now: float) -> tuple[bytes, Address] | None:
-        """Take the next datagram; as `Link.receive`."""
+        """Return the next datagram. See `Link.receive`."""
         while self._socket is not None:
             try:
                 data, address = self._socket.recvfrom(MAX_DATAGRAM + 1)
-            except ConnectionResetError:  # as Windows tells that somebody no longer listens
+            except ConnectionResetError:  # Windows reports in this way that a receiver is gone
                 continue
             except OSError:
                 break
@@ -109,13 +126,13 @@ class DatagramLink:
         return None
 
     def reply(self, data: bytes, address: Address) -> None:
-        """Send a datagram; as `Link.reply`."""
+        """Send a datagram. See `Link.reply`."""
         if self._socket is not None:
             with suppress(OSError):
                 self._socket.sendto(data, address)
 
     def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
-        """As `Link.waits`."""
+        """See `Link.waits`."""
         return ([], []) if self._socket is None else ([self._socket], [])
 
     def close(self) -> None:
@@ -130,7 +147,9 @@ class ConnectionsLink:
     Parameters
     ----------
     host : str
+        Address of this computer to listen on.
     port : int
+        Port to listen on.
     """
 
     largest = 1 << 25
@@ -143,7 +162,7 @@ class ConnectionsLink:
         self._connections: dict[Address, _Connection] = {}
 
     def open(self) -> None:
-        """Listen on the port; as `Link.open`."""
+        """Listen on the port. See `Link.open`."""
         if self._listener is not None:
             return
         family, address = resolve(self._host, self._port)
@@ -155,7 +174,7 @@ class ConnectionsLink:
         self._listener, self.address = opened, opened.getsockname()[:2]
 
     def receive(self, now: float) -> tuple[bytes, Address] | None:
-        """Take the next message of any sender; as `Link.receive`."""
+        """Return the next message of any sender. See `Link.receive`."""
         self._accept()
         for address, connection in tuple(self._connections.items()):
             try:
@@ -167,15 +186,15 @@ class ConnectionsLink:
         return None
 
     def reply(self, data: bytes, address: Address) -> None:
-        """Do nothing, as these senders need no answers; as `Link.reply`."""
+        """Do nothing, as these senders need no answers. See `Link.reply`."""
 
     def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
-        """As `Link.waits`."""
+        """See `Link.waits`."""
         connected = [connection.socket for connection in self._connections.values()]
         return ([] if self._listener is None else [self._listener, *connected]), []
 
     def close(self) -> None:
-        """End all connections, and listen no more."""
+        """Close all connections, and stop listening."""
         for connection in tuple(self._connections.values()):
             connection.close()
         if self._listener is not None:
@@ -195,13 +214,13 @@ class ConnectionsLink:
 
 
 class _Connection:
-    """A sender that is connected, and what has come of its next message."""
+    """A connected sender, and the received part of its next message."""
 
     def __init__(self, connected: socket.socket) -> None:
         self.socket, self._data = connected, bytearray()
 
     def take(self, largest: int) -> bytes | None:
-        """Return the next message, or None until it is whole; OSError if the sender has ended, or sends too much."""
+        """Return the next message, or None until it is complete; OSError if the sender has gone, or sends too much."""
         while (wanted := self._wanted(largest)) > len(self._data):
             try:
                 portion = self.socket.recv(max(_PORTION, wanted - len(self._data)))
@@ -215,11 +234,11 @@ class _Connection:
         return message
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self.socket.close()
 
     def _wanted(self, largest: int) -> int:
-        """Bytes of the next message, with its length."""
+        """Number of bytes of the next message, including its length."""
         if len(self._data) < LENGTH.size:
             return LENGTH.size
         (length,) = LENGTH.unpack_from(self._data)

@@ -1,7 +1,8 @@
-"""Live Link Face: what Epic's iPhone app sends in its mode ARKit, and Unreal Engine receives (docs/streams.md).
+"""Live Link Face, sent by Epic's iPhone app in its ARKit mode and received by Unreal Engine (docs/streams.md).
 
-All numbers are big-endian: the version as a byte; the device and the subject, each as its length and UTF-8; the frame's
-number, its fraction, the rate's numerator and denominator; and, if there is a face, a count of 61 and that many floats.
+All numbers are big-endian: the version as a byte; the device and the subject, each as its length and UTF-8; the number
+of the frame, its fraction, the rate's numerator and denominator; and, if there is a face, a count of 61 and as many
+floats.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from .frames import (
 PORT = 11111
 Angles = Literal["radians", "degrees", "half-turns"]
 ANGLES: dict[Angles, float] = {"radians": 1.0, "degrees": pi / 180.0, "half-turns": pi}
-"""Radians of each unit. The app sends radians; senders made after Unreal's own plug-in send shares of 180 degrees."""
+"""Radians per unit. The app sends radians; senders modelled on Unreal's plug-in send shares of 180 degrees."""
 CURVES: tuple[str, ...] = (
     *("eyeBlinkLeft", "eyeLookDownLeft", "eyeLookInLeft", "eyeLookOutLeft", "eyeLookUpLeft", "eyeSquintLeft"),
     *("eyeWideLeft", "eyeBlinkRight", "eyeLookDownRight", "eyeLookInRight", "eyeLookOutRight", "eyeLookUpRight"),
@@ -40,7 +41,7 @@ CURVES: tuple[str, ...] = (
     *("browDownRight", "browInnerUp", "browOuterUpLeft", "browOuterUpRight", "cheekPuff", "cheekSquintLeft"),
     *("cheekSquintRight", "noseSneerLeft", "noseSneerRight", "tongueOut"),
 )
-"""The coefficients in this protocol's order; nine angles follow."""
+"""The coefficients in the order of this protocol; nine angles follow."""
 TURNS = ("HeadYaw", "HeadPitch", "HeadRoll")
 EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw", "Pitch", "Roll"))
 """Names of the nine angles in Live Link Face's tables."""
@@ -66,13 +67,13 @@ class LiveLinkDecoder:
         self._unit = ANGLES[angles]
 
     def decode(self, data: bytes) -> list[StreamFrame]:
-        """Decode a packet; see `frames.Decoder`."""
+        """Decode a packet. See `Decoder.decode`."""
         if len(data) < 25 or data[0] not in _VERSIONS:
             raise PacketError("not Live Link Face")
         _, at = _text(data, 1)
         subject, at = _text(data, at)
         if at + _TIME.size > len(data):
-            raise PacketError("a packet is cut")
+            raise PacketError("a packet is truncated")
         number, part, rate, per = _TIME.unpack_from(data, at)
         if not (0.0 <= part <= 1.0 and per and 0.0 < rate / per <= _MAX_RATE):
             raise PacketError("a time is impossible")
@@ -99,11 +100,11 @@ def encode(face: FaceValues | None, time: float, *, subject: str, device: str, r
     face : FaceValues or None
         None if there is no face.
     time : float
-        Seconds, at least 0.
+        Time in seconds, at least 0.
     subject, device : str
         Names of the face and of the sender.
     rate : int
-        Frames per second that the time is counted in.
+        Frames per second in which the time is counted.
 
     Returns
     -------
@@ -121,7 +122,7 @@ def encode(face: FaceValues | None, time: float, *, subject: str, device: str, r
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
     if at + 4 > len(data):
-        raise PacketError("a packet is cut")
+        raise PacketError("a packet is truncated")
     (length,) = _LENGTH.unpack_from(data, at)
     end = at + 4 + length
     if length > _MAX_TEXT or end > len(data):

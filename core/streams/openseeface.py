@@ -1,6 +1,6 @@
-"""OpenSeeFace: landmarks as its tracker sends them to VTuber programs (docs/streams.md).
+"""OpenSeeFace: landmarks in the format that its tracker sends to VTuber programs (docs/streams.md).
 
-A datagram holds 1,785 little-endian bytes for each face, and none comes while there is no face. Its 66 points are not
+A datagram contains 1,785 little-endian bytes per face; none is sent while there is no face. Its 66 points differ from
 Facemime's: both leave out two of iBUG's 68, but OpenSeeFace keeps the inner corners of the mouth, as numbers 58 and 62,
 and has no outer ones.
 """
@@ -22,14 +22,14 @@ from .frames import PacketError, StreamFrame, to_quaternion
 
 PORT = 11573
 IMAGE_SIZE = (1280, 720)
-"""Width and height of the image that is stated when sending."""
+"""Width and height in pixels of the image that is stated when sending."""
 _FACE = struct.Struct("<di2f2fBf4f3f3f")
 _BYTES = _FACE.size + 4 * (68 + 2 * 68 + 3 * 70 + 14)
 _MAX_FACES = 4
 _UNIT = 0.74
-"""Distance of the outer corners of the eyes of OpenSeeFace's own head, its unit being arbitrary."""
+"""Distance between the outer eye corners of OpenSeeFace's own head, in its arbitrary unit."""
 _PIXELS, _UNITS = 1e5, 100.0
-"""Upper bounds of coordinates in an image, and of points on a face."""
+"""Largest coordinates in an image, and of points on a face."""
 _LEAST_SCALE = 1e-3
 PLACES: NDArray[np.intp] = np.concatenate([np.arange(48), from_ibug([*range(49, 54), *range(55, 60)]), MOUTH_CORNERS])
 """(60,) Facemime's landmarks at OpenSeeFace's numbers `NUMBERS`."""
@@ -38,18 +38,18 @@ _INNER, _INNER_NUMBERS = from_ibug([61, 62, 63, 65, 66, 67]), np.array([59, 60, 
 _OURS = np.concatenate([PLACES, _INNER])
 _THEIRS = np.concatenate([NUMBERS, _INNER_NUMBERS])
 _AXES = np.array([-1.0, 1.0, 1.0])
-"""From their axes, to the viewer's left, down and away, to those of the head frame, and back."""
+"""From OpenSeeFace's axes, to the viewer's left, down and away, to those of the head frame, and back."""
 _CAMERA = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""From a rotation in the head frame to theirs, whose camera has rows first, and depths that are negative."""
+"""From a rotation in the head frame to OpenSeeFace's, whose camera has rows first and negative depths."""
 _EYE_DEPTH = 0.385
 """Depth of the centre of an eyeball behind its corners, as a share of their distance."""
 
 
 class OpenSeeFaceDecoder:
-    """Decodes OpenSeeFace; each face is a subject of its own."""
+    """Decodes OpenSeeFace; each face is a separate subject."""
 
     def decode(self, data: bytes) -> list[StreamFrame]:
-        """Decode a datagram; see `frames.Decoder`."""
+        """Decode a datagram. See `Decoder.decode`."""
         count, rest = divmod(len(data), _BYTES)
         if rest or not 1 <= count <= _MAX_FACES:
             raise PacketError("not OpenSeeFace")
@@ -58,7 +58,7 @@ class OpenSeeFaceDecoder:
 
 def _frame(data: bytes) -> StreamFrame:
     time, number, width, height, right, left, found, *_ = _FACE.unpack_from(data)
-    with np.errstate(invalid="ignore"):  # a NaN that signals is refused below
+    with np.errstate(invalid="ignore"):  # a signalling NaN is refused below
         values = np.frombuffer(data, "<f4", offset=_FACE.size).astype(np.float64)
     confidence, points, shape, _ = np.split(values, np.cumsum([68, 2 * 68, 3 * 70]))
     sane = (abs(time) < 1e12, 0.0 < width < _PIXELS, 0.0 < height < _PIXELS, found in (0, 1), abs(right + left) < 1e6)
@@ -92,7 +92,7 @@ def _result(points: FloatArray, places: FloatArray, confidence: FloatArray) -> T
 
 
 def _gaze(places: FloatArray) -> tuple[FloatArray, float]:
-    """Gaze and vergence from the pupils (66, 67) and the centres of the eyeballs (68, 69), right and left."""
+    """Compute gaze and vergence from the pupils (66, 67) and the centres of the eyeballs (68, 69), right and left."""
     x, y, z = (places[66:68] - places[68:70]).T
     if not (z < 0.0).all():
         return np.full(2, np.nan), float("nan")
@@ -101,19 +101,19 @@ def _gaze(places: FloatArray) -> tuple[FloatArray, float]:
 
 
 def fit_pose(shape: FloatArray, landmarks: FloatArray) -> FloatArray:
-    """Fit the pose under which points are seen, by weak perspective.
+    """Fit the pose under which points are seen, under weak perspective.
 
     Parameters
     ----------
     shape : (66, 3) float64
-        Without the pose: head frame, outer-eye distances.
+        Landmarks without the pose: head frame, outer-eye distances.
     landmarks : (66, 2) float64
-        Image frame, pixels.
+        Landmarks in pixels.
 
     Returns
     -------
     (6,) float64
-        As in `TrackResult`.
+        The pose, as in `TrackResult`.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def fit_pose(shape: FloatArray, landmarks: FloatArray) -> FloatArray:
 
     Notes
     -----
-    The best affine map, of whose linear part the nearest rotation and scale are taken.
+    The pose consists of the rotation and scale nearest to the linear part of the best affine map.
     """
     middle = shape.mean(axis=0)
     spread = shape - middle
@@ -146,16 +146,16 @@ def encode(result: TrackResult, time: float, rest: FloatArray | None = None) -> 
     Parameters
     ----------
     result : TrackResult
-        With a face.
+        Result with a face.
     time : float
-        Seconds.
+        Time in seconds.
     rest : (66, 3) float64, optional
-        Neutral shape, from which the openings of eyes and mouth are measured; this one by default.
+        Neutral shape, from which the openings of eyes and mouth are measured; by default that of `result`.
 
     Returns
     -------
     bytes
-        A datagram.
+        The datagram.
     """
     rest = result.shape if rest is None else rest
     points, places, confidence = np.zeros((68, 2)), np.zeros((70, 3)), np.ones(68)
@@ -175,7 +175,7 @@ def encode(result: TrackResult, time: float, rest: FloatArray | None = None) -> 
     x, y = depth * (result.pose[4:] - np.array(IMAGE_SIZE) / 2.0) / IMAGE_SIZE[0]
     head = _FACE.pack(
         *(time, 0, *map(float, IMAGE_SIZE), *opened.tolist(), 1, 0.0),
-        *to_quaternion(turned.T),  # as OpenSeeFace has it
+        *to_quaternion(turned.T),  # OpenSeeFace's convention
         *angles,
         *(-float(y), -float(x), -depth),
     )
@@ -184,7 +184,7 @@ def encode(result: TrackResult, time: float, rest: FloatArray | None = None) -> 
 
 
 def _eyes(places: FloatArray, result: TrackResult) -> FloatArray:
-    """(4, 3) right and left pupil, and centres of the eyeballs, in the head frame."""
+    """Right and left pupil, and the centres of the eyeballs, in the head frame, (4, 3)."""
     corners = places[[[36, 39], [42, 45]]]
     depth = _EYE_DEPTH * np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)
     centres = corners.mean(axis=1) + depth[:, None] * [0.0, 0.0, 1.0]
@@ -195,7 +195,7 @@ def _eyes(places: FloatArray, result: TrackResult) -> FloatArray:
 
 
 def _features(shape: FloatArray, rest: FloatArray, opened: FloatArray) -> FloatArray:
-    """(14,) what programs without landmarks read: openings of eyes and mouth, and heights of brows and corners."""
+    """Features for programs without landmarks, (14,): openings of eyes and mouth, heights of brows and corners."""
 
     def height(rows: NDArray[np.intp]) -> float:
         return float(np.clip(4.0 * (rest[rows, 1] - shape[rows, 1]).mean(), -1.0, 1.0))

@@ -1,4 +1,4 @@
-"""Open Sound Control 1.0: messages and bundles, as far as programs for faces use them.
+"""Open Sound Control 1.0: messages and bundles, as far as face-tracking programs use them.
 
 The specification is at opensoundcontrol.stanford.edu. Integers and floats are big-endian, and everything is padded to
 four bytes.
@@ -16,7 +16,7 @@ from .frames import MAX_DATAGRAM, PacketError
 Argument = int | float | str | bool
 _BUNDLE = b"#bundle\0"
 _NOW = struct.pack(">Q", 1)
-"""The time tag that means at once."""
+"""The time tag for "immediately"."""
 _NUMBERS = {"i": struct.Struct(">i"), "f": struct.Struct(">f"), "h": struct.Struct(">q"), "d": struct.Struct(">d")}
 _FLAGS = {"T": True, "F": False}
 _SIZE = struct.Struct(">i")
@@ -36,9 +36,9 @@ def encode_message(address: str, *arguments: Argument) -> bytes:
     Parameters
     ----------
     address : str
-        Begins with a slash.
+        Address, which begins with a slash.
     arguments : int, float, str or bool
-        Of types i, f, s, T and F.
+        Arguments, of types i, f, s, T and F.
 
     Returns
     -------
@@ -57,15 +57,15 @@ def encode_message(address: str, *arguments: Argument) -> bytes:
     return _padded(address) + _padded(tags) + body
 
 
-def encode_bundles(messages: Iterable[bytes], most: int) -> Iterator[bytes]:
-    """Pack messages into bundles, in their order.
+def encode_bundles(messages: Iterable[bytes], limit: int) -> Iterator[bytes]:
+    """Pack messages into bundles, in order.
 
     Parameters
     ----------
     messages : iterable of bytes
-        From `encode_message`.
-    most : int
-        Bytes of a bundle at most; one that holds a single message may be longer.
+        Messages from `encode_message`.
+    limit : int
+        Largest size of a bundle in bytes; a bundle with a single message may be larger.
 
     Yields
     ------
@@ -74,7 +74,7 @@ def encode_bundles(messages: Iterable[bytes], most: int) -> Iterator[bytes]:
     """
     bundle = empty = _BUNDLE + _NOW
     for message in messages:
-        if bundle is not empty and len(bundle) + 4 + len(message) > most:
+        if bundle is not empty and len(bundle) + 4 + len(message) > limit:
             yield bundle
             bundle = empty
         bundle = bundle + _SIZE.pack(len(message)) + message
@@ -83,12 +83,12 @@ def encode_bundles(messages: Iterable[bytes], most: int) -> Iterator[bytes]:
 
 
 def is_bundle(data: bytes) -> bool:
-    """Whether a datagram is a bundle rather than a single message."""
+    """Return whether a datagram is a bundle rather than a single message."""
     return data.startswith(_BUNDLE)
 
 
 def decode(data: bytes) -> list[Message]:
-    """Decode a datagram; PacketError if it is not OSC throughout, or a number in it is not finite."""
+    """Decode a datagram; PacketError if any part of it is not OSC, or a number in it is not finite."""
     found: list[Message] = []
     _decode(data, found, 0)
     return found
@@ -103,14 +103,14 @@ def _decode(data: bytes, found: list[Message], depth: int) -> None:
     at = 16
     while at < len(data):
         if at + 4 > len(data):
-            raise PacketError("a bundle is cut")
+            raise PacketError("a bundle is truncated")
         (size,) = _SIZE.unpack_from(data, at)
         if size < 8 or at + 4 + size > len(data):
-            raise PacketError("a bundle is cut")
+            raise PacketError("a bundle is truncated")
         _decode(data[at + 4 : at + 4 + size], found, depth + 1)
         at += 4 + size
     if len(data) < 16:
-        raise PacketError("a bundle is cut")
+        raise PacketError("a bundle is truncated")
 
 
 def _message(data: bytes) -> Message:
@@ -138,7 +138,7 @@ def _message(data: bytes) -> Message:
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
-    """The text at byte `at`, and the byte after its padding."""
+    """Return the text at byte `at`, and the byte after its padding."""
     end = data.find(b"\0", at)
     after = (end | 3) + 1
     if end < 0 or after > len(data) or data[end:after].strip(b"\0"):

@@ -1,7 +1,7 @@
-"""Pairing of two computers across networks: one line says where the sender is, and proves both sides to each other.
+"""Pairing of two computers across networks, by one line that states where the sender is and authenticates both sides.
 
-The sender has a certificate of its own, which nobody else has signed. The line holds its fingerprint, so the receiver
-knows the sender, and a token, so the sender knows the receiver.
+The sender has a self-made certificate. The line contains its fingerprint, by which the receiver recognises the sender,
+and a token, by which the sender recognises the receiver.
 """
 
 from __future__ import annotations
@@ -20,29 +20,31 @@ TOKEN_BYTES, FINGERPRINT_BYTES = 16, 32
 VERSION = 1
 ACCEPTED, REFUSED = 0, 1
 GREETING = struct.Struct(f">4sB{TOKEN_BYTES}s")
-"""What the receiver says first."""
+"""First message, from the receiver."""
 ANSWER = struct.Struct(">4sBB")
-"""What the sender answers; messages follow."""
+"""The sender's answer, which is followed by messages."""
 LENGTH = struct.Struct(">H")
-"""Before each message, its length; 0 says only that the sender is there."""
+"""Prefix of each message, its length; 0 only shows that the sender is there."""
 MAX_MESSAGE = 2048
-"""Bytes of a message at most."""
+"""Largest size of a message in bytes."""
 MAGIC = b"FMTL"
 _LINE = re.compile(r"facemime://([0-9a-f]{32})@([^\s@/]{1,260})/([0-9a-f]{64})", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Pairing:
-    """A sender, and the proof of both sides.
+    """A sender, and the secrets that authenticate both sides.
 
     Attributes
     ----------
     host : str
+        Name or address of the sender.
     port : int
+        Port of the sender.
     fingerprint : bytes
         SHA-256 of the sender's certificate in DER.
     token : bytes
-        The secret that the receiver shows.
+        Secret that the receiver shows.
     """
 
     host: str
@@ -52,7 +54,7 @@ class Pairing:
 
     @property
     def line(self) -> str:
-        """The line to be pasted."""
+        """The pairing line."""
         return f"facemime://{self.token.hex()}@{self.address}/{self.fingerprint.hex()}"
 
     @property
@@ -66,21 +68,22 @@ class Pairing:
         return is_loopback(self.host)
 
     def is_of(self, certificate: bytes) -> bool:
-        """Whether a certificate, in DER, is the sender's."""
+        """Return whether a certificate, in DER, is the sender's."""
         return hmac.compare_digest(fingerprint_of(certificate), self.fingerprint)
 
 
 def fingerprint_of(certificate: bytes) -> bytes:
-    """(32 bytes) fingerprint of a certificate in DER."""
+    """Return the fingerprint, 32 bytes, of a certificate in DER."""
     return hashlib.sha256(certificate).digest()
 
 
 def parse_pairing(text: str) -> Pairing:
-    """Parse a pairing line; raises SourceError if the text is not one, or only part of one."""
+    """Parse a pairing line; SourceError if the text is not one, or only part of one."""
     found = _LINE.fullmatch(text.strip())
     if found is None:
         raise SourceError(
-            "This is not a whole pairing line. Paste the line that facemime send --serve shows, from facemime:// on."
+            "This is not a complete pairing line. Paste the whole line that facemime send --serve shows, starting with "
+            "facemime://."
         )
     host, port = parse_address(found[2], PORT)
     return Pairing(host, port, bytes.fromhex(found[3]), bytes.fromhex(found[1]))

@@ -1,4 +1,4 @@
-"""A phone that sends only if it is asked to, and for as long as it is told that somebody listens."""
+"""A phone that sends only on request, and only as long as it is told that the receiver listens."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from .settings import PROTOCOLS, StreamSettings
 _ASK_AGAIN = 2.0
 """Seconds after which a phone is asked again."""
 _ASK_OTHERWISE = 1.0
-"""Seconds after which a phone that did not answer is asked for its other protocol."""
+"""Seconds after which a phone that has not answered is asked for its other protocol."""
 
 
 class Phone:
-    """What is sent to a phone. An app that may know `face_motion` is asked for that and for the older text by turns.
+    """Makes the packets for a phone. An app that may support `face_motion` is asked for it and for text alternately.
 
     Parameters
     ----------
     settings : StreamSettings
-        Without the address of a phone, nothing is sent.
+        Settings; without the address of a phone, nothing is sent.
     """
 
     def __init__(self, settings: StreamSettings) -> None:
@@ -34,37 +34,55 @@ class Phone:
 
     @property
     def message(self) -> str:
-        """Why the phone refuses to send; otherwise ""."""
+        """Reason why the phone refuses to send; otherwise ""."""
         return "" if self._motion is None else self._motion.message
 
     def find(self) -> None:
-        """Look up its address, once; SourceError if there is none of that name."""
+        """Look up the address of the phone, once; SourceError if its name is unknown."""
         if self._host and self._address is None:
             _, self._address = resolve(self._host, self._protocol.phone_port)
             self._motion_address = self._address[0], self._protocol.motion_port
 
     def may_send(self, address: Address) -> bool:
-        """Whether packets from `address` are accepted: those of the phone alone if its address is known."""
+        """Return whether packets from `address` are accepted: only the phone's, if its address is known."""
         return self._address is None or address[0] == self._address[0]
 
     def receiver(self, data: bytes, address: Address) -> FaceMotionReceiver | None:
-        """Return what reads a packet of `face_motion`, or None if `data` is something else."""
+        """Return the receiver for a packet of `face_motion`.
+
+        Parameters
+        ----------
+        data : bytes
+            The packet.
+        address : (str, int)
+            Its sender, which later packets are sent to.
+
+        Returns
+        -------
+        FaceMotionReceiver or None
+            The receiver; None if `data` belongs to another protocol.
+        """
         if self._motion is None or not data.startswith(MAGIC):
             return None
         self._motion_address = address
         return self._motion
 
     def due(self, now: float, port: int, *, heard: bool) -> list[tuple[bytes, Address]]:
-        """Return the packets that the phone has to get now, and where.
+        """Return the packets that the phone needs now, and their addresses.
 
         Parameters
         ----------
         now : float
-            Seconds on any clock.
+            Time in seconds on any clock.
         port : int
-            On which this computer receives.
+            Port on which this computer receives.
         heard : bool
-            Whether faces are coming.
+            Whether faces are arriving.
+
+        Returns
+        -------
+        list of (bytes, (str, int))
+            Packets and addresses.
         """
         packets = [] if self._motion is None else [(data, self._motion_address) for data in self._motion.due(now)]
         if self._address is None or now - self._asked < (_ASK_AGAIN if self._motion is None else _ASK_OTHERWISE):
@@ -76,11 +94,11 @@ class Phone:
         return packets
 
     def farewell(self) -> list[tuple[bytes, Address]]:
-        """Return the packets that end the session, and where they go."""
+        """Return the packets that end the session, and their addresses."""
         return [] if self._motion is None else [(data, self._motion_address) for data in self._motion.stop()]
 
     def _request(self, port: int) -> tuple[bytes, Address]:
-        """Ask for the newest protocol first: asked for the older one, the app would end the newer."""
+        """Ask for the newest protocol first, as the app would end it if asked for the older one."""
         assert self._address is not None
         self._requests += 1
         if self._motion is not None and self._requests % 2:

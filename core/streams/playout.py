@@ -1,6 +1,6 @@
-"""When the frames of a stream are shown: evenly, a stated delay after the fastest of them could have come.
+"""Playout of a stream's frames: evenly, with a given delay after the earliest possible arrival.
 
-The times are the sender's. How far its clock is from this computer's is the least difference between arrival and time
+Times are the sender's. The offset of its clock from this computer's is the smallest difference between arrival and time
 over some seconds, which neither jitter nor congestion lowers, and which follows a clock that runs fast or slow.
 """
 
@@ -16,20 +16,20 @@ from ..takes.between import between
 from ..tracking.result import TrackResult
 
 _BIN, _BINS = 1.0, 10
-"""Seconds over which one least difference is taken, and how many of these count."""
+"""Seconds over which one smallest difference is taken, and number of these that count."""
 _SLEW = 0.05
-"""Share of a frame's interval by which the estimate of the clock may change from frame to frame."""
+"""Share of a frame's interval by which the estimated offset may change from frame to frame."""
 _JUMP = 2.0
 """Seconds by which a time has to be off for the sender to count as restarted."""
 _MOST = 240
-"""Frames that wait at most."""
+"""Largest number of frames that wait."""
 _INTERVAL, _LEAST_INTERVAL, _MOST_INTERVAL = 1.0 / 30.0, 1e-3, 0.5
 _PREDICTED, _DAMPING = 2, 0.8
-"""Frames in a row that are predicted where some are missing, and the share of the last motion that continues."""
+"""Largest number of consecutive missing frames that are predicted, and share of the last motion that continues."""
 _MISSING = 1.6
-"""Time between two frames, in intervals, above which one is missing between them."""
+"""Time between two frames, in intervals, above which a frame is missing between them."""
 _PULL = 0.1
-"""Share of the difference by which the times of frames without any follow their arrival."""
+"""Share of the difference by which the times of frames without timestamps follow their arrival."""
 
 
 @dataclass(order=True)
@@ -46,12 +46,13 @@ class Shown:
     Attributes
     ----------
     time : float
-        Seconds on the sender's clock.
+        Time in seconds on the sender's clock.
     due : float
-        Seconds on this computer's clock.
+        Time in seconds on this computer's clock at which it is due.
     result : TrackResult
+        The face.
     predicted : bool
-        Whether it did not come, and continues the motion before it.
+        Whether the frame did not arrive, and continues the motion before it.
     """
 
     time: float
@@ -61,13 +62,13 @@ class Shown:
 
 
 class ClockFollower:
-    """Follows the difference between two clocks, of which one is read through a network with delays.
+    """Follows the difference between two clocks, one of which is read through a network with delays.
 
     Parameters
     ----------
     patience : float
-        Seconds. If everything came later than that for a second, as when a network takes another route, what came
-        before no longer counts.
+        Time in seconds. If everything came later than that for a second, as when a network takes another route, earlier
+        arrivals no longer count.
     """
 
     def __init__(self, patience: float = inf) -> None:
@@ -76,21 +77,21 @@ class ClockFollower:
         self._bins: deque[tuple[float, float]] = deque(maxlen=_BINS)
 
     def update(self, time: float, arrival: float, step: float) -> bool:
-        """Learn from a frame.
+        """Update the offset by a frame.
 
         Parameters
         ----------
         time : float
-            On the sender's clock, seconds.
+            Time in seconds on the sender's clock.
         arrival : float
-            Seconds on this computer's clock.
+            Time in seconds on this computer's clock.
         step : float
-            Largest change of `offset`, seconds.
+            Largest change of `offset` in seconds.
 
         Returns
         -------
         bool
-            Whether the sender's clock has jumped, and everything begins again.
+            Whether the sender's clock has jumped, so that everything starts again.
         """
         difference = arrival - time
         jumped = self.offset is not None and abs(difference - self.offset) > _JUMP
@@ -110,19 +111,19 @@ class ClockFollower:
 
 
 class Playout:
-    """A jitter buffer: frames go in as they come, and out in their order when they are due.
+    """A jitter buffer: frames go in as they arrive, and come out in order when they are due.
 
     Parameters
     ----------
     delay : float
-        Seconds from when the fastest frame could have come.
+        Delay in seconds after the earliest possible arrival.
     predict : bool
-        Whether frames that are missing are predicted.
+        Whether missing frames are predicted.
 
     Attributes
     ----------
     late, doubled, lost : int
-        Frames that came too late, or twice, or are missing.
+        Numbers of frames that came too late, came twice, or are missing.
     """
 
     def __init__(self, delay: float, *, predict: bool = True) -> None:
@@ -142,15 +143,16 @@ class Playout:
         Parameters
         ----------
         result : TrackResult
+            The face.
         time : float or None
-            Seconds on the sender's clock; None if the packets carry no time, so that even intervals are assumed.
+            Time in seconds on the sender's clock; None if packets have no time, so that even intervals are assumed.
         arrival : float
-            Seconds on this computer's clock.
+            Time in seconds on this computer's clock.
 
         Returns
         -------
         bool
-            Whether it will be shown; otherwise it came too late or twice.
+            Whether the frame will be shown; otherwise it came too late or twice.
         """
         time = self._evenly(arrival) if time is None else time
         if self._clock.update(time, arrival, _SLEW * self._interval):
@@ -167,7 +169,7 @@ class Playout:
         if self._entered is not None and time > self._entered:
             step = time - self._entered
             if _LEAST_INTERVAL < step < _MOST_INTERVAL:
-                # The least of recent steps, as missing frames make others longer.
+                # The smallest of recent steps, as missing frames make others longer.
                 self._interval += (0.3 if step < self._interval else 0.02) * (step - self._interval)
         self._entered = time if self._entered is None else max(time, self._entered)
         heapq.heappush(self._waiting, _Waiting(time, next(self._order), result))
@@ -177,7 +179,7 @@ class Playout:
         return True
 
     def due(self) -> float | None:
-        """When the next frame is due, on this computer's clock; None if none is to come."""
+        """Return the time at which the next frame is due, on this computer's clock; None if none is waiting."""
         if self._clock.offset is None:
             return None
         return self._due(self._waiting[0].time) if self._waiting else self._gap()
@@ -203,7 +205,7 @@ class Playout:
         return shown
 
     def _gap(self) -> float | None:
-        """When a missing frame would have been due, if it is to be predicted."""
+        """Return the time at which a missing frame would have been due, if it is to be predicted."""
         if not self._predict or self._predicted >= _PREDICTED or len(self._last) < 2:
             return None
         if not all(shown.result.found for shown in self._last):
@@ -231,7 +233,7 @@ class Playout:
         return time + self._clock.offset + self._delay
 
     def _evenly(self, arrival: float) -> float:
-        """A time for a frame without one: even steps that follow the arrivals."""
+        """Return a time for a frame without one, in even steps that follow the arrivals."""
         expected = arrival if self._entered is None else self._entered + self._interval
         if abs(arrival - expected) > 0.25:
             return arrival

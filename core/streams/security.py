@@ -1,8 +1,8 @@
-"""A shared key for Facemime's own stream: who sends is proved, replays are refused, and nothing is hidden.
+"""A shared key for Facemime's own stream, which proves the sender and prevents replays, but hides nothing.
 
-The key never crosses the network. The sender begins with a random session and nonce, the receiver answers with a nonce
-of its own, both signed with the key; packets are then signed with a key that is derived from both nonces, so that what
-was recorded of one session is worth nothing in another. Signatures are HMAC-SHA256, cut to 128 bits (RFC 2104).
+The key never crosses the network. The sender begins with a random session and nonce, and the receiver answers with its
+own nonce, both signed with the key. Packets are then signed with a key derived from both nonces, so that a recording of
+one session is useless in another. Signatures are HMAC-SHA256, truncated to 128 bits (RFC 2104).
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from ..reading import read_bytes
 
 TAG_BYTES, NONCE_BYTES, SESSION_BYTES = 16, 16, 8
 _LEAST_KEY, _MOST_KEY = 16, 4096
-"""Bytes of a key's file."""
+"""Smallest and largest size of a key's file in bytes."""
 _WINDOW = 64
-"""Packets by which one may be late and still be told from a replay."""
+"""Number of packets by which one may be late and still be distinguished from a replay."""
 
 
 def read_key(path: Path) -> bytes:
-    """Read a shared key from a file of at least 16 characters, such as `write_key` makes.
+    """Read a shared key from a file of at least 16 characters, as written by `write_key`.
 
     Raises
     ------
@@ -48,25 +48,30 @@ def write_key(path: Path) -> None:
     try:
         write_secret(path, secrets.token_hex(32).encode() + b"\n")
     except FileExistsError as error:
-        raise OutputError(f"{path} exists already, and a key is never replaced. Choose another name.") from error
+        raise OutputError(f"{path} already exists, and keys are never replaced. Choose another name.") from error
     except OSError as error:
-        raise OutputError(f"The key {path} cannot be written ({error.strerror}). Choose another place.") from error
+        raise OutputError(f"The key {path} cannot be written ({error.strerror}). Choose another location.") from error
 
 
 def server_context(certificate: Path, key: Path | None) -> ssl.SSLContext:
-    """Return the TLS context of a server that has a certificate.
+    """Return the TLS context of a server with a certificate.
 
     Parameters
     ----------
     certificate, key : Path
-        PEM files; without `key`, the certificate's own file holds it.
+        PEM files; without `key`, the file of the certificate contains it.
+
+    Returns
+    -------
+    ssl.SSLContext
+        The context.
 
     Raises
     ------
     OSError
         If a file cannot be read, or they do not belong together.
     ValueError
-        If the key has a password, which would be asked for in a terminal.
+        If the key has a password, which would be prompted for in a terminal.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(certificate, key, password=_no_password)
@@ -78,12 +83,27 @@ def _no_password() -> str:
 
 
 def sign(key: bytes, *parts: bytes) -> bytes:
-    """(16 bytes) signature of the concatenated `parts`."""
+    """Return the signature, 16 bytes, of the concatenated `parts`."""
     return hmac.new(key, b"".join(parts), hashlib.sha256).digest()[:TAG_BYTES]
 
 
 def is_signed(key: bytes, tag: bytes, *parts: bytes) -> bool:
-    """Whether `tag` is the signature of `parts`, in a time that says nothing of the difference."""
+    """Check a signature in constant time.
+
+    Parameters
+    ----------
+    key : bytes
+        Key of the signature.
+    tag : bytes
+        The signature.
+    *parts : bytes
+        The signed data.
+
+    Returns
+    -------
+    bool
+        Whether `tag` is the signature of the concatenated parts.
+    """
     return hmac.compare_digest(sign(key, *parts), tag)
 
 
@@ -95,26 +115,26 @@ def session_key(key: bytes, session: bytes, sent: bytes, answered: bytes) -> byt
     key : bytes
         The shared key.
     session : bytes
-        Of `SESSION_BYTES`.
+        Session of the sender, `SESSION_BYTES` long.
     sent, answered : bytes
         Nonces of the sender and of the receiver.
 
     Returns
     -------
     bytes
-        The key.
+        The key of the session.
     """
     return hmac.new(key, b"facemime session" + session + sent + answered, hashlib.sha256).digest()
 
 
 class ReplayWindow:
-    """Remembers which sequence numbers have come; each is accepted once (RFC 4303, section 3.4.3)."""
+    """Remembers received sequence numbers; each is accepted once (RFC 4303, section 3.4.3)."""
 
     def __init__(self) -> None:
         self._highest, self._seen = -1, 0
 
     def accept(self, sequence: int) -> bool:
-        """Whether a number is new, and not too old to tell; it is then remembered."""
+        """Return whether a number is new, and not too old to be checked; it is then remembered."""
         ahead = sequence - self._highest
         if ahead > 0:
             self._seen = ((self._seen << ahead) | 1) & ((1 << _WINDOW) - 1) if ahead < _WINDOW else 1

@@ -1,4 +1,4 @@
-"""A sender: what a session tracks goes to another computer or program, frame by frame."""
+"""A sender, which passes the results of a session to another computer or program, frame by frame."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from .sessions import OwnSender
 from .settings import OWN
 
 SENT = {OWN: "Facemime", "vmc": "VMC", "livelink": "Live Link Face", "openseeface": "OpenSeeFace"}
-"""Protocols that are sent, and their labels."""
+"""Protocols that can be sent, and their labels."""
 VTUBE_STUDIO = "vtubestudio"
-"""Name of the protocol that `vtube_studio_api` sends, which needs a library."""
+"""Name of the protocol sent by `vtube_studio_api`, which needs a library."""
 _PORTS = {OWN: datagram.PORT, "vmc": vmc.PORT, "livelink": live_link.PORT, "openseeface": openseeface.PORT}
 _HELLO_EVERY = (0.25, 1.0)
 """Seconds between handshakes, before and after the receiver has answered."""
@@ -39,15 +39,16 @@ _DEVICE = "00000000-0000-4000-8000-666163656d65"
 
 @dataclass(frozen=True)
 class SendSettings:
-    """Where a stream goes.
+    """Destination of a stream.
 
     Attributes
     ----------
     protocol : str
         One of `SENT`.
     host : str
+        Name or address of the receiver.
     port : int
-        0 for the usual one.
+        Port; 0 for the usual one.
     key : Path or None
         File with the shared key of Facemime's own protocol.
     subject : str
@@ -67,7 +68,7 @@ class SendSettings:
 
 
 class FaceMeasure:
-    """Measures faces as values, for protocols that carry these."""
+    """Measures faces as values, for protocols that transmit these."""
 
     def __init__(self) -> None:
         self._neutral: Neutral | None = None
@@ -75,7 +76,20 @@ class FaceMeasure:
         self._coefficients: FrameCoefficients | None = None
 
     def mirrored(self, result: TrackResult, options: DriveSettings) -> TrackResult:
-        """Mirror a result if the options ask for it."""
+        """Mirror a result if the options say so.
+
+        Parameters
+        ----------
+        result : TrackResult
+            The result.
+        options : DriveSettings
+            Whether to mirror.
+
+        Returns
+        -------
+        TrackResult
+            The mirrored result; `result` itself if it has no face or is not to be mirrored.
+        """
         return mirror_result(result, openseeface.IMAGE_SIZE[0]) if options.mirror and result.found else result
 
     def values(self, result: TrackResult, neutral: Neutral | None, options: DriveSettings) -> FaceValues | None:
@@ -84,15 +98,16 @@ class FaceMeasure:
         Parameters
         ----------
         result : TrackResult
+            The face.
         neutral : Neutral or None
             The performer's neutral face, not mirrored.
         options : DriveSettings
-            Whether to mirror, and how strongly each region of the face moves.
+            Whether to mirror, and the strength of each region of the face.
 
         Returns
         -------
         FaceValues or None
-            None if there is no face, or no neutral face yet.
+            The values; None if there is no face, or no neutral face yet.
         """
         if neutral is None or not result.found:
             return None
@@ -105,13 +120,14 @@ class FaceMeasure:
 
 
 class StreamSender:
-    """Sends what is tracked; nothing is sent if nobody listens, which is not an error.
+    """Sends tracking results. A receiver that does not listen is no error.
 
     Parameters
     ----------
     settings : SendSettings
+        Destination of the stream.
     options : DriveSettings
-        Whether to mirror, and how strongly each region of the face moves. Facemime's own protocol leaves both to the
+        Whether to mirror, and the strength of each region of the face. Facemime's own protocol leaves both to the
         receiver.
 
     Attributes
@@ -119,14 +135,14 @@ class StreamSender:
     options : DriveSettings
         May be replaced at any time.
     sent : int
-        Frames that were sent.
+        Number of frames sent.
     message : str
-        Why nothing is being sent; otherwise "".
+        Reason why nothing is sent; otherwise "".
 
     Raises
     ------
     SourceError
-        If the settings cannot be used, the host is not known, or the key cannot be read.
+        If the settings cannot be used, the host cannot be found, or the key cannot be read.
     """
 
     def __init__(self, settings: SendSettings, options: DriveSettings = _DEFAULTS) -> None:
@@ -149,11 +165,11 @@ class StreamSender:
         Parameters
         ----------
         time : float
-            Seconds of the media.
+            Time of the media in seconds.
         result : TrackResult
+            The result.
         neutral : Neutral or None
-            The performer's neutral face, not mirrored. Before there is one, only Facemime's own protocol and
-            OpenSeeFace send.
+            The performer's neutral face, not mirrored. Without one, only Facemime's own protocol and OpenSeeFace send.
         """
         if self.settings.protocol == OWN:
             self._greet()
@@ -164,9 +180,9 @@ class StreamSender:
             for packet in packets:
                 self._socket.sendto(packet, self._address)
         except ConnectionError:
-            return  # nobody listens there
+            return  # no receiver listens
         except BlockingIOError:
-            return  # the network is busy, and the next frame is as good
+            return  # the network is busy; the next frame will do
         except OSError as error:
             self.message = str(cannot_send(*self._address, error))
             return
@@ -174,7 +190,7 @@ class StreamSender:
         self.message = ""
 
     def close(self) -> None:
-        """Close the socket; may be called twice."""
+        """Close the socket. May be called twice."""
         self._socket.close()
 
     def _packets(self, time: float, result: TrackResult, neutral: Neutral | None) -> list[bytes]:
@@ -205,29 +221,41 @@ class StreamSender:
 
 
 def turned_from(result: TrackResult, neutral: Neutral) -> FloatArray:
-    """(3,) pitch, yaw and roll by which the head is turned from that of a neutral face, radians.
+    """Compute the rotation of the head from that of a neutral face.
 
     Parameters
     ----------
     result : TrackResult
-        With a face.
+        Result with a face.
     neutral : Neutral
+        The neutral face.
+
+    Returns
+    -------
+    (3,) float64
+        Pitch, yaw and roll in radians.
     """
     return np.array(matrix_to_euler(euler_to_matrix(*result.pose[1:4]) @ neutral.rotation.T))
 
 
 def moved_from(result: TrackResult, neutral: Neutral) -> FloatArray:
-    """(3,) how far the head has moved from where a neutral face is: axes of the head frame, metres.
+    """Compute the translation of the head from that of a neutral face.
 
     Parameters
     ----------
     result : TrackResult
-        With a face.
+        Result with a face.
     neutral : Neutral
+        The neutral face.
+
+    Returns
+    -------
+    (3,) float64
+        Translation in metres, in the axes of the head frame.
 
     Notes
     -----
-    Equation 4.4, for a head as large as the built-in one.
+    Equation 4.4, for a head of the size of the built-in one.
     """
     scale, x, y = neutral.position
     size = float(result.pose[0])

@@ -1,4 +1,4 @@
-"""Sessions of Facemime's own stream: the handshake on both sides, and what the receiver accepts."""
+"""Sessions of Facemime's own stream: the handshake on both sides, and which packets the receiver accepts."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from .frames import PacketError, StreamFrame
 from .security import NONCE_BYTES, SESSION_BYTES, ReplayWindow, is_signed, session_key, sign
 
 _MOST_SESSIONS, _SILENT = 16, 3.0
-"""Sessions at a time, and seconds without a packet after which one may be replaced."""
+"""Largest number of sessions, and seconds without a packet after which one may be replaced."""
 _MOST_ANSWERS = 20.0
-"""Answers to handshakes per second."""
+"""Largest number of answers to handshakes per second."""
 
 
 class RefusedError(PacketError):
@@ -35,7 +35,7 @@ class OwnReceiver:
     Parameters
     ----------
     key : bytes or None
-        The shared key; without one, nothing has to be signed.
+        The shared key; None for unsigned packets.
     """
 
     def __init__(self, key: bytes | None) -> None:
@@ -44,7 +44,7 @@ class OwnReceiver:
         self._answers, self._answered = _MOST_ANSWERS, 0.0
 
     def receive(self, data: bytes, now: float) -> tuple[list[StreamFrame], list[bytes]]:
-        """Take a datagram; as `Receiver.receive`, and RefusedError if it is not signed or was received before."""
+        """Receive a datagram. See `Receiver.receive`; also RefusedError if it is not signed, or came before."""
         packet = datagram.unpack(data)
         if packet.kind == HELLO:
             return [], self._welcome(packet, now)
@@ -58,7 +58,7 @@ class OwnReceiver:
         return [frame], []
 
     def _session(self, packet: Packet, now: float) -> _Session:
-        """The session of a packet that is signed as it should be."""
+        """Return the session of a packet that is correctly signed."""
         session = self._sessions.get(packet.session)
         if self._key is None:
             if packet.tag:
@@ -100,7 +100,7 @@ class OwnReceiver:
 
     def _add(self, name: bytes, session: _Session) -> _Session:
         if len(self._sessions) >= _MOST_SESSIONS:
-            # One of which nothing but a handshake came, which may have been replayed, goes first.
+            # Sessions without any packet after the handshake, which may have been replayed, are replaced first.
             oldest = min(self._sessions, key=lambda n: (self._sessions[n].proved, self._sessions[n].heard))
             known = self._sessions[oldest]
             if known.proved and session.heard - known.heard < _SILENT:
@@ -116,7 +116,7 @@ class OwnSender:
     Parameters
     ----------
     key : bytes or None
-        The shared key; without one, nothing is signed and there is no handshake.
+        The shared key; None for unsigned packets without a handshake.
     """
 
     def __init__(self, key: bytes | None) -> None:
@@ -128,11 +128,11 @@ class OwnSender:
 
     @property
     def ready(self) -> bool:
-        """Whether packets can be sent: at once without a key, otherwise after the handshake."""
+        """Whether packets can be sent: immediately without a key, otherwise after the handshake."""
         return self._key is None or self._signing is not None
 
     def hello(self) -> bytes:
-        """Begin a handshake, or check that the receiver still knows the session; b"" without a key."""
+        """Return a handshake, or a check that the receiver still knows the session; b"" without a key."""
         if self._key is None:
             return b""
         self._nonce = secrets.token_bytes(NONCE_BYTES)
@@ -140,7 +140,7 @@ class OwnSender:
         return content + sign(self._key, content)
 
     def answer(self, data: bytes) -> None:
-        """Take the receiver's answer; PacketError if it is not the answer to the last handshake."""
+        """Process the receiver's answer; PacketError if it does not answer the last handshake."""
         packet = datagram.unpack(data)
         sent, answered = packet.body[:NONCE_BYTES], packet.body[NONCE_BYTES:]
         expected = packet.kind == WELCOME and packet.session == self._session and sent == self._nonce
@@ -154,10 +154,11 @@ class OwnSender:
         Parameters
         ----------
         kind : int
+            Kind of the packet, from `datagram.encode_face`.
         body : bytes
-            Both from `datagram.encode_face`.
+            Content, from `datagram.encode_face`.
         time : float
-            Seconds of the media, at least 0.
+            Time of the media in seconds, at least 0.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Which protocol a stream has, where it comes from or goes, and what is decoded."""
+"""Settings of received streams: protocol, source and playout."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ AXES = ("pitch", "yaw", "roll")
 
 @dataclass(frozen=True)
 class StreamProtocol:
-    """A protocol.
+    """A protocol that can be received.
 
     Attributes
     ----------
     label : str
         Its name in the interface.
     port : int
-        Where it is received by default.
+        Default port on which it is received.
     decoder : callable or None
-        Makes a decoder for a sender from the settings; None for Facemime's own.
+        Creates a decoder for a sender from the settings; None for Facemime's own protocol.
     phone_port : int
-        Where the phone has to be asked to send; 0 if it sends by itself.
+        Port at which the phone has to be asked to send; 0 if it sends by itself.
     request : callable
-        Makes that request, for the port on which the answer is received.
+        Creates that request, for the port on which the answer is received.
     motion_port : int
-        Where the phone is asked for `face_motion` before; 0 if it does not know that.
+        Port at which the phone is asked for `face_motion` first; 0 if it does not support it.
     leased : bool
-        Whether the phone has to be asked again and again while it sends.
+        Whether the request has to be repeated while the phone sends.
     connected : bool
         Whether senders connect over TCP; otherwise they send datagrams.
     """
@@ -63,7 +63,7 @@ class StreamProtocol:
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """Where a stream comes from, and how it is played.
+    """Source of a stream, and how it is played.
 
     Attributes
     ----------
@@ -72,15 +72,15 @@ class StreamSettings:
     host : str
         Address of this computer on which packets are received; only this computer can send to a loopback address.
     port : int
-        0 for the usual one.
+        Port; 0 for the usual one.
     phone : str
         Address of the phone, for protocols in which it has to be asked.
     key : Path or None
         File with the shared key of Facemime's own protocol.
     delay : float
-        Seconds by which playing is delayed, so that packets that come late are not missed.
+        Delay in seconds, which lets late packets arrive in time.
     sender : str
-        Address or name of the sender to follow; "" for the first that comes.
+        Address or name of the sender to follow; "" for the first one that comes.
     angles : {"radians", "degrees", "half-turns"}
         Unit of the angles of Live Link Face.
     flip : tuple of {"pitch", "yaw", "roll"}
@@ -126,19 +126,19 @@ class StreamSettings:
 
     @property
     def label(self) -> str:
-        """What a user sees as the name of the source."""
+        """Name of the source in the interface."""
         label = PROTOCOLS[self.protocol].label
         return f"{label} on port {self.port}" if self.pairing is None else f"{label} at {self.pairing.address}"
 
     @property
     def is_local(self) -> bool:
-        """Whether nothing outside this computer is reached or listened to."""
+        """Whether the stream does not involve other computers."""
         if self.pairing is not None:
             return self.pairing.is_local
         return is_loopback(self.host) and (not self.phone or is_loopback(self.phone))
 
     def checked(self) -> StreamSettings:
-        """Return the settings with the port and address that are meant; SourceError if they cannot be used."""
+        """Return the settings with definite port and address; SourceError if they cannot be used."""
         if self.protocol not in PROTOCOLS:
             raise SourceError(f"There is no protocol {self.protocol!r}. Use one of {', '.join(PROTOCOLS)}.")
         protocol = PROTOCOLS[self.protocol]
@@ -148,12 +148,12 @@ class StreamSettings:
             raise SourceError(f"The delay must be between 0 and {_MOST_DELAY:g} s; got {self.delay:g}.")
         if self.angles not in ANGLES or set(self.flip) - set(AXES):
             raise SourceError(
-                "The angles of a stream are radians, degrees or half-turns; pitch, yaw and roll can flip."
+                "Angles must be radians, degrees or half-turns, and only pitch, yaw and roll can be flipped."
             )
         if protocol.phone_port and not self.phone:
-            raise SourceError(f"{protocol.label} needs the address of the phone, which the app shows. Enter it.")
+            raise SourceError(f"{protocol.label} needs the address of the phone. Enter the one that the app shows.")
         if self.pairing is not None and self.protocol != OWN:
-            raise SourceError("Only Facemime's own stream is paired. Choose Facemime as the protocol.")
+            raise SourceError("Pairing works only with Facemime's own protocol. Choose Facemime as the protocol.")
         if self.protocol == OWN and self.pairing is None and self.key is None and not self.is_local:
             raise SourceError("A stream from another computer needs a shared key. Choose the file with the key.")
         host = self.host
@@ -198,4 +198,4 @@ PROTOCOLS: dict[str, StreamProtocol] = {
     "facecap": StreamProtocol("Face Cap", face_cap.PORT, lambda s: FaceCapDecoder()),
     VERTICES: StreamProtocol("Vertices", vertices.PORT, lambda s: VertexDecoder(), connected=True),
 }
-"""Protocols that are received, by the name that commands and files use."""
+"""Protocols that can be received, by the name that commands and files use."""

@@ -1,4 +1,4 @@
-"""A live source of faces that come over the network."""
+"""A live source of faces that arrive over the network."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from .settings import AXES, OWN, PROTOCOLS, StreamSettings
 from .tls_client import TlsLink
 
 _MOST_SENDERS = 16
-"""Senders at a time, and faces of each."""
+"""Largest number of senders, and of faces of each."""
 _RATE, _BURST = 8000.0, 2000.0
-"""Packets per second that are looked at, and how many at once; VMC may send one for each value."""
+"""Packets per second that are processed, and largest burst; VMC may send a packet per value."""
 _DRAINED = 512
-"""Packets that are read before the next frame is shown."""
+"""Number of packets that are read before the next frame is shown."""
 _LATE = 0.25
 """Seconds by which a frame may be late before it is skipped."""
 _NOTHING = TrackResult.nothing(0)
@@ -43,14 +43,15 @@ class StreamCounts:
     Attributes
     ----------
     received, accepted : int
+        All packets, and those that were accepted.
     malformed : int
-        Not of the protocol.
+        Packets that do not follow the protocol.
     refused : int
-        Not signed with the key, replayed, or from somebody else than the phone.
+        Packets not signed with the key, replayed, or not from the phone.
     flooded : int
-        Not looked at, as too many came.
+        Packets that were not processed because too many came.
     late, doubled, lost : int
-        Frames that came too late, or twice, or are missing.
+        Frames that came too late, came twice, or are missing.
     """
 
     received: int = 0
@@ -76,7 +77,7 @@ class _Face:
 
 @dataclass
 class _Sender:
-    """Somebody who sends."""
+    """A sender."""
 
     receiver: Receiver
     heard: float
@@ -86,20 +87,22 @@ class _Sender:
 class StreamSource(LiveSource):
     """Receives faces, and plays them evenly.
 
-    The socket is read by `read`, so there is no thread. For each head, one face is played: the one that was chosen for
-    it, or else the next that comes, until nothing of it has come for two seconds and there is another (`Casting`).
+    The socket is read by `read`, so there is no thread. For each head one face is played: the one chosen for it, or
+    else the next one that comes, until nothing of it has come for two seconds and there is another one (`Casting`).
 
     Parameters
     ----------
     settings : StreamSettings
+        Source and playout of the stream.
     clock : callable, optional
-        Returns seconds; tests replace it.
+        Returns the time in seconds; tests replace it.
     every : bool
-        Whether frames that `read` is late for are played nevertheless, as a recording needs them.
+        Whether frames for which `read` is late are played nevertheless, as a recording needs them.
 
     Attributes
     ----------
     counts : StreamCounts
+        Numbers of packets.
     chosen : tuple of str
         For each head, the address or name of its sender, or ""; may be replaced at any time.
 
@@ -131,23 +134,23 @@ class StreamSource(LiveSource):
 
     @property
     def address(self) -> Address:
-        """Where packets are received, once the first `read` has opened the socket."""
+        """Address at which packets are received, once the first `read` has opened the socket."""
         return self._link.address
 
     @property
     def senders(self) -> tuple[str, ...]:
-        """The faces that are heard now, as an address and a name."""
+        """The faces that are arriving now, each as an address and a name."""
         now = self._clock()
         return tuple(label_of(name) for name, face in self._faces() if now - face.heard < SILENT)
 
     @property
     def driven(self) -> dict[str, tuple[int, ...]]:
-        """The heads that each of the `senders` drives."""
+        """The heads that each of `senders` drives."""
         roles = {role.followed: role.heads for role in tuple(self._casting.roles)}
         return {label_of(name): roles.get(name, ()) for name, _ in self._faces()}
 
     def read(self, timeout: float) -> LiveFrame | None:
-        """Return the next frame that is due; see `LiveSource.read`."""
+        """Return the next frame that is due. See `LiveSource.read`."""
         if self._closed:
             return None
         self._link.open()
@@ -165,7 +168,7 @@ class StreamSource(LiveSource):
         return None
 
     def close(self) -> None:
-        """Close the socket; a waiting `read` returns None."""
+        """Close the socket, so that a waiting `read` returns None."""
         self._closed = True
         with suppress(OSError):
             self._wake.send(b"\0")
@@ -209,7 +212,7 @@ class StreamSource(LiveSource):
             self._take(*came, now)
 
     def _take(self, data: bytes, address: Address, now: float) -> None:
-        """Take a datagram from anybody."""
+        """Process a datagram from any sender."""
         try:
             sender = self._sender(address, now)
             for frame in self._decoded(sender, data, address, now):
@@ -243,7 +246,7 @@ class StreamSource(LiveSource):
         return _Sender(self._receiver(), now)
 
     def _receiver(self) -> Receiver:
-        """What takes the packets of a new sender; Facemime's own tells senders apart by their sessions."""
+        """Create the receiver for a new sender; Facemime's own one distinguishes senders by their sessions."""
         if self._own is not None:
             return self._own
         decoder = self._protocol.decoder
@@ -285,7 +288,7 @@ class StreamSource(LiveSource):
         return tuple(chosen or self.settings.sender for chosen in self.chosen) or (self.settings.sender,)
 
     def _cast(self, now: float) -> list[tuple[Role, FaceName, _Face]]:
-        """What each face drives that is played."""
+        """Return the face that is played for each role."""
         self._casting.choose(self._wanted())
         faces = dict(self._faces())
         self._casting.update({name: face.heard for name, face in faces.items()}, now)
@@ -304,7 +307,7 @@ class StreamSource(LiveSource):
 
     def _frame_of(self, role: Role, face: _Face, now: float) -> LiveFrame | None:
         dropped, shown = -1, None
-        # Every frame in its turn, so that none is missing from a recording; but no more than a little late.
+        # All frames in turn, so that none is missing from a recording, unless they are more than a little late.
         while (next_one := face.playout.pop(now)) is not None:
             if shown is not None and next_one.predicted:
                 break
@@ -320,7 +323,7 @@ class StreamSource(LiveSource):
         return coefficient_face().neutral if np.isfinite(shown.result.coefficients).all() else None
 
     def _next(self, now: float) -> float:
-        """When there will be something to show, unless a packet comes before."""
+        """Return the time at which there will be something to show, unless a packet comes before."""
         moments = [now + 1.0]
         for role, _, face in self._cast(now):
             moments += [moment for moment in (face.playout.due(), role.timeline.due()) if moment is not None]

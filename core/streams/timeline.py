@@ -1,4 +1,4 @@
-"""Times of the frames of one sender, and a face that comes to rest where none comes."""
+"""Times of the frames of one sender, and a return to rest when no frames come."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ..takes.neutral import Neutral
 from .playout import Shown
 
 HOLD, EASE, RETURN = 0.5, 1.0, 0.2
-"""Seconds for which the last face is held when nothing comes, in which it then comes to rest, and in which it takes up
-the motion again."""
+"""Seconds for which the last face is held when nothing comes, in which it then returns to rest, and in which it resumes
+the motion."""
 _FILL_RATE = 1.0 / 60.0
 _MOST_APART = 1.0
-"""Seconds by which two clocks may differ from one frame to the next."""
+"""Seconds by which the difference of two clocks may change from one frame to the next."""
 
 
 class Timeline:
-    """Makes live frames: increasing times for those that came, and a face that comes to rest where none does."""
+    """Makes live frames: increasing times for those that came, and a return to rest when none come."""
 
     def __init__(self) -> None:
         self._last: LiveFrame | None = None
@@ -33,23 +33,25 @@ class Timeline:
         return self._last is not None
 
     def frame(self, shown: Shown, neutral: Neutral | None, now: float, dropped: int, start: float = 0.0) -> LiveFrame:
-        """Make a frame of one that came, or was predicted.
+        """Make a live frame of one that came or was predicted.
 
         Parameters
         ----------
         shown : Shown
+            The frame.
         neutral : Neutral or None
-            Of the source, if it states one.
+            Neutral face of the source, if it states one.
         now : float
-            Seconds on this computer's clock.
+            Time in seconds on this computer's clock.
         dropped : int
-            Frames that were skipped before it.
+            Number of frames that were skipped before it.
         start : float
-            Time of the first frame, seconds.
+            Time of the first frame in seconds.
 
         Returns
         -------
         LiveFrame
+            The frame.
         """
         time = self._time_of(shown, start)
         if not shown.predicted:
@@ -68,19 +70,19 @@ class Timeline:
         elapsed, time = shown.due - self._moment, shown.time + self._base
         if shown.predicted or 0.0 < time - self._time < elapsed + _MOST_APART:
             return time
-        # The sender's clock has begun again: this computer's says how much later it is.
+        # The sender's clock has restarted: the elapsed time on this computer's clock is used.
         time = self._time + max(elapsed, 1e-3)
         self._base = time - shown.time
         return time
 
     def due(self) -> float | None:
-        """Return when the next frame has to be filled in, or None while no face has to be held or brought to rest."""
+        """Return the time at which the next frame has to be filled in; None while no face is held or eased to rest."""
         if self._last is None or self._last.result is None or not self._last.result.found or self._rest >= 1.0:
             return None
         return max(self._moment + HOLD, self._filled + _FILL_RATE)
 
     def filled(self, now: float) -> LiveFrame | None:
-        """Make a frame that brings the face to rest, if it is time for one."""
+        """Make a frame on the way to rest, if it is time for one."""
         due = self.due()
         if due is None or now < due or self._last is None:
             return None
@@ -91,6 +93,6 @@ class Timeline:
 
 
 def _smooth(share: float) -> float:
-    """From 0 to 1, without a jerk at either end."""
+    """Smooth transition from 0 to 1, without a jerk at either end."""
     share = min(max(share, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)

@@ -1,6 +1,6 @@
-"""A stream over TLS from a sender that was paired: the certificate is pinned, and a cut connection comes back.
+"""A stream over TLS from a paired sender. The certificate is pinned, and a lost connection is restored.
 
-Nothing here waits: each call of `receive` goes as far as it can.
+No method waits: each call of `receive` gets as far as it can.
 """
 
 from __future__ import annotations
@@ -16,40 +16,41 @@ from .casting import Address
 from .pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, MAX_MESSAGE, VERSION, Pairing
 
 _AGAIN = 1.0
-"""Seconds until the next attempt after one that failed."""
+"""Seconds from a failed attempt to the next one."""
 _PATIENCE, _SILENT = 8.0, 4.0
-"""Seconds for a connection to be made, and without any message until it counts as cut."""
+"""Seconds for a connection to be established, and without any message until it counts as lost."""
 _PORTION = 1 << 14
-"""Bytes that are read at a time, and so the most that wait here besides a message."""
+"""Number of bytes read at a time, which is also the most that is buffered besides a message."""
 _MOST_EMPTY = 16
-"""Messages in a row that say only that the sender is there; one comes each second."""
+"""Largest number of consecutive empty messages, which only show that the sender is there; one comes each second."""
 _EXPLANATIONS = {
-    "tls": "it does not speak TLS 1.3",
-    "cut": "the connection was cut",
-    "ended": "it has ended the connection",
+    "tls": "it does not support TLS 1.3",
+    "cut": "the connection was lost",
+    "ended": "it closed the connection",
     "silent": "it does not answer",
     "other": "it is not Facemime, or is a different version",
-    "faceless": "it does not send a face",
+    "faceless": "it sends something other than a face",
     "certificate": "its certificate is different",
     "token": "it does not know this token",
 }
-"""Why nothing comes."""
+"""Reasons why nothing comes."""
 _CONNECTING, _SHAKING, _GREETED, _STREAMING = range(4)
 
 
 class TlsLink:
-    """Packets over TLS.
+    """Packets over TLS from a paired sender.
 
     Parameters
     ----------
     pairing : Pairing
+        The sender.
 
     Attributes
     ----------
     address : (str, int)
-        Of the sender.
+        Address of the sender.
     message : str
-        Why nothing comes; otherwise "".
+        Reason why nothing comes; otherwise "".
     """
 
     largest = MAX_MESSAGE
@@ -64,18 +65,18 @@ class TlsLink:
         self._data = bytearray()
         self._writing = False
         self._closed = False
-        # The certificate is nobody else's business: its fingerprint is compared instead, before anything is said.
+        # The certificate is not verified by an authority: its fingerprint is compared before anything is sent.
         self._context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         self._context.check_hostname, self._context.verify_mode = False, ssl.CERT_NONE
         self._context.minimum_version = ssl.TLSVersion.TLSv1_3
 
     def open(self) -> None:
-        """Find the sender; as `Link.open`."""
+        """Look up the sender. See `Link.open`."""
         if self._socket is None and not self.message:
             resolve(self.pairing.host, self.pairing.port)
 
     def receive(self, now: float) -> tuple[bytes, Address] | None:
-        """Take the next message; as `Link.receive`."""
+        """Return the next message. See `Link.receive`."""
         if self._closed or (self._socket is None and now < self._again):
             return None
         try:
@@ -94,16 +95,16 @@ class TlsLink:
         return None
 
     def reply(self, data: bytes, address: Address) -> None:
-        """Do nothing, as the sender needs no answers; as `Link.reply`."""
+        """Do nothing, as the sender needs no answers. See `Link.reply`."""
 
     def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
-        """As `Link.waits`."""
+        """See `Link.waits`."""
         if self._socket is None:
             return [], []
         return ([], [self._socket]) if self._state == _CONNECTING or self._writing else ([self._socket], [])
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self._closed = True
         if self._socket is not None:
             self._socket.close()
@@ -139,7 +140,7 @@ class TlsLink:
         self._socket.connect(address)
 
     def _connected(self) -> None:
-        """Go on once the connection is made; BlockingIOError until then."""
+        """Continue once the connection is established; BlockingIOError until then."""
         assert self._socket is not None
         if number := self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             raise OSError(number, os.strerror(number))
@@ -168,7 +169,7 @@ class TlsLink:
         self._state, self.message = _STREAMING, ""
 
     def _message(self) -> bytes | None:
-        """The next message; None if it is not complete."""
+        """Return the next message; None if it is not complete."""
         head = self._peek(LENGTH.size)
         if head is None:
             return None
@@ -194,8 +195,8 @@ class TlsLink:
         return data
 
     def _give_up(self, now: float, reason: str) -> None:
-        """End the connection, and say why; the next attempt is made in a while."""
-        self.message = str(SourceError(f"Nothing comes from {self.pairing.address}: {reason}. Facemime keeps trying."))
+        """Close the connection and report why; the next attempt follows after a pause."""
+        self.message = str(SourceError(f"No data from {self.pairing.address}: {reason}. Facemime keeps trying."))
         self._again = now + _AGAIN
         if self._socket is not None:
             with suppress(OSError):
@@ -204,6 +205,4 @@ class TlsLink:
 
     def _refuse(self, now: float, reason: str) -> None:
         self._give_up(now, reason)
-        raise SourceError(
-            f"{self.pairing.address} is not the computer that was paired, as {reason}. Paste its pairing line again."
-        )
+        raise SourceError(f"{self.pairing.address} is not the paired computer: {reason}. Paste its pairing line again.")

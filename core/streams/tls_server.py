@@ -1,4 +1,4 @@
-"""A sender over TLS: receivers that were paired connect to it, and get every frame that they can take."""
+"""A sender over TLS: paired receivers connect to it, and get as many frames as they can take."""
 
 from __future__ import annotations
 
@@ -20,40 +20,40 @@ from .pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, REFUSED, VERSION
 from .sessions import OwnSender
 
 _PATIENCE, _ALIVE, _STUCK = 5.0, 1.0, 10.0
-"""Seconds for the handshake and the token, between two messages at most, and for one to get through."""
+"""Seconds for the handshake and the token, largest pause between two messages, and largest time to send one."""
 _MOST, _MOST_EACH = 32, 4
-"""Connections at a time, and from one address those that have not shown the token."""
+"""Largest number of connections, and of those from one address that have not shown the token."""
 _WAITING = 1 << 13
 """Bytes that may wait for a receiver, beyond those in the system's buffer, before frames are left out."""
 _LOG = logging.getLogger(__name__)
 
 
 class TlsSender(Serving):
-    """Sends what is tracked to whoever shows the token; as `core.live.outputs.Output`.
+    """Sends tracking results to receivers that show the token. See `core.live.outputs.Output`.
 
     Parameters
     ----------
     host : str
-        Address of this computer that is listened on.
+        Address of this computer to listen on.
     port : int
-        0 for any that is free.
+        Port; 0 for any free one.
     context : ssl.SSLContext
-        With the certificate.
+        TLS context with the certificate.
     token : bytes
-        Of the pairing.
+        Token of the pairing.
 
     Attributes
     ----------
     port : int
-        The port that is listened on.
+        Port that is listened on.
     receivers : int
-        Those that are connected and have shown the token.
+        Number of connected receivers that have shown the token.
     sent : int
-        Frames that were sent, to all of them together.
+        Number of frames sent, to all receivers together.
     refused : int
-        Connections that were refused.
+        Number of refused connections.
     message : str
-        Why nothing is being sent; otherwise "".
+        Reason why nothing is sent; otherwise "".
 
     Raises
     ------
@@ -76,14 +76,14 @@ class TlsSender(Serving):
 
     @property
     def message(self) -> str:
-        """Why nothing is being sent; otherwise ""."""
-        return "" if self.receivers else "Nobody receives. Paste the pairing line at the other computer."
+        """Reason why nothing is sent; otherwise ""."""
+        return "" if self.receivers else "No receiver is connected. Paste the pairing line on the other computer."
 
     def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
-        """Send a frame; as `core.live.outputs.Output.send`."""
+        """Send a frame. See `Output.send`."""
         self._call(partial(self._publish, self._own.packet(*datagram.encode_face(result), max(time, 0.0))))
 
-    # What follows runs in the server's thread.
+    # The methods below run in the server's thread.
 
     async def _run(self) -> None:
         accepting = self._loop.create_task(self._accept())
@@ -112,7 +112,7 @@ class TlsSender(Serving):
             task.add_done_callback(self._tasks.discard)
 
     async def _attend(self, connection: socket.socket, host: str) -> None:
-        """Greet somebody, and send frames if they show the token."""
+        """Greet a receiver, and send frames if it shows the token."""
         reader = asyncio.StreamReader(limit=GREETING.size)
         protocol = asyncio.StreamReaderProtocol(reader)
         transport: asyncio.WriteTransport | None = None
@@ -129,7 +129,7 @@ class TlsSender(Serving):
                 known = self._is_known(greeting)
             finally:
                 self._strangers[host] -= 1
-                self._strangers += Counter()  # forgets those with none
+                self._strangers += Counter()  # drops addresses with none
             self.refused += not known
             transport.write(ANSWER.pack(MAGIC, VERSION, ACCEPTED if known else REFUSED))
             if known:
@@ -144,15 +144,15 @@ class TlsSender(Serving):
         return magic == MAGIC and version == VERSION and hmac.compare_digest(token, self._token)
 
     async def _stream(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Send the newest frame whenever the last one is through, until the receiver goes, or says anything."""
+        """Send the newest frame whenever the last one has been sent, until the receiver leaves, or sends anything."""
         writer.transport.set_write_buffer_limits(high=_WAITING)
         wake, last = asyncio.Event(), b""
         ended = self._loop.create_task(reader.read(1))
         self._wakes.add(wake)
         self.receivers += 1
         try:
-            # Up to Python 3.11 `wait_for` returns as if nothing had happened if what it waits for is done just when the
-            # task is cancelled.
+            # Up to Python 3.11, `wait_for` swallows the cancellation of the task if the awaited object is done at the
+            # same time.
             while not (ended.done() or self._over.is_set()):
                 wake.clear()
                 if (frame := self._frame) is not last:

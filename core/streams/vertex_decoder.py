@@ -1,4 +1,4 @@
-"""Moved vertices that come in: the landmarks among them are a face, which drives any head (docs/streams.md)."""
+"""Incoming moved vertices: the landmarks among them form a face, which drives any head (docs/streams.md)."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _MOST_HEADS = 16
 _FARTHEST = 1e6
 """Largest coordinate, in any unit."""
 _ROUND = 1e-3
-"""By how much the product of a rotation with its transpose may differ from the identity."""
+"""Largest deviation of the product of a rotation with its transpose from the identity."""
 _POSE = 12
 """Numbers of a pose: a rotation by rows, and a translation."""
 
 
 @dataclass
 class _Head:
-    """A head of the sender: its name, its vertices at rest, and what is known of its face."""
+    """A head of the sender: its name, its vertices at rest, and its face as far as it is known."""
 
     name: str
     rest: FloatArray
@@ -36,20 +36,20 @@ class _Head:
     neutral: Neutral | None = None
 
     def points(self, vertices: FloatArray) -> FacePoints:
-        """Return the places on the face of its vertices."""
+        """Return the places on the face for given vertices."""
         return FacePoints(vertices[self.landmarks], np.empty((0, 3)), (vertices[self.eyes[0]], vertices[self.eyes[1]]))
 
 
 class VertexDecoder:
-    """Decodes the messages of a sender of moved vertices; see `frames.Decoder`."""
+    """Decodes the messages of a sender of moved vertices. See `Decoder`."""
 
     def __init__(self) -> None:
         self._heads: dict[int, _Head] = {}
 
     def decode(self, data: bytes) -> list[StreamFrame]:
-        """Decode a message without its length; only those of moved vertices have a frame."""
+        """Decode a message without its length. Only messages of moved vertices contain a frame."""
         if len(data) < 4 or data[1] != VERSION:
-            raise PacketError("not Facemime's, or of another version")
+            raise PacketError("not Facemime's, or of a different version")
         try:
             if data[0] == MESH:
                 self._mesh(data)
@@ -60,7 +60,7 @@ class VertexDecoder:
             else:
                 raise PacketError("not a message")
         except (struct.error, UnicodeDecodeError) as error:
-            raise PacketError("a message is cut") from error
+            raise PacketError("a message is truncated") from error
         return []
 
     def _mesh(self, data: bytes) -> None:
@@ -97,7 +97,7 @@ class VertexDecoder:
         if head.tracker is None:
             raise PacketError("the landmarks of a mesh are not known")
         rotation, moved = _pose(data)
-        # Only landmarks and eyes are looked at, as a mesh may be large.
+        # Only landmarks and eyes are read, as a mesh may be large.
         points = head.points(np.frombuffer(data, "<f4", 3 * count, FRAME_HEADER.size + 4 * _POSE).reshape(-1, 3))
         placed = FacePoints(
             _within(points.landmarks) @ rotation.T + moved,
@@ -118,14 +118,14 @@ def _points(data: bytes, first: int, count: int) -> FloatArray:
 
 
 def _within(points: FloatArray) -> FloatArray:
-    """Return points of a message in the head frame; PacketError if they are impossible."""
+    """Convert points of a message to the head frame; PacketError if they are impossible."""
     if not (np.abs(points) <= _FARTHEST).all():
         raise PacketError("a vertex is impossible")
     return np.asarray(points * TO_RECEIVER, dtype=np.float64)
 
 
 def _pose(data: bytes) -> tuple[FloatArray, FloatArray]:
-    """Return the rotation (3, 3) and translation (3,) of a frame in the head frame."""
+    """Return the rotation (3, 3) and translation (3,) of a frame, in the head frame."""
     numbers = np.frombuffer(data, "<f4", _POSE, FRAME_HEADER.size).astype(np.float64)
     turn = TO_RECEIVER[:, None] * numbers[:9].reshape(3, 3) * TO_RECEIVER
     if not (np.abs(turn @ turn.T - np.eye(3)) <= _ROUND).all() or np.linalg.det(turn) < 0.0:

@@ -1,7 +1,7 @@
 """The moved vertices of heads over TCP, for engines that deform nothing themselves (docs/streams.md).
 
-The receiver listens, and the sender connects to it, again and again until somebody is there. A thread of its own sends
-the newest frame when the last one is through.
+The receiver listens, and the sender tries to connect until it succeeds. A thread sends the newest frame whenever the
+last one has been sent.
 """
 
 from __future__ import annotations
@@ -30,23 +30,29 @@ MESH, FRAME, FACE = 1, 2, 3
 """Kinds of messages."""
 MESH_HEADER, FRAME_HEADER, FACE_HEADER = struct.Struct("<BBHIIH"), struct.Struct("<BBHId"), struct.Struct("<BBHIIII")
 MAX_NAME = 1000
-"""Bytes of a head's name at most."""
+"""Largest size of a head's name in bytes."""
 TO_RECEIVER = np.array([1.0, -1.0, -1.0])
 """From the head frame to x right, y up, z towards the viewer."""
 _AGAIN, _PATIENCE = 0.5, 3.0
-"""Seconds between attempts, and until a receiver that does not read is left."""
+"""Seconds between attempts to connect, and until a receiver that does not read is disconnected."""
 
 
 def encode_mesh(number: int, appearance: Appearance, rest: NDArray[np.float32]) -> bytes:
-    """Encode what is sent once: the head's name, its vertices at rest, and its triangles.
+    """Encode what is sent once per head: its name, its vertices at rest, and its triangles.
 
     Parameters
     ----------
     number : int
-        Of the head.
+        Number of the head.
     appearance : Appearance
+        Appearance of the head.
     rest : (A, 3) float32
-        Vertices of the rig at rest, head frame.
+        Vertices of the rig at rest, in the head frame.
+
+    Returns
+    -------
+    bytes
+        The message.
     """
     patches = [patch.triangles()[0] for patch in appearance.all_patches(len(rest))]
     corners = np.concatenate([np.empty(0, dtype=np.int64), *patches]).astype("<u4")
@@ -57,14 +63,21 @@ def encode_mesh(number: int, appearance: Appearance, rest: NDArray[np.float32]) 
 
 
 def encode_face(number: int, appearance: Appearance, rig: HeadRig) -> bytes:
-    """Encode which vertices are the landmarks and the eyeballs, for receivers that drive a face by them.
+    """Encode which vertices are landmarks and eyeballs, for receivers that drive a face by them.
 
     Parameters
     ----------
     number : int
-        Of the head.
+        Number of the head.
     appearance : Appearance
+        Appearance of the head.
     rig : HeadRig
+        The head.
+
+    Returns
+    -------
+    bytes
+        The message.
     """
     first, eyes = len(rig.all_vertices), {"eye_right": (0, 0), "eye_left": (0, 0)}
     for part in appearance.parts:
@@ -81,11 +94,18 @@ def encode_frame(number: int, time: float, appearance: Appearance, frame: HeadFr
     Parameters
     ----------
     number : int
-        Of the head.
+        Number of the head.
     time : float
-        Seconds; only differences mean anything.
+        Time in seconds; only differences matter.
     appearance : Appearance
+        Appearance of the head.
     frame : HeadFrame
+        The frame.
+
+    Returns
+    -------
+    bytes
+        The message.
     """
     parts = [part.posed(frame.jaw, frame.gaze, frame.tongue) for part in appearance.parts]
     points = _points(frame.vertices, *parts)
@@ -101,15 +121,16 @@ class VertexSender(Connecting):
     Parameters
     ----------
     host : str
+        Name or address of the receiver.
     port : int
-        0 for the usual one.
+        Port; 0 for the usual one.
     appearances : sequence of Appearance
-        Of each head, in the order of the worker's.
+        Appearance of each head, in the order of the worker's heads.
 
     Raises
     ------
     SourceError
-        If the host is not known.
+        If the host cannot be found.
     """
 
     def __init__(self, host: str, port: int, appearances: Sequence[Appearance]) -> None:
@@ -121,7 +142,7 @@ class VertexSender(Connecting):
         self._thread.start()
 
     def show(self, taken: float, drivers: Sequence[HeadDriver | KeyDriver], frames: Sequence[HeadFrame]) -> None:
-        """Send a frame; as `core.live.outputs.Display`."""
+        """Send a frame. See `Display.show`."""
         if not frames:
             return
         heads = [driver.head if isinstance(driver, KeyDriver) else driver for driver in drivers]
@@ -144,7 +165,7 @@ class VertexSender(Connecting):
             self.message = str(cannot_send(*self._address, error))
 
     def _feed(self, connection: socket.socket) -> None:
-        """Send meshes whenever they are others, and frames, until the connection or the sender ends."""
+        """Send meshes whenever they have changed, and frames, until the connection or the sender ends."""
         known: list[HeadDriver] = []
         while True:
             with self._news:

@@ -1,4 +1,4 @@
-"""The VMC protocol: OSC between VTuber programs, with the names of VRM's expressions or ARKit's (docs/streams.md)."""
+"""The VMC protocol: OSC between VTuber programs, with the expressions of VRM or ARKit (docs/streams.md)."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from .frames import (
 )
 
 PORT, PERFORMER_PORT = 39539, 39540
-"""Where avatars are shown, and where programs that pass performances on listen."""
+"""Ports on which avatars, and programs that forward performances, listen."""
 _MAX_BUNDLE = 1400
-"""Bytes of a bundle, so that it fits into one packet of most networks."""
+"""Largest size of a bundle in bytes, which fits into one packet of most networks."""
 _BOTH = {"lookleft": ("eyeLookOutLeft", "eyeLookInRight"), "lookright": ("eyeLookInLeft", "eyeLookOutRight")}
 _SHARES: dict[str, tuple[tuple[str, float], ...]] = {
     **dict.fromkeys(("a", "aa"), (("jawOpen", 1.0),)),
@@ -46,13 +46,13 @@ _SHARES: dict[str, tuple[tuple[str, float], ...]] = {
     "lookdown": (("eyeLookDownLeft", 1.0), ("eyeLookDownRight", 1.0)),
     **{name: tuple((part, 1.0) for part in parts) for name, parts in _BOTH.items()},
 }
-"""What VRM's expressions, in lower case, are in ARKit's coefficients, for senders that have nothing else."""
+"""VRM's expressions, in lower case, as ARKit's coefficients, for senders that have nothing else."""
 _MAX_NAMES, _MAX_NAME = 300, 64
-"""Names that are remembered, and letters of each, at most."""
+"""Largest number of names that are remembered, and of characters in each."""
 
 
 class VmcDecoder:
-    """Collects the values of a frame, which `/VMC/Ext/Blend/Apply` ends."""
+    """Collects the values of a frame, which ends with `/VMC/Ext/Blend/Apply`."""
 
     def __init__(self) -> None:
         self._values: dict[str, float] = {}
@@ -61,7 +61,7 @@ class VmcDecoder:
         self._tracked = True
 
     def decode(self, data: bytes) -> list[StreamFrame]:
-        """Decode a datagram; see `frames.Decoder`."""
+        """Decode a datagram. See `Decoder.decode`."""
         frames = []
         for address, arguments in osc.decode(data):
             if not address.startswith("/VMC/Ext/"):
@@ -101,7 +101,7 @@ class VmcDecoder:
         if len(arguments) != 8 or not all(isinstance(value, float) for value in arguments[1:]):
             raise PacketError("not a bone")
         if arguments[0] in self._bones:
-            # Unity's axes are the opposite of those of the head frame, so that the matrices are the same.
+            # Unity's axes are opposite to those of the head frame, so the matrices are the same.
             self._bones[str(arguments[0])] = from_quaternion(*(float(value) for value in arguments[4:]))
 
 
@@ -118,14 +118,14 @@ def _coefficients(values: dict[str, float]) -> FloatArray:
 
 
 def encode(face: FaceValues | None, time: float) -> Iterator[bytes]:
-    """Encode a frame as bundles, as 52 values outgrow a packet; the message that applies them comes last.
+    """Encode a frame as bundles, as 52 values exceed a packet. The message that applies them comes last.
 
     Parameters
     ----------
     face : FaceValues or None
         None if there is no face.
     time : float
-        Seconds.
+        Time in seconds.
 
     Yields
     ------
@@ -134,8 +134,8 @@ def encode(face: FaceValues | None, time: float) -> Iterator[bytes]:
 
     Notes
     -----
-    Sends ARKit's names with a capital, as avatars made for *perfect sync* have them, and the expressions of VRM 1 and
-    VRM 0 that Facemime's key mappings make of them, for all other avatars.
+    Sends ARKit's names with a capital, as used by avatars made for *perfect sync*, and for all other avatars the
+    expressions of VRM 1 and VRM 0, by Facemime's key mappings.
     """
     messages = [
         osc.encode_message("/VMC/Ext/OK", 1, 3, 0, int(face is not None)),
@@ -154,7 +154,7 @@ def encode(face: FaceValues | None, time: float) -> Iterator[bytes]:
 
 @lru_cache(maxsize=1)
 def _expressions() -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-    """Names of the expressions of VRM 0 and VRM 1, and of ARKit's; and gains (E, 52) and offsets (E,) of each."""
+    """Return names of the expressions of VRM 0, VRM 1 and ARKit, and gains (E, 52) and offsets (E,) of each."""
     gains = {name[0].upper() + name[1:]: row for name, row in zip(COEFFICIENTS, np.eye(N_COEFFICIENTS), strict=True)}
     offsets = dict.fromkeys(gains, 0.0)
     for table in presets():

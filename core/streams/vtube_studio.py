@@ -22,14 +22,14 @@ from .frames import (
 )
 
 PORT = 21412
-"""Of the phone, which answers on a port that the request names."""
+"""Port of the phone, which answers on a port named in the request."""
 _LEASE = 5.0
-"""Seconds for which a request asks; the phone allows 0.5 to 10."""
+"""Seconds that a request asks for; the phone allows 0.5 to 10."""
 _MAX_ENTRIES, _MIN_NAMES, _MAX_TIME = 200, 10, 1e13
 
 
 def request(port: int) -> bytes:
-    """Encode the request that the phone send to `port`; it has to be repeated within five seconds."""
+    """Encode a request for the phone to send to `port`, which has to be repeated within five seconds."""
     asked = {"messageType": "iOSTrackingDataRequest", "time": _LEASE, "sentBy": "Facemime", "ports": [port]}
     return json.dumps(asked).encode()
 
@@ -38,7 +38,7 @@ class VTubeStudioDecoder:
     """Decodes the phone's answers."""
 
     def decode(self, data: bytes) -> list[StreamFrame]:
-        """Decode a packet; see `frames.Decoder`."""
+        """Decode a packet. See `Decoder.decode`."""
         if len(data) > MAX_DATAGRAM or not data.startswith(b"{"):
             raise PacketError("not VTube Studio")
         try:
@@ -53,7 +53,7 @@ class VTubeStudioDecoder:
         coefficients = _coefficients(packet.get("BlendShapes"))
         x, y, z = _vector(packet.get("Rotation"))
         rotation = turned(*(angle * pi / 180.0 for angle in (x, y, z)))
-        # In centimetres, to the viewer's right, up and towards the viewer.
+        # In centimetres, to the viewer's right, up, and towards the viewer.
         position = 0.01 * np.array(_vector(packet.get("Position"))) * (1.0, -1.0, -1.0)
         return [StreamFrame(checked(FaceValues(coefficients, rotation, position)), time=1e-3 * stamp)]
 

@@ -1,7 +1,7 @@
-"""VTube Studio on a computer: its programming interface over a WebSocket, version 1.0 (docs/streams.md).
+"""VTube Studio on a computer, by its WebSocket API, version 1.0 (docs/streams.md).
 
-Facemime asks once to be allowed, and keeps the token that it is given. The face is then injected as the parameters that
-every model of VTube Studio has.
+Facemime asks for permission once, and keeps the token that it receives. The face is then injected as the parameters
+that every model of VTube Studio has.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ from .sender import FaceMeasure
 PORT = 8001
 PLUGIN, DEVELOPER = "Facemime", "Facemime"
 _RESEND = 0.5
-"""Seconds after which values are sent again: VTube Studio takes back a parameter after one without any."""
+"""Seconds after which values are sent again, as VTube Studio resets a parameter after one second without any."""
 _OPENING, _ASKING, _ANSWERING, _AGAIN = 3.0, 120.0, 5.0, 2.0
 """Seconds for a connection, for the user to allow the plug-in, for an answer, and until the next attempt."""
 _LOOK = 0.2
 _MOST, _MOST_TOKEN = 1 << 16, 1 << 10
-"""Bytes of an answer, and of a token."""
+"""Largest size in bytes of an answer, and of a token."""
 _DENIED = 50
 """Number of the error if the user does not allow the plug-in."""
 _ANGLE, _ACROSS, _DEPTH = 90.0, 100.0, 50.0
-"""Degrees that an angle may have, and units of VTube Studio per metre, across and in depth."""
+"""Largest angle in degrees, and units of VTube Studio per metre, across and in depth."""
 _DEFAULTS = DriveSettings()
 _LOG = logging.getLogger(__name__)
 
 
 class ApiError(Exception):
-    """VTube Studio refused a request; `number` says why."""
+    """VTube Studio refused a request; `number` is the number of its error."""
 
     def __init__(self, number: int, text: str) -> None:
         super().__init__(text)
@@ -55,13 +55,14 @@ class ApiError(Exception):
 
 
 def request(kind: str, data: dict[str, Any]) -> str:
-    """Make a request as JSON.
+    """Encode a request as JSON.
 
     Parameters
     ----------
     kind : str
-        Its type, such as "InjectParameterDataRequest".
+        Type of the request, such as "InjectParameterDataRequest".
     data : dict
+        Data of the request.
 
     Returns
     -------
@@ -73,11 +74,12 @@ def request(kind: str, data: dict[str, Any]) -> str:
 
 
 def parameters(face: FaceValues) -> dict[str, float]:
-    """Translate a face to the parameters of VTube Studio.
+    """Convert a face to the parameters of VTube Studio.
 
     Parameters
     ----------
     face : FaceValues
+        The face.
 
     Returns
     -------
@@ -118,12 +120,12 @@ def parameters(face: FaceValues) -> dict[str, float]:
 
 
 def injection(values: dict[str, float], *, found: bool) -> str:
-    """Make the request that sets parameters.
+    """Encode the request that sets parameters.
 
     Parameters
     ----------
     values : dict
-        From `parameters`.
+        Values from `parameters`.
     found : bool
         Whether there is a face.
 
@@ -137,17 +139,18 @@ def injection(values: dict[str, float], *, found: bool) -> str:
 
 
 class VTubeStudioSender(Connecting):
-    """Sends what is tracked to VTube Studio; as `core.live.outputs.Output`.
+    """Sends tracking results to VTube Studio. See `core.live.outputs.Output`.
 
     Parameters
     ----------
     host : str
+        Name or address of the computer.
     port : int
-        0 for the usual one.
+        Port; 0 for the usual one.
     token : Path
-        File in which the token is kept.
+        File that stores the token.
     options : DriveSettings
-        Whether to mirror, and how strongly each region of the face moves.
+        Whether to mirror, and the strength of each region of the face.
 
     Attributes
     ----------
@@ -157,7 +160,7 @@ class VTubeStudioSender(Connecting):
     Raises
     ------
     SourceError
-        If the host is not known.
+        If the host cannot be found.
     """
 
     def __init__(self, host: str, port: int, token: Path, options: DriveSettings = _DEFAULTS) -> None:
@@ -172,7 +175,7 @@ class VTubeStudioSender(Connecting):
         self._thread.start()
 
     def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
-        """Send a frame; as `core.live.outputs.Output.send`."""
+        """Send a frame. See `Output.send`."""
         face = self._measure.values(result, neutral, self.options)
         with self._news:
             self._values = self._values if face is None else parameters(face)
@@ -215,7 +218,7 @@ class VTubeStudioSender(Connecting):
         raise ApiError(0, "it rejected the token it had just issued. Restart VTube Studio.")
 
     def _ask(self, connection: ClientConnection, kind: str, data: dict[str, Any], patience: float) -> dict[str, Any]:
-        """Send a request, and return what is answered."""
+        """Send a request, and return the answer."""
         connection.send(request(f"{kind}Request", data))
         end = monotonic() + patience
         while not self._over and monotonic() < end:
@@ -229,7 +232,7 @@ class VTubeStudioSender(Connecting):
         raise TimeoutError
 
     def _feed(self, connection: ClientConnection) -> None:
-        """Send new values as they come, and the last ones again if none do."""
+        """Send new values as they come, or else repeat the last ones."""
         while True:
             with self._news:
                 self._news.wait_for(lambda: self._over or self._fresh, _RESEND)
@@ -256,7 +259,7 @@ class VTubeStudioSender(Connecting):
             return ""
 
     def _keep(self, token: str) -> None:
-        """Keep the token for the next time; without a place for it, VTube Studio asks the user again."""
+        """Store the token for the next session; if that fails, VTube Studio asks the user again."""
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
             write_secret(self._file, token.encode("ascii") + b"\n", replace=True)
@@ -265,7 +268,7 @@ class VTubeStudioSender(Connecting):
 
 
 def _checked(data: str | bytes) -> dict[str, Any]:
-    """Parse an answer; ApiError if it is an error, ValueError if it is no answer."""
+    """Parse an answer; ApiError if it is an error, ValueError if it is not an answer."""
     answer = json.loads(data)
     if not isinstance(answer, dict):
         raise ValueError("not an answer")

@@ -100,13 +100,7 @@ class ViewerServer(Serving):
             raise cannot_listen(settings.host, settings.port, self._error or TimeoutError("it does not start"))
 
     def show(self, taken: float, drivers: Sequence[HeadDriver | KeyDriver], frames: Sequence[HeadFrame]) -> None:
-        """Show a frame. See `core.live.outputs.Display.show`.
-
-        Parameters
-        ----------
-        taken, drivers, frames
-            As for `Display.show`.
-        """
+        """Show a frame. See `Display.show`."""
         if not frames:
             return
         made_of = [part for driver in drivers for part in _made_of(driver)]

@@ -349,7 +349,7 @@ def test_a_pairing_needs_online_access_and_has_to_be_whole(pairing, online):
     with pytest.raises(RuntimeError, match="Online Access"):
         bpy.ops.facemime.puppet()
     pairing.pairing = pairing.pairing[:-1]
-    with pytest.raises(RuntimeError, match="not a whole pairing line"):
+    with pytest.raises(RuntimeError, match="not a complete pairing line"):
         bpy.ops.facemime.puppet()
     assert running() is None
 

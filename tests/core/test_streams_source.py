@@ -352,7 +352,7 @@ def test_settings_that_cannot_be_used_are_refused(settings, match):
     [
         (SendSettings("facecap"), "no protocol"),
         (SendSettings(host="192.168.1.7"), "shared key"),
-        (SendSettings("vmc", host="no.such.host.invalid"), "no computer"),
+        (SendSettings("vmc", host="no.such.host.invalid"), "was not found"),
     ],
 )
 def test_senders_that_cannot_be_used_are_refused(settings, match):

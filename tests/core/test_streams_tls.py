@@ -189,9 +189,9 @@ def test_a_peer_that_is_not_there_or_speaks_no_tls_is_a_message_and_not_the_end(
             connection, _ = listener.accept()
             with connection:
                 connection.sendall(b"220 mail.example\r\n" * 8)
-                assert "does not speak TLS" in message_of(source)
+                assert "does not support TLS" in message_of(source)
     with closing(opened(pairing_of(identity, port))) as source:
-        assert "Nothing comes from 127.0.0.1" in message_of(source)
+        assert "No data from 127.0.0.1" in message_of(source)
 
 
 def test_a_silent_peer_is_given_up(identity, monkeypatch):
@@ -280,5 +280,5 @@ def test_a_damaged_identity_is_a_clear_error(tmp_path):
 
 
 def test_only_facemimes_own_stream_is_paired(identity):
-    with pytest.raises(SourceError, match="Only Facemime's own stream"):
+    with pytest.raises(SourceError, match="only with Facemime's own protocol"):
         StreamSource(StreamSettings("vmc", pairing=pairing_of(identity, 1)))

@@ -255,7 +255,7 @@ def test_a_token_is_kept_in_a_file_that_only_its_owner_reads(tmp_path):
     assert kept_token(path) == token and len(token) >= 22 and token != new_token()
     assert path.stat().st_mode & 0o077 == 0
     path.write_text("short")
-    with pytest.raises(SourceError, match="not a token"):
+    with pytest.raises(SourceError, match="has no token"):
         kept_token(path)
     with pytest.raises(OutputError, match="cannot be written"):
         kept_token(tmp_path / "nowhere" / "token")
