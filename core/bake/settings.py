@@ -15,7 +15,7 @@ Keys = Literal["automatic", "new", "named", "mapped", "cache", "alembic"]
 
 @dataclass(frozen=True)
 class BakeSettings:
-    """What a take is baked to.
+    """What a take is baked to, and how.
 
     Attributes
     ----------

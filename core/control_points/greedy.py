@@ -1,6 +1,6 @@
 """Greedy selection of control points for a whole take (docs/method.md, section 6.2).
 
-Fewer points let less of the tracker's noise through. The paper considers a single frame; here the error is that of the
+Fewer points let less of the tracker's noise through. The paper considers a single frame. Here the error is that of the
 worst frame, so that an expression that occurs once is not forgotten.
 """
 
@@ -23,10 +23,10 @@ from .settings import Search, SelectionSettings
 
 _FACE_SIDES = from_ibug((0, 16))
 _EXCHANGE_CANDIDATES = 8
-"""The least needed points, which an exchange tries to give up. With exchanges, half the points raised the error by 12
-instead of 17 % on ICT-FaceKit."""
+"""Number of the least needed points, which exchanges try to give up. With exchanges, half the points raised the error
+by 12 instead of 17 % on ICT-FaceKit."""
 _MIN_GAIN = 1e-4
-"""Share of the difference that an exchange has to remove."""
+"""Smallest share of the difference by which an exchange has to lower it."""
 
 KERNEL_OF: Mapping[Search, str] = {"take": DEFAULT_KERNEL, "paper": "gaussian"}
 """Default kernel of each search."""
@@ -52,18 +52,20 @@ START: tuple[Mapping[int, str], ...] = (
         **{66: "depressor labii", 5: "platysma", 11: "platysma"},
     },
 )
-"""Per region, the initial iBUG landmarks and the muscle for which each stands, the most important first."""
+"""For each region, the initial landmarks by iBUG number and the muscle that each stands for, the most important
+first."""
 
 
 @dataclass(frozen=True)
 class GreedyStep:
-    """One change of the selection, and the worst error after it.
+    """A change of the selection, and the worst error after it.
 
     Attributes
     ----------
     action : {"start", "add", "drop"}
+        What was done.
     landmark : int
-        Position in the 66.
+        Position in the 66 landmarks.
     region : int
         Row of `REGIONS`.
     reason : str
@@ -95,13 +97,13 @@ class GreedySelection:
     membership : (3, 66) bool
         Whether a landmark is a control point of a region.
     steps : tuple of GreedyStep
-        In order; users see the curve of `error` over `points`.
+        Steps in order; users see the curve of `error` over `points`.
     tolerance : float
-        As a fraction of the face's width.
+        Allowed error, as a fraction of the face's width.
     reached : bool
         Whether the error fell to the tolerance within the allowed number of points.
     covariance : (66, 66) float, optional
-        Of the landmarks' displacements in the take; the other landmarks follow by it.
+        Covariance of the landmarks' displacements in the take, by which the other landmarks follow.
     """
 
     membership: NDArray[np.bool_]
@@ -112,11 +114,11 @@ class GreedySelection:
 
     @property
     def landmarks(self) -> NDArray[np.intp]:
-        """(P,) landmarks that are control points of any region, ascending."""
+        """Landmarks that are control points of any region, ascending, (P,)."""
         return np.flatnonzero(self.membership.any(axis=0))
 
     def reason(self, landmark: int) -> str:
-        """Why `landmark` was chosen; empty if it was not."""
+        """Return the reason why `landmark` was chosen; "" if it was not."""
         chosen = [step for step in self.steps if step.landmark == landmark and self.membership[step.region, landmark]]
         return "; ".join(dict.fromkeys(step.reason for step in chosen if step.action != "drop"))
 
@@ -133,14 +135,14 @@ def greedy_select(
     kernel: str | None = None,
     skin: tuple[FloatArray, FloatArray] | None = None,
 ) -> GreedySelection:
-    """Choose control points among the landmarks of a head for the motion of a take.
+    """Select control points among the landmarks of a head for the motion in a take.
 
     Parameters
     ----------
     landmarks : (66, 3) array
         Rest positions.
     displacements : (N, 66, 3) array
-        Of the landmarks in each frame, frame and unit of `landmarks`.
+        Displacements of the landmarks in each frame, in the frame and unit of `landmarks`.
     tolerance : float
         Error allowed at landmarks that are not control points, as a fraction of the face's width (landmarks 0 to
         16).
@@ -153,7 +155,7 @@ def greedy_select(
     kernel : str, optional
         Key in `KERNELS`; by default that of the search.
     skin : tuple of (V, 3) array and (3, V) array, optional
-        Vertices and their region weights, by which exchanges are judged; by default the landmarks.
+        Vertices and their region weights, on which exchanges are judged; by default the landmarks.
 
     Returns
     -------
@@ -167,9 +169,9 @@ def greedy_select(
 
     Notes
     -----
-    The steps of docs/method.md, section 6.2, after Yao et al. 2019, section 4.2, and Rendall & Allen 2010; the search
-    of the paper consists of the first three, without covariance and ridge. Ties go to the lower number, so that the
-    same take gives the same points.
+    The steps are those of docs/method.md, section 6.2, after Yao et al. 2019, section 4.2, and Rendall & Allen 2010.
+    The paper's search consists of the first three, without covariance and ridge. Ties go to the lower number, so that
+    the same take always gives the same points.
     """
     points = as_points(landmarks, "landmarks", count=N_LANDMARKS, error=HeadError)
     motion = np.asarray(displacements, dtype=np.float64)
@@ -179,7 +181,7 @@ def greedy_select(
         raise HeadError(f"At least {len(REGIONS)} control points are needed, one per region; got {max_points}.")
     plain = search == "paper"
     state = _State(points, motion, kernel or KERNEL_OF[search], frozenset(always), frozenset(never), plain=plain)
-    # 1. Points of the muscles, and those that the user asked for.
+    # 1. Points of the muscles, and those that the user requires.
     state.start(max_points)
     # 2. and 3. Add the landmark with the largest predicted error, until all are within the tolerance.
     while state.worst() > tolerance and state.grow(max_points):
@@ -187,7 +189,7 @@ def greedy_select(
     if not plain:
         at_landmarks = points, membership().astype(np.float64)
         difference = SkinDifference(points, state.kernel, state.sigmas, motion, *(skin or at_landmarks))
-        # 4. If the allowed number is used up, exchange points.
+        # 4. If the allowed number of points is used up, exchange points.
         while state.worst() > tolerance and state.exchange(difference):
             pass
         # 5. If the tolerance was reached, drop points that are not needed.
@@ -198,7 +200,17 @@ def greedy_select(
 
 
 class _State:
-    """The selection during the search: `members` (3, 66), and each landmark's worst `error` (3, 66) and its `frame`."""
+    """The selection during the search.
+
+    Attributes
+    ----------
+    members : (3, 66) bool
+        Whether each landmark is a control point of each region.
+    error : (3, 66) float64
+        Worst error of each landmark.
+    frame : (3, 66) int
+        Frame of that error.
+    """
 
     def __init__(
         self,
@@ -234,7 +246,7 @@ class _State:
         self.steps: list[GreedyStep] = []
 
     def start(self, max_points: int) -> None:
-        """Take the user's points and those of the muscles, alternating between regions, so that each has some."""
+        """Take the user's points and those of the muscles, alternating between regions, so that each gets some."""
         queues = []
         for region, muscles in enumerate(START):
             own = [(i, "added by hand") for i in sorted(self.always) if self.candidates[region, i]]
@@ -248,13 +260,13 @@ class _State:
                     self._change("start", region, *queue[turn], max_points)
 
     def worst(self) -> float:
-        """Largest error of any landmark, as a fraction of the face's width."""
+        """Return the largest error of any landmark, as a fraction of the face's width."""
         return float(self.error.max())
 
     def grow(self, max_points: int) -> bool:
         """Add the landmark with the largest error; return whether one was added."""
         open_ = self.candidates & ~self.members
-        # When all points are used, only their other regions are open.
+        # When all points are used, only the other regions of these points are open.
         if self.members.any(axis=0).sum() >= max_points:
             open_ &= self.members.any(axis=0)
         if not open_.any():
@@ -269,7 +281,7 @@ class _State:
         now = difference(self.members)
         used = self.members.any(axis=0)
         free = np.flatnonzero(self.candidates.any(axis=0) & ~used).tolist()
-        # How much each point is needed: the difference without it.
+        # The need for each point: the difference without it.
         without = {i: self._replaced(i, i) for i in np.flatnonzero(used).tolist() if i not in self.always}
         losses = {landmark: difference(members) for landmark, members in without.items()}
         for old in sorted(losses, key=lambda landmark: losses[landmark])[:_EXCHANGE_CANDIDATES]:
@@ -281,7 +293,7 @@ class _State:
         return False
 
     def _replaced(self, old: int, new: int) -> NDArray[np.bool_]:
-        """The control points with `new` in all its regions and without `old`; just without `old` if both are equal."""
+        """Return the control points without `old`, and with `new` in all its regions unless the two are equal."""
         members = self.members.copy()
         members[:, new] = self.candidates[:, new]
         members[:, old] = False
@@ -295,7 +307,7 @@ class _State:
             self._note("add", region, new, reason)
 
     def shrink(self, tolerance: float) -> bool:
-        """Drop the least needed point if all stay within `tolerance`; return whether one was dropped."""
+        """Drop the least needed point if all errors stay within `tolerance`; return whether one was dropped."""
         best: tuple[float, int] | None = None
         for landmark in np.flatnonzero(self.members.any(axis=0)).tolist():
             last = self.members[:, landmark] & (self.members.sum(axis=1) == 1)
@@ -342,7 +354,7 @@ class _State:
         )
 
     def _worst_without(self, landmark: int) -> float:
-        """Largest error, as a fraction of the face's width, if `landmark` were not a control point."""
+        """Return the largest error, as a fraction of the face's width, if `landmark` were not a control point."""
         known = self.members.any(axis=0)
         known[landmark] = False
         touched = self.candidates[:, landmark]
@@ -350,9 +362,10 @@ class _State:
         return max([*again, float(self.error[~touched].max(initial=0.0))])
 
     def _errors(self, row: int, known: NDArray[np.bool_]) -> tuple[FloatArray, IntArray]:
-        """Worst error (66,) of each landmark of a region, as a fraction of the face's width, and its frame (66,).
+        """Compute the worst error of each landmark of a region, as a fraction of the face's width, and its frame,
+        (66,).
 
-        `known` (66,) are the control points of any region.
+        `known` (66,) marks the control points of any region.
         """
         own = REGIONS[row].landmarks
         chosen = np.flatnonzero(known[own])

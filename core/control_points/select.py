@@ -31,9 +31,9 @@ _BEYOND = 68
 _ACTIONS = ("start", "add", "drop")
 _MOST_STEPS = 10_000
 _LARGEST_ERROR, _LARGEST_VARIANCE = 1e3, 1e15
-"""Bounds of values in a file: face widths, and squared units of the head."""
+"""Largest values in a file, in widths of the face and squared units of the head."""
 _ROUNDING = 1e-3
-"""Share of the largest eigenvalue by which one of 0 may be negative after rounding to five digits."""
+"""Share of the largest eigenvalue by which a zero one may be negative after rounding to five digits."""
 
 
 def select_for_take(
@@ -48,7 +48,7 @@ def select_for_take(
     search: Search = SelectionSettings.search,
     kernel: str | None = None,
 ) -> GreedySelection:
-    """Choose the control points that a head needs for a take.
+    """Select the control points that a head needs for a take.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def select_for_take(
     Returns
     -------
     GreedySelection
-        Frames are numbered as in the take.
+        The selection; frames are numbered as in the take.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def select_for_take(
 
 
 def to_json(selection: GreedySelection) -> str:
-    """Serialise a selection: landmarks by iBUG numbers, and the lower triangle of the covariance to five digits."""
+    """Serialise a selection: landmarks by iBUG number, and the lower triangle of the covariance to five digits."""
     steps = [
         asdict(replace(step, landmark=int(IBUG68_INDICES[step.landmark]), worst=int(IBUG68_INDICES[step.worst])))
         for step in selection.steps
@@ -112,7 +112,7 @@ def to_json(selection: GreedySelection) -> str:
 
 
 def from_json(text: str) -> GreedySelection:
-    """Parse a selection that `to_json` wrote.
+    """Parse a selection written by `to_json`.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def from_json(text: str) -> GreedySelection:
 
 
 def _members(regions: Any) -> NDArray[np.bool_]:
-    """(3, 66) control points from lists of landmarks; each list needs one, and only those of its region."""
+    """Parse control points, (3, 66), from lists of landmarks. Each needs at least one, and only those of its region."""
     rows = as_list(regions, "regions", len(REGIONS))
     if len(rows) != len(REGIONS):
         raise ValueError(f"there are {len(rows)} regions, not {len(REGIONS)}")
@@ -177,7 +177,7 @@ def _step(data: dict[str, Any]) -> GreedyStep:
     if data.get("action") not in _ACTIONS:
         raise ValueError(f"the action of a step is {shown(data.get('action'))}")
     error = data.get("error")
-    unknown = isinstance(error, float) and isnan(error)  # of steps that were made by hand
+    unknown = isinstance(error, float) and isnan(error)  # for steps made by hand
     return GreedyStep(
         action=data["action"],
         landmark=_landmark(data.get("landmark")),
@@ -191,9 +191,9 @@ def _step(data: dict[str, Any]) -> GreedyStep:
 
 
 def parse_landmarks(text: str) -> list[int]:
-    """Parse iBUG numbers and ranges such as "17,19-21" into positions in the 66; empty text gives none.
+    """Parse iBUG numbers and ranges such as "17,19-21" as positions in the 66 landmarks; an empty text gives none.
 
-    Ranges skip 60 and 64, which are not among the 66.
+    Ranges skip 60 and 64, which are not among the 66 landmarks.
 
     Raises
     ------

@@ -34,9 +34,10 @@ from .sources import LiveFrame, LiveSource
 _PATIENCE = 0.1
 """Seconds to wait for a frame before pending frames are written."""
 _ENDING = 5.0
-"""Seconds for which `close` waits for the thread, which may be tracking, or stuck in a driver or on a disk."""
+"""Seconds that `close` waits for the thread, which may be tracking, or stuck in a driver or on a disk."""
 _LOAD_TRACKER = partial(FaceTracker.load, gradual=True)
-"""Loads a tracker whose search is gradual, as a long one would stall the puppet when somebody returns to the camera."""
+"""Loads a tracker with a gradual search, as a long search would stall the puppet when somebody returns to the
+camera."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class LiveOptions:
     tracking : TrackingSettings
         How faces are found.
     learn : bool
-        Whether to learn the performer meanwhile: the neutral face unless it was asked for, and where eyes are shut.
+        Whether to learn the performer meanwhile: the neutral face, unless it was calibrated, and where eyes are shut.
     """
 
     smoothing: float = PuppetSettings.smoothing
@@ -71,19 +72,19 @@ class LiveResult:
     Attributes
     ----------
     number : int
-        Number of the frame, which increases by 1.
+        Number of the frame, increasing by 1.
     time : float
-        Time in the source, in seconds.
+        Time in the source in seconds.
     result : TrackResult
-        Of the performer of the first head, smoothed according to the options.
+        Result of the performer of the first head, smoothed according to the options.
     heads : tuple of HeadFrame
-        In the order of the heads, each by its performer; empty if there is no face.
+        Frame of each head, by its performer; empty if there is no face.
     prepared : tuple
-        What `LiveHead.prepare` returned for each of them.
+        Result of `LiveHead.prepare` for each head.
     taken, began, tracked, driven : float
-        `time.perf_counter()` when the frame arrived, and when the worker had it, the landmarks, and the heads.
+        `time.perf_counter()` when the frame arrived, and when the worker had the frame, the landmarks, and the heads.
     preview : (H, W, 4) float32 or None
-        As `draw_preview` returns it.
+        As from `draw_preview`; None without a preview.
     """
 
     number: int
@@ -100,7 +101,7 @@ class LiveResult:
 
 @dataclass
 class Counts:
-    """Numbers of frames: `tracked`, of which `lost` have no face, and `dropped` without tracking."""
+    """Numbers of frames: `tracked`, of which `lost` have no face, and `dropped` ones that were not tracked."""
 
     tracked: int = 0
     lost: int = 0
@@ -113,7 +114,7 @@ class LiveWorker:
     Parameters
     ----------
     source : LiveSource
-        Closed with the worker.
+        The source; closed with the worker.
     neutral : Neutral, optional
         The performer's neutral face; by default the first second with a face is used.
     heads : tuple of LiveHead
@@ -121,24 +122,26 @@ class LiveWorker:
     options : LiveOptions
         Initial options.
     load_tracker : callable
-        Returns the tracker; called in the thread, as it takes a moment.
+        Returns the tracker. Called in the thread, as it takes a moment.
     output : Output, optional
-        Gets every frame; closed with the worker.
+        Receives every frame; closed with the worker.
 
     Attributes
     ----------
     options : LiveOptions
-        May be assigned at any time, as may `heads` and `displays`.
+        The current options; may be assigned at any time, as may `heads` and `displays`.
     displays : tuple of Display
-        Get every frame of the heads; they are not closed with the worker.
+        Receive every frame of the heads; they are not closed with the worker.
     latest : LiveResult or None
+        Result of the newest frame.
     counts : Counts
+        Numbers of frames.
     message : str
-        Why no frames are coming; otherwise "".
+        Reason why no frames come; otherwise "".
     error : Exception or None
-        The error that ended the worker.
+        Error that ended the worker.
     recording_error : OutputError or None
-        The error that ended a recording; what was written before is safe.
+        Error that ended a recording; what was written before is safe.
     model : str
         Identifier of the tracker model; "" until it is loaded.
     """
@@ -184,7 +187,7 @@ class LiveWorker:
 
     @property
     def image_size(self) -> tuple[int, int]:
-        """Width and height of the frames in pixels; (0, 0) before the first one, and for takes."""
+        """Width and height of the frames in pixels; (0, 0) before the first frame, and for takes."""
         return (self._size[1], self._size[0]) if self._size else (0, 0)
 
     @property
@@ -207,11 +210,11 @@ class LiveWorker:
         return self._first.calibrating
 
     def performer(self, number: int) -> Performer | None:
-        """Return a performer of a source with several; None if there is no frame of them yet."""
+        """Return a performer of a source with several; None if none of their frames has come yet."""
         return self._performers.get(number)
 
     def close(self) -> None:
-        """End the thread, the source and any recording; may be called twice, and before `start`.
+        """End the thread, the source and any recording. May be called twice, and before `start`.
 
         If the source or the disk does not respond, this returns after some seconds anyway: `running` stays true, and
         the thread ends by itself when it can.
@@ -237,20 +240,20 @@ class LiveWorker:
 
     @property
     def learnt(self) -> Neutral | None:
-        """The neutral face of the performer of the first head, if enough has been learnt to keep it."""
+        """The neutral face of the performer of the first head, once enough has been learnt to keep it."""
         return self._first.learnt
 
     def forget(self) -> None:
-        """Forget all neutral faces; the next second with a face is used, and performers are learnt from scratch."""
+        """Forget all neutral faces. The next second with a face is used, and learning starts from scratch."""
         for performer in tuple(self._performers.values()):
             performer.forget()
 
     def follow_next(self) -> None:
-        """Track another face in view, as `FaceTracker.choose_next` does."""
+        """Track another face in view. See `FaceTracker.choose_next`."""
         self._next_face = True
 
     def recent_take(self) -> Take:
-        """The take of the last half minute; SourceError before the first frame."""
+        """Return the take of the last half minute; SourceError before the first frame."""
         recorder = TakeRecorder({"source": self.source.name, "clock": self.source.clock})
         for time, result in tuple(self._first.recent):
             recorder.append(time, result)
@@ -284,7 +287,7 @@ class LiveWorker:
                 frame = self._read()
                 if frame is not None:
                     self._frame(tracker, frame)
-        except Exception as error:  # read by the thread of the user
+        except Exception as error:  # read by the user's thread
             self.error = error
 
     def _read(self) -> LiveFrame | None:
@@ -330,7 +333,7 @@ class LiveWorker:
         )
 
     def _performer_of(self, frame: LiveFrame) -> Performer:
-        """Who performs in a frame."""
+        """Return the performer in a frame."""
         if (performer := self._performers.get(frame.performer)) is None:
             performer = self._performers[frame.performer] = Performer()
         if frame.heads is None or 0 in frame.heads:
@@ -355,7 +358,7 @@ class LiveWorker:
         return tracker.track(frame.image)
 
     def _record(self, frame: LiveFrame | None = None, seen: TrackResult | None = None) -> None:
-        """Record a frame; without one, as none is coming, write pending frames."""
+        """Record a frame, or write pending frames if there is none."""
         with self._recording:
             if self._recorder is None:
                 return

@@ -21,7 +21,20 @@ from .timing import mark_lost, mix
 
 
 def mend(take: Take, mending: Mending) -> Take:
-    """Return `take`, mended as `mending` says.
+    """Mend a take.
+
+    Parameters
+    ----------
+    take : Take
+        The take.
+    mending : Mending
+        What to do, in the order of its fields.
+
+    Returns
+    -------
+    Take
+        The mended take.
+
 
     Raises
     ------
@@ -42,12 +55,12 @@ def mend(take: Take, mending: Mending) -> Take:
 
 
 _MIN_DEVIATIONS = (0.05, 0.12, 0.2)
-"""Deviations below which a frame is never an outlier: landmarks in eye distances, rotation in radians, position and
-logarithm of the scale in eye distances."""
+"""Deviations below which a frame is never an outlier: landmarks in eye distances, rotation in radians, and position in
+eye distances together with the logarithm of the scale."""
 _TIMES_MEDIAN = 8.0
 """Multiple of the median deviation above which a frame is an outlier."""
 _NEIGHBOURS = 2
-"""Frames to either side with which a frame is compared."""
+"""Number of frames on either side with which a frame is compared."""
 _NEUTRAL_SPAN = 0.2
 """Seconds that are averaged for a neutral face that the user chose."""
 
@@ -55,7 +68,7 @@ _NEUTRAL_SPAN = 0.2
 def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: float = 1.0) -> Take:
     """Fill gaps between two frames with a face.
 
-    Filled frames count as found, so that they drive a head as any other, with a confidence of 0, as nothing was seen.
+    Filled frames count as found, so that they drive a head as any other, with confidence 0, as nothing was seen.
     ``info["bridged"]`` lists their spans. Frames before the first and after the last face stay lost.
 
     Parameters
@@ -65,7 +78,7 @@ def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: 
     how : {"bridge", "hold"}
         Interpolate, or hold the last face.
     longest : float
-        Longest gap to fill, in seconds from face to face.
+        Longest gap to fill in seconds, from face to face.
 
     Returns
     -------
@@ -83,7 +96,7 @@ def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: 
     if not len(seen):
         return take
     lost = np.flatnonzero(~take.found)
-    # Lost frames between two with a face, and these two.
+    # Lost frames between two with a face, and the neighbours of each gap.
     place = np.searchsorted(seen, lost)
     inside = (place > 0) & (place < len(seen))
     lost, place = lost[inside], place[inside]
@@ -103,7 +116,7 @@ def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: 
 
 
 def find_outliers(take: Take) -> NDArray[np.bool_]:
-    """(N,) whether a frame is an outlier: a failed fit rather than motion, as the next frames are back in line.
+    """Find outliers, (N,): failed fits rather than motion, as the next frames are back in line.
 
     A frame is compared with the median of five frames around it: the landmarks of the shape (root mean square), the
     rotation, and the position and size. An outlier deviates by more than a face moves between frames, and by more than
@@ -129,7 +142,7 @@ def find_outliers(take: Take) -> NDArray[np.bool_]:
 
 
 def _running_median(values: FloatArray) -> FloatArray:
-    """(N, D) median of each row and its neighbours, mirrored at the ends."""
+    """Median of each row and its neighbours, (N, D), mirrored at the ends."""
     padded = np.pad(values, ((_NEIGHBOURS, _NEIGHBOURS), (0, 0)), mode="reflect")
     shifted = [padded[i : i + len(values)] for i in range(2 * _NEIGHBOURS + 1)]
     return np.asarray(np.median(shifted, axis=0))
@@ -178,8 +191,14 @@ def renew_neutral(take: Take, frame_time: float) -> Take:
     Parameters
     ----------
     take : Take
+        The take.
     frame_time : float
-        Seconds.
+        Time of the frame in seconds.
+
+    Returns
+    -------
+    Take
+        The take with that neutral face.
 
     Raises
     ------

@@ -21,7 +21,8 @@ from .take import FIELDS, Take, join
 _MAX_STEP = 2.5
 """Time between two frames, in typical steps, above which frames are missing between them."""
 _MAX_FRAMES = 1_000_000
-"""Frames of a resampled take at most: nine hours at 30 frames per second, and the limit of Blender's timeline."""
+"""Largest number of frames of a resampled take: nine hours at 30 frames per second, and the limit of Blender's
+timeline."""
 
 
 def mix(first: Take, second: Take, share: FloatArray) -> Take:
@@ -30,16 +31,16 @@ def mix(first: Take, second: Take, share: FloatArray) -> Take:
     Parameters
     ----------
     first : Take
-        N frames; the result has its times and info.
+        The first take, of N frames, which also provides the times and info of the result.
     second : Take
-        N frames.
+        The second take, of N frames.
     share : (N,) float64
-        0 gives a frame of `first` and 1 of `second`, unchanged; in between, a frame is lost if either is.
+        0 gives a frame of `first` and 1 one of `second`, unchanged; in between, a frame is lost if either is.
 
     Returns
     -------
     Take
-        N frames.
+        The mixed take, of N frames.
     """
     share = np.asarray(share, dtype=np.float64)
     both = first.found & second.found
@@ -69,14 +70,14 @@ def project(shape: FloatArray, pose: FloatArray) -> FloatArray:
     Parameters
     ----------
     shape : (N, 66, 3) float64
-        Head frame, outer-eye distances.
+        Landmarks without the pose: head frame, outer-eye distances.
     pose : (N, 6) float64
-        As in `TrackResult`.
+        Poses, as in `TrackResult`.
 
     Returns
     -------
     (N, 66, 2) float64
-        Pixels.
+        Landmarks in pixels.
     """
     if not len(pose):
         return np.empty((0, shape.shape[1], 2))
@@ -92,17 +93,17 @@ def sample(take: Take, times: FloatArray) -> Take:
     take : Take
         The take.
     times : (M,) float64
-        Increasing, in seconds.
+        Times in seconds, increasing.
 
     Returns
     -------
     Take
-        M frames.
+        The sampled take, of M frames.
 
     Notes
     -----
-    Between two frames with a face, values are interpolated. Next to a lost frame, before the first and after the last,
-    the nearest frame is used if it is within half a typical step; otherwise the frame is lost.
+    Between two frames with a face, values are interpolated. Next to a lost frame, before the first and after the last
+    frame, the nearest frame is used if it is within half a typical step; otherwise the result is lost.
     """
     times = np.asarray(times, dtype=np.float64)
     # Neighbouring frames, and the share of the way between them.
@@ -112,7 +113,7 @@ def sample(take: Take, times: FloatArray) -> Take:
     step = take.times[after] - take.times[before]
     share = np.divide(times - take.times[before], step, out=np.zeros(len(times)), where=step > 0.0).clip(0.0, 1.0)
     broken = ~(take.found[before] & take.found[after]) | (step > _MAX_STEP * typical)
-    # Across lost or missing frames take the nearest one, unless it is too far away.
+    # Across lost or missing frames, use the nearest one, unless it is too far away.
     share = np.where(broken, np.round(share), share)
     between = mix(take.part(before), take.part(after), share)
     nearest = np.where(share < 0.5, before, after)
@@ -148,7 +149,7 @@ def mark_lost(take: Take, lost: NDArray[np.bool_]) -> Take:
 
 
 def resample(take: Take, fps: float, start: float | None = None) -> Take:
-    """Resample a take at an even rate; timing is kept, whatever both rates are.
+    """Resample a take at an even rate. The timing is kept, whatever the rates.
 
     Parameters
     ----------
@@ -185,13 +186,19 @@ def resample(take: Take, fps: float, start: float | None = None) -> Take:
 
 
 def shift_time(take: Take, seconds: float) -> Take:
-    """Return a take, shifted in time.
+    """Shift a take in time.
 
     Parameters
     ----------
     take : Take
+        The take.
     seconds : float
-        Negative values shift it to earlier times.
+        Time to add to all times; negative for earlier times.
+
+    Returns
+    -------
+    Take
+        The shifted take.
 
     Raises
     ------
@@ -218,17 +225,17 @@ def trim(take: Take, start: float = -np.inf, end: float = np.inf) -> Take:
     take : Take
         The take.
     start, end : float
-        Seconds, both included.
+        Ends of the span in seconds, both included.
 
     Returns
     -------
     Take
-        Frames of that span, at their own times.
+        The frames of that span, at their own times.
 
     Raises
     ------
     SourceError
-        If there are none.
+        If there are no frames in the span.
     """
     inside = (take.times >= start - 1e-9) & (take.times <= end + 1e-9)
     if not inside.any():
@@ -251,7 +258,7 @@ def punch_in(take: Take, insert: Take, start: float, end: float, blend: float = 
     start, end : float
         Span in seconds.
     blend : float
-        Seconds, within the span and at both ends, over which one take blends into the other.
+        Time in seconds, within the span and at both of its ends, over which one take blends into the other.
 
     Returns
     -------
