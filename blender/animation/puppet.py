@@ -93,7 +93,7 @@ class PuppetReport:
     def summary(self) -> str:
         """Return the number of shape keys and the error as text."""
         if not self.keys:
-            return "every vertex exactly"
+            return "exact for every vertex"
         if np.isnan(self.worst_error):
             return f"{self.keys} shape keys"
         keys, error = self.keys, f"{100 * self.worst_error:.2g}"

@@ -24,7 +24,7 @@ def import_facegen(context: bpy.types.Context, path: Path, scale: float = MILLIM
     ----------
     context : bpy.types.Context
     path : Path
-        A `.tri` or `.obj` file; the modes of a `.egm` file beside it are imported as well.
+        A `.tri` or `.obj` file; the modes of an `.egm` file next to it are imported as well.
     scale : float
         Metres per unit of the file.
 

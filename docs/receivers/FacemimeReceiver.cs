@@ -1,7 +1,8 @@
 // Receives the moved vertices of Facemime's heads over TCP.
 //
 // In Unity, add this file to the project and the component "Facemime Receiver" to an empty object; it makes a child with
-// a mesh for each head. Elsewhere, use FacemimeStream alone: it listens, and Update calls back for what has come.
+// a mesh for each head. In other programs, use FacemimeStream alone: it listens, and Update calls back for each mesh and
+// frame that was received.
 //
 // SPDX-License-Identifier: GPL-3.0-or-later
 
@@ -13,7 +14,7 @@ using System.Net.Sockets;
 using System.Text;
 using System.Threading;
 
-// A head at rest: vertices as x, y, z after each other, and the corners of its triangles, anticlockwise from outside.
+// A head at rest: vertices as consecutive x, y, z, and the corners of its triangles, anticlockwise from outside.
 // Axes: x right, y up, z towards the viewer.
 public sealed class FacemimeMesh
 {

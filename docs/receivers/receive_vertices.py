@@ -1,4 +1,4 @@
-"""Receive the moved vertices of Facemime's heads: `python receive_vertices.py [PORT] [HOST]`. Needs numpy alone.
+"""Receive the moved vertices of Facemime's heads: `python receive_vertices.py [PORT] [HOST]`. Needs only numpy.
 
 In your own program, iterate over `receive(connection)`: a `Mesh` for each head, then `Frame`s that move it.
 
