@@ -221,10 +221,10 @@ def _bend(template: Template, surface: Surface, pose: Pose, guides: Guides) -> t
     rest = size * template.places @ rotation.T + shift
     led = size * guides.source @ rotation.T + shift
     bent = rest
+    # Nonrigid closest points (Amberg et al. 2007): warps of decreasing smoothness, two iterations each.
     for smoothing in _SMOOTHINGS:
         for _ in range(2):
-            # Nonrigid closest points (Amberg et al. 2007). The rest shape is always the one that is warped, so that
-            # errors do not accumulate.
+            # The rest shape is always the one that is warped, so that errors do not accumulate.
             normals = surface_normals(bent, template.faces)
             goal = surface.places[surface.nearest(bent[template.skin], normals[template.skin])]
             distance = np.linalg.norm(goal - bent[template.skin], axis=1)

@@ -40,6 +40,7 @@ class Template:
         self.faces: IntArray = head.faces
         self.landmarks: IntArray = head.landmarks
         self.normals = surface_normals(self.places, head.faces)
+        # Points of moving skin that do not face away from the viewer (-z), at some distance from lids and lips.
         outside = (head.regions.sum(axis=0) > 0.5) & (self.normals[:, 2] < 0.2)
         for part, apart in _EXCLUDED:
             marks = self.places[self.landmarks[part]]

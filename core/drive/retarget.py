@@ -84,7 +84,7 @@ class Retargeter:
         self.neutral = as_points(neutral, "neutral", count=N_LANDMARKS, error=HeadError)
         self.head_landmarks = as_points(head_landmarks, "head_landmarks", count=N_LANDMARKS, error=HeadError)
         self.scale = _scale(self.neutral, self.head_landmarks)
-        # The user's strength per region, averaged for landmarks of two regions.
+        # Equation 4.2, times the user's strength per region, averaged for landmarks of two regions.
         gains = np.asarray(strength, dtype=np.float64)
         members = membership()
         self.scale *= ((members * gains[:, None]).sum(axis=0) / members.sum(axis=0))[:, None]
@@ -115,8 +115,8 @@ class Retargeter:
         """
         current = as_points(shape, "shape", count=N_LANDMARKS)
         moved = np.asarray(self.scale * (current - self.neutral))
-        # Tracked lids stay apart even when an eye is shut, and close when it is wide open, so the upper lid is moved
-        # further.
+        # Tracked lids are too far apart when an eye is shut, and too close together when it opens wide, so the upper
+        # lid is moved further in both cases (section 4.3).
         closed = self._open - lid_gaps(current)
         moved[UPPER_LIDS, 1] += np.where(closed > 0.0, self._closing_gain, self._widening_gain) * closed
         for upper, lower in _MEETING_RIMS:

@@ -136,6 +136,7 @@ def _above_mouth(place: FloatArray, points: FloatArray) -> FloatArray:
     right, left = points[MOUTH_CORNERS]
     angle_right, angle_left = points[from_ibug((3, 4))].mean(axis=0), points[from_ibug((12, 13))].mean(axis=0)
     x = place[:, 0]
+    # The border widens with the distance from the corners of the mouth.
     outside = np.maximum(np.maximum(right[0] - x, x - left[0]), 0.0)
     line = np.stack([angle_right, right, left, angle_left])
     return _above(place, line, np.clip(1.2 * outside, _SLIT_SOFTNESS, _MOUTH_SOFTNESS))

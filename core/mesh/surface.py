@@ -196,8 +196,8 @@ def lips_joined(graph: SurfaceGraph, landmarks: IntArray) -> bool:
     upper, lower = landmarks[UPPER_LIP[1:4]], landmarks[LOWER_LIP[1:4]]
     across = np.linalg.norm(graph.vertices[upper] - graph.vertices[lower], axis=1)
     width = float(np.linalg.norm(np.subtract(*graph.vertices[landmarks[MOUTH_CORNERS]])))
-    ways = [graph.path_lengths([int(u)], 2.0 * width)[v] for u, v in zip(upper, lower, strict=True)]
-    return bool((np.array(ways) < JOINED * across).any())
+    lengths = [graph.path_lengths([int(u)], 2.0 * width)[v] for u, v in zip(upper, lower, strict=True)]
+    return bool((np.array(lengths) < JOINED * across).any())
 
 
 def _edges(faces: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -1,4 +1,4 @@
-"""Settings that control how takes are mended."""
+"""Settings of the mending of takes."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ Smoothing = Literal["none", "one-euro", "zero-phase"]
 
 @dataclass(frozen=True)
 class Mending:
-    """What to do to a take, in this order.
+    """Steps of mending, applied in the order of the fields.
 
     Attributes
     ----------
     outliers : bool
-        Remove outliers.
+        Whether to remove outliers.
     gaps : {"leave", "bridge", "hold"}
-        What to do where no face was found, as for `bridge_gaps`.
+        What to do with gaps without a face, as for `bridge_gaps`.
     longest : float
-        Longest gap to fill, in seconds.
+        Longest gap to fill in seconds.
     smoothing : {"none", "one-euro", "zero-phase"}
-        Not at all, as live, or without delay.
+        No smoothing, smoothing as live, or smoothing without delay.
     cutoffs : mapping of str to float
-        For "zero-phase": cutoffs in Hz by part, if not the default.
+        Cutoffs in Hz by part for "zero-phase", overriding `smooth.CUTOFFS`.
     mirror : bool
-        Swap left and right.
+        Whether to swap left and right.
     neutral : float, optional
-        Time of the neutral face in seconds.
+        Time of the new neutral face in seconds.
     """
 
     outliers: bool = setting(False, "Remove Outliers", "Remove frames that differ abruptly from their neighbours")

@@ -89,7 +89,7 @@ def regularised_mean_shift(
     flat = jacobian.reshape(-1, jacobian.shape[2])
     prior = np.zeros(flat.shape[1])
     np.divide(options.regularisation, model.eigenvalues, out=prior[N_POSE:])
-    of = np.concatenate([e.maps.landmarks for e in evidence])
+    of = np.concatenate([e.maps.landmarks for e in evidence])  # the landmark of each map
     weights = trusted = np.concatenate([e.weights for e in evidence])
     scale = options.outlier_scale * np.concatenate([np.broadcast_to(e.tolerance, len(e.weights)) for e in evidence])
     normal = _normal_matrix(flat, prior, of, weights)
@@ -109,7 +109,8 @@ def regularised_mean_shift(
         pull = [np.bincount(of, weights * shift, len(landmarks)) for shift in shifts.T]
         right = np.concatenate(pull) @ flat
         right[N_POSE:] -= prior[N_POSE:] * (start.shape_params + moved[N_POSE:])
-        # OpenCV rather than numpy, whose threads wait for each other on a busy machine, even for a matrix this small.
+        # Equation 3.4. OpenCV rather than numpy, whose threads wait for each other on a busy machine, even for so small
+        # a matrix.
         delta = cv2.solve(normal, right, flags=cv2.DECOMP_CHOLESKY)[1][:, 0]
         moved += delta
         landmarks += (flat @ delta).reshape(2, -1).T
