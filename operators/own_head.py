@@ -1,7 +1,6 @@
 """Operators that prepare a mesh as a head: mark points, bind landmarks, propose regions, check, cut."""
 
 from collections.abc import Iterator
-from contextlib import closing
 
 import bpy
 from bpy.app.translations import pgettext_rpt as _
@@ -28,12 +27,10 @@ from ..core.errors import HeadError
 from ..core.landmarks import from_ibug
 from ..settings.panel_properties import keep_findings
 from .shared import InObjectMode, OnHead, OnMesh, report, require_left_edit_mode
-from .steps import Background, WorksInSteps
+from .steps import WorksInSteps, in_background
 
 _CHECK_PANEL = "FACEMIME_PT_check"
 """The popup that shows the result of a check; it is in `ui`, which imports the operators."""
-_WAIT = 0.02
-"""Seconds between two redraws during a search."""
 
 
 def report_findings(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:
@@ -107,17 +104,7 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnMesh, bpy.types.O
         """Search for the face in a thread, and bind what was found."""
         active = context.active_object
         turns = {obj: obj.matrix_world.copy() for obj in context.view_layer.objects if obj.type == "MESH"}
-        with closing(search_character(active)) as search:
-            resume, outcome = search.send, None
-            try:
-                while True:
-                    searching = Background(resume(outcome))
-                    while not searching.wait(_WAIT):
-                        yield 0.0
-                    failed = searching.error is not None
-                    resume, outcome = (search.throw, searching.error) if failed else (search.send, searching.result)
-            except StopIteration as end:
-                head, binding = end.value
+        head, binding = yield from in_background(search_character(active))
         if head != active:
             active.select_set(False)
             head.select_set(True)

@@ -1,15 +1,17 @@
 """Operators that change the parts of a character, and the bones that follow the pose of its head and eyes."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_rpt as _
 from bpy.props import EnumProperty, StringProperty
 
 from ..blender.animation.targets import PoseTarget
 from ..blender.characters import read_bones, read_kinds, set_part, write_bones
 from ..blender.heads.binding import propose_head_regions
-from ..blender.heads.expression_keys import make_expression_keys
+from ..blender.heads.expression_keys import making_expression_keys
 from ..blender.heads.family import armature_of
 from ..blender.heads.parts import forget_parts, sort_again
 from ..blender.meshes import is_head
@@ -19,6 +21,7 @@ from ..core.errors import HeadError
 from ..core.heads.parts import PART_NAMES, Part
 from ..sessions.session import Session
 from .shared import InObjectMode, OnHead, ReportsErrors, report
+from .steps import WorksInSteps, in_background
 
 _DESCRIPTIONS = {
     Part.SKIN: "Skin of the face, which the landmarks move",
@@ -178,7 +181,7 @@ class FACEMIME_OT_mute_bone(OnHead, bpy.types.Operator):
         PoseTarget(armature, bone).mute()
 
 
-class FACEMIME_OT_make_expression_keys(InObjectMode, OnHead, bpy.types.Operator):
+class FACEMIME_OT_make_expression_keys(InObjectMode, WorksInSteps, OnHead, bpy.types.Operator):
     """Add a set of shape keys, such as ARKit's face units, to all meshes of the face; existing keys are kept"""
 
     bl_idname = "facemime.make_expression_keys"
@@ -190,10 +193,14 @@ class FACEMIME_OT_make_expression_keys(InObjectMode, OnHead, bpy.types.Operator)
         items=[(name, keys.label, "") for name, keys in KEY_SETS.items()],
     )
 
-    def work(self, context: bpy.types.Context) -> None:
+    def status(self) -> str:
+        return _("Facemime: making shape keys; Esc to cancel")
+
+    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+        """Make the keys in a thread, and add them."""
         if (session := Session.running()) is not None:
             session.close()
-        made = make_expression_keys(context.active_object, KEY_SETS[self.keys])
+        made = yield from in_background(making_expression_keys(context.active_object, KEY_SETS[self.keys]))
         for finding in made.findings:
             report(self, finding)
         report(self, made.summary())

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
 from typing import Any
 
 import bpy
 
+from ..blender.work import Result, Work
 from .shared import ReportsErrors
 
 _TICK = 0.02
+_WAIT = 0.02
+"""Seconds between two redraws while a part is done in a thread."""
 _SLICE = 0.05
 """Seconds of steps between two redraws."""
 _NAVIGATION = {"MOUSEMOVE", "MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN", "TRACKPADZOOM"}
@@ -103,6 +107,25 @@ class WorksInSteps(ShowsProgress, ReportsErrors):
             raise
         context.window_manager.progress_update(done)
         return {"RUNNING_MODAL"}
+
+
+def in_background(work: Work[Result]) -> Generator[float, None, Result]:
+    """Do the parts of a work in a thread, one after another; yield the share that is done, and return the result.
+
+    When it is closed, the work is closed too, after the part that is running.
+    """
+    with closing(work):
+        resume, outcome = work.send, None
+        try:
+            while True:
+                task = resume(outcome)
+                doing = Background(task.run)
+                while not doing.wait(_WAIT):
+                    yield task.done
+                failed = doing.error is not None
+                resume, outcome = (work.throw, doing.error) if failed else (work.send, doing.result)
+        except StopIteration as end:
+            return end.value
 
 
 class Background:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
 from functools import partial
-from typing import Any, TypeVar, cast
 
 import bpy
 import numpy as np
@@ -43,6 +41,7 @@ from ..names import (
     REGION_GROUPS,
     SELECTION_PROPERTY,
 )
+from ..work import Task, Work, do_at_once
 from .family import face_candidates
 from .parts import current_skin, forget_parts, is_sorted, named_others, skin_of_object, sort_character
 
@@ -51,43 +50,23 @@ _MAX_CANDIDATES = 3
 _UPRIGHT = np.cos(np.radians(20.0))
 """Cosine of the angle to -Y above which a mesh is rotated; a smaller angle is the pose of the head."""
 CACHES = {"MESH_CACHE", "MESH_SEQUENCE_CACHE"}
-Result = TypeVar("Result")
 
 
 class VertexTakenError(HeadError):
     """Raised if another landmark is bound to the vertex."""
 
 
-Search = Generator[Callable[[], Binding], Binding, Result]
-"""A search for a face: yields the long parts of its work, which do not touch Blender, and is sent what they return."""
-
-
 def bind_character(obj: bpy.types.Object | None) -> tuple[bpy.types.Object, Binding]:
     """Find the face of a character at once; parameter, result and errors are those of `search_character`."""
-    return _found(search_character(obj))
+    return do_at_once(search_character(obj))
 
 
 def bind_head(obj: bpy.types.Object | None) -> Binding:
     """Find the face of a mesh at once; parameter, result and errors are those of `search_head`."""
-    return _found(search_head(obj))
+    return do_at_once(search_head(obj))
 
 
-def _found(search: Search[Result]) -> Result:
-    """Run a search to its end."""
-    resume: Callable[[Any], Callable[[], Binding]]
-    resume, outcome = search.send, None
-    try:
-        while True:
-            work = resume(outcome)
-            try:
-                resume, outcome = search.send, work()
-            except HeadError as error:
-                resume, outcome = search.throw, error
-    except StopIteration as end:
-        return cast(Result, end.value)
-
-
-def search_character(obj: bpy.types.Object | None) -> Search[tuple[bpy.types.Object, Binding]]:
+def search_character(obj: bpy.types.Object | None) -> Work[tuple[bpy.types.Object, Binding]]:
     """Find the face of the character to which `obj` belongs, and bind its landmarks as `search_head` does.
 
     Parameters
@@ -125,7 +104,7 @@ def search_character(obj: bpy.types.Object | None) -> Search[tuple[bpy.types.Obj
     raise failure
 
 
-def search_head(obj: bpy.types.Object | None) -> Search[Binding]:
+def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
     """Find the landmarks of `obj`, with or without marked points, propose its regions, and sort the parts of its face.
 
     Without marks the face is searched along the axes of the scene, first upright towards -Y, as importers rotate the
@@ -277,7 +256,7 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
 
 def _bound(
     vertices: NDArray[np.floating], skin: Skin, marks: dict[int, int], axes: list[NDArray[np.floating]]
-) -> Search[tuple[Binding, NDArray[np.floating]]]:
+) -> Work[tuple[Binding, NDArray[np.floating]]]:
     """Return the binding of a skin, and the one of `axes`, (3, 3) rotations, along which it was found: the first along
     which a face is clearly visible, or otherwise the one along which the template was deformed least.
 
@@ -292,7 +271,8 @@ def _bound(
     marked = {landmark: vertex for landmark, vertex in marked.items() if vertex >= 0}
     for rotation in axes:
         try:
-            binding = yield partial(bind_landmarks, vertices[skin.kept] @ rotation.T, skin.faces, marked)
+            turned = vertices[skin.kept] @ rotation.T
+            binding = yield Task(partial(bind_landmarks, turned, skin.faces, marked), len(found) / (len(axes) + 1))
         except HeadError as error:
             failure = error
             continue

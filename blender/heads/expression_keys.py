@@ -18,7 +18,10 @@ from ..frames import to_blender
 from ..meshes import mesh_of, read_vertices, require_own
 from ..names import PART_PROPERTY
 from ..rigs import read_rig
+from ..work import Task, Work, do_at_once
 
+_MAKING = 0.7
+"""Share of the time that making the keys takes; the rest is for measuring them."""
 _STILL = 1e-5
 """Motion relative to the eye distance below which a mesh other than the head is still and gets no keys."""
 
@@ -55,6 +58,11 @@ class MadeKeys:
 
 
 def make_expression_keys(obj: bpy.types.Object | None, keys: KeySet = KEY_SETS["arkit"]) -> MadeKeys:
+    """Add a set of shape keys at once; parameters, result and errors are those of `making_expression_keys`."""
+    return do_at_once(making_expression_keys(obj, keys))
+
+
+def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet) -> Work[MadeKeys]:
     """Add a set of shape keys to all meshes of a head that they move; existing keys of these names are kept.
 
     Parameters
@@ -77,17 +85,23 @@ def make_expression_keys(obj: bpy.types.Object | None, keys: KeySet = KEY_SETS["
         if (found := part.data.shape_keys) is not None and not found.use_relative:
             raise HeadError(f"The shape keys of {part.name} are absolute. Enable Relative first.")
     rig = read_rig(obj)
-    names, motions = expression_keys(rig, keys)
+    made = Task(lambda: expression_keys(rig, keys, progress))
+
+    def progress(share: float) -> None:
+        made.done = _MAKING * share
+
+    names, motions = yield made
+    qualities = yield Task(lambda: key_qualities(rig, keys, motions), _MAKING)
     added: list[str] = []
     for member in members:
         if member.obj != obj and np.abs(motions[:, member.part]).max() < _STILL * rig.eye_distance:
             continue
-        made = _add(member.obj, names, member.local_offsets(motions))
-        added = made if member.obj == obj else added
+        new = _add(member.obj, names, member.local_offsets(motions))
+        added = new if member.obj == obj else added
     for child in attached:
         _add_to_part(child, keys)
-    qualities = [quality for quality in key_qualities(rig, keys, motions) if quality.name in added]
-    return MadeKeys(len(added), tuple(name for name in names if name not in added), qualities)
+    own = [quality for quality in qualities if quality.name in added]
+    return MadeKeys(len(added), tuple(name for name in names if name not in added), own)
 
 
 def _add(obj: bpy.types.Object, names: Sequence[str], offsets: np.ndarray) -> list[str]:

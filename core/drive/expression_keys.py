@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +34,9 @@ _SEALED = 0.005
 """Gap between sealed lips in outer-eye distances, unless they are closer at rest."""
 
 
-def expression_keys(rig: HeadRig, keys: KeySet = KEY_SETS["arkit"]) -> tuple[tuple[str, ...], NDArray[np.float32]]:
+def expression_keys(
+    rig: HeadRig, keys: KeySet = KEY_SETS["arkit"], progress: Callable[[float], None] = lambda share: None
+) -> tuple[tuple[str, ...], NDArray[np.float32]]:
     """Make a set of shape keys for a head.
 
     Parameters
@@ -42,6 +45,8 @@ def expression_keys(rig: HeadRig, keys: KeySet = KEY_SETS["arkit"]) -> tuple[tup
         The head, with its eyes, teeth and other parts.
     keys : KeySet
         The set; by default ARKit's 52 face units.
+    progress : callable, optional
+        Is called with the share of the keys that are made, 0 to 1.
 
     Returns
     -------
@@ -59,7 +64,7 @@ def expression_keys(rig: HeadRig, keys: KeySet = KEY_SETS["arkit"]) -> tuple[tup
     """
     alone, skin = rig.skin()
     source = _Source.of(keys)
-    skin_motions = _Maker(alone, source).motions(keys)
+    skin_motions = _Maker(alone, source).motions(keys, progress)
     if skin is None:
         return keys.names, skin_motions
     points = np.asarray(alone.vertices, dtype=np.float64)[alone.landmarks]
@@ -113,13 +118,14 @@ class _Maker:
         faces = np.empty((0, 3), dtype=np.intp) if skin.faces is None else skin.faces
         self._slits = SlitContact(skin.vertices, faces, skin.landmarks, weights)
 
-    def motions(self, keys: KeySet) -> NDArray[np.float32]:
+    def motions(self, keys: KeySet, progress: Callable[[float], None]) -> NDArray[np.float32]:
         """Return the displacements of the vertices of the skin, (K, V, 3)."""
         skin = self._skin
         made = transferred(self._source.motions, skin.vertices, skin.landmarks, skin.region_weights)
         near = _near(self._rest, self._points, skin.eye_distance)
         nothing = np.zeros_like(self._rest)
         for row, name in enumerate(keys.names):
+            progress(row / len(keys.names))
             if not self._source.motions[row].any():
                 made[row] = 0.0
                 continue

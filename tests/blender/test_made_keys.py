@@ -13,7 +13,7 @@ from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.characters import read_bones
 from facemime.blender.heads.binding import bind_character, missing_parts
 from facemime.blender.heads.built_in import add_head
-from facemime.blender.heads.expression_keys import make_expression_keys
+from facemime.blender.heads.expression_keys import make_expression_keys, making_expression_keys
 from facemime.blender.heads.keyed import bind_keys
 from facemime.blender.meshes import driven_by_keys, is_head, read_vertices
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, PIVOT_PROPERTY, REGION_GROUPS
@@ -25,6 +25,7 @@ from facemime.core.heads.parts import Part
 from facemime.core.heads.rig import neck_of
 from facemime.core.puppet.settings import PuppetSettings
 from facemime.core.takes.file import save_take
+from facemime.operators.steps import in_background
 from facemime.sessions.start import follow_settings, start_session
 from live_ticks import wait_for
 from takes import performance
@@ -220,3 +221,14 @@ def test_commands_make_a_set_and_puppet_by_keys_alone(keyed, tmp_path):
     assert done.returncode == 0 and f"{name} is driven by its shape keys alone." in done.stderr
     bpy.ops.wm.open_mainfile(filepath=str(out))
     assert driven_by_keys(bpy.data.objects[name]) and not is_head(bpy.data.objects[name])
+
+
+def test_keys_are_made_in_a_thread_that_tells_its_progress_and_can_be_stopped(kept):
+    head = kept("Progress", lambda: [add_head(bpy.context)])[0]
+    stopped = in_background(making_expression_keys(head, KEY_SETS["vrm"]))
+    assert 0.0 <= next(stopped) < 1.0
+    stopped.close()
+    assert head.data.shape_keys is None
+    shares = list(in_background(making_expression_keys(head, KEY_SETS["vrm"])))
+    assert shares == sorted(shares) and 0.0 < shares[-1] < 1.0 and len(set(shares)) > 2
+    assert len(head.data.shape_keys.key_blocks) == 1 + len(KEY_SETS["vrm"].names)
