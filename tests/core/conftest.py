@@ -1,4 +1,4 @@
-"""What several tests of core and of the command share."""
+"""Fixtures shared by tests of core and of the command line."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,7 +21,7 @@ def take(tmp_path) -> Path:
 
 @pytest.fixture
 def opened() -> Iterator[Callable[..., StreamSource]]:
-    """Make a source on a free port that skips no frame, however busy the computer; all are closed in the end."""
+    """Make a source on a free port that skips no frame on a busy machine; all are closed at the end."""
     sources: list[StreamSource] = []
 
     def make(protocol: str = "own", **settings) -> StreamSource:

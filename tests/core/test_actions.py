@@ -29,7 +29,7 @@ measured = arrays(np.float64, N_ACTIONS, elements=st.floats(-1.0, 2.0))
 
 
 def showing(take: Take, **amounts: float) -> Take:
-    """A take at rest in its first half, which shows the given actions in its second."""
+    """A take at rest in its first half and with the given actions in its second half."""
     actions = np.full((len(take), N_ACTIONS), 0.1, np.float32)
     for name, amount in amounts.items():
         actions[len(take) // 2 :, ACTIONS.index(name)] += amount
@@ -50,7 +50,7 @@ def test_mirroring_actions_swaps_their_sides_and_twice_restores_them():
 
 
 @given(measured, measured)
-def test_activations_are_0_at_rest_grow_with_what_is_measured_and_have_a_limit(rest, seen):
+def test_activations_are_0_at_rest_grow_with_the_measurement_and_are_limited(rest, seen):
     driver = ActionDriver(rest, FACE)
     assert not driver.activations(rest.clip(0.0, 0.6), FACE).any()
     shown = driver.activations(seen, FACE)
@@ -58,7 +58,7 @@ def test_activations_are_0_at_rest_grow_with_what_is_measured_and_have_a_limit(r
     assert (driver.activations(seen + 0.1, FACE) >= shown).all()
 
 
-def test_a_full_action_is_shown_in_full_and_less_by_a_face_that_shows_some_of_it_at_rest():
+def test_a_full_action_is_shown_in_full_but_less_on_a_face_that_shows_some_of_it_at_rest():
     for rest, least in ((0.0, 1.0), (0.1, 1.0), (0.25, 0.1)):
         shown = ActionDriver(np.full(N_ACTIONS, rest), FACE).activations(np.ones(N_ACTIONS), FACE)
         assert (shown >= least * _MOST)[TOLD_BY_PICTURE].all()
@@ -71,7 +71,7 @@ def test_unknown_actions_show_nothing_and_an_unknown_rest_counts_as_none():
     assert (shown >= _MOST)[TOLD_BY_PICTURE].all()
 
 
-def test_a_brow_moves_in_full_when_picture_and_landmarks_agree_and_less_when_only_one_says_so():
+def test_a_brow_moves_in_full_when_image_and_landmarks_agree_and_less_otherwise():
     raised, still = FACE.copy(), FACE.copy()
     raised[from_ibug((20, 21)), 1] -= 0.06
     driver, seen = ActionDriver(np.zeros(N_ACTIONS), FACE), np.zeros(N_ACTIONS)
@@ -133,7 +133,7 @@ def test_only_landmarks_and_the_papers_kernels_ignore_actions():
     assert driver_of(take, kernel="gaussian").modes is None
 
 
-def test_measured_actions_become_arkit_coefficients_of_their_names():
+def test_measured_actions_become_the_arkit_coefficients_of_the_same_names():
     take = showing(performance(), tongueOut=0.9, cheekPuffLeft=0.9, cheekPuffRight=0.9)
     coefficients = arkit_coefficients(take, calibrate(take))[-1]
     named = dict(zip(COEFFICIENTS, coefficients, strict=True))

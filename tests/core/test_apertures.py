@@ -1,4 +1,4 @@
-"""Apertures of eyes and mouth, and the angles that a result states."""
+"""Apertures of eyes and mouth, and the angles of a result."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def test_closed_rims_have_aperture_zero_and_crossed_ones_a_negative_one(face):
         assert (aperture(shut) < -0.04).all()
 
 
-def test_a_mirrored_face_swaps_its_eyes_apertures(face):
+def test_mirroring_a_face_swaps_the_apertures_of_its_eyes(face):
     face = face.copy()
     face[UPPER_LIDS[:2], 1] += 0.04
     mirrored = face[MIRROR] * (-1.0, 1.0, 1.0)

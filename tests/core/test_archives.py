@@ -35,7 +35,7 @@ def stated(descr: str, shape: str) -> bytes:
     return f"{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}".encode()
 
 
-def test_archives_of_numpy_are_read():
+def test_numpy_archives_are_read():
     arrays = {"a": np.arange(12.0).reshape(3, 4), "b": np.asfortranarray(np.arange(6).reshape(2, 3))}
     arrays |= {
         "name": np.array("head"),
@@ -97,7 +97,7 @@ def test_unusual_compression_is_refused(method):
 
 @pytest.mark.parametrize("place", [6, 8])
 def test_an_encrypted_or_unknown_member_is_refused(place):
-    """Byte 6 of a member's header and 8 of the directory's are the flags, the two behind them the method."""
+    """Byte 6 of a member's header and byte 8 of the directory's are the flags; the method follows after two bytes."""
     data = bytearray(packed(a=np.zeros(3)))
     for marker, shift in ((b"PK\x03\x04", 0), (b"PK\x01\x02", 2)):
         data[data.find(marker) + place + shift] |= 0x41
@@ -114,7 +114,7 @@ def test_a_damaged_stream_is_refused():
         read_archive(b"no archive")
 
 
-def test_a_bomb_is_refused_before_it_unpacks():
+def test_a_zip_bomb_is_refused_before_unpacking():
     bomb = packed(a=np.zeros(MAX_BYTES, np.uint8))
     assert len(bomb) < 100_000
     tracemalloc.start()
@@ -125,7 +125,7 @@ def test_a_bomb_is_refused_before_it_unpacks():
     assert peak < 1 << 20
 
 
-def test_a_member_that_is_longer_than_the_archive_says_is_refused():
+def test_a_member_longer_than_the_archive_states_is_refused():
     data = bytearray(packed(a=np.zeros(100_000)))
     at = data.find(b"PK\x01\x02") + 24
     data[at : at + 4] = struct.pack("<I", 200)

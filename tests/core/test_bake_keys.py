@@ -36,7 +36,7 @@ from takes import performance
 
 @settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), unknowns=st.integers(1, 14), extra=st.integers(0, 20), infinite=st.booleans())
-def test_bounded_least_squares_finds_what_scipy_finds(seed, unknowns, extra, infinite):
+def test_bounded_least_squares_agrees_with_scipy(seed, unknowns, extra, infinite):
     rng = np.random.default_rng(seed)
     matrix, wanted = rng.normal(size=(unknowns + extra, unknowns)), rng.normal(size=(3, unknowns + extra))
     matrix += 0.3 * np.eye(unknowns + extra, unknowns)
@@ -72,7 +72,7 @@ def test_keys_stay_within_their_slider_ranges():
     assert fit.weights.min() == -0.5 and fit.weights.max() == 0.8 and fit.worst_error > 1e-3
 
 
-def test_turned_eyes_are_the_coefficients_of_their_direction():
+def test_turned_eyes_give_the_coefficients_of_their_direction():
     gaze = np.array([[np.eye(3)] * 2, [euler_to_matrix(0.0, 0.2, 0.0)] * 2])
     found = coefficients_of(np.zeros((2, N_OBSERVED)), gaze, np.zeros((2, N_ACTIONS)))
     looking = {name for name, values in zip(COEFFICIENTS, found.T, strict=True) if values[1] > 0.3 and values[0] < 0.05}

@@ -148,7 +148,7 @@ def test_the_worst_frames_are_the_least_certain_ones_some_time_apart():
 
 @pytest.fixture
 def done(tmp_path) -> tuple[Clip, Path, dict]:
-    """A clip that is done, the path of its record, and its content."""
+    """A finished clip, the path of its record, and its content."""
     job = Clip(tmp_path / "a.mp4", "a-1")
     job.output(tmp_path, ".blend").write_bytes(b"x")
     write_record(job, tmp_path, performance(), 1.0, [b"jpeg"])
@@ -214,7 +214,7 @@ def test_the_report_is_one_file_and_lists_failures_first(tmp_path):
 
 @pytest.fixture
 def python_lines(monkeypatch):
-    """Each command line is Python code."""
+    """Run command lines as Python code."""
     monkeypatch.setattr(run, "own_command", lambda: [sys.executable, "-c", "import sys; exec(sys.argv[1])"])
 
 

@@ -1,4 +1,4 @@
-"""Lids are bound where they are seen against an eye of its own."""
+"""Lids are bound where they are seen against a separate eye."""
 
 import numpy as np
 import pytest

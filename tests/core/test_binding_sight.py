@@ -1,4 +1,4 @@
-"""What the tracker sees on a mesh, and how it decides what is bound."""
+"""The face that the tracker sees on a mesh, and how it guides the binding."""
 
 import cv2
 import numpy as np
@@ -24,13 +24,13 @@ LIDS = np.concatenate([EYE_RIGHT, EYE_LEFT])
 
 
 def posed(**strengths: float) -> np.ndarray:
-    """The built-in head with some of its units; those of both sides are given by the name without a side."""
+    """The built-in head with some of its units; units for both sides are given without a side."""
     sides = {unit: strengths.get(unit.removesuffix("Left").removesuffix("Right"), 0.0) for unit in HEAD.unit_names}
     return VERTICES + np.tensordot([sides[unit] for unit in HEAD.unit_names], HEAD.units.astype(float), 1)
 
 
 def strange(chin: float = 1.3) -> np.ndarray:
-    """The head, wider, with a longer or shorter lower face and a smirk, so that no similarity fits."""
+    """The head made wider, with a longer or shorter lower face and a smirk, so that no similarity fits."""
     places = posed(mouthDimple=0.5, browInnerUp=0.4) * [1.15, 1.0, 1.0]
     nose = POINTS[from_ibug([33])[0], 1]
     places[:, 1] += (chin - 1.0) * np.maximum(places[:, 1] - nose, 0.0)
@@ -54,7 +54,7 @@ def ball(radii: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def block() -> tuple[np.ndarray, np.ndarray]:
-    """A cube whose sides are divided."""
+    """A cube with subdivided sides."""
     places, faces = ball((1.0, 1.0, 1.0))
     return places / np.abs(places).max(axis=1, keepdims=True), faces
 
@@ -76,21 +76,21 @@ def test_landmarks_that_are_seen_lie_on_the_surface():
     assert np.median(away) < 0.05 * UNIT and away.max() < 0.15 * UNIT
 
 
-def test_a_bowed_and_turned_head_is_seen_from_in_front():
+def test_a_bowed_and_turned_head_is_viewed_from_in_front():
     turn = euler_to_matrix(*np.radians((20.0, -25.0, 15.0)))
     sight = look(VERTICES @ turn.T, HEAD.faces)
     assert sight is not None and sight.sure
     assert off(VERTICES, sight.points @ turn, INNER) < 0.05
 
 
-def test_nothing_is_seen_on_a_head_that_is_upside_down_or_looks_away():
+def test_no_face_is_seen_on_a_head_that_is_upside_down_or_looks_away():
     for angles in ((0, 0, 180), (0, 180, 0), (90, 0, 0), (-90, 0, 0)):
         sight = look(VERTICES @ euler_to_matrix(*np.radians(angles)).T, HEAD.faces)
         assert sight is None or not sight.sure
 
 
 @pytest.mark.parametrize("angles", first_of([(90, 0, 0), (0, 0, 180), (0, 180, 0), (0, 0, -90)]))
-def test_a_strange_head_in_another_attitude_is_bound_upright(angles):
+def test_a_stylised_head_in_another_attitude_is_bound_upright(angles):
     places, turn = strange(), euler_to_matrix(*np.radians(angles))
     binding = bind_landmarks(places @ turn.T, HEAD.faces)
     assert binding.sure and binding.clarity > 0.5
@@ -115,7 +115,7 @@ def test_the_eyes_of_a_scan_without_openings_are_found_without_marks():
         ),
     ],
 )
-def test_a_mesh_on_which_no_face_is_seen_and_which_has_no_heads_shape_is_refused(shape):
+def test_a_mesh_without_a_visible_face_or_the_shape_of_a_head_is_refused(shape):
     with pytest.raises(HeadError, match="No face was found"):
         bind_landmarks(*shape)
 
@@ -130,7 +130,7 @@ def test_an_unusual_face_is_bound_with_a_request_for_the_four_marks_that_help_mo
         assert again.landmarks[from_ibug([number])[0]] == vertex
 
 
-def test_a_face_that_is_seen_helps_to_bind_what_is_not_marked():
+def test_a_visible_face_helps_to_bind_unmarked_landmarks():
     places = strange()
     few = {number: int(HEAD.landmarks[from_ibug([number])[0]]) for number in (36, 45, 30, 8)}
     binding = bind_landmarks(places, HEAD.faces, few)
@@ -148,7 +148,7 @@ def test_a_face_that_is_seen_helps_to_bind_what_is_not_marked():
         ({"mouthSmile": 1.0}, "The face smiles at rest"),
     ],
 )
-def test_shut_eyes_an_open_mouth_and_a_smile_are_told_from_a_neutral_face(strengths, problem):
+def test_shut_eyes_an_open_mouth_and_a_smile_are_distinguished_from_a_neutral_face(strengths, problem):
     findings = bind_landmarks(posed(**strengths), HEAD.faces).findings
     assert [finding.problem.split(",")[0] for finding in findings] == ([problem] if problem else [])
     assert all(finding.remedy.endswith(".") for finding in findings)
@@ -170,7 +170,7 @@ def test_normals_may_point_inwards(faces):
     assert np.count_nonzero(portrait.hollow) < 0.05 * np.count_nonzero(skin)
 
 
-def test_empty_sockets_get_eyes_and_nothing_else_does():
+def test_only_empty_sockets_get_eyes():
     portrait = Sitter(VERTICES, HEAD.faces).portrait(POINTS[INNER].mean(axis=0)[:2], 1.3 * UNIT)
     eyes = np.stack(
         [(POINTS[eye].mean(axis=0)[:2] - portrait.corner) / portrait.pixel for eye in (EYE_RIGHT, EYE_LEFT)]
@@ -184,7 +184,7 @@ def test_empty_sockets_get_eyes_and_nothing_else_does():
     np.testing.assert_array_equal(plain.with_eyes(eyes, 50.0).image, plain.image)
 
 
-def test_triangles_that_leave_the_picture_are_cropped():
+def test_triangles_that_leave_the_image_are_clipped():
     points = np.array([[-300.0, -300.0], [900.0, -300.0], [-300.0, 900.0]])
     drawn = rasterise(points, np.array([1.0, 1.0, 2.0]), np.array([[0, 1, 2]]), 64)
     assert len(drawn.pixel) == 64 * 64
@@ -192,7 +192,7 @@ def test_triangles_that_leave_the_picture_are_cropped():
 
 
 @pytest.mark.thorough
-def test_a_heap_of_large_triangles_is_drawn_within_limits():
+def test_many_large_triangles_are_drawn_within_limits():
     rng = np.random.default_rng(0)
     points = rng.uniform(-500.0, 700.0, (3000, 2))
     drawn = rasterise(points, rng.uniform(size=3000), np.arange(9000).reshape(-1, 3) % 3000, 256)
@@ -204,7 +204,7 @@ def test_meshes_without_extent_or_faces_are_not_faces():
     assert look(VERTICES, np.empty((0, 4), int)) is None
 
 
-def test_portraits_are_grey_pictures_that_a_tracker_can_be_given():
+def test_portraits_are_grey_images_that_a_tracker_accepts():
     image = Sitter(VERTICES, HEAD.faces).portrait().image
     assert image.dtype == np.uint8 and image.shape == (SIZE, SIZE)
     assert cv2.Laplacian(image, cv2.CV_64F).std() > 1.0

@@ -1,4 +1,4 @@
-"""Frames from files."""
+"""Frames of video files."""
 
 import contextlib
 import os
@@ -17,7 +17,7 @@ from facemime.core.images import read_image, write_image
 
 
 def write_clip(path: Path, count: int, fps: float = 20.0, codec: str = "mp4v") -> Path:
-    """A clip whose frames brighten."""
+    """A clip whose frames become brighter."""
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), fps, (64, 48))
     for i in range(count):
         writer.write(np.full((48, 64, 3), 5 * i, np.uint8))
@@ -43,7 +43,7 @@ def test_phone_videos_are_upright_in_any_orientation(tmp_path, turn, bright):
     assert max(parts, key=lambda side: parts[side].mean()) == bright
 
 
-def test_a_truncated_video_gives_its_complete_frames(tmp_path):
+def test_a_truncated_video_yields_its_complete_frames(tmp_path):
     path = write_clip(tmp_path / "clip.avi", 40, codec="MJPG")
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with VideoSource(path) as source:
@@ -78,7 +78,7 @@ def test_missing_files_folders_and_unreadable_files_have_different_errors(tmp_pa
         VideoSource(path)
 
 
-def test_a_variable_rate_becomes_constant_without_running_out_of_step():
+def test_a_variable_rate_becomes_constant_without_drift():
     image = np.zeros((1, 1, 3), np.uint8)
     times = np.cumsum([0.0, *np.random.default_rng(0).uniform(0.01, 0.08, 300)])
     frames = [Frame(image, float(t), i) for i, t in enumerate(times)]
@@ -97,7 +97,7 @@ def test_a_constant_rate_keeps_every_frame_once():
     assert [frame.index for frame in at_constant_rate(frames, 25.0)] == list(range(50))
 
 
-def test_pictures_survive_and_bad_ones_are_refused(tmp_path):
+def test_images_survive_and_invalid_ones_are_refused(tmp_path):
     image = np.random.default_rng(0).integers(0, 255, (20, 30, 3)).astype(np.uint8)
     write_image(tmp_path / "a.png", image)
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), image)
@@ -138,7 +138,7 @@ def test_pipes_and_devices_are_not_files(tmp_path):
     ["http://phone:8080/video", "http:phone/video", "HTTP:x", "rtsp:x", "udp://@:1234", "tcp:x", "concat:a|b", "file:a",
      "async:http:x", "subfile,,start,0,end,0,,:http:x"],
 )  # fmt: skip
-def test_everything_that_ffmpeg_takes_for_an_address_is_one(text):
+def test_everything_that_ffmpeg_takes_for_an_address_is_recognised(text):
     assert is_address(text)
 
 
@@ -150,7 +150,7 @@ def test_files_and_numbers_are_not_addresses(text):
 
 
 def test_playlists_on_the_network_are_not_opened(tmp_path):
-    """FFmpeg keeps files from leading it to the network, whatever they are called."""
+    """No file name makes FFmpeg access the network."""
     asked = []
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(0.0)

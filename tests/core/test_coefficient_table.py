@@ -1,4 +1,4 @@
-"""Tables of coefficients of Live Link Face and others become takes, and takes become such tables."""
+"""Tables of coefficients from Live Link Face and others are read as takes, and written from takes."""
 
 import csv
 
@@ -20,7 +20,7 @@ from facemime.core.takes.coefficient_table import (
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.neutral import calibrate
 
-# As the app writes them: the order is its own, and so is the capital.
+# As the app writes them, in its own order and with capitals.
 GOLDEN = (
     "Timecode,BlendShapeCount,EyeBlinkRight,JawRight,JawLeft,JawOpen,MouthRight,MouthLeft,EyeBlinkLeft,TongueOut,"
     "CheekPuff,BrowInnerUp,NoseSneerLeft,HeadYaw,HeadPitch,HeadRoll,LeftEyeYaw\n"
@@ -58,7 +58,7 @@ def test_live_link_faces_own_table_is_read_by_name_past_midnight(written):
 
 
 @pytest.mark.parametrize("live_link", [True, False])
-def test_a_table_there_and_back_is_the_same(tmp_path, live_link):
+def test_a_table_survives_writing_and_reading(tmp_path, live_link):
     times, values, turns = sines()
     write_coefficient_csv(tmp_path / "a.csv", times, values, turns, live_link=live_link)
     assert has_coefficients(tmp_path / "a.csv")
@@ -86,7 +86,7 @@ def test_the_exported_header_is_live_link_faces(tmp_path):
         ("frame", ("7", "8"), (0.0, 1 / 30)),
     ],
 )
-def test_other_tables_have_seconds_milliseconds_or_nothing(written, column, cells, times):
+def test_other_tables_may_have_seconds_milliseconds_or_no_times(written, column, cells, times):
     names = [name.replace("Left", "_L").replace("Right", "_R") for name in COEFFICIENTS[:20]]
     rows = [",".join([cell, *["0.25"] * 20]) for cell in cells]
     take = from_coefficient_csv(written("\n".join([",".join([column, *names]), *rows]) + "\n"))
@@ -94,7 +94,7 @@ def test_other_tables_have_seconds_milliseconds_or_nothing(written, column, cell
     assert (take.coefficients[0, :20] == 0.25).all() and (take.coefficients[0, 20:] == 0.0).all()
 
 
-def test_degrees_are_told_from_radians(written):
+def test_degrees_are_distinguished_from_radians(written):
     degrees = GOLDEN.replace("0.1,0.2,0.05,0.0\n", "5.7296,11.459,2.8648,0.0\n")
     np.testing.assert_allclose(
         from_coefficient_csv(written(degrees)).pose[:, 1:4],
@@ -116,7 +116,7 @@ def test_degrees_are_told_from_radians(written):
         (GOLDEN.replace("JawRight", "jawOpen"), "the same coefficient"),
     ],
 )
-def test_wrong_tables_are_refused_with_the_reason(written, text, match):
+def test_invalid_tables_are_refused_with_the_reason(written, text, match):
     with pytest.raises(SourceError, match=match):
         from_coefficient_csv(written(text))
 
@@ -126,7 +126,7 @@ def test_timecodes_count_frames_and_thousandths():
     assert timecode(1.0 / 120.0, 60.0) == "00:00:00:00.500"
 
 
-def test_the_command_imports_a_table_and_exports_what_it_says(tmp_path, written):
+def test_the_command_imports_a_table_and_exports_the_same_values(tmp_path, written):
     assert main(["import", str(written(GOLDEN)), "-o", str(tmp_path / "a.facetake")]) == 0
     take = load_take(tmp_path / "a.facetake")
     for columns in ("livelink", "coefficients"):

@@ -1,4 +1,4 @@
-"""Learning of the model of coefficients: what is put in comes out, on both sides alike."""
+"""Training of the model of coefficients recovers a known model, equally on both sides."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_a_spread_keeps_the_variances_and_at_least_some_of_each(seed, modes):
     assert (kept >= 0.999 * np.diag(covariance)).all() and (kept <= 1.03 * np.diag(covariance)).all()
 
 
-def test_observations_that_are_mirrored_twice_are_themselves():
+def test_mirroring_observations_twice_restores_them():
     rng = np.random.default_rng(1)
     observed = Observed(rng.normal(size=(5, N_OBSERVED)), rng.random((5, len(COEFFICIENTS))))
     twice = mirrored(mirrored(observed))
@@ -58,7 +58,7 @@ def test_responses_of_a_known_model_are_learnt_and_read_back(tmp_path):
     assert model_bytes(read) == model_bytes(model)
 
 
-def test_a_simulated_face_moves_as_its_script_says():
+def test_a_simulated_face_follows_its_script():
     rng = np.random.default_rng(0)
     observed = simulate([built_in_face(rng) for _ in range(2)], FaceTracker.load().pdm, 24, rng)
     assert observed.values.shape == (48, N_OBSERVED) and np.isnan(observed.values[:, 198:]).all()

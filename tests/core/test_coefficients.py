@@ -1,4 +1,4 @@
-"""ARKit's coefficients: they are found by their names, exclude each other, and stay sparse."""
+"""ARKit's coefficients are recognised, exclude each other, and stay sparse."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def solver() -> CoefficientSolver:
 
 
 def named(coefficients: np.ndarray) -> dict[str, float]:
-    """Coefficients (52,) or, of those that are fitted, (44,) by name."""
+    """Coefficients by name, (52,), or (44,) for the fitted ones."""
     names = COEFFICIENTS if len(coefficients) == len(COEFFICIENTS) else [COEFFICIENTS[k] for k in FITTED]
     return dict(zip(names, coefficients.tolist(), strict=True))
 
@@ -59,7 +59,7 @@ def built_in_face(amounts: dict[str, float]) -> tuple[np.ndarray, Neutral]:
 
 
 def seen(shape: np.ndarray) -> TrackResult:
-    """A tracking result with a shape, of eyes that look ahead and actions that are unknown."""
+    """A tracking result with a shape, eyes that look ahead, and unknown actions."""
     pose = np.array([100.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     return replace(performance().result(0), shape=shape, pose=pose, actions=np.full(N_ACTIONS, np.nan))
 
@@ -80,7 +80,7 @@ def test_a_unit_of_the_built_in_head_is_found_by_its_name(name):
     assert max(found, key=found.get) in sides
 
 
-def test_a_smile_is_neither_a_dimple_nor_a_shrug_nor_a_mouth_to_both_sides():
+def test_a_smile_is_not_mistaken_for_a_dimple_a_shrug_or_a_sideways_mouth():
     found = found_on_the_built_in_head({"mouthSmileLeft": 0.85, "mouthSmileRight": 0.85})
     assert min(found["mouthSmileLeft"], found["mouthSmileRight"]) > 0.5
     others = ("mouthDimpleLeft", "mouthDimpleRight", "mouthShrugLower", "mouthShrugUpper", "mouthLeft", "mouthRight")
@@ -93,7 +93,7 @@ def test_a_face_at_rest_has_no_coefficients(solver):
 
 @settings(max_examples=30)
 @given(column=st.integers(0, len(FITTED) - 1), amount=st.floats(0.5, 0.9))
-def test_what_is_observed_of_a_single_coefficient_is_found_as_that_one(column, amount):
+def test_the_observation_of_a_single_coefficient_yields_that_coefficient(column, amount):
     model = load_coefficient_model()
     solver = CoefficientSolver(replace(model, gains=np.ones(len(FITTED))))
     found = named(solver.frames(amount * model.responses[None, column])[0])
@@ -105,7 +105,7 @@ def test_what_is_observed_of_a_single_coefficient_is_found_as_that_one(column, a
 
 @settings(max_examples=40)
 @given(observed=arrays(np.float64, (3, N_OBSERVED), elements=st.floats(-1.0, 1.0)))
-def test_coefficients_are_within_0_and_1_and_exclusive_ones_never_both_present(observed):
+def test_coefficients_are_within_0_and_1_and_exclusive_ones_never_occur_together(observed):
     solver = CoefficientSolver(load_coefficient_model())
     for found in (solver.frames(observed), solver.take(observed)):
         assert np.isfinite(found).all() and found.min() >= 0.0 and found.max() <= 1.0
@@ -127,7 +127,7 @@ def test_a_flipped_face_has_the_coefficients_of_the_other_side(seed):
     np.testing.assert_allclose(whole[0], whole[1][:, COEFFICIENT_MIRROR], atol=0.02)
 
 
-def test_a_frame_depends_on_itself_alone(solver):
+def test_a_frame_depends_only_on_itself(solver):
     observed = np.random.default_rng(2).normal(0.0, 0.05, (6, N_OBSERVED))
     alone = np.concatenate([solver.frames(row[None]) for row in observed])
     np.testing.assert_allclose(solver.frames(observed), alone, atol=1e-6)
@@ -144,7 +144,7 @@ def test_a_take_is_corrected_for_the_error_of_its_neutral_face(solver):
 
 
 @pytest.mark.parametrize("count", [1, 3, 60])
-def test_a_smile_that_lasts_is_no_error_of_the_neutral_face(solver, count):
+def test_a_lasting_smile_is_not_taken_for_an_error_of_the_neutral_face(solver, count):
     smile = [np.flatnonzero(COEFFICIENT_INDEX[f"mouthSmile{side}"] == FITTED)[0] for side in ("Left", "Right")]
     acted = np.zeros((count, len(FITTED)))
     acted[:, smile] = 0.8
@@ -159,7 +159,7 @@ def test_frames_without_known_actions_are_found_by_their_landmarks():
     assert found[:, COEFFICIENT_INDEX["jawOpen"]].max() > 0.2
 
 
-def test_several_coefficients_at_once_are_found_together(solver):
+def test_simultaneous_coefficients_are_all_found(solver):
     together = {"jawOpen": 0.6, "browInnerUp": 0.7, "browOuterUpLeft": 0.7, "browOuterUpRight": 0.7, "mouthLeft": 0.6}
     acted = np.array([[together.get(COEFFICIENTS[k], 0.0) for k in FITTED]])
     found = named(solver.frames(acted @ load_coefficient_model().responses)[0])
@@ -167,7 +167,7 @@ def test_several_coefficients_at_once_are_found_together(solver):
     assert max(value for name, value in found.items() if name not in together) < 0.3
 
 
-def test_what_is_measured_is_shown_at_least_as_much():
+def test_coefficients_are_at_least_the_measured_actions():
     shown = np.zeros((1, N_ACTIONS))
     shown[0, 0] = 0.9
     found = named(coefficients_of(np.zeros((1, N_OBSERVED)), AHEAD[None], shown)[0])

@@ -59,7 +59,7 @@ def test_pipes_and_devices_are_not_read(take, tmp_path, capsys, line):
 @pytest.mark.thorough
 @needs_posix
 def test_invalid_names_and_inaccessible_folders_are_clear_errors(take, tmp_path):
-    """All in one process, which first drops the capabilities of root."""
+    """Run in a process that first drops the capabilities of root."""
     (tmp_path / "shut").mkdir()
     (tmp_path / "shut").chmod(0)
     write_image(tmp_path / "a.png", np.zeros((8, 8, 3), np.uint8))
@@ -120,7 +120,7 @@ def test_invalid_names_and_inaccessible_folders_are_clear_errors(take, tmp_path)
     assert not [line for line in said if "There is no video in" in line]
 
 
-def test_a_list_of_clips_has_to_be_a_short_utf_8_text(tmp_path, monkeypatch):
+def test_a_list_of_clips_has_to_be_short_utf_8_text(tmp_path, monkeypatch):
     for encoding in ("utf-16", "utf-16-le", "utf-16-be"):
         (tmp_path / "list.txt").write_bytes("a.mp4\nb.mp4\n".encode(encoding))
         with pytest.raises(SourceError, match="a UTF-8 text"):
@@ -207,7 +207,7 @@ def test_an_impossible_number_is_a_clear_error(take, tmp_path, capsys, options):
     assert "Warning" not in said and set(os.listdir(tmp_path)) == {"take.facetake"}
 
 
-# What is said
+# Messages
 
 
 def test_names_cannot_control_the_terminal(tmp_path, capsys, monkeypatch):

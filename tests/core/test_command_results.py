@@ -1,4 +1,4 @@
-"""The command line keeps results: interrupted, killed, run twice, or refused its place."""
+"""Results of the command line survive interruptions, kills, second runs and failed writes."""
 
 from __future__ import annotations
 
@@ -147,4 +147,4 @@ def test_a_take_is_never_mended_onto_itself(take, tmp_path, capsys):
     assert "it is the take that is inserted" in capsys.readouterr().err and take.read_bytes() == before
 
 
-# What is read
+# Inputs

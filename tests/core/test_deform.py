@@ -12,7 +12,7 @@ from facemime.core.landmarks import from_ibug
 
 
 def cloud(seed: int, count: int = 400, points: int = 12) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices in a unit cube, and some of them, well apart, as control points."""
+    """Vertices in a unit cube, and control points, well apart, among them."""
     rng = np.random.default_rng(seed)
     vertices = rng.uniform(0.0, 1.0, (count, 3))
     chosen = [0]
@@ -23,7 +23,7 @@ def cloud(seed: int, count: int = 400, points: int = 12) -> tuple[np.ndarray, np
 
 
 def single_region(vertices: np.ndarray, chosen: np.ndarray, **options: float) -> RBFDeformer:
-    """One region that covers all."""
+    """A single region that covers everything."""
     return RBFDeformer(
         vertices, vertices[chosen], np.ones((1, len(vertices))), np.ones((1, len(chosen)), dtype=bool), **options
     )

@@ -29,7 +29,7 @@ UNIT = float(np.linalg.norm(np.subtract(*POINTS[OUTER_EYE_CORNERS])))
 
 
 def stylised() -> np.ndarray:
-    """The head with a wide skull, a long chin and big eyes."""
+    """The head with a wide skull, a long chin and large eyes."""
     places = VERTICES.copy()
     places[:, 0] *= 1.25
     below = np.maximum(places[:, 1] - POINTS[from_ibug([33])[0], 1], 0.0)
@@ -73,7 +73,7 @@ def test_a_stylised_head_is_bound_with_marks():
         [(0, 180, 0), (90, 0, 0), (0, 0, -90), (-90, 0, 0), (0, 90, 0), (0, -90, 0), (0, 0, 180), (0, 0, 90)], quick=2
     ),
 )
-def test_without_marks_a_head_is_found_that_faces_along_any_axis(angles):
+def test_a_head_that_faces_along_any_axis_is_found_without_marks(angles):
     turn = euler_to_matrix(*np.radians(angles))
     binding = bind_landmarks(VERTICES @ turn.T, HEAD.faces)
     assert mean_error(VERTICES, binding.landmarks) < 0.01
@@ -119,7 +119,7 @@ def test_the_head_of_a_whole_body_is_found_with_and_without_marks():
 
 
 def with_closed_lips() -> tuple[np.ndarray, np.ndarray]:
-    """The head with a mouth cavity behind lips that touch, as on heads for animation."""
+    """The head with a mouth cavity behind lips that touch, as on heads made for animation."""
     places = VERTICES.copy()
     for upper, lower in zip(MOUTH_INNER_UPPER, MOUTH_INNER_LOWER[::-1], strict=True):
         a, b = HEAD.landmarks[[upper, lower]]
@@ -211,7 +211,7 @@ def test_a_valid_head_has_no_findings():
     assert check_head(VERTICES, HEAD.faces, HEAD.landmarks, HEAD.regions) == []
 
 
-def test_the_check_names_what_is_wrong_and_what_to_do():
+def test_the_check_reports_problems_and_remedies():
     twins = HEAD.landmarks.copy()
     twins[0] = twins[1]
     weights = HEAD.regions.copy()
@@ -242,7 +242,7 @@ def test_the_vertex_of_each_landmark_follows_it_exactly(weights):
     np.testing.assert_allclose((weights[:, HEAD.landmarks] * ~membership()).sum(axis=0), 0.0, atol=1e-6)
 
 
-def test_holding_landmarks_changes_only_what_is_near_and_keeps_weights_in_bounds():
+def test_holding_landmarks_changes_only_nearby_weights_and_keeps_them_in_bounds():
     weights = np.array(HEAD.regions, dtype=float)
     weights[:, HEAD.landmarks[from_ibug([3, 4, 5])]] *= 0.1
     held = hold_landmarks(weights, VERTICES, HEAD.landmarks)

@@ -1,4 +1,4 @@
-"""The product of a frame equals the plain dense one, however vertices are sorted."""
+"""The product of a frame equals the plain dense product, in whatever order the vertices are."""
 
 import numpy as np
 import pytest

@@ -28,7 +28,7 @@ SIGMAS = region_sigmas(POINTS, KERNEL)
 
 
 def some(seed: int, count: int) -> np.ndarray:
-    """`count` random landmarks as control points, and one of each region."""
+    """Choose `count` random landmarks as control points, with at least one per region."""
     rng = np.random.default_rng(seed)
     known = np.zeros(66, dtype=bool)
     known[rng.choice(66, count, replace=False)] = True

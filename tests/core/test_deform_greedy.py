@@ -1,4 +1,4 @@
-"""Greedy choice of control points."""
+"""Greedy selection of control points."""
 
 import numpy as np
 import pytest

@@ -32,20 +32,20 @@ def scan():
 
 @pytest.fixture(scope="module")
 def cuts(scan):
-    """Of the right and the left eye."""
+    """The cuts of the right and the left eye."""
     places, faces, landmarks = scan
     return [cut_eye(places, faces, eye_outline(places, landmarks, eye)) for eye in EYES]
 
 
 def rim_of(cut, places):
-    """(N, 3) places of the rim."""
+    """Return the places of the rim, (N, 3)."""
     ends = places[cut.edges]
     new = ends[:, 0] + cut.shares[:, None] * (ends[:, 1] - ends[:, 0])
     return np.concatenate([places, new])[cut.rim]
 
 
 def area(polygon):
-    """Of (N, 3) points, as it is seen from the front."""
+    """Area of a polygon (N, 3), seen from the front."""
     x, y = polygon[:, 0], polygon[:, 1]
     return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
 
@@ -55,7 +55,7 @@ def test_a_scans_eyes_are_one_skin_with_their_lids_and_a_modelled_heads_are_not(
     assert eyes_joined(HEAD.vertices, HEAD.faces, HEAD.landmarks) == [False, False]
 
 
-def test_open_and_joined_eyes_are_told_apart(scan):
+def test_open_and_joined_eyes_are_distinguished(scan):
     places, faces, landmarks = scan
     cut = cut_eye(places, faces, eye_outline(places, landmarks, EYES[1]))
     hole = faces[~np.isin(faces, cut.within).any(axis=1)]

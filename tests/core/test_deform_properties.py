@@ -23,7 +23,7 @@ UNIT = 0.09
 
 
 def motion(seed: int) -> np.ndarray:
-    """(66, 3) displacements of up to some millimetres."""
+    """Random displacements (66, 3) of up to some millimetres."""
     return np.random.default_rng(seed).normal(0.0, 0.003, (66, 3))
 
 

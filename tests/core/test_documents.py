@@ -1,4 +1,4 @@
-"""Links in the documents lead somewhere, on a forge as in the site; `make docs` checks those between pages."""
+"""Links in the documents lead somewhere, on a forge as on the site; `make docs` checks links between pages."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 
 
 def anchors(path: Path) -> set[str]:
-    """The anchors that a forge gives to the headings of a document."""
+    """Return the anchors that a forge gives to the headings of a document."""
     headings = re.findall(r"^#+ (.+)$", _FENCE.sub("", path.read_text(encoding="utf-8")), flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.replace("`", "")).strip().lower().replace(" ", "-") for heading in headings}
 

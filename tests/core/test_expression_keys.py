@@ -17,7 +17,7 @@ def made():
     return expression_keys(with_parts())
 
 
-def test_on_the_built_in_head_they_are_nearly_its_own(made):
+def test_keys_made_on_the_built_in_head_are_nearly_its_own(made):
     head = load_head()
     names, motions = made
     assert names == head.unit_names
@@ -39,7 +39,7 @@ def test_a_blink_shuts_the_lids_and_keeps_them_outside_the_eye(made):
         assert abs(np.linalg.norm(shut[a] - shut[b]) - wanted) < 0.1 * rest
 
 
-def test_the_jaw_takes_the_lower_teeth_along_and_looks_turn_the_eyes(made):
+def test_the_jaw_carries_the_lower_teeth_and_looks_turn_the_eyes(made):
     rig = with_parts()
     names, motions = made
     kinds, rest = rig.kinds, rig.all_vertices
@@ -55,7 +55,7 @@ def test_the_jaw_takes_the_lower_teeth_along_and_looks_turn_the_eyes(made):
     assert np.abs(motions[names.index("mouthSmileLeft")][eye]).max() < 1e-6
 
 
-def test_a_head_of_skin_alone_gets_them_too():
+def test_a_head_without_parts_gets_keys_too():
     names, motions = expression_keys(built_in_rig())
     assert motions.shape == (len(names), len(load_head().vertices), 3)
     assert np.isfinite(motions).all()

@@ -33,7 +33,7 @@ def write(tmp_path):
 
 @pytest.fixture
 def pyffi(monkeypatch):
-    """PyFFI's two formats; it dates from a Python that had `time.clock`. `requirements/oracles.txt` installs it."""
+    """PyFFI's two formats, from `requirements/oracles.txt`; PyFFI needs `time.clock`, which Python has removed."""
     monkeypatch.setattr(time, "clock", time.perf_counter, raising=False)
     tri_format = pytest.importorskip("pyffi.formats.tri").TriFormat
     egm_format = pytest.importorskip("pyffi.formats.egm").EgmFormat
@@ -114,7 +114,7 @@ def test_a_whole_head_that_pyffi_wrote_is_read(write, pyffi):
 
 
 def pyffi_tri(formats, head, moved, rows):
-    """A head with FaceGen's 37 difference morphs and a statistical one of some `rows`, as PyFFI writes it."""
+    """A head with FaceGen's 37 difference morphs and a statistical morph of `rows` vertices, as written by PyFFI."""
     quads, triangles = head.faces[head.faces[:, 3] >= 0], head.faces[head.faces[:, 3] < 0, :3]
     data = formats.Data()
     data.num_vertices, data.num_tri_faces, data.num_quad_faces = len(head.vertices), len(triangles), len(quads)
@@ -285,7 +285,7 @@ def test_an_obj_with_infinite_vertices_is_refused_with_the_line(write, line):
 
 
 def test_degenerate_and_duplicate_faces_are_dropped(write):
-    """Blender's Subdivide crashes on the first, and never ends on the second."""
+    """Blender's Subdivide crashes on degenerate faces, and never ends on duplicates."""
     odd = "f 1 1 1\nf 2 2 3\nf 1 2 1 3\nf 5 5 5 5\nf 2/2 5/1 3/3\n"
     mesh = read_obj(write("head.obj", OBJ + odd))
     np.testing.assert_array_equal(mesh.faces, read_obj(write("head.obj", OBJ)).faces)

@@ -23,7 +23,7 @@ needs_posix = pytest.mark.skipif(os.name != "posix", reason="permissions and lin
 
 @pytest.fixture
 def stuck(monkeypatch):
-    """Nothing can be renamed onto a file called old.csv or old.facetake, as if that were mounted."""
+    """Make it impossible to replace files called old.csv or old.facetake, as if they were mount points."""
     rename = os.replace
 
     def replace(source, target):
@@ -35,7 +35,7 @@ def stuck(monkeypatch):
 
 
 def in_another_process(text: str, *arguments: object) -> subprocess.Popen:
-    """Python that runs `text`; its standard output is read."""
+    """Start Python with the program `text`; its standard output is read."""
     line = [sys.executable, "-c", f"import sys, time; from pathlib import Path\n{text}", *map(str, arguments)]
     return subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 

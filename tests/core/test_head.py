@@ -116,7 +116,7 @@ def test_region_weights_are_shares(head):
     assert head.regions.min() >= 0 and head.regions.sum(axis=0).max() <= 1 + 1e-6
 
 
-def test_regions_part_lid_from_lid_and_lip_from_lip(head):
+def test_regions_separate_lid_from_lid_and_lip_from_lip(head):
     def share(numbers: list[int]) -> np.ndarray:
         return head.regions[:, head.landmarks[from_ibug(numbers)]]
 
@@ -160,7 +160,7 @@ def test_a_blink_closes_the_lids_of_its_own_eye_only(head):
     assert gap(points, [37, 38], [41, 40]) == pytest.approx(rest, rel=0.02)
 
 
-def test_a_tongue_that_is_out_lies_before_the_lips_and_above_the_lower_one(head):
+def test_a_tongue_that_is_out_lies_in_front_of_the_lips_and_above_the_lower_lip(head):
     tongue, unit = head.parts[-1], head.unit_names.index("tongueOut")
     lips = head.vertices[head.landmarks[LIPS]]
     out = tongue.vertices + tongue.units[unit]
@@ -197,13 +197,13 @@ def test_parts_lie_where_they_belong(head):
     assert np.allclose(lower.pivot, head.jaw_pivot)
 
 
-def test_texture_coordinates_lie_in_the_picture(head):
+def test_texture_coordinates_lie_within_the_image(head):
     for mesh in (head, *head.parts):
         assert mesh.uv.shape == (*mesh.faces.shape, 2)
         assert mesh.uv.min() >= 0 and mesh.uv.max() <= 1
 
 
-def test_vertices_of_one_number_are_at_the_same_place_of_both_faces():
+def test_vertices_of_the_same_number_are_at_the_same_place_on_both_heads():
     man, woman = load_head(HEAD_FILE), load_head(WOMAN_FILE)
     assert np.array_equal(man.faces, woman.faces) and np.array_equal(man.landmarks, woman.landmarks)
     assert 0.001 < np.linalg.norm(man.vertices - woman.vertices, axis=1).mean() < 0.02

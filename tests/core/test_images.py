@@ -1,4 +1,4 @@
-"""Images are read within bounds or refused with a message, and a bad one does not affect the others of its folder."""
+"""Images are read within bounds or refused with a message, and an invalid one does not affect others in its folder."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def claiming(width: int, height: int) -> bytes:
 
 
 @pytest.mark.parametrize("suffix", sorted(IMAGE_SUFFIXES))
-def test_the_size_is_known_before_a_picture_is_decoded(suffix, tmp_path):
+def test_the_size_of_an_image_is_known_before_it_is_decoded(suffix, tmp_path):
     data = encoded(suffix)
     assert stated_size(data) == (53, 37)
     (tmp_path / f"a{suffix}").write_bytes(data)
@@ -53,7 +53,7 @@ def test_the_size_of_other_formats_is_known_too(suffix, options):
 
 
 @pytest.mark.parametrize("suffix", sorted(IMAGE_SUFFIXES))
-def test_a_truncated_picture_is_read_or_refused(suffix, tmp_path):
+def test_a_truncated_image_is_read_or_refused(suffix, tmp_path):
     data = encoded(suffix)
     for cut in [*range(60), len(data) // 2, len(data) - 1]:
         (tmp_path / "cut").write_bytes(data[:cut])
@@ -64,13 +64,13 @@ def test_a_truncated_picture_is_read_or_refused(suffix, tmp_path):
 
 
 @pytest.mark.parametrize(("width", "height"), [(100_000, 100_000), (16_384, 16_384), (100_000, 10), (2**31 - 1, 1)])
-def test_a_picture_that_is_too_large_is_refused_with_its_size(tmp_path, width, height):
+def test_an_image_that_is_too_large_is_refused_with_its_size(tmp_path, width, height):
     (tmp_path / "large.png").write_bytes(claiming(width, height))
     with pytest.raises(SourceError, match=f"is {width} x {height} pixels; the limit is 100 megapixels"):
         read_image(tmp_path / "large.png")
 
 
-def test_a_real_picture_that_is_too_wide_is_refused(tmp_path):
+def test_a_real_image_that_is_too_wide_is_refused(tmp_path):
     (tmp_path / "wide.png").write_bytes(encoded(".png", 100_000, 2))
     with pytest.raises(SourceError, match="30000 pixels per side"):
         read_image(tmp_path / "wide.png")
@@ -79,7 +79,7 @@ def test_a_real_picture_that_is_too_wide_is_refused(tmp_path):
 @pytest.mark.parametrize(
     "content", [b"", b"hello", b"GIF89a", b"BM", b"RIFF....WEBPVP8 ", b"P6\n9 9 255\n", b"II*\0\xff\xff\xff\xff"]
 )
-def test_files_that_are_not_pictures_are_refused(tmp_path, content):
+def test_files_that_are_not_images_are_refused(tmp_path, content):
     (tmp_path / "odd.png").write_bytes(content)
     with pytest.raises(SourceError, match="cannot be read as an image"):
         read_image(tmp_path / "odd.png")
@@ -87,7 +87,7 @@ def test_files_that_are_not_pictures_are_refused(tmp_path, content):
 
 @pytest.fixture
 def folder(tmp_path) -> Path:
-    """Two good pictures, and between them some that OpenCV itself fails on."""
+    """Two valid images, and between them some that make OpenCV fail."""
     pictures = tmp_path / "pictures"
     pictures.mkdir()
     for name in ("a.png", "z.png"):
@@ -98,7 +98,7 @@ def folder(tmp_path) -> Path:
     return pictures
 
 
-def test_unreadable_pictures_of_a_folder_are_reported_and_the_others_processed(folder, tmp_path, capsys):
+def test_unreadable_images_in_a_folder_are_reported_and_the_others_processed(folder, tmp_path, capsys):
     assert main(["landmarks", str(folder), "-o", str(tmp_path / "out.npz")]) == 1
     told = capsys.readouterr().err
     assert told.count("facemime: ") >= 3 and "100000 x 100000" in told and "d.png is not a picture" in told
@@ -106,11 +106,11 @@ def test_unreadable_pictures_of_a_folder_are_reported_and_the_others_processed(f
         assert out["names"].tolist() == ["a.png", "b.png", "c.png", "d.png", "z.png"]
 
 
-def test_unreadable_pictures_are_skipped_when_a_folder_is_played(folder):
+def test_unreadable_images_are_skipped_when_a_folder_is_played(folder):
     assert len(list(PicturePlayer(folder).frames())) == 2
 
 
-def test_a_picture_that_is_too_large_for_its_format_is_refused(tmp_path):
+def test_an_image_that_is_too_large_for_its_format_is_refused(tmp_path):
     with pytest.raises(OutputError, match=r"cannot hold 70000 x 1 pixels\. Use the suffix \.png"):
         write_image(tmp_path / "wide.jpg", np.zeros((1, 70_000, 3), np.uint8))
     assert not list(tmp_path.iterdir())

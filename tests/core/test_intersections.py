@@ -23,14 +23,14 @@ def crosses(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 @given(arrays(np.float64, (30, 3), elements=st.integers(-20, 20).map(float)))
-def test_pairs_are_those_that_a_test_of_all_pairs_finds(places):
+def test_crossing_pairs_agree_with_a_test_of_all_pairs(places):
     triangles = np.arange(30).reshape(10, 3)
     found = {tuple(sorted(pair)) for pair in crossing_pairs(places, triangles).tolist()}
     known = {(a, b) for a in range(10) for b in range(a + 1, 10) if crosses(places[triangles[a]], places[triangles[b]])}
     assert found == known
 
 
-def test_neighbours_do_not_count_and_only_moved_triangles_are_looked_at():
+def test_neighbours_do_not_count_and_only_moved_triangles_are_tested():
     places = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0.5, 0.5, -1], [0.5, 0.5, 1], [0.6, 0.5, 1.0]])
     triangles = np.array([[0, 1, 2], [3, 4, 5], [0, 4, 5]])
     assert crossing_pairs(places, triangles).tolist() == [[0, 1]]

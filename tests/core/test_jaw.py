@@ -1,4 +1,4 @@
-"""The jaw's rotation: as the built-in head's own units have it, and as a wide-open mouth needs it."""
+"""The rotation of the jaw agrees with the built-in head's units, and suits a wide-open mouth."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_an_open_jaw_turns_as_the_teeth_of_the_built_in_head_do(share):
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0])
-def test_teeth_follow_the_lower_lip_where_the_chin_is_tracked_with_too_small_a_motion(share):
+def test_teeth_follow_the_lower_lip_if_the_motion_of_the_chin_is_underestimated(share):
     true = motion(jawOpen=share)
     tracked = true.copy()
     tracked[CHIN] *= 0.6
@@ -54,5 +54,5 @@ def test_sealed_lips_do_not_shut_an_open_jaw():
     assert degrees(JAW.rotation(sealed)) > 10.0
 
 
-def test_nothing_that_moves_turns_nothing():
+def test_a_motionless_chin_does_not_turn_the_jaw():
     np.testing.assert_allclose(JAW.rotation(np.zeros((66, 3))), np.eye(3), atol=1e-12)

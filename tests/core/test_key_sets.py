@@ -1,4 +1,4 @@
-"""Sets of shape keys that are made on a head, and their figures."""
+"""Sets of shape keys made for a head, and their figures."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_the_mapping_of_each_set_is_recognised_by_its_keys(name):
     assert found.sources >= ESSENTIAL or name == "oculus"  # visemes have no lids
 
 
-def test_arkits_set_is_each_unit_alone():
+def test_arkits_set_consists_of_single_units():
     assert KEY_SETS["arkit"].names == COEFFICIENTS
     np.testing.assert_array_equal(KEY_SETS["arkit"].mixtures, np.eye(len(COEFFICIENTS)))
 
@@ -98,7 +98,7 @@ def test_mixtures_move_all_parts():
 
 
 @pytest.mark.thorough
-def test_the_figures_of_a_key_say_what_stays_open_and_passes_through():
+def test_the_figures_of_a_key_report_openings_and_crossings():
     head, keys = load_head(), KEY_SETS["arkit"]
     qualities = {quality.name: quality for quality in key_qualities(RIG, keys, head.units)}
     assert qualities["mouthShrugLower"].crossing > 50 and qualities["browInnerUp"].crossing == 0
@@ -112,7 +112,7 @@ def test_the_figures_of_a_key_say_what_stays_open_and_passes_through():
     assert findings([]) == []
 
 
-def test_a_face_whose_lips_do_not_meet_keeps_its_shape_and_one_whose_lips_cross_is_parted():
+def test_lips_that_cross_are_moved_apart_and_others_keep_their_shape():
     head = load_head()
     contact = SlitContact(RIG.vertices, RIG.faces, RIG.landmarks, RIG.region_weights)
     opened = head.vertices + head.units[head.unit_names.index("jawOpen")]

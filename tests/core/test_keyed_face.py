@@ -1,4 +1,4 @@
-"""Faces that are found by the motion of shape keys."""
+"""Faces are located by the motion of shape keys."""
 
 from itertools import permutations, product
 
@@ -38,7 +38,7 @@ def test_the_built_in_head_is_found_anywhere_at_any_size_turned_by_right_angles(
     assert len(np.unique(face.landmarks)) == 66
 
 
-def test_two_keys_or_looks_alone_are_too_few():
+def test_two_keys_or_only_looks_are_too_few():
     eye = np.eye(len(COEFFICIENTS))
     with pytest.raises(HeadError, match="Too few"):
         face_from_keys(HEAD.vertices, eye[:2], list(HEAD.units[:2]))

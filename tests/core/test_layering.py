@@ -37,7 +37,7 @@ FLOORS = (
     "ui",
     "registration",
 )
-"""From the ground up; a folder without those in it, or a module of the root. A room knows itself and what is below."""
+"""From the bottom up; a folder without the packages in it, or a module of the root. Layers import from those below."""
 ROOMS = tuple(path.name for path in ROOT.iterdir() if path.is_dir() and f"{path.name}" in FLOORS)
 MODULES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
 LIBRARIES = {"numpy", "cv2", "websockets"}
@@ -96,7 +96,7 @@ def test_there_are_no_circular_imports():
 
 
 def _modules(path: Path) -> set[Path]:
-    """The modules that are imported with a module, not in one of its functions later."""
+    """Return the modules that are imported together with a module, not later by one of its functions."""
     inside, found = path.relative_to(ROOT), set()
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.ImportFrom) and node.level:

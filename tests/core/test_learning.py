@@ -1,4 +1,4 @@
-"""The performer is learnt while the puppet runs."""
+"""The performer is learnt during a live session."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ UPPER_LIDS, LOWER_LIDS = from_ibug((37, 38, 43, 44)), from_ibug((41, 40, 47, 46)
 
 
 def person(seed: int = 3) -> np.ndarray:
-    """Somebody's neutral face, (66, 3)."""
+    """A random person's neutral face, (66, 3)."""
     space = load_face_space()
     weights = np.random.default_rng(seed).normal(size=len(space.identity))
     return np.asarray(space.mean + np.tensordot(0.7 * weights, space.identity, 1))
 
 
 def performing(face: np.ndarray, seconds: float, first: int | None = None) -> Take:
-    """A take of somebody who shows an expression now and then, from the start if `first` is its number."""
+    """A take with occasional expressions, from the start if `first` is the number of one."""
     space, rng = load_face_space(), np.random.default_rng(5)
     count = round(seconds * FPS)
     shapes = np.tile(face, (count, 1, 1)) + rng.normal(0.0, 0.002, (count, 66, 3))
@@ -41,7 +41,7 @@ def performing(face: np.ndarray, seconds: float, first: int | None = None) -> Ta
 
 
 def blinking(face: np.ndarray, seconds: float, left: float) -> Take:
-    """A take of somebody at rest who blinks every two seconds, when `left` of the opening remains."""
+    """A take at rest with a blink every two seconds, in which `left` of the opening remains."""
     shapes = np.tile(face, (round(seconds * FPS), 1, 1))
     for start in range(20, len(shapes) - 3, 30):
         gap = shapes[start : start + 3, LOWER_LIDS] - shapes[start : start + 3, UPPER_LIDS]
@@ -64,26 +64,26 @@ def off(neutral: Neutral, face: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("unit", first_of([0, 7, 21]))
-def test_who_starts_with_an_expression_has_a_neutral_face_some_seconds_later(unit):
+def test_a_performer_who_starts_with_an_expression_soon_has_a_neutral_face(unit):
     face = person()
     take = performing(face, 24.0, first=unit)
     start = replace(first_second(take), shape=take.shape[:15].astype(float).mean(axis=0))
     assert off(learn(PerformerLearner(start), take), face) < 0.5 * off(start, face)
 
 
-def test_eyes_that_blink_are_known_to_be_shut_though_nobody_asked():
+def test_where_eyes_are_shut_is_learnt_from_blinks_without_a_request():
     take = blinking(person(), 12.0, 0.25)
     start = first_second(take)
     learnt = learn(PerformerLearner(start), take)
     assert start.shut == 0.0 and learnt.shut == pytest.approx(0.25, abs=0.05)
 
 
-def test_half_shut_eyes_are_no_blink():
+def test_half_shut_eyes_are_not_a_blink():
     take = blinking(person(), 12.0, 0.6)
     assert learn(PerformerLearner(first_second(take)), take).shut == 0.0
 
 
-def test_a_neutral_face_that_was_asked_for_keeps_its_shape_and_learns_the_lids():
+def test_a_calibrated_neutral_face_keeps_its_shape_and_learns_the_lids():
     face = person()
     asked = replace(calibrate(blinking(face, 4.0, 0.3), 0.0, 1.0), shut=0.0)
     learner = PerformerLearner(asked)
@@ -94,7 +94,7 @@ def test_a_neutral_face_that_was_asked_for_keeps_its_shape_and_learns_the_lids()
     assert learnt.shut == pytest.approx(0.3, abs=0.05)
 
 
-def test_lids_that_were_shut_tight_when_asked_still_meet_in_a_weak_blink():
+def test_lids_shut_tightly_in_the_calibration_still_meet_in_a_weak_blink():
     face = person()
     asked = replace(calibrate(blinking(face, 4.0, 0.3), 0.0, 1.0), shut=0.1)
     assert learn(PerformerLearner(asked), blinking(face, 10.0, 0.3)).shut == pytest.approx(0.3, abs=0.05)
@@ -103,7 +103,7 @@ def test_lids_that_were_shut_tight_when_asked_still_meet_in_a_weak_blink():
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("minutes", [4, pytest.param(60, marks=pytest.mark.timeout(1800))])
-def test_the_same_clip_again_and_again_ends_where_a_minute_of_it_did(minutes):
+def test_repeating_a_clip_gives_the_same_result_as_a_minute_of_it(minutes):
     face = person()
     clip = performing(face, 12.0, first=2)
     learner = PerformerLearner(first_second(clip))
@@ -116,7 +116,7 @@ def test_the_same_clip_again_and_again_ends_where_a_minute_of_it_did(minutes):
     assert off(ends[-1], face) < off(ends[0], face) + 0.002
 
 
-def test_who_sits_down_after_a_while_is_learnt_from_scratch():
+def test_a_new_performer_is_learnt_from_scratch():
     one, other = person(3), person(8)
     learner = PerformerLearner(first_second(performing(one, 2.0)))
     learn(learner, performing(one, 20.0))
@@ -125,7 +125,7 @@ def test_who_sits_down_after_a_while_is_learnt_from_scratch():
     assert off(changed, other) < 0.25 * off(changed, one)
 
 
-def test_what_was_learnt_changes_slowly():
+def test_the_learnt_neutral_face_changes_slowly():
     take = performing(person(), 20.0, first=9)
     learner = PerformerLearner(replace(first_second(take), shape=take.shape[0].astype(float)))
     steps, before = [], learner.neutral.shape
@@ -137,7 +137,7 @@ def test_what_was_learnt_changes_slowly():
     assert max(steps) < 0.25 * far
 
 
-def test_what_was_learnt_survives_saving_and_opening():
+def test_the_learnt_neutral_face_survives_saving_and_opening():
     learnt = learn(PerformerLearner(first_second(take := blinking(person(), 12.0, 0.25))), take)
     again = Neutral.from_dict(learnt.to_dict())
     assert not again.asked and again.shut == learnt.shut

@@ -1,4 +1,4 @@
-"""A camera is read in a process of its own; whatever becomes of that, the user reads one sentence and it goes on.
+"""A camera is read by a separate process; whatever happens to it, the user gets one message and the session goes on.
 
 No machine that tests has a camera. OpenCV reads a file through the same call as a camera's stream, so a clip stands for
 the device; drivers that hang or crash are programs that do.
@@ -30,7 +30,7 @@ SAMPLE = str(Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
 
 
 def until(camera: Camera, condition):
-    """Read until `condition` of a frame holds, or an error comes; returns the frame."""
+    """Read until `condition` holds for a frame, which is returned, or an error occurs."""
     end = perf_counter() + PATIENCE
     while perf_counter() < end:
         frame = camera.read(0.2)
@@ -41,7 +41,7 @@ def until(camera: Camera, condition):
 
 @pytest.fixture
 def camera():
-    """Makes cameras, which a busy machine has time to open, and closes them."""
+    """Make cameras with patience for a busy machine, and close them at the end."""
     made = []
 
     def make(*arguments, **options) -> Camera:
@@ -54,7 +54,7 @@ def camera():
 
 
 def program(tmp_path: Path, text: str) -> tuple[str, ...]:
-    """A command that runs `text` instead of the camera's process."""
+    """Return a command that runs the program `text` instead of the camera's process."""
     path = tmp_path / "driver.py"
     path.write_text(text)
     return (sys.executable, str(path))
@@ -128,7 +128,7 @@ def test_a_missing_camera_is_reported(camera):
 
 
 def test_the_size_of_frames_may_change(camera, tmp_path):
-    """As some cameras do where the light falls: a driver that does is made of the real messages."""
+    """Some cameras change the size when the light falls; a program with the real messages stands for such a driver."""
     seen = tmp_path / "seen"
     folder = Path(camera_module.__file__).parent
     text = f"""
@@ -198,7 +198,7 @@ def test_the_python_that_is_started_can_import_opencv():
 
 
 def test_an_open_pipe_of_a_dead_driver_does_not_block_the_reader(camera, tmp_path, monkeypatch):
-    """As one that hangs in the kernel: it cannot be killed, and whoever waits for its end waits for ever."""
+    """A process that hangs in the kernel cannot be killed, and waiting for its end would never return."""
     monkeypatch.setattr(camera_module, "_ENDING", 0.2)
     seen = tmp_path / "seen"
     text = f"""

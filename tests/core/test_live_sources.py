@@ -18,7 +18,7 @@ SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
 
 
 def played(source: LiveSource, count: int | None = None) -> list[LiveFrame]:
-    """The frames of `source` until its end, or the first `count`."""
+    """Return the frames of `source` until its end, or the first `count`."""
     frames: list[LiveFrame] = []
     source.pace = EagerClock()
     while not source.ended and (count is None or len(frames) < count):
@@ -42,7 +42,7 @@ class Numbers(PacedSource):
             yield LiveFrame(index / 100.0, np.full((2, 2, 3), index, np.uint8))
 
 
-def test_a_video_is_played_with_its_own_times_and_pictures():
+def test_a_video_is_played_with_its_own_times_and_images():
     with VideoSource(SAMPLE) as source:
         wanted = [frame for frame, _ in zip(source, range(6), strict=False)]
     frames = played(VideoPlayer(SAMPLE, speed=0.25), 6)
@@ -64,7 +64,7 @@ def test_frames_come_on_time_and_all_are_delivered_or_counted_as_dropped():
 
 
 def test_a_reader_waits_until_a_frame_is_due_or_the_timeout():
-    """In real time: that the clock which everybody has is waited for cannot be seen on another."""
+    """Runs in real time, as waiting for the shared clock cannot be observed on another one."""
     source = Numbers(speed=0.1)
     source.read(1.0)
     began = perf_counter()
@@ -120,7 +120,7 @@ def test_closing_wakes_a_reader_and_ends_the_source():
     source.close()
 
 
-def test_pictures_of_a_folder_are_played_by_name(tmp_path):
+def test_images_in_a_folder_are_played_by_name(tmp_path):
     for index in (2, 0, 1):
         cv2.imwrite(str(tmp_path / f"face{index}.png"), np.full((4, 4, 3), 50 * index, np.uint8))
     (tmp_path / "notes.txt").write_text("no picture")
@@ -129,7 +129,7 @@ def test_pictures_of_a_folder_are_played_by_name(tmp_path):
     assert [frame.time for frame in frames] == pytest.approx([0.0, 0.05, 0.1])
 
 
-def test_unreadable_pictures_are_skipped_unless_all_are(tmp_path):
+def test_unreadable_images_are_skipped_unless_all_are(tmp_path):
     (tmp_path / "face1.png").write_text("no picture")
     with pytest.raises(SourceError, match="is not a picture"):
         PicturePlayer(tmp_path).read(1.0)
@@ -140,7 +140,7 @@ def test_unreadable_pictures_are_skipped_unless_all_are(tmp_path):
     assert [frame.time for frame in frames] == pytest.approx([0.0, 0.05])
 
 
-def test_a_take_is_played_without_pictures():
+def test_a_take_is_played_without_images():
     take = performance()
     frames = played(TakePlayer(take, "take", speed=20.0))
     assert all(frame.image is None for frame in frames)

@@ -33,7 +33,7 @@ SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
 
 
 class Listed(LiveSource):
-    """Gives what it is told to, one thing a read: frames, errors to raise, or None."""
+    """Delivers given items, one per read: frames, errors to raise, or None."""
 
     name = "list"
 
@@ -55,7 +55,7 @@ class Listed(LiveSource):
 
 
 class Recorded(list):
-    """Keeps what is recorded; full after `room` frames."""
+    """Keeps recorded frames; full after `room` frames."""
 
     def __init__(self, room=10**9):
         super().__init__()
@@ -74,12 +74,12 @@ class Recorded(list):
 
 
 def frames_of(take) -> list[LiveFrame]:
-    """The frames of a take as a source gives them."""
+    """Return the frames of a take as a source delivers them."""
     return [LiveFrame(float(t), None, take.result(i)) for i, t in enumerate(take.times)]
 
 
 def run(worker: LiveWorker) -> LiveWorker:
-    """Start, and wait for the end of the source."""
+    """Start a worker, and wait for the end of its source."""
     worker.start()
     wait_for(lambda: not worker.running)
     return worker
@@ -188,7 +188,7 @@ def test_options_and_heads_may_change_and_deformers_are_reused():
 
 
 def wait_for(condition) -> None:
-    """Until `condition` holds."""
+    """Wait until `condition` holds."""
     end = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < end, "waited in vain"
@@ -209,7 +209,7 @@ def test_calibration_uses_the_next_second_and_is_rejected_if_the_performer_moves
     assert "moved" in run(restless).quality.message
 
 
-def test_calibration_without_a_face_says_so_and_keeps_the_neutral():
+def test_calibration_without_a_face_is_reported_and_keeps_the_neutral_face():
     take = performance()
     blind = make_take(take.shape[:40], found=np.zeros(40, bool))
     worker = LiveWorker(Listed(frames_of(blind)), neutral=calibrate(take))
@@ -292,7 +292,7 @@ def test_a_disk_that_does_not_respond_is_an_error(monkeypatch):
 
 
 def blinks(count: int = 240):
-    """Frames of somebody at rest who blinks every second, though the lids do not meet."""
+    """Frames of a performer at rest who blinks every second without closing the lids completely."""
     take = performance(count)
     shapes = np.tile(take.shape[0], (count, 1, 1))
     for start in range(40, count - 3, 25):
@@ -303,7 +303,7 @@ def blinks(count: int = 240):
 
 
 @pytest.mark.parametrize("wanted", [True, False])
-def test_where_eyes_are_shut_is_learnt_while_the_puppet_runs_unless_it_is_switched_off(wanted):
+def test_where_eyes_are_shut_is_learnt_in_a_live_session_unless_turned_off(wanted):
     options = LiveOptions(smoothing=0.0, learn=wanted)
     worker = run(LiveWorker(Listed(frames_of(blinks())), heads=(LiveHead(built_in_rig()),), options=options))
     assert (worker.neutral.shut > 0.1) == wanted and (worker.learnt is worker.neutral) == wanted
@@ -315,7 +315,7 @@ def test_a_take_is_shown_with_the_neutral_face_it_began_with():
     assert run(LiveWorker(source, options=LiveOptions(smoothing=0.0))).neutral.shut == 0.0
 
 
-def test_what_was_learnt_is_forgotten_on_request():
+def test_the_learnt_neutral_face_is_forgotten_on_request():
     take, asked = blinks(), replace(calibrate(performance()), shut=0.3, asked=True)
     worker = LiveWorker(Listed(frames_of(take)), neutral=asked, options=LiveOptions(smoothing=0.0))
     worker.forget()

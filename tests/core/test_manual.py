@@ -1,4 +1,4 @@
-"""The pages that the extension brings along: no link of theirs leads nowhere."""
+"""The pages that the extension ships: all their links are valid."""
 
 from __future__ import annotations
 

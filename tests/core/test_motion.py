@@ -28,7 +28,7 @@ def test_a_motion_at_rest_needs_no_mode():
     assert basis.modes.shape == (0, 5, 3) and basis.weights.shape == (10, 0) and basis.worst_error == 0.0
 
 
-def test_too_few_modes_show_in_the_error():
+def test_the_error_reveals_too_few_modes():
     motion = np.random.default_rng(0).normal(size=(20, 30, 3)).astype(np.float32)
     basis = fit_basis(motion, 1e-6, max_modes=3)
     assert len(basis.modes) == 3 and basis.worst_error > 0.1

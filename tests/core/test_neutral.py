@@ -1,4 +1,4 @@
-"""The neutral face of a take: found where the performer rests, estimated where they never do."""
+"""The neutral face of a take is found where the performer rests, and estimated otherwise."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def somebody(space: FaceSpace, seed: int) -> np.ndarray:
 
 
 def acting(face: np.ndarray, space: FaceSpace, seed: int, frames: int, restless: float = 0.0) -> np.ndarray:
-    """(frames, 66, 3): expressions that come and go, two units at a time; at least `restless` of one all the time."""
+    """Shapes (frames, 66, 3) with two expressions at a time that come and go, and at least `restless` of one always."""
     rng = np.random.default_rng(seed)
     shapes = np.tile(face, (frames, 1, 1)) + rng.normal(0.0, 0.003, (frames, *face.shape))
     for first in range(0, frames, 20):
@@ -66,7 +66,7 @@ def test_the_neutral_face_is_found_between_expressions(space: FaceSpace) -> None
 
 
 @pytest.mark.thorough
-def test_who_never_rests_still_gets_a_neutral_face_nearer_than_half_of_the_frames(space: FaceSpace) -> None:
+def test_without_any_rest_the_neutral_face_is_still_nearer_than_half_of_the_frames(space: FaceSpace) -> None:
     nearer = []
     for seed in range(15):
         face = somebody(space, seed)
@@ -92,7 +92,7 @@ def test_a_smile_that_lasts_for_the_whole_take_is_removed_and_reported(space: Fa
     assert width(neutral.shape) - width(face) < 0.75 * (width(face + smile) - width(face))
 
 
-def test_a_grin_that_lasts_is_not_taken_for_the_neutral_face(space: FaceSpace) -> None:
+def test_a_lasting_grin_is_not_taken_for_the_neutral_face(space: FaceSpace) -> None:
     shapes = np.tile(somebody(space, 7), (150, 1, 1))
     shapes[40:, MOUTH_CORNERS, 0] += (-0.1, 0.1)
     shapes[40:, LOWER_INNER, 1] += 0.1

@@ -10,7 +10,7 @@ from facemime.core.tracking.overlay import contact_sheet, draw_face, draw_frame,
 
 
 def face(scale: float, x: float, y: float) -> np.ndarray:
-    """(66, 2) landmarks of the built-in head, `scale` pixels a metre, centred on (x, y)."""
+    """Landmarks (66, 2) of the built-in head, at `scale` pixels per metre, centred on (x, y)."""
     head = load_head()
     points = head.vertices[head.landmarks][:, :2].astype(float)
     return (points - points.mean(axis=0)) * scale + (x, y)
@@ -38,7 +38,7 @@ def test_lost_faces_are_not_drawn_and_distant_ones_do_no_harm():
     np.testing.assert_array_equal(draw_landmarks(image, face(100.0, 1e7, -1e7)), image)
 
 
-def test_landmarks_stay_on_the_face_when_the_picture_is_scaled_or_cropped():
+def test_landmarks_stay_on_the_face_when_the_image_is_scaled_or_cropped():
     image = np.zeros((240, 320, 3), np.uint8)
     points = face(600.0, 100.0, 120.0)
     image[int(points[:, 1].min()) : int(points[:, 1].max()), int(points[:, 0].min()) : int(points[:, 0].max()), 2] = 255

@@ -1,4 +1,4 @@
-"""The way of Yao et al. 2019: every ingredient is a setting, and together they are a preset."""
+"""The method of Yao et al. 2019: every ingredient is a setting, and together they are a preset."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def job_of(*line: str) -> PuppetJob:
 
 
 def blinking() -> Take:
-    """A second at rest, and lids that shut after it."""
+    """A second at rest, followed by closing lids."""
     shapes = np.tile(POINTS / RIG.eye_distance, (40, 1, 1))
     for frame in range(30, 40):
         share = min((frame - 29) / 5.0, 1.0)
@@ -56,7 +56,7 @@ def blinking() -> Take:
     return make_take(shapes)
 
 
-def test_the_preset_on_the_command_line_is_the_papers_way_and_options_override_it():
+def test_the_preset_sets_the_papers_method_and_options_override_it():
     assert job_of("--preset", "paper").settings.drive == PAPER
     for line in (
         ("--preset", "paper", "--mode", "3d", "--contact"),
@@ -173,7 +173,7 @@ def test_an_exact_fit_meets_the_landmarks_where_the_paint_is_full(borders):
     assert errors[0] < 1e-6 < 1e-5 < errors[1]
 
 
-def test_a_fit_that_is_too_ill_conditioned_without_a_ridge_says_what_to_do():
+def test_an_ill_conditioned_fit_without_a_ridge_is_refused_with_advice():
     rng = np.random.default_rng(0)
     vertices = rng.uniform(size=(40, 3))
     with pytest.raises(HeadError, match="Turn off Exact Fit"):
@@ -191,7 +191,7 @@ def test_refitting_survives_control_points_that_meet():
     assert np.abs(deformer.deform(np.zeros((66, 3))) - deformer.rest).max() < 0.1
 
 
-def test_the_papers_search_adds_points_alone_and_needs_more_of_them():
+def test_the_papers_search_only_adds_points_and_needs_more_of_them():
     take = performance()
     ours, papers = (select_for_take(RIG, take, tolerance=0.004, search=search) for search in ("take", "paper"))
     assert papers.reached and papers.covariance is None
@@ -200,7 +200,7 @@ def test_the_papers_search_adds_points_alone_and_needs_more_of_them():
     assert papers.membership[0].sum() >= 12
 
 
-def test_the_points_of_a_search_drive_the_head_the_papers_way():
+def test_the_points_of_a_search_drive_the_head_by_the_papers_method():
     take = performance()
     chosen = select_for_take(RIG, take, tolerance=0.01, search="paper")
     rig = replace(RIG, control_points=chosen.membership, covariance=chosen.covariance)

@@ -1,4 +1,4 @@
-"""Parts of a character: pieces of meshes, their sorting by name and place, bones, and how parts follow the skin."""
+"""Parts of a character: pieces of meshes, their assignment by name and place, bones, and motion with the skin."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ ANGLES = st.floats(-1.2, 1.2)
 
 
 def split_at(vertices: np.ndarray, faces: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Split a mesh where faces (F,) with and without `side` meet; also returns the first vertex of each vertex."""
+    """Split a mesh between faces (F,) with and without `side`; also return the original of each vertex."""
     shared = np.intersect1d(faces[side & (faces >= 0).all(axis=1)], faces[~side & (faces >= 0).all(axis=1)])
     copies = np.arange(len(vertices))
     copies[shared] = len(vertices) + np.arange(len(shared))
@@ -35,14 +35,14 @@ def split_at(vertices: np.ndarray, faces: np.ndarray, side: np.ndarray) -> tuple
 
 
 def split_rig() -> tuple[HeadRig, np.ndarray]:
-    """The built-in head with a seam down the middle and one across, as a texture's, and where its vertices are from."""
+    """The built-in head with texture seams down the middle and across, and the original of each vertex."""
     rig = built_in_rig()
     middle = rig.vertices[rig.faces[:, :3]].mean(axis=1)
     vertices, faces, first = split_at(rig.vertices, rig.faces, middle[:, 0] + 0.3 * middle[:, 1] > 0.0)
     return replace(rig, vertices=vertices, faces=faces, region_weights=rig.region_weights[:, first]), first
 
 
-def test_a_mesh_falls_into_the_pieces_of_which_it_was_made():
+def test_a_mesh_is_divided_into_the_pieces_it_was_made_of():
     one = np.array([[0, 1, 2, -1], [1, 2, 3, -1]])
     faces = np.concatenate([one, np.array([[4, 5, 6, 7]]), one[:0]])
     np.testing.assert_array_equal(islands(9, faces), [0, 0, 0, 0, 1, 1, 1, 1, 2])
@@ -96,7 +96,7 @@ def test_lips_that_were_cut_apart_without_a_gap_stay_apart():
     assert len(skin_of(vertices, cut, None, landmarks).kept) == len(vertices)
 
 
-def test_layers_that_touch_inside_of_a_mesh_are_not_joined():
+def test_layers_that_touch_inside_a_mesh_are_not_joined():
     rig = built_in_rig()
     doubled = np.concatenate([rig.vertices, rig.vertices])
     faces = np.concatenate([rig.faces, np.where(rig.faces >= 0, rig.faces + len(rig.vertices), -1)])
@@ -126,7 +126,7 @@ def test_layers_that_touch_inside_of_a_mesh_are_not_joined():
         ("Material.001", None),
     ],
 )
-def test_names_tell_parts(name, part):
+def test_parts_are_recognised_by_name(name, part):
     assert named_part([name]) == part
 
 
@@ -187,7 +187,7 @@ def test_a_piece_close_to_moving_skin_rides_on_it_and_one_on_the_skull_rides_on_
     ]
 
 
-def test_gums_that_are_joined_with_a_tongue_are_divided_where_they_grow():
+def test_gums_joined_to_a_tongue_are_divided_where_they_grow():
     head = load_head()
     points = head.vertices[head.landmarks].astype(np.float64)
     unit, slit = outer_eye_distance(points), points[LIPS].mean(axis=0)
@@ -214,7 +214,7 @@ def test_gums_that_are_joined_with_a_tongue_are_divided_where_they_grow():
 
 
 @pytest.mark.parametrize("side", [EYE_RIGHT, EYE_LEFT])
-def test_lashes_and_films_of_tears_are_no_eyes_and_ride_on_the_lids(side):
+def test_lashes_and_films_of_tears_are_not_eyes_but_ride_on_the_lids(side):
     head = load_head()
     points = head.vertices[head.landmarks].astype(np.float64)
     rim, width = points[side], float(np.ptp(points[side][:, 0]))
@@ -232,7 +232,7 @@ def test_lashes_and_films_of_tears_are_no_eyes_and_ride_on_the_lids(side):
 
 
 @given(ANGLES, ANGLES, ANGLES)
-def test_what_rides_on_skin_that_moves_rigidly_moves_with_it(pitch, yaw, roll):
+def test_parts_on_rigidly_moving_skin_move_with_it(pitch, yaw, roll):
     rng = np.random.default_rng(3)
     skin = rng.uniform(-1.0, 1.0, (60, 3))
     points = rng.uniform(-1.0, 1.0, (12, 3)) * 1.5

@@ -1,4 +1,4 @@
-"""Control points as a table and a curve, and changes by hand."""
+"""Control points as a table and a curve, and their selection by hand."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_a_point_can_be_added_and_removed_by_hand_and_both_survive_the_file(sele
         drop_by_hand(less, landmark)
 
 
-def test_removing_from_all_landmarks_leaves_65_and_the_last_of_a_region_stays():
+def test_removing_one_of_all_landmarks_leaves_65_and_the_last_of_a_region_stays():
     left = drop_by_hand(None, 30)
     assert set(left.landmarks) == set(range(N_LANDMARKS)) - {30}
     with pytest.raises(HeadError, match="last control point of the region"):

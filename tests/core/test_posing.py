@@ -22,7 +22,7 @@ angles = st.tuples(*[st.floats(-1.2, 1.2)] * 3)
 
 
 def angle(rotation: np.ndarray) -> float:
-    """How far `rotation` turns, radians."""
+    """Angle of `rotation` in radians."""
     return float(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0)))
 
 
@@ -64,7 +64,7 @@ def test_strength_and_limit_apply_to_head_eyes_and_position():
     np.testing.assert_array_equal(short.vertices, plain.vertices)
 
 
-def test_a_mirrored_head_moves_as_by_the_mirrored_image():
+def test_a_mirrored_head_moves_as_for_a_mirrored_image():
     take, rig = performance(), built_in_rig()
     neutral = calibrate(take)
     mirrored = HeadDriver(rig, neutral, DriveSettings(mirror=True))
@@ -92,7 +92,7 @@ def test_a_neutral_survives_storage_and_a_damaged_one_is_refused():
         Neutral.from_dict({})
 
 
-def test_a_mouth_that_opens_little_amplifies_the_lower_face():
+def test_the_lower_face_is_amplified_for_a_mouth_that_opens_little():
     neutral = calibrate(performance())
     assert neutral.mouth_gain == 1.0
     wide, small = replace(neutral, open_mouth=0.6), replace(neutral, open_mouth=0.28)

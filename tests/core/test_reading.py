@@ -1,4 +1,4 @@
-"""JSON of control points, key maps, presets and calibrations is checked before use."""
+"""JSON of control points, key mappings, presets and calibrations is checked before use."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ PRESET = {"format": "facemime-preset", "settings": {"smoothing": 2.0, "mirror": 
 
 
 def changed(data: dict, value: object, *place: object) -> str:
-    """JSON of `data` with `value` at `place`."""
+    """Return the JSON of `data` with `value` at `place`."""
     data = owner = copy.deepcopy(data)
     for key in place[:-1]:
         owner = owner[key]
@@ -86,7 +86,7 @@ def test_control_points_changed_by_hand_have_no_error():
         *((value, ("name",)) for value in (3, None)),
     ],
 )
-def test_a_table_of_keys_with_wrong_types_is_refused(value, place):
+def test_a_key_mapping_with_wrong_types_is_refused(value, place):
     with pytest.raises(SourceError, match="not a key mapping") as caught:
         key_map.from_json(changed(TABLE, value, *place))
     assert len(str(caught.value)) < 300

@@ -14,12 +14,12 @@ from facemime.core.live.reference_video import ReferenceVideo
 
 
 def picture(level: int, size: tuple[int, int] = (48, 64)) -> np.ndarray:
-    """A grey picture of brightness `level`."""
+    """A grey image of brightness `level`."""
     return np.full((*size, 3), level, np.uint8)
 
 
 def levels(path) -> list[int]:
-    """The brightness of each frame of a video."""
+    """Return the brightness of each frame of a video."""
     video, found = cv2.VideoCapture(str(path)), []
     while (frame := video.read())[0]:
         found.append(round(float(frame[1].mean())))

@@ -104,7 +104,7 @@ def test_lids_that_the_tracker_leaves_a_little_open_still_shut_the_heads_eyes(ri
     assert calibrate(make_take(shapes[:50]), start=0.0).shut == 0.0
 
 
-def test_eyes_that_open_wider_than_at_rest_are_made_up_for_and_shut_ones_are_not(rig):
+def test_eyes_that_open_wider_than_at_rest_are_compensated_and_shut_ones_are_not(rig):
     face, points = performer(rig), rig.vertices[rig.landmarks]
     wide, shut = face.copy(), face.copy()
     wide[UPPER_LIDS, 1] -= 0.03
@@ -177,7 +177,7 @@ def test_eyes_turn_by_the_gaze_relative_to_the_usual_one(rig):
         np.testing.assert_allclose(matrix_to_euler(eye), (0.0, 0.2, 0.0), atol=1e-9)
 
 
-def test_eyes_cross_by_what_their_vergence_exceeds_a_usual_one():
+def test_eyes_cross_by_the_excess_of_their_vergence_over_the_usual_one():
     eyes = EyeDriver(np.zeros(2), 0.1)
     for vergence, turned in ((0.1, 0.0), (0.12, 0.0), (0.1 + _PARALLEL + 0.2, 0.1), (0.1 - _PARALLEL - 0.2, -0.1)):
         for _ in range(_LASTING):

@@ -40,7 +40,7 @@ def during(truth: dict, label: str) -> np.ndarray:
     return truth["landmarks"][rows]
 
 
-def test_the_clip_is_small_and_of_a_webcams_size(frames):
+def test_the_clip_is_small_and_has_the_size_of_a_webcams(frames):
     images, _, fps = frames
     assert (SAMPLE / "sample.mp4").stat().st_size < 1_000_000
     assert fps == pytest.approx(25)
@@ -54,7 +54,7 @@ def test_there_is_one_row_of_landmarks_for_every_frame_at_its_time(truth, frames
     assert np.allclose(truth["times"], times, atol=0.002)
 
 
-def test_landmarks_lie_in_the_picture(truth):
+def test_landmarks_lie_within_the_image(truth):
     assert truth["landmarks"].min() > 0
     assert (truth["landmarks"] < [640, 480]).all()
 
@@ -85,7 +85,7 @@ def test_brows_rise_and_fall(truth):
     assert span(during(truth, "frown"), 24, 44).min() < 0.95 * rest
 
 
-def test_the_head_turns_both_ways_as_the_pose_says(truth):
+def test_the_head_turns_both_ways_according_to_the_pose(truth):
     points, yaw = truth["landmarks"], truth["pose"][:, 1]
     right, left, nose = (points[:, i, 0] for i in from_ibug([36, 45, 30]))
     offset = (nose - (right + left) / 2) / (left - right)

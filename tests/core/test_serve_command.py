@@ -1,4 +1,4 @@
-"""The command `serve`, in a process of its own, and a viewer of it."""
+"""The command `serve` in a separate process, and a viewer of it."""
 
 import json
 import signal
@@ -40,7 +40,7 @@ def test_a_take_moves_the_head_on_the_page_until_ctrl_c(take, tmp_path):
         (("--listen", "a b"), "is not an address"),
     ),
 )
-def test_what_cannot_be_served_is_one_clear_error(take, options, message, capsys):
+def test_invalid_serve_options_are_one_clear_error(take, options, message, capsys):
     assert main(["serve", "--video", str(take), *options]) == 1
     said = capsys.readouterr().err
     assert message in said and "Traceback" not in said

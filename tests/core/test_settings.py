@@ -1,4 +1,4 @@
-"""Settings: each is said once, and what is derived from it agrees."""
+"""Settings are stated once, and everything derived from them agrees."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ALL = [(group, name, setting) for group in GROUPS for name, setting in settings_
 
 
 @pytest.mark.parametrize(("group", "name", "setting"), ALL, ids=[f"{g.__name__}.{n}" for g, n, _ in ALL])
-def test_a_setting_has_its_default_within_its_range_and_words_that_blender_would_have(group, name, setting):
+def test_the_default_of_a_setting_is_in_range_and_its_texts_follow_blenders_style(group, name, setting):
     assert getattr(group(), name) == setting.default == setting.checked(setting.default, name)
     assert setting.label and setting.description and not setting.description.endswith(".")
     assert setting.description[0].isupper()
@@ -44,7 +44,7 @@ def test_without_options_a_job_has_the_default_settings(tmp_path):
     assert list(changed(PuppetSettings())) == []
 
 
-def test_what_is_changed_is_named_in_all_groups():
+def test_changed_settings_are_listed_in_all_groups():
     settings = PuppetSettings(smoothing=0.5, drive=DriveSettings(posing=PosingSettings(eyes_strength=0.0)))
     assert {(name, value) for name, _, value in changed(settings)} == {("smoothing", 0.5), ("eyes_strength", 0.0)}
 

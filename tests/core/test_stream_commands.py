@@ -1,4 +1,4 @@
-"""The commands `send` and `receive`, in processes of their own and over real sockets."""
+"""The commands `send` and `receive`, in separate processes and over real sockets."""
 
 import re
 import signal
@@ -31,7 +31,7 @@ from takes import coefficient_take, performance
 
 
 def sent_and_received(tmp_path: Path, protocol: str, source: Path, *more: object) -> tuple[Path, str]:
-    """The take that `receive` records of what `send` sends, and what `receive` says."""
+    """Return the take that `receive` records of the output of `send`, and the messages of `receive`."""
     port, out = free_port(), tmp_path / "received.facetake"
     line = [*START, "receive", "--protocol", protocol, "--listen", f":{port}", "-o", out, *more]
     with subprocess.Popen([*map(str, line)], stderr=subprocess.PIPE, text=True) as receiver:
@@ -47,7 +47,7 @@ def sent_and_received(tmp_path: Path, protocol: str, source: Path, *more: object
 
 
 def same(sent: Take, received: Take, name: str) -> np.ndarray:
-    """Frames of what was sent by the times of what came; a player skips frames that it is late for."""
+    """Match sent frames to received ones by time, as a player skips frames for which it is late."""
     first = getattr(received, name)[0]
     shift = int(np.argmin([np.abs(values - first).max() for values in getattr(sent, name)]))
     times = received.times + sent.times[shift]
@@ -57,7 +57,7 @@ def same(sent: Take, received: Take, name: str) -> np.ndarray:
 
 
 def _wait_for(port: int) -> None:
-    """Wait until somebody listens on a port."""
+    """Wait until a port is listened on."""
     end = time.monotonic() + 60.0
     while time.monotonic() < end:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -139,7 +139,7 @@ def test_a_pairing_line_is_all_that_a_receiver_needs(tmp_path):
     assert not (tmp_path / "no.facetake").exists()
 
 
-def test_vtube_studio_is_sent_to_and_its_permission_kept(tmp_path):
+def test_vtube_studio_receives_the_face_and_its_permission_is_kept(tmp_path):
     save_take(coefficient_take(60), tmp_path / "sent.facetake")
     with running(studio := Studio()) as port:
         to = ("--to", f"127.0.0.1:{port}", "--protocol", "vtubestudio")
@@ -181,7 +181,7 @@ def test_a_video_is_tracked_and_sent_without_blender():
 
 
 @needs_posix
-def test_nothing_that_comes_is_an_error_that_says_so(tmp_path):
+def test_receiving_nothing_is_a_clear_error(tmp_path):
     done = run("receive", "--listen", f":{free_port()}", "-o", tmp_path / "a.facetake", "--seconds", 0.3)
     assert done.returncode == 1 and "Nothing came" in done.stderr and not (tmp_path / "a.facetake").exists()
 
@@ -205,7 +205,7 @@ def test_nothing_that_comes_is_an_error_that_says_so(tmp_path):
         (("send", "--video", "none.mp4", "--to", ":5"), "none.mp4"),
     ],
 )
-def test_wrong_commands_are_refused_with_the_reason(arguments, wanted, tmp_path, monkeypatch, capsys):
+def test_invalid_commands_are_refused_with_the_reason(arguments, wanted, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main([*map(str, arguments)]) == 1
     assert wanted in capsys.readouterr().err

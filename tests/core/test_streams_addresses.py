@@ -1,4 +1,4 @@
-"""Addresses: which are of this computer, and how they are written."""
+"""Addresses: which of them are this computer's, and how they are written."""
 
 import pytest
 
@@ -42,6 +42,6 @@ def test_addresses_are_parsed(text, wanted):
 
 
 @pytest.mark.parametrize("text", ["host:x", "host:99999", "http://host:5", "a b:5", "host:-1", "user@host:1"])
-def test_what_is_no_address_is_refused(text):
+def test_invalid_addresses_are_refused(text):
     with pytest.raises(SourceError):
         parse_address(text)

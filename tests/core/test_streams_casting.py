@@ -1,4 +1,4 @@
-"""Which of several senders drives which head."""
+"""Assignment of several senders to heads."""
 
 from facemime.core.streams.casting import SILENT, Casting
 
@@ -6,7 +6,7 @@ ADA, BEN, CAT = ((("10.0.0.1", 1), "Ada"), (("10.0.0.1", 1), "Ben"), (("10.0.0.2
 
 
 def cast(casting: Casting) -> dict:
-    """The heads that each face drives."""
+    """Return the heads that each face drives."""
     return {role.followed: role.heads for role in casting.roles if role.heads}
 
 
@@ -29,7 +29,7 @@ def test_a_single_head_follows_the_first_sender_until_it_ends():
     assert cast(casting) == {BEN: (0,)}
 
 
-def test_a_cut_of_the_network_changes_nothing():
+def test_an_interruption_of_the_network_changes_nothing():
     casting = Casting(("", ""))
     casting.update({ADA: 0.0, BEN: 0.0}, 0.0)
     before = cast(casting)
@@ -39,7 +39,7 @@ def test_a_cut_of_the_network_changes_nothing():
     assert cast(casting) == before == {ADA: (0,), BEN: (1,)}
 
 
-def test_a_sender_that_starts_again_takes_its_own_head_rather_than_the_next():
+def test_a_restarted_sender_takes_its_own_head_rather_than_the_next():
     again = (("10.0.0.1", 2), "Ada")
     casting = Casting(("", ""))
     casting.update({ADA: 0.0}, 0.0)
@@ -69,7 +69,7 @@ def test_heads_with_the_same_sender_move_together():
     assert {name: sorted(heads) for name, heads in cast(casting).items()} == {ADA: [0, 1, 2], BEN: [3]}
 
 
-def test_other_choices_leave_a_performer_its_number():
+def test_a_performer_keeps_its_number_when_other_choices_change():
     casting = Casting(("", ""))
     casting.update({ADA: 0.0, BEN: 0.0}, 0.0)
     numbers = {role.followed: role.number for role in casting.roles}
@@ -79,6 +79,6 @@ def test_other_choices_leave_a_performer_its_number():
     assert {role.followed: role.number for role in casting.roles} == numbers
 
 
-def test_performers_share_one_time():
+def test_performers_share_one_time_scale():
     casting = Casting(("", ""))
     assert [casting.start_of(due) for due in (100.0, 107.5, 99.9)] == [0.0, 7.5, 0.0]

@@ -1,4 +1,4 @@
-"""Facemime's own packets: as documented, there and back, and refused where they are wrong."""
+"""Facemime's own packets follow their documentation, survive encoding, and are refused if invalid."""
 
 import struct
 
@@ -30,7 +30,7 @@ def test_an_own_packet_is_laid_out_as_documented():
     np.testing.assert_allclose(shape, take.shape[0], atol=2.0**-14)
 
 
-def test_30_frames_a_second_take_at_most_150_kilobits_with_all_headers():
+def test_30_frames_per_second_take_at_most_150_kilobits_with_all_headers():
     for result in (performance().result(0), coefficient_face().result(distinct(), np.zeros(3))):
         bytes_sent = len(own(result)) + 16 + 28  # the signature, and the headers of UDP and IP
         assert 30 * 8 * bytes_sent <= 150_000
@@ -59,7 +59,7 @@ def test_coefficients_come_back_to_a_step_of_16_bits(values, angles):
 
 
 @pytest.mark.parametrize("size", [0, 3, 31, 481])
-def test_own_packets_that_are_cut_or_longer_are_refused(size):
+def test_own_packets_that_are_truncated_or_too_long_are_refused(size):
     data = own(performance().result(0))
     for wrong in (
         data[:size],

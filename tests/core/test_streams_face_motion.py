@@ -1,4 +1,4 @@
-"""Face Motion 3, which newer apps on phones speak: as its specification has it, and by a phone on a real socket."""
+"""Face Motion 3, used by newer phone apps, follows its specification, also with a phone on a real socket."""
 
 import json
 import socket
@@ -73,7 +73,7 @@ def begun(receiver) -> FaceMotionReceiver:
 VALUES = [*range(0, 52), 100]
 
 
-def test_a_phone_is_asked_and_told_that_its_schema_has_come_as_published(receiver):
+def test_a_phone_is_asked_and_its_schema_acknowledged_as_published(receiver):
     assert receiver.hello().hex() == HELLO_HEX and receiver.hello() == receiver.hello()
     first, second, third = schema(NONCE)
     for packet in (third, first, first):
@@ -98,12 +98,12 @@ def test_values_beyond_a_face_are_clipped(begun):
     assert value_of(got.face, COEFFICIENTS[0]) == 0.0 and value_of(got.face, COEFFICIENTS[1]) == 1.0
 
 
-def test_a_lost_face_is_no_face_and_a_recording_is_played(begun):
+def test_a_lost_face_is_reported_and_a_recording_is_played(begun):
     assert begun.receive(frame(VALUES, 1, flags=0), 0.1)[0][0].face is None
     assert begun.receive(frame(VALUES, 2, flags=3), 0.1)[0][0].face is not None
 
 
-def test_old_and_doubled_frames_are_left_out_even_when_the_counter_begins_again(begun):
+def test_old_and_duplicate_frames_are_dropped_even_when_the_counter_restarts(begun):
     numbers = (2**32 - 2, 2**32 - 1, 2**32 - 1, 0, 2**32 - 1, 2)
     assert [len(begun.receive(frame(VALUES, n), 0.1)[0]) for n in numbers] == [1, 1, 0, 1, 0, 1]
 
@@ -119,7 +119,7 @@ def test_a_changed_schema_reads_later_frames_and_an_unknown_one_is_asked_for_onc
     np.testing.assert_allclose(got.face.coefficients, np.arange(52) / 100.0)
 
 
-def test_a_schema_that_comes_again_is_acknowledged_again_once_a_second(begun):
+def test_a_repeated_schema_is_acknowledged_again_once_per_second(begun):
     counts = [sum(len(begun.receive(p, now)[1]) for p in schema(NONCE)) for now in (0.5, 1.2, 1.9, 2.3)]
     assert counts == [0, 1, 0, 1]
     with pytest.raises(PacketError):
@@ -127,7 +127,7 @@ def test_a_schema_that_comes_again_is_acknowledged_again_once_a_second(begun):
             begun.receive(packet, 9.0)
 
 
-def test_the_phone_hears_that_somebody_listens_and_is_reminded_when_nothing_comes(begun):
+def test_the_phone_is_pinged_and_reminded_when_nothing_comes(begun):
     sent = {now: begun.due(now) for now in np.arange(0.5, 14.0, 0.5).tolist()}
     pings = [now for now, packets in sent.items() if any(p[4] == 6 for p in packets)]
     reminders = [now for now, packets in sent.items() if any(p[4] == 5 for p in packets)]
@@ -149,7 +149,7 @@ def test_another_session_waits_until_the_running_one_is_silent(begun):
     assert len(begun.receive(frame(VALUES, 1, session=77), 3.2)[0]) == 1
 
 
-def test_a_refusal_says_what_to_do(receiver):
+def test_a_refusal_is_reported_with_advice(receiver):
     receiver.receive(datagrams(9, b"BUSY", session=NONCE)[0], 0.0)
     assert receiver.message == REFUSALS["BUSY"]
     receiver.receive(datagrams(9, b"SOMETHING_ELSE", session=NONCE)[0], 0.0)
@@ -203,7 +203,7 @@ GOOD = frame(VALUES, 5)
         datagrams(2, struct.pack("<QHHII", 0, 60, 1200, 10_000, 5) + b"{" * 90, schema=2, largest=576),
     ],
 )
-def test_wrong_packets_are_refused_and_change_nothing(begun, packets):
+def test_invalid_packets_are_refused_and_change_nothing(begun, packets):
     with pytest.raises(PacketError):
         for packet in packets:
             begun.receive(packet, 3.5)
@@ -271,7 +271,7 @@ def played_as_sent(source: StreamSource, phone: Phone) -> bool:
 
 
 @pytest.mark.parametrize("protocol", ["ifacialmocap", "facemotion3d"])
-def test_a_new_app_sends_version_3_and_is_told_when_it_is_over(opened, monkeypatch, protocol):
+def test_a_new_app_sends_version_3_until_the_session_is_ended(opened, monkeypatch, protocol):
     phone = Phone(monkeypatch, protocol, new=True)
     phone.start()
     try:

@@ -1,4 +1,4 @@
-"""Phones and Face Cap on real sockets: what they send is played, and what others send is not."""
+"""Phones and Face Cap on real sockets: their faces are played, and packets of others are not."""
 
 import json
 import socket
@@ -31,7 +31,7 @@ def phone_json(values: np.ndarray) -> bytes:
 
 
 class Phone(threading.Thread):
-    """A phone that sends only after it was asked, to where the question came from."""
+    """A phone that sends only on request, to the address that the request came from."""
 
     def __init__(self, monkeypatch, protocol: str, packet, values: np.ndarray) -> None:
         super().__init__(daemon=True)
@@ -64,7 +64,7 @@ class Phone(threading.Thread):
     ("protocol", "packet", "precision"),
     [("ifacialmocap", phone_text, 0.0051), ("facemotion3d", phone_text, 0.0051), ("vtubestudio", phone_json, 1e-6)],
 )
-def test_a_phone_is_asked_and_what_it_sends_is_played(opened, monkeypatch, protocol, packet, precision):
+def test_a_phone_is_asked_to_send_and_its_faces_are_played(opened, monkeypatch, protocol, packet, precision):
     values = acted(12).coefficients
     phone = Phone(monkeypatch, protocol, packet, values)
     phone.start()
@@ -95,7 +95,7 @@ def test_face_cap_is_played(opened):
         np.testing.assert_allclose(frame.result.coefficients, take.coefficients[number], atol=1e-6)
 
 
-def test_packets_of_others_than_the_phone_are_refused(opened):
+def test_packets_that_are_not_the_phones_are_refused(opened):
     source = opened("ifacialmocap", phone="127.0.0.2", host="127.0.0.1")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         out.sendto(phone_text(np.zeros(N_COEFFICIENTS)), source.address)

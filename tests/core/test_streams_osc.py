@@ -1,4 +1,4 @@
-"""Angles on their way through streams, and Open Sound Control, as specified."""
+"""Conversion of angles for streams, and Open Sound Control as specified."""
 
 import struct
 
@@ -24,12 +24,12 @@ from facemime.core.streams.frames import (
 
 
 @given(ANGLES)
-def test_angles_about_the_axes_of_a_face_anchor_go_there_and_back(angles):
+def test_angles_about_the_axes_of_a_face_anchor_survive_conversion_and_back(angles):
     np.testing.assert_allclose(from_face_axes(*to_face_axes(np.array(angles))), angles, atol=1e-9)
 
 
 def test_a_face_anchor_that_turns_to_the_performers_left_has_a_negative_yaw():
-    """Its y is up and its z towards the viewer: positive turns lead to the viewer's right, the performer's left."""
+    """With y up and z towards the viewer, positive angles turn to the viewer's right, the performer's left."""
     np.testing.assert_allclose(from_face_axes(0.0, 0.3, 0.0), [0.0, -0.3, 0.0], atol=1e-12)
     np.testing.assert_allclose(from_face_axes(0.3, 0.0, 0.0), [0.3, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(from_face_axes(0.0, 0.0, 0.3), [0.0, 0.0, -0.3], atol=1e-12)
@@ -44,7 +44,7 @@ def test_quaternions_and_matrices_are_the_same_rotations(angles):
 # Open Sound Control
 
 
-def test_a_message_is_what_the_specification_of_osc_says():
+def test_a_message_follows_the_specification_of_osc():
     """The second example of the specification of OSC 1.0."""
     wanted = bytes.fromhex("2f666f6f000000002c69697366660000000003e8ffffffff68656c6c6f0000003f9df3b640b5b22d")
     assert osc.encode_message("/foo", 1000, -1, "hello", 1.234, 5.678) == wanted
@@ -75,7 +75,7 @@ def test_messages_agree_with_another_library(arguments):
     assert list(message.arguments) == arguments
 
 
-def test_bundles_agree_with_another_library_nested_ones_too():
+def test_bundles_agree_with_another_library_even_if_nested():
     inner, outer = OscBundleBuilder(IMMEDIATELY), OscBundleBuilder(IMMEDIATELY)
     for number in range(3):
         message = OscMessageBuilder("/n")
@@ -115,7 +115,7 @@ def test_what_is_not_osc_is_refused(data):
         osc.decode(data)
 
 
-def test_bundles_in_bundles_have_an_end():
+def test_the_nesting_of_bundles_is_limited():
     data = osc.encode_message("/a")
     for _ in range(6):
         data = next(osc.encode_bundles([data], 9999))

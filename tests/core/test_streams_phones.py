@@ -1,4 +1,4 @@
-"""Packets of apps on phones: as their specifications have them, and refused where they are wrong."""
+"""Packets of phone apps are read as specified, and refused if invalid."""
 
 import json
 import struct
@@ -26,7 +26,7 @@ from facemime.core.streams.vtube_studio import VTubeStudioDecoder
 
 
 def golden_live_link(values=None, *, version=6, count=61) -> bytes:
-    """A packet by the published layout: version, device, subject, time, rate, count and floats."""
+    """A packet with the published layout: version, device, subject, time, rate, count and floats."""
     device, subject = b"12345678-1234-1234-1234-123456789abc", "iPhone 测试".encode()
     head = bytes([version]) + struct.pack(">I", 36) + device + struct.pack(">I", len(subject)) + subject
     head += struct.pack(">I", 1830) + struct.pack(">f", 0.5) + struct.pack(">II", 60, 1)
@@ -57,7 +57,7 @@ def test_live_link_face_without_values_has_no_face():
 
 
 @given(SHARES, ANGLES, st.floats(0.0, 1e5))
-def test_live_link_face_goes_there_and_back(values, angles, time):
+def test_live_link_face_survives_encoding_and_decoding(values, angles, time):
     face = FaceValues(np.array(values), np.array(angles))
     (frame,) = LiveLinkDecoder().decode(live_link.encode(face, time, subject="a", device="b"))
     np.testing.assert_allclose(frame.face.coefficients, values, atol=1e-7)
@@ -80,7 +80,7 @@ def test_live_link_face_goes_there_and_back(values, angles, time):
         b"\6" + bytes(30),
     ],
 )
-def test_wrong_packets_of_live_link_face_are_refused(data):
+def test_invalid_packets_of_live_link_face_are_refused(data):
     with pytest.raises(PacketError):
         LiveLinkDecoder().decode(data)
 
@@ -123,12 +123,12 @@ def test_both_versions_of_ifacialmocap_are_read():
         FIRST.replace("custom", "cust\u00f6m"),
     ],
 )
-def test_wrong_packets_of_ifacialmocap_are_refused(text):
+def test_invalid_packets_of_ifacialmocap_are_refused(text):
     with pytest.raises(PacketError):
         IFacialMocapDecoder().decode(text.encode())
 
 
-def test_the_phone_is_asked_in_its_own_words():
+def test_the_phone_gets_the_request_of_its_own_protocol():
     assert ifacialmocap.START.startswith(b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719")
     assert ifacialmocap.FACEMOTION_START == b"FACEMOTION3D_OtherStreaming"
 
@@ -165,7 +165,7 @@ def test_vtube_studio_is_read_by_name_whatever_the_spelling():
     assert value_of(frame.face, "eyeBlinkLeft") == 0.25
 
 
-def test_vtube_studio_says_when_there_is_no_face():
+def test_vtube_studio_reports_when_there_is_no_face():
     assert VTubeStudioDecoder().decode(golden_vtube_studio(FaceFound=False))[0].face is None
 
 
@@ -194,7 +194,7 @@ def test_the_request_is_the_documented_one():
         golden_vtube_studio() + b"x",
     ],
 )
-def test_wrong_packets_of_vtube_studio_are_refused(data):
+def test_invalid_packets_of_vtube_studio_are_refused(data):
     with pytest.raises(PacketError):
         VTubeStudioDecoder().decode(data)
 
@@ -232,6 +232,6 @@ def test_face_cap_is_read_by_number_in_single_messages_and_in_bundles():
         osc.encode_message("/X", 1.0),
     ],
 )
-def test_wrong_messages_of_face_cap_are_refused(message):
+def test_invalid_messages_of_face_cap_are_refused(message):
     with pytest.raises(PacketError):
         FaceCapDecoder().decode(message)

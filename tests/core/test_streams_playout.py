@@ -1,4 +1,4 @@
-"""Streams are played evenly, whatever the network does to them."""
+"""Streams are played evenly, whatever the network does."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def results(count: int):
 
 
 def played(arrivals, playout: Playout, end: float, step: float = 0.002) -> list[tuple[float, Shown]]:
-    """What is shown, and when, for packets (time of the media, result) that come at these times."""
+    """Return the frames that are shown, and when, for packets (media time, result) with given arrivals."""
     shown, waiting, now = [], list(arrivals), 0.0
     while now < end:
         while waiting and waiting[0][0] <= now:
@@ -37,7 +37,7 @@ def played(arrivals, playout: Playout, end: float, step: float = 0.002) -> list[
 
 
 def sent(seconds: float):
-    """Packets as they are sent, each with the media's time."""
+    """Packets in the order of sending, each with its media time."""
     frames = results(int(seconds * RATE))
     return [(n / RATE, (1000.0 + n / RATE, result)) for n, result in enumerate(frames)]
 
@@ -58,7 +58,7 @@ def test_a_frame_is_shown_the_stated_delay_after_the_fastest_could_have_come():
     assert np.median(delays) == pytest.approx(0.01 + DELAY, abs=0.004)
 
 
-def test_doubled_and_late_packets_are_dropped_and_counted():
+def test_duplicate_and_late_packets_are_dropped_and_counted():
     playout = Playout(DELAY)
     shown = played(Link(0.02, 0.1, double=0.3).deliver(sent(10.0), 3), playout, 11.0)
     times = [frame.time for _, frame in shown if not frame.predicted]
@@ -76,7 +76,7 @@ def test_reordered_packets_come_out_in_order():
 
 
 @pytest.mark.parametrize("drift", [300e-6, -300e-6])
-def test_a_clock_that_drifts_is_followed_for_ten_minutes(drift):
+def test_a_drifting_clock_is_followed_for_ten_minutes(drift):
     clock, worst = ClockFollower(), 0.0
     rng = np.random.default_rng(0)
     for number in range(int(600 * RATE)):
@@ -88,7 +88,7 @@ def test_a_clock_that_drifts_is_followed_for_ten_minutes(drift):
     assert worst < 0.005
 
 
-def test_a_network_that_becomes_slower_is_followed_within_seconds():
+def test_a_slower_network_is_followed_within_seconds():
     near, far = Link(0.02, 0.01).deliver(sent(5.0), 5), Link(0.12, 0.01).deliver(sent(12.0), 6)
     arrivals = [*near, *(arrival for arrival in far if arrival[1][0] >= 1005.0)]
     shown = played(arrivals, Playout(DELAY), 13.0)
@@ -96,7 +96,7 @@ def test_a_network_that_becomes_slower_is_followed_within_seconds():
     assert len(late) > 60 and max(late) < 0.005
 
 
-def test_a_sender_that_begins_again_is_followed_at_once():
+def test_a_restarted_sender_is_followed_at_once():
     playout = Playout(DELAY)
     first = [(n / RATE, (1000.0 + n / RATE, r)) for n, r in enumerate(results(60))]
     again = [(3.0 + n / RATE, (5.0 + n / RATE, r)) for n, r in enumerate(results(60))]
@@ -120,7 +120,7 @@ def test_missing_frames_are_counted_and_predicted_but_never_more_than_two_in_a_r
     assert len(errors) > 3 and max(errors) < 0.01
 
 
-def test_frames_without_times_are_taken_to_be_sent_evenly():
+def test_frames_without_times_are_assumed_to_be_sent_evenly():
     arrivals = [(at, (None, result)) for at, (_, result) in Link(0.02, 0.008).deliver(sent(10.0), 4)]
     shown = played(arrivals, Playout(DELAY), 11.0)
     waits = np.diff([frame.due for _, frame in shown if not frame.predicted])[60:]
@@ -134,10 +134,10 @@ def test_a_flood_of_frames_is_bounded():
     assert len(playout._waiting) <= 240
 
 
-# Between results
+# Interpolation
 
 
-def test_between_two_results_is_the_middle_and_beyond_goes_on():
+def test_results_are_interpolated_and_extrapolated():
     first, second = results(9)[0], results(9)[8]
     middle, beyond = between(first, second, 0.5), between(first, second, 1.5)
     np.testing.assert_allclose(middle.shape, (first.shape + second.shape) / 2.0)

@@ -1,4 +1,4 @@
-"""Packets of programs on computers: as specified, there and back, and refused where they are wrong."""
+"""Packets of programs on computers follow their specification, survive encoding, and are refused if invalid."""
 
 import struct
 from dataclasses import replace
@@ -28,7 +28,7 @@ from takes import performance
 # VMC
 
 
-def test_vmc_takes_arkits_names_of_any_case_and_the_heads_bone():
+def test_vmc_accepts_arkits_names_in_any_case_and_the_heads_bone():
     decoder = VmcDecoder()
     messages = [osc.encode_message("/VMC/Ext/OK", 1), osc.encode_message("/VMC/Ext/T", 2.5)]
     turn = to_quaternion(euler_to_matrix(0.1, -0.2, 0.3))
@@ -41,7 +41,7 @@ def test_vmc_takes_arkits_names_of_any_case_and_the_heads_bone():
     np.testing.assert_allclose(frame.face.rotation, [0.1, -0.2, 0.3], atol=1e-6)
 
 
-def test_vmc_takes_vrms_names_where_there_are_no_others():
+def test_vmc_accepts_vrms_names_if_there_are_no_others():
     decoder = VmcDecoder()
     for name, value in (("A", 0.6), ("Blink_L", 1.0), ("Joy", 0.5), ("LookUp", 0.25)):
         decoder.decode(osc.encode_message("/VMC/Ext/Blend/Val", name, value))
@@ -57,7 +57,7 @@ def test_vmc_without_tracking_has_no_face():
 
 
 @given(SHARES, ANGLES)
-def test_vmc_goes_there_and_back_in_bundles_that_fit_a_packet_and_applies_last(values, angles):
+def test_vmc_survives_encoding_in_bundles_that_fit_a_packet_and_applies_last(values, angles):
     bundles = list(vmc.encode(FaceValues(np.array(values), np.array(angles)), 1.5))
     assert len(bundles) > 1 and all(len(bundle) <= 1400 for bundle in bundles)
     addresses = [timed.message.address for bundle in bundles for timed in OscPacket(bundle).messages]
@@ -93,7 +93,7 @@ def test_vmc_sends_vrm_0_and_vrm_1_names_as_well_in_their_own_case():
         osc.encode_message("/VMC/Ext/Bone/Pos", "Head", *[0.0] * 7),
     ],
 )
-def test_wrong_messages_of_vmc_are_refused(message):
+def test_invalid_messages_of_vmc_are_refused(message):
     with pytest.raises(PacketError):
         VmcDecoder().decode(message)
 
@@ -109,7 +109,7 @@ def test_vmc_remembers_a_limited_number_of_names():
 
 
 def golden_openseeface(points, places, *, found=1) -> bytes:
-    """A packet by the layout of OpenSeeFace's own receiver, for 68 points in the image and 70 on the face."""
+    """A packet with the layout of OpenSeeFace's own receiver, for 68 points in the image and 70 on the face."""
     data = struct.pack("<di", 12.5, 3) + struct.pack("<2f", 640.0, 480.0) + struct.pack("<2f", 0.9, 0.8)
     data += struct.pack("<B", found) + struct.pack("<f", 1.0) + struct.pack("<4f", 0.0, 0.0, 0.0, 1.0)
     data += struct.pack("<3f", 0.0, 0.0, 90.0) + struct.pack("<3f", 0.0, 0.0, 5.0) + struct.pack("<68f", *[0.9] * 68)
@@ -128,7 +128,7 @@ def test_points_of_openseeface_are_remapped_so_that_no_mouth_is_scrambled():
     (frame,) = OpenSeeFaceDecoder().decode(golden_openseeface(points, places))
     theirs = ibug_of_openseeface()
     for ours, ibug in enumerate(IBUG68_INDICES.tolist()):
-        # The inner corners stand for the outer ones, which do not come.
+        # The inner corners stand for the outer ones, which are not sent.
         number = theirs.index({48: 60, 54: 64}.get(ibug, ibug))
         np.testing.assert_allclose(frame.face.landmarks[ours], points[number], rtol=1e-6)
         np.testing.assert_allclose(frame.face.shape[ours] * 0.74, places[number] * (-1, 1, 1), rtol=1e-5)
@@ -142,7 +142,7 @@ def test_openseeface_without_points_in_space_has_no_face():
     )
 
 
-def test_several_faces_of_openseeface_are_told_apart():
+def test_several_faces_of_openseeface_are_distinguished():
     take = performance()
     one = openseeface.encode(take.result(0), 1.0)
     other = one[:8] + struct.pack("<i", 7) + one[12:]
@@ -157,7 +157,7 @@ def test_the_pose_is_found_in_points_without_it(angles, scale, x, y):
     np.testing.assert_allclose(pose, [scale, *angles, x, y], atol=1e-6)
 
 
-def test_openseeface_goes_there_and_back():
+def test_openseeface_survives_encoding_and_decoding():
     take = performance()
     for frame in (0, 20, 40):
         result = take.result(frame)
@@ -181,7 +181,7 @@ def test_the_gaze_survives_openseeface():
 
 
 def test_a_frontal_face_has_the_rotation_that_openseefaces_receivers_expect():
-    """They take 90 degrees from z, and turn x by 180; what is left is straight ahead, in front of the camera."""
+    """Receivers subtract 90 degrees from z and turn x by 180; the remainder looks straight into the camera."""
     values, angles = np.zeros(N_COEFFICIENTS), np.array([0.01, 0.01, 0.01])
     data = openseeface.encode(coefficient_face().result(values, angles), 0.0)
     x, y, z, *moved = struct.unpack_from("<6f", data, 8 + 4 + 8 + 8 + 1 + 4 + 16)
@@ -203,7 +203,7 @@ def test_a_frontal_face_has_the_rotation_that_openseefaces_receivers_expect():
         lambda d: d[:-900] + bytes(844) + d[-56:],
     ],
 )
-def test_wrong_packets_of_openseeface_are_refused(change):
+def test_invalid_packets_of_openseeface_are_refused(change):
     data = openseeface.encode(performance().result(0), 1.0)
     with pytest.raises(PacketError):
         OpenSeeFaceDecoder().decode(change(data))

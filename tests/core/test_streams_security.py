@@ -1,4 +1,4 @@
-"""Facemime's own stream with a key: strangers, replays and other keys are refused, and the rest gets through."""
+"""Facemime's own stream with a key: strangers, replays and other keys are refused, and all else gets through."""
 
 import stat
 import struct
@@ -21,7 +21,7 @@ FACE = encode_face(performance().result(0))
 
 
 def greeted(receiver: OwnReceiver, sender: OwnSender, now: float = 0.0) -> None:
-    """Carry the handshake there and back."""
+    """Carry the handshake to the receiver and back."""
     _, answers = receiver.receive(sender.hello(), now)
     sender.answer(*answers)
 
@@ -52,7 +52,7 @@ def test_a_replay_is_refused_in_the_session_and_in_any_other():
     for data in recorded:
         with pytest.raises(RefusedError):
             receiver.receive(data, 0.0)
-    # The receiver begins again, and everything that was recorded is played to it, the handshake first.
+    # The receiver restarts, and a recording of the session is replayed to it, beginning with the handshake.
     receiver = OwnReceiver(KEY)
     receiver.receive(hello, 10.0)
     for data in recorded:
@@ -70,7 +70,7 @@ def test_a_replayed_handshake_does_not_end_a_session():
         assert frames(receiver, sender.packet(*FACE, now), now) == 1
 
 
-def test_reordered_packets_are_no_replays_but_very_old_ones_are():
+def test_reordered_packets_are_not_replays_but_very_old_ones_are():
     receiver, sender = OwnReceiver(KEY), OwnSender(KEY)
     greeted(receiver, sender)
     packets = [sender.packet(*FACE, 0.1 * n) for n in range(100)]
@@ -102,7 +102,7 @@ def test_a_signed_packet_is_refused_where_there_is_no_key():
         OwnReceiver(None).receive(sender.packet(*FACE, 0.0), 0.0)
 
 
-def test_an_answer_to_another_handshake_is_not_taken():
+def test_an_answer_to_another_handshake_is_not_accepted():
     receiver, sender = OwnReceiver(KEY), OwnSender(KEY)
     _, old = receiver.receive(sender.hello(), 0.0)
     sender.hello()
@@ -113,7 +113,7 @@ def test_an_answer_to_another_handshake_is_not_taken():
     assert not sender.ready
 
 
-def test_a_receiver_that_begins_again_is_found_by_the_next_handshake():
+def test_a_restarted_receiver_is_found_by_the_next_handshake():
     sender = OwnSender(KEY)
     greeted(OwnReceiver(KEY), sender)
     receiver = OwnReceiver(KEY)
@@ -123,13 +123,13 @@ def test_a_receiver_that_begins_again_is_found_by_the_next_handshake():
     assert frames(receiver, sender.packet(*FACE, 0.1)) == 1
 
 
-def test_answers_are_no_longer_than_questions_by_much_and_limited_in_rate():
+def test_answers_are_hardly_longer_than_requests_and_limited_in_rate():
     receiver, hello = OwnReceiver(KEY), OwnSender(KEY).hello()
     answers = [receiver.receive(hello, 0.0)[1] for _ in range(200)]
     assert sum(map(len, answers)) <= 20 and max(map(len, chain(*answers))) <= 2 * len(hello)
 
 
-def test_old_handshakes_of_many_sessions_do_not_keep_a_sender_out():
+def test_old_handshakes_of_many_sessions_do_not_lock_a_sender_out():
     receiver = OwnReceiver(KEY)
     for number in range(40):
         receiver.receive(OwnSender(KEY).hello(), number / 10.0)

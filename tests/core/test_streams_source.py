@@ -1,4 +1,4 @@
-"""Real sockets: what is sent arrives, is played, comes to rest when it ends, and strangers change nothing."""
+"""Over real sockets, faces arrive, are played and return to rest at the end, and strangers change nothing."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ RATE = 60.0
 
 
 def recorded(frames: list[LiveFrame], path: Path) -> Take:
-    """The take that a recording of these frames is."""
+    """Return the take that a recording of these frames gives."""
     info = describe("stream", RATE, (1280, 720), "", "media")
     if frames[-1].neutral is not None:
         info |= {"measured": True, "calibration": frames[-1].neutral.to_dict()}
@@ -48,7 +48,7 @@ def recorded(frames: list[LiveFrame], path: Path) -> Take:
     return load_take(path)
 
 
-# What was sent, recorded and baked, to the precision of the protocol
+# Sent faces, recorded and baked, to the precision of the protocol
 
 
 @pytest.mark.parametrize(("protocol", "precision"), [("own", 2e-5), ("vmc", 1e-5), ("livelink", 1e-5)])
@@ -81,14 +81,14 @@ def test_a_recorded_stream_of_landmarks_is_what_was_tracked(opened, tmp_path, pr
 # Lost and found
 
 
-def test_a_stream_that_ends_holds_then_comes_to_rest_and_is_back_by_itself():
+def test_a_stream_that_ends_is_held_returns_to_rest_and_resumes_by_itself():
     take, neutral, now = acted(), coefficient_face().neutral, [0.0]
     source = StreamSource(StreamSettings("livelink", port=free_port()), clock=lambda: now[0], every=True)
     source.read(0.0)
     sender = sender_to(source)
 
     def until(end: float) -> list[LiveFrame]:
-        """What is played until then, read 60 times a second on the test's own clock."""
+        """Return what is played until then, read 60 times per second on the test's own clock."""
         frames = []
         while now[0] < end:
             now[0] += 1.0 / RATE
@@ -96,7 +96,7 @@ def test_a_stream_that_ends_holds_then_comes_to_rest_and_is_back_by_itself():
         return frames
 
     def sent(numbers: list[int]) -> list[LiveFrame]:
-        """What is played while some frames are sent."""
+        """Return what is played while some frames are sent."""
         frames = []
         for number in numbers:
             before, patience = source.counts.accepted, time.monotonic() + PATIENCE
@@ -119,7 +119,7 @@ def test_a_stream_that_ends_holds_then_comes_to_rest_and_is_back_by_itself():
         assert sent(list(range(30)) * 2)[-1].rest == 0.0
 
 
-def test_a_puppet_returns_to_rest_in_the_worker_and_nothing_of_it_is_recorded(opened):
+def test_a_puppet_returns_to_rest_in_the_worker_without_recording_it(opened):
     class Recorder:
         times: list[float] = []
 
@@ -161,7 +161,7 @@ def test_a_puppet_returns_to_rest_in_the_worker_and_nothing_of_it_is_recorded(op
 # Security, and strangers
 
 
-def test_with_a_key_only_those_who_have_it_get_through(opened, tmp_path):
+def test_with_a_key_only_senders_that_have_it_get_through(opened, tmp_path):
     for name in ("shared.key", "other.key"):
         write_key(tmp_path / name)
     source, take = opened(key=tmp_path / "shared.key"), acted()
@@ -185,7 +185,7 @@ def test_with_a_key_only_those_who_have_it_get_through(opened, tmp_path):
         each.close()
 
 
-def test_senders_are_told_apart_and_one_is_followed_until_it_ends(opened):
+def test_senders_are_distinguished_and_one_is_followed_until_it_ends(opened):
     source, take = opened("livelink"), acted()
     neutral = coefficient_face().neutral
     one, other = (sender_to(source, subject=name) for name in ("One", "Other"))
@@ -263,7 +263,7 @@ def test_a_chosen_sender_is_the_only_one_that_is_played(opened):
 
 
 @pytest.mark.parametrize("protocol", first_of(["own", "livelink", "vmc", "openseeface", "facecap"], 2))
-def test_rubbish_is_counted_and_disturbs_nobody(opened, protocol):
+def test_malformed_packets_are_counted_and_disturb_no_other_sender(opened, protocol):
     source, take = opened(protocol), acted()
     rng = np.random.default_rng(0)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
@@ -280,7 +280,7 @@ def test_rubbish_is_counted_and_disturbs_nobody(opened, protocol):
         sender.close()
 
 
-def test_a_flood_is_not_looked_at(opened, monkeypatch):
+def test_a_flood_of_packets_is_not_processed(opened, monkeypatch):
     source = opened("livelink")
     monkeypatch.setattr("facemime.core.streams.source._RATE", 0.0)
     monkeypatch.setattr("facemime.core.streams.source._BURST", 20.0)
@@ -306,13 +306,13 @@ def test_closing_wakes_a_reader_and_leaves_no_thread(opened):
     source.close()
 
 
-def test_a_port_that_is_taken_is_an_error_that_says_so(opened):
+def test_a_port_in_use_is_a_clear_error(opened):
     source = opened("livelink")
     with pytest.raises(SourceError, match="Cannot listen"):
         StreamSource(StreamSettings("livelink", port=source.address[1])).read(0.0)
 
 
-def test_the_first_frames_come_to_a_computer_that_was_not_listening_yet_without_an_error():
+def test_sending_to_a_computer_that_is_not_listening_yet_is_no_error():
     sender = StreamSender(SendSettings("livelink", port=free_port()))
     for number in range(5):
         sender.send(0.1 * number, acted(5).result(number), coefficient_face().neutral)
@@ -320,7 +320,7 @@ def test_the_first_frames_come_to_a_computer_that_was_not_listening_yet_without_
     sender.close()
 
 
-def test_an_address_that_nothing_may_be_sent_to_is_a_message_that_says_what_to_do():
+def test_an_address_that_refuses_packets_is_reported_with_advice():
     sender = StreamSender(SendSettings("livelink", host="255.255.255.255"))
     sender.send(0.0, acted(5).result(0), coefficient_face().neutral)
     assert sender.message.startswith("Cannot send to 255.255.255.255:") and "Check the address" in sender.message
@@ -360,7 +360,7 @@ def test_senders_that_cannot_be_used_are_refused(settings, match):
         StreamSender(settings)
 
 
-def test_turns_and_moves_of_a_performer_are_those_of_the_head():
+def test_rotation_and_translation_of_a_performer_are_those_of_the_head():
     neutral = calibrate(performance())
     rest = performance().result(0)
     np.testing.assert_allclose(turned_from(rest, neutral), 0.0, atol=1e-9)

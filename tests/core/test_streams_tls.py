@@ -1,4 +1,4 @@
-"""Streams over TLS: only the sender that was paired is heard, only who has the token hears it, and cuts are mended."""
+"""Streams over TLS: only paired computers exchange faces, and lost connections are restored."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def identity(tmp_path_factory):
 
 @pytest.fixture
 def server(identity):
-    """A sender, and a thread that sends the frames of a take all the time."""
+    """A sender, and a thread that keeps sending the frames of a take."""
     with (
         closing(TlsSender("127.0.0.1", 0, identity.context, identity.token)) as sender,
         performing(sender, performance()),
@@ -86,7 +86,7 @@ def waiting_for(condition) -> bool:
 
 
 @given(st.binary(min_size=16, max_size=16), st.binary(min_size=32, max_size=32), st.integers(1, 65535))
-def test_a_pairing_line_says_all_of_it(token, fingerprint, port):
+def test_a_pairing_line_contains_the_whole_pairing(token, fingerprint, port):
     for host in ("192.168.1.7", "studio.example", "2001:db8::1"):
         pairing = Pairing(host, port, fingerprint, token)
         assert parse_pairing(f"  {pairing.line}\n") == pairing
@@ -95,7 +95,7 @@ def test_a_pairing_line_says_all_of_it(token, fingerprint, port):
 @pytest.mark.parametrize(
     "text", ["", "facemime://", "192.168.1.7:21576", "https://example.org/", "facemime://ab@h:1/cd"]
 )
-def test_anything_else_is_no_pairing_line(text):
+def test_anything_else_is_not_a_pairing_line(text):
     with pytest.raises(SourceError, match="pairing line"):
         parse_pairing(text)
 
@@ -127,7 +127,7 @@ def test_another_token_is_refused(identity, server):
     assert server.sent == 0 and server.refused == 1
 
 
-def test_a_cut_connection_comes_back(identity):
+def test_a_lost_connection_is_restored(identity):
     take = performance()
     first = TlsSender("127.0.0.1", 0, identity.context, identity.token)
     over = threading.Event()
@@ -160,11 +160,11 @@ def test_a_cut_connection_comes_back(identity):
             sender.close()
 
 
-def test_a_cancellation_that_gets_lost_does_not_keep_the_server_running(identity, monkeypatch):
+def test_a_lost_cancellation_does_not_keep_the_server_running(identity, monkeypatch):
     waits, lost = asyncio.wait_for, []
 
     async def forgetful(future, seconds):
-        """As `wait_for` of Python 3.11 when the future is done in the moment of the cancellation."""
+        """Behave like `wait_for` of Python 3.11 if the future is done at the moment of the cancellation."""
         try:
             return await waits(future, seconds)
         except asyncio.CancelledError:
@@ -181,7 +181,7 @@ def test_a_cancellation_that_gets_lost_does_not_keep_the_server_running(identity
         assert "keeps trying" in message_of(source)
 
 
-def test_a_peer_that_is_not_there_or_speaks_no_tls_is_a_message_and_not_the_end(identity):
+def test_a_peer_that_is_absent_or_lacks_tls_is_reported_and_retried(identity):
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
         with closing(opened(pairing_of(identity, port))) as source:
@@ -194,7 +194,7 @@ def test_a_peer_that_is_not_there_or_speaks_no_tls_is_a_message_and_not_the_end(
         assert "No data from 127.0.0.1" in message_of(source)
 
 
-def test_a_silent_peer_is_given_up(identity, monkeypatch):
+def test_a_silent_peer_is_abandoned(identity, monkeypatch):
     monkeypatch.setattr("facemime.core.streams.tls_client._PATIENCE", 0.2)
     with (
         socket.create_server(("127.0.0.1", 0)) as listener,
@@ -233,7 +233,7 @@ def test_a_flooding_peer_takes_no_memory(identity, flood):
         thread.join(PATIENCE)
 
 
-def test_strangers_that_say_nothing_or_too_much_keep_nobody_out(identity, server):
+def test_strangers_that_send_nothing_or_too_much_lock_nobody_out(identity, server):
     silent = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(12)]
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
@@ -279,6 +279,6 @@ def test_a_damaged_identity_is_a_clear_error(tmp_path):
             load_identity(tmp_path)
 
 
-def test_only_facemimes_own_stream_is_paired(identity):
+def test_pairing_works_only_with_facemimes_own_protocol(identity):
     with pytest.raises(SourceError, match="only with Facemime's own protocol"):
         StreamSource(StreamSettings("vmc", pairing=pairing_of(identity, 1)))

@@ -1,4 +1,4 @@
-"""The moved vertices over TCP: they are those of the driver, for the receivers that the documentation has."""
+"""Moved vertices over TCP are the driver's, for the receivers in the documentation."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ public static class Program {
 
 
 def python_receiver():
-    """The documented script as a module."""
+    """Load the documented script as a module."""
     spec = importlib.util.spec_from_file_location("receive_vertices", RECEIVERS / "receive_vertices.py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
@@ -72,7 +72,7 @@ def in_receivers_axes(points: np.ndarray) -> np.ndarray:
     return points * (1.0, -1.0, -1.0)
 
 
-def test_what_arrives_is_what_the_driver_moved_with_eyes_teeth_and_tongue(listener):
+def test_the_received_vertices_are_the_drivers_with_eyes_teeth_and_tongue(listener):
     receiver = python_receiver()
     driver, looks = built_in()
     with VertexSender(*listener.getsockname(), [looks]) as sender:
@@ -98,7 +98,7 @@ def test_what_arrives_is_what_the_driver_moved_with_eyes_teeth_and_tongue(listen
 
 
 @pytest.mark.thorough
-def test_a_receiver_that_comes_back_gets_the_mesh_again_and_one_that_changes_another(listener):
+def test_a_returning_receiver_gets_the_mesh_again_and_a_changed_mesh_is_sent(listener):
     receiver = python_receiver()
     driver, looks = built_in()
     larger = HeadDriver(replace(built_in_rig(), vertices=2.0 * built_in_rig().vertices), NEUTRAL)
@@ -124,14 +124,14 @@ def test_a_receiver_that_comes_back_gets_the_mesh_again_and_one_that_changes_ano
 
 @pytest.fixture
 def source():
-    """A source of moved vertices that listens."""
+    """A listening source of moved vertices."""
     with closing(StreamSource(StreamSettings("vertices", port=free_port()), every=True)) as opened:
         opened.read(0.0)
         yield opened
 
 
 def next_frame(source: StreamSource) -> LiveFrame:
-    """The next frame with a face."""
+    """Return the next frame with a face."""
     until = time.monotonic() + PATIENCE
     while time.monotonic() < until:
         if (frame := source.read(0.1)) is not None and frame.result.found:
@@ -155,7 +155,7 @@ def test_vertices_that_come_in_drive_another_head_as_they_moved_the_first(source
     np.testing.assert_allclose(shown.translation, 2.0 * sent.translation, atol=1e-5)
 
 
-def test_a_mesh_without_landmarks_and_a_message_that_is_too_long_are_refused_and_others_still_heard(source):
+def test_a_mesh_without_landmarks_and_an_overlong_message_are_refused_and_other_senders_are_heard(source):
     driver, looks = built_in()
     sent = driver.frame(face(3))
     with socket.create_connection(source.address) as stranger:
@@ -175,7 +175,7 @@ def test_a_mesh_without_landmarks_and_a_message_that_is_too_long_are_refused_and
         assert next_frame(source).result.found
 
 
-def test_nobody_who_listens_is_a_message_and_no_error():
+def test_a_missing_receiver_is_a_message_rather_than_an_error():
     driver, looks = built_in()
     with VertexSender("127.0.0.1", free_port(), [looks]) as sender:
         sender.show(0.0, [driver], [driver.frame(face(1))])

@@ -23,7 +23,7 @@ NAMES = (
     *("MouthOpen", "Brows", "TongueOut", "EyeOpenLeft", "EyeOpenRight", "EyeLeftX", "EyeLeftY", "EyeRightX"),
     *("EyeRightY", "CheekPuff", "BrowLeftY", "BrowRightY", "MouthX"),
 )
-"""Those of the default parameters that Facemime sets."""
+"""The default parameters that Facemime sets."""
 
 
 def wait_for(condition) -> None:
@@ -49,7 +49,7 @@ def value_of(data: dict, name: str) -> float:
     return next(each["value"] for each in data["parameterValues"] if each["id"] == name)
 
 
-def test_a_request_is_as_the_specification_has_it():
+def test_a_request_follows_the_specification():
     assert json.loads(request("AuthenticationTokenRequest", {"pluginName": "Facemime"})) == {
         "apiName": "VTubeStudioPublicAPI",
         "apiVersion": "1.0",
@@ -64,7 +64,7 @@ def test_a_request_is_as_the_specification_has_it():
     }
 
 
-def test_a_face_at_rest_is_as_a_model_rests():
+def test_a_face_at_rest_gives_a_model_at_rest():
     assert parameters(face()) == {
         **dict.fromkeys(NAMES, 0.0),
         **dict.fromkeys(("MouthSmile", "Brows", "BrowLeftY", "BrowRightY"), 0.5),
@@ -100,7 +100,7 @@ def test_angles_are_degrees_to_the_right_up_and_clockwise_of_the_screen():
     assert [found[f"FacePosition{axis}"] for axis in "XYZ"] == [1.0, -2.0, 1.5]
 
 
-def test_the_first_time_the_user_is_asked_and_then_never_again(tmp_path):
+def test_the_user_is_asked_only_the_first_time(tmp_path):
     token, studio = tmp_path / "settings" / "token", Studio(tokens=())
     with running(studio) as port:
         with closing(VTubeStudioSender("127.0.0.1", port, token)) as sender:
@@ -121,7 +121,7 @@ def test_the_first_time_the_user_is_asked_and_then_never_again(tmp_path):
     assert value_of(data, "MouthOpen") == pytest.approx(0.5, abs=0.01)
 
 
-def test_a_token_that_was_revoked_is_asked_for_again(tmp_path):
+def test_a_revoked_token_is_requested_again(tmp_path):
     (tmp_path / "token").write_text("of another year\n")
     studio = Studio()
     with running(studio) as port, closing(VTubeStudioSender("127.0.0.1", port, tmp_path / "token")) as sender:
@@ -149,7 +149,7 @@ def test_a_user_who_denies_is_not_asked_again(tmp_path):
         assert studio.kinds() == ["AuthenticationTokenRequest"] and not (tmp_path / "token").exists()
 
 
-def test_a_studio_that_is_not_there_is_a_message_and_it_is_found_when_it_starts(tmp_path):
+def test_a_missing_studio_is_reported_and_found_when_it_starts(tmp_path):
     with running(Studio()) as port:
         pass
     with closing(VTubeStudioSender("127.0.0.1", port, tmp_path / "token")) as sender:
@@ -161,7 +161,7 @@ def test_a_studio_that_is_not_there_is_a_message_and_it_is_found_when_it_starts(
             assert sender.message == ""
 
 
-def test_answers_that_are_none_end_nothing(tmp_path):
+def test_invalid_answers_do_not_end_the_connection(tmp_path):
     class Nonsense(Studio):
         def answer(self, connection, asked, kind, data):
             connection.send("[1, 2")

@@ -27,7 +27,7 @@ from takes import performance
 
 @pytest.fixture
 def saved(tmp_path):
-    """A take of 60 frames at 25 a second, one of them lost, and its file."""
+    """A take of 60 frames at 25 per second, one of them lost, and its file."""
     path = tmp_path / "take.facetake"
     save_take(performance(), path)
     return load_take(path), path

@@ -48,20 +48,20 @@ def tracked(tmp_path_factory) -> tuple[Take, Path]:
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory) -> bytes:
-    """The file of a take of 60 frames at 25 a second, one of them lost: three chunks of frames."""
+    """The file of a take of 60 frames at 25 per second, one of them lost: three chunks of frames."""
     path = tmp_path_factory.mktemp("take") / "take.facetake"
     save_take(performance(), path)
     return path.read_bytes()
 
 
 def same_rows(part: Take, whole: Take) -> bool:
-    """Whether every frame of `part` is the frame of `whole` at that time, to the bit."""
+    """Whether every frame of `part` equals the frame of `whole` at that time, bit by bit."""
     rows = np.searchsorted(whole.times, part.times)
     return all(np.array_equal(getattr(part, f), getattr(whole, f)[rows], equal_nan=f != "found") for f in FIELDS)
 
 
 def starts(data: bytes) -> list[int]:
-    """Where the chunks of an intact file begin."""
+    """Return where the chunks of an intact file begin."""
     places = [0]
     for chunk in chunks_in(data):
         places.append(places[-1] + HEADER.size + len(chunk.content))
@@ -89,7 +89,7 @@ def test_the_head_driven_by_the_loaded_take_differs_by_less_than_a_thousandth_of
     assert np.linalg.norm(now - was, axis=-1).max() < 0.001 * unit
 
 
-def test_a_minute_at_30_frames_a_second_is_smaller_than_a_megabyte(tracked):
+def test_a_minute_at_30_frames_per_second_is_smaller_than_a_megabyte(tracked):
     take, path = tracked
     assert path.stat().st_size / len(take) * 1800 < 1e6
 
@@ -184,12 +184,12 @@ def test_a_take_of_the_first_format_opens_without_actions_and_keeps_everything_e
 
 
 def hostile_header(length: int) -> bytes:
-    """A header with right checksum that states `length` bytes of content, and a wrong checksum of that."""
+    """A header with a correct checksum that states `length` bytes of content with a wrong checksum."""
     head = HEADER.pack(MARKER, 1, b"F", 1, 0, length, 1, 0)[:-4]
     return head + struct.pack("<I", zlib.crc32(head))
 
 
-def test_claims_of_a_file_allocate_no_memory(written):
+def test_counts_stated_in_a_file_allocate_no_memory(written):
     first = take_of(written).part(slice(0, 1))
     bomb = frames_content(first)[:8] + zlib.compress(bytes(40_000_000))
     hostile = hostile_header(2**32 - 1) + chunk_bytes(b"F", bomb, count=1) + chunk_bytes(b"F", b"", count=0)
@@ -342,7 +342,7 @@ def test_the_documented_columns_and_steps_are_those_of_the_format():
 
 
 def packed_frames(times: np.ndarray, modes: int) -> bytes:
-    """Frames that unpack to as much as they can: nothing but zeros."""
+    """Frames that unpack to the largest size: all zeros."""
     columns = int(sum(np.prod(shape) for _, shape, _ in LAYOUT[:-1])) + modes
     return times.astype("<f8").tobytes() + zlib.compress(bytes(4 * len(times) * columns), 9)
 
@@ -367,7 +367,7 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused_within_bounds(tmp_pat
 
 @pytest.mark.thorough
 def test_a_take_without_any_face_is_read(tmp_path):
-    """It packs thirty times better than a face does."""
+    """A take without a face compresses thirty times better than one with a face."""
     with TakeWriter(tmp_path / "empty.facetake", {}, sync=False) as writer:
         for frame in range(40_000):
             writer.append(frame / 30.0, TrackResult.nothing(48))
@@ -421,6 +421,6 @@ def test_an_infinite_number_in_the_description_is_damage(written):
 
 
 def test_a_source_whose_name_is_not_utf_8_is_kept(written, tmp_path):
-    """As Linux gives file names that are in another encoding."""
+    """Linux gives file names in another encoding this form."""
     save_take(replace(take_of(written), info={"source": "caf\udce9.mp4"}), tmp_path / "odd.facetake")
     assert load_take(tmp_path / "odd.facetake").info == {"source": "caf\udce9.mp4"}

@@ -1,4 +1,4 @@
-"""Takes that are measured on a mesh: what was animated comes back."""
+"""Takes measured on a mesh reproduce the animation."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -60,7 +60,7 @@ def acted(count: int, units: int, seed: int = 3) -> np.ndarray:
 
 
 @given(ANGLE, ANGLE, ANGLE, st.integers(0, 1000))
-def test_the_rigid_motion_of_most_points_is_found_whatever_the_others_do(pitch, yaw, roll, seed):
+def test_the_rigid_motion_of_most_points_is_found_regardless_of_the_others(pitch, yaw, roll, seed):
     rng = np.random.default_rng(seed)
     points, rotation, moved = rng.normal(size=(200, 3)), euler_to_matrix(pitch, yaw, roll), rng.normal(size=3)
     target = points @ rotation.T + moved
@@ -83,7 +83,7 @@ def test_a_head_that_turned_and_moved_does_the_same_on_itself():
         np.testing.assert_allclose(frame.translation, moves[n], atol=2e-4)
 
 
-def test_eyes_that_turn_are_the_gaze():
+def test_turning_eyes_give_the_gaze():
     head = load_head()
     pivot = np.array([0.03, 0.0, -0.02])
     eyes = pivot + 0.012 * np.random.default_rng(0).normal(size=(40, 3))
@@ -95,7 +95,7 @@ def test_eyes_that_turn_are_the_gaze():
     assert found.vergence == pytest.approx(-0.2)
 
 
-def test_weights_of_known_units_come_back_within_three_percent():
+def test_weights_of_known_units_are_recovered_within_three_percent():
     head = load_head()
     weights = acted(FRAMES, len(FITTED))
     take = sampled(head.vertices, head.landmarks, head.units[FITTED], weights)
@@ -144,7 +144,7 @@ def _check_landmarks(vertices, landmarks, units):
     assert off.mean() < TOLERANCE * np.linalg.norm(wanted, axis=2).mean()
 
 
-def test_nothing_is_smoothed_or_made_up_for_and_that_survives_the_file(tmp_path):
+def test_nothing_is_smoothed_or_compensated_and_that_survives_the_file(tmp_path):
     head = load_head()
     take = sampled(head.vertices, head.landmarks, head.units[FITTED], acted(FRAMES, len(FITTED)))
     save_take(take, tmp_path / "take.facetake")
@@ -159,7 +159,7 @@ def _tracked(take: Take) -> Take:
     return replace(take, info={key: take.info[key] for key in ("source", "fps")})
 
 
-def test_places_that_are_no_numbers_are_a_frame_without_a_face():
+def test_places_that_are_not_numbers_give_a_frame_without_a_face():
     head = load_head()
     landmarks = head.vertices[head.landmarks].astype(float)
     tracker = PointTracker(FacePoints(landmarks, landmarks), np.zeros(3), np.ones(66))

@@ -1,4 +1,4 @@
-"""Mending of takes changes what is broken, and nothing else."""
+"""Mending of takes changes what is wrong, and nothing else."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def test_an_anonymous_take_has_the_average_face_and_no_names(tracked):
 
 
 def test_two_faces_that_move_alike_are_one_anonymous_take():
-    """One is half as high and deep again, brows and mouth too, and moves as much as it is larger."""
+    """One face is half as high and deep again, brows and mouth included, and moves in proportion."""
     take, larger = performance(80), np.array([1.0, 1.5, 1.5], np.float32)
     neutral = calibrate(take, start=0.0)
     other = replace(neutral, shape=neutral.shape * larger)

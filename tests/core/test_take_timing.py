@@ -1,4 +1,4 @@
-"""Takes at other times stay in sync with the media, and nothing is made up."""
+"""Takes at other times stay in sync with the media, and no motion is invented."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ANGLES = st.tuples(*[st.floats(-1.2, 1.2)] * 3).map(np.array)
 
 
 def moving(times: np.ndarray) -> Take:
-    """A face that moves to the right by 10 pixels a second and turns by 0.01 a second, at `times`."""
+    """A face that moves to the right by 10 pixels per second and turns by 0.01 per second, at `times`."""
     rest = performance(2).shape[0].astype(float)
     count = len(times)
     pose = np.tile([100.0, 0.0, 0.0, 0.0, 320.0, 240.0], (count, 1))
@@ -49,7 +49,7 @@ def test_an_interpolated_rotation_has_its_share_of_the_angle(a, b, share):
 
 
 @pytest.mark.parametrize("rate", [24.0, 25.0, 30.0, 60.0, 24000 / 1001])
-def test_a_clip_of_3841_frames_at_2997_stays_in_step_to_the_last_frame(rate):
+def test_a_clip_of_3841_frames_at_2997_stays_in_sync_to_the_last_frame(rate):
     take = moving(np.arange(3841) * 1001 / 30000)
     even = resample(take, rate)
     np.testing.assert_allclose(np.diff(even.times), 1.0 / rate)

@@ -1,4 +1,4 @@
-"""The stage that is named as the slowest is the one that limits the rate."""
+"""The stage reported as the slowest is the one that limits the rate."""
 
 from facemime.core.live.timing import REDRAW, STAGES, Delays, Stopwatch
 

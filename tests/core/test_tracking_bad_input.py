@@ -91,7 +91,7 @@ def test_a_face_is_found_in_a_float_image_with_nan_holes(tracker, face, landmark
     assert np.linalg.norm(result.landmarks - landmarks, axis=1).mean() < 6.0
 
 
-def test_what_is_not_finite_is_black():
+def test_values_that_are_not_finite_become_black():
     image = np.array([[np.nan, np.inf, -np.inf, 0.5, 7.0, -7.0]], np.float32)
     np.testing.assert_array_equal(as_image(image), [[0, 0, 0, 128, 255, 0]])
 
@@ -108,7 +108,7 @@ def test_a_tiny_image_has_no_face(tracker, face):
     assert not look(tracker, cv2.resize(face, (16, 16))).found
 
 
-def test_the_face_of_an_8k_picture_is_found_where_it_is(tracker, face, landmarks):
+def test_the_face_in_an_8k_image_is_located(tracker, face, landmarks):
     huge = cv2.resize(face, (5760, 4320), interpolation=cv2.INTER_LINEAR)
     huge = cv2.copyMakeBorder(huge, 0, 0, 960, 960, cv2.BORDER_REPLICATE)
     tracker.reset()
@@ -123,7 +123,7 @@ def test_the_face_of_an_8k_picture_is_found_where_it_is(tracker, face, landmarks
     ("width", "height"),
     first_of([(1280, 720), (1920, 1080), (3840, 2160)], rows=True),
 )
-def test_a_small_face_in_a_large_picture_is_found_where_it_is(tracker, face, landmarks, width, height):
+def test_a_small_face_in_a_large_image_is_located(tracker, face, landmarks, width, height):
     factor = 18.0 * width / 1280 / tracker.locate(face).pose[0]
     small = cv2.resize(face, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
     picture = np.random.default_rng(0).normal(110.0, 6.0, (height, width, 3)).clip(0, 255).astype(np.uint8)
@@ -172,7 +172,7 @@ def test_a_face_upside_down_gives_a_result_or_none(tracker, face):
 @pytest.mark.thorough
 @settings(max_examples=20)
 @given(dx=st.integers(-640, 640), dy=st.integers(-480, 480))
-def test_a_face_that_leaves_the_picture_gives_a_result_or_none(tracker, face, dx, dy):
+def test_a_face_that_leaves_the_image_gives_a_result_or_none(tracker, face, dx, dy):
     tracker.reset()
     tracker.track(face)
     move = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy]])

@@ -1,4 +1,4 @@
-"""Choosing the face to track when several are in view."""
+"""Choice of the face to track when several are in view."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def crowd() -> np.ndarray:
 
 
 def person(result) -> str:
-    """Whose face it is."""
+    """Return whose face it is."""
     x = float(result.landmarks[:, 0].mean())
     return "left" if x < 260 else "middle" if x < 700 else "right"
 

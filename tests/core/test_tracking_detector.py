@@ -37,7 +37,7 @@ def tracker() -> FaceTracker:
 
 
 class Stated:
-    """Says what the training would have a network say of a scene with one face."""
+    """Returns the outputs that the training asks of a network for a scene with one face."""
 
     def __init__(self, pose: np.ndarray, rim: int) -> None:
         shape = (1, 1, CELLS, CELLS)
@@ -68,8 +68,8 @@ def test_a_face_is_read_where_training_marks_it(size, pitch, yaw, roll, x, y):
     assert len(detector.network.out[0]) == 1 + len(OUTPUTS)
 
 
-def test_what_training_says_of_a_scene_is_what_it_shows():
-    # A head with a bright spot on the side that it turns to: where is the spot, by the pose that is stated?
+def test_the_labels_of_a_training_scene_match_its_image():
+    # A head with a bright spot on the side that it turns to; the stated pose should tell where the spot is.
     image = np.full((1, 136, 136), 40, np.uint8)
     cv2.circle(image[0], (92, 68), 9, 255, -1)
     pose = np.float32([[40.0, 0.0, 0.6, 0.0, 68.0, 68.0]])
@@ -107,7 +107,7 @@ def test_the_likeliest_face_of_a_portrait_is_where_the_tracker_fits_it(tracker, 
 
 
 @pytest.mark.parametrize("turns", [1, 2, 3])
-def test_a_picture_that_lies_on_its_side_or_stands_on_its_head_gives_the_same_landmarks(tracker, turns):
+def test_an_image_on_its_side_or_upside_down_gives_the_same_landmarks(tracker, turns):
     image = read_image(PORTRAITS / "hopper.jpg")
     upright, turned = tracker.locate(image), tracker.locate(np.ascontiguousarray(np.rot90(image, turns)))
     assert turned.found and turned.confidence > 0.85
@@ -134,7 +134,7 @@ def test_viola_jones_alone_finds_the_same_face_without_the_network(monkeypatch, 
 
 @needs_photos
 @pytest.mark.parametrize("degrees", [0, 45, 60, 70])
-def test_who_turns_away_in_front_is_found_rather_than_somebody_behind(degrees):
+def test_a_person_turning_away_in_front_is_preferred_to_somebody_behind(degrees):
     from bench.detection import Case, Renderer
 
     tracker = FaceTracker.load()

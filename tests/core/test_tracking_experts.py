@@ -1,4 +1,4 @@
-"""Convolutional experts, their input pictures, and the frame of their maps."""
+"""Convolutional experts, their input crops, and the frame of their maps."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_every_map_has_a_maximum_of_one(model: TrackerModel) -> None:
         assert maps.likelihood.min() >= 0.0
 
 
-def test_paired_parts_swap_in_a_mirrored_picture(model: TrackerModel) -> None:
+def test_paired_parts_swap_in_a_mirrored_image(model: TrackerModel) -> None:
     grey = picture(5)
     eye = next(p for p in model.parts if p.paired)
     shape = model.pdm.mean_shape[:, :2]

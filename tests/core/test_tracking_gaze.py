@@ -20,7 +20,7 @@ SIZE = (480, 640)
 
 @pytest.fixture(scope="module")
 def shape() -> np.ndarray:
-    """A face with eyes that are well open."""
+    """A face with wide open eyes."""
     open_face = FaceTracker.load().pdm.mean_shape.copy()
     open_face[UPPER_LIDS, 1] -= 0.04
     open_face[LOWER_LIDS, 1] += 0.03
@@ -32,14 +32,14 @@ def project(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 
 def true_pupils(shape: np.ndarray, pose: np.ndarray, gaze: ArrayLike) -> np.ndarray:
-    """Pupils (2, 2) of eyes with one gaze (2,), or one each (2, 2)."""
+    """Pupils (2, 2) of eyes with a common gaze (2,), or one each (2, 2)."""
     centres = np.array([shape[eye[[0, 3]]].mean(axis=0) for eye in (EYE_RIGHT, EYE_LEFT)]) + _BALL
     ahead = [euler_to_matrix(*each, 0.0) @ (0.0, 0.0, -1.0) for each in np.broadcast_to(gaze, (2, 2))]
     return project(centres + _BALL_RADIUS * np.array(ahead), pose)
 
 
 def drawn(shape: np.ndarray, pose: np.ndarray, gaze: ArrayLike, iris: int = 60) -> np.ndarray:
-    """Grey picture of skin, whites, irises and pupils, with a little noise."""
+    """Grey image of skin, whites, irises and pupils, with a little noise."""
     landmarks, pupils = project(shape, pose), true_pupils(shape, pose, gaze)
     skin = np.full(SIZE, 150, np.uint8)
     for eye, pupil in zip((EYE_RIGHT, EYE_LEFT), pupils, strict=True):

@@ -1,4 +1,4 @@
-"""Telling the tracked face from others that pass in front of it."""
+"""Distinguishing the tracked face from others that pass in front of it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def sample() -> tuple[np.ndarray, np.ndarray]:
-    """A grey frame of the sample clip and the pose that is found in it."""
+    """A grey frame of the sample clip, and the pose found in it."""
     grey = cv2.cvtColor(cv2.VideoCapture(str(ROOT / "assets" / "sample" / "sample.mp4")).read()[1], cv2.COLOR_BGR2GRAY)
     return grey, FaceTracker.load().locate(grey).pose
 
@@ -44,7 +44,7 @@ def test_a_descriptor_has_unit_length_and_hardly_depends_on_exposure_size_and_po
     assert describe_face(half, moved) @ usual > 0.95
 
 
-def test_a_descriptor_of_a_flat_picture_is_finite() -> None:
+def test_a_descriptor_of_a_flat_image_is_finite() -> None:
     assert np.isfinite(describe_face(np.full((50, 50), 7, np.uint8), at(20.0))).all()
 
 
@@ -89,7 +89,7 @@ def test_bystanders_are_searched_at_once_and_less_often_later() -> None:
     assert identity.search_due
 
 
-def test_after_a_loss_the_performer_is_told_from_the_bystander() -> None:
+def test_after_a_loss_the_performer_is_distinguished_from_the_bystander() -> None:
     identity = Identity()
     own, other = looks(3, 2)
     identity.recognises(own)

@@ -31,7 +31,7 @@ def peaks_at(landmarks: np.ndarray, centres: np.ndarray, radius: int) -> Respons
 
 
 def displaced_face(pdm: PointDistributionModel, seed: int) -> tuple[np.ndarray, FittedShape]:
-    """True landmarks, and a start that is somewhat beside them."""
+    """True landmarks, and a start that is slightly off."""
     rng = np.random.default_rng(seed)
     pose = np.array([70.0, *rng.normal(0, 0.2, 2), 0.0, 100.0, 100.0])
     shape_params = rng.normal(0, 0.6, pdm.n_modes) * np.sqrt(pdm.eigenvalues)

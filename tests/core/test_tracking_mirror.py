@@ -25,7 +25,7 @@ def tracker() -> FaceTracker:
 
 
 def any_result(pdm: PointDistributionModel, seed: int) -> TrackResult:
-    """A face as the model can make it, seen from anywhere a tracker sees one; the left eye shut."""
+    """A face within the model and the views of a tracker, with the left eye shut."""
     rng = np.random.default_rng(seed)
     params = rng.normal(size=pdm.n_modes) * np.sqrt(pdm.eigenvalues)
     pose = np.array([150.0, *rng.uniform(-0.6, 0.6, 3), *rng.uniform(100, 400, 2)])

@@ -1,4 +1,4 @@
-"""Patch experts: small nets on single patches."""
+"""Patch experts: small networks on single patches."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_batched_responses_equal_those_of_single_patches() -> None:
             assert likely[i, row, column] == pytest.approx(expected, abs=1e-3)
 
 
-def test_windows_are_centred_and_stay_inside_the_picture() -> None:
+def test_windows_are_centred_and_stay_inside_the_image() -> None:
     experts, pixels = random_experts(0), random_picture(1)
     centres = np.full((66, 2), 40)
     centres[0] = (-500, 4000)
@@ -48,7 +48,7 @@ def test_windows_are_centred_and_stay_inside_the_picture() -> None:
     assert (corner + 8 < 90 - HALF).all()
 
 
-def test_mirrored_experts_see_a_mirrored_picture_as_the_originals_see_the_picture() -> None:
+def test_mirrored_experts_respond_to_a_mirrored_image_as_the_originals_to_the_image() -> None:
     experts, pixels = random_experts(3), random_picture(4)
     centres = np.random.default_rng(5).integers(20, 70, (66, 2))
     flipped_centres = centres[MIRROR].copy()

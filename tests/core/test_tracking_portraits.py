@@ -1,4 +1,4 @@
-"""The tracker on photographs of people, labelled by hand; both are in the public domain and in the repository."""
+"""The tracker on photographs of people with hand-placed landmarks, in the public domain and in the repository."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_the_size_of_a_photograph_makes_little_difference(tracker, scale):
 
 
 def with_raised_brows(image: np.ndarray, landmarks: np.ndarray, height: float, sides: tuple[int, ...]) -> np.ndarray:
-    """The photograph with the skin of the brows moved up by `height` eye distances, in the given sides of the face."""
+    """The photograph with the skin of the brows moved up by `height` eye distances on the given sides of the face."""
     unit = outer_eye_distance(landmarks)
     y, x = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32)
     shift = np.zeros_like(y)
@@ -61,7 +61,7 @@ def with_raised_brows(image: np.ndarray, landmarks: np.ndarray, height: float, s
         brow = landmarks[from_ibug(range(17, 22) if side == 0 else range(22, 27))]
         lid = landmarks[from_ibug((37, 38) if side == 0 else (43, 44))]
         across = np.exp(-(np.maximum(np.abs(x - brow[:, 0].mean()) / unit - 0.3, 0.0) ** 2) / (2 * 0.1**2))
-        # From nothing at the upper lid to all of it at the brow, and less again up the forehead.
+        # From nothing at the upper lid to the full height at the brow, and decreasing again up the forehead.
         low, high = lid[:, 1].mean() - 0.03 * unit, brow[:, 1].mean() - (height - 0.05) * unit
         up = np.interp(y, [high - 3.0 * height * unit, high, low], [0.0, 1.0, 0.0])
         shift = np.maximum(shift, across * up * height * unit)
@@ -94,7 +94,7 @@ def with_a_hand(image: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
     return out
 
 
-def test_a_mouth_behind_a_hand_keeps_its_shape_and_is_back_with_the_next_picture(tracker):
+def test_a_mouth_behind_a_hand_keeps_its_shape_and_recovers_in_the_next_frame(tracker):
     image = read_image(PORTRAITS / "collins.jpg")
     tracker.reset()
     before = tracker.track(image)
@@ -113,7 +113,7 @@ def lying(image: np.ndarray) -> np.ndarray:
 
 
 def far(image: np.ndarray) -> np.ndarray:
-    """The photograph in the corner of a large grey picture."""
+    """The photograph in the corner of a large grey image."""
     out = np.full((1080, 1920, 3), 120, np.uint8)
     small = cv2.resize(image, None, fx=320 / image.shape[0], fy=320 / image.shape[0], interpolation=cv2.INTER_AREA)
     out[-small.shape[0] :, -small.shape[1] :] = small
@@ -121,7 +121,7 @@ def far(image: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shown", [np.asarray, lying, far])
-def test_a_gradual_search_finds_a_face_within_its_turn_where_a_whole_one_does_at_once(tracker, shown):
+def test_a_gradual_search_finds_a_face_within_its_cycle_where_a_full_one_does_at_once(tracker, shown):
     image = shown(read_image(PORTRAITS / "collins.jpg"))
     at_once = tracker.locate(image)
     assert at_once.found
@@ -134,7 +134,7 @@ def test_a_gradual_search_finds_a_face_within_its_turn_where_a_whole_one_does_at
 
 
 @pytest.mark.parametrize(("detector", "most"), [(NETWORK, 1), (CASCADES, 3)])
-def test_no_frame_of_a_gradual_search_makes_more_scans_than_there_is_time_for(monkeypatch, detector, most):
+def test_no_frame_of_a_gradual_search_exceeds_its_time_budget(monkeypatch, detector, most):
     made = []
     scanned = CascadeDetector._scanned
     monkeypatch.setattr(
@@ -150,7 +150,7 @@ def test_no_frame_of_a_gradual_search_makes_more_scans_than_there_is_time_for(mo
     assert max(counts) == most
 
 
-def test_live_the_actions_of_eyes_and_mouth_are_measured_in_turn_and_in_files_all_in_each_frame(tracker):
+def test_actions_of_eyes_and_mouth_are_measured_alternately_live_and_in_every_frame_of_files(tracker):
     image = read_image(PORTRAITS / "hopper.jpg")
     gradual, whole = FaceTracker.load(gradual=True), FaceTracker.load()
     (eye,) = (part for part in tracker._model.actions if part.paired)

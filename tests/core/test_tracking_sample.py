@@ -1,4 +1,4 @@
-"""The tracker on the sample clip, whose every landmark is known."""
+"""The tracker on the sample clip, all of whose landmarks are known."""
 
 from __future__ import annotations
 

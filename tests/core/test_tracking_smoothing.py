@@ -1,4 +1,4 @@
-"""Live smoothing: rest is held still, fast motion passes, and nothing is smoothed across losses."""
+"""Live smoothing holds rest still, lets fast motion pass, and smooths nothing across losses."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def smoothed(results: list[TrackResult]) -> list[TrackResult]:
 
 
 def closing(face: np.ndarray, upper: np.ndarray, lower: np.ndarray, share: float) -> np.ndarray:
-    """The face with two rims brought together by `share` of their distance."""
+    """The face with two rims brought closer by `share` of their distance."""
     shape = face.copy()
     middle = 0.5 * (face[upper] + face[lower])
     for rim in (upper, lower):

@@ -27,7 +27,7 @@ def tracker() -> FaceTracker:
 
 @pytest.fixture(scope="module")
 def photo() -> tuple[np.ndarray, np.ndarray]:
-    """A held-out person's photo (BGR) and hand-placed landmarks, at 320 pixels of width."""
+    """A held-out person's photo (BGR) and hand-placed landmarks, 320 pixels wide."""
     from facemime.training.tracker.sources import read_photos, split
 
     chosen = split(read_photos(DATA, "london_neutral"))[1][0]
@@ -175,7 +175,7 @@ def test_locating_does_not_affect_tracking(tracker: FaceTracker, photo: tuple[np
 
 @pytest.fixture(scope="module")
 def two_faces(photo: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A picture of a small face on the left and a large one, and the landmarks of each."""
+    """An image with a small face on the left and a large one, and the landmarks of each."""
     image, truth = photo
     small = cv2.resize(image, None, fx=0.55, fy=0.55, interpolation=cv2.INTER_AREA)
     both = np.full((image.shape[0], image.shape[1] + small.shape[1], 3), 200, np.uint8)

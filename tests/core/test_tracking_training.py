@@ -82,7 +82,7 @@ def test_the_rasteriser_fills_a_triangle_and_lets_the_nearer_one_win() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_degrading_keeps_the_size_and_kind_of_a_picture(seed: int) -> None:
+def test_degrading_keeps_the_size_and_type_of_an_image(seed: int) -> None:
     rng = np.random.default_rng(seed)
     out = degrade(rng.integers(0, 255, (SIZE, SIZE), np.uint8), rng)
     assert out.shape == (SIZE, SIZE)
@@ -110,7 +110,7 @@ def test_the_surface_of_a_tongue_faces_outwards() -> None:
     tongue = tongue_out(lips(), 0.7, np.random.default_rng(1))
     a, b, c = (tongue.vertices[tongue.triangles[:, i]].astype(float) for i in range(3))
     middle = tongue.vertices.mean(axis=0)
-    # Triangles of a face in the head frame are clockwise seen from outside, as y points down.
+    # Seen from outside, triangles of a face in the head frame are clockwise, as y points down.
     assert np.einsum("td,td->", np.cross(b - a, c - a), (a + b + c) / 3 - middle) > 0.0
 
 

@@ -1,4 +1,4 @@
-"""The converter of ICT-FaceKit's published files, tested with a mesh in their layout."""
+"""The converter of ICT-FaceKit's published files, tested with a mesh in the same layout."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Every text of the interface is ready to be said in another language, and is said in Chinese."""
+"""Every text of the interface can be translated, and is translated into Chinese."""
 
 import importlib.util
 import json

@@ -34,7 +34,7 @@ pytestmark = pytest.mark.skipif(not (page.PAGE / "three").is_dir(), reason="thre
 
 @pytest.fixture
 def shown():
-    """A server with the built-in head, which has been shown once."""
+    """A server with the built-in head, one frame of which has been shown."""
     watched = Watched()
     watched.show(face())
     yield watched
@@ -54,7 +54,7 @@ def stream(address: str, **options):
 
 
 def messages(viewer, kind: int):
-    """The next binary message of a kind."""
+    """Return the next binary message of a kind."""
     while True:
         data = viewer.recv(timeout=PATIENCE)
         if isinstance(data, bytes) and data[0] == kind:
@@ -68,7 +68,7 @@ def waiting_for(condition) -> bool:
     return condition()
 
 
-def test_the_page_comes_with_headers_that_keep_it_to_itself(shown):
+def test_the_page_comes_with_headers_that_isolate_it(shown):
     status, headers, body = get(shown.address)
     assert status == 200 and b"viewer.js" in body and headers["Content-Type"].startswith("text/html")
     policy = headers["Content-Security-Policy"]
@@ -81,7 +81,7 @@ def test_the_page_comes_with_headers_that_keep_it_to_itself(shown):
 @pytest.mark.parametrize(
     "path", ("2/0/model", "1/1/model", "1/0/9", "1/-1/0", "1/0/99999999", "../index.html", "//", "%2e%2e/", "three/")
 )
-def test_anything_else_is_not_there(shown, path):
+def test_any_other_path_is_not_found(shown, path):
     assert get(shown.address, path)[0] == 404
 
 
@@ -89,7 +89,7 @@ def test_anything_else_is_not_there(shown, path):
     "change",
     (lambda t: "", lambda t: t[:-1], lambda t: t + "a", lambda t: "ab"[t[0] == "a"] + t[1:], lambda t: "=" + t),
 )
-def test_without_the_token_there_is_nothing(shown, change):
+def test_without_the_token_nothing_is_found(shown, change):
     token = urlsplit(shown.address).path.strip("/")
     address = shown.address.replace(token, change(token))
     assert get(address)[0] == 404
@@ -98,12 +98,12 @@ def test_without_the_token_there_is_nothing(shown, change):
 
 
 @pytest.mark.parametrize("host", ("evil.example", "evil.example:21574", "192.168.1.7", "127.0.0.1.evil.example", ""))
-def test_a_name_that_was_pointed_here_is_refused(shown, host):
+def test_a_foreign_name_that_resolves_here_is_refused(shown, host):
     assert get(shown.address, Host=host)[0] == 421
 
 
 @pytest.mark.parametrize("host", ("localhost", "127.0.0.1:5", "[::1]:5", socket.gethostname()))
-def test_names_of_this_computer_are_not(shown, host):
+def test_names_of_this_computer_are_accepted(shown, host):
     assert get(shown.address, Host=host)[0] == 200
 
 
@@ -131,7 +131,7 @@ def test_a_frame_is_small_and_as_exact_as_documented(shown):
     np.testing.assert_allclose(np.frombuffer(data, "<i2", 15, 476) * 2.0**-13, frame.actions, atol=2.0**-14 * 1.01)
 
 
-def test_the_clock_of_the_server_is_told(shown):
+def test_the_server_tells_its_clock(shown):
     with stream(shown.address) as viewer:
         before = perf_counter()
         viewer.send(struct.pack("<d", 123.5))
@@ -141,7 +141,7 @@ def test_the_clock_of_the_server_is_told(shown):
 
 
 @pytest.mark.parametrize("message", ("text", b"123456789", b"x" * 65, b"x" * 1_000_000))
-def test_a_page_that_says_anything_else_is_disconnected(shown, message):
+def test_a_page_that_sends_anything_else_is_disconnected(shown, message):
     with stream(shown.address, max_size=None) as viewer, pytest.raises(ConnectionClosed):
         viewer.send(message)
         while True:
@@ -149,7 +149,7 @@ def test_a_page_that_says_anything_else_is_disconnected(shown, message):
     assert waiting_for(lambda: shown.server.viewers == 0)
 
 
-def test_a_page_that_asks_all_the_time_is_disconnected(shown):
+def test_a_page_that_asks_too_often_is_disconnected(shown):
     with stream(shown.address) as viewer, pytest.raises(ConnectionClosed):
         for _ in range(1000):
             viewer.send(struct.pack("<d", 0.0))
@@ -189,7 +189,7 @@ def test_a_viewer_that_does_not_read_gets_the_newest_frame_and_delays_nobody(sho
     assert received < 20_000
 
 
-def test_a_port_that_is_taken_is_a_clear_error(shown):
+def test_a_port_in_use_is_a_clear_error(shown):
     port = urlsplit(shown.address).port
     with pytest.raises(SourceError, match=f"Cannot listen on 127.0.0.1:{port}"):
         ViewerServer(ViewerSettings(port=port), [])
@@ -261,7 +261,7 @@ def test_a_token_is_kept_in_a_file_that_only_its_owner_reads(tmp_path):
         kept_token(tmp_path / "nowhere" / "token")
 
 
-def test_the_qr_code_is_the_address():
+def test_the_qr_code_contains_the_address():
     address = "https://192.168.1.7:21574/abcDEF-_1234567890xyz/"
     code = qr_code(address)
     image = np.where(np.kron(code, np.ones((8, 8))), 0, 255).astype(np.uint8)
