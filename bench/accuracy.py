@@ -1,7 +1,7 @@
 """Measures of a tracker's accuracy, independent of the source of the images.
 
-Errors are means over the 49 inner points, in percent of the face's outer-eye distance. A face counts as lost where none
-is found or where the error is above 10 %.
+Errors are means over the 49 inner points, in percent of the face's outer-eye distance. A face counts as lost if none is
+found or the error is above 10 %.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from facemime.core.landmarks import INNER, OUTER_EYE_CORNERS
 
 LOST_ABOVE = 10.0
 _SLACK = 2
-"""Frames by which a detected blink may miss the true one."""
+"""Largest distance in frames between a detected blink and the true one."""
 
 
 @dataclass(frozen=True)
@@ -29,18 +29,18 @@ class Differences:
     values: np.ndarray
 
     def errors(self, offsets: np.ndarray | float = 0.0) -> np.ndarray:
-        """(N,) mean error of the inner points after removing `offsets` (66, 2); infinite if no face was found."""
+        """Mean error of the inner points after removing `offsets` (66, 2), (N,); infinite if no face was found."""
         error = np.linalg.norm(self.values - offsets, axis=2)[:, INNER].mean(axis=1)
         return np.where(np.isnan(error), np.inf, error)
 
     def offsets(self) -> np.ndarray:
-        """(66, 2) median error of each point over the images with a face."""
+        """Median error of each point over the images with a face, (66, 2)."""
         kept = self.values[self.errors() <= LOST_ABOVE]
         return np.median(kept, axis=0) if len(kept) else np.zeros(self.values.shape[1:])
 
 
 def differences(found: np.ndarray, truth: np.ndarray, units: np.ndarray | float) -> Differences:
-    """Compare landmarks (N, 66, 2) in pixels; `units` (N,) pixels is the outer-eye distance of each face."""
+    """Compare landmarks (N, 66, 2) in pixels; `units` (N,) is the outer-eye distance of each face in pixels."""
     across = np.diff(truth[:, OUTER_EYE_CORNERS], axis=1)[:, 0]
     along = across / np.linalg.norm(across, axis=1, keepdims=True)
     away = (found - truth) / (np.broadcast_to(units, len(found)) / 100.0)[:, None, None]
@@ -49,13 +49,13 @@ def differences(found: np.ndarray, truth: np.ndarray, units: np.ndarray | float)
 
 
 def eye_distances(landmarks: np.ndarray) -> np.ndarray:
-    """(N,) distance of the outer eye corners of landmarks (N, 66, 2)."""
+    """Distance between the outer eye corners of landmarks (N, 66, 2), (N,)."""
     return np.linalg.norm(np.diff(landmarks[:, OUTER_EYE_CORNERS], axis=1)[:, 0], axis=1)
 
 
 @dataclass(frozen=True)
 class Located:
-    """Landmarks (N, 66, 2) that a tracker found in N independent images, and the seconds (N,) for each."""
+    """Landmarks (N, 66, 2) found by a tracker in N independent images, and the seconds (N,) spent on each."""
 
     landmarks: np.ndarray
     seconds: np.ndarray
@@ -91,7 +91,7 @@ class Jitter:
 
 
 def jitter(runs: Sequence[np.ndarray], unit: float) -> Jitter:
-    """Motion of landmarks (T, 66, 2) of resting faces, without lost frames."""
+    """Motion of the landmarks (T, 66, 2) of faces at rest, without lost frames."""
     deviations, seconds = [], []
     for run in runs:
         inner = run[np.isfinite(run[:, 0, 0])][:, INNER] / (unit / 100.0)
@@ -102,15 +102,15 @@ def jitter(runs: Sequence[np.ndarray], unit: float) -> Jitter:
 
 
 def second_differences(points: np.ndarray) -> np.ndarray:
-    """(T - 2,) mean length of the second differences of the points."""
+    """Mean length of the second differences of the points, (T - 2,)."""
     return np.linalg.norm(points[2:] - 2.0 * points[1:-1] + points[:-2], axis=2).mean(axis=1)
 
 
 @dataclass(frozen=True)
 class Apertures:
-    """How lids and lips follow: medians of the absolute error and, where the truth is shut, of what is found; slopes.
+    """How lids and lips follow: medians of the absolute error and of what is found where the truth is shut; slopes.
 
-    In percent of the outer-eye distance; a slope of 1 follows fully, 0 not at all.
+    Values are in percent of the outer-eye distance; a slope of 1 follows fully, 0 not at all.
     """
 
     eye_error: float
@@ -122,7 +122,7 @@ class Apertures:
 
 
 def aperture_errors(found: np.ndarray, truth: np.ndarray, units: np.ndarray | float) -> Apertures:
-    """Compare the apertures of landmarks (N, 66, 2); pictures without a face are left out."""
+    """Compare the apertures of landmarks (N, 66, 2); images without a face are left out."""
     seen = np.isfinite(found[:, 0, 0])
     scale = np.broadcast_to(units, len(found))[seen] / 100.0
     eyes, true_eyes = (eye_apertures(x[seen]) / scale[:, None] for x in (found, truth))
@@ -147,7 +147,7 @@ def _slope(truth: np.ndarray, found: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class BlinkCount:
-    """Numbers of true blinks, of those that were detected, of reported blinks, and of those that are true."""
+    """Numbers of true blinks, of detected ones among them, of reported blinks, and of true ones among them."""
 
     true: int
     found: int
@@ -191,7 +191,7 @@ def _blinks(landmarks: np.ndarray) -> list[tuple[int, int]]:
 
 
 def delay(motion: np.ndarray, late: np.ndarray) -> float:
-    """Delay in frames, to a twentieth, by which a signal (T,) is nearest to its late copy (T,)."""
+    """Delay in frames, to a twentieth, at which a signal (T,) is closest to its delayed copy (T,)."""
     times = np.arange(len(motion))
     shifts = np.arange(-1.0, 6.0, 0.05)
     misses = [np.square(np.interp(times - s, times, motion) - late)[8:-8].sum() for s in shifts]

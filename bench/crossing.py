@@ -1,4 +1,4 @@
-"""Two people who cross: does the tracker stay with the chosen one?"""
+"""Tracking of a chosen person who crosses another one."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from facemime.core.tracking.tracker import FaceTracker
 
 _WIDTH, _HEIGHT = 640, 480
 _FOREHEAD = 0.55
-"""Eye distances above the brows at which a head is cut out."""
+"""Distance above the brows, in eye distances, at which a head is cut out."""
 _NEAR = 0.1
-"""Mean error in eye distances below which the tracker follows a person."""
+"""Mean error in eye distances below which the tracker counts as following a person."""
 SPEEDS = (1.5, 2.0, 2.5, 3.0)
-"""Pixels per frame, for eyes that are 100 pixels apart."""
+"""Speeds in pixels per frame, for eyes that are 100 pixels apart."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def cross(behind: Clip, before: Clip, speed: float) -> tuple[list[np.ndarray], n
 
 
 def _head(points: np.ndarray) -> np.ndarray:
-    """(480, 640) mask, 0 to 1, of the face with landmarks (66, 2) and its forehead, with a soft edge."""
+    """Mask, (480, 640), 0 to 1, of the face with landmarks (66, 2) and its forehead, with a soft edge."""
     raised = points[BROWS] - (0.0, _FOREHEAD * eye_distances(points[None])[0])
     hull = cv2.convexHull(np.concatenate([points, raised]).astype(np.float32))
     mask = np.zeros((_HEIGHT, _WIDTH), np.uint8)
@@ -83,7 +83,7 @@ def follow(tracker: FaceTracker, frames: list[np.ndarray], own: np.ndarray, othe
 
 
 def on_crossings(tracker: FaceTracker, clips: list[Clip]) -> dict[str, dict[str, float]]:
-    """All pairs of people at all speeds: shares of frames, and of crossings that end well, by speed."""
+    """All pairs of people at all speeds: shares of frames, and of crossings with the right end, by speed."""
     out = {}
     for speed in SPEEDS:
         runs = [follow(tracker, *cross(a, b, speed)) for a in clips for b in clips if a is not b]

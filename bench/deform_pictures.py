@@ -31,7 +31,7 @@ _COMPARED = ("jaw open", "smile", "blink", "frown")
 _COLUMNS = ("whole", "split", "gaussian", "regions", "informed", "laplacian", "blender_laplacian")
 _SIDE = (230, 290)
 _ZOOM, _MIDDLE = 0.47, (0.12, 0.02)
-"""Outer-eye distance as a share of the picture's width, and the centre of the view in outer-eye distances."""
+"""Outer-eye distance as a share of the image's width, and the centre of the view in outer-eye distances."""
 _SKIN = np.array([150.0, 180.0, 210.0])
 _BACKGROUND = (30, 28, 26)
 WORST = 0.08
@@ -53,7 +53,7 @@ def draw_head(folder: Path, head: TrueHead, methods: list[Method], selection: Gr
 
 
 def weights_of(head: TrueHead, units: tuple[str, ...]) -> NDArray[np.float64]:
-    """(E,) 1 for each expression whose name without side is in `units`."""
+    """Vector (E,) that is 1 for expressions whose name without side is in `units`."""
     bare = [
         name.removesuffix("_L").removesuffix("_R").removesuffix("Left").removesuffix("Right") for name in head.names
     ]
@@ -81,7 +81,7 @@ def comparison(
     methods: dict[str, Predict],
     expressions: Sequence[str] = _COMPARED,
 ) -> Image:
-    """Draw true expressions, a row each, beside what methods make of them, with the errors as colours.
+    """Draw true expressions, one per row, beside the results of methods, with the errors as colours.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def comparison(
 
 
 def project(points: NDArray[np.floating], size: tuple[int, int] = _SIDE) -> NDArray[np.float64]:
-    """Project head-frame points to pixels of a picture of that size, slightly from the side and above."""
+    """Project points in the head frame to pixels of an image of that size, slightly from the side and above."""
     yaw, pitch = 0.35, -0.08
     turn = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
     tilt = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
@@ -179,7 +179,7 @@ def _landmarks(head: TrueHead, moved: NDArray[np.float32], title: str) -> Image:
 
 
 def titled(image: Image, title: str) -> Image:
-    """Write a title onto a picture, and return it."""
+    """Write a title onto an image, and return it."""
     cv2.putText(image, title, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (235, 235, 235), 1, cv2.LINE_AA)
     return image
 

@@ -1,4 +1,4 @@
-"""The deformers that are compared, from displacements of landmarks to those of all vertices."""
+"""The compared deformers, from displacements of landmarks to those of all vertices."""
 
 from __future__ import annotations
 
@@ -28,26 +28,27 @@ _RIDGE = 1e-4
 SIGMAS = tuple(np.linspace(0.06, 0.3, 13).tolist())
 """Widths of a single Gaussian that are tried, in outer-eye distances."""
 _DEEP = 0.4
-"""Outer-eye distances behind the lips from which Laplacian deformation holds the mouth's wall; the best for it."""
+"""Distance behind the lips, in outer-eye distances, beyond which Laplacian deformation fixes the wall of the mouth; its
+best value."""
 _STEPS = 10
-"""Frames from rest to an expression."""
+"""Number of frames from rest to an expression."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """One row of the comparison.
+    """A row of the comparison.
 
     Attributes
     ----------
     name : str
     points : int
-        Control points used.
+        Number of control points.
     predict : callable
-        (N, 66, 3) displacements of the landmarks to (N, V, 3) of the vertices.
+        Maps (N, 66, 3) displacements of the landmarks to (N, V, 3) of the vertices.
     prepare : float
-        Seconds that the preparation took.
+        Seconds of preparation.
     frame : float
-        Milliseconds a frame.
+        Milliseconds per frame.
     """
 
     name: str
@@ -58,7 +59,7 @@ class Method:
 
 
 def all_methods(head: TrueHead, model: ExpressionModel, selection: GreedySelection) -> list[Method]:
-    """All rows; `model` was learnt on another head."""
+    """Return all rows; `model` was learnt on another head."""
     papers = greedy_points(head, len(selection.landmarks), "paper")
     builders: dict[str, tuple[int, Callable[[], Predict]]] = {
         "whole": (N_LANDMARKS, lambda: whole(head)),
@@ -85,7 +86,7 @@ def all_methods(head: TrueHead, model: ExpressionModel, selection: GreedySelecti
 
 
 def greedy_points(head: TrueHead, count: int, search: Search = "take") -> GreedySelection:
-    """Control points chosen on single expressions of the head and mixtures, other than those of the evaluation."""
+    """Control points selected on single expressions of the head and on mixtures other than those of the evaluation."""
     weights = np.concatenate([np.eye(len(head.names)), random_mixtures(len(head.names), 250, seed=1)])
     motion = head.true(weights)[:, head.landmarks]
     skin = head.vertices, head.regions
@@ -94,14 +95,14 @@ def greedy_points(head: TrueHead, count: int, search: Search = "take") -> Greedy
 
 
 def whole(head: TrueHead, sigma: float | None = None) -> Predict:
-    """One Gaussian over the whole face (Yu & Li 2005), by default with the best sigma for these expressions."""
+    """A Gaussian over the whole face (Yu & Li 2005), by default with the best sigma for these expressions."""
     if sigma is None:
         sigma = min(SIGMAS, key=lambda each: _error_alone(head, _one_region(head, each)))
     return _rbf(_one_region(head, sigma))
 
 
 def split(head: TrueHead) -> Predict:
-    """Three bands with weights of 0 and 1, cut along the horizontal lines of eyes and mouth (Zhang 2017)."""
+    """Three bands with weights of 0 and 1, cut along horizontal lines through eyes and mouth (Zhang 2017)."""
     points = head.vertices[head.landmarks]
     eyes, mouth = points[from_ibug((36, 39, 42, 45)), 1].mean(), points[from_ibug((48, 54)), 1].mean()
 
@@ -120,7 +121,7 @@ def regions(
     sharp: bool = False,
     exact: bool = False,
 ) -> Predict:
-    """Our deformer with a kernel of distance alone; the paper's is a Gaussian, sharp and exact."""
+    """Facemime's deformer with a kernel of distance alone; the paper's is a Gaussian, sharp and exact."""
     return _rbf(head_deformer(_rig(head, chosen, sharp=sharp), kernel, exact=exact))
 
 
@@ -146,7 +147,7 @@ def planar(predict: Predict) -> Predict:
 
 
 def informed(head: TrueHead, model: ExpressionModel, chosen: GreedySelection | None = None) -> Predict:
-    """Our deformer with the covariance of the skin, and `model`, learnt on another head."""
+    """Facemime's deformer with the covariance of the skin, and `model`, learnt on another head."""
     return _rbf(head_deformer(_rig(head, chosen), expressions=(model,)))
 
 
@@ -171,7 +172,7 @@ def laplacian(head: TrueHead) -> Predict:
 
 
 def blender_laplacian(head: TrueHead) -> Predict:
-    """Blender's own Laplacian Deform modifier with the same anchors."""
+    """Blender's Laplacian Deform modifier with the same anchors."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     mesh = bpy.data.meshes.new("head")
     mesh.from_pydata(head.vertices.tolist(), [], [[int(v) for v in face if v >= 0] for face in head.faces])
@@ -204,7 +205,7 @@ def blender_laplacian(head: TrueHead) -> Predict:
 
 
 def own_matrix(head: TrueHead) -> Predict:
-    """The best matrix for this head's own motions: the limit of deformers that treat x, y and z alike."""
+    """The best matrix for this head's own motions, the limit of deformers that treat x, y and z alike."""
     weights = np.linalg.cholesky(head.mixtures.T @ head.mixtures + 1e-9 * np.eye(len(head.names))).T
     motion = head.true(weights).transpose(0, 2, 1).reshape(3 * len(head.names), -1)
     inputs = motion[:, head.landmarks].astype(np.float64)
@@ -214,7 +215,7 @@ def own_matrix(head: TrueHead) -> Predict:
 
 
 def ridge(head: TrueHead) -> Predict:
-    """A ridge regression from landmarks to vertices on this head's own expressions: the limit of knowing the rig."""
+    """A ridge regression from landmarks to vertices on this head's own expressions, the limit of knowing the rig."""
     inputs = head.motions[:, head.landmarks].reshape(len(head.names), -1).astype(np.float64)
     gram = inputs @ inputs.T
     targets = head.motions.reshape(len(head.names), -1)
@@ -260,7 +261,7 @@ def _anchors(head: TrueHead) -> NDArray[np.int64]:
 
 
 def _deep_in_mouth(head: TrueHead) -> NDArray[np.bool_]:
-    """Vertices of the mouth's wall far behind the rim of the lips; if nothing holds them, they swing with the lips."""
+    """Vertices of the mouth's wall far behind the rim of the lips; unless fixed, they swing with the lips."""
     rim = head.rims["mouth"]
     piece = islands(len(head.vertices), head.faces[~np.isin(head.faces, rim).any(axis=1)])
     inside = piece != np.bincount(piece).argmax()
@@ -291,14 +292,14 @@ def _cotangent(head: TrueHead) -> tuple[csc_matrix, Points]:
 
 
 def triangles_of(faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(T, 3) triangles of (F, 3 or 4) faces padded with -1."""
+    """Triangles (T, 3) of faces (F, 3 or 4) padded with -1."""
     if faces.shape[1] == 3:
         return faces
     return np.concatenate([faces[:, :3], faces[faces[:, 3] >= 0][:, [0, 2, 3]]])
 
 
 def _milliseconds(head: TrueHead, predict: Predict) -> float:
-    """Median time of one frame."""
+    """Median time of a frame."""
     motion = head.true(head.mixtures[:20])[:, head.landmarks]
     times = []
     for moved in motion:

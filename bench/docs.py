@@ -1,7 +1,7 @@
 """`python -m bench.docs`: copy tables of benchmarks from `build/bench` into `docs`.
 
-A line `<!-- table: TITLE -->` in a document says that the table below it is the one that a bench prints under that
-title; `git diff` then shows what has changed. Tables without such a line are nobody's but the author's.
+A line `<!-- table: TITLE -->` in a document marks the table below it as the one that a benchmark prints under that
+title; `git diff` then shows the changes. Tables without such a line are left alone.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _TITLE = re.compile(r"## (.+)")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Update the documents; returns the exit status, 1 if there is no table, or a document lacks one."""
+    """Update the documents; return the exit status, 1 if there is no table, or a document lacks one."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("results", nargs="*", type=Path, metavar="FILE.md", help="tables of benchmarks (build/bench)")
     parser.add_argument(
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def tables_in(text: str) -> dict[str, list[str]]:
-    """Lines of each table by title; the last one if a title repeats."""
+    """Return the lines of each table by title; the last table if a title repeats."""
     tables: dict[str, list[str]] = {}
     title = ""
     for line in text.splitlines():
@@ -60,12 +60,12 @@ def tables_in(text: str) -> dict[str, list[str]]:
 
 
 def with_tables(text: str, tables: Mapping[str, Sequence[str]]) -> tuple[str, list[str]]:
-    """Replace the tables that `text` marks; returns the text, and the titles of these tables.
+    """Replace the tables that `text` marks; return the text, and the titles of these tables.
 
     Raises
     ------
     ValueError
-        Where there is no table right below a marker.
+        If a marker is not followed by a table.
     """
     found: list[str] = []
     put_in: list[str] = []

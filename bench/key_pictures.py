@@ -1,6 +1,6 @@
-"""`python -m bench.key_pictures`: the sets of shape keys as they are made on the built-in head.
+"""Pictures of the sets of shape keys made for the built-in head: `python -m bench.key_pictures`.
 
-Leaves `keys_vrm.jpg`, `keys_oculus.jpg` and `keys_facegen.jpg` in `docs/images`.
+They are written to `keys_vrm.jpg`, `keys_oculus.jpg` and `keys_facegen.jpg` in `docs/images`.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from facemime.core.tracking.overlay import draw_label
 
 ROOT = Path(__file__).resolve().parents[1]
 SETS = {"vrm": 6, "oculus": 5, "facegen": 8}
-"""Sets that are drawn, and their columns."""
+"""Sets that are drawn, and their numbers of columns."""
 SIDE, QUALITY = 250, 85
 _FACE = slice(50, 215), slice(48, 203)
-"""Rows and columns of a picture of a head that show its face."""
+"""Rows and columns of an image of a head that show its face."""
 
 Image = NDArray[np.uint8]
 

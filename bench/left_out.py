@@ -1,7 +1,8 @@
 """The limit of learning from expressions: each expression from all others of the same head.
 
-What a kernel of distance gets wrong is regressed on the landmarks' displacements, near ones first, over all expressions
-but one and its mirror image. Another head's expressions cannot be expected to tell more than a head's own.
+The error of a kernel of distance is regressed on the landmarks' displacements, with near landmarks preferred, over all
+expressions but one and its mirror image. Another head's expressions cannot be expected to reveal more than a head's
+own.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def left_out_errors(head: TrueHead) -> list[dict[str, float]]:
 def _regressed(
     moved: NDArray[np.float64], wrong: NDArray[np.float32], near: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(V, 66) weights of the landmarks, by a ridge regression per vertex that penalises distant landmarks."""
+    """Weights of the landmarks, (V, 66), by a ridge regression per vertex that penalises distant landmarks."""
     inputs = moved.transpose(0, 2, 1).reshape(-1, moved.shape[1])
     outputs = wrong.transpose(0, 2, 1).reshape(-1, wrong.shape[1])
     scale = float(np.square(inputs).sum(axis=0).mean())

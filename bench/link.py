@@ -1,4 +1,4 @@
-"""A network as a seeded simulation: packets are delayed, lost, doubled and reordered, in a time of its own."""
+"""Seeded simulation of a network that delays, loses, duplicates and reorders packets, in simulated time."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Link:
-    """What a network does to packets.
+    """Effects of a network on packets.
 
     Attributes
     ----------
     delay, jitter : float
-        Seconds: the mean delay, and by how much it differs at most.
+        Mean delay, and its largest deviation, in seconds.
     loss, double : float
-        Shares of the packets that are lost, or come twice.
+        Shares of packets that are lost, and that come twice.
     cut : (float, float)
-        Seconds between which nothing comes.
+        Start and end in seconds of an interruption.
     """
 
     delay: float = 0.02
@@ -29,7 +29,7 @@ class Link:
     cut: tuple[float, float] = (0.0, 0.0)
 
     def deliver(self, packets: list[tuple[float, Any]], seed: int = 0) -> list[tuple[float, Any]]:
-        """Return when each of the packets, sent at these times, comes, in the order in which they come."""
+        """Return the arrival times of packets sent at these times, in order of arrival."""
         rng, arrivals = Random(seed), []
         for number, (sent, packet) in enumerate(packets):
             for _ in range(1 + (rng.random() < self.double)):

@@ -1,7 +1,7 @@
 """Landmarks drawn on data that cannot be published: `python -m bench.overlays -o FOLDER`.
 
-One sheet of held-out people's photos, those first that are furthest from their labels, and one of each clip. The
-pictures show photos and frames of ../shared/data and stay out of the repository.
+One sheet shows held-out people's photos, those farthest from their labels first, and one sheet each a clip. The images
+contain photos and frames of ../shared/data and are not part of the repository.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from facemime.training.data import add_data_option
 from facemime.training.tracker.sources import HAND_LABELLED, read_photos, split
 
 SIDE, COLUMNS, FRAMES = 240, 8, 48
-"""Pixels of a picture, pictures per row, and frames per clip."""
+"""Size of an image in pixels, images per row, and frames per clip."""
 
 
 def draw_face(image: np.ndarray, landmarks: np.ndarray, caption: str) -> np.ndarray:
@@ -48,7 +48,7 @@ def photo_sheet(tracker: FaceTracker, data: Path) -> list[np.ndarray]:
 
 
 def clip_sheet(tracker: FaceTracker, path: Path) -> list[np.ndarray]:
-    """Evenly spaced frames of a tracked clip."""
+    """Return evenly spaced frames of a tracked clip."""
     reader = cv2.VideoCapture(str(path))
     every = max(int(reader.get(cv2.CAP_PROP_FRAME_COUNT)) // FRAMES, 1)
     tracker.reset()

@@ -1,4 +1,4 @@
-"""Packets of every protocol, sound and damaged, for the fuzzers of tests and of `bench.remote`."""
+"""Valid and damaged packets of every protocol, for the fuzzers of tests and of `bench.remote`."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class _Own:
 
 
 class _Signed:
-    """The same with a key, which no packet of the fuzzer has: nothing may get through."""
+    """The same with a key that no packet of the fuzzer is signed with, so nothing may be accepted."""
 
     def decode(self, data: bytes) -> list[StreamFrame]:
         """Decode a datagram."""
@@ -162,17 +162,17 @@ INTACT: dict[str, tuple[Callable[[], Decoder], Callable[[], list[bytes]]]] = {
     "facecap": (FaceCapDecoder, _face_cap),
     "vertices": (_Vertices, _vertices),
 }
-"""For each protocol, a decoder and sound packets."""
+"""A decoder and valid packets for each protocol."""
 
 
 @cache
 def packets(name: str) -> tuple[bytes, ...]:
-    """Sound packets of a protocol."""
+    """Return valid packets of a protocol."""
     return tuple(INTACT[name][1]())
 
 
 def is_possible(frame: StreamFrame) -> bool:
-    """Whether a frame that a decoder did not refuse is one that a face can have."""
+    """Whether a frame that a decoder has accepted is one that a face can have."""
     face = frame.face
     if isinstance(face, FaceValues):
         if not ((face.coefficients >= 0.0) & (face.coefficients <= 1.0)).all():

@@ -1,4 +1,4 @@
-"""What Yao, Li, Li & Su (2019) claim, measured on what ships: the built-in head and the sample clip.
+"""Measurement of the claims of Yao, Li, Li & Su (2019), on the built-in head and the sample clip.
 
 Run as `python -m bench.paper --json build/bench/paper.json --pictures docs/images/paper`; `make paper` also copies the
 tables into docs/paper.md.
@@ -58,9 +58,9 @@ _WIDE = 0.2
 """Sigma in outer-eye distances of a function that is smooth over the whole face."""
 _PLAYS = (1, 2, 5)
 _STREAMED, _CUT = 8.0, 0.5
-"""Seconds for which the clip is streamed, and of a cut after that."""
+"""Seconds for which the clip is streamed, and of an interruption after that."""
 _RUNS, _STAGES = 4, ("decode", "track", "drive", "write")
-"""Runs of which the fastest counts, stage by stage, in processor time: other load only ever adds to it."""
+"""Number of runs, of which the fastest counts for each stage, in processor time, as other load can only add to it."""
 FEATURES = {
     **{"brows": ("brow_l", "brow_r"), "lids": ("lid_l", "lid_r"), "mouth opening": ("jaw",)},
     **{"corners of the mouth": ("smile",), "width of the mouth": ("width",)},
@@ -117,16 +117,16 @@ def main() -> int:
 
 
 def ways(head: TrueHead) -> list[tuple[str, Predict]]:
-    """The methods that are compared by their errors, the paper's first, then one ingredient after another replaced."""
+    """The compared methods, the paper's first, then with one ingredient after another replaced."""
     papers = regions(head, kernel="gaussian", sharp=True, exact=True)
     return [
-        ("the paper's way", planar(papers)),
-        ("refitted from frame to frame", planar(refitted(head))),
+        ("the paper's method", planar(papers)),
+        ("refitted at every frame", planar(refitted(head))),
         ("with depth", papers),
-        ("and a ridge", regions(head, kernel="gaussian", sharp=True)),
-        ("and soft borders", regions(head, kernel="gaussian")),
-        ("and two scales", regions(head)),
-        ("and skin and known expressions", informed(head, shipped_expressions()[0])),
+        ("+ ridge", regions(head, kernel="gaussian", sharp=True)),
+        ("+ soft borders", regions(head, kernel="gaussian")),
+        ("+ two scales", regions(head)),
+        ("+ skin and known expressions", informed(head, shipped_expressions()[0])),
         ("one function", whole(head)),
         ("one wide function", whole(head, _WIDE)),
         ("straight bands", split(head)),
@@ -143,7 +143,7 @@ def region_table(rig: HeadRig) -> Table:
         (region.name, int(row.sum()), int((row & shared).sum()), len(region.landmarks), len(start))
         for region, row, start in zip(REGIONS, sharp, START, strict=True)
     ]
-    return Table("Regions", ("region", "vertices", "on a border", "landmarks", "muscles' points"), rows)
+    return Table("Regions", ("region", "vertices", "on a border", "landmarks", "muscle points"), rows)
 
 
 def error_table(scores: dict) -> Table:
@@ -156,11 +156,11 @@ def opening_table(scores: dict) -> Table:
     """Openings of mouth and eyes, the worst vertex and the crease."""
     names = ("mouth_opening", "eye_opening", "worst_vertex", "crease_degrees")
     rows = [(name, *(score["detail"][each] for each in names)) for name, score in scores.items()]
-    return Table("Openings in these mixtures", ("method", "mouth", "eyes", "worst vertex", "crease °"), rows)
+    return Table("Openings in the same mixtures", ("method", "mouth", "eyes", "worst vertex", "crease, °"), rows)
 
 
 def sigma_table(head: TrueHead) -> Table:
-    """Figure 10: one function over the face, by its width."""
+    """Figure 10: a single function over the face, by its width."""
     rows = []
     for sigma in SIGMAS[::2]:
         score = judge(head, Method("", 66, whole(head, sigma), 0.0, 0.0), head.mixtures[:100])
@@ -170,7 +170,7 @@ def sigma_table(head: TrueHead) -> Table:
 
 
 def clip_table(rig: HeadRig, clip: Clip) -> Table:
-    """Figure 9: how the avatar's expressions go with the performer's over the sample clip."""
+    """Figure 9: correlation of the avatar's expressions with the performer's over the sample clip."""
     take, rest = clip.take, np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
     performer = features(take.shape[take.found], clip.neutral.shape)
     rows = []
@@ -183,7 +183,7 @@ def clip_table(rig: HeadRig, clip: Clip) -> Table:
         moved = [np.concatenate([avatar[name] for name in names]) for avatar in driven]
         measured = [value for each in moved for value in (float(np.corrcoef(each, shown)[0, 1]), slope(each, shown))]
         rows.append((title, *measured))
-    columns = ("feature", "correlation, the paper's way", "slope", "correlation, by default", "slope")
+    columns = ("feature", "correlation, the paper's method", "slope", "correlation, default", "slope")
     return Table("Avatar and performer over the sample clip", columns, rows)
 
 
@@ -197,8 +197,8 @@ def clip_openings(head: TrueHead, rig: HeadRig, clip: Clip) -> Table:
     for name, predict in [
         ("one function", whole(head)),
         ("one wide function", whole(head, _WIDE)),
-        ("the paper's way", regions(head, kernel="gaussian", sharp=True, exact=True)),
-        ("by default", informed(head, shipped_expressions()[0])),
+        ("the paper's method", regions(head, kernel="gaussian", sharp=True, exact=True)),
+        ("default", informed(head, shipped_expressions()[0])),
     ]:
         found = predict(moved)
         slopes = {}
@@ -208,11 +208,11 @@ def clip_openings(head: TrueHead, rig: HeadRig, clip: Clip) -> Table:
             wanted = opening(head.vertices[corners] + moved[:, place])
             slopes[rim] = slope(opening(head.vertices[line] + found[:, line]), wanted)
         rows.append((name, slopes["mouth"], (slopes["right eye"] + slopes["left eye"]) / 2.0))
-    return Table("Openings over the sample clip, avatar over performer", ("method", "mouth", "eyes"), rows)
+    return Table("Openings over the sample clip, avatar / performer", ("method", "mouth", "eyes"), rows)
 
 
 def twelve_table(head: TrueHead) -> Table:
-    """Figures 7 and 8: the upper region with 12 of its 20 landmarks, and half of all by either search."""
+    """Figures 7 and 8: the upper region with 12 of its 20 landmarks, and half of all landmarks by either search."""
     twelve = membership()
     others = np.setdiff1d(REGIONS[UPPER].landmarks, from_ibug(tuple(START[UPPER])))
     twelve[:, others] = False
@@ -246,20 +246,20 @@ def greedy_table(rig: HeadRig, clip: Clip) -> Table:
         rows.append(row)
     columns = (
         "tolerance",
-        "paper's search, Gaussian",
+        "the paper's search, Gaussian",
         "of these in the upper region",
-        "paper's search, two scales",
-        "ours, Gaussian",
-        "ours, two scales",
+        "the paper's search, two scales",
+        "our search, Gaussian",
+        "our search, two scales",
     )
     return Table("Control points that the sample clip needs", columns, rows)
 
 
 def refit_table(rig: HeadRig, clip: Clip) -> Table:
-    """Section 3.2: what each refit of every frame leaves behind when the performer is at rest again."""
+    """Section 3.2: what refitting every frame leaves behind when the performer is at rest again."""
     options = paper_settings()
     rows = []
-    for name, kind in (("refitted from frame to frame", True), ("one matrix from rest", False)):
+    for name, kind in (("refitted at every frame", True), ("one matrix from rest", False)):
         driver = HeadDriver(rig, clip.neutral, DriveSettings(**{**vars(options), "incremental": kind}))
         times: list[float] = []
         left: list[float] = []
@@ -273,14 +273,14 @@ def refit_table(rig: HeadRig, clip: Clip) -> Table:
                 left.append(1e3 * float(np.linalg.norm(away, axis=1).max()))
         condition = max(fit.condition for fit in driver.deformer.fits)
         rows.append((name, *left, f"{condition:.2g}", 1e3 * float(np.percentile(times, 10))))
-    columns = ("fit", *(f"off at rest after {n}, mm" for n in _PLAYS), "condition number at rest", "frame ms")
+    columns = ("fit", *(f"drift at rest after {n} of the clip, mm" for n in _PLAYS), "condition number at rest", "frame, ms")
     return Table("Refitting every frame of the sample clip", columns, rows)
 
 
 def speed_table() -> Table:
-    """Section 5.1: medians of the stages, and frames per second at these."""
-    compared = {"the paper's way": paper_settings(), "by default": DriveSettings()}
-    # Run in turn, so that other load meets both alike.
+    """Section 5.1: medians of the stages, and the resulting frames per second."""
+    compared = {"the paper's method": paper_settings(), "default": DriveSettings()}
+    # Run alternately, so that other load affects both.
     runs = [
         {name: measure(SAMPLE, options, process_time)[0] for name, options in compared.items()} for _ in range(_RUNS)
     ]
@@ -288,20 +288,20 @@ def speed_table() -> Table:
     for name in compared:
         stages = [min(1e3 * float(np.median(run[name][stage])) for run in runs) for stage in _STAGES]
         rows.append((name, *stages, 1e3 / sum(stages)))
-    columns = ("method", "decode ms", "track ms", "drive ms", "write ms", "frames per second")
+    columns = ("method", "decode, ms", "track, ms", "drive, ms", "write, ms", "frames per second")
     return Table("From the clip to the shape key, 1,781 vertices, one core", columns, rows)
 
 
 def network_table(take: Take) -> Table:
-    """From sending a tracked frame to the moved vertices of the head that it drives, over a simulated network."""
+    """Time from sending a tracked frame to the moved vertices of the head that it drives, over a simulated network."""
     live = stream(take.part(take.found), _STREAMED, _CUT)
     rows = [
         ("frame to moved vertex, median", 1e3 * float(np.median(live.delays))),
-        ("frame to moved vertex, 95 %", 1e3 * float(np.percentile(live.delays, 95.0))),
-        ("of these, the network", 1e3 * LINK.delay),
-        ("the network's jitter", 1e3 * LINK.jitter),
+        ("frame to moved vertex, 95th percentile", 1e3 * float(np.percentile(live.delays, 95.0))),
+        ("delay of the network", 1e3 * LINK.delay),
+        ("jitter of the network", 1e3 * LINK.jitter),
     ]
-    return Table("Coordinates over a network", ("figure", "ms"), rows)
+    return Table("Coordinates over a network", ("quantity", "ms"), rows)
 
 
 if __name__ == "__main__":

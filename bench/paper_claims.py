@@ -1,4 +1,4 @@
-"""The claims of Yao, Li, Li & Su (2019) beside what is measured."""
+"""The claims of Yao, Li, Li & Su (2019), compared with measurements."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 from bench.report import Table
 
-_PAPERS, _DEEP, _WHOLE, _WIDE = "the paper's way", "with depth", "one function", "one wide function"
+_PAPERS, _DEEP, _WHOLE, _WIDE = "the paper's method", "with depth", "one function", "one wide function"
 _FULL = 0.95
-"""Share of an opening from which it counts as full."""
+"""Share of an opening above which it counts as full."""
 _LITTLE = 1.1
 """Factor up to which an error counts as hardly greater."""
 _CORRELATED, _RATE, _STARTING = 0.8, 24.0, 12
@@ -17,7 +17,7 @@ Claim = tuple[str, str, str, str]
 
 
 def claims(tables: Mapping[str, Table]) -> Table:
-    """A row for each claim: where it is, what the paper says, what is measured, and whether that holds.
+    """Return a row per claim: its place, what the paper says, what is measured, and whether the claim holds.
 
     Parameters
     ----------
@@ -26,20 +26,20 @@ def claims(tables: Mapping[str, Table]) -> Table:
     """
     errors = tables["errors"]
     rows = [
-        _less("figure 6", "three regions move a face better than one function", errors, "all", _DEEP, _WHOLE),
+        _less("figure 6", "three regions move a face more accurately than one function", errors, "all", _DEEP, _WHOLE),
         _points(tables["greedy"], tables["twelve"]),
         _expressions(tables["clip"]),
         *(_opening(tables["openings"], slit) for slit in ("mouth", "eyes")),
-        _less("figure 10", "three regions move the skin of the eyes better", errors, "eyes", _DEEP, _WHOLE),
+        _less("figure 10", "three regions move the skin around the eyes more accurately", errors, "eyes", _DEEP, _WHOLE),
         *(
-            _less("figure 11", f"better than Laplacian: {area}", errors, area, _DEEP, "bi-Laplacian editing")
+            _less("figure 11", f"more accurate than Laplacian deformation: {area}", errors, area, _DEEP, "bi-Laplacian editing")
             for area in ("eyes", "brows", "lips", "cheeks", "jaw")
         ),
-        _less("outlook", "the missing depth is the main weakness", errors, "all", _DEEP, _PAPERS),
+        _less("outlook", "the lack of depth is the main weakness", errors, "all", _DEEP, _PAPERS),
         _rate(tables["speed"]),
         _network(tables["network"]),
     ]
-    return Table("Claims", ("in the paper", "what it says", "what we measure", "holds"), rows)
+    return Table("Claims", ("place in the paper", "claim", "measurement", "confirmed"), rows)
 
 
 def cell(table: Table, row: str, column: str) -> float:
@@ -48,7 +48,7 @@ def cell(table: Table, row: str, column: str) -> float:
 
 
 def _less(place: str, claim: str, errors: Table, area: str, one: str, other: str) -> Claim:
-    """A claim that `one` has a smaller error in an area than `other`."""
+    """A claim that `one` has a smaller error than `other` in an area."""
     less, more = cell(errors, one, area), cell(errors, other, area)
     return place, claim, f"error {less:.2f} against {more:.2f}", _answer(less < more)
 
@@ -60,11 +60,11 @@ def _points(greedy: Table, twelve: Table) -> Claim:
     measured = "; ".join(
         f"error of the {area} {more:.2f} instead of {less:.2f}" for area, (less, more) in grown.items()
     )
-    on_clip = f"on the clip enough within {' and '.join(enough)}" if enough else "on the clip never enough"
+    on_clip = f"enough for the clip at {' and '.join(enough)}" if enough else "never enough for the clip"
     little = all(more < _LITTLE * less for less, more in grown.values())
     return (
         "figures 7, 8",
-        "12 of the upper region's 20 points suffice",
+        "12 of the 20 points of the upper region are enough",
         f"{measured}; {on_clip}",
         _part(little, bool(enough)),
     )
@@ -79,10 +79,10 @@ def _expressions(clip: Table) -> Claim:
 
 def _opening(openings: Table, slit: str) -> Claim:
     parts, best, wide = (cell(openings, row, slit) for row in (_PAPERS, _WHOLE, _WIDE))
-    measured = f"{parts:.2f} of the opening; with one function {best:.2f}, with a wide one {wide:.2f}"
+    measured = f"{parts:.2f} of the true opening; one function {best:.2f}, a wide one {wide:.2f}"
     return (
         "figure 10",
-        f"three regions open the {slit} fully, one function does not",
+        f"three regions open the {slit} fully; one function does not",
         measured,
         _answer(parts > _FULL > max(best, wide)),
     )
@@ -94,11 +94,11 @@ def _rate(speed: Table) -> Claim:
 
 
 def _network(network: Table) -> Claim:
-    delay, link = (cell(network, row, "ms") for row in ("frame to moved vertex, median", "of these, the network"))
-    measured = f"{delay:.0f} ms after the frame, of which the network takes {link:.0f}"
+    delay, link = (cell(network, row, "ms") for row in ("frame to moved vertex, median", "delay of the network"))
+    measured = f"{delay:.0f} ms after the frame, {link:.0f} of them in the network"
     return (
         "figures 12, 13",
-        "the face is tracked in one room, and the avatar moves in another",
+        "a face tracked in one room moves an avatar in another",
         measured,
         _answer(delay - link <= 1e3 / _RATE),
     )

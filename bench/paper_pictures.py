@@ -39,7 +39,7 @@ _BARE = np.array([165.0, 165.0, 165.0])
 _COLOURS = 255.0 * np.array(REGION_COLOURS)[:, ::-1]
 """Colours of the regions, BGR."""
 _MIXED = (200, 120, 220)
-"""Colour of control points of two regions."""
+"""Colour of control points that belong to two regions."""
 
 
 def draw(folder: Path, head: TrueHead, rig: HeadRig, take: Take, video: Path, paper: DriveSettings) -> None:
@@ -81,7 +81,7 @@ def _regions(head: TrueHead) -> Image:
 
 
 def _points(head: TrueHead, rig: HeadRig, take: Take) -> Image:
-    """Figures 7 and 8: all landmarks, those of the muscles, and those that two searches choose."""
+    """Figures 7 and 8: all landmarks, those of the muscles, and those selected by two searches."""
     start = np.zeros_like(membership())
     for row, muscles in zip(start, START, strict=True):
         row[from_ibug(tuple(muscles))] = True
@@ -102,7 +102,7 @@ def _points(head: TrueHead, rig: HeadRig, take: Take) -> Image:
 
 
 def _openings(head: TrueHead) -> Image:
-    """Figure 10: what becomes of an open mouth and of shut eyes."""
+    """Figure 10: an open mouth and shut eyes."""
     methods: dict[str, Predict] = {
         "one function": whole(head),
         "one wide function": whole(head, 0.2),
@@ -135,7 +135,7 @@ def _errors(head: TrueHead) -> Image:
 
 
 def _expressions(take: Take, video: Path, paper: DriveSettings) -> Image:
-    """Figure 9: the performer, the avatar of the paper's way, and that of the default."""
+    """Figure 9: the performer, the avatar by the paper's method, and that by default."""
     avatars: list[list[Image]] = []
     frames: NDArray[np.intp] | None = None
     for options in (DriveSettings(), paper):

@@ -32,7 +32,7 @@ class Table:
 
 
 def parser(description: str) -> argparse.ArgumentParser:
-    """Add the arguments that all benchmarks have."""
+    """Add the arguments common to all benchmarks."""
     arguments = argparse.ArgumentParser(description=description)
     arguments.add_argument(
         "--json", type=Path, metavar="FILE", help="write the numbers, and the tables beside it as .md"
@@ -42,7 +42,7 @@ def parser(description: str) -> argparse.ArgumentParser:
 
 
 def people_parser(description: str, people: int) -> argparse.ArgumentParser:
-    """Add the arguments of benchmarks that render `people` from photos, unless another number is asked for."""
+    """Add the arguments of benchmarks that render `people` from photos, unless another number is given."""
     arguments = parser(description)
     add_data_option(arguments)
     arguments.add_argument("--people", type=int, default=people, help=f"number of people ({people})")

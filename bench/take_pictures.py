@@ -1,6 +1,7 @@
-"""`python -m bench.take_pictures`: a real clip punched in, smoothed, baked three ways, rendered side by side.
+"""Pictures of a real clip, punched in, smoothed, baked in three ways and rendered: `python -m bench.take_pictures`.
 
-Leaves `takes_bakes.jpg` and `takes_mended.jpg` in `docs/images`. The retake is an earlier part of the clip.
+They are written to `takes_bakes.jpg` and `takes_mended.jpg` in `docs/images`. The retake is an earlier part of the
+clip.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def main() -> int:
 
 
 def _performer(take: Take, mended: Take, rows: NDArray[np.intp]) -> Image:
-    """Frames of the camera at `rows` of the mended take; in the punched-in part, those it came from."""
+    """Frames of the camera at `rows` of the mended take; in the punched-in part, those of the retake."""
     times = mended.times[rows]
     times = np.where((times > START) & (times < END), times - EARLIER, times)
     wanted = [int(np.abs(take.times - time).argmin()) for time in times]

@@ -1,4 +1,4 @@
-"""The viewer in a real browser: updates, bytes, and how far its vertices are from those of the deformer."""
+"""The viewer in a real browser: updates, bytes, and distance of its vertices from the deformer's."""
 
 from __future__ import annotations
 
@@ -35,19 +35,20 @@ _READY = "!!globalThis.viewer && viewer.room && !viewer.loading && viewer.loaded
 
 @dataclass(frozen=True)
 class Viewed:
-    """What a browser showed of a head.
+    """Measurements of a head in a browser.
 
     Attributes
     ----------
     vertices : int
+        Number of vertices of the head.
     updates_per_s, moved_per_s : float
         Updates that reached the page, and those that it computed, on a processor in place of a graphics card.
     bytes_per_s, loaded_bytes : float
-        Of the stream, and of the head, which is loaded once.
+        Bytes of the stream per second, and of the head, which is loaded once.
     worst_vertex : float
-        Largest distance from the deformer's vertex, outer-eye distances.
+        Largest distance of a vertex from the deformer's, in outer-eye distances.
     latency_ms : float
-        From handing over a frame to the moved vertices on the page, median.
+        Median time from passing on a frame to the moved vertices on the page.
     """
 
     vertices: int
@@ -97,7 +98,7 @@ def _compared(take: Take) -> NDArray[np.int64]:
 
 
 def _difference(page, server: ViewerServer, driver: HeadDriver, take: Take, number: int) -> float:
-    """Largest distance of a vertex on the page from that of the driver, for a frame of a take."""
+    """Largest distance of a vertex on the page from the driver's, for a frame of a take."""
     frame = driver.frame(take.result(int(number)))
     server.show(perf_counter(), [driver], [frame])
     while page.evaluate("viewer.shown") != server.sent:

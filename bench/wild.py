@@ -1,7 +1,7 @@
 """Labelled faces in the wild: `python -m bench.wild FOLDER`.
 
-The folder, or folders in it, holds pictures with a `.pts` file of the same name beside each: the 68 points of the iBUG
-figure, as 300-W, AFW, HELEN and LFPW have them. None of them comes with Facemime.
+The folder, or its subfolders, contains images, each with a `.pts` file of the same name: the 68 points of the iBUG
+figure, as in 300-W, AFW, HELEN and LFPW. None of these comes with Facemime.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def read_faces(folder: Path, margin: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Pictures (H, W, 3) and landmarks (66, 2), pixels, of every labelled face below `folder`.
+    """Yield images (H, W, 3) and landmarks (66, 2), in pixels, of every labelled face below `folder`.
 
     Raises
     ------
     SourceError
-        Where there is none, or a file is not what it should be.
+        If there is none, or a file is invalid.
     """
     pictures = sorted(p for p in folder.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
     labelled = [p for p in pictures if p.with_suffix(".pts").is_file()]
@@ -62,7 +62,7 @@ def read_faces(folder: Path, margin: float) -> list[tuple[np.ndarray, np.ndarray
 
 
 def read_points(path: Path) -> np.ndarray:
-    """(66, 2) landmarks of a `.pts` file, converted from a first pixel of (1, 1) to (0, 0)."""
+    """Landmarks (66, 2) of a `.pts` file, converted from a first pixel of (1, 1) to (0, 0)."""
     try:
         inside = path.read_text(encoding="utf-8").split("{", 1)[1].split("}", 1)[0]
         points = np.array(inside.split(), np.float64).reshape(68, 2) - 1.0

@@ -1,6 +1,6 @@
 """Other trackers for comparison. None is shipped; those that are not installed are skipped.
 
-They are read as `Peer`: `locate` looks at a picture by itself, `track` follows a face through a clip.
+All implement `Peer`: `locate` processes an image by itself, `track` follows a face through a clip.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 
 def chosen_peers(arguments: argparse.Namespace) -> tuple[FaceTracker, list[Peer]]:
-    """Our tracker and those that the options choose; reports which are skipped."""
+    """Return Facemime's tracker and those that the options choose; report which are skipped."""
     tracker = FaceTracker.load(arguments.model)
     peers, absent = available_peers(arguments.data, tracker)
     print(f"model {tracker.model_id}", *absent, sep="\n", file=sys.stderr)
@@ -48,7 +48,7 @@ class Peer(Protocol):
 
 
 class Ours:
-    """Our tracker as a peer; `result` is its last complete result."""
+    """Facemime's tracker as a peer; `result` is its last complete result."""
 
     name = "Facemime"
 
@@ -56,22 +56,22 @@ class Ours:
         self.tracker = tracker
 
     def locate(self, image: np.ndarray) -> np.ndarray:
-        """As `Peer.locate`."""
+        """See `Peer.locate`."""
         self.result = self.tracker.locate(image)
         return self.result.landmarks
 
     def track(self, image: np.ndarray) -> np.ndarray:
-        """As `Peer.track`."""
+        """See `Peer.track`."""
         self.result = self.tracker.track(image)
         return self.result.landmarks
 
     def reset(self) -> None:
-        """As `Peer.reset`."""
+        """See `Peer.reset`."""
         self.tracker.reset()
 
 
 def available_peers(data: Path, tracker: FaceTracker) -> tuple[list[Peer], list[str]]:
-    """Installed peers, ours first, and why others are skipped."""
+    """Return the installed peers, Facemime's tracker first, and why others are skipped."""
     from .dlib68 import Dlib
     from .mediapipe478 import MediaPipe
     from .saragih import Saragih

@@ -21,7 +21,7 @@ class Dlib:
         self._shape = dlib.shape_predictor(face_recognition_models.pose_predictor_model_location())
 
     def locate(self, image: np.ndarray) -> np.ndarray:
-        """As `Peer.locate`."""
+        """See `Peer.locate`."""
         rgb = cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.ndim == 3 else cv2.COLOR_GRAY2RGB)
         boxes = self._detect(rgb, 1 if max(image.shape) < 700 else 0)
         if not boxes:
@@ -30,8 +30,8 @@ class Dlib:
         return np.array([(p.x, p.y) for p in points], np.float64)[IBUG68_INDICES]
 
     def track(self, image: np.ndarray) -> np.ndarray:
-        """As `Peer.track`."""
+        """See `Peer.track`."""
         return self.locate(image)
 
     def reset(self) -> None:
-        """As `Peer.reset`."""
+        """See `Peer.reset`."""

@@ -1,4 +1,4 @@
-"""MediaPipe's face mesh with refined eyes and lips: 478 points, of which those nearest to ours are used."""
+"""MediaPipe's face mesh with refined eyes and lips: 478 points, of which those closest to Facemime's are used."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ VERTICES_68 = (
     # inner lip
     *(78, 82, 13, 312, 308, 317, 14, 87),
 )
-"""Vertex of the face mesh for each iBUG-68 landmark, chosen by hand labels of people in the training set."""
+"""Vertex of the face mesh for each iBUG-68 landmark, chosen by the hand labels of people in the training set."""
 
 
 class MediaPipe:
@@ -38,15 +38,15 @@ class MediaPipe:
         self._vertices = np.array(VERTICES_68)[IBUG68_INDICES]
 
     def locate(self, image: np.ndarray) -> np.ndarray:
-        """As `Peer.locate`."""
+        """See `Peer.locate`."""
         return self._points(self._still, image)
 
     def track(self, image: np.ndarray) -> np.ndarray:
-        """As `Peer.track`."""
+        """See `Peer.track`."""
         return self._points(self._moving, image)
 
     def reset(self) -> None:
-        """As `Peer.reset`."""
+        """See `Peer.reset`."""
         self._moving.close()
         self._moving = self._make(False)
 

@@ -1,8 +1,8 @@
-"""J. Saragih's FaceTracker model (text format) in our reference frame, with our mean-shift fit.
+"""J. Saragih's FaceTracker model (text format) in Facemime's reference frame, with Facemime's mean-shift fit.
 
-What differs from our tracker is what was learnt: the shape model and the patch experts. Its own detector and its own
-start are not used: it starts at the pose that our tracker finds, with its mean shape, so a face that ours does not find
-counts as lost for both.
+Only the learnt parts differ from Facemime's tracker: the shape model and the patch experts. Its own detector and start
+are not used. It starts at the pose that Facemime's tracker finds, with its mean shape, so a face that is not found
+there counts as lost for both.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _REACH, _MARGIN = 1.35, 14
 class Filter:
     """A linear expert: `1 / (1 + exp(gain * r + offset))` of the correlation coefficient r with `weights` (11, 11).
 
-    `kind` is what it looks at: 0 grey levels, 1 squared gradients, 2 local binary patterns.
+    `kind` is its input: 0 grey levels, 1 squared gradients, 2 local binary patterns.
     """
 
     kind: int
@@ -46,10 +46,10 @@ class Filter:
 
 @dataclass(frozen=True)
 class PeerModel:
-    """The content of the file, with the shape model converted to our head frame.
+    """The content of the file, with the shape model converted to the head frame.
 
-    `views` are frontal, nose to the viewer's left, nose to the viewer's right: for each landmark its filters, none
-    where it is hidden. `scale` is the reference frame's, pixels an outer-eye distance of our mean face.
+    `views` are frontal, nose to the viewer's left, nose to the viewer's right; each has filters per landmark, none if
+    it is hidden. `scale` is that of the reference frame, in pixels per outer-eye distance of Facemime's mean face.
     """
 
     pdm: PointDistributionModel
@@ -100,9 +100,9 @@ def _filters(words: Iterator[str], expect: object) -> tuple[Filter, ...]:
 
 
 def _onto(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled rotation (3, 3) that brings points (66, 3) nearest to the target, and the points moved there (Umeyama).
+    """Fit a scaled rotation (3, 3) from points (66, 3) to the target; also return the moved points (Umeyama 1991).
 
-    By the inner points, since the jaw line is a contour in one model and a place on the skin in the other.
+    Only inner points are used, as the jaw line is a contour in one model and a place on the skin in the other.
     """
     centre, aim = points[INNER].mean(0), target[INNER].mean(0)
     a, b = points[INNER] - centre, target[INNER] - aim
@@ -142,7 +142,7 @@ def _squared_gradient(pixels: np.ndarray) -> np.ndarray:
 
 
 def _binary_pattern(pixels: np.ndarray) -> np.ndarray:
-    """Sum of powers of two, from 2 up, over neighbours in reading order that are not brighter than the pixel."""
+    """Sum of powers of two, from 2 upwards, over neighbours in reading order that are not brighter than the pixel."""
     out = np.zeros_like(pixels)
     height, width = pixels.shape
     around = [(dy, dx) for dy in (0, 1, 2) for dx in (0, 1, 2) if (dy, dx) != (1, 1)]
@@ -164,7 +164,7 @@ class Saragih:
         self._last: FittedShape | None = None
 
     def locate(self, image: np.ndarray) -> np.ndarray:
-        """As `Peer.locate`."""
+        """See `Peer.locate`."""
         result = self.tracker.locate(image)
         if not result.found:
             return result.landmarks
@@ -172,7 +172,7 @@ class Saragih:
         return self.model.pdm.project(fitted.pose, fitted.shape_params)
 
     def track(self, image: np.ndarray) -> np.ndarray:
-        """As `Peer.track`: by its own fit from frame to frame; lost if ours is."""
+        """Track by its own fit from frame to frame, lost if Facemime's tracker is. See `Peer.track`."""
         result = self.tracker.track(image)
         if not result.found:
             self._last = None
@@ -182,7 +182,7 @@ class Saragih:
         return self.model.pdm.project(self._last.pose, self._last.shape_params)
 
     def reset(self) -> None:
-        """As `Peer.reset`."""
+        """See `Peer.reset`."""
         self.tracker.reset()
         self._last = None
 

@@ -56,7 +56,7 @@ def test_good_clips_succeed_bad_ones_are_reported_and_finished_ones_are_skipped(
     )
     done = batch(tmp_path / "list.txt", "-o", out, "--jobs", "2")
     assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
-    assert "broken.mp4 is not a video" in done.stderr and "missing.mp4 cannot be read" in done.stderr
+    assert "broken.mp4 cannot be read as a video" in done.stderr and "missing.mp4 cannot be read" in done.stderr
     first = {path.name: path.stat().st_mtime_ns for path in records(out)}
     assert len(first) == 2 and not list(out.glob("*.lock")) and not list(out.glob("*unfinished*"))
     report = json.loads((out / "report.json").read_text())

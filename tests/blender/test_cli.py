@@ -248,8 +248,8 @@ def test_errors_are_one_line_and_keep_the_earlier_output(clip, faceless, tmp_pat
     good.write_text("good")
     for arguments, words in (
         (("track", tmp_path / "none.mp4", "-o", good), "There is no file"),
-        (("track", tmp_path / "text.mp4", "-o", good), "not a video"),
-        (("track", tmp_path / "empty.mp4", "-o", good), "not a video"),
+        (("track", tmp_path / "text.mp4", "-o", good), "cannot be read as a video"),
+        (("track", tmp_path / "empty.mp4", "-o", good), "cannot be read as a video"),
         (("track", tmp_path, "-o", good), "not a file"),
         (("track", faceless, "-o", good), "No face was found"),
         (("track", clip, "-o", "/proc/take.facetake"), "Cannot write"),

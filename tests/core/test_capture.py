@@ -54,14 +54,14 @@ def test_a_truncated_video_yields_its_complete_frames(tmp_path):
 def test_files_that_are_not_videos_are_clear_errors(tmp_path, content, capfd):
     path = tmp_path / "clip.mp4"
     path.write_bytes(content)
-    with pytest.raises(SourceError, match="not a video"):
+    with pytest.raises(SourceError, match="cannot be read as a video"):
         VideoSource(path)
     assert capfd.readouterr() == ("", "")
 
 
 def test_a_container_without_frames_is_a_clear_error(tmp_path):
     path = write_clip(tmp_path / "clip.avi", 0, codec="MJPG")
-    with pytest.raises(SourceError, match=r"not a video|No frame"), VideoSource(path) as source:
+    with pytest.raises(SourceError, match=r"cannot be read as a video|No frame"), VideoSource(path) as source:
         list(source)
 
 

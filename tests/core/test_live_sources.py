@@ -131,7 +131,7 @@ def test_images_in_a_folder_are_played_by_name(tmp_path):
 
 def test_unreadable_images_are_skipped_unless_all_are(tmp_path):
     (tmp_path / "face1.png").write_text("no picture")
-    with pytest.raises(SourceError, match="is not a picture"):
+    with pytest.raises(SourceError, match="cannot be read as an image"):
         PicturePlayer(tmp_path).read(1.0)
     for index in (0, 2):
         cv2.imwrite(str(tmp_path / f"face{index}.png"), np.full((4, 4, 3), 50 * index, np.uint8))
@@ -153,9 +153,9 @@ def test_a_take_is_played_without_images():
     ("source", "said"),
     [
         (lambda folder: VideoPlayer(folder / "none.mp4"), "There is no file"),
-        (lambda folder: VideoPlayer(folder / "broken.mp4"), "not a video"),
+        (lambda folder: VideoPlayer(folder / "broken.mp4"), "cannot be read as a video"),
         (lambda folder: PicturePlayer(folder / "none"), "There is no folder"),
-        (PicturePlayer, "There is no picture"),
+        (PicturePlayer, "There are no images"),
     ],
 )
 def test_a_source_that_cannot_be_played_raises_an_error_and_is_retried(tmp_path, source, said):
