@@ -1,10 +1,10 @@
-"""Are actions seen that no landmark shows? `python -m bench.actions`, on rendered clips of held-out people.
+"""Accuracy of actions that no landmark shows, on rendered clips of held-out people: `python -m bench.actions`.
 
 Each person rests, then shows one action after the other while the head moves a little: the tongue, puffed cheeks,
-pressed lips and so on, each side by itself where it has two, and crossed eyes. The tracker follows the clip end to end,
-and what the avatar would show, with the neutral face that Facemime finds, is compared with the exact truth. The area
-under the curve (AUC) is the share of pairs of frames, one with the action at more than half and one without it, of
-which the first is measured to show more.
+pressed lips and so on, each side by itself if there are two, and crossed eyes. The tracker follows the clip end to end,
+and the activations of the avatar, with the neutral face that Facemime finds, are compared with the exact truth. The
+area under the curve (AUC) is the share of pairs of frames, one with the action above half and one without it, in which
+the former is measured to show more.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _CROSSED, _PARALLEL = np.radians((15.0, 3.0))
 
 @dataclass(frozen=True)
 class Seen:
-    """What was done, measured above rest, and shown by the avatar, over the frames of all people: activations (F, 15),
-    vergence (F,) in radians.
+    """True, measured and shown activations over the frames of all people, (F, 15), the measured ones above rest; and
+    vergence in radians, (F,).
     """
 
     truth: np.ndarray
@@ -101,7 +101,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     faces = ExactFaces(options.data, options.people)
     rows = rows_of(track(faces))
-    columns = ["action", "frames", "AUC", "shown at 1", "shown at 0"]
+    columns = ["action", "frames", "AUC", "avatar at 1", "avatar at 0"]
     numbers = {str(row[0]): row[2] for row in rows}
     if options.sheet is not None:
         clip = faces.acting(0)

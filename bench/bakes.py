@@ -26,12 +26,12 @@ SECONDS, FPS = 60.0, 30.0
 
 
 def bake_tables(take: Take) -> list[Table]:
-    """Bakes of `take`, in Blender, where the extension need not be registered."""
+    """Bake `take` in Blender, where the extension need not be registered."""
     rows = [row for level in LEVELS for row in _bakes(take, level)]
-    title = f"Baked, {len(take)} frames"
+    title = f"Baking {len(take)} frames"
     return [
-        Table(title, ("vertices", "to", "keys", "worst error, % of the eye distance", "s"), rows),
-        Table("Curves of a minute at 30 frames a second, 52 keys", ("what", "s"), [_curves()]),
+        Table(title, ("vertices", "target", "keys", "worst error, % of the eye distance", "s"), rows),
+        Table("Writing the curves of a minute at 30 frames per second, 52 keys", ("what", "s"), [_curves()]),
     ]
 
 
@@ -41,10 +41,10 @@ def _bakes(take: Take, level: int) -> list[tuple[str, str, int, float, float]]:
         ways = [BakeSettings(max_keys=count) for count in COUNTS]
         ways += [BakeSettings(), BakeSettings(clean=0.005), BakeSettings(keys="cache", path=Path(folder) / "bake.pc2")]
         names = [f"at most {count} new keys" for count in COUNTS]
-        names += ["new keys within 0.9 %", "the same, 0.5 % to clean curves", "Mesh Cache"]
+        names += ["new keys within 0.9 %", "the same, curves cleaned within 0.5 %", "Mesh Cache"]
         if level == 0:
             ways += [BakeSettings(keys="named"), BakeSettings(keys="mapped")]
-            names += ["ARKit's keys, fitted", "ARKit's keys, by table"]
+            names += ["ARKit keys, fitted", "ARKit keys, by mapping"]
         for name, bake in zip(names, ways, strict=True):
             head = _head(level, bake)
             seconds, report = _timed(
@@ -60,7 +60,7 @@ def _head(level: int, bake: BakeSettings) -> bpy.types.Object:
 
 
 def _curves() -> tuple[str, float]:
-    """Seconds for writing the curves alone."""
+    """Seconds for writing only the curves."""
     head = _head(0, BakeSettings(keys="named"))
     frames = 1.0 + np.arange(SECONDS * FPS)
     curves = [

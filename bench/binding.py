@@ -1,7 +1,7 @@
-"""How far the landmarks that are found on a mesh are from its own, without and with marked points.
+"""Distance of the landmarks found on a mesh from its own ones, with and without marked points.
 
-Of ICT-FaceKit's mean face and ten random people of its model, if it is there, and of the two faces with landmarks that
-come with menpo3d, if its source archive is given. Run as `python -m bench.binding`.
+It is measured on ICT-FaceKit's mean face and ten random people of its model, if it is present, and on the two faces
+with landmarks in menpo3d, if its source archive is given. Run as `python -m bench.binding`.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ def main() -> int:
     groups: dict[str, list[LabelledHead]] = {}
     if has_heads(arguments.data):
         mean, *people = ict_people(arguments.data, PEOPLE)
-        groups |= {mean.title: [mean], f"{PEOPLE} of its people": people}
+        groups |= {mean.title: [mean], f"{PEOPLE} people of its model": people}
     if arguments.menpo3d is not None:
         groups |= {face.title: [face] for face in menpo_faces(arguments.menpo3d)}
     rows = [(title, *row) for title, heads in groups.items() for row in bound_rows(heads)]
     parts = [f"{part}, {how}" for part in LANDMARK_PARTS for how in ("2-D", "3-D")]
     columns = ("face", "marked points", *parts, "seconds")
-    table = Table("Landmarks found, off by % of the eye distance", columns, rows)
+    table = Table("Errors of the bound landmarks, % of the eye distance", columns, rows)
     finish(arguments, [table], {"bound": [dict(zip(columns, row, strict=True)) for row in rows]})
     return 0
 
@@ -56,7 +56,7 @@ def bound_rows(heads: Sequence[LabelledHead]) -> list[tuple[object, ...]]:
 
 
 def nearest_marks(head: LabelledHead) -> dict[int, int]:
-    """The vertices nearest to the head's own landmarks that a user may mark."""
+    """Return the vertices nearest to those landmarks of the head that a user may mark."""
     places = {number: head.points[from_ibug([number])[0]] for number in MARKS}
     return {n: int(np.linalg.norm(head.vertices - place, axis=1).argmin()) for n, place in places.items()}
 

@@ -1,7 +1,7 @@
-"""Are ARKit's coefficients what was acted? `python -m bench.coefficients`, on the sample and on rendered performances.
+"""Accuracy of ARKit's coefficients, on the sample clip and rendered performances: `python -m bench.coefficients`.
 
 In the sample clip, the script of its performance is the truth. The other clips show held-out people with random
-scripts, rendered at 12.5 frames a second. All are tracked end to end, with the neutral face that Facemime finds.
+scripts, rendered at 12.5 frames per second. All are tracked end to end, with the neutral face that Facemime finds.
 """
 
 from __future__ import annotations
@@ -27,39 +27,39 @@ from facemime.training.tracker.sources import HAND_LABELLED, read_photos, split
 
 PEOPLE, _SECONDS, _FPS = 24, 16.0, 12.5
 _ACTED, _SPURIOUS, _SHOWN = 0.05, 0.3, 0.3
-"""Truth from which a coefficient is acted, what else is spurious above, and a truth that each has to reach somewhere
-for its figures to count."""
+"""Truth above which a coefficient counts as acted, value above which one that is not acted is spurious, and truth that
+a coefficient has to reach in some frame for its figures to count."""
 
 
 @dataclass(frozen=True)
 class Performed:
-    """What was acted and what was found, (F, 52) each, over all frames."""
+    """Acted and found coefficients over all frames, (F, 52) each."""
 
     acted: np.ndarray
     found: np.ndarray
 
     @property
     def shown(self) -> list[int]:
-        """Columns of the coefficients that are acted somewhere."""
+        """Columns of the coefficients that are acted in some frame."""
         return [int(k) for k in FITTED if self.acted[:, k].max() > _SHOWN]
 
     def correlation(self, k: int) -> float:
-        """Pearson's correlation over the frames; 0 if the coefficient is never found."""
+        """Pearson correlation over the frames; 0 if the coefficient is never found."""
         found, acted = self.found[:, k], self.acted[:, k]
         return float(np.corrcoef(found, acted)[0, 1]) if found.std() > 0.0 else 0.0
 
     def error(self, k: int) -> float:
-        """Mean absolute error of the frames in which the coefficient is acted."""
+        """Mean absolute error in the frames in which the coefficient is acted."""
         on = self.acted[:, k] > _ACTED
         return float(np.abs(self.found[on, k] - self.acted[on, k]).mean())
 
     def spurious(self, k: int) -> float:
-        """Share of the frames in which the coefficient is found and not acted."""
+        """Share of frames in which the coefficient is found but not acted."""
         return float(((self.acted[:, k] < _ACTED) & (self.found[:, k] > _SPURIOUS)).mean())
 
 
 def sample(tracker: FaceTracker, path: Path) -> Performed:
-    """The sample clip and its script. Its units go beyond 1; coefficients do not."""
+    """The sample clip and its script, whose units exceed 1, unlike coefficients."""
     video, recorder = cv2.VideoCapture(str(path)), TakeRecorder(describe("sample", FPS, (1, 1), tracker.model_id))
     tracker.reset()
     acted = np.zeros((len(times()), len(COEFFICIENTS)))
@@ -72,7 +72,7 @@ def sample(tracker: FaceTracker, path: Path) -> Performed:
 
 
 def rendered(tracker: FaceTracker, data: Path, people: int) -> Performed:
-    """Random scripts of held-out people, spread evenly over them."""
+    """Random scripts of held-out people, spread evenly over the people."""
     head, photos = load_ict(data), split(read_photos(data, *HAND_LABELLED))[1]
     acted, found = [], []
     for number, i in enumerate(np.linspace(0, len(photos) - 1, people).round().astype(int)):
@@ -83,7 +83,7 @@ def rendered(tracker: FaceTracker, data: Path, people: int) -> Performed:
 
 
 def summary(name: str, performed: Performed) -> list[object]:
-    """A row: frames, and the three figures over the coefficients."""
+    """A row of a table: frames, and the three figures over the coefficients."""
     shown = performed.shown
     return [
         name,
@@ -95,7 +95,7 @@ def summary(name: str, performed: Performed) -> list[object]:
 
 
 def rows_of(clips: dict[str, Performed]) -> list[list[object]]:
-    """A row per coefficient: correlation and error of each clip, and the share of spurious frames."""
+    """Rows for all coefficients: correlation and error of each clip, and the share of spurious frames."""
     rows: list[list[object]] = []
     for k in FITTED.tolist():
         row: list[object] = [COEFFICIENTS[k]]
@@ -119,7 +119,7 @@ def main() -> None:
         "coefficient",
         *(f"{name}: {what}" for name in clips for what in ("correlation", "acted error", "spurious")),
     ]
-    tables = [Table("Coefficients", columns, figures), Table("Each coefficient", each, rows_of(clips))]
+    tables = [Table("Coefficients", columns, figures), Table("By coefficient", each, rows_of(clips))]
     numbers = {str(row[0]): dict(zip(columns[1:], row[1:], strict=True)) for row in figures}
     finish(options, tables, numbers)
 

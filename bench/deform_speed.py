@@ -1,4 +1,4 @@
-"""Cost of preparing a deformer and of a frame, for random points and ever finer meshes of the built-in head."""
+"""Cost of preparing a deformer and of a frame, for random points and increasingly fine meshes of the built-in head."""
 
 from __future__ import annotations
 
@@ -14,18 +14,27 @@ from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.rbf import RBFDeformer
 from facemime.core.heads.rig import HeadRig, built_in_rig
 
-COLUMNS = ("mesh", "vertices", "points", "prepare ms", "frame µs", "MB", "of a copy", "of a dense product")
+COLUMNS = (
+    "mesh",
+    "vertices",
+    "points",
+    "preparation, ms",
+    "frame, µs",
+    "MB",
+    "relative to a copy",
+    "relative to a dense product",
+)
 _SIZES = ((1_781, 30), (26_000, 60), (100_000, 60))
 _HALVINGS = (0, 2, 3)
 _BATCHES, _FRAMES = 20, 50
-"""The fastest of twenty batches counts, as in timeit: other load only ever adds time."""
+"""Number of batches, of which the fastest counts, as in timeit: other load can only add time."""
 
 
 def speed_table() -> Table:
-    """Random points with the paper's kernel, and the built-in head, its edges halved, with the informed one.
+    """Measure random points with the paper's kernel, and the built-in head with halved edges with the informed kernel.
 
-    The last columns compare a frame in the same run: with a plain copy of as many bytes as its matrices take, as memory
-    may be what it waits for, and with the product by one dense matrix of all vertices and points.
+    The last columns compare a frame in the same run with a plain copy of as many bytes as its matrices take, as memory
+    may be the limit, and with the product by one dense matrix of all vertices and points.
     """
     rows = [_row("random", lambda size=size: _random(*size)) for size in _SIZES]
     rig, done = built_in_rig(), 0
@@ -33,7 +42,7 @@ def speed_table() -> Table:
         while done < halvings:
             rig, done = finer(rig), done + 1
         rows.append(_row("built-in head", lambda rig=rig: head_deformer(rig)))
-    return Table("Our deformer on one core", COLUMNS, rows)
+    return Table("Cost of the deformer on one core", COLUMNS, rows)
 
 
 def _row(mesh: str, build: Callable[[], RBFDeformer]) -> tuple[object, ...]:
@@ -71,13 +80,13 @@ def _random(count: int, points: int) -> RBFDeformer:
 
 
 def _bands(height: NDArray[np.float64], soft: float) -> NDArray[np.float64]:
-    """(3, N) soft thirds of the unit interval."""
+    """Soft thirds of the unit interval, (3, N)."""
     first, second = (np.clip((height - cut) / (2.0 * soft) + 0.5, 0.0, 1.0) for cut in (1.0 / 3.0, 2.0 / 3.0))
     return np.stack([1.0 - first, first * (1.0 - second), second])
 
 
 def finer(rig: HeadRig) -> HeadRig:
-    """The head with each edge halved and each face of n corners cut into n quadrangles; landmarks stay."""
+    """The head with each edge halved and each face of n corners divided into n quads; landmarks are kept."""
     faces = np.asarray(rig.faces, dtype=np.intp)
     corners = (faces >= 0).sum(axis=1)
     count, groups = len(rig.vertices), [faces[corners == n, :n] for n in (3, 4)]

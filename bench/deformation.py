@@ -1,8 +1,8 @@
-"""Vertex error of deformers on heads whose true expressions are known, and the speed of ours.
+"""Vertex error of deformers on heads with known expressions, and speed of Facemime's deformer.
 
-True expressions, alone and in 500 random mixtures; the displacements of 66 landmarks go in, the error over all vertices
-comes out: mean |error| / mean |motion|. Run as `python -m bench.deformation`; ICT-FaceKit's head is in
-the folder --data; without it, the built-in head is measured alone.
+From the displacements of 66 landmarks in true expressions, alone and in 500 random mixtures, the error over all
+vertices is computed: mean |error| / mean |motion|. Run as `python -m bench.deformation`. ICT-FaceKit's head is in the
+folder given by --data; without it, only the built-in head is measured.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def main() -> int:
             "left_out": dict(zip(("regions", "own_others"), left_out_errors(head), strict=True)),
         }
         rows = [[name, *errors.values()] for name, errors in results["left_out"].items()]
-        tables.append(Table(f"{head.title}: each expression from its others", ("method", *AREAS), rows))
+        tables.append(Table(f"{head.title}: each expression predicted from the others", ("method", *AREAS), rows))
         numbers[head.title] = results
         if arguments.pictures is not None:
             from bench.deform_pictures import draw_head
@@ -66,9 +66,9 @@ def main() -> int:
     tables.append(speed)
     differing = rig_difference(*heads) if len(heads) == 2 else []
     if differing:
-        title = "Shapes of one name on the two heads, difference at the landmarks"
+        title = "Shapes of the same name on both heads: difference at the landmarks"
         tables.append(Table(title, ("shape", "difference"), differing))
-    columns = ("mesh", "vertices", "points", "prepare_ms", "frame_us", "megabytes", "copy_us")
+    columns = ("mesh", "vertices", "points", "prepare_ms", "frame_us", "megabytes", "copy_ratio", "dense_ratio")
     numbers = {
         "errors": numbers[heads[0].title]["errors"],
         "heads": numbers,
@@ -116,13 +116,13 @@ def judge(head: TrueHead, method: Method, weights: NDArray[np.float64]) -> dict[
 
 
 def opening(outline: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,) areas of outlines (N, K, 3) in the front view, at least 0, as rims that cross leave nothing open."""
+    """Areas of outlines (N, K, 3) in the front view, (N,); at least 0, as crossed rims leave nothing open."""
     x, y = outline[..., 0], outline[..., 1]
     return np.maximum((x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y).sum(axis=1) / 2.0, 0.0)
 
 
 def _border_edges(head: TrueHead) -> NDArray[np.int64]:
-    """(E, 2) edges of the mesh at the borders of the regions."""
+    """Edges of the mesh at the borders of the regions, (E, 2)."""
     count = head.faces.shape[1]
     pairs = np.concatenate([head.faces[:, [i, (i + 1) % count]] for i in range(count)])
     pairs = pairs[(pairs >= 0).all(axis=1)]
@@ -147,11 +147,11 @@ def tables_of(head: TrueHead, methods: list[Method], mixed: dict, alone: dict) -
     count = len(head.names)
     rows = [[[method.name, *scores[method.name]["errors"].values()] for method in methods] for scores in (mixed, alone)]
     detail = [[method.name, *mixed[method.name]["detail"].values()] for method in methods]
-    columns = ("mouth opening", "eye opening", "worst vertex", "crease °", "points", "prepare s", "frame ms")
+    columns = ("mouth opening", "eye opening", "worst vertex", "crease, °", "points", "preparation, s", "frame, ms")
     return [
         Table(f"{head.title}: error in {len(head.mixtures)} mixtures", ("method", *AREAS), rows[0]),
-        Table(f"{head.title}: error in {count} expressions alone", ("method", *AREAS), rows[1]),
-        Table(f"{head.title}: what else, in the mixtures", ("method", *columns), detail),
+        Table(f"{head.title}: error in {count} single expressions", ("method", *AREAS), rows[1]),
+        Table(f"{head.title}: other measures in the mixtures", ("method", *columns), detail),
     ]
 
 
@@ -164,7 +164,7 @@ def curve_of(selection: GreedySelection) -> list[dict[str, object]]:
 
 
 def rig_difference(one: TrueHead, other: TrueHead) -> list[tuple[str, float]]:
-    """Of shapes that both heads have: |b - s a| / |b| over the landmarks at the best scale s; the jaw's, the mean."""
+    """For shapes of both heads, |b - s a| / |b| over the landmarks at the best scale s; the mean for the jaw."""
     shapes = {
         name.replace("_L", "Left").replace("_R", "Right"): motion[one.landmarks]
         for name, motion in zip(one.names, one.motions, strict=True)

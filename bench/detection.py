@@ -1,4 +1,4 @@
-"""Who is detected, and how soon, by the network and by the cascades: people who turn, tilt, are far away, or not alone.
+"""Detection by the network and by the cascades of people who turn, tilt, are far away, or not alone.
 
 Usage: python -m bench.detection [--json build/bench/detection.json]. Held-out people are rendered before a grey wall.
 """
@@ -25,7 +25,7 @@ from facemime.training.tracker.sources import Photo, read_photos, split
 
 _WIDTH, _HEIGHT = 640, 480
 _NEAR = 0.12
-"""Mean error of the inner points that are seen, in eye distances, below which the right face was found."""
+"""Mean error of the visible inner points, in eye distances, below which the right face was found."""
 _LARGE, _BEHIND = 80.0, 26.0
 """Outer-eye distances in pixels of the person in front, and of the blurred one behind."""
 _FRAMES_OF_NOBODY, _PICTURES_OF_NOBODY, _PIECES = 16, 60, 8
@@ -33,7 +33,7 @@ _FRAMES_OF_NOBODY, _PICTURES_OF_NOBODY, _PIECES = 16, 60, 8
 
 @dataclass(frozen=True)
 class Case:
-    """A rendered person: degrees and pixels; with somebody behind, or not."""
+    """A rendered person: angles in degrees and sizes in pixels, with or without somebody behind."""
 
     title: str
     yaw: float = 0.0
@@ -44,21 +44,21 @@ class Case:
 
 CASES = (
     *(Case(f"yaw {yaw} degrees", yaw=yaw) for yaw in (0, 45, 60, 70, 80)),
-    *(Case(f"yaw {yaw} degrees, somebody behind", yaw=yaw, behind=True) for yaw in (0, 45, 60, 70, 80)),
+    *(Case(f"yaw {yaw} degrees, another person behind", yaw=yaw, behind=True) for yaw in (0, 45, 60, 70, 80)),
     *(Case(f"roll {roll} degrees", roll=roll) for roll in (30, 60, 90, 135, 180)),
     *(Case(f"eyes {size} pixels apart", size=size) for size in (25, 15, 11, 8)),
 )
 
 
 class Renderer:
-    """Renders people who are held out of the training, in grey pictures (480, 640)."""
+    """Renders people who are held out of the training, in grey images (480, 640)."""
 
     def __init__(self, data: Path, tracker: FaceTracker) -> None:
         self._data, self._pdm, self._head = data, tracker.pdm, load_ict(data)
         self.photos: list[Photo] = split(read_photos(data, "london_neutral"))[1]
 
     def picture(self, case: Case, number: int) -> tuple[NDArray[np.uint8], np.ndarray, np.ndarray]:
-        """The picture of a person, their landmarks (66, 2) in pixels, and which of these are seen (66,)."""
+        """Return the image of a person, their landmarks (66, 2) in pixels, and which of these are visible (66,)."""
         rng = np.random.default_rng(number)
         picture = np.clip(110.0 + rng.normal(0.0, 3.0, (_HEIGHT, _WIDTH)), 0, 255).astype(np.uint8)
         if case.behind:
@@ -89,7 +89,7 @@ class Renderer:
         return drawn.landmarks + place, drawn.visible & np.isin(np.arange(66), INNER)
 
     def empty(self, count: int) -> list[NDArray[np.uint8]]:
-        """Pictures of nobody: collages of walls and of what is beside faces in photos."""
+        """Return images without people: collages of walls and of the surroundings of faces in photos."""
         rng = np.random.default_rng(5)
         photos = (
             self.photos + split(read_photos(self._data, "canada"))[1] + split(read_photos(self._data, "congress"))[1]
@@ -109,7 +109,7 @@ class Renderer:
 
 
 def count_found(tracker: FaceTracker, renderer: Renderer, case: Case, people: int) -> tuple[int, float]:
-    """How many people are found in their pictures, and the median of the milliseconds for that."""
+    """Number of people that are found in their images, and median milliseconds per image."""
     right, times = 0, []
     for number in range(people):
         picture, landmarks, seen = renderer.picture(case, number)
@@ -122,9 +122,9 @@ def count_found(tracker: FaceTracker, renderer: Renderer, case: Case, people: in
 
 
 def measure_without_a_face(detector: str, pictures: list[NDArray[np.uint8]]) -> dict[str, str]:
-    """Milliseconds of a frame of nobody, live and in a file, and in how many pictures there are false detections."""
+    """Milliseconds per frame without people, live and in a file, and number of images with false detections."""
     out = {}
-    for gradual, where in ((True, "live"), (False, "in a file, after the first frame")):
+    for gradual, where in ((True, "live"), (False, "file, after the first frame")):
         tracker, times, wrong = FaceTracker.load(gradual=gradual, settings=TrackingSettings(detector)), [], 0
         for picture in pictures:
             tracker.reset()
@@ -136,7 +136,7 @@ def measure_without_a_face(detector: str, pictures: list[NDArray[np.uint8]]) -> 
                 if gradual or frame:
                     times.append(1e3 * (perf_counter() - began))
         out[f"{where}: median"] = f"{np.median(times):.0f} ms"
-        out[f"{where}: 95 %"] = f"{np.percentile(times, 95):.0f} ms"
+        out[f"{where}: 95th percentile"] = f"{np.percentile(times, 95):.0f} ms"
         out[f"{where}: false detections"] = f"{wrong} of {len(pictures)}"
     return out
 
@@ -155,7 +155,7 @@ def main() -> int:
     pictures = renderer.empty(_PICTURES_OF_NOBODY)
     times = [measure_without_a_face(name, pictures) for name in trackers]
     empty = [(title, *(result[title] for result in times)) for title in times[0]]
-    tables = [Table("Who is found, by detector", columns, rows), Table("A frame of nobody", columns, empty)]
+    tables = [Table("Faces found, by detector", columns, rows), Table("Frames without a face", columns, empty)]
     finish(arguments, tables, {table.title: [list(row) for row in table.rows] for table in tables})
     return 0
 

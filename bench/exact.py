@@ -1,9 +1,8 @@
-"""Images of held-out people with exact landmarks: stills that vary one thing at a time, and clips.
+"""Images of held-out people with exact landmarks: stills that vary in one respect, and clips.
 
-Photos of people whom no training has seen become the skins of heads that are rendered anew, as by
-`training.tracker.reproject`. All have the same size, the same place in the picture and no expression, except for the
-one thing that an axis varies.
-What was rendered is kept below build/.
+Photos of people unknown to the training become the skins of newly rendered heads, as in `training.tracker.reproject`.
+All heads have the same size, the same place in the image and no expression, except for what an axis varies. Rendered
+images are kept below build/.
 """
 
 from __future__ import annotations
@@ -31,14 +30,14 @@ VERSION = 1
 """Version of the images; raising it renders them again."""
 SIZE = 400
 EYES = 100.0
-"""Pixels between the outer corners of the eyes, unless size varies."""
+"""Pixels between the outer corners of the eyes, unless the size varies."""
 FPS = 25.0
 _CENTRE = (SIZE - 1) / 2.0
 
 LIMITS = (25.0, 45.0, 40.0)
 """Limits of pitch, yaw and roll in degrees within which a face should never be lost."""
 _ACT = 18
-"""Frames of each action in an acting clip."""
+"""Number of frames of each action in an acting clip."""
 _TURNS_A_SECOND = np.array([0.31, 0.23, 0.17])
 
 _EXPRESSIONS: dict[str, dict[str, float]] = {
@@ -58,23 +57,23 @@ AXES: dict[str, tuple[str, tuple[float | str, ...]]] = {
     "pitch": ("degrees, down is positive", (-30, -20, -10, 0, 10, 20, 30)),
     "roll": ("degrees", (0, 10, 20, 30, 40, 50, 70, 90)),
     "expression": ("", tuple(_EXPRESSIONS)),
-    "side light": ("share of the light", (0.0, 0.3, 0.6, 0.8, 0.95)),
+    "side light": ("share of all light", (0.0, 0.3, 0.6, 0.8, 0.95)),
     "darkness": ("exposure", (1.0, 0.5, 0.25, 0.12, 0.06)),
     "blur": ("sigma, % of the eye distance", (0.0, 1.0, 2.0, 3.0, 4.5, 6.0)),
     "noise": ("grey levels", (0, 5, 10, 20, 30)),
     "compression": ("JPEG quality", (90, 50, 30, 20, 10, 5)),
-    "occlusion": ("% of the face's height or width", (0, 10, 20, 30, 40, 50)),
+    "occlusion": ("% of face height or width", (0, 10, 20, 30, 40, 50)),
     "size": ("pixels between the eyes", (140, 100, 70, 50, 35, 25, 18)),
-    "all at once": ("share of the hardest", (0.2, 0.4, 0.6, 0.8, 1.0)),
+    "combined": ("share of the maximum", (0.2, 0.4, 0.6, 0.8, 1.0)),
 }
-"""What varies, its unit, and its values. Yaw, roll, light and covers alternate between sides."""
+"""Varied quantities, their units and values. Yaw, roll, light and covers alternate between sides."""
 
 
 def shown_size(axis: str, value: float | str) -> float:
     """Pixels between the outer eye corners at a value of an axis."""
     if axis == "size":
         return float(value)
-    return EYES - 60.0 * float(value) if axis == "all at once" else EYES
+    return EYES - 60.0 * float(value) if axis == "combined" else EYES
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ class Clip:
 
 @dataclass(frozen=True)
 class ActingClip:
-    """Frames, and the exact activations (T, 15) of `ACTIONS` and vergence (T,) in radians that they show."""
+    """Frames, the exact activations (T, 15) of `ACTIONS`, and vergence (T,) in radians."""
 
     frames: list[np.ndarray]
     actions: np.ndarray
@@ -115,23 +114,23 @@ class ExactFaces:
         self._head: IctHead | None = None
 
     def stills(self, axis: str) -> dict[float | str, Stills]:
-        """All images of an axis, by value."""
+        """Return all images of an axis, by value."""
         values = AXES[axis][1]
         return {value: self._kept(f"{axis}-{value}", lambda v=value: self._pictures(axis, v)) for value in values}
 
     def clip(self, person: int) -> Clip:
-        """Six seconds of a person who blinks, speaks and turns the head, with the noise of a webcam."""
+        """Return six seconds of a person who blinks, speaks and turns the head, with the noise of a webcam."""
         kept = self._kept(f"clip-{person}", lambda: zip(*self._performance(person), strict=True))
         times = np.arange(len(kept.images)) / FPS
         return Clip(f"re-projected {person}", kept.images, kept.landmarks, times)
 
     def turning(self, person: int) -> Clip:
-        """Eight seconds in which a person turns, nods and tilts the head to the limits."""
+        """Return eight seconds in which a person turns, nods and tilts the head to the limits."""
         kept = self._kept(f"turning-{person}", lambda: zip(*self._turns(person), strict=True))
         return Clip(f"turning {person}", kept.images, kept.landmarks, np.arange(len(kept.images)) / FPS)
 
     def acting(self, person: int) -> ActingClip:
-        """A person who rests, then shows one action after the other, and crosses the eyes at the end."""
+        """Return a person who rests, then shows one action after the other, and finally crosses the eyes."""
         path = self.folder / f"acting-{person}-{self.people}.npz"
         if not path.exists():
             images, actions, vergence = zip(*self._acts(person), strict=True)
@@ -171,7 +170,7 @@ class ExactFaces:
             light = Light(1.0 - float(value), 1.3 * float(value), towards / np.linalg.norm(towards))
         elif axis == "size" and float(value) > EYES:
             pose[0] = float(value)
-        elif axis == "all at once":
+        elif axis == "combined":
             return self._hard(person, float(value), pose, side)
         image, landmarks = self._shown(person, _EXPRESSIONS[expression], pose, light)
         if axis in _DEGRADE:
@@ -179,7 +178,7 @@ class ExactFaces:
         return image, landmarks
 
     def _hard(self, person: int, share: float, pose: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
-        """Turned, lit from the side, small, blurred, noisy and compressed, by `share` of the hardest."""
+        """Make it turned, lit from the side, small, blurred, noisy and compressed, by `share` of the hardest case."""
         rng = np.random.default_rng((person, 5))
         pose[1:4] = np.radians([25.0, 45.0, 30.0]) * share * np.array([rng.choice([-1, 1]), side, rng.choice([-1, 1])])
         actions = {k: v * min(1.0, 1.5 * share) for k, v in _EXPRESSIONS[str(rng.choice(list(_EXPRESSIONS)))].items()}
@@ -187,14 +186,14 @@ class ExactFaces:
         light = Light(1.0 - 0.7 * share, 0.9 * share, towards / np.linalg.norm(towards))
         image, landmarks = self._shown(person, actions, pose, light)
         image, landmarks = _blurred(image, landmarks, 1.5 * share, person, rng)
-        image, landmarks = _shrunk(image, landmarks, shown_size("all at once", share), person, rng)
+        image, landmarks = _shrunk(image, landmarks, shown_size("combined", share), person, rng)
         image, landmarks = _noisy(image, landmarks, 10.0 * share, person, rng)
         return _packed(image, landmarks, 90 - 65 * share, person, rng)
 
     def _shown(
         self, person: int, actions: dict[str, float], pose: np.ndarray, light: Light
     ) -> tuple[np.ndarray, np.ndarray]:
-        """An image of a person in front of the background of the same photo."""
+        """Return an image of a person in front of the background of the same photo."""
         weights = self._weights(self.cast[person], actions)
         return self._staged(person, weights, pose, Scene(light, 0.06))
 
@@ -290,14 +289,14 @@ class ExactFaces:
 
 
 def _skinned(head: IctHead, model: PointDistributionModel, photo: Photo) -> SkinnedHead:
-    """The head of a photo, reduced to little more than its rendered size, as rendering samples single pixels."""
+    """The head of a photo, reduced to slightly more than its rendered size, as rendering samples single pixels."""
     shrink = min(1.5 * EYES / photo.eye_distance(), 1.0)
     grey = cv2.resize(photo.grey(), None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
     return skin_head(head, model, grey, (photo.landmarks + 0.5) * shrink - 0.5, acting=False)
 
 
 def performed(frame: int) -> dict[str, float]:
-    """What the person in `ExactFaces.clip` shows in a frame: ICT-FaceKit's expressions, 0 to 1."""
+    """Expressions of ICT-FaceKit, 0 to 1, that the person in `ExactFaces.clip` shows in a frame."""
     t = frame / FPS
     speech = _pulse(t, 3.5, 1.0) * (0.5 - 0.5 * np.cos(2 * np.pi * 4.0 * (t - 3.0)))
     brows = 0.8 * _pulse(t, 4.9, 0.8)
@@ -311,7 +310,7 @@ def performed(frame: int) -> dict[str, float]:
 
 
 def _pulse(t: float, at: float, width: float) -> float:
-    """A smooth rise to 1 at `at` and back, `width` seconds wide, flat in the middle third."""
+    """A smooth rise to 1 at `at` and back, `width` seconds wide and flat in the middle third."""
     share = np.clip(1.5 - 1.5 * abs(t - at) / (0.5 * width), 0.0, 1.0)
     return float(share * share * (3.0 - 2.0 * share))
 
@@ -320,7 +319,7 @@ _Changed = tuple[np.ndarray, np.ndarray]
 
 
 def _dark(image: np.ndarray, points: np.ndarray, value: float, _: int, rng: np.random.Generator) -> _Changed:
-    """Reduce the exposure; the sensor's noise of two grey levels stays."""
+    """Reduce the exposure; the sensor's noise of two grey levels remains."""
     return np.clip(image * value + rng.normal(0, 2.0, image.shape), 0, 255).astype(np.uint8), points
 
 

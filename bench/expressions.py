@@ -1,12 +1,12 @@
-"""Does the avatar show what the performer shows? `python -m bench.expressions LABELS.csv NEUTRAL.csv CLIPS`.
+"""Accuracy of the avatar's expressions: `python -m bench.expressions LABELS.csv NEUTRAL.csv CLIPS`.
 
-Frames of clips, labelled by hand relative to the performer's neutral face, are compared with the landmark vertices of
-the built-in head that the clip drives, end to end, with the neutral face that Facemime chooses. MediaPipe's landmarks,
-measured from the labelled neutral frames, stand beside them where it is installed.
+Frames of clips, labelled by hand relative to the performer's neutral face, are compared end to end with the landmark
+vertices of the built-in head that the clip drives, with the neutral face that Facemime chooses. MediaPipe's landmarks,
+relative to the labelled neutral frames, are measured too if it is installed.
 
-Order is the share of pairs of a clip's frames with different labels that come in the right order (0.5 by chance); sign
-is the share of labelled frames on the right side of rest, so that a wrong neutral face counts. Slopes say how far the
-avatar's mouth opens and widens for the performer's, both in eye distances, by MediaPipe's landmarks.
+Order is the share of pairs of a clip's frames with different labels that are in the right order (0.5 by chance). Sign
+is the share of labelled frames on the right side of rest, so a wrong neutral face counts. Slopes state how far the
+avatar's mouth opens and widens relative to the performer's, by MediaPipe's landmarks, both in eye distances.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ THRESHOLDS = {
     **{"brow_l": 0.02, "brow_r": 0.02, "brow_in": 0.02, "lid_l": 0.25, "lid_r": 0.25},
     **{"jaw": 0.04, "smile": 0.025, "width": 0.04, "side": 0.02},
 }
-"""By dimension, eye distances (lids: of the neutral opening) below which a feature counts as rest."""
+"""Eye distances below which a feature counts as rest, by dimension; for lids, shares of the neutral opening."""
 _JAW_IN_SMILE = 0.4
-"""How far an open jaw takes the corners of the mouth down, by which a smile is corrected; found on MediaPipe's
+"""How far an open jaw lowers the corners of the mouth, by which a smile is corrected; measured on MediaPipe's
 landmarks."""
 _RIGID = (33, 133, 362, 263, 168, 6, 197, 195, 5, 4, 127, 356, 234, 454, 10, 151, 9, 8)
-"""MediaPipe's vertices that expressions hardly move, by which its poses are taken away."""
+"""MediaPipe's vertices that expressions hardly move, from which its poses are estimated and removed."""
 
 Features = Mapping[str, np.ndarray]
 
@@ -55,11 +55,11 @@ class Clip:
     ----------
     path : Path
     labels : mapping of int to (mapping of str to str)
-        What each labelled frame shows, by dimension; "." where it cannot be said.
+        Labels of each labelled frame, by dimension; "." where it cannot be judged.
     neutral : (int, int) or None
-        First and last of the frames nearest to neutral.
+        First and last of the frames closest to neutral.
     frontal : int or None
-        The frame that looks most straight at the camera.
+        The frame that faces the camera most directly.
     """
 
     path: Path
@@ -70,7 +70,7 @@ class Clip:
 
 @dataclass
 class Score:
-    """Right answers among all: pairs in order, frames on the right side."""
+    """Numbers of right answers and of all: pairs in order, frames on the right side."""
 
     order: list[bool] = field(default_factory=list)
     sign: list[bool] = field(default_factory=list)
@@ -116,24 +116,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     measured = {name: _shares(by) for name, by in scores.items() if by}
     columns = ("dimension", *(f"{name}, {what}" for name in measured for what in ("order", "sign")))
     table = [(key, *(share for by in measured.values() for share in by[key])) for key in (*THRESHOLDS, "all")]
-    neutrals = Table("Neutral", ("clip", "found at, s", "labelled, s", "turned at the frontal frame, degrees"), rows)
+    neutrals = Table(
+        "Neutral face", ("clip", "found, s", "labelled, s", "rotation in the frontal frame, degrees"), rows
+    )
     tables = [Table("Expressions", columns, table), neutrals]
     if mouths:
         mouths.append(("median", *np.median([row[1:] for row in mouths], axis=0).tolist()))
-        tables.append(Table("Mouth", ("clip", "opening, avatar over performer", "width"), mouths))
+        tables.append(Table("Mouth", ("clip", "opening, avatar / performer", "width, avatar / performer"), mouths))
     finish(arguments, tables, {"shares": measured})
     return 0
 
 
 def slope(avatar: np.ndarray, performer: np.ndarray) -> float:
-    """How far the avatar's feature moves for each unit of the performer's, (N,) each, by least squares."""
+    """How far the avatar's feature moves per unit of the performer's, (N,) each, by least squares."""
     both = np.isfinite(avatar) & np.isfinite(performer)
     moved, wanted = (x[both] - np.median(x[both]) for x in (avatar, performer))
     return float(moved @ wanted / (wanted @ wanted))
 
 
 def read_clips(labels: Path, neutral: Path, folder: Path) -> list[Clip]:
-    """The labelled clips that are in `folder`."""
+    """Return the labelled clips that are in `folder`."""
     by_clip: dict[str, dict[int, dict[str, str]]] = {}
     for row in csv.DictReader(labels.open(encoding="utf-8")):
         by_clip.setdefault(row["clip"], {})[int(row["frame"])] = row
@@ -152,7 +154,7 @@ def read_clips(labels: Path, neutral: Path, folder: Path) -> list[Clip]:
 
 
 def features(points: np.ndarray, rest: np.ndarray) -> Features:
-    """Signed features (N,) of pose-free landmarks (N, 66, 3), by dimension: eye distances from `rest` (66, 3)."""
+    """Signed features (N,) of pose-free landmarks (N, 66, 3), by dimension, in eye distances from `rest` (66, 3)."""
     unit, now, then = outer_eye_distance(rest), _raw(points), _raw(rest)
     moved = {name: (now[name] - then[name]) / unit for name in now}
     for lid in ("lid_l", "lid_r"):
@@ -161,7 +163,7 @@ def features(points: np.ndarray, rest: np.ndarray) -> Features:
 
 
 def _raw(points: np.ndarray) -> dict[str, np.ndarray]:
-    """What features are made of; left and right are the image's, y points down."""
+    """Components of the features; left and right are the image's, and y points down."""
 
     def mean(numbers: Sequence[int], axis: int = 1) -> np.ndarray:
         return points[..., from_ibug(numbers), axis].mean(axis=-1)
@@ -182,7 +184,7 @@ def _raw(points: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def score(clip: Clip, shown: Features, scores: dict[str, Score]) -> list[str]:
-    """Add the clip's pairs and frames to `scores`; returns a line for each frame on the wrong side of rest."""
+    """Add the clip's pairs and frames to `scores`; return a line per frame on the wrong side of rest."""
     wrong = []
     for name, threshold in THRESHOLDS.items():
         labelled = {
@@ -232,7 +234,7 @@ def _labelled(clip: Clip, fps: float) -> str:
 
 
 def _turn(clip: Clip, take: Take, rotation: np.ndarray) -> tuple[object, ...]:
-    """How far the head is turned in the frame that looks straight at the camera, degrees."""
+    """How far the head is turned in the frame that faces the camera most directly, in degrees."""
     if clip.frontal is None or not take.found[clip.frontal]:
         return ("",)
     turn = rotation[int(take.found[: clip.frontal].sum())]
@@ -240,7 +242,7 @@ def _turn(clip: Clip, take: Take, rotation: np.ndarray) -> tuple[object, ...]:
 
 
 class _Mesh:
-    """MediaPipe's 478 points without the head's pose."""
+    """MediaPipe's 478 points without the pose of the head."""
 
     def __init__(self) -> None:
         import mediapipe
@@ -251,7 +253,7 @@ class _Mesh:
         self._vertices = np.array(VERTICES_68)[IBUG68_INDICES]
 
     def pose_free(self, path: Path, neutral: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """(N, 66, 3) landmarks of a clip's frames, laid onto the mean of the frames `neutral`, and that mean."""
+        """Return a clip's landmarks (N, 66, 3), aligned with the mean of the frames `neutral`, and that mean."""
         points = self._points(path)
         part = points[neutral[0] : neutral[1] + 1]
         mean = np.nanmean(part, axis=0)
@@ -272,7 +274,7 @@ class _Mesh:
 
 
 def _laid(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
-    """(478, 3) points moved, turned and scaled so that the rigid ones lie on those of `onto` (Umeyama 1991)."""
+    """Move, turn and scale points (478, 3) so that the rigid ones lie on those of `onto` (Umeyama 1991)."""
     rigid, wanted = points[list(_RIGID)], onto[list(_RIGID)]
     if not np.isfinite(rigid).all():
         return np.full_like(points, np.nan)
@@ -284,7 +286,7 @@ def _laid(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
 
 
 def _level(points: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation in the image after which the outer corners of the eyes are level."""
+    """Rotation (3, 3) in the image after which the outer corners of the eyes are level."""
     along = points[263] - points[33]
     angle = np.arctan2(along[1], along[0])
     return np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])

@@ -35,8 +35,8 @@ def draw_tracking(path: Path, measured: dict[str, dict]) -> None:
         for axis, (_, values) in AXES.items():
             levels = [m["axes"][axis][str(value)] for value in values]
             axes[axis].plot(range(len(values)), [e["removed"] for e in levels], "o-", ms=3.5, color=colour)
-    axes["photos"].set_title("Held-out people, hand labels, raw")
-    axes["all"].set_title("All re-projected pictures, offsets removed")
+    axes["photos"].set_title("Held-out people, labelled by hand, raw")
+    axes["all"].set_title("All re-projected images, offsets removed")
     for name in ("photos", "all"):
         axes[name].set(xlim=(0, LOST_ABOVE), ylim=(0, 1), xlabel="error, % of the eye distance", ylabel="share")
     for axis, (unit, values) in AXES.items():

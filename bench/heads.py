@@ -61,7 +61,7 @@ _JAMES = ("chin", "leyebrow", "reyebrow", "nose", "leye", "reye", "mouth")
 
 @dataclass(frozen=True)
 class LabelledHead:
-    """A head with its own landmarks, which are not vertices of it in general, in the head frame.
+    """A head with its own landmarks, which need not be vertices, in the head frame.
 
     Attributes
     ----------
@@ -163,8 +163,8 @@ def menpo_faces(archive: Path) -> list[LabelledHead]:
     return [
         LabelledHead(title, vertices * _FLIP, faces, (points * _FLIP)[IBUG68_INDICES])
         for title, (vertices, faces), points in (
-            ("a man's scan", scan, np.array(james["landmarks"]["points"])[order]),
-            ("a mean face", mean, np.array(template["landmarks"]["points"])),
+            ("scan of a man", scan, np.array(james["landmarks"]["points"])[order]),
+            ("mean face", mean, np.array(template["landmarks"]["points"])),
         )
     ]
 

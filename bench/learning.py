@@ -1,7 +1,7 @@
-"""Does the live puppet learn its performer? `python -m bench.learning`, on rendered clips of held-out people.
+"""Learning of the performer in a live session, on rendered clips of held-out people: `python -m bench.learning`.
 
-Each clip lasts six seconds and is played again and again, as a camera would see it, from five starts: at rest, in a
-smile, before speech, and so on. At each start the neutral face is that of the first second, as it is live. Its error is
+Each clip lasts six seconds and is repeated as if seen by a camera, from five starts: at rest, in a smile, before
+speech, and so on. At each start the neutral face is that of the first second, as in a live session. Its error is
 measured against the mean of the tracked frames that truly show no expression; lids are those of the avatar in the
 middle of true blinks.
 """
@@ -31,7 +31,7 @@ PEOPLE = 6
 _STARTS = (0, 30, 60, 90, 120)
 _WHEN = {"first second": 1.0, "after 5 s": 5.0, "after 10 s": 10.0, "after 20 s": 20.0, "after 60 s": 60.0}
 _CALM, _SHUT = 0.02, 0.98
-"""Largest expression of a frame at rest, and least `eyeBlink` of one in the middle of a blink."""
+"""Largest expression of a frame at rest, and smallest `eyeBlink` in the middle of a blink."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def main() -> None:
     for name in _WHEN:
         neutral, lids = (np.array([getattr(run[name], what) for run in runs]) for what in ("neutral", "lids"))
         rows.append([name, float(neutral.mean()), float(neutral.max()), float(lids.mean()), float(lids.max())])
-    columns = ["when", "neutral face, error", "worst", "shut eyes, open by", "worst"]
+    columns = ["time", "error of the neutral face, %", "worst, %", "opening of shut eyes, %", "worst, %"]
     finish(options, [Table("Learning", columns, rows)], {str(row[0]): row[1:] for row in rows})
 
 

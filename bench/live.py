@@ -1,7 +1,7 @@
 """Live sessions: delay of each stage, and time of the main thread per tick.
 
-The sample clip plays at its own speed and is tracked as live; the heads are the built-in one and two that are
-subdivided. Drawing is not in it: that is Blender's, and needs a window. Run as `python -m bench.live`.
+The sample clip plays at its own speed and is tracked as in a live session. The heads are the built-in one and two that
+are subdivided. Drawing is not included, as it is Blender's and needs a window. Run as `python -m bench.live`.
 """
 
 from __future__ import annotations
@@ -57,18 +57,24 @@ def main() -> int:
         (f"{one.vertices:,}", "yes" if one.preview else "no", *(1e3 * t for t in one.ticks), one.rate)
         for one in measured
     ]
-    columns = ("vertices", "preview", "median", "95 %", "99 %", "frames a second")
-    tables.insert(0, Table("The main thread's share of a tick, ms", columns, ticks))
+    columns = ("vertices", "preview", "median", "95th percentile", "99th percentile", "frames per second")
+    tables.insert(0, Table("Time on the main thread per tick, ms", columns, ticks))
     if arguments.figure is not None:
         plain = [one for one in measured if not one.preview]
         names = [f"{one.vertices:,} vertices" for one in plain]
-        bars(arguments.figure, "Main thread, 95 % of ticks", names, [1e3 * one.ticks[1] for one in plain], "ms")
+        bars(
+            arguments.figure,
+            "Time on the main thread per tick, 95th percentile",
+            names,
+            [1e3 * one.ticks[1] for one in plain],
+            "ms",
+        )
     finish(arguments, tables, {f"{one.vertices} {one.preview}": one.ticks for one in measured})
     return 0
 
 
 def measure(level: int, preview: bool, seconds: float) -> Measured:
-    """Puppet a head with `level` subdivisions for `seconds`, with ticks as by Blender's timer."""
+    """Drive a head with `level` subdivisions for `seconds`, with ticks as from Blender's timer."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     head = dense_head(level)
     settings = bpy.context.scene.facemime
@@ -110,7 +116,7 @@ def dense_head(level: int) -> bpy.types.Object:
 def _table(one: Measured) -> Table:
     title = f"Delay by stage at {one.vertices:,} vertices, {'with' if one.preview else 'without'} preview, ms"
     rows = [(stage, *(1e3 * t for t in one.delays[stage])) for stage in (*STAGES, "total")]
-    return Table(title, ("stage", "median", "95 %", "99 %"), rows)
+    return Table(title, ("stage", "median", "95th percentile", "99th percentile"), rows)
 
 
 if __name__ == "__main__":

@@ -273,7 +273,12 @@ def refit_table(rig: HeadRig, clip: Clip) -> Table:
                 left.append(1e3 * float(np.linalg.norm(away, axis=1).max()))
         condition = max(fit.condition for fit in driver.deformer.fits)
         rows.append((name, *left, f"{condition:.2g}", 1e3 * float(np.percentile(times, 10))))
-    columns = ("fit", *(f"drift at rest after {n} of the clip, mm" for n in _PLAYS), "condition number at rest", "frame, ms")
+    columns = (
+        "fit",
+        *(f"drift at rest after {n} {'pass' if n == 1 else 'passes'}, mm" for n in _PLAYS),
+        "condition number at rest",
+        "frame, ms",
+    )
     return Table("Refitting every frame of the sample clip", columns, rows)
 
 

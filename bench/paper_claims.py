@@ -30,9 +30,18 @@ def claims(tables: Mapping[str, Table]) -> Table:
         _points(tables["greedy"], tables["twelve"]),
         _expressions(tables["clip"]),
         *(_opening(tables["openings"], slit) for slit in ("mouth", "eyes")),
-        _less("figure 10", "three regions move the skin around the eyes more accurately", errors, "eyes", _DEEP, _WHOLE),
+        _less(
+            "figure 10", "three regions move the skin around the eyes more accurately", errors, "eyes", _DEEP, _WHOLE
+        ),
         *(
-            _less("figure 11", f"more accurate than Laplacian deformation: {area}", errors, area, _DEEP, "bi-Laplacian editing")
+            _less(
+                "figure 11",
+                f"more accurate than Laplacian deformation: {area}",
+                errors,
+                area,
+                _DEEP,
+                "bi-Laplacian editing",
+            )
             for area in ("eyes", "brows", "lips", "cheeks", "jaw")
         ),
         _less("outlook", "the lack of depth is the main weakness", errors, "all", _DEEP, _PAPERS),

@@ -51,8 +51,8 @@ def main() -> int:
     ]
     fps = frames / elapsed
     tables = [
-        Table("Milliseconds a stage, one core", ("stage", "median", "95 %", "samples"), rows),
-        Table("End to end", ("frames", "seconds", "frames a second"), [(frames, elapsed, fps)]),
+        Table("Milliseconds per stage, one core", ("stage", "median", "95th percentile", "samples"), rows),
+        Table("End to end", ("frames", "seconds", "frames per second"), [(frames, elapsed, fps)]),
     ]
     numbers = {
         "milliseconds": {name: float(np.median(values)) for name, values in milliseconds.items()},
@@ -62,7 +62,7 @@ def main() -> int:
     }
     if arguments.figure is not None:
         medians = list(numbers["milliseconds"].values())
-        bars(arguments.figure, "From a video's frame to the mesh, one core", list(STAGES.values()), medians, "ms")
+        bars(arguments.figure, "From video frame to mesh, one core", list(STAGES.values()), medians, "ms")
     finish(arguments, tables, numbers)
     return 0
 

@@ -1,7 +1,7 @@
-"""Faces over a network: delay, loss, a cut, a day of packets, and rubbish.
+"""Faces over a network: delay, loss, an interruption, a day of packets, and malformed packets.
 
-The delay and the cut are measured in real time, with real sockets and a relay between them that delays packets by a
-seeded plan; loss and the day are simulated, in a time of their own. Run as `python -m bench.remote`.
+The delay and the interruption are measured in real time, with real sockets and a relay between them that delays packets
+by a seeded plan. Loss and the day are simulated in simulated time. Run as `python -m bench.remote`.
 """
 
 from __future__ import annotations
@@ -46,18 +46,18 @@ _RATE = 30.0
 _DELAY = StreamSettings().delay
 LINK = Link(0.02, 0.01)
 _SEEDS = 8
-_VIEWED = ("vertices", "updates/s", "drawn/s", "kB/s", "loaded MB", "worst vertex, %", "latency ms")
+_VIEWED = ("vertices", "updates/s", "drawn/s", "kB/s", "loaded, MB", "worst vertex, %", "latency, ms")
 
 
 class Relay(threading.Thread):
-    """Passes datagrams on after a delay that differs from packet to packet, as a network does.
+    """Forwards datagrams after delays that differ from packet to packet, as a network does.
 
     Attributes
     ----------
     port : int
-        Where it listens.
+        Port that it listens on.
     cut : bool
-        Whether nothing gets through.
+        Whether it drops all packets.
     """
 
     def __init__(self, link: Link, to: tuple[str, int]) -> None:
@@ -69,7 +69,7 @@ class Relay(threading.Thread):
         self._rng = Random(0)
 
     def run(self) -> None:
-        """Pass packets on until `close`."""
+        """Forward packets until `close`."""
         waiting: list[tuple[float, int, bytes]] = []
         number = 0
         while not self._over.is_set():
@@ -95,7 +95,7 @@ class Relay(threading.Thread):
 
 @dataclass(frozen=True)
 class Live:
-    """What a real stream showed: seconds from sending to moved vertices, and seconds from the end of a cut."""
+    """Results of a real stream: seconds from sending to moved vertices, and seconds from the end of an interruption."""
 
     delays: list[float]
     recovery: float
@@ -120,18 +120,18 @@ def main() -> int:
     added = 1e3 * float(np.median(live.delays))
     figures = [
         ("frame to moved vertex, median, ms", added, "40"),
-        ("the same, 95 %, ms", 1e3 * float(np.percentile(live.delays, 95.0)), ""),
-        ("jerk at 10 % loss, smoothed as by default, x lossless", ratios[1.0], "1.5"),
-        ("jerk at 10 % loss, not smoothed, x lossless", ratios[0.0], "1.5"),
-        (f"back after a cut of {arguments.cut:g} s, s", live.recovery, "1"),
-        (f"frames that wait after {arguments.hours:g} h, at most", growth, ""),
-        ("threads left", len(left), "0"),
-        (f"change of the delay in {arguments.hours:g} h at 100 ppm, ms", 1e3 * drift, ""),
+        ("frame to moved vertex, 95th percentile, ms", 1e3 * float(np.percentile(live.delays, 95.0)), ""),
+        ("jerk at 10 % loss, default smoothing, relative to no loss", ratios[1.0], "1.5"),
+        ("jerk at 10 % loss, no smoothing, relative to no loss", ratios[0.0], "1.5"),
+        (f"recovery after an interruption of {arguments.cut:g} s, s", live.recovery, "1"),
+        (f"longest queue in {arguments.hours:g} h, frames", growth, ""),
+        ("threads left running", len(left), "0"),
+        (f"drift of the delay in {arguments.hours:g} h at 100 ppm, ms", 1e3 * drift, ""),
     ]
     rows = [(name, n["packets"], n["tracebacks"], n["accepted"], n["microseconds"]) for name, n in fuzzed.items()]
     tables = [
-        Table("Streams", ("figure", "measured", "at most"), figures),
-        Table("Damaged packets", ("protocol", "packets", "tracebacks", "accepted wrongly", "median µs"), rows),
+        Table("Streams", ("quantity", "measured", "limit"), figures),
+        Table("Damaged packets", ("protocol", "packets", "tracebacks", "wrongly accepted", "median, µs"), rows),
         Table("Viewer", _VIEWED, [_viewed_row(head) for head in viewed]),
     ]
     numbers = {
@@ -158,7 +158,7 @@ def _viewed_row(head: Viewed) -> tuple[object, ...]:
 
 
 def _worst_of(viewed: list[Viewed]) -> dict[str, object]:
-    """The figures of the viewer: the worst of all heads, and each."""
+    """The figures of the viewer: the worst of all heads, and those of each head."""
     if not viewed:
         return {}
     return {
@@ -170,7 +170,7 @@ def _worst_of(viewed: list[Viewed]) -> dict[str, object]:
 
 
 def draw(path: Path, delays: list[float]) -> None:
-    """Draw how often each delay occurs."""
+    """Draw the distribution of the delays."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -195,7 +195,7 @@ def tracked() -> Take:
 
 
 def stream(take: Take, seconds: float, cut: float) -> Live:
-    """Send a take in a loop through a relay to a worker that drives the built-in head, with a cut at the end."""
+    """Send a take in a loop through a relay to a worker that drives the built-in head, with an outage at the end."""
     source = StreamSource(StreamSettings(port=_free_port()))
     source.read(0.0)
     relay = Relay(LINK, source.address)
@@ -218,7 +218,7 @@ def stream(take: Take, seconds: float, cut: float) -> Live:
                 number += 1
             latest = worker.latest
             if latest is not None and (not shown or latest.number != shown[-1][2]):
-                if latest.result.confidence > 0.0:  # it came, and was not filled in
+                if latest.result.confidence > 0.0:  # it arrived, and was not filled in
                     shown.append((latest.time, latest.driven, latest.number))
                 if restored and not back and _is_true(latest.result, latest.time, take, shown[0][0]):
                     back = perf_counter() - restored
@@ -240,7 +240,7 @@ def stream(take: Take, seconds: float, cut: float) -> Live:
 
 
 def _is_true(result: TrackResult, moment: float, take: Take, first: float) -> bool:
-    """Whether what is shown is what was sent for that time, to a hundredth of the eye distance."""
+    """Whether the shown face is the one sent for that time, to a hundredth of the eye distance."""
     number = round((moment - first) * _RATE) % len(take)
     near = [take.shape[(number + off) % len(take)] for off in (-1, 0, 1)]
     return min(float(np.abs(result.shape - shape).max()) for shape in near) < 0.01
@@ -253,19 +253,19 @@ def _free_port() -> int:
 
 
 def loss_jerk(take: Take, smoothing: float) -> float:
-    """Jerk of what is shown at 10 % loss, relative to that without, over several seeds."""
+    """Jerk of the shown faces at 10 % loss, relative to that without loss, over several seeds."""
     lossy = [jerk(take, Link(0.02, 0.01, loss=0.1), smoothing, seed) for seed in range(_SEEDS)]
     return float(np.mean(lossy) / np.mean([jerk(take, LINK, smoothing, seed) for seed in range(_SEEDS)]))
 
 
 def jerk(take: Take, link: Link, smoothing: float, seed: int) -> float:
-    """Root mean square of the third difference of the landmarks that are shown, at the rate of the stream."""
+    """Root mean square of the third difference of the shown landmarks, at the rate of the stream."""
     sent = [(n / _RATE, (n / _RATE, take.result(n))) for n in range(len(take))]
     arrivals = link.deliver(sent, seed)
     playout, smoother = Playout(_DELAY), ResultSmoother(max(smoothing, 1e-9))
     shown, current, last = [], None, -1.0
     for slot in np.arange(link.delay + link.jitter + _DELAY + 0.005, len(take) / _RATE, 1.0 / _RATE):
-        # A display that redraws four times per frame shows what is due at each of them.
+        # A display that redraws four times per frame shows the frames that are due at each redraw.
         for now in slot + np.arange(-3, 1) / (4.0 * _RATE):
             while arrivals and arrivals[0][0] <= now:
                 at, (moment, result) = arrivals.pop(0)
@@ -280,8 +280,8 @@ def jerk(take: Take, link: Link, smoothing: float, seed: int) -> float:
 
 
 def day(take: Take, hours: float) -> tuple[int, float]:
-    """Most frames that wait, and change of the delay in seconds, over hours of a take, again and again, in packets from
-    a clock that drifts.
+    """Largest number of waiting frames, and change of the delay in seconds, over hours of a repeated take in packets
+    from a drifting clock.
     """
     playout, rng, most, fast = Playout(_DELAY), Random(0), 0, 1.0 + 100e-6
     results = [take.result(int(row)) for row in np.flatnonzero(take.found)]
@@ -299,7 +299,7 @@ def day(take: Take, hours: float) -> tuple[int, float]:
 
 
 def fuzz(name: str, count: int) -> dict[str, float]:
-    """Decode damaged packets: how many, how many raised anything but a refusal, and were wrongly accepted."""
+    """Decode damaged packets; count all, those that raise anything but a refusal, and those wrongly accepted."""
     rng, decoder = Random(name), INTACT[name][0]()
     tracebacks = wrong = refused = 0
     costs = []
@@ -329,7 +329,7 @@ def fuzz(name: str, count: int) -> dict[str, float]:
 
 
 def damaged(rng: Random, data: bytes) -> bytes:
-    """A packet with some bytes changed, removed, repeated or added, or noise."""
+    """Return a packet with some bytes changed, removed, repeated or added, or noise."""
     changes: tuple[Callable[[bytearray, int], None], ...] = (
         lambda out, at: out.__setitem__(at, rng.randrange(256)),
         lambda out, at: out.__setitem__(slice(at, at + 4), b"\x7f\xc0\0\0" if rng.random() < 0.5 else b"\0\0\xc0\x7f"),

@@ -1,7 +1,6 @@
-"""`python -m bench.takes`: how fast takes are written and read, how large they are, and what is left of a cut one,
-and how long a bake takes and how near it comes.
+"""Speed and size of takes, recovery of truncated ones, and speed and accuracy of bakes: `python -m bench.takes`.
 
-The sample clip is tracked once; its frames, repeated to a minute at 30 a second, are written as a recording is.
+The sample clip is tracked once; its frames, repeated to a minute at 30 per second, are written as a recording is.
 """
 
 from __future__ import annotations
@@ -40,14 +39,23 @@ def main() -> int:
         save_take(take.part(slice(0, 2 * int(FPS))), path)  # a minute would take too long to read for each cut
         recovery = measure_recovery(path.read_bytes())
     tables = [
-        Table("Written and read, a minute at 30 frames a second", ("what", "s", "frames/s"), rates),
+        Table("Writing and reading a minute at 30 frames per second", ("what", "s", "frames/s"), rates),
         Table("Size of a minute", ("what", "kB"), sizes),
-        Table("Two seconds, cut at every byte of the last chunk", ("what is left", "cuts"), sorted(recovery.items())),
+        Table(
+            "Two seconds, truncated at every byte of the last chunk",
+            ("recovered", "truncations"),
+            sorted(recovery.items()),
+        ),
         *bake_tables(clip),
     ]
     finish(arguments, tables, {"rates": rates, "sizes": sizes, "recovery": recovery})
     if arguments.figure is not None:
-        bars(arguments.figure, "A take's minute, by what it holds", *zip(*sizes[2:], strict=True), "kB deflated alone")
+        bars(
+            arguments.figure,
+            "A minute of a take, by content",
+            *zip(*sizes[2:], strict=True),
+            "kB, each compressed alone",
+        )
     return int(any("wrong" in what for what in recovery))
 
 
@@ -74,11 +82,11 @@ def measure_rates(take: Take, path: Path) -> list[tuple[str, float, float]]:
             for when, result in zip(take.times.tolist(), results, strict=True):
                 writer.append(when, result)
 
-    measure("recorded, each second forced onto the disk", lambda: record(True))
-    measure("recorded, left to the system", lambda: record(False))
+    measure("recorded, flushed to disk every second", lambda: record(True))
+    measure("recorded, flushed by the system", lambda: record(False))
     measure("saved", lambda: save_take(take, path))
     measure("loaded", lambda: load_take(path))
-    measure("exported as a table", lambda: to_csv(take, path.with_suffix(".csv")))
+    measure("exported as CSV", lambda: to_csv(take, path.with_suffix(".csv")))
     return rows
 
 
@@ -109,8 +117,8 @@ def measure_recovery(data: bytes) -> Counter[str]:
     for cut in range(start, start + length + 1):
         part = take_of(data[:cut])
         same = all(np.array_equal(getattr(part, f), getattr(whole, f)[: len(part)], equal_nan=True) for f in FIELDS)
-        told = "told" if "recovered" in part.info else "wrong: not told"
-        outcomes[f"{len(part)} of {len(whole)} frames, {told}" if same else "wrong: other numbers"] += 1
+        report = "reported" if "recovered" in part.info else "wrong: not reported"
+        outcomes[f"{len(part)} of {len(whole)} frames, {report}" if same else "wrong: different values"] += 1
     return outcomes
 
 

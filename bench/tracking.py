@@ -1,7 +1,7 @@
 """Accuracy, stability and speed of the tracker, compared with others: `python -m bench.tracking [--model FILE]`.
 
-Held-out people with hand labels, the same people re-projected with exact truth, clips of known landmarks, and the clips
-of ../shared/data, of which nothing is known but that a face is in them.
+The data are held-out people with hand labels, the same people re-projected with exact truth, clips of known landmarks,
+and the clips of ../shared/data, of which it is only known that they contain a face.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PHOTO_WIDTH = 640
 JITTER_FRAMES = 30
 _WARM_UP = 5
-"""Frames of a still before jitter is measured."""
+"""Number of frames of a still before jitter is measured."""
 
 
 def main() -> int:
@@ -79,7 +79,7 @@ def _arguments() -> argparse.Namespace:
 
 
 def measure(peer: Peer, photos: list[Photo], exact: ExactFaces, clips: list[Clip], videos: list[Path]) -> dict:
-    """All results of a tracker, as written to JSON."""
+    """Return all results of a tracker, as written to JSON."""
     print(f"measuring {peer.name}", file=sys.stderr)
     studio, located = on_photos(peer, photos)
     offsets = studio.offsets()
@@ -186,7 +186,7 @@ def on_clips(peer: Peer, clips: list[Clip]) -> dict[str, object]:
 
 
 def on_turning(peer: Peer, clips: list[Clip]) -> dict[str, float]:
-    """Heads that turn to the limits: frames without a face, with a wrong one, and errors of the others."""
+    """Heads that turn to the limits: frames without a face, with a wrong one, and the errors of the others."""
     errors = []
     for clip in clips:
         followed = track_all(peer, clip.frames).landmarks
@@ -232,7 +232,7 @@ def paces(peers: list[Peer], frames: list[np.ndarray]) -> dict[str, float]:
 
 
 def stage_times(tracker: FaceTracker) -> dict[str, dict[str, float]]:
-    """Median milliseconds of our stages on the sample clip, 640 x 480, when tracking and when detecting."""
+    """Median milliseconds of Facemime's stages on the sample clip, 640 x 480, when tracking and when detecting."""
     frames = sample_clip().frames
     tracker.reset()
     out: dict[str, dict[str, float]] = {}
@@ -279,10 +279,10 @@ MOTIONS: dict[str, Callable[[TrackResult], float]] = {
     "lips": lambda r: r.mouth_aperture,
     "brows": lambda r: float(r.shape[BROWS, 1].mean()),
     "jaw": lambda r: float(r.shape[JAW[8], 1]),
-    "turn": lambda r: float(r.pose[2]),
-    "place": lambda r: float(r.pose[4]),
+    "rotation": lambda r: float(r.pose[2]),
+    "position": lambda r: float(r.pose[4]),
 }
-"""One value of each part that has its own filter."""
+"""A value of each part that has its own filter."""
 
 
 if __name__ == "__main__":

@@ -30,11 +30,11 @@ def tables(measured: dict[str, dict], numbers: dict) -> list[Table]:
         "offset removed, %",
         "lost",
         "jitter",
-        "2nd difference",
+        "second difference",
         "locate, ms",
         "track, ms",
     )
-    found = [Table("Held-out people, hand labels", columns, rows)]
+    found = [Table("Held-out people, labelled by hand", columns, rows)]
     rows = [
         (
             f"{axis}, {unit}" if unit else axis,
@@ -44,48 +44,72 @@ def tables(measured: dict[str, dict], numbers: dict) -> list[Table]:
         for axis, (unit, values) in AXES.items()
         for value in values
     ]
-    title = "Re-projected, exact truth: median error raw / offset removed (lost)"
+    title = "Re-projected faces, exact landmarks: median error, raw / offset removed (lost)"
     found.append(Table(title, ("axis", "value", *names), rows))
     apertures = [
         (name, *m["clips"]["apertures"].values(), m["clips"]["blinks"]["recall"], m["clips"]["blinks"]["precision"])
         for name, m in measured.items()
     ]
     columns = ("tracker", "lid error", "shut lids", "lid slope", "lip error", "shut lips", "lip slope")
-    title = "Clips of known landmarks: apertures in % of the eye distance, and blinks"
+    title = "Clips with known landmarks: apertures in % of the eye distance, and blinks"
     found.append(Table(title, (*columns, "blink recall", "blink precision"), apertures))
     rows = [
         (clip, name, c["raw"], c["removed"], f"{c['lost']:.0%}")
         for name, m in measured.items()
         for clip, c in m["clips"]["each"].items()
     ]
-    found.append(Table("Clips of known landmarks", ("clip", "tracker", "error, %", "removed, %", "lost"), rows))
+    found.append(
+        Table("Clips with known landmarks", ("clip", "tracker", "error, %", "offset removed, %", "lost"), rows)
+    )
     turning = [(name, *m["turning"].values()) for name, m in measured.items()]
-    columns = ("tracker", "frames", "no face", "error above 10 %", "median error, %", "95th percentile, %")
-    limits = "pitch {:g}, yaw {:g}, roll {:g} degrees".format(*LIMITS)
-    found.append(Table(f"Turning to {limits}", columns, turning))
+    columns = ("tracker", "frames", "lost", "error above 10 %", "median error, %", "95th percentile, %")
+    limits = "{:g} degrees of pitch, {:g} of yaw and {:g} of roll".format(*LIMITS)
+    found.append(Table(f"Turning by up to {limits}", columns, turning))
     rows = [
         (video, name, f"{v['found']:.1%}", v["jitter"], v["ms"])
         for name, m in measured.items()
         for video, v in m["videos"].items()
     ]
-    found.append(Table("Clips of unknown landmarks", ("clip", "tracker", "found", "2nd difference, %", "ms"), rows))
+    found.append(
+        Table("Clips without known landmarks", ("clip", "tracker", "found", "second difference, %", "ms"), rows)
+    )
     fastest = min(numbers["paces"].values())
     rows = [(name, ms, ms / fastest) for name, ms in numbers["paces"].items()]
-    found.append(Table("Frame by frame in turn, sample clip, 640 x 480", ("tracker", "ms", "of the quickest"), rows))
+    found.append(
+        Table(
+            "Trackers taking turns on each frame, sample clip, 640 x 480",
+            ("tracker", "ms", "relative to the fastest"),
+            rows,
+        )
+    )
     if "stages" in numbers:
         columns = ("", *next(iter(numbers["stages"].values())), "sum")
         rows = [(name, *times.values(), sum(times.values())) for name, times in numbers["stages"].items()]
-        found.append(Table("Milliseconds a stage, sample clip", columns, rows))
+        found.append(Table("Milliseconds per stage, sample clip", columns, rows))
         still, delays = numbers["smoothing"]["jitter"], numbers["smoothing"]["delay_ms"]
         rows = [(name, *values.values()) for name, values in still.items()]
-        found.append(Table("Jitter on a still, smoothed and not, %", ("", "position", "2nd difference"), rows))
-        found.append(Table("Delay by smoothing, milliseconds", tuple(delays), [tuple(delays.values())]))
-        columns = ("pixels a frame", "crossings", "well in the end", "followed", "nobody", "in between", "the other")
+        found.append(
+            Table(
+                "Jitter on a still image, without and with smoothing, % of the eye distance",
+                ("", "position", "second difference"),
+                rows,
+            )
+        )
+        found.append(Table("Delay due to smoothing, ms", tuple(delays), [tuple(delays.values())]))
+        columns = (
+            "pixels per frame",
+            "crossings",
+            "tracked at the end",
+            "tracked",
+            "no face",
+            "neither",
+            "the other person",
+        )
         rows = [
             (speed, c["crossings"], c["returned"], *(f"{c[k]:.1%}" for k in ("own", "nobody", "between", "other")))
             for speed, c in numbers["crossings"].items()
         ]
-        found.append(Table("The followed person is passed by another", columns, rows))
+        found.append(Table("Another person passes in front of the tracked one", columns, rows))
     return found
 
 

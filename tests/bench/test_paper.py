@@ -27,7 +27,7 @@ MEASURED = {
 ERRORS = "Error in 500 mixtures of known expressions"
 KEYS = {
     "errors": ERRORS,
-    "openings": "Openings in these mixtures",
+    "openings": "Openings in the same mixtures",
     "clip": "Avatar and performer over the sample clip",
     "twelve": "Error with fewer control points",
     "greedy": "Control points that the sample clip needs",
@@ -60,7 +60,7 @@ def test_the_regions_are_those_of_the_head_that_ships():
 
 
 def test_the_errors_are_those_of_the_head_that_ships(head):
-    for name, options in (("with depth", {"sharp": True, "exact": True}), ("and soft borders", {})):
+    for name, options in (("with depth", {"sharp": True, "exact": True}), ("+ soft borders", {})):
         predict = regions(head, kernel="gaussian", **options)
         errors = judge(head, Method(name, 66, predict, 0.0, 0.0), head.mixtures)["errors"]
         assert errors == {area: pytest.approx(cell(MEASURED[ERRORS], name, area), rel=1e-3) for area in AREAS}
