@@ -1,1 +1,1 @@
-"""How the files in `assets/` are made again. Not part of the extension."""
+"""Generation of the files in `assets/`. Not part of the extension."""

@@ -1,4 +1,4 @@
-"""Where the photos and heads lie from which models are learnt, and on which the benchmarks run."""
+"""Location of the photos and heads that models are learnt from and benchmarks run on."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
 ICT_FILE = Path("heads") / "ict_facekit_light.npz"
-"""In the folder of data."""
+"""Path within the folder of data."""
 
 
 def add_data_option(command: argparse.ArgumentParser) -> None:
@@ -17,5 +17,5 @@ def add_data_option(command: argparse.ArgumentParser) -> None:
 
 
 def has_heads(data: Path) -> bool:
-    """Whether the folder has ICT-FaceKit's head."""
+    """Whether the folder contains ICT-FaceKit's head."""
     return (data / ICT_FILE).is_file()

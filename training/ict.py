@@ -1,4 +1,4 @@
-"""ICT-FaceKit light, as its authors publish it, to the file that training and benchmarks read (training/README.md).
+"""Conversion of ICT-FaceKit light, as published by its authors, to the file used here (training/README.md).
 
 `python -m training.ict FaceXModel` reads the folder of that name in their repository.
 """
@@ -19,7 +19,7 @@ _NEUTRAL, _INDICES, _IDENTITY = "generic_neutral_mesh.obj", "vertex_indices.json
 
 
 def convert(folder: Path) -> dict[str, np.ndarray]:
-    """The arrays of `ICT_FILE`.
+    """Return the arrays of `ICT_FILE`.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def _delta(path: Path, neutral: ObjMesh) -> np.ndarray:
 
 
 def main() -> int:
-    """Convert the folder that is named; returns the exit status."""
+    """Convert the given folder; return the exit status."""
     command = argparse.ArgumentParser(prog="python -m training.ict", description=__doc__.splitlines()[0])
     command.add_argument("folder", type=Path, metavar="FaceXModel")
     add_data_option(command)

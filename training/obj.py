@@ -30,7 +30,7 @@ class ObjMesh:
 
 
 def parse_obj(text: str) -> ObjMesh:
-    """Read the mesh in a file's content."""
+    """Read the mesh in the content of a file."""
     vertices, uv, faces, face_uv, groups, materials = [], [], [], [], [], []
     group = material = ""
     for line in text.splitlines():

@@ -31,9 +31,9 @@ from .simulate import Observed, built_in_face, ict_face, simulate
 
 _SECONDS, _FPS = 24.0, 8.0
 _FIRST = 1000
-"""Number of the first performer; those of the benchmark start at 0, so that their scripts differ."""
+"""Number of the first performer. Those of the benchmark start at 0, so their scripts differ."""
 _FACES, _EACH = 60, 120
-"""Simulated faces of each family, and observations of each."""
+"""Number of simulated faces of each family, and of observations of each face."""
 
 
 def main() -> int:

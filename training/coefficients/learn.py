@@ -1,4 +1,4 @@
-"""From observations to the model of `core.bake.coefficient_model`, symmetric between left and right."""
+"""Learning of the model of `core.bake.coefficient_model` from observations, symmetric between left and right."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ from .simulate import Observed
 
 _SHAPE = 3 * N_LANDMARKS
 _EXPECTED = 0.8
-"""What an activation is expected to be at coefficient 1 before anything was seen."""
+"""Expected activation at coefficient 1 before any observation."""
 _RIDGE, _LOYALTY = 3.0, 20.0
-"""Ridge of the simulated responses, and frames that they count as against rendered ones."""
+"""Ridge of the simulated responses, and number of frames that they count as, compared with rendered ones."""
 _UNLIKENESS = 0.1
-"""Weight of the simulated faces' unlikeness in the covariance: most of it is seen in rendered ones already."""
+"""Weight of the differences between simulated faces in the covariance. Most of them occur in rendered faces already."""
 _FLOORS = np.where(np.arange(N_OBSERVED) < _SHAPE, 0.003, 0.2)
-"""Deviations that are added: models are wrong, and the activations of real faces vary more than rendered ones."""
+"""Standard deviations that are added, as models are wrong, and activations of real faces vary more than rendered
+ones."""
 _NEUTRAL_FLOORS = np.where(np.arange(N_OBSERVED) < _SHAPE, 0.005, 0.2)
-"""The same of the neutral face's error: other people are mistaken for other expressions."""
+"""The same for the neutral face's error, as other people are mistaken for other expressions."""
 _MODES, _NEUTRAL_MODES = 60, 30
 _EXPRESSIONS, _RARE, _LASTING = 4000, 3e-4, 0.5
-"""Random expressions that the prior is learnt from, mean square of what is never shown, and share of their squares in
-a performance, which is often at rest."""
+"""Number of random expressions that the prior is learnt from, mean square of coefficients that are never shown, and
+share of the squares in a performance, which is often at rest."""
 _LARGEST_GAIN = 1.5
 
 
 def learn(rendered: list[Observed], simulated: Observed, rng: np.random.Generator) -> CoefficientModel:
-    """Learn from rendered performances, one per person, and simulated observations."""
+    """Learn the model from rendered performances, one per person, and simulated observations."""
     takes = [side for take in rendered for side in (take, mirrored(take))]
     both = _joined([simulated, mirrored(simulated)])
     expected = np.zeros((len(FITTED), N_OBSERVED))
@@ -63,7 +64,7 @@ def mirrored(observed: Observed) -> Observed:
 
 
 def spread(covariance: np.ndarray, count: int) -> Spread:
-    """The covariance by `count` modes, relative to the deviations, and what is left of its diagonal."""
+    """Approximate a covariance by `count` modes, relative to the deviations, and the remainder of its diagonal."""
     deviations = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(deviations, deviations))
     values, vectors = values[::-1][:count], vectors[:, ::-1][:, :count]
@@ -74,7 +75,7 @@ def spread(covariance: np.ndarray, count: int) -> Spread:
 
 
 def model_bytes(model: CoefficientModel) -> bytes:
-    """The file."""
+    """Return the content of the file."""
     arrays = {
         "responses": model.responses,
         "frame.modes": model.frame.modes,
@@ -92,7 +93,7 @@ def _joined(parts: list[Observed]) -> Observed:
 
 
 def _regression(keys: np.ndarray, values: np.ndarray, ridge: float) -> np.ndarray:
-    """(44, D) coefficients of the regression of values (N, D) on the fitted ones of keys (N, 52)."""
+    """Coefficients (44, D) of the regression of values (N, D) on the fitted ones of keys (N, 52)."""
     shown = keys[:, FITTED]
     return np.linalg.solve(shown.T @ shown + ridge * np.eye(len(FITTED)), shown.T @ values)
 
@@ -104,7 +105,7 @@ def _coefficient(action: str) -> str:
 
 
 def _together(rng: np.random.Generator) -> np.ndarray:
-    """(44, 44) inverse of the mean products of two coefficients."""
+    """Inverse of the mean products of two coefficients, (44, 44)."""
     keys = np.array([random_expression(rng) for _ in range(_EXPRESSIONS)])
     keys = np.concatenate([keys, keys[:, COEFFICIENT_MIRROR]])[:, FITTED]
     inverse = np.linalg.inv(_LASTING * keys.T @ keys / len(keys) + _RARE * np.eye(len(FITTED)))
@@ -112,7 +113,7 @@ def _together(rng: np.random.Generator) -> np.ndarray:
 
 
 def _gains(model: CoefficientModel, takes: list[Observed]) -> np.ndarray:
-    """(44,) factors from what is found to what was acted, by least squares over all frames."""
+    """Factors from found to acted coefficients, (44,), by least squares over all frames."""
     solver = CoefficientSolver(model)
     found = np.concatenate([solver.take(take.values) for take in takes])
     acted = _joined(takes).keys[:, FITTED]

@@ -1,4 +1,4 @@
-"""Performances of random scripts by people whose photos became the skins of heads, with what they act."""
+"""Performances of random scripts by people whose photos became the skins of heads, with the acted coefficients."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from ..tracker.wrinkles import crease
 from .script import ict_weights, random_script, script_at
 
 _SIZE, _EYES, _NOISE = 400, 100.0, 3.0
-"""Pixels of a side and between the outer corners of the eyes, and grey levels of noise."""
+"""Side of an image and distance between the outer corners of the eyes in pixels, and noise in grey levels."""
 _SWAY, _RATES = np.radians([4.0, 14.0, 4.0]), np.array([1.3, 1.05, 0.8])
 _BLINKS, _BLINK = 2.3, 0.24
-"""Seconds between blinks, and those that one takes."""
+"""Seconds between blinks, and duration of a blink."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Performer:
 
 
 def performer(head: IctHead, model: PointDistributionModel, photo: Photo, number: int) -> Performer:
-    """The person of a photo, reduced to little more than its rendered size, as rendering samples single pixels."""
+    """The person of a photo, reduced to slightly more than its rendered size, as rendering samples single pixels."""
     shrink = min(1.5 * _EYES / photo.eye_distance(), 1.0)
     grey = cv2.resize(photo.grey(), None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
     points = (photo.landmarks + 0.5) * shrink - 0.5
@@ -46,7 +46,7 @@ def performer(head: IctHead, model: PointDistributionModel, photo: Photo, number
 
 
 def perform(person: Performer, seconds: float, fps: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pictures (S, S) uint8 of a person's random script, and the coefficients (52,) that each shows.
+    """Yield images (S, S) uint8 of a person's random script, and the coefficients (52,) that each shows.
 
     The person blinks now and then, looks straight ahead and moves the head a little.
     """
@@ -66,7 +66,7 @@ def perform(person: Performer, seconds: float, fps: float) -> Iterator[tuple[np.
 
 
 def _picture(person: Performer, keys: np.ndarray, pose: np.ndarray, eyes: Eyes, rng: np.random.Generator) -> np.ndarray:
-    """A picture (S, S) uint8 of a person who acts `keys` in front of the background of the photo."""
+    """Return an image (S, S) uint8 of a person who acts `keys` in front of the background of the photo."""
     head, skinned = person.head, person.skinned
     weights, tongue = ict_weights(head, keys, skinned.blink)
     scene = Scene(WINDOW_LIGHT, 0.06, tongue=(0.8, 0.8), tongue_out=tongue, eyes=eyes)
@@ -83,20 +83,20 @@ def _picture(person: Performer, keys: np.ndarray, pose: np.ndarray, eyes: Eyes, 
 
 
 def _blink(keys: np.ndarray, side: str, amount: float) -> None:
-    """Shut an eye; in place. Lids that shut are not wide open, too."""
+    """Shut an eye in place, where shut lids are not wide open as well."""
     shut = COEFFICIENT_INDEX["eyeBlink" + side]
     keys[shut] = max(keys[shut], amount)
     keys[COEFFICIENT_INDEX["eyeWide" + side]] *= 1.0 - amount
 
 
 def _bump(away: float) -> float:
-    """1 at 0 and 0 half of `_BLINK` away."""
+    """1 at 0, and 0 at half of `_BLINK`."""
     share = float(np.clip(1.5 - 3.0 * abs(away) / _BLINK, 0.0, 1.0))
     return share * share * (3.0 - 2.0 * share)
 
 
 def tracked(tracker: FaceTracker, person: Performer, seconds: float, fps: float) -> tuple[Take, np.ndarray]:
-    """The take of a person's performance, and the coefficients (N, 52) that were acted."""
+    """Return the take of a person's performance, and the acted coefficients (N, 52)."""
     tracker.reset()
     recorder, acted = TakeRecorder(describe("performance", fps, (_SIZE, _SIZE), tracker.model_id)), []
     for frame, (image, keys) in enumerate(perform(person, seconds, fps)):

@@ -1,7 +1,7 @@
-"""Random scripts: which of ARKit's keys a rendered performer acts when, and by how much.
+"""Random scripts: which ARKit keys a rendered performer acts at which time, and by how much.
 
-An act is a plausible expression: at most one movement of each part of the face, both sides alike more often than not,
-eased in and out as muscles are. Left and right are the performer's own.
+An act is a plausible expression: at most one movement per part of the face, usually equal on both sides, eased in and
+out as muscles move. Left and right are the performer's own.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ _PARTS: tuple[tuple[float, tuple[tuple[float, dict[str, tuple[float, float]]], .
         ),
     ),
 )
-"""Parts of the face: how often one acts, and its movements with their odds and the range of each key."""
+"""Parts of the face: the probability that one acts, and its movements with their odds and the range of each key."""
 _EMOTIONS: tuple[dict[str, tuple[float, float]], ...] = (
     {"mouthSmile": (0.4, 1.0), "cheekSquint": (0.2, 0.9), "eyeSquint": (0.0, 0.6), "mouthUpperUp": (0.0, 0.5)},
     {"browInnerUp": (0.3, 1.0), "browDown": (0.0, 0.5), "mouthFrown": (0.3, 1.0), "mouthShrugLower": (0.0, 0.7)},
@@ -84,18 +84,18 @@ _EMOTIONS: tuple[dict[str, tuple[float, float]], ...] = (
 )
 """Prototypes of joy, sadness, surprise, fear, anger, disgust and contempt, after Friesen & Ekman's EMFACS."""
 _EMOTIONAL = 0.35
-"""Share of acts that are emotions; the others put parts of the face together by chance."""
+"""Share of acts that are emotions; the others combine parts of the face by chance."""
 _ONE_SIDED = 0.25
 
 _THINNER = 0.45
-"""How far pressed lips are rolled in, too, as in `acting`."""
+"""How far pressed lips are also rolled in, as in `acting`."""
 _REST, _ATTACK, _PAUSE = 1.0, (0.12, 0.32), (0.0, 0.3)
 _LENGTH = (0.6, 1.1)
 
 
 @dataclass(frozen=True)
 class RandomAct:
-    """Keys (52,) at their height, from `start` to `end` in seconds, and the seconds of its rise and fall."""
+    """Keys (52,) at their peak, start and end in seconds, and duration in seconds of rise and fall."""
 
     start: float
     end: float
@@ -104,7 +104,7 @@ class RandomAct:
 
 
 def random_script(seconds: float, rng: np.random.Generator) -> list[RandomAct]:
-    """Acts that fill `seconds`, after a second of rest."""
+    """Return acts that fill `seconds`, after a second of rest."""
     acts, time = [], _REST
     while time + _LENGTH[1] < seconds:
         length = rng.uniform(*_LENGTH)
@@ -114,7 +114,7 @@ def random_script(seconds: float, rng: np.random.Generator) -> list[RandomAct]:
 
 
 def script_at(acts: list[RandomAct], time: float) -> np.ndarray:
-    """(52,) coefficients at `time`."""
+    """Coefficients at `time`, (52,)."""
     keys = np.zeros(len(COEFFICIENTS))
     for act in acts:
         t = float(np.clip(min(time - act.start, act.end - time) / act.attack, 0.0, 1.0))
@@ -123,7 +123,7 @@ def script_at(acts: list[RandomAct], time: float) -> np.ndarray:
 
 
 def random_expression(rng: np.random.Generator) -> np.ndarray:
-    """(52,) coefficients of a random plausible expression."""
+    """Coefficients of a random plausible expression, (52,)."""
     keys = np.zeros(len(COEFFICIENTS))
     if rng.random() < _EMOTIONAL:
         _act(keys, _EMOTIONS[rng.integers(len(_EMOTIONS))], rng)
@@ -139,7 +139,7 @@ def random_expression(rng: np.random.Generator) -> np.ndarray:
 
 
 def _act(keys: np.ndarray, movement: dict[str, tuple[float, float]], rng: np.random.Generator) -> None:
-    """Add a movement; in place."""
+    """Add a movement, in place."""
     single = rng.integers(2) if rng.random() < _ONE_SIDED else -1
     for name, (low, high) in movement.items():
         amount = rng.uniform(low, high)
@@ -152,7 +152,7 @@ def _act(keys: np.ndarray, movement: dict[str, tuple[float, float]], rng: np.ran
 
 
 def ict_weights(head: IctHead, keys: np.ndarray, blink: dict[str, float]) -> tuple[np.ndarray, float]:
-    """Expression (E,) of ICT-FaceKit and the tongue for coefficients (52,), for a person whose eyes shut at `blink`."""
+    """Expression (E,) of ICT-FaceKit and tongue for coefficients (52,), for a person whose eyes shut at `blink`."""
     weights = np.zeros(len(head.names), np.float32)
     for name, amount in zip(COEFFICIENTS, keys.tolist(), strict=True):
         for key in ict_names(head, name):
@@ -165,7 +165,7 @@ def ict_weights(head: IctHead, keys: np.ndarray, blink: dict[str, float]) -> tup
 
 
 def ict_names(head: IctHead, name: str) -> list[str]:
-    """ICT-FaceKit's expressions that make a coefficient, none for the tongue's."""
+    """ICT-FaceKit's expressions that make up a coefficient; none for the tongue's."""
     for word in ("Left", "Right"):
         sided = name.removesuffix(word) + "_" + word[0]
         if name.endswith(word) and sided in head.names:

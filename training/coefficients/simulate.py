@@ -1,7 +1,7 @@
-"""Observations without pictures: random expressions of many faces, as the shape model fits their noisy landmarks.
+"""Observations without images: random expressions of many faces, as the shape model fits their noisy landmarks.
 
-Rendered people all have ICT-FaceKit's expressions. The built-in head's, which come from elsewhere, are learnt from too,
-so that what is learnt is what an expression is, not how one artist shaped it.
+All rendered people have ICT-FaceKit's expressions. The built-in head's, which come from another source, are used too,
+so that the model learns what an expression is rather than how one artist shaped it.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ from ..tracker.reproject import shut_weights
 from .script import ict_weights, random_expression
 
 _SIZE, _NOISE, _FIT_NOISE, _ITERATIONS = 100.0, 0.012, 0.01, 8
-"""Pixels between the eyes, noise of a landmark and what the fit assumes in eye distances, and steps of the fit."""
+"""Pixels between the eyes; noise of a landmark, and noise that the fit assumes, in eye distances; and steps of the
+fit."""
 _TURNS, _PERSPECTIVE = np.radians([4.0, 9.0, 3.0]), 0.06
 _RESTING, _BLINKING = 8, 6
-"""Frames that a simulated neutral face and shut eyes are measured in."""
+"""Number of frames from which a simulated neutral face and shut eyes are measured."""
 _STATURE, _STRENGTH, _LIKENESS = 0.04, 0.15, 0.6
 """Deviations of the built-in head's extents and of its units' sizes, and of ICT-FaceKit's modes of identity."""
 
@@ -47,7 +48,7 @@ class Observed:
 
 
 def built_in_face(rng: np.random.Generator) -> Face:
-    """A face like the built-in head's, of other proportions, whose units are a little stronger or weaker."""
+    """A face like the built-in head's with other proportions, whose units are slightly stronger or weaker."""
     head = load_head()
     rest = head.vertices[head.landmarks].astype(np.float64)
     unit = outer_eye_distance(rest)
@@ -68,7 +69,7 @@ def ict_face(head: IctHead, rng: np.random.Generator) -> Face:
 
 
 def simulate(faces: list[Face], model: PointDistributionModel, each: int, rng: np.random.Generator) -> Observed:
-    """Observe `each` random expressions of faces, a part of them weak, and some at rest."""
+    """Observe `each` random expressions of faces, some of them weak, and some faces at rest."""
     values, keys = [], []
     for face in faces:
         observer = Observer(_neutral(face, model, rng), DriveSettings())
@@ -89,7 +90,7 @@ def _neutral(face: Face, model: PointDistributionModel, rng: np.random.Generator
 
 
 def _seen(points: np.ndarray, model: PointDistributionModel, rng: np.random.Generator) -> TrackResult:
-    """What tracking finds of landmarks (66, 3), apart from actions and gaze."""
+    """Return what tracking finds for landmarks (66, 3), apart from actions and gaze."""
     turned = points @ euler_to_matrix(*rng.normal(0.0, _TURNS)).T
     image = _SIZE * turned[:, :2] / (1.0 + _PERSPECTIVE * turned[:, 2:])
     image += rng.normal(0.0, _NOISE * _SIZE, image.shape)

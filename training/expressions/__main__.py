@@ -1,4 +1,4 @@
-"""`python -m training.expressions` learns from ICT-FaceKit's face: what moves alike, and who somebody is.
+"""`python -m training.expressions` learns from ICT-FaceKit's face which places move alike, and how people differ.
 
 It writes assets/expressions/ict.npz for the deformer and assets/expressions/face_space.npz for neutral faces. The
 latter uses the tracker's shape model, so `python -m training.tracker` comes first.
@@ -27,7 +27,7 @@ from ..tracker.heads import FACE, load_ict
 from .face_space import face_space_bytes, learn_face_space
 
 ARKIT_EXCEPTIONS = ("PupilDilate", "cheekRaiser")
-"""Shapes beyond ARKit's: what is left are ICT-FaceKit's 53 expressions."""
+"""Shapes beyond ARKit's, without which ICT-FaceKit has 53 expressions."""
 _EVERY = 3
 
 
@@ -48,7 +48,7 @@ def main() -> int:
 
 
 def learn_ict(data: Path) -> ExpressionModel:
-    """The model of ICT-FaceKit's face: each third vertex of the right half, and the ones across."""
+    """The model of ICT-FaceKit's face: every third vertex of the right half, and the mirrored ones."""
     head = load_ict(data)
     vertices, triangles = head.neutral[FACE], head.triangles
     triangles = triangles[(triangles < FACE.stop).all(axis=1)]
@@ -61,7 +61,7 @@ def learn_ict(data: Path) -> ExpressionModel:
 
 
 def model_bytes(model: ExpressionModel) -> bytes:
-    """The file, features and sides as half floats."""
+    """Return the content of the file, with features and sides as half floats."""
     return to_bytes(
         {
             "format": np.array(FORMAT),

@@ -15,15 +15,16 @@ from ..tracker.heads import load_ict
 from ..tracker.sources import HAND_LABELLED, read_photos, split
 
 _NOT_EXPRESSIONS = ("PupilDilate", "cheekRaiser", "eyeLook")
-"""Shapes beyond ARKit's, and looks, which move lids too little to tell them from expressions."""
+"""Shapes beyond ARKit's, and looks, which move lids too little to be distinguished from expressions."""
 _MODES = 40
 _OF_PHOTOS, _OF_ICT = 0.9, 0.5
-"""Shares of the two families' deviations. Photos show real people but few; ICT-FaceKit's span more, and more widely."""
+"""Shares of the two families' deviations. Photos show real people, but few; ICT-FaceKit's heads span more
+directions."""
 _FLIP = np.array([-1.0, 1.0, 1.0])
 
 
 def learn_face_space(data: Path, pdm: PointDistributionModel) -> FaceSpace:
-    """The spaces, symmetric, from the people that the tracker may be trained on.
+    """Return the symmetric spaces of the people that the tracker may be trained on.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def learn_face_space(data: Path, pdm: PointDistributionModel) -> FaceSpace:
 
 
 def face_space_bytes(space: FaceSpace) -> bytes:
-    """The file, with half floats; the signs of the modes are fixed, so that it is the same each time."""
+    """Return the content of the file, with half floats; signs of the modes are fixed, so that it is reproducible."""
     largest = np.abs(space.identity).reshape(len(space.identity), -1).argmax(axis=1)
     signs = np.sign(space.identity.reshape(len(space.identity), -1)[np.arange(len(largest)), largest])
     return to_bytes(

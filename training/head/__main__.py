@@ -1,4 +1,4 @@
-"""`python -m training.head` builds assets/head; with --check it only says whether assets/head is what it builds."""
+"""`python -m training.head` builds assets/head; with --check it only reports whether assets/head is up to date."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What is where on the base mesh hm08: the landmark vertices and the rings of lids and lips, by vertex number.
+"""Anatomy of the base mesh hm08: the landmark vertices, and the rings of lids and lips, by vertex number.
 
-They were chosen by eye on front and side views with the vertices numbered, on the performer's left half (x > 0); the
-right half follows by mirror symmetry. iBUG numbers name the landmarks.
+They were chosen by eye on front and side views with numbered vertices, on the performer's left half (x > 0); the right
+half follows by mirror symmetry. iBUG numbers name the landmarks.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ MOUTH_CORNER = 7189
 
 
 def landmark_vertices(mirror: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(66,) vertices of hm08 for all landmarks, the right half by `mirror`, (N,) the vertex on the other side."""
+    """Vertices of hm08 for all landmarks, (66,); those of the right half by `mirror`, (N,) the opposite vertex."""
     vertices = np.full(N_LANDMARKS, -1)
     for ibug, vertex in LEFT_LANDMARKS.items():
         position = from_ibug([ibug])[0]

@@ -1,4 +1,4 @@
-"""The head, put together: from the pinned source to the files of `assets/head`, whose bytes never differ."""
+"""Assembly of the head, from the pinned source to the files of `assets/head`, byte for byte reproducible."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from .source import BaseMesh, Source
 from .surface import Surface, build_surface, ear_share
 
 TO_HEAD = np.array([0.1, -0.1, -0.1])
-"""MakeHuman's decimetres (y up, z to the viewer) to the head frame's metres."""
+"""From MakeHuman's decimetres (y up, z to the viewer) to the head frame's metres."""
 
 TRAGUS_TO_CENTRE = np.array([0.0, 0.0, 0.016])
-"""The origin lies this far behind the middle between landmarks 0 and 16."""
+"""Distance of the origin behind the middle between landmarks 0 and 16."""
 
 _OVERLAP = 1.06
-"""A blink closes this much of the gap, since the rims are round."""
+"""Share of the gap that a blink closes, since the rims are round."""
 
 _BLINK_REACH = 0.045
-"""Metres from the eye beyond which a blink moves nothing."""
+"""Distance from the eye in metres beyond which a blink moves nothing."""
 
 _SCALP = 0.012
-"""Metres inside the hairline from which the skin is made finer than hm08."""
+"""Distance inside the hairline in metres from which the skin is finer than hm08."""
 
 _JPEG_QUALITY = 90
 
@@ -70,7 +70,7 @@ class Sculpture:
 
 @dataclass(frozen=True)
 class Person:
-    """Somebody whose head ships: the face, and how it is painted."""
+    """A person whose head ships: the face, and how it is painted."""
 
     identity: Identity
     look: Complexion
@@ -81,7 +81,7 @@ MAN, WOMAN = Person(identity.AVATAR, complexion.MAN), Person(identity.WOMAN, com
 
 @dataclass(frozen=True)
 class Pattern:
-    """What all heads have in common: vertices of one number are at one place of every face.
+    """Common parts of all heads; vertices of the same number are at the same place of every face.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Pattern:
 
 
 def build_files(source: Source) -> dict[str, bytes]:
-    """The files of `assets/head` but for the licence, by name."""
+    """The files of `assets/head` by name, except for the licence."""
     pattern = cut_pattern(source)
     files, images = {}, {"teeth": paint_teeth(TEETH), "tongue": paint_tongue()}
     for name, suffix, person in (("head", "", MAN), ("woman", "_woman", WOMAN)):
@@ -173,9 +173,10 @@ def sculpt(source: Source, pattern: Pattern, person: Person) -> Sculpture:
 def fit_blink(
     name: str, unit: NDArray[np.float64], points: NDArray[np.float64], landmarks: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """A blink scaled so that the lids of these eyes just meet, for the target was made for wider ones; else `unit`.
+    """Scale a blink so that the lids of these eyes just meet, as the target was made for wider ones; else return
+    `unit`.
 
-    The target also moves a few vertices inside nose and mouth by mistake: those stay.
+    The target also moves a few vertices inside nose and mouth by mistake, which are left alone.
     """
     if not name.startswith("eyeBlink"):
         return unit
@@ -189,7 +190,7 @@ def fit_blink(
 
 
 def to_bytes(arrays: Arrays) -> bytes:
-    """A compressed npz whose bytes depend on the arrays alone: no time, no platform."""
+    """Return a compressed npz whose bytes depend only on the arrays, not on time or platform."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name, array in arrays.items():
@@ -226,11 +227,11 @@ def _skin(sculpture: Sculpture, look: Complexion) -> NDArray[np.uint8]:
 
 
 def _iris_share(eye: NDArray[np.floating]) -> float:
-    """Radius of the iris as a share of the eye's picture."""
+    """Radius of the iris as a share of the eye's texture."""
     radius = float(np.median(np.linalg.norm(eye, axis=1)))
     return float(eye_uv_radius(np.arcsin(np.array([IRIS_RADIUS / radius])))[0])
 
 
 def _symmetric(vertices: NDArray[np.float64], mirror: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Even out what rounding in the source leaves of asymmetry."""
+    """Remove the asymmetry that rounding in the source has left."""
     return np.asarray((vertices + vertices[mirror] * [-1.0, 1.0, 1.0]) / 2.0)

@@ -1,7 +1,7 @@
-"""Painting on the head: what lies under each texel, noise in space, and strokes drawn in the front view.
+"""Painting on the head: the surface under each texel, noise in space, and strokes drawn in the front view.
 
-Everything is painted as a function of the place on the head, not of the texture's layout, so that seams do not show
-and a change of the layout needs no new picture.
+Everything is painted as a function of the place on the head rather than of the texture's layout, so that seams are
+invisible, and a new layout needs no new image.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Texels:
-    """What lies under each texel of a square texture.
+    """The surface under each texel of a square texture.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ def rasterise(
     values: NDArray[np.float64],
     size: int,
 ) -> Texels:
-    """Interpolate (V, 3) `vertices` and (V, K) `values` over the texture that (F, 4, 2) `uv` lays out, v up."""
+    """Interpolate (V, 3) `vertices` and (V, K) `values` over the texture with the layout (F, 4, 2) `uv`, v up."""
     data = np.concatenate([vertices, values], axis=1).astype(np.float32)
     out = np.zeros((size, size, data.shape[1]), np.float32)
     face_map = np.full((size, size), -1, np.int32)
@@ -79,7 +79,7 @@ def _triangle(
 
 
 def noise(place: Image, cell: float, seed: int) -> Image:
-    """Smooth noise in space, about -1..1, with features of `cell` metres."""
+    """Smooth noise in space, from about -1 to 1, with features of `cell` metres."""
     scaled = place / np.float32(cell)
     base = np.floor(scaled)
     t = scaled - base
@@ -97,7 +97,7 @@ def noise(place: Image, cell: float, seed: int) -> Image:
 
 
 def cloud(place: Image, cell: float, octaves: int, seed: int) -> Image:
-    """Noise of `octaves` sizes, each half of the one before in size and strength."""
+    """Noise in `octaves`, each half as large and half as strong as the one before."""
     total = np.zeros(place.shape[:-1], np.float32)
     for octave in range(octaves):
         total += noise(place, cell / 2**octave, seed + octave) * np.float32(0.5**octave)
@@ -115,7 +115,7 @@ def _hash(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64], seed
 
 
 class FrontView:
-    """A picture of the face from the front, to draw strokes on in metres and to look up by position."""
+    """An image of the face from the front, for drawing strokes in metres, and for looking them up by position."""
 
     def __init__(self, low: tuple[float, float], high: tuple[float, float], pixel: float) -> None:
         self.low, self.pixel = np.array(low), pixel
@@ -148,7 +148,7 @@ class FrontView:
 
 
 def distance_to_line(place: Image, line: NDArray[np.float64], dims: int = 3) -> Image:
-    """Distance of (..., 3) positions to the polyline through (n, 3) `line`, over the first `dims` coordinates."""
+    """Distance of positions (..., 3) to the polyline `line` (n, 3), in the first `dims` coordinates."""
     points = place[..., :dims]
     nearest = np.full(points.shape[:-1], np.inf, np.float32)
     for a, b in zip(line[:-1, :dims].astype(np.float32), line[1:, :dims].astype(np.float32), strict=True):
@@ -180,6 +180,6 @@ def mix(image: Image, colour: tuple[float, float, float] | Image, amount: Image 
 
 
 def fade(value: Image, start: float, end: float) -> Image:
-    """0 at `start`, 1 at `end`, level at both; `start` may be the greater."""
+    """Smooth step from 0 at `start` to 1 at `end`; `start` may be the larger."""
     t = np.clip((value - np.float32(start)) / np.float32(end - start), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t), np.float32)

@@ -1,9 +1,9 @@
-"""Coarsening the half head to an exact number of vertices, dense where expressions need it.
+"""Coarsening of the half head to an exact number of vertices, dense where expressions need it.
 
-Edges are collapsed onto one of their ends, the cheapest first: an edge costs its length over the length wanted at
-that place, times how much the surface bends there. So kept vertices stay vertices of the base mesh, and lids, lips and
-landmarks, which are locked, keep their native quads. Quadric error alone would spend the vertices on ears and
-nostrils, and leave long thin triangles on cheeks that must move smoothly.
+Edges are collapsed onto one of their ends, the cheapest first. The cost of an edge is its length, relative to the
+desired length at that place, times the bending of the surface there. Kept vertices are therefore vertices of the base
+mesh, and lids, lips and landmarks, which are locked, keep their native quads. Quadric error alone would spend the
+vertices on ears and nostrils, and leave long thin triangles on cheeks that must move smoothly.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class _Collapser:
         return {w for t in self.fan[v] for w in self.tri[t]} - {v}
 
     def _offer(self, gone: int) -> None:
-        """Put every collapse of `gone` onto a neighbour into the heap."""
+        """Add every collapse of `gone` onto a neighbour to the heap."""
         if not self.locked[gone]:
             bend = self._bend(gone)
             for kept in sorted(self._neighbours(gone)):
@@ -112,7 +112,7 @@ class _Collapser:
         heapq.heappush(self.heap, (cost, gone, kept, self.stamp[gone], self.stamp[kept]))
 
     def _bend(self, v: int) -> float:
-        """0 for a flat fan, towards 1 and over it for a sharp one."""
+        """0 for a flat fan; near or above 1 for a sharp one."""
         normals = np.array([self._normal(self.tri[t]) for t in sorted(self.fan[v])])
         mean = normals.sum(axis=0)
         mean /= np.linalg.norm(mean) + 1e-12
@@ -133,7 +133,7 @@ class _Collapser:
         return {w for w, n in counts.items() if n == 1}
 
     def _allowed(self, gone: int, kept: int) -> dict[int, int] | None:
-        """The texture tokens of `gone` and what they become where the collapse is sound, else None."""
+        """Return the texture tokens of `gone` and their replacements if the collapse is valid, else None."""
         border = self._border(gone)
         if border and (kept not in border or len({bool(self.midline[w]) for w in border}) > 1):
             return None

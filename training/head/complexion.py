@@ -1,4 +1,4 @@
-"""How a head is painted: the colours of its skin, lips, hair and eyes, and where its hair grows."""
+"""Appearance of a head: the colours of its skin, lips, hair and eyes, and where its hair grows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Complexion:
-    """What two heads of one shape may differ in.
+    """Possible differences between two heads of the same shape.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
-"""Cutting the left half of the head out of the base mesh, as triangles that still know what they were made of.
+"""The left half of the head, cut out of the base mesh as triangles that keep track of their origin.
 
-Only the left half (x >= 0) is ever cut and coarsened; the right is its mirror image, so that symmetry is exact.
-Every vertex is a blend of at most two vertices of hm08, and so whatever is defined there (identities, face units)
-carries over exactly.
+Only the left half (x >= 0) is cut and coarsened; the right half is its mirror image, so that symmetry is exact. Every
+vertex is a blend of at most two vertices of hm08, so everything that is defined there (identities, face units) carries
+over exactly.
 """
 
 from __future__ import annotations
@@ -77,12 +77,12 @@ def _below_cut(points: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _height_over_cut(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Signed distance-like height over the neck's cut, which rises towards the nape."""
+    """Height over the neck's cut, which rises towards the nape; similar to a signed distance."""
     return _NECK_LEVEL - points[:, 1] - _NECK_SLOPE * (points[:, 2] + 0.08)
 
 
 def face_charts(base: BaseMesh, points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """(F,) chart of every face of the head, -1 elsewhere: islands of the native texture layout."""
+    """Chart of every face of the head, (F,), -1 elsewhere: islands of the native texture layout."""
     island = _uv_islands(base)
     faces = np.flatnonzero(base.face_group == "body")
     chart = np.full(len(base.faces), -1)
@@ -101,7 +101,7 @@ def face_charts(base: BaseMesh, points: NDArray[np.float64]) -> NDArray[np.int64
 
 
 def _uv_islands(base: BaseMesh) -> NDArray[np.int64]:
-    """(T,) number of the connected island of each texture coordinate, by repeated minimum over faces."""
+    """Number of the connected island of each texture coordinate, (T,), by repeated minimum over faces."""
     island = np.arange(len(base.uv))
     while True:
         lowest = island[base.face_uv].min(axis=1)
@@ -116,7 +116,7 @@ def _uv_islands(base: BaseMesh) -> NDArray[np.int64]:
 def _deep_socket(
     base: BaseMesh, points: NDArray[np.float64], faces: NDArray[np.int64], chart: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Faces behind the lids that no one can see: the eyeball hides them."""
+    """Faces behind the lids, which the eyeball hides."""
     socket = chart[faces] == SOCKET
     front = points[base.faces[faces[socket]], 2].min()
     return socket & (points[base.faces[faces], 2].max(axis=1) > front + _SOCKET_DEPTH)
@@ -177,7 +177,7 @@ class _Builder:
         return self.token[chart, key]
 
     def _slice(self, corners: NDArray[np.int64], below: NDArray[np.bool_]) -> list[int]:
-        """The part of a quad above the cut, whose new corners blend the ends of the edges that cross it."""
+        """Return the part of a quad above the cut, whose new corners blend the ends of the crossing edges."""
         polygon = []
         for here, there in zip(corners, np.roll(corners, -1), strict=True):
             if not below[here]:
@@ -189,7 +189,7 @@ class _Builder:
         return polygon
 
     def _fan(self, corners: list[int]) -> list[tuple[int, int, int]]:
-        """Triangles of a polygon; a quad is split along its shorter diagonal."""
+        """Return the triangles of a polygon; a quad is split along its shorter diagonal."""
         if len(corners) == 4:
             keys = list(self.vertex)
             p = [self.points[keys[c][0]] for c in corners]

@@ -10,18 +10,18 @@ from .complexion import Complexion
 
 
 def inside_hairline(place: NDArray[np.floating], hairline: NDArray[np.float64]) -> NDArray[np.floating]:
-    """How far above a hairline (..., 3) positions are, metres; the ears count as inside where they are high."""
+    """Height of positions (..., 3) above a hairline in metres; the ears count as inside where they are high."""
     around = np.degrees(np.arctan2(np.abs(place[..., 0]), -place[..., 2]))
     return np.asarray(np.interp(around, *hairline.T) - place[..., 1])
 
 
 def crop_lift(vertices: NDArray[np.float64], ear: NDArray[np.float64], look: Complexion) -> NDArray[np.float64]:
-    """(V,) metres by which hair lifts the scalp; `ear` (V,) is 1 on the ears, where none grows."""
+    """Height in metres by which hair lifts the scalp, (V,); `ear` (V,) is 1 on the ears, where none grows."""
     return np.asarray(look.hair_lift * fade(inside_hairline(vertices, look.hairline), 0.000, 0.014) * (1.0 - ear))
 
 
 def crop(place: Image, ear: Image, look: Complexion) -> tuple[Image, Image]:
-    """Cover (S, S) of the hair in 0..1, and its shade, about 1."""
+    """Coverage (S, S) by hair, 0 to 1, and its shade, about 1."""
     height = inside_hairline(place, look.hairline).astype(np.float32)
     ragged = 0.0022 * noise(place, 0.0050, 11) + 0.0012 * noise(place, 0.0018, 12)
     edge = fade(height + ragged, *look.hair_edge)
@@ -59,7 +59,7 @@ def brow_strokes(view: FrontView, brow: NDArray[np.float64], width: float, rng: 
 
 
 def beard_shade(place: Image, points: NDArray[np.float64]) -> Image:
-    """Where a shaved beard shows through, 0..1; `points` (66, 3) are the landmarks."""
+    """Visibility of a shaved beard, 0 to 1; `points` (66, 3) are the landmarks."""
     corner, chin, nose, cheek = points[54], points[8], points[33], points[12]
     x, y, z = np.abs(place[..., 0]), place[..., 1], place[..., 2]
     lower = fade(y, nose[1] - 0.001, nose[1] + 0.010)

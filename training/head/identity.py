@@ -1,4 +1,4 @@
-"""Who the head is: MakeHuman's macro targets (gender, age, build, origin) and details, combined into one face."""
+"""Identity of the head: MakeHuman's macro targets (gender, age, build, origin) and details, combined into one face."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ WOMAN = Identity(
 
 
 def identity_offsets(source: Source, identity: Identity) -> NDArray[np.float64]:
-    """(N, 3) offsets in decimetres that turn the base mesh into `identity`, the way MakeHuman combines its macros."""
+    """Offsets in decimetres, (N, 3), from the base mesh to `identity`, combined as MakeHuman combines its macros."""
     offsets = np.zeros((source.size, 3))
     genders = {"female": 1.0 - identity.gender, "male": identity.gender}
     ages = {"young": 1.0 - identity.age, "old": identity.age}

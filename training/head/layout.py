@@ -1,8 +1,8 @@
 """The texture layout: the base mesh's own unwrapping turned upright, with the middle of the face enlarged.
 
-The unwrapping has no overlaps but gives a mouth few pixels. It is therefore stretched along each axis by itself, which
-keeps it free of overlaps: half of the width goes to the front of the face. The neck is a strip below, then the insides
-of mouth and lids, where no one looks.
+The unwrapping has no overlaps but gives the mouth few pixels. It is therefore stretched along each axis separately,
+which creates no overlaps: half of the width goes to the front of the face. The neck is a strip below, followed by the
+insides of mouth and lids, which are hardly seen.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .surface import Surface
 _NATIVE_ACROSS = (0.14, 0.4842, 0.83)
 _NATIVE_DOWN = (0.638, 0.995)
 _ACROSS = ([0.0, 0.05, 0.115, 0.2, 0.346], [0.0, 0.165, 0.335, 0.425, 0.5])
-"""Native distance from the midline, and where it comes to lie: eyes end at 0.05, the cheek at 0.115, the ear at 0.2."""
+"""Native distance from the midline, and its new place: eyes end at 0.05, the cheek at 0.115, the ear at 0.2."""
 _DOWN = ([0.638, 0.78, 0.82, 0.915, 0.945, 0.995], [0.995, 0.80, 0.70, 0.35, 0.25, 0.155])
 """Native height from the crown down: hairline at 0.78, brows at 0.82, mouth at 0.915, chin at 0.945."""
 
@@ -26,7 +26,7 @@ _SOCKET_BOX = (0.72, 0.005, 0.80, 0.068)
 
 
 def layout(surface: Surface, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(F, 4, 2) texture coordinates, v up, of the corners of `surface` with (V, 3) `vertices`; 0 at padding."""
+    """Texture coordinates, (F, 4, 2), v up, of the corners of `surface` with `vertices` (V, 3); 0 at padding."""
     tokens, chart = surface.tokens, surface.token_chart
     native = surface.token_uv
     place = np.zeros((len(chart), 2))

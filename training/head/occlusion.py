@@ -1,4 +1,4 @@
-"""How much of the sky each vertex sees: shade for nostrils, ears, lids and the fold below the lip."""
+"""Share of the sky that each vertex sees: shade for nostrils, ears, lids and the fold below the lip."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _REACH = 0.05
 
 
 def openness(vertices: NDArray[np.float64], faces: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(len(rows),) share in 0..1 of the half space over the vertices `rows` that nothing within 5 cm covers."""
+    """Share, 0 to 1, of the half space over the vertices `rows` that nothing within 5 cm covers, (len(rows),)."""
     triangles = np.concatenate([faces[:, :3], faces[faces[:, 3] >= 0][:, [0, 2, 3]]])
     a = vertices[triangles[:, 0]]
     u, v = vertices[triangles[:, 1]] - a, vertices[triangles[:, 2]] - a
@@ -21,7 +21,7 @@ def openness(vertices: NDArray[np.float64], faces: NDArray[np.int64], rows: NDAr
 
 
 def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(V, 3) outward unit normals, faces weighted by area."""
+    """Outward unit normals, (V, 3), with faces weighted by area."""
     normals = np.zeros_like(vertices)
     for corners in ([0, 1, 2], [0, 2, 3]):
         triangles = faces[faces[:, corners[-1]] >= 0][:, corners]

@@ -1,4 +1,4 @@
-"""Pictures of the eye, the teeth and the tongue."""
+"""Textures of the eye, the teeth and the tongue."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _MOUTH_SIZE = (256, 1024)
 
 
 def paint_eye(iris: float, look: Complexion) -> NDArray[np.uint8]:
-    """(512, 512, 3) BGR picture of an eye centred on the pupil; `iris` is its radius as a share of the picture."""
+    """Texture of an eye centred on the pupil, (512, 512, 3) BGR; `iris` is its radius as a share of the side."""
     x, y, place = _plane((_EYE_SIZE, _EYE_SIZE))
     radius, angle = np.hypot(x, y) / iris, np.arctan2(y, x)
     image = np.empty((_EYE_SIZE, _EYE_SIZE, 3), np.float32)
@@ -40,7 +40,7 @@ def paint_eye(iris: float, look: Complexion) -> NDArray[np.uint8]:
 
 
 def paint_teeth(count: int) -> NDArray[np.uint8]:
-    """(256, 1024, 3) BGR picture: upper teeth in the upper half, gum above; lower teeth mirrored below."""
+    """Texture of the teeth, (256, 1024, 3) BGR: upper teeth in the upper half, gum above; lower teeth mirrored."""
     height, width = _MOUTH_SIZE
     v, u = np.mgrid[0:height, 0:width].astype(np.float32)
     place = np.stack([u / 400.0, v / 400.0, np.zeros_like(u)], axis=-1)
@@ -62,7 +62,7 @@ def paint_teeth(count: int) -> NDArray[np.uint8]:
 
 
 def paint_tongue() -> NDArray[np.uint8]:
-    """(256, 256, 3) BGR picture."""
+    """Texture of the tongue, (256, 256, 3) BGR."""
     x, _, place = _plane((256, 256))
     image = np.empty((256, 256, 3), np.float32)
     image[:] = (0.690, 0.360, 0.350)
@@ -83,7 +83,7 @@ def _finish(image: Image) -> NDArray[np.uint8]:
 
 
 def encode(image: NDArray[np.uint8], quality: int) -> bytes:
-    """The picture as JPEG."""
+    """Encode the texture as JPEG."""
     ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_OPTIMIZE, 1])
     if not ok:
         raise RuntimeError("cv2 cannot write JPEG")

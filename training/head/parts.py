@@ -1,7 +1,7 @@
-"""Eyeballs, teeth and tongue: shapes of our own in the places of the base mesh's crude helpers.
+"""Eyeballs, teeth and tongue: new shapes in the places of the base mesh's crude helpers.
 
 The helpers' motion under the face units is rigid (eyes in their sockets, lower teeth about the jaw's hinge), so it is
-fitted once for each unit and given to our shapes. Only the tongue keeps its helper's vertices.
+fitted once for each unit and applied to the new shapes. Only the tongue keeps its helper's vertices.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _EYE_RINGS, _EYE_SEGMENTS = 15, 28
 TEETH = 14
 _STILL = 2e-5
 _TONGUE_LOWERED = np.array([0.0, 0.0065, 0.0065])
-"""The helper's tongue lies before the teeth's edges; ours rests behind the lower teeth."""
+"""The helper's tongue lies in front of the edges of the teeth; the new one rests behind the lower teeth."""
 _TONGUE_REACH, _TONGUE_ARCH = 0.018, 0.008
-"""Metres by which a tongue that is out reaches further than the helper's, which hardly leaves the mouth, and by which
-it rises over the lower lip."""
+"""Distances in metres by which a tongue that is out reaches further than the helper's, which hardly leaves the mouth,
+and rises over the lower lip."""
 
 Points = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class Part:
 
 
 def jaw_hinge(base: BaseMesh, points: Points, jaw_open: Points) -> Points:
-    """(3,) point on the axis about which the lower teeth turn when the jaw opens."""
+    """Point on the axis about which the lower teeth turn when the jaw opens, (3,)."""
     rows = _group(base, "helper-lower-teeth")
     rotation, shift = _rigid(points[rows], jaw_open[rows])
     return np.asarray(np.linalg.lstsq(np.eye(3) - rotation, shift, rcond=None)[0])
@@ -72,7 +72,7 @@ def _group(base: BaseMesh, name: str) -> NDArray[np.int64]:
 
 
 def _rigid(rest: Points, offsets: Points) -> tuple[Points, Points]:
-    """Rotation and shift that best carry `rest` to `rest + offsets`."""
+    """Rotation and translation that best move `rest` to `rest + offsets`."""
     moved = rest + offsets
     rotation = fit_rotation(rest - rest.mean(axis=0), moved - moved.mean(axis=0))
     return rotation, moved.mean(axis=0) - rotation @ rest.mean(axis=0)
@@ -82,7 +82,7 @@ Motion = Callable[[Points], Points]
 
 
 def _rigid_units(points: Points, units: list[Points], rows: NDArray[np.int64]) -> Motion:
-    """A function that gives (n, 3) vertices their (U, n, 3) offsets, after the rigid motion of `rows`."""
+    """Return a function that gives vertices (n, 3) their offsets (U, n, 3), after the rigid motion of `rows`."""
 
     def offsets(vertices: Points) -> Points:
         out = np.zeros((len(units), *vertices.shape))
@@ -112,7 +112,7 @@ def _sphere(points: Points) -> tuple[Points, float]:
 
 
 def _globe(radius: float) -> tuple[Points, NDArray[np.int64], NDArray[np.float64]]:
-    """A sphere that looks along -z, with rings close at the iris and a slight cornea; uv centred on the pupil."""
+    """A sphere that looks along -z, with dense rings at the iris and a slight cornea; uv centred on the pupil."""
     iris = np.arcsin(IRIS_RADIUS / radius)
     front = np.linspace(0.0, iris, 5)[1:]
     theta = np.concatenate([front, iris + (np.pi - iris) * np.linspace(0, 1, _EYE_RINGS - 3)[1:-1] ** 1.1])

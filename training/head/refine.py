@@ -1,4 +1,4 @@
-"""Halving long edges of the crown, where hm08 is so coarse that the outline of the head is a polygon."""
+"""Halving of long edges of the crown, where hm08 is so coarse that the outline of the head is a polygon."""
 
 from __future__ import annotations
 

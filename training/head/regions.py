@@ -1,4 +1,4 @@
-"""The three regions as weights: cut through the slits of eyes and mouth, fading out before what must stay still.
+"""The three regions as weights: cut through the slits of eyes and mouth, fading out towards what must stay still.
 
 Across a slit the change is sharp, lid from lid and lip from lip, inner rims included. Beyond the corners the regions
 overlap along the lines on which the muscles meet: from the outer corner of the eye to the temple, over the bridge of
@@ -25,7 +25,7 @@ _EYE_SOFTNESS, _MOUTH_SOFTNESS = 0.0070, 0.0190
 def region_weights(
     surface: Surface, vertices: NDArray[np.float64], landmarks: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """(3, V) weights of upper, middle and lower; `vertices` (V, 3) in the head frame, `landmarks` (66,)."""
+    """Weights of upper, middle and lower, (3, V); `vertices` (V, 3) in the head frame, `landmarks` (66,)."""
     points = vertices[landmarks]
     x, y = np.abs(vertices[:, 0]), vertices[:, 1]
     above_eyes = _above(x, y, _eye_line(points), _eye_softness(x, points))
@@ -43,7 +43,7 @@ def region_weights(
 
 
 def smooth_step(value: NDArray[np.float64], start: float, end: float) -> NDArray[np.float64]:
-    """0 at `start`, 1 at `end`, level at both; `start` may be the greater."""
+    """Smooth step from 0 at `start` to 1 at `end`; `start` may be the larger."""
     t = np.clip((value - start) / (end - start), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
@@ -54,7 +54,7 @@ Line = tuple[NDArray[np.float64], NDArray[np.float64]]
 def _above(
     x: NDArray[np.float64], y: NDArray[np.float64], line: Line, soft: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """1 above the line (y is down), 0 below, changing over `soft` on either side."""
+    """1 above the line (y is down), 0 below, with a transition of `soft` on either side."""
     t = np.clip(0.5 + (np.interp(x, *line) - y) / (2.0 * soft), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
@@ -84,7 +84,7 @@ def _mouth_softness(x: NDArray[np.float64], points: NDArray[np.float64]) -> NDAr
 
 
 def _near_lips(surface: Surface, vertices: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Vertices whose side is told by the surface rather than by height: lips, their rims, the inside of the mouth."""
+    """Vertices whose side the surface decides rather than height: lips, their rims, the inside of the mouth."""
     corner, top, bottom = points[from_ibug([54, 51, 57])]
     box = (np.abs(vertices[:, 0]) <= corner[0] + 1e-6) & (vertices[:, 1] > top[1]) & (vertices[:, 1] < bottom[1])
     return box | _cavity(surface)
@@ -98,7 +98,7 @@ def _cavity(surface: Surface) -> NDArray[np.bool_]:
 
 
 def _nearer_upper_lip(surface: Surface, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Way along the surface to the lower lip less that to the upper, metres: positive on the upper lip's side."""
+    """Path length along the surface to the lower lip minus that to the upper, in metres: positive on the upper lip."""
     upper = _both_sides(surface, (*anatomy.UPPER_LIP_LINE, *anatomy.UPPER_LIP_INSIDE, *anatomy.UPPER_LIP_BORDER))
     lower = _both_sides(surface, (*anatomy.LOWER_LIP_LINE, *anatomy.LOWER_LIP_INSIDE, *anatomy.LOWER_LIP_BORDER))
     return _way(surface, vertices, lower) - _way(surface, vertices, upper)
@@ -110,7 +110,7 @@ def _both_sides(surface: Surface, native: tuple[int, ...]) -> NDArray[np.int64]:
 
 
 def _way(surface: Surface, vertices: NDArray[np.float64], seeds: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Length of the shortest way along edges to any of `seeds`, (V,) metres."""
+    """Length of the shortest path along edges to any of `seeds`, (V,), in metres."""
     faces = surface.faces
     count = (faces >= 0).sum(axis=1)
     edges = np.concatenate([np.c_[faces[i, :n], np.roll(faces[i, :n], -1)] for i, n in enumerate(count)])

@@ -1,4 +1,4 @@
-"""The skin's picture, painted: tone, blood, pores, lips, lids, brows, stubble, hair and the shade of the folds."""
+"""The skin's texture: tone, blood, pores, lips, lids, brows, stubble, hair and the shade of the folds."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def paint_skin(
     landmarks: NDArray[np.float64],
     look: Complexion,
 ) -> NDArray[np.uint8]:
-    """(SIZE, SIZE, 3) BGR picture.
+    """Paint the skin's texture, (SIZE, SIZE, 3) BGR.
 
     `values` (V, 2) are each vertex' openness and its share of ear; `face_chart` (F,) the faces' charts; `points` the
     vertices of hm08 and `landmarks` the 66 points, head frame, metres.
@@ -75,7 +75,7 @@ def _folded(place: Image) -> Image:
 
 
 def _blushes(landmarks: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], float, float]]:
-    """Centre (left side), radius and strength of what is reddest: cheeks, nose, chin, the lids' outer ends."""
+    """Centre (left side), radius and strength of the reddest places: cheeks, nose, chin, the lids' outer ends."""
     cheek = (landmarks[45] + landmarks[54]) / 2.0 + [0.006, 0.0, 0.002]
     return [
         (cheek, 0.019, 0.26),

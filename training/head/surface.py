@@ -1,4 +1,4 @@
-"""The skin: the half head coarsened where it matters least, its quads restored, and mirrored to the whole."""
+"""The skin: the half head coarsened where it matters least, with its quads restored, and mirrored to the whole."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .source import BaseMesh
 N_VERTICES = 1781
 
 _CROWN_SPACING = 0.0105
-"""Metres between vertices wanted under the hair, whose outline would otherwise be a polygon."""
+"""Desired distance between vertices under the hair in metres, whose outline would otherwise be a polygon."""
 
 _FLAT, _SQUARE = 0.9, 0.35
 _MIDDLE, _EAR, _EAR_SIZE = 0.4842, (0.848, 0.1416), (0.026, 0.020)
@@ -44,14 +44,14 @@ class Surface(BlendedMesh):
     mirror: NDArray[np.int64]
 
     def vertex_of(self, native: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Vertices of the skin that are the vertices `native` of hm08; every one must have been kept."""
+        """Return the vertices of the skin that are the vertices `native` of hm08; each of them must have been kept."""
         whole = self.blend[:, 0] == self.blend[:, 1]
         number = {int(v): i for i, v in enumerate(self.blend[:, 0]) if whole[i]}
         return np.array([number[int(v)] for v in native])
 
 
 def ear_share(surface: Surface) -> NDArray[np.float64]:
-    """(V,) 1 on the ears, fading to 0 round them, told by the native texture layout, where an ear is a disc."""
+    """1 on the ears, fading to 0 around them, (V,), by the native texture layout, where an ear is a disc."""
     is_face = (surface.token_chart[surface.tokens] == FACE) & (surface.faces >= 0)
     native = surface.token_uv[surface.tokens[is_face]]
     across = np.abs(native[:, 1] - _MIDDLE)
@@ -79,7 +79,7 @@ def build_surface(base: BaseMesh, points: NDArray[np.float64], scalp: NDArray[np
 def _wishes(
     half: HalfMesh, positions: NDArray[np.float64], points: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Edge length wanted at each vertex, (V,) metres, and the vertices to keep, (V,)."""
+    """Desired edge length at each vertex, (V,), in metres, and the vertices to keep, (V,)."""
     lids = _distance(positions, points[[*anatomy.UPPER_LID_EDGE, *anatomy.LOWER_LID_EDGE]])
     lips = _distance(
         positions,
@@ -180,7 +180,7 @@ def _pair_triangles(half: HalfMesh, positions: NDArray[np.float64]) -> tuple[NDA
 
 
 def _joined(half: HalfMesh, s: int, t: int, key: tuple[int, int]) -> tuple[list[int], list[int]] | None:
-    """Corners and tokens of the quad of two triangles, None across a seam of the texture."""
+    """Corners and tokens of the quad of two triangles; None across a seam of the texture."""
     first, second = half.triangles[s].tolist(), half.triangles[t].tolist()
     ft = dict(zip(first, half.tokens[s].tolist(), strict=True))
     st = dict(zip(second, half.tokens[t].tolist(), strict=True))

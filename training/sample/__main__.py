@@ -1,6 +1,6 @@
 """`python -m training.sample` films the sample clip and writes its exact landmarks beside it.
 
-The performer wears a MakeHuman skin picture (CC0), which is seen in the clip but is not part of the repository.
+The performer has a MakeHuman skin texture (CC0), which is visible in the clip but is not part of the repository.
 """
 
 from __future__ import annotations

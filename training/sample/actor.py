@@ -60,7 +60,7 @@ class Skin:
 
 @dataclass(frozen=True)
 class Actor:
-    """Everything that is filmed, in the head frame, metres.
+    """Everything that is filmed, in the head frame and metres.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Actor:
     def posed(
         self, weights: dict[str, float], pose: NDArray[np.float64], place: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
-        """Vertices of the base mesh and of each part under face units, pose and shift of the head."""
+        """Return vertices of the base mesh and of each part under face units, pose and translation of the head."""
         points = self.points.copy()
         parts = [part.vertices for part in self.parts]
         for row, (name, offsets) in enumerate(self.units.items()):
@@ -100,7 +100,7 @@ class Actor:
 
 
 def build_actor(source: Source, skin: Path) -> Actor:
-    """The performer, wearing the MakeHuman skin picture at `skin`."""
+    """Return the performer with the MakeHuman skin texture at `skin`."""
     base = source.base_mesh()
     points = (base.vertices + identity_offsets(source, PERFORMER)) * TO_HEAD
     landmarks = landmark_vertices(base.mirror)
@@ -168,7 +168,7 @@ def _texture(
     landmarks: NDArray[np.float64],
     skin: Path,
 ) -> NDArray[np.uint8]:
-    """The head's part of the skin picture with brows, lashes and cropped hair painted over it."""
+    """Return the head's part of the skin texture, with brows, lashes and cropped hair painted over it."""
     picture = cv2.imread(str(skin)).astype(np.float32)[..., ::-1] / 255.0
     side = len(picture)
     left, top = _CROP_LOW[0] * side, (1.0 - _CROP_LOW[1] - _CROP_SIZE) * side

@@ -1,4 +1,4 @@
-"""The performance: which face units act when, and how the head moves, eased as muscles are.
+"""The performance: which face units act at which time, and how the head moves, eased as muscles move.
 
 Left and right are the performer's own.
 """
@@ -62,7 +62,7 @@ def times() -> NDArray[np.float64]:
 
 
 def units_at(time: float) -> dict[str, float]:
-    """Weight in 0..1 of every unit that acts at `time`."""
+    """Weight, 0 to 1, of every unit that acts at `time`."""
     weights: dict[str, float] = {}
     for act in ACTS:
         share = _share(act, time)
@@ -72,21 +72,21 @@ def units_at(time: float) -> dict[str, float]:
 
 
 def pose_at(time: float) -> NDArray[np.float64]:
-    """(3,) pitch, yaw and roll, radians, as in `core.rotation`: acted, and the sway of someone who sits."""
+    """Pitch, yaw and roll in radians, (3,), as in `core.rotation`: acted, plus the sway of a sitting person."""
     acted = sum((np.array(act.pose) * _share(act, time) for act in ACTS), np.zeros(3))
     sway = np.radians([0.9, 1.6, 0.7]) * np.sin(2.0 * np.pi * (time * np.array([0.23, 0.17, 0.13]) + [0.0, 0.3, 0.6]))
     return np.asarray(acted + sway)
 
 
 def place_at(time: float) -> NDArray[np.float64]:
-    """(3,) metres by which the head sways."""
+    """Translation in metres by which the head sways, (3,)."""
     return np.array([0.0040, 0.0022, 0.0030]) * np.sin(
         2.0 * np.pi * (time * np.array([0.11, 0.27, 0.19]) + [0.1, 0, 0.5])
     )
 
 
 def labels() -> NDArray[np.str_]:
-    """(N,) name of the act of each frame, "neutral" between them."""
+    """Name of the act of each frame, (N,), "neutral" between acts."""
     names = []
     for time in times():
         active = [act for act in ACTS if _share(act, time) > 0.5]

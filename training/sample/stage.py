@@ -1,4 +1,4 @@
-"""The stage: Blender's scene in which the performer is filmed by something like a webcam."""
+"""The stage: Blender's scene in which the performer is filmed as if by a webcam."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from .actor import Actor
 
 SIZE = (640, 480)
 RENDER_SHARE = 0.75
-"""Rendered at this share of the size and enlarged: a webcam's picture is no sharper."""
+"""Share of the size at which images are rendered, and then enlarged, as a webcam's image is no sharper."""
 
 _LENS, _DISTANCE = 47.0, 0.62
 _AIM = np.array([0.0, 0.022])
 
 
 def project(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(..., 2) pixels in the clip of (..., 3) points in the head frame."""
+    """Pixels (..., 2) in the clip of points (..., 3) in the head frame."""
     focal = SIZE[0] * _LENS / 36.0
     middle = (np.array(SIZE) - 1.0) / 2.0
     depth = points[..., 2:] + _DISTANCE
@@ -51,7 +51,7 @@ class Stage:
     def film(
         self, moments: Iterator[tuple[NDArray[np.float64], list[NDArray[np.float64]]]]
     ) -> Iterator[NDArray[np.uint8]]:
-        """Yield a BGR picture of `SIZE` for each pair of base and part vertices."""
+        """Yield a BGR image of `SIZE` for each pair of base and part vertices."""
         path = str(Path(self.folder.name) / "frame.png")
         self.scene.render.filepath = path
         for points, parts in moments:
@@ -64,7 +64,7 @@ class Stage:
             yield self._developed(cv2.imread(path, cv2.IMREAD_UNCHANGED))
 
     def _developed(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Set the picture before the room and enlarge it as a webcam would."""
+        """Put the image in front of the room, and enlarge it as a webcam would."""
         premultiplied = picture.astype(np.float32) / 255.0
         premultiplied[..., :3] *= premultiplied[..., 3:]
         premultiplied = cv2.GaussianBlur(premultiplied, (0, 0), 0.45)

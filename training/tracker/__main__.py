@@ -1,4 +1,4 @@
-"""Makes the tracker's model: `python -m training.tracker`. What `build/model` has already is not made again."""
+"""Makes the tracker's model: `python -m training.tracker`. Results that `build/model` contains are kept."""
 
 from __future__ import annotations
 

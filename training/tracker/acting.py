@@ -1,4 +1,4 @@
-"""Training pictures for the expert of actions: renders whose activations are exactly known."""
+"""Training images for the expert of actions: renders whose activations are exactly known."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ _SHARES: dict[str, tuple[float, float]] = {
     "browInnerUp": (0.3, 1.5),
     "browDown": (0.3, 1.4),
 }
-"""How often a face shows an action on purpose, besides by chance, and how strongly at most."""
+"""Probability that a face shows an action on purpose, besides by chance, and its largest strength."""
 _SEALED, _TONGUE, _SPOILT = 0.4, 0.2, 0.4
-"""Shares of faces with shut lips that are pressed or rolled in, of those with a tongue, and of spoilt pictures."""
+"""Shares of faces with shut lips that are pressed or rolled in, of those with a tongue, and of degraded images."""
 _ONE_SIDED = 0.5
-"""Share of two-sided actions that are shown on one side only; telling left from right is harder than telling an action
-from rest."""
+"""Share of two-sided actions that are shown on one side only, as it is harder to distinguish left from right than an
+action from rest."""
 _BRIGHT, _BARED = 0.7, 0.15
-"""Shares of mouths that are bright inside, whether there is a tongue or not, and of teeth that are bared: both are
-taken for a tongue otherwise."""
+"""Shares of mouths that are bright inside, with or without a tongue, and of bared teeth, as both would otherwise be
+mistaken for a tongue."""
 _BROWS = ("browInnerUp", "browDown")
 _PRESSED = action_indices(("mouthPressRight", "mouthPressLeft"))
 _THINNER = 0.45
-"""How far pressed lips are rolled in, too."""
+"""How far pressed lips are also rolled in."""
 _OPENERS = (
     "jawOpen",
     "mouthFunnel",
@@ -53,7 +53,7 @@ _LOOKS = 0.55
 
 @dataclass
 class ActionSamples(Stack):
-    """Training pictures, stacked.
+    """Training images, stacked.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ def action_samples(
     rng: np.random.Generator,
     resting: int = 0,
 ) -> ActionSamples:
-    """`count` re-projections of one photo, the first `resting` of which show no expression."""
+    """Return `count` re-projections of one photo, the first `resting` of which show no expression."""
     grey, landmarks = photo.grey(), photo.landmarks
     if rng.random() < 0.5:
         landmarks, grey = mirrored(landmarks, grey.shape[1]), np.ascontiguousarray(grey[:, ::-1])
@@ -131,7 +131,7 @@ def action_samples(
 
 
 def _activations(head: IctHead, expression: np.ndarray, tongue: float) -> np.ndarray:
-    """(15,) activations of an expression (E,) and a tongue, in the order of `ACTIONS`."""
+    """Activations (15,) of an expression (E,) and a tongue, in the order of `ACTIONS`."""
     return np.array(
         [tongue if name == "tongueOut" else float(expression[head.index(_ict_name(name))]) for name in ACTIONS]
     )
@@ -147,7 +147,7 @@ def _ict_name(name: str) -> str:
 def _sample_actions(
     head: IctHead, skinned: SkinnedHead, rng: np.random.Generator
 ) -> tuple[np.ndarray, float, np.ndarray]:
-    """A random expression (E,) in which the actions are frequent, how far the tongue is out, and activations (15,)."""
+    """Return a random expression (E,) with frequent actions, how far the tongue is out, and activations (15,)."""
     weights = personal_expression(head, skinned, rng, sample_speech if rng.random() < 0.25 else sample_expression)
     for name, (share, strength) in _SHARES.items():
         if rng.random() < share:
@@ -179,7 +179,7 @@ def _sample_actions(
 
 
 def posed(head: IctHead, actions: np.ndarray) -> tuple[np.ndarray, float]:
-    """Expression (E,) and tongue of a face that shows the given actions (15,) and nothing else."""
+    """Return the expression (E,) and tongue of a face that shows only the given actions (15,)."""
     weights = np.zeros(len(head.names), np.float32)
     tongue = 0.0
     for name, amount in zip(ACTIONS, actions.tolist(), strict=True):
@@ -195,13 +195,13 @@ def posed(head: IctHead, actions: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _thin_pressed_lips(head: IctHead, weights: np.ndarray) -> None:
-    """Roll pressed lips in a little, as ICT-FaceKit's own expression hardly shows that they get thinner; in place."""
+    """Roll pressed lips in a little, in place, as ICT-FaceKit's expression hardly shows that they become thinner."""
     pressed = 0.5 * (weights[head.index("mouthPress_R")] + weights[head.index("mouthPress_L")])
     weights[[head.index("mouthRollLower"), head.index("mouthRollUpper")]] += _THINNER * pressed
 
 
 def _seal(head: IctHead, weights: np.ndarray, rng: np.random.Generator) -> None:
-    """Shut the lips, and press or roll them in; in place."""
+    """Shut the lips, and press or roll them in, in place."""
     weights[[head.index(name) for name in _OPENERS]] = 0.0
     kind = rng.random()
     if kind < 0.45:
@@ -216,7 +216,7 @@ def _seal(head: IctHead, weights: np.ndarray, rng: np.random.Generator) -> None:
 
 
 def _bare(head: IctHead, weights: np.ndarray, rng: np.random.Generator) -> None:
-    """Show teeth: the lips apart, the jaw more or less open, the corners drawn aside; in place."""
+    """Show teeth in place: lips apart, jaw more or less open, corners drawn aside."""
     for name in ("mouthRollLower", "mouthRollUpper", "mouthPress_L", "mouthPress_R", "mouthClose"):
         weights[head.index(name)] = 0.0
     weights[[head.index(f"cheekPuff_{side}") for side in "RL"]] = 0.0
@@ -226,7 +226,7 @@ def _bare(head: IctHead, weights: np.ndarray, rng: np.random.Generator) -> None:
 
 
 def _follow_gaze(head: IctHead, weights: np.ndarray, gaze: np.ndarray) -> None:
-    """Let the lids follow the eyes; in place."""
+    """Let the lids follow the eyes, in place."""
     for (pitch, yaw), side, outwards in zip(gaze, "RL", (1.0, -1.0), strict=True):
         turned = {"Down": pitch, "Up": -pitch, "Out": outwards * yaw, "In": -outwards * yaw}
         for way, angle in turned.items():

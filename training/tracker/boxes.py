@@ -1,4 +1,4 @@
-"""Where a face lies in a Viola-Jones detector's box."""
+"""Place of a face in a Viola-Jones detector's box."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from facemime.core.tracking.cascade_detector import DETECTORS, EFFORTS, CascadeD
 
 
 def fit_box_offsets(pictures: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """(D, 3) median of `(dx, dy, scale)` in box widths, over grey pictures with known poses (6,)."""
+    """Median of `(dx, dy, scale)` in box widths, (D, 3), over grey images with known poses (6,)."""
     detector = CascadeDetector()
     seen: list[list[tuple[float, float, float]]] = [[] for _ in DETECTORS]
     for grey, pose in pictures:

@@ -1,4 +1,4 @@
-"""Trains the check: fits that arrived at a face against fits that did not."""
+"""Training of the check: fits that ended at a face against fits that did not."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from .samples import SCALE, SIZE, Samples, occlude
 from .sources import Photo
 
 GOOD_BELOW, BAD_ABOVE = 0.05, 0.12
-"""Mean error of the inner landmarks in outer-eye distances; fits in between teach nothing."""
+"""Mean errors of the inner landmarks in outer-eye distances that separate good from bad fits; those in between are not
+used."""
 OCCLUDED, OCCLUDED_GOOD_BELOW = 0.4, 0.08
-"""Share of the faces before which a hand is held, and the error up to which these are good fits: what is hidden is a
-guess, and the face is still there."""
+"""Share of faces with a hand in front, and error up to which these are good fits: hidden landmarks are a guess, and the
+face is still there."""
 
 
 def _error(tracker: FaceTracker, fitted: FittedShape, truth: np.ndarray) -> float:
@@ -35,7 +36,7 @@ def _near(samples: Samples, i: int, spread: float, rng: np.random.Generator) -> 
 
 
 def clutter(photos: list[Photo], count: int, rng: np.random.Generator) -> list[np.ndarray]:
-    """Pictures without an upright face: pieces of photos, turned upside down or sideways, and plain surfaces."""
+    """Return images without an upright face: pieces of photos, upside down or sideways, and plain surfaces."""
     out = []
     for _ in range(count):
         if rng.random() < 0.25:
@@ -59,7 +60,7 @@ def surface(rng: np.random.Generator) -> np.ndarray:
 
 
 def _erased(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A head without a face: what lies within its outline is blurred beyond recognition, as on a head turned away."""
+    """A head without a face: the area within its outline is blurred beyond recognition, as on a head turned away."""
     blank = cv2.GaussianBlur(image, (0, 0), SCALE * rng.uniform(0.2, 0.5))
     mask = np.zeros_like(image)
     centre, axes = landmarks.mean(0), SCALE * rng.uniform(0.75, 1.1) * np.array([0.85, 1.1])
@@ -71,7 +72,7 @@ def _erased(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) 
 def collect_features(
     tracker: FaceTracker, samples: Samples, photos: list[Photo], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Features (F, 6) of good and bad fits and whether each is good (F,)."""
+    """Features (F, 6) of good and bad fits, and whether each is good (F,)."""
     features, good = [], []
     for i in range(len(samples)):
         for spread in (0.4, 3.0):
@@ -96,7 +97,7 @@ def collect_features(
 
 
 def train_check(features: np.ndarray, good: np.ndarray, ridge: float = 1.0) -> FaceCheck:
-    """Logistic regression by Newton's method, both classes counting alike."""
+    """Logistic regression by Newton's method, with equal weights of both classes."""
     x = features.astype(np.float64)
     share = np.where(good, 0.5 / max(good.mean(), 1e-3), 0.5 / max(1 - good.mean(), 1e-3))
     weights = np.zeros(x.shape[1])

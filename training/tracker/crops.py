@@ -1,4 +1,4 @@
-"""What the networks see in training: pieces of the training pictures, shown a little wrong, mirrored and spoilt."""
+"""Input of the networks in training: crops of the training images, slightly misplaced, mirrored and degraded."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from .samples import SCALE, Samples
 from .sources import mirrored
 
 SHARE = {1.0: 0.47, 0.6: 0.12, 0.3: 0.41}
-"""How much of what is shown comes from samples of each weight: labelled by hand, smiling, portraits."""
+"""Share of samples from each source: labelled by hand, smiling, portraits."""
 TRUST = {1.0: 1.0, 0.6: 0.8, 0.3: 0.6}
 _HIDDEN = 0.3
-"""Weight of a landmark that cannot be seen: to be guessed from the rest of the face, and marked by a wide map."""
+"""Weight of an invisible landmark, which has to be guessed from the rest of the face and marked by a wide map."""
 _CLUTTER, _MISPLACED = 0.06, 0.12
-"""Pictures below the first draw show no face, up to the second a face far off its place."""
+"""Draws below the first show no face, and those below the second a face far from its place."""
 _ROTATED = 0.25
 _NEAR = 0.2
 _SPOILT = 0.3
-"""Share of the pictures for the expert of actions that are spoilt once more, and of those with something before them.
-Much of what they show is fine."""
+"""Share of the images for the expert of actions that are degraded once more, and of those with something in front. Much
+of their content is fine detail."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Pictures (B, 1, H, W), landmarks (B, n, 2) in cells, weights (B, n); whether a face is there, and whether that is
-    to be learnt, (B, 2). All float32.
+    """Images (B, 1, H, W), landmarks (B, n, 2) in cells, weights (B, n); whether a face is there, and whether that is
+    to be learnt, (B, 2). All are float32.
     """
 
     pictures: np.ndarray
@@ -44,7 +44,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class ActionBatch:
-    """Pictures (B, 1, H, W) and activations (B, n), float32."""
+    """Images (B, 1, H, W) and activations (B, n), float32."""
 
     pictures: np.ndarray
     actions: np.ndarray
@@ -52,7 +52,7 @@ class ActionBatch:
 
 @dataclass(frozen=True)
 class ActionPart:
-    """What the expert of a part's actions sees and tells; the fields are those of `ActionExperts`."""
+    """Input and output of the expert of a part's actions; the fields are those of `ActionExperts`."""
 
     actions: np.ndarray
     landmarks: np.ndarray
@@ -62,7 +62,7 @@ class ActionPart:
 
 
 def draw_actions(samples: ActionSamples, part: ActionPart, count: int, rng: np.random.Generator) -> ActionBatch:
-    """A part of faces, mirrored or not, about where the tracker finds it."""
+    """A part of faces, mirrored or not, approximately where the tracker finds it."""
     pictures = np.empty((count, 1, *part.size[::-1]), np.float32)
     actions = np.empty((count, len(part.actions)), np.float32)
     for row, i in enumerate(rng.integers(len(samples), size=count)):
@@ -97,9 +97,9 @@ class Crops:
         self._odds /= self._odds.sum()
 
     def face(self, count: int, clutter: np.ndarray, scale: float, size: int, loose: float) -> Batch:
-        """Whole faces, a share `loose` of them as a detector's box gives them, some far off.
+        """Draw whole faces, a share `loose` of them as given by a detector's box, and some far away.
 
-        `clutter` (C, S, S) are pictures without one.
+        `clutter` (C, S, S) are images without a face.
         """
         rng = self._rng
 
@@ -117,7 +117,7 @@ class Crops:
         return self._batch(count, np.arange(len(MIRROR)), (size, size), FACE_STRIDE, draw)
 
     def part(self, count: int, landmarks: np.ndarray, scale: float, size: tuple[int, int]) -> Batch:
-        """One part of faces, seen about where it is."""
+        """Draw one part of faces, approximately where it is."""
         rng = self._rng
 
         def draw(sample: _Sample) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[float, float]]:
@@ -185,7 +185,7 @@ def _in_crop(landmarks: np.ndarray, pose: np.ndarray, scale: float, size: tuple[
 
 
 def _perturbed(pose: np.ndarray, loose: bool, rng: np.random.Generator) -> np.ndarray:
-    """A pose as the last frame leaves it or, `loose`, as a detector's box gives it."""
+    """Perturb a pose as the last frame would leave it or, if `loose`, as a detector's box would give it."""
     out = pose.copy()
     if loose:
         out[0] *= np.exp(rng.uniform(-0.32, 0.32))
@@ -199,7 +199,7 @@ def _perturbed(pose: np.ndarray, loose: bool, rng: np.random.Generator) -> np.nd
 
 
 def _misplaced(pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A pose that is wrong in size, roll or place."""
+    """Return a pose with a wrong size, roll or place."""
     out = pose.copy()
     kind = rng.integers(3)
     if kind == 0:
@@ -221,7 +221,7 @@ def _is_near(pose: np.ndarray, truth: np.ndarray) -> bool:
 
 
 def _spoilt_source(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A picture in a light of its own and, sometimes, out of focus."""
+    """Return an image with its own lighting and, sometimes, out of focus."""
     if rng.random() < 0.3:
         image = cv2.convertScaleAbs(image, alpha=rng.uniform(0.3, 1.4))
     if rng.random() < 0.2:
@@ -230,7 +230,7 @@ def _spoilt_source(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _covered(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A standardised picture with noise or, sometimes, something before it."""
+    """Return a standardised image with noise or, sometimes, something in front."""
     size = max(picture.shape)
     if rng.random() < 0.25:
         picture = picture + rng.normal(0, rng.uniform(0.02, 0.25), picture.shape).astype(np.float32)

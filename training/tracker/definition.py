@@ -1,9 +1,9 @@
-"""Where a landmark is reported, against where the hand labels that the experts learn from have it.
+"""Reported places of landmarks, relative to the hand labels that the experts learn from.
 
 Brows and lips are marked in two ways. The hand labels end the row along a brow's upper rim at the *lower* corner of its
-inner end, and space the points of the lower lip evenly. The iBUG figure ends the row at the *upper* corner, and draws
-the points of the lower lip below those of the upper one. Reported is a quarter of the way from the labels to the
-figure: about as far as the median error on held-out hand labels stays what it is without.
+inner end, and space the points of the lower lip evenly. The iBUG figure ends the row at the *upper* corner, and places
+the points of the lower lip below those of the upper lip. The reported places are a quarter of the way from the labels
+to the figure, which is about as far as the median error on held-out hand labels allows without increasing.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from facemime.core.landmarks import MIRROR, N_LANDMARKS, from_ibug
 SHARE = 0.25
 _BROW_END = from_ibug((21,))
 _LIPS = tuple(from_ibug(numbers) for numbers in ((58, 50, 57), (59, 49, 58), (61, 50, 62), (67, 50, 66)))
-"""On the viewer's left: a landmark, the one of the upper lip below which the figure has it, and the next one towards
+"""Landmarks on the viewer's left: a landmark, the one of the upper lip above it in the figure, and the next one towards
 the middle, along the line to which it is moved."""
 
 
 def definition_offset(mean: np.ndarray, ict_to_labels: np.ndarray) -> np.ndarray:
-    """Return the way from the labels to the reported landmarks.
+    """Return the offsets from the labels to the reported landmarks.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""What the face detector sees in training: scenes with faces of any size from any side, and with none.
+"""Input of the face detector in training: scenes with faces of any size from any side, and scenes without faces.
 
-Re-projections show faces from all sides up to full profile, photos show real hair, clothes and backgrounds.
+Re-projections show faces from all sides up to the full profile, photos show real hair, clothes and backgrounds.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from .sources import Photo
 SCENE = 160
 """Side of a scene in pixels; a multiple of 16."""
 _HALF = SIZE // 2
-"""Side of a kept picture; an outer-eye distance is `SCALE` / 2 pixels in it."""
+"""Side of a stored image; an outer-eye distance is `SCALE` / 2 pixels in it."""
 _FARTHEST_YAW = 1.65
-"""Radians: a little beyond the profile."""
+"""Largest yaw in radians, slightly beyond the profile."""
 _POSITIVE, _UNCERTAIN = 0.3, 0.65
-"""Outer-eye distances from the middle of a face up to which a cell shows it, and up to which it may or may not."""
+"""Distances from the middle of a face, in outer-eye distances, up to which a cell shows it, and up to which it may."""
 _PLAIN, _REAL, _CUT_OUT = 0.15, 0.45, 0.5
-"""Shares: scenes without a face, faces from photos, and renders that are cut out of their background."""
+"""Shares of scenes without a face, of faces from photos, and of renders that are cut out of their background."""
 _TILT = 0.45
-"""Standard deviation of a head's roll, radians."""
+"""Standard deviation of a head's roll in radians."""
 _PIECES, _WALLS = 2, 600
-"""Pieces beside the face of each photo, and walls, that scenes are made of."""
+"""Numbers of pieces beside the face of each photo, and of walls, that scenes are made of."""
 _COARSEST = 0.7
-"""To how much of its size a scene is reduced at most, as by a webcam's codec."""
+"""Smallest share of its size to which a scene is reduced, as by a webcam's codec."""
 
 
 @dataclass
 class Heads(Stack):
-    """Pictures (N, 136, 136) uint8 of a face in the middle, where it covers them (bool), and its poses (N, 6) there.
+    """Images (N, 136, 136) uint8 of a face in the middle, the area that it covers (bool), and its poses (N, 6) there.
 
-    Photos cover all of their picture.
+    Photos cover their whole image.
     """
 
     images: np.ndarray
@@ -53,8 +53,8 @@ class Heads(Stack):
 
 @dataclass(frozen=True)
 class SceneBatch:
-    """Scenes (B, 1, S, S), and for each cell of the network whether it shows a face (B, 1, h, w), what that counts, and
-    what is to be found (B, 7, h, w). All float32.
+    """Scenes (B, 1, S, S), and for each cell of the network whether it shows a face (B, 1, h, w), its weight, and the
+    values to be found (B, 7, h, w). All are float32.
     """
 
     pictures: np.ndarray
@@ -64,7 +64,7 @@ class SceneBatch:
 
 
 def heads_of(head: IctHead, model: PointDistributionModel, photo: Photo, count: int, rng: np.random.Generator) -> Heads:
-    """The photo, and `count` re-projections of it."""
+    """Return the photo, and `count` re-projections of it."""
     rows = [_real(model, photo)]
     grey, landmarks = photo.grey(), photo.landmarks
     skinned = skin_head(head, model, grey, landmarks, acting=not photo.by_hand)
@@ -103,7 +103,7 @@ def _stack(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray, bool]]) -> Heads
 
 
 def background_piece(grey: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """What a photo shows beside the face: its left, its right or what lies below."""
+    """Return what a photo shows beside the face: its left, its right, or the area below."""
     left, right = (int(np.clip(v, 8, grey.shape[1] - 8)) for v in (landmarks[:, 0].min(), landmarks[:, 0].max()))
     low = int(np.clip(landmarks[:, 1].max(), 8, grey.shape[0] - 8))
     pieces = [grey[:, :left], grey[:, right:], grey[low:]]
@@ -114,7 +114,7 @@ def background_piece(grey: np.ndarray, landmarks: np.ndarray, rng: np.random.Gen
 def _with_hair(
     image: np.ndarray, covered: np.ndarray, points: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Hair or a hat on top and at the back of most heads, whose skin is stretched there, and what is covered then."""
+    """Draw hair or a hat on top and at the back of most heads, whose skin is stretched there; return where."""
     if rng.random() < 0.3:
         return image, covered
     columns = np.flatnonzero(covered.any(axis=0))
@@ -136,7 +136,7 @@ def _with_hair(
 
 
 def surfaces(photos: list[Photo], rng: np.random.Generator) -> list[np.ndarray]:
-    """Pictures without a face, at most as large as a scene: what photos show beside theirs, and walls."""
+    """Return images without a face, at most as large as a scene: surroundings of faces in photos, and walls."""
     pieces = [background_piece(photo.grey(), photo.landmarks, rng) for photo in photos for _ in range(_PIECES)]
     pieces += [surface(rng) for _ in range(_WALLS)]
     out = []
@@ -147,14 +147,14 @@ def surfaces(photos: list[Photo], rng: np.random.Generator) -> list[np.ndarray]:
 
 
 class Scenes:
-    """Draws scenes from heads and from surfaces without one."""
+    """Draws scenes from heads and from surfaces without a face."""
 
     def __init__(self, heads: Heads, surfaces: list[np.ndarray], rng: np.random.Generator) -> None:
         self._heads, self._surfaces, self._rng = heads, surfaces, rng
         self._real, self._rendered = np.flatnonzero(heads.real), np.flatnonzero(~heads.real)
 
     def draw(self, count: int) -> SceneBatch:
-        """`count` scenes and what is to be found in them."""
+        """Return `count` scenes and the values to be found in them."""
         cells = SCENE // STRIDE
         batch = SceneBatch(
             np.empty((count, 1, SCENE, SCENE), np.float32),
@@ -183,7 +183,7 @@ class Scenes:
         return image, poses
 
     def _backdrop(self) -> np.ndarray:
-        """One or several surfaces, with edges between them."""
+        """Return one or several surfaces, with edges between them."""
         rng = self._rng
         image = self._surface((SCENE, SCENE))
         for _ in range(int(rng.integers(0, 5))):
@@ -202,7 +202,7 @@ class Scenes:
         return cv2.resize(piece, size, interpolation=cv2.INTER_AREA)
 
     def _placed(self, image: np.ndarray, size: float, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The image with a head of that size in pixels, its middle at `place`; and the head's pose (6,) there."""
+        """Add a head of that size in pixels, its middle at `place`, to the image; also return the head's pose (6,)."""
         rng, heads = self._rng, self._heads
         rows = self._real if rng.random() < _REAL else self._rendered
         i = rows[rng.integers(len(rows))]
@@ -227,7 +227,7 @@ class Scenes:
 
 
 def _patch_mask(rng: np.random.Generator) -> np.ndarray:
-    """(136, 136) how much of a picture is shown: all of it, or an ellipse with soft edges round head and shoulders."""
+    """Visible share of an image, (136, 136): all of it, or an ellipse with soft edges around head and shoulders."""
     mask = np.zeros((_HALF, _HALF), np.float32)
     if rng.random() < 0.5:
         edge = rng.integers(1, 14, 4)

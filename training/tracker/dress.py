@@ -1,4 +1,4 @@
-"""What people wear and grow, drawn onto training pictures: made-up eyes, glasses, moustaches and beards.
+"""Clothing and hair drawn onto training images: made-up eyes, glasses, moustaches and beards.
 
 Few of the photos show them, and each misleads a network in its own way: lashes and rims look like brows, the edge of a
 moustache like the opening of the mouth.
@@ -17,11 +17,11 @@ _UPPER_LIDS = tuple(from_ibug(numbers) for numbers in (range(36, 40), range(42, 
 _LOWER_LIDS = tuple(from_ibug(numbers) for numbers in ((36, 41, 40, 39), (42, 47, 46, 45)))
 _NOSTRILS = from_ibug(range(31, 36))
 _SUBPIXEL = 4
-"""Bits of the fraction in the coordinates of what is drawn."""
+"""Fractional bits of the coordinates that are drawn."""
 
 
 def dress(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.random.Generator) -> np.ndarray:
-    """Draw some of it, or nothing, onto a grey picture.
+    """Draw some of it, or nothing, onto a grey image.
 
     Parameters
     ----------
@@ -62,13 +62,13 @@ def _line(mask: np.ndarray, points: np.ndarray, thickness: int) -> None:
 
 
 def _along(points: np.ndarray, count: int) -> np.ndarray:
-    """(count, 2) points evenly along a curve through `points` (n, 2)."""
+    """Points (count, 2) spaced evenly along a curve through `points` (n, 2)."""
     x = np.linspace(0.0, len(points) - 1.0, count)
     return np.stack([np.interp(x, np.arange(len(points)), points[:, k]) for k in (0, 1)], axis=1)
 
 
 def _lashes(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.random.Generator) -> np.ndarray:
-    """Eyeliner, lashes that reach towards the brow, and shadow above the lid."""
+    """Draw eyeliner, lashes that reach towards the brow, and shadow above the lid."""
     mask, shade = np.zeros_like(image), np.zeros_like(image)
     length, wing, below = unit * rng.uniform(0.02, 0.09), rng.uniform(0.0, 0.12), rng.random() < 0.4
     thick = max(1, round(unit * rng.uniform(0.005, 0.03)))
@@ -93,7 +93,7 @@ def _lashes(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.rando
 
 
 def _glasses(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.random.Generator) -> np.ndarray:
-    """Rims of any thickness with a bridge and temples, tinted or mirroring lenses."""
+    """Draw rims of any thickness with a bridge and temples, and tinted or mirroring lenses."""
     rim, lens = np.zeros_like(image), np.zeros_like(image)
     thick = max(1, round(unit * rng.uniform(0.008, 0.06)))
     wide, high = unit * rng.uniform(0.2, 0.3), unit * rng.uniform(0.13, 0.24)
@@ -107,7 +107,7 @@ def _glasses(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.rand
     )
     across = landmarks[EYE_LEFT].mean(axis=0) - landmarks[EYE_RIGHT].mean(axis=0)
     along = across / max(float(np.hypot(*across)), 1e-6)
-    # A face that is turned narrows its lenses as it narrows the distance of its eyes.
+    # The lenses of a turned face are narrowed like the distance between its eyes.
     narrow = float(np.clip(np.hypot(*across) / (0.68 * unit), 0.3, 1.1))
     turn = np.array([[along[0], along[1]], [-along[1], along[0]]])
     for eye in (EYE_RIGHT, EYE_LEFT):
@@ -134,7 +134,7 @@ def _glasses(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.rand
 
 
 def _beard(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.random.Generator) -> np.ndarray:
-    """Hair between nose and mouth or round the chin, over the rim of the upper lip and off the inside of the mouth."""
+    """Draw hair between nose and mouth or around the chin, over the rim of the upper lip but not inside the mouth."""
     mask = np.zeros_like(image)
     upper, lower = landmarks[UPPER_LIP], landmarks[LOWER_LIP]
     kind = rng.random()

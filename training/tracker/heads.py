@@ -46,12 +46,12 @@ class IctHead:
     landmarks: np.ndarray
 
     def index(self, name: str) -> int:
-        """Number of the expression `name`."""
+        """Index of the expression `name`."""
         return self.names.index(name)
 
 
 def load_ict(data: Path) -> IctHead:
-    """Read ICT-FaceKit; axes turn from y up, z to the camera into y down, z away."""
+    """Read ICT-FaceKit, converting its axes from y up, z to the camera, to y down, z away."""
     raw = np.load(data / ICT_FILE, allow_pickle=False)
     landmarks = raw["landmarks68"][IBUG68_INDICES]
     flip = np.array([1.0, -1.0, -1.0], np.float32)
@@ -122,12 +122,12 @@ _SURPRISE = {
     "browOuterUp": (0.5, 1.8),
     "eyeWide": (0.2, 1.8),
 }
-"""A smile that shows the teeth, and surprise, need several actions at once, which chance alone would seldom bring
-together."""
+"""Smiles that show the teeth, and surprise, need several simultaneous actions, which chance alone would seldom
+combine."""
 
 
 def sample_speech(head: IctHead, rng: np.random.Generator) -> np.ndarray:
-    """(E,) random coefficients of a mouth that is open, as in speaking or singing, with the rest of the face acting."""
+    """Random coefficients (E,) of an open mouth, as in speaking or singing, while the rest of the face acts."""
     weights = sample_expression(head, rng)
     weights[head.index("mouthClose")] = 0.0
     weights[head.index("jawOpen")] = rng.uniform(0.08, 1.3)
@@ -140,7 +140,7 @@ def sample_speech(head: IctHead, rng: np.random.Generator) -> np.ndarray:
 
 
 def sample_expression(head: IctHead, rng: np.random.Generator) -> np.ndarray:
-    """(E,) random coefficients: a few actions at a time, both sides alike more often than not."""
+    """Random coefficients (E,): a few simultaneous actions, usually equal on both sides."""
     weights = np.zeros(len(head.names), np.float32)
     if rng.random() < 0.2:
         for name, (low, high) in _GRIN.items():
@@ -152,7 +152,7 @@ def sample_expression(head: IctHead, rng: np.random.Generator) -> np.ndarray:
     for probability, shapes, strength in _ACTIONS:
         if rng.random() >= probability:
             continue
-        # Half of all blinks are complete: lids are seldom seen half way.
+        # Half of all blinks are complete, as lids are seldom seen half way.
         amount = 1.0 if shapes[0] == "eyeBlink_L" and rng.random() < 0.5 else strength * rng.random()
         sides = np.ones(len(shapes))
         if len(shapes) == 2 and not shapes[0].startswith("eyeLook") and rng.random() < 0.3:
@@ -164,7 +164,7 @@ def sample_expression(head: IctHead, rng: np.random.Generator) -> np.ndarray:
     if surprised:
         for name, (low, high) in _SURPRISE.items():
             weights[[head.index(f"{name}_{side}") for side in "LR"]] = rng.uniform(low, high) * rng.uniform(0.8, 1.0, 2)
-    # "mouthClose" is the lips' way back to each other over an open jaw; alone it would push them through each other.
+    # "mouthClose" brings the lips together over an open jaw; alone it would push them through each other.
     if rng.random() < 0.2:
         weights[head.index("mouthClose")] = weights[head.index("jawOpen")] * rng.random()
     for side in "LR":  # wide open and closed lids exclude each other

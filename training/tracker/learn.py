@@ -1,4 +1,4 @@
-"""Trains the networks: AdamW with one cycle of the rate, an average of the weights, a checkpoint every few minutes."""
+"""Training of the networks by AdamW with one cycle of the rate, averaged weights, and frequent checkpoints."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .networks import ActionNetwork, DetectorNetwork, FaceNetwork, MapLoss, Part
 
 RATE = 3e-3
 _AVERAGE = 0.005
-"""Share of the newest weights in the average that is kept in the end."""
+"""Share of the newest weights in the average that is finally kept."""
 _RARE = 2.0
 """Weight of an action that is shown, relative to one that is not."""
 _REPORT, _CHECKPOINT = 100, 250
@@ -25,7 +25,7 @@ _REPORT, _CHECKPOINT = 100, 250
 
 @dataclass(frozen=True)
 class Course:
-    """How a network is trained: the steps, where it goes on from, and what it is called in reports."""
+    """How a network is trained: the steps, the checkpoint to resume from, and its name in reports."""
 
     steps: int
     checkpoint: Path
@@ -35,26 +35,26 @@ class Course:
 def train_maps(
     network: FaceNetwork | PartNetwork, draw: Callable[[], Batch], variance: float, course: Course
 ) -> nn.Module:
-    """A network of maps, whose Gaussians have that variance in cells. A sixth of the face network's loss is about
+    """Train a network of maps, whose Gaussians have that variance in cells. About a sixth of the face network's loss is
     whether there is a face.
     """
     return _train(network, lambda: _map_loss(network, draw(), variance), course, "cells")
 
 
 def train_actions(network: ActionNetwork, draw: Callable[[], ActionBatch], course: Course) -> nn.Module:
-    """The network of the expert of actions."""
+    """Train the network of the expert of actions."""
     return _train(network, lambda: _action_loss(network, draw()), course, "off")
 
 
 def train_detector(network: DetectorNetwork, draw: Callable[[], SceneBatch], course: Course) -> nn.Module:
-    """The network that finds faces."""
+    """Train the network of the face detector."""
     return _train(network, lambda: _detector_loss(network, draw()), course, "off")
 
 
 def _train(
     network: nn.Module, loss_of_batch: Callable[[], tuple[Tensor, float]], course: Course, unit: str
 ) -> nn.Module:
-    """The network after all steps, each with the loss of another batch, which also gives a figure to report."""
+    """Train the network through all steps, each with the loss of another batch, which also gives a figure to report."""
     steps, checkpoint, name = course.steps, course.checkpoint, course.name
     network.to(memory_format=torch.channels_last)
     decayed = [p for p in network.parameters() if p.ndim > 1]
@@ -96,7 +96,7 @@ def _train(
 
 
 def _map_loss(network: FaceNetwork | PartNetwork, batch: Batch, variance: float) -> tuple[Tensor, float]:
-    """Loss, and the mean distance in cells."""
+    """Loss, and mean distance in cells."""
     pictures = torch.from_numpy(batch.pictures).to(memory_format=torch.channels_last)
     with torch.autocast("cpu", dtype=torch.bfloat16):
         out = network(pictures)
@@ -108,22 +108,22 @@ def _map_loss(network: FaceNetwork | PartNetwork, batch: Batch, variance: float)
 
 
 def _action_loss(network: ActionNetwork, batch: ActionBatch) -> tuple[Tensor, float]:
-    """Loss, and the mean absolute error of the activations."""
+    """Loss, and mean absolute error of the activations."""
     pictures = torch.from_numpy(batch.pictures).to(memory_format=torch.channels_last)
     out = network(pictures)
     wanted = torch.from_numpy(batch.actions).clamp(0.0, 1.0)
-    # Cross-entropy, as what is rare and hard to see would be left out by a loss that asks for the median.
+    # Cross-entropy, because a loss that asks for the median would ignore what is rare and hard to see.
     loss = F.binary_cross_entropy_with_logits(out, wanted, pos_weight=torch.tensor(_RARE))
     return 2.0 * loss, float((torch.sigmoid(out.detach()) - wanted).abs().mean())
 
 
 def _detector_loss(network: DetectorNetwork, batch: SceneBatch) -> tuple[Tensor, float]:
-    """Loss, and the mean absolute error of what is found of faces."""
+    """Loss, and mean absolute error of the values found for faces."""
     out = network(torch.from_numpy(batch.pictures).to(memory_format=torch.channels_last)).float()
     face, weights = torch.from_numpy(batch.face), torch.from_numpy(batch.weights)
     odds = out[:, :1]
     every = F.binary_cross_entropy_with_logits(odds, face, reduction="none")
-    missed = (torch.sigmoid(odds) - face).abs()  # focal: what is clear already counts little (Lin et al. 2017)
+    missed = (torch.sigmoid(odds) - face).abs()  # focal loss: clear cases count little (Lin et al. 2017)
     shown = face.sum().clamp_min(1.0)
     about_faces = (every * missed**2 * weights).sum() / shown
     away = (out[:, 1:] - torch.from_numpy(batch.found)) * face

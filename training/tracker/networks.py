@@ -1,7 +1,7 @@
-"""The networks of the convolutional experts, in PyTorch, and their way to ONNX.
+"""The networks of the convolutional experts in PyTorch, and their export to ONNX.
 
-Separable convolutions with skipped connections (Sandler et al. 2018) down to a coarse grid and up again (Ronneberger,
-Fischer & Brox 2015): a landmark's map is drawn from what the whole picture shows.
+Separable convolutions with skip connections (Sandler et al. 2018) down to a coarse grid and up again (Ronneberger,
+Fischer & Brox 2015), so that a landmark's map uses the whole image.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class ActionNetwork(nn.Module):
             *(_convolution(1, a, 5, 2), _Separable(a, b), _Separable(b, c, 2), _Separable(c, c)),
             *(_Separable(c, d, 2), _Separable(d, d), _Separable(d, d), nn.Conv2d(d, e, 1), nn.ReLU(inplace=True)),
         )
-        # Every place has its own weights: what lies above the lip is no tongue.
+        # Each place has its own weights, as what lies above the lip cannot be a tongue.
         self.told = nn.Sequential(
             *(nn.Flatten(), nn.Dropout(0.1), nn.Linear(e * (width // 8) * (height // 8), 96)),
             *(nn.ReLU(inplace=True), nn.Linear(96, actions)),
@@ -120,7 +120,7 @@ class ActionNetwork(nn.Module):
 
 
 class DetectorNetwork(nn.Module):
-    """(B, 1, H, W) to the log odds that a cell shows a face and to its pose (B, 8, H / 8, W / 8)."""
+    """From (B, 1, H, W) to the log odds that a cell shows a face, and to its pose (B, 8, H / 8, W / 8)."""
 
     outputs = ("faces",)
 
@@ -137,15 +137,15 @@ class DetectorNetwork(nn.Module):
         nn.init.constant_(self.faces.bias[:1], -3.0)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Log odds, then what is found of each face."""
+        """Log odds, then the values found for each face."""
         eighth = self.at_eighth(x)
         out: Tensor = self.faces(self.to_eighth(self.at_sixteenth(eighth), eighth))
         return out
 
 
 class MapLoss(torch.autograd.Function):
-    """How far maps are from their landmarks: cross-entropy to a Gaussian round each, plus `PULL` times the distance
-    of the map's mean (integral regression: Sun et al. 2018). One pass over the maps, and one back.
+    """Distance of maps from their landmarks: cross-entropy to a Gaussian around each, plus `PULL` times the distance of
+    the map's mean (integral regression: Sun et al. 2018), in one pass over the maps forwards and one backwards.
 
     Inputs: scores (B, n, H, W), cells (B, n, 2) of the landmarks `(x, y)`, weights (B, n), the Gaussian's variance in
     cells. Outputs: the loss, and the weighted mean distance in cells, which has no gradient.
@@ -181,7 +181,7 @@ class MapLoss(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: torch.autograd.function.FunctionCtx, grad: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
-        """Gradient of the loss by the scores."""
+        """Gradient of the loss with respect to the scores."""
         likely, wanted_x, wanted_y, share, pull_x, pull_y, mean_x, mean_y = ctx.saved_tensors
         across, down = (torch.arange(likely.shape[k], dtype=torch.float32) for k in (3, 2))
         by_x = (across - mean_x[..., None]) * pull_x[..., None]
@@ -193,7 +193,7 @@ class MapLoss(torch.autograd.Function):
 
 
 def to_onnx(network: FaceNetwork | PartNetwork | ActionNetwork | DetectorNetwork, width: int, height: int) -> bytes:
-    """The network for pictures of that size, as OpenCV reads it."""
+    """Return the network for images of that size in the form that OpenCV reads."""
     buffer = io.BytesIO()
     torch.onnx.export(
         network.eval(),

@@ -12,7 +12,7 @@ from facemime.core.rotation import euler_to_matrix
 
 _ALONG, _AROUND = 14, 16
 _UPPER, _LOWER = 61, 64
-"""Middles of the inner rims of the lips, of the 66 landmarks."""
+"""Middles of the inner rims of the lips among the 66 landmarks."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Tongue:
 
 
 def tongue_out(landmarks: np.ndarray, amount: float, rng: np.random.Generator) -> Tongue:
-    """A tongue between the lips of a head with `landmarks` (66, 3), out by `amount` of 0 to 1, any way it may hang."""
+    """A tongue between the lips of a head with `landmarks` (66, 3), out by `amount` of 0 to 1, hanging in any way."""
     upper, lower = landmarks[_UPPER], landmarks[_LOWER]
     gap = max(float(lower[1] - upper[1]), 0.0)
     thick = min(rng.uniform(0.08, 0.15), max(1.3 * gap, 0.05)) / 2.0
@@ -47,7 +47,7 @@ def tongue_out(landmarks: np.ndarray, amount: float, rng: np.random.Generator) -
         ],
         axis=1,
     )
-    # A flat ellipse round the path, with a groove on top, that ends in a half circle.
+    # A flat ellipse around the path, with a groove on top, that ends in a half circle.
     end = np.sqrt(np.clip(1.0 - np.square(np.clip((out - 0.45) / 0.55, 0.0, 1.0)), 0.0, 1.0))
     angle = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False)
     groove = 1.0 - rng.uniform(0.0, 0.9) * np.exp(-np.square(np.cos(angle) / 0.3)) * (np.sin(angle) < 0)
@@ -93,7 +93,7 @@ class Eyes:
     glint: np.ndarray
 
     def paint(self, side: int, places: np.ndarray, ball: np.ndarray, level: float) -> np.ndarray:
-        """(F,) grey of places (F, 3) on the eyeball with vertices `ball` (B, 3), for a skin of grey `level`."""
+        """Grey (F,) of places (F, 3) on the eyeball with vertices `ball` (B, 3), for skin of grey `level`."""
         centre = 0.5 * (ball.min(0) + ball.max(0))
         radius = 0.5 * float(np.ptp(ball[:, 1]))
         away = places - centre
@@ -114,7 +114,7 @@ class Eyes:
 
 
 def random_eyes(rng: np.random.Generator) -> Eyes:
-    """Eyes of any colour that look anywhere together, or, now and then, at the nose."""
+    """Eyes of any colour that look anywhere together or, occasionally, at the nose."""
     spread = 0.15 if rng.random() < 0.6 else 0.35
     together = np.clip(rng.normal(0.0, spread, 2) * (0.6, 1.0), (-0.45, -0.6), (0.45, 0.6))
     gaze = np.tile(together, (2, 1)) + rng.normal(0.0, 0.015, (2, 2))

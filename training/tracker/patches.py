@@ -1,4 +1,4 @@
-"""Trains the patch experts: every landmark's net at once, as batched matrix products, with Adam (Kingma & Ba 2015)."""
+"""Training of the patch experts, all landmarks at once by batched matrix products, with Adam (Kingma & Ba 2015)."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from .samples import Samples
 
 UNITS = 32
 _REACH = 1.55
-"""Half the side of a training picture in outer-eye distances."""
+"""Half the side of a training image in outer-eye distances."""
 TARGET_DEVIATION = 1.0
-"""Pixels of the reference frame: how sharp the response that is asked for."""
+"""Width of the desired response in pixels of the reference frame."""
 _PIXELS = np.stack(np.meshgrid(np.arange(-HALF, HALF + 1), np.arange(-HALF, HALF + 1)), -1).reshape(-1, 2)
 
 
 @dataclass
 class ReferenceSet:
-    """Samples in the reference frame: pictures (M, S, S) uint8, landmarks (M, 66, 2), weights (M, 66)."""
+    """Samples in the reference frame: images (M, S, S) uint8, landmarks (M, 66, 2), weights (M, 66)."""
 
     pictures: np.ndarray
     landmarks: np.ndarray
@@ -31,7 +31,7 @@ class ReferenceSet:
 
 
 def reference_set(samples: Samples, scale: float, rng: np.random.Generator) -> ReferenceSet:
-    """Warp the samples as the tracker will, at slightly wrong pose."""
+    """Warp the samples as the tracker will, at slightly wrong poses."""
     size, count = 2 * round(_REACH * scale), len(samples)
     pictures = np.empty((count, size, size), np.uint8)
     landmarks = np.empty((count, N_LANDMARKS, 2), np.float32)
@@ -49,7 +49,7 @@ def reference_set(samples: Samples, scale: float, rng: np.random.Generator) -> R
 
 
 def mirror_samples(samples: Samples) -> Samples:
-    """Every picture flipped left to right. Shape coefficients are not mirrored and must not be used after this."""
+    """Flip every image left to right. Shape coefficients are not mirrored and must not be used afterwards."""
     landmarks = samples.landmarks[:, MIRROR].copy()
     landmarks[..., 0] = samples.images.shape[2] - 1 - landmarks[..., 0]
     poses = samples.poses * np.float32([1, 1, -1, -1, 1, 1])
@@ -61,7 +61,7 @@ def mirror_samples(samples: Samples) -> Samples:
 def _draw_patches(
     data: ReferenceSet, batch: int, radius: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Normalised patches (66, batch, 121), wanted responses and weights (66, batch); half the places are near."""
+    """Normalised patches (66, batch, 121), desired responses and weights (66, batch); half of the places are near."""
     count, size = data.pictures.shape[:2]
     rows = rng.integers(0, count, (N_LANDMARKS, batch))
     truth = data.landmarks[rows, np.arange(N_LANDMARKS)[:, None]]
@@ -105,7 +105,7 @@ def train_experts(
     radius: int = 9,
     units: int = UNITS,
 ) -> tuple[PatchExperts, float]:
-    """Experts for one view and scale, and the mean cross-entropy of the last tenth of the steps."""
+    """Train experts for one view and scale; also return the mean cross-entropy of the last tenth of the steps."""
     hidden = rng.normal(0, np.sqrt(2.0 / PATCH**2), (N_LANDMARKS, PATCH**2, units)).astype(np.float32)
     values = [
         hidden,

@@ -1,7 +1,7 @@
-"""Re-projection: the ICT head fitted to a photo, with the photo as its skin, seen from elsewhere and acting.
+"""Re-projection: the ICT head is fitted to a photo, which becomes its skin, and is seen acting from elsewhere.
 
-The mesh is bent until its landmark vertices lie where the photo's labels are, so that the label moves with the skin
-it marks, and the landmarks of the new picture are known exactly.
+The mesh is bent until its landmark vertices lie at the photo's labels, so that a label moves with the skin that it
+marks, and the landmarks of the new image are known exactly.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class SkinnedHead:
 def _fit_coefficients(
     head: IctHead, model: PointDistributionModel, landmarks: np.ndarray, acting: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pose (6,), identity (100,) and expression (E,) of landmarks (66, 2), by ridge regression at the fitted pose."""
+    """Fit pose (6,), identity (100,) and expression (E,) to landmarks (66, 2), by ridge regression."""
     pose = model.fit(landmarks, noise=0.015).pose
     rotation = euler_to_matrix(*pose[1:4])
     points = head.landmarks
@@ -79,7 +79,7 @@ def _fit_coefficients(
 
 
 def _bend(vertices: np.ndarray, centres: np.ndarray, shift: np.ndarray, anchors: np.ndarray) -> np.ndarray:
-    """(V, 3) smooth displacement that is `shift` (66, 3) at the centres and 0 at the anchors: linear radial basis."""
+    """Smooth displacement (V, 3) that is `shift` (66, 3) at the centres and 0 at the anchors: linear radial basis."""
     places = np.concatenate([centres, anchors])
     values = np.concatenate([shift, np.zeros_like(anchors)])
     distance = np.linalg.norm(places[:, None] - places[None], axis=2)
@@ -92,7 +92,7 @@ def _bend(vertices: np.ndarray, centres: np.ndarray, shift: np.ndarray, anchors:
 
 
 def _sclera_photo(photo: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
-    """The photo with everything but its open eyes painted in the eye's own white."""
+    """Return the photo with everything but its open eyes painted in the eye's own white."""
     out = photo.copy()
     for eye in (EYE_RIGHT, EYE_LEFT):
         corners = landmarks[eye]
@@ -124,7 +124,7 @@ def shut_weights(head: IctHead, landmarks: np.ndarray, units: np.ndarray) -> dic
 def skin_head(
     head: IctHead, model: PointDistributionModel, photo: np.ndarray, landmarks: np.ndarray, acting: bool
 ) -> SkinnedHead:
-    """Fit the head to a grey photo (H, W) with landmarks (66, 2); `acting` where the face may not be neutral."""
+    """Fit the head to a grey photo (H, W) with landmarks (66, 2); `acting` if the face may not be neutral."""
     pose, identity, expression = _fit_coefficients(head, model, landmarks, acting)
     rotation = euler_to_matrix(*pose[1:4])
     own = np.tensordot(expression, head.expression, 1)
@@ -149,7 +149,7 @@ def skin_head(
 
 @dataclass(frozen=True)
 class Light:
-    """Ambient and directional light; `direction` (3,) points from the face to the lamp, head-on being -z."""
+    """Ambient and directional light; `direction` (3,) points from the face to the lamp, and -z is frontal."""
 
     ambient: float
     strength: float
@@ -189,7 +189,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Rendering:
-    """A new picture of a known face: grey (S, S) uint8, where the face covers it, landmarks and their visibility."""
+    """A new image of a known face: grey (S, S) uint8, the area that the face covers, landmarks and their visibility."""
 
     image: np.ndarray
     covered: np.ndarray
@@ -199,7 +199,7 @@ class Rendering:
 
 @dataclass(frozen=True)
 class _Seen:
-    """The nearest surface in each covered pixel, (F,) each: where it is, and what of the head it shows.
+    """The nearest surface in each covered pixel, (F,) each: its place, and the part of the head that it belongs to.
 
     `place` (F, 3) is in the head frame.
     """
@@ -226,7 +226,7 @@ def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 def _plain_colours(
     head: IctHead, skin_level: float, tongue: tuple[float, float], rng: np.random.Generator
 ) -> np.ndarray:
-    """(materials,) grey of what no photo shows: teeth, gums and tongue; NaN where the photo is used."""
+    """Grey of materials that no photo shows, (materials,): teeth, gums and tongue; NaN where the photo is used."""
     colour = np.full(len(head.materials), np.nan, np.float32)
     colour[head.materials.index("M_Teeth")] = np.clip(skin_level * rng.uniform(0.8, 2.0), 50, 250)
     colour[head.materials.index("M_GumsTongue")] = skin_level * rng.uniform(*tongue)
@@ -236,7 +236,7 @@ def _plain_colours(
 def _facing_triangles(
     head: IctHead, screen: np.ndarray, triangles: np.ndarray, material: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Those that are drawn and face the viewer (counter-clockwise with y down), and their material."""
+    """Triangles that are drawn and face the viewer (counter-clockwise with y down), and their material."""
     hidden = [head.materials.index(m) for m in _HIDDEN]
     drawn = ~np.isin(material, hidden)
     a, b, c = (screen[triangles[:, i]] for i in range(3))
@@ -247,7 +247,7 @@ def _facing_triangles(
 def _grey_of_surfaces(
     head: IctHead, skinned: SkinnedHead, seen: _Seen, scene: Scene, rim: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """(F,) unlit grey of every fragment: photo, eyes, or the plain colours of the mouth, darker behind `rim`."""
+    """Unlit grey of every fragment, (F,): photo, eyes, or the plain colours of the mouth, darker behind `rim`."""
     grey = _look_up(skinned.skin, seen.uv, seen.pixel, seen.size)
     sides = [
         [i for i, m in enumerate(head.materials) if m in (f"M_Sclera{s}", f"M_Iris{s}")] for s in ("Right", "Left")
@@ -278,7 +278,7 @@ def render(
     scene: Scene,
     rng: np.random.Generator,
 ) -> Rendering:
-    """Draw the head with expression (E,) and pose (6,) into a size x size picture."""
+    """Draw the head with expression (E,) and pose (6,) into an image of size x size pixels."""
     vertices = skinned.neutral + np.tensordot(expression, head.expression, 1)
     every, materials, uv_of = head.triangles, head.material, skinned.uv
     if scene.tongue_out > 0.0:
@@ -298,7 +298,7 @@ def render(
     uv, place = (np.einsum("fk,fkd->fd", weights, of[owner]).astype(np.float32) for of in (uv_of, vertices))
     depth = drawn.depth.ravel()[drawn.pixel]
     seen = _Seen(drawn.pixel, size, owner[:, 0], material[drawn.triangle], uv, depth, place)
-    # Light hardly reaches the mouth's depth; the lips' own depth is its rim.
+    # Light hardly reaches the back of the mouth; the depth of the lips is its rim.
     grey = _grey_of_surfaces(head, skinned, seen, scene, turned[head.landmarks[60:], 2].min(), rng)
     image = np.zeros(size * size, np.float32)
     image[drawn.pixel] = grey * (weights * lit[owner]).sum(1)
@@ -312,7 +312,7 @@ def render(
 
 
 def _look_up(photo: np.ndarray, uv: np.ndarray, pixel: np.ndarray, size: int) -> np.ndarray:
-    """(F,) float32 grey of the photo at uv (F, 2). As a picture, since cv2.remap limits the length of a row."""
+    """Grey of the photo at uv (F, 2), (F,) float32. Sampled as an image, since cv2.remap limits the row length."""
     where = np.zeros((size * size, 2), np.float32)
     where[pixel] = uv
     shown = cv2.remap(photo, where.reshape(size, size, 2), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -320,7 +320,7 @@ def _look_up(photo: np.ndarray, uv: np.ndarray, pixel: np.ndarray, size: int) ->
 
 
 def _visible(landmarks: np.ndarray, depth: np.ndarray, buffer: np.ndarray) -> np.ndarray:
-    """(66,) whether nothing lies more than a little before each landmark; landmarks at the very edge count."""
+    """Whether each landmark is unoccluded, (66,), with some tolerance; landmarks at the very edge count."""
     size = len(buffer)
     column, row = np.clip(np.round(landmarks).astype(int), 1, size - 2).T
     around = np.stack([buffer[row + dy, column + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)])

@@ -1,6 +1,7 @@
-"""Training pictures: faces in one canonical frame with exact landmarks, from photos and from re-projection.
+"""Training images: faces in a canonical frame with exact landmarks, from photos and from re-projection.
 
-The canonical frame is `SIZE` pixels square, unrolled, the face's pose centred, `SCALE` pixels an outer-eye distance.
+The canonical frame is `SIZE` pixels square, without roll, centred on the pose, with `SCALE` pixels per outer-eye
+distance.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ CENTRE = (SIZE - 1) / 2.0
 
 @dataclass
 class Stack:
-    """Arrays with a row per picture."""
+    """Arrays with a row per image."""
 
     def __len__(self) -> int:
-        """Number of pictures."""
+        """Number of images."""
         return len(getattr(self, fields(self)[0].name))
 
     def save(self, path: Path) -> None:
-        """Write to an uncompressed npz, complete or not at all."""
+        """Write to an uncompressed npz, completely or not at all."""
         path.parent.mkdir(parents=True, exist_ok=True)
         unfinished = path.with_suffix(".part.npz")
         np.savez(unfinished, **{f.name: getattr(self, f.name) for f in fields(self)})
@@ -42,19 +43,19 @@ class Stack:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read what `save` wrote."""
+        """Read the result of `save`."""
         raw = np.load(path, allow_pickle=False)
         return cls(**{f.name: raw[f.name] for f in fields(cls)})
 
     @classmethod
     def join(cls, parts: list[Self]) -> Self:
-        """All parts one after the other."""
+        """Concatenate parts."""
         return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})
 
 
 @dataclass
 class Samples(Stack):
-    """Training pictures, stacked.
+    """Training images, stacked.
 
     Attributes
     ----------
@@ -97,7 +98,7 @@ def _stack(
 def canonical_photo(
     model: PointDistributionModel, photo: np.ndarray, landmarks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A photo warped into the canonical frame: picture, landmarks (66, 2) and pose (6,) there."""
+    """Warp a photo into the canonical frame; return the image, landmarks (66, 2) and pose (6,) there."""
     pose = model.fit(landmarks, noise=0.01).pose
     factor = pose[0] / SCALE
     if factor > 1.5:  # the warp below reads single pixels: shrink first, so that it does not alias
@@ -116,9 +117,7 @@ def canonical_photo(
 
 
 def degrade(image: np.ndarray, rng: np.random.Generator, coarsest: float = 26.0 / SCALE) -> np.ndarray:
-    """What lamps, lenses, small faces, sensors and codecs do to a grey picture (S, S), which is reduced at most to
-    `coarsest`.
-    """
+    """Degrade a grey image (S, S), reduced at most to `coarsest`, as lamps, lenses, sensors and codecs do."""
     side = len(image)
     out = image.astype(np.float32)
     if rng.random() < 0.4:
@@ -153,7 +152,7 @@ def degrade(image: np.ndarray, rng: np.random.Generator, coarsest: float = 26.0 
 def backdrop(
     skinned: SkinnedHead, shown: np.ndarray, head: IctHead, other: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """A picture to stand behind the face: its own photo moved along with the head, or a piece of another photo."""
+    """Return an image to put behind the face: its own photo, moved with the head, or a piece of another photo."""
     if rng.random() < 0.6:
         source = skinned.uv[head.landmarks][:27]
         matrix, _ = cv2.estimateAffine2D(source, shown[:27].astype(np.float32), method=cv2.LMEDS)
@@ -168,9 +167,9 @@ def backdrop(
 def occlude(
     image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator, size: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Something before the face: an ellipse of the picture's own texture. Returns it and which landmarks it hides.
+    """Draw an ellipse of the image's own texture in front; also return which landmarks it hides.
 
-    At size 1 it is as large as two fingers up to as a fist.
+    At size 1 it is as large as two fingers up to a fist.
     """
     mask = np.zeros_like(image)
     centre = landmarks[rng.integers(len(landmarks))] + rng.normal(0, 15, 2)
@@ -183,7 +182,7 @@ def occlude(
 
 
 def random_pose(rng: np.random.Generator) -> np.ndarray:
-    """(6,) canonical pose: turned moderately most of the time, up to some 55 degrees of yaw."""
+    """Canonical pose (6,), usually turned moderately, up to about 55 degrees of yaw."""
     yaw = rng.normal(0, 0.25) if rng.random() < 0.55 else rng.uniform(-0.95, 0.95)
     pitch = np.clip(rng.normal(0, 0.2), -0.55, 0.55)
     return np.array([SCALE, pitch, yaw, 0.0, CENTRE, CENTRE])
@@ -199,7 +198,7 @@ def render_samples(
     weight: float,
     speaking: bool = False,
 ) -> Samples:
-    """`count` re-projections of one photo; `speaking` with open mouths and tongues as bright as lips."""
+    """Return `count` re-projections of one photo; `speaking` with open mouths and tongues as bright as lips."""
     grey, landmarks = photo.grey(), photo.landmarks
     if rng.random() < 0.5:
         landmarks, grey = mirrored(landmarks, grey.shape[1]), np.ascontiguousarray(grey[:, ::-1])
@@ -211,7 +210,7 @@ def render_samples(
         pose = random_pose(rng)
         lamp = rng.normal(0, 1, 3) * (1.0, 0.6, 0.4) + (0, -0.2, -0.7)
         light = Light(rng.uniform(0.45, 1.0), rng.uniform(0.0, 0.8), lamp / np.linalg.norm(lamp))
-        # Most look about ahead; some into a corner of the eye, whose white then is no lid.
+        # Most eyes look about ahead; some into a corner, where the white of the eye is not a lid.
         gaze = tuple(rng.normal(0, 0.02 if rng.random() < 0.6 else 0.06, 2) * (1.0, 0.5))
         scene = Scene(light, rng.uniform(0, 0.12), gaze, tongue)
         picture = render(head, skinned, expression, pose, SIZE, scene, rng)
@@ -234,7 +233,7 @@ def personal_expression(
     rng: np.random.Generator,
     sample: Callable[[IctHead, np.random.Generator], np.ndarray],
 ) -> np.ndarray:
-    """(E,) a random expression, with blinks scaled so that 1 shuts this person's eyes."""
+    """A random expression (E,), with blinks scaled so that 1 shuts this person's eyes."""
     expression = sample(head, rng)
     if rng.random() < 0.15:
         expression[[head.index("eyeBlink_L"), head.index("eyeBlink_R")]] = 1.0
@@ -247,7 +246,7 @@ def personal_expression(
 def photo_samples(
     model: PointDistributionModel, photo: Photo, count: int, rng: np.random.Generator, weight: float
 ) -> Samples:
-    """`count` degraded copies of a labelled photo, half of them mirrored."""
+    """Return `count` degraded copies of a labelled photo, half of them mirrored."""
     rows = []
     grey = photo.grey()
     for i in range(count):

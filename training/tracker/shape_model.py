@@ -1,4 +1,4 @@
-"""The point distribution model: modes of the ICT head, a mean corrected by hand labels, modes of real faces."""
+"""The point distribution model: modes of the ICT head, a mean corrected by hand labels, and modes of real faces."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ N_PHOTO_MODES = 16
 
 
 def landmark_importance() -> np.ndarray:
-    """(66,) weight in the principal component analysis.
+    """Weights in the principal component analysis, (66,).
 
-    A blink moves eight points by a tenth of an eye distance: unweighted, it would drown in the variance of jaws.
+    A blink moves eight points by a tenth of an eye distance; unweighted, it would be lost in the variance of jaws.
     """
     importance = np.ones(N_LANDMARKS)
     importance[JAW] = 0.4
@@ -29,7 +29,7 @@ def landmark_importance() -> np.ndarray:
 
 
 def _align(neutral: np.ndarray, mean: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Similarity `(scale, rotation, translation)` that brings `neutral` (N, 3) nearest to `mean` (Umeyama 1991)."""
+    """Similarity `(scale, rotation, translation)` that takes `neutral` (N, 3) closest to `mean` (Umeyama 1991)."""
     a, b = neutral - neutral.mean(0), mean - mean.mean(0)
     u, values, vt = np.linalg.svd(b.T @ a)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
@@ -39,9 +39,9 @@ def _align(neutral: np.ndarray, mean: np.ndarray) -> tuple[float, np.ndarray, np
 
 
 def sample_shapes(head: IctHead, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count, 66, 3) faces of the ICT family.
+    """Faces of the ICT family, (count, 66, 3).
 
-    Only the neutrals are aligned, and each expression goes the same way as its neutral: so no mode mixes a head
+    Only the neutral faces are aligned, and each expression is moved like its neutral face, so that no mode mixes a head
     movement into an expression.
     """
     points = head.landmarks
@@ -59,7 +59,7 @@ def sample_shapes(head: IctHead, count: int, rng: np.random.Generator) -> np.nda
 
 
 def principal_modes(deviations: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """`(66, 3, count)` modes and their `(count,)` variances of deviations (S, 66, 3), weighted by importance."""
+    """Modes `(66, 3, count)` and variances `(count,)` of deviations (S, 66, 3), weighted by importance."""
     importance = landmark_importance()[:, None]
     flat = (deviations * importance).reshape(len(deviations), -1)
     covariance = flat.T @ flat / len(flat)
@@ -70,7 +70,7 @@ def principal_modes(deviations: np.ndarray, count: int) -> tuple[np.ndarray, np.
 
 
 def _head_frame_residuals(model: PointDistributionModel, landmarks: list[np.ndarray]) -> np.ndarray:
-    """(S, 66, 3) what the model leaves of each labelled face, turned back into the head's axes, eye distances."""
+    """Residuals (S, 66, 3) of the model for each labelled face, turned back to the head's axes, in eye distances."""
     out = np.zeros((len(landmarks), N_LANDMARKS, 3))
     for i, points in enumerate(landmarks):
         fitted = model.fit(points, noise=0.02)
@@ -85,7 +85,7 @@ def _symmetric(offset: np.ndarray) -> np.ndarray:
 
 
 def definition_bias(model: PointDistributionModel, photos: list[Photo]) -> np.ndarray:
-    """(66, 3) how the labels of a source lie systematically beside the model's points, head frame."""
+    """Systematic offset (66, 3) of the labels of a source from the model's points, in the head frame."""
     residuals = _head_frame_residuals(model, [p.landmarks for p in photos])
     return _symmetric(np.median(residuals, axis=0))
 
@@ -93,10 +93,10 @@ def definition_bias(model: PointDistributionModel, photos: list[Photo]) -> np.nd
 def build_shape_model(
     head: IctHead, photos: list[Photo], rng: np.random.Generator, samples: int = 6000
 ) -> tuple[PointDistributionModel, np.ndarray]:
-    """The model, and the (66, 3) offset in eye distances that its mean has over the ICT landmarks.
+    """Return the model, and the offset (66, 3) in eye distances of its mean from the ICT landmarks.
 
-    The symmetric offset is fitted to the hand-labelled `photos`: the ICT vertices and the labels mark slightly
-    different places of a face. What the model then still leaves of the photos gives the last modes.
+    The symmetric offset is fitted to the hand-labelled `photos`, as the ICT vertices and the labels mark slightly
+    different places of a face. The residuals of the photos give the last modes.
     """
     shapes = sample_shapes(head, samples, rng)
     ict_mean = shapes.mean(0)

@@ -1,4 +1,4 @@
-"""The labelled photographs: reading them, splitting them by person, and trusting their labels as far as they go."""
+"""The labelled photographs: reading, splitting by person, and weighting by trust in their labels."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Photo:
 
     @property
     def by_hand(self) -> bool:
-        """Whether a human placed the landmarks."""
+        """Whether the landmarks were placed by hand."""
         return self.source in HAND_LABELLED
 
     def grey(self) -> np.ndarray:
@@ -55,13 +55,13 @@ class Photo:
 
 
 def person_of(source: str, name: str) -> str:
-    """`london:001` for both of a London person's pictures, `canada:003f`, `congress:001366`."""
+    """Return `london:001` for both images of a London person, `canada:003f`, `congress:001366`."""
     stem = Path(name).stem
     return f"london:{stem.split('_')[0]}" if source.startswith("london") else f"{source}:{stem}"
 
 
 def read_photos(data: Path, *sources: str) -> list[Photo]:
-    """Every photo of the given folders, in the order of their files."""
+    """Return every photo in the given folders, in the order of their files."""
     photos = []
     for source in sources:
         folder = data / "faces" / source
@@ -75,19 +75,19 @@ def read_photos(data: Path, *sources: str) -> list[Photo]:
 
 
 def held_out_people() -> set[str]:
-    """The people whose pictures no training may see, from `held_out.txt`."""
+    """Return the people whose images no training may see, from `held_out.txt`."""
     lines = HELD_OUT_FILE.read_text(encoding="utf-8").splitlines()
     return {line.strip() for line in lines if line.strip() and not line.startswith("#")}
 
 
 def split(photos: list[Photo]) -> tuple[list[Photo], list[Photo]]:
-    """The photos of people to train on, and of those held out."""
+    """Return the photos of people to train on, and of those held out."""
     held = held_out_people()
     return [p for p in photos if p.person not in held], [p for p in photos if p.person in held]
 
 
 def mirrored(landmarks: np.ndarray, width: int) -> np.ndarray:
-    """Landmarks (66, 2) of the picture flipped left to right."""
+    """Landmarks (66, 2) of the image flipped left to right."""
     flipped = landmarks[MIRROR].copy()
     flipped[:, 0] = width - 1 - flipped[:, 0]
     return flipped

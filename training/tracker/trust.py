@@ -1,4 +1,4 @@
-"""How far automatic labels are trusted: corrected to the hand labels' definition, pruned by the shape model."""
+"""Trust in automatic labels, which are corrected to the hand labels' definition, and pruned by the shape model."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ LARGEST_RESIDUAL = 0.022
 
 
 def trusted_photos(model: PointDistributionModel, photos: list[Photo]) -> list[Photo]:
-    """The automatically labelled photos of one source that are large and plausible, their bias taken out.
+    """Return the automatically labelled photos of one source that are large and plausible, with their bias removed.
 
-    The tracker that made the labels puts points systematically elsewhere than a person does (up to a tenth of the eye
+    The tracker that made the labels places points systematically elsewhere than a person does (up to a tenth of the eye
     distance). That difference is estimated in the head's axes and subtracted at each photo's pose.
     """
     large = [p for p in photos if p.eye_distance() >= SMALLEST_EYE_DISTANCE]

@@ -1,4 +1,4 @@
-"""The steps from data to model, each kept in a folder once it is done."""
+"""The steps from data to model, each of whose results is kept in a folder."""
 
 from __future__ import annotations
 
@@ -36,35 +36,36 @@ from .trust import trusted_photos
 
 SEED = 2019
 PATCH_SCALE = 72.0
-"""Pixels an outer-eye distance of the patch experts."""
+"""Pixels per outer-eye distance of the patch experts."""
 FRONTAL_BELOW, SIDE_ABOVE = 0.5, 0.22
-"""Radians of yaw up to which and from which the views' training pictures reach; between them both learn."""
+"""Yaw in radians up to which and from which the views' training images extend; those in between are used for both."""
 N_CLUTTER = 1500
 BATCH = {"face": 64, "glance": 96, "eye": 96, "mouth": 96}
 STEPS = {"face": 7000, "glance": 4000, "eye": 6000, "mouth": 6000}
 VARIANCE = {"face": 0.6, "glance": 0.3, "eye": 0.5, "mouth": 0.5}
-"""Of the wanted maps, in cells."""
+"""Variance of the desired maps in cells."""
 FACES = {"face": (36.0, 96, 0.4), "glance": (20.0, 48, 0.15)}
-"""Pixels an outer-eye distance, side of the picture, and the share of pictures at poses as wrong as a detector's. The
-second looks from where a face was a frame ago, at a fourth of the cost."""
+"""Pixels per outer-eye distance, side of the image, and share of images at poses as wrong as a detector's. The second
+network sees a face where it was a frame ago, at a quarter of the cost."""
 PARTS = {
     "eye": (np.r_[17:22, 36:42], 60.0, (48, 40), True),
     "mouth": (np.r_[31:36, 48:66], 44.0, (40, 48), False),
 }
-"""Landmarks, pixels an outer-eye distance, size of the picture, whether the other half of the face has it too."""
+"""Landmarks, pixels per outer-eye distance, size of the image, and whether the other half of the face has the part,
+too."""
 _UPPER = ("browInnerUpRight", "browDownRight", "noseSneerRight", "cheekSquintRight")
 _LOWER = [name for name in ACTIONS if name.startswith(("tongue", "mouth", "cheekPuff"))]
 ACTION_PARTS = {
     "eye": ActionPart(action_indices(_UPPER), np.array([31, 36, 39]), 48.0, (48, 56), True),
     "mouth": ActionPart(action_indices(_LOWER), np.array([48, 54, 57]), 44.0, (64, 56), False),
 }
-"""The eye's picture reaches from above the brow to the wing of the nose, that of the mouth over both cheeks."""
+"""The image of the eye extends from above the brow to the wing of the nose, that of the mouth over both cheeks."""
 ACTION_BATCH, ACTION_STEPS = 64, 30_000
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How many training pictures a photo of a source gives, and how far its labels are trusted.
+    """Number of training images per photo of a source, and trust in its labels.
 
     `renders` show any expression, `speaking` ones an open mouth, `copies` are the photo itself, degraded.
     """
@@ -82,17 +83,18 @@ RECIPES = {
     "congress": Recipe(10, 4, 3, 0.3),
 }
 ACTING = {"london_neutral": 96, "canada": 96, "congress": 8}
-"""Renders of a photo for the expert of actions, and of a held-out one, the first of which show a face at rest."""
+"""Number of renders of a photo for the expert of actions, and of a held-out photo, the first of which show a face at
+rest."""
 _HELD_OUT_ACTING, _RESTING = 60, 10
 SCENE_HEADS_BY_HAND, SCENE_HEADS = 24, 4
-"""Renders for the face detector of a photo that was labelled by hand, and of another."""
+"""Number of renders for the face detector per photo labelled by hand, and per other photo."""
 DETECTOR_BATCH, DETECTOR_STEPS = 48, 9000
 _RENDERS_A_SKIN = 24
 """Renders of a photo until it is mirrored or not anew."""
 
 
 class Workshop:
-    """The steps from data to model, each kept in a folder once it is done."""
+    """The steps from data to model, each of whose results is kept in a folder."""
 
     def __init__(self, data: Path, work: Path) -> None:
         self.data, self.work = data, work
@@ -109,12 +111,12 @@ class Workshop:
         return PointDistributionModel(raw["mean"], raw["basis"], raw["eigenvalues"])
 
     def definition(self) -> np.ndarray:
-        """(66, 3) from the labels to the reported landmarks."""
+        """Offsets (66, 3) from the labels to the reported landmarks."""
         mean = self.shape().mean_shape
         return definition_offset(mean, np.load(self.work / "shape.npz")["offset"])
 
     def photos(self, held_out: bool = False) -> list[Photo]:
-        """Photos to train on, or those of held-out people; automatic labels corrected and pruned."""
+        """Photos to train on, or those of held-out people; automatic labels are corrected and pruned."""
         model = self.shape()
         photos = split(read_photos(self.data, *HAND_LABELLED))[held_out]
         for source in AUTOMATIC:
@@ -122,7 +124,7 @@ class Workshop:
         return photos
 
     def part(self, number: int, photos: list[Photo], held_out: bool = False) -> Path:
-        """One file of training pictures."""
+        """A file of training images."""
         path = self.work / ("held_out" if held_out else "samples") / f"{number:03d}.npz"
         if path.exists():
             return path
@@ -146,7 +148,7 @@ class Workshop:
         return path
 
     def acting_part(self, number: int, photos: list[Photo], held_out: bool = False) -> Path:
-        """One file of training pictures for the expert of actions."""
+        """A file of training images for the expert of actions."""
         path = self.work / ("held_out_actions" if held_out else "actions") / f"{number:03d}.npz"
         if path.exists():
             return path
@@ -164,14 +166,14 @@ class Workshop:
         return path
 
     def samples(self) -> Samples:
-        """Every training picture."""
+        """All training images."""
         return Samples.join([Samples.load(p) for p in sorted((self.work / "samples").glob("*[0-9].npz"))])
 
     def network(self, name: str) -> bytes:
         """The face's network, or that of one of `PARTS`, in ONNX."""
         path = self.work / f"{name}.onnx"
         if not path.exists():
-            # Only the training needs PyTorch; the steps before it and the measuring do not.
+            # Only the training needs PyTorch; the steps before it, and the measuring, do not.
             from .learn import Course, train_maps
             from .networks import FaceNetwork, PartNetwork, to_onnx
 
@@ -208,7 +210,7 @@ class Workshop:
         return path.read_bytes()
 
     def detection_part(self, number: int, photos: list[Photo]) -> Path:
-        """One file of heads for the face detector."""
+        """A file of heads for the face detector."""
         path = self.work / "detection" / f"{number:03d}.npz"
         if not path.exists():
             head, model = load_ict(self.data), self.shape()
@@ -252,7 +254,7 @@ class Workshop:
         return PatchExperts(PATCH_SCALE, raw["w"], raw["b"], raw["v"], raw["c"])
 
     def visibility(self) -> np.ndarray:
-        """(2, 66) how often each landmark is in sight, frontal and with the nose to the viewer's left."""
+        """Share of faces in which each landmark is visible, (2, 66), frontal and with the nose to the viewer's left."""
         path = self.work / "visibility.npz"
         if not path.exists():
             samples = self.samples()
@@ -262,7 +264,7 @@ class Workshop:
         return np.load(path)["visibility"]
 
     def boxes(self) -> np.ndarray:
-        """(D, 3) where a face lies in each detector's box."""
+        """Place of a face in each detector's box, (D, 3)."""
         path = self.work / "boxes.npz"
         if not path.exists():
             model = self.shape()
@@ -304,7 +306,7 @@ class Workshop:
         )
 
     def check(self) -> FaceCheck:
-        """The learnt check, trained on what the fit makes of training pictures and of clutter."""
+        """The learnt check, trained on the fits of training images and of clutter."""
         path = self.work / "check.npz"
         if not path.exists():
             blind = FaceTracker(self.assemble(FaceCheck(np.zeros(N_FEATURES))))
@@ -330,7 +332,7 @@ def _keep(path: Path, **arrays: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class Job:
-    """One step to run: the workshop's folders, the method's name, its arguments."""
+    """A step to run: the folders of the workshop, the name of the method, and its arguments."""
 
     data: Path
     work: Path
@@ -339,7 +341,7 @@ class Job:
 
 
 def run_job(job: Job) -> str:
-    """Run a step in this process, and say which it was."""
+    """Run a step in this process, and report which it was."""
     cv2.setNumThreads(1)
     getattr(Workshop(job.data, job.work), job.step)(*job.arguments)
     return " ".join([job.step, *(str(a) for a in job.arguments if isinstance(a, int | float | str))])

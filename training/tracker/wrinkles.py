@@ -1,4 +1,4 @@
-"""Creases that actions draw into the skin, which no render of a photo has: of the nose, forehead, eyes and mouth."""
+"""Creases of nose, forehead, eyes and mouth that actions draw into the skin, and that no render of a photo has."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SHOWN, _FALSE = 0.7, 0.02
 def crease(
     image: np.ndarray, landmarks: np.ndarray, unit: float, actions: Mapping[str, float], rng: np.random.Generator
 ) -> np.ndarray:
-    """Draw the creases of some actions onto a grey picture.
+    """Draw the creases of some actions onto a grey image.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def _carve(relief: np.ndarray, curve: np.ndarray, unit: float, depth: float, rng
 
 
 def _arc(a: np.ndarray, b: np.ndarray, bulge: float, rng: np.random.Generator, unit: float) -> np.ndarray:
-    """(9, 2) a curve from a to b that bends aside by `bulge` of its length, a little uneven."""
+    """A curve (9, 2) from a to b that bends aside by `bulge` of its length, slightly uneven."""
     t = np.linspace(0.0, 1.0, 9)[:, None]
     across = b - a
     normal = np.array([-across[1], across[0]])
