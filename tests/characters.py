@@ -27,7 +27,7 @@ def _ours(key: str) -> bool:
 
 
 def strangers(*, rig: bool, y_up: bool = False, hair: bool = False) -> dict[str, bpy.types.Object]:
-    """Make a stranger's character of the built-in head: meshes without useful names, with a body, in world axes."""
+    """Make a stranger's character from the built-in head: meshes without useful names, with a body, in world axes."""
     head = add_head(bpy.context)
     objects = {"head": head, **{child[PART_PROPERTY]: child for child in head.children}}
     if hair:
@@ -70,7 +70,7 @@ def _cap(head: bpy.types.Object) -> bpy.types.Object:
 
 
 def _put_on_armature(objects: dict[str, bpy.types.Object], *, y_up: bool) -> None:
-    """Put all on an armature with a head bone, turned and scaled as FBX files come, if `y_up`."""
+    """Put all objects on an armature with a head bone, turned and scaled as in FBX files if `y_up`."""
     bpy.ops.object.armature_add()
     armature = bpy.context.active_object
     bpy.ops.object.mode_set(mode="EDIT")

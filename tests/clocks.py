@@ -12,7 +12,7 @@ PATIENCE = 300.0
 
 
 class EagerClock(Clock):
-    """Never waits: time advances by the time that would have been waited."""
+    """Never waits: time advances by the duration of the wait."""
 
     def __init__(self) -> None:
         self.time = 100.0

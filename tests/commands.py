@@ -1,4 +1,4 @@
-"""The command line in processes of its own."""
+"""The command line in separate processes."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ needs_posix = pytest.mark.skipif(os.name != "posix", reason="signals and pipes a
 
 
 def run(*arguments: object, **options: object) -> subprocess.CompletedProcess:
-    """Run the command in a process of its own."""
+    """Run the command in a separate process."""
     line = [*START, *map(str, arguments)]
     return subprocess.run(line, capture_output=True, text=True, timeout=120, check=False, **options)
 
 
 def broken_off(*arguments: object, when: Path, by: int = signal.SIGINT) -> tuple[int, str]:
-    """The exit status of the command, and what it says, where the signal `by` comes as soon as `when` has frames."""
+    """Return exit status and messages of the command when it gets the signal `by` once `when` has frames."""
     with subprocess.Popen([*START, *map(str, arguments)], stderr=subprocess.PIPE, text=True) as process:
         while not (when.exists() and when.stat().st_size > 5_000):
             assert process.poll() is None

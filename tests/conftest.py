@@ -1,4 +1,4 @@
-"""What all tests share."""
+"""Fixtures and options shared by all tests."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import signal
 
 import pytest
 
-# A shell ignores Ctrl-C for what it starts in the background, and so would the commands that tests interrupt.
+# A shell ignores Ctrl-C for background processes, and so would the commands that tests interrupt.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 _PLACE = re.compile(r"\b(4\.2|4\.5|5\.0|5\.2|trixie|sid)\b")
-"""Versions of Blender, and systems whose Blender has a window."""
+"""Versions of Blender, and platforms whose Blender has a window."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -20,7 +20,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let no property test fail because a computer is busy; environments with Blender alone have no hypothesis."""
+    """Let no property test fail on a busy machine; environments with only Blender have no hypothesis."""
     if config.pluginmanager.hasplugin("hypothesispytest"):
         from hypothesis import settings
 
@@ -29,7 +29,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the thorough tests of other shares; what starts the same Blender is in the same share."""
+    """Leave out the thorough tests of other shares; tests that start the same Blender are in the same share."""
     if not (share := config.getoption("--share")):
         return
     chosen, of = (int(number) for number in share.split("/"))

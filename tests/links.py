@@ -1,4 +1,4 @@
-"""A real network, for tests, and who sends on it."""
+"""A real network for tests, and senders on it."""
 
 import socket
 import threading
@@ -20,7 +20,7 @@ from takes import coefficient_take
 
 
 def free_port() -> int:
-    """A port of this computer that nobody uses."""
+    """Return a free port of this computer."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -28,7 +28,7 @@ def free_port() -> int:
 
 @contextmanager
 def all_the_time(send: Callable[[float], None], pause: float = 1.0 / 60.0) -> Iterator[None]:
-    """Calls `send` with the seconds since the start in a thread, with pauses of seconds."""
+    """Calls `send` with the seconds since the start in a thread, with pauses in seconds."""
     over, began = threading.Event(), time.monotonic()
 
     def run() -> None:
@@ -46,7 +46,7 @@ def all_the_time(send: Callable[[float], None], pause: float = 1.0 / 60.0) -> It
 
 @contextmanager
 def performing(sender: Output, take: Take, neutral: Neutral | None = None) -> Iterator[None]:
-    """The frames of a take, sent again and again."""
+    """Yield the frames of a take, again and again."""
     frames = cycle(range(len(take)))
     with all_the_time(lambda seconds: sender.send(seconds, take.result(next(frames)), neutral)):
         yield
@@ -54,7 +54,7 @@ def performing(sender: Output, take: Take, neutral: Neutral | None = None) -> It
 
 @contextmanager
 def sending_phone(port: int) -> Iterator[Take]:
-    """A phone that sends a second of coefficients again and again, as Live Link Face; yields what it sends."""
+    """A phone that keeps sending a second of coefficients as Live Link Face; yields the sent frames."""
     take, sender = coefficient_take(60), StreamSender(SendSettings("livelink", port=port, subject="Phone"))
     with closing(sender), performing(sender, take, coefficient_face().neutral):
         yield take
@@ -65,7 +65,7 @@ def sender_to(source: StreamSource, **settings) -> StreamSender:
 
 
 def collected(source: StreamSource, count: int, feed=lambda: None) -> list[LiveFrame]:
-    """Real frames until there are `count`, with `feed` called between reads."""
+    """Return real frames until there are `count`, with `feed` called between reads."""
     frames: list[LiveFrame] = []
     end = time.monotonic() + PATIENCE
     while len(frames) < count:
@@ -78,7 +78,7 @@ def collected(source: StreamSource, count: int, feed=lambda: None) -> list[LiveF
 
 
 def streamed(source: StreamSource, take: Take, send) -> list[LiveFrame]:
-    """What `source` plays when `send` is called with every frame of a take, in real time."""
+    """Return what `source` plays when `send` is called with every frame of a take, in real time."""
     began, sent = time.monotonic(), iter(range(len(take)))
     waiting = next(sent)
 

@@ -31,7 +31,7 @@ def tick(event=TIMER) -> set[str]:
 
 
 def attend() -> None:
-    """Let the timers do what is due."""
+    """Let the timers do their work."""
     if Session.current is not None:
         Session.current.attend()
     attend_parts()

@@ -1,4 +1,4 @@
-"""Heads whose eyes, teeth and tongue are parts of their own."""
+"""Heads whose eyes, teeth and tongue are separate parts."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from facemime.core.heads.rig import HeadRig, built_in_rig
 
 
 def with_parts() -> HeadRig:
-    """The built-in head whose eyes, teeth and tongue are other meshes of it."""
+    """The built-in head with eyes, teeth and tongue as separate meshes."""
     head, rig = load_head(), built_in_rig()
     kinds = {
         "eye_left": Part.EYE_LEFT,

@@ -38,7 +38,7 @@ def scanned(spacing: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _triangles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(T, 3, 3) corners of the triangles of a surface."""
+    """Corners of the triangles of a surface, (T, 3, 3)."""
     return vertices[np.concatenate([faces[:, :3], faces[faces[:, 3] >= 0][:, [0, 2, 3]]])].astype(float)
 
 
@@ -64,6 +64,6 @@ def cut_apart(
 
 
 def padded(polygons: list[list[int]]) -> np.ndarray:
-    """(F, K) vertices of each polygon, padded with -1."""
+    """Vertices of each polygon, (F, K), padded with -1."""
     widest = max(map(len, polygons))
     return np.array([polygon + [-1] * (widest - len(polygon)) for polygon in polygons])

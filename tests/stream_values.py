@@ -14,5 +14,5 @@ def value_of(face, name):
 
 
 def distinct() -> np.ndarray:
-    """Coefficients that all differ, so that none can be taken for another."""
+    """Coefficients that all differ, so that none can be mistaken for another."""
     return np.arange(1, N_COEFFICIENTS + 1) / 100.0

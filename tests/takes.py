@@ -60,7 +60,7 @@ def performance(count: int = 60, fps: float = 25.0) -> Take:
 
 
 def coefficient_take(count: int = 40, fps: float = 60.0) -> Take:
-    """A take of coefficients, of which several move while the head turns."""
+    """A take of coefficients, several of which change while the head turns."""
     face, recorder = coefficient_face(), TakeRecorder({"source": "phone", "measured": True})
     for number in range(count):
         values, share = np.zeros(N_COEFFICIENTS), 0.5 - 0.5 * np.cos(number / 6.0)

@@ -14,7 +14,7 @@ TOKEN = "adcd-123-ef09-some-token-string-abcd"
 
 
 class Studio:
-    """What VTube Studio does: it asks its user, knows its tokens, and takes parameters."""
+    """Behaviour of VTube Studio: it asks its user, knows its tokens, and accepts parameters."""
 
     def __init__(self, *, allow: bool = True, tokens: tuple[str, ...] = (TOKEN,)) -> None:
         self.allow, self.tokens = allow, tokens

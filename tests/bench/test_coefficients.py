@@ -40,7 +40,7 @@ def test_each_coefficient_has_a_row_and_empty_cells_where_it_was_not_acted():
 
 @settings(max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_random_expressions_show_something_possible(seed):
+def test_random_expressions_are_possible(seed):
     keys = random_expression(np.random.default_rng(seed))
     assert keys.max() > 0.0 and keys.min() >= 0.0 and keys.max() <= 1.0
     assert not keys[EXCLUSIVE[:2]].min(axis=1).any()

@@ -39,7 +39,7 @@ def walking(photo_name: str, size: int = 300) -> Clip:
 @pytest.mark.thorough
 @needs_photos
 @pytest.mark.parametrize(("behind", "before"), [("070", "031"), ("031", "105")])
-def test_a_face_that_was_hidden_by_a_passer_by_is_tracked_again_and_the_passer_by_never(
+def test_a_face_hidden_by_a_passer_by_is_tracked_again_and_the_passer_by_never(
     tracker: FaceTracker, behind: str, before: str
 ) -> None:
     run = follow(tracker, *cross(walking(behind), walking(before), speed=3.5))

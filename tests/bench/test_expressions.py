@@ -57,7 +57,7 @@ def test_scores_count_pairs_in_order_and_frames_on_their_side_of_rest():
     assert scores["jaw"].sign == []
 
 
-def test_clips_that_are_not_there_are_left_out(tmp_path, capsys):
+def test_missing_clips_are_left_out(tmp_path, capsys):
     (tmp_path / "labels.csv").write_text(f"clip,frame,{','.join(THRESHOLDS)}\na,3,1,0,0,0,0,0,0,0,0\nb,1{',.' * 9}\n")
     (tmp_path / "neutral.csv").write_text("clip,first,last,best_frontal,remark\na,2,4,.,fine\n")
     (tmp_path / "a.mp4").touch()

@@ -63,7 +63,7 @@ def nothing_left_over():
 
 @pytest.fixture(scope="session")
 def kept(tmp_path_factory):
-    """Make objects that take long only once: later tests append them from a file."""
+    """Make objects that take long, once; later tests append them from a file."""
     folder = tmp_path_factory.mktemp("kept")
 
     def get(name, make):
@@ -143,7 +143,7 @@ def takes(in_a_project):
 
 @pytest.fixture
 def imported(tmp_path, takes):
-    """A take that was imported into the list, of a face elsewhere in the picture than that of the session."""
+    """A take that was imported into the list, of a face elsewhere in the image than that of the session."""
     take = performance()
     save_take(replace(take, landmarks=take.landmarks + 8.0), tmp_path / "First.facetake")
     assert bpy.ops.facemime.import_take(filepath=str(tmp_path / "First.facetake")) == {"FINISHED"}

@@ -1,4 +1,4 @@
-"""What no landmark shows, on heads in Blender: the tongue, live and baked."""
+"""Actions that no landmark shows, on heads in Blender: the tongue, live and baked."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def tongue_of(head: bpy.types.Object) -> bpy.types.ShapeKey:
 
 
 @pytest.mark.parametrize("units", [False, True])
-def test_a_bake_puts_the_tongue_out_and_a_new_one_without_it_takes_it_back(units):
+def test_a_bake_puts_the_tongue_out_and_another_without_it_takes_it_back(units):
     head, scene = add_head(bpy.context, units=units), bpy.context.scene
     report = puppet_head(scene, head, showing())
     for frame, out in ((0, 0.0), (-1, 1.0)):
@@ -101,7 +101,7 @@ def test_a_bake_stops_before_it_replaces_the_users_animation_of_the_tongue():
         puppet_head(bpy.context.scene, head, showing())
 
 
-def test_a_tongue_that_became_something_else_than_a_mesh_is_left_alone():
+def test_a_tongue_that_is_no_longer_a_mesh_is_left_alone():
     head = add_head(bpy.context)
     empty = bpy.data.objects.new("Tongue", None)
     bpy.context.collection.objects.link(empty)

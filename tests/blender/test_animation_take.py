@@ -1,4 +1,4 @@
-"""Takes from animation: what moves a head in Blender, or in a file, drives another one."""
+"""Takes from animation: the motion of a head in Blender, or in a file, drives another head."""
 
 import bpy
 import numpy as np
@@ -54,7 +54,7 @@ def test_an_animated_head_becomes_a_take_and_the_scene_stays_as_it_was(animated,
     check(takes_store.read(takes.items[0]))
 
 
-def test_a_take_of_an_animation_drives_another_head_as_it_was(animated, takes):
+def test_a_take_of_an_animation_drives_another_head_in_the_same_way(animated, takes):
     assert bpy.ops.facemime.take_from_animation() == {"FINISHED"}
     other = add_head(bpy.context)
     bpy.context.view_layer.objects.active = other
@@ -73,7 +73,7 @@ def _landmarks(head):
 
 
 @pytest.mark.thorough
-def test_a_head_that_does_not_move_is_said_to_be_still(takes):
+def test_a_head_that_does_not_move_is_reported(takes):
     add_head(bpy.context)
     with pytest.raises(RuntimeError, match="does not move from frame 1 to 250"):
         bpy.ops.facemime.take_from_animation()
@@ -114,7 +114,7 @@ def test_the_command_imports_an_animation_of_a_file(animated, tmp_path, suffix):
 
 
 @pytest.mark.thorough
-def test_the_command_says_what_does_not_move(tmp_path):
+def test_the_command_reports_a_head_that_does_not_move(tmp_path):
     add_head(bpy.context)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "still.blend"))
     done = run("import", tmp_path / "still.blend", "-o", tmp_path / "take.facetake")

@@ -21,7 +21,7 @@ def head():
 
 
 def update():
-    """Update the scene, and let the timer do what it would."""
+    """Update the scene, and let the timer do its work."""
     bpy.context.view_layer.update()
     attend()
     bpy.context.view_layer.update()
@@ -68,7 +68,7 @@ def test_deleting_everything_leaves_no_parts_in_the_file(head):
     assert not len(bpy.data.objects)
 
 
-def test_a_part_that_the_user_deletes_is_gone(head):
+def test_a_part_that_the_user_deletes_stays_deleted(head):
     bpy.ops.object.select_all(action="DESELECT")
     bpy.data.objects["Tongue"].select_set(True)
     run(bpy.ops.object.delete)
@@ -97,7 +97,7 @@ def test_a_duplicate_of_a_head_has_parts_of_its_own(head, linked):
     assert len(bpy.data.objects) == COUNT + 1
 
 
-def test_one_undo_takes_back_a_duplicate_with_its_parts(head):
+def test_one_undo_removes_a_duplicate_with_its_parts(head):
     run(bpy.ops.object.duplicate)
     bpy.ops.ed.undo()
     update()

@@ -170,7 +170,7 @@ def armature(*bones: str) -> bpy.types.Object:
 
 
 @pytest.mark.parametrize("mode", first_of(["QUATERNION", "XYZ", "AXIS_ANGLE"]))
-def test_bones_take_the_baked_pose_of_head_and_eyes_as_they_do_live(mode):
+def test_bones_follow_the_baked_pose_of_head_and_eyes_as_they_do_live(mode):
     head = add_head(bpy.context)
     rig = armature("Head", "Eye")
     for bone in rig.pose.bones:

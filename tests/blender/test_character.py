@@ -1,4 +1,4 @@
-"""Characters of several meshes on an armature, as people have them: bound by one click, driven live and baked."""
+"""Characters of several meshes on an armature are bound by one click, driven live and baked."""
 
 import bpy
 import numpy as np
@@ -101,7 +101,7 @@ def test_a_cache_is_written_for_each_mesh_that_moves(tmp_path):
     assert np.abs(moved).max() > 1e-4
 
 
-def test_live_all_meshes_follow_and_are_as_before_at_the_end():
+def test_live_all_meshes_follow_and_are_restored_at_the_end():
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
     before = {name: shown(obj) for name, obj in objects.items()}
@@ -140,7 +140,7 @@ def test_a_character_without_bones_turns_as_a_whole_about_its_neck():
 
 
 @pytest.mark.thorough
-def test_what_the_user_makes_of_a_part_is_obeyed_and_kept_by_binding_again():
+def test_a_part_chosen_by_the_user_is_respected_and_kept_when_binding_again():
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
     bpy.context.view_layer.objects.active = head
@@ -175,7 +175,7 @@ def test_the_part_of_selected_vertices_is_set_in_edit_mode():
 
 
 @pytest.mark.thorough
-def test_the_bones_can_be_chosen_and_taken_away():
+def test_the_bones_can_be_chosen_and_cleared():
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
     bpy.context.view_layer.objects.active = head
@@ -186,7 +186,7 @@ def test_the_bones_can_be_chosen_and_taken_away():
 
 
 @pytest.mark.thorough
-def test_a_bone_that_moves_already_keeps_its_animation_and_the_report_says_so():
+def test_a_bone_with_animation_keeps_it_and_is_reported():
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
     armature, _ = read_bones(head)
@@ -301,7 +301,7 @@ def test_a_character_in_a_file_of_another_program_is_bound_and_puppeted_by_comma
 
 
 @pytest.mark.thorough
-def test_parts_joined_into_one_mesh_are_told_apart_by_their_places():
+def test_parts_joined_into_one_mesh_are_distinguished_by_their_places():
     objects = strangers(rig=True)
     names = list(objects)
     for number, obj in enumerate(objects.values()):
@@ -331,7 +331,7 @@ def test_parts_joined_into_one_mesh_are_told_apart_by_their_places():
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["cut.glb", "text.fbx", "none.glb", "clip.mp4"])
-def test_a_file_that_is_no_character_gets_one_clear_error(name, tmp_path):
+def test_a_file_without_a_character_is_one_clear_error(name, tmp_path):
     if name != "none.glb":
         (tmp_path / name).write_bytes(b"glTF\x02\x00\x00\x00\xff\xff\x00\x00")
     done = run("bind", tmp_path / name, "-o", tmp_path / "out.blend")

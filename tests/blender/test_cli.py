@@ -212,7 +212,7 @@ def test_a_head_that_cannot_be_baked_to_is_reported_before_tracking(clip, tmp_pa
 
 
 @pytest.mark.thorough
-def test_closed_output_streams_are_no_error(tmp_path):
+def test_closed_output_streams_are_not_errors(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     select = f"{COMMAND} select {tmp_path / 'take.facetake'} -o {tmp_path / 'points.json'}"
     for line in (f"{select} | true; exit ${{PIPESTATUS[0]}}", f"{select} >&-", f"{select} 2>&- >&- <&-"):
@@ -322,7 +322,7 @@ def test_select_reports_invalid_arguments(tmp_path, arguments, status, message):
 
 
 @pytest.mark.thorough
-def test_select_takes_the_head_in_a_file(tmp_path):
+def test_select_uses_the_head_in_a_file(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     obj = add_head(bpy.context)
     for vertex in obj.data.vertices:

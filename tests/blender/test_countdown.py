@@ -1,4 +1,4 @@
-"""A recording may start after a countdown, which Esc cancels, and performers hear what they cannot see."""
+"""A recording may start after a countdown, which Esc cancels, and performers hear cues that they cannot see."""
 
 import sys
 import time
@@ -88,7 +88,7 @@ def test_the_end_of_a_calibration_is_heard_if_sounds_are_wanted(puppet_running, 
     preferences().property_unset("sounds")
 
 
-def test_the_countdown_goes_on_in_the_viewport_while_no_frame_comes(puppet_running, monkeypatch):
+def test_the_countdown_continues_in_the_viewport_without_frames(puppet_running, monkeypatch):
     session, redrawn = running(), []
     session.calibrate(countdown=60.0)
     ticks_until(lambda: not session.step())
@@ -107,7 +107,7 @@ def test_at_the_end_of_a_countdown_the_performer_is_told_what_to_do(puppet_runni
     assert countdown_text(session) == asked
 
 
-def test_a_beep_without_an_audio_device_is_no_error():
+def test_a_beep_without_an_audio_device_is_not_an_error():
     assert beep() in (True, False)
 
 
@@ -124,6 +124,6 @@ def test_a_slow_redraw_is_named_as_the_slowest_step(puppet_running):
     assert session.stopwatch.slowest() == "redraw"
 
 
-def test_a_blender_without_sound_is_silent(monkeypatch):
+def test_blender_built_without_sound_stays_silent(monkeypatch):
     monkeypatch.setitem(sys.modules, "aud", None)
     assert not beep()

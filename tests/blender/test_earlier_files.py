@@ -38,7 +38,7 @@ def scene(request) -> bpy.types.Scene:
     return scene
 
 
-def test_old_settings_and_takes_give_the_same_motion_but_for_later_gains(scene, monkeypatch):
+def test_old_settings_and_takes_give_the_same_motion_except_for_later_gains(scene, monkeypatch):
     monkeypatch.setattr(retarget, "_LIP_GAIN", (1.0, 1.0))
     monkeypatch.setattr(retarget, "_CORNER_GAIN", 1.0)
     monkeypatch.setattr(retarget, "_WIDENING_GAIN", 1.0)

@@ -36,7 +36,7 @@ def content(path: Path) -> dict:
 
 
 def shown(frames=FRAMES) -> list[np.ndarray]:
-    """The vertices (V, 3) of all meshes of the scene, in the world, at some frames."""
+    """Vertices (V, 3) of all meshes of the scene in world space, at some frames."""
     out = []
     for frame in frames:
         bpy.context.scene.frame_set(frame)
@@ -54,7 +54,7 @@ def shown(frames=FRAMES) -> list[np.ndarray]:
 
 
 def reopened(path: Path) -> list[np.ndarray]:
-    """The same of a file that is imported into an empty scene, in which it begins at frame 0."""
+    """The same for a file that is imported into an empty scene, in which it begins at frame 0."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.context.scene.render.fps = 25
     bpy.ops.import_scene.gltf(filepath=str(path))
@@ -64,7 +64,7 @@ def reopened(path: Path) -> list[np.ndarray]:
 
 
 def largest_distance(wanted: list[np.ndarray], got: list[np.ndarray]) -> float:
-    """Of a wanted vertex from the nearest one that came; these are more, as they are divided where the texture is."""
+    """Distance of expected vertices from the nearest exported one; these are split at texture seams."""
     pairs = zip(wanted, got, strict=True)
     return max(float(np.linalg.norm(b[NearestPoints(b).query(a)[0].ravel()] - a, axis=1).max()) for a, b in pairs)
 
@@ -83,7 +83,7 @@ def test_the_clip_shows_what_blender_shows(tmp_path, keys):
     assert largest_distance(wanted, reopened(path)) < 2e-5
 
 
-def test_a_character_comes_with_its_bones_and_parts_and_the_selection_stays(tmp_path):
+def test_a_character_is_exported_with_bones_and_parts_and_the_selection_is_kept(tmp_path):
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
     bpy.ops.object.camera_add()
@@ -97,7 +97,7 @@ def test_a_character_comes_with_its_bones_and_parts_and_the_selection_stays(tmp_
     assert largest_distance(wanted, reopened(path)) < 1e-4
 
 
-def test_a_cache_is_refused_and_a_file_stays_if_it_cannot_be_replaced(tmp_path):
+def test_a_cache_is_refused_and_a_file_that_cannot_be_replaced_is_kept(tmp_path):
     head, path = baked(add_head(bpy.context), keys="cache", path=tmp_path / "a.pc2"), tmp_path / "head.glb"
     path.write_bytes(b"before")
     with pytest.raises(HeadError, match="in a cache"):

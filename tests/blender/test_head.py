@@ -153,7 +153,7 @@ def test_materials_deepen_the_colours_of_the_skin_but_not_the_image_that_solid_s
     assert deeper.type == "HUE_SAT" and deeper.inputs["Color"].links[0].from_node == tree.nodes.active
 
 
-def test_small_pictures_are_rendered_without_subdivision_which_stays_for_others():
+def test_small_images_are_rendered_without_subdivision_which_is_kept_for_others():
     (modifier,) = [m for m in add_head(bpy.context).modifiers if m.type == "SUBSURF"]
     with without_subdivision(bpy.context.scene):
         assert not modifier.show_render

@@ -35,7 +35,7 @@ def test_joined_lips_of_a_scan_are_reported_until_they_are_opened(scan):
 
 
 @pytest.mark.thorough
-def test_the_command_to_bind_cuts_lips_and_eyes_open_when_asked(scan, tmp_path):
+def test_the_bind_command_opens_lips_and_eyes_on_request(scan, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scan.blend"))
     character = HeadFile(tmp_path / "scan.blend", "Scan")
     joined = " ".join(bind(character, keys=None).problems)

@@ -1,4 +1,4 @@
-"""Heads that are driven live by shape keys of their own."""
+"""Heads that are driven live by their own shape keys."""
 
 import bpy
 import numpy as np
@@ -34,7 +34,7 @@ def shown(head: bpy.types.Object) -> np.ndarray:
 
 
 def left_by_keys(head: bpy.types.Object) -> float:
-    """Share of what is shown that no mix of the head's own keys explains."""
+    """Share of the displayed motion that no mix of the head's own keys explains."""
     keys = live_keys(head, "KEYS")
     member = members_of(head)[0]
     units = np.array([member.local_offsets(offsets).ravel() for offsets in keys.offsets.values()])
@@ -50,7 +50,7 @@ def play(session, head: bpy.types.Object) -> None:
     )
 
 
-def test_a_character_with_known_keys_is_driven_by_them_and_by_its_skin_if_asked(looping):
+def test_a_character_with_known_keys_is_driven_by_them_or_by_its_skin_on_request(looping):
     head, scene = character(), bpy.context.scene
     session = start_session(scene, [head])
     play(session, head)
@@ -62,12 +62,12 @@ def test_a_character_with_known_keys_is_driven_by_them_and_by_its_skin_if_asked(
     assert LIVE_KEY not in head.data.shape_keys.key_blocks
 
 
-def test_the_built_in_head_is_driven_by_its_skin_unless_keys_are_asked_for():
+def test_the_built_in_head_is_driven_by_its_skin_unless_keys_are_requested():
     head = add_head(bpy.context, units=True)
     assert live_keys(head, "AUTOMATIC") is None and len(live_keys(head, "KEYS").offsets) > 40
 
 
-def test_keys_of_which_there_are_few_are_not_taken_for_a_set():
+def test_a_few_keys_are_not_taken_for_a_set():
     head = character()
     for key in [key for key in head.data.shape_keys.key_blocks[1:] if "Blink" in key.name]:
         head.shape_key_remove(key)

@@ -81,7 +81,7 @@ def own_keys(head: bpy.types.Object) -> list[bpy.types.ShapeKey]:
     ("name", "opens"),
     first_of([("vrm", "aa"), ("facegen", "Aah"), ("vrm0", "A"), ("oculus", "viseme_aa")], rows=True),
 )
-def test_a_set_is_made_on_all_parts_detected_and_baked_to(name, opens):
+def test_a_set_of_keys_is_made_on_all_parts_detected_and_baked_to(name, opens):
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
     bpy.context.view_layer.objects.active = head
@@ -129,7 +129,7 @@ def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(keyed, na
 
 
 @pytest.mark.thorough
-def test_its_keys_are_baked_to_unless_something_else_is_asked_for(keyed):
+def test_a_character_bound_by_keys_is_baked_to_them_by_default(keyed):
     known, unknown = bind_keys(keyed()["head"]), strangers(rig=True)["head"]
     assert puppet_head(bpy.context.scene, known, performance()).summary() == "52 shape keys"
     assert values_at(known, "jawOpen", range(1, 60, 4)).max() > 0.1
@@ -138,7 +138,7 @@ def test_its_keys_are_baked_to_unless_something_else_is_asked_for(keyed):
     assert report.worst_error < 0.01 and all(key.name.startswith("Facemime ") for key in own_keys(head))
 
 
-def test_its_size_and_neck_are_those_that_landmarks_would_give(keyed):
+def test_the_size_and_neck_of_a_keyed_character_are_as_by_landmarks(keyed):
     objects = strangers(rig=True)
     head, _ = bind_character(objects["head"])
     known = read_rig(head)
@@ -151,7 +151,7 @@ def test_its_size_and_neck_are_those_that_landmarks_would_give(keyed):
     assert PIVOT_PROPERTY in head and (rig.kinds[: len(head.data.vertices)] == Part.SKIN).all()
 
 
-def test_it_is_driven_live_by_its_keys_and_never_by_its_skin(keyed, looping):
+def test_a_character_bound_by_keys_is_driven_live_by_them_only(keyed, looping):
     head, scene = bind_keys(keyed()["head"]), bpy.context.scene
     session = start_session(scene, [head])
     blocks = head.data.shape_keys.key_blocks
@@ -173,14 +173,14 @@ def test_it_is_driven_live_by_its_keys_and_never_by_its_skin(keyed, looping):
 
 
 @pytest.mark.parametrize("keys", ["new", "named", "cache"])
-def test_bakes_that_need_landmarks_say_so(keyed, keys):
+def test_bakes_that_need_landmarks_report_it(keyed, keys):
     head = bind_keys(keyed()["head"])
     with pytest.raises(HeadError, match="bound by its shape keys alone"):
         puppet_head(bpy.context.scene, head, performance(), PuppetSettings(bake=BakeSettings(keys=keys)))
 
 
 @pytest.mark.thorough
-def test_its_face_can_be_found_afterwards(keyed):
+def test_the_face_of_a_keyed_character_can_be_found_later(keyed):
     objects = keyed()
     bind_keys(objects["head"])
     head, _ = bind_character(objects["head"])

@@ -48,7 +48,7 @@ def test_reasons_within_messages_are_translated():
     assert Templates(CHINESE).translate(message, lookup) == template.format(name="Take", error=reason)
 
 
-def test_in_english_no_template_is_compared(monkeypatch):
+def test_no_template_is_compared_in_english(monkeypatch):
     monkeypatch.setattr(Templates, "_find", lambda *_: pytest.fail("a template was compared"))
     message = "head.tri cannot be read. Choose another file."
     assert Templates(CHINESE).translate(message, lambda text: text) == message

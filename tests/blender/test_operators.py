@@ -56,7 +56,7 @@ def test_add_head_adds_the_head_at_the_3d_cursor():
     assert len(head.data.vertices) == 1781 and tuple(head.location) == (1.0, 2.0, 3.0)
 
 
-def test_the_woman_is_added_if_she_is_chosen():
+def test_the_female_head_is_added_if_chosen():
     assert bpy.ops.facemime.add_head(person="WOMAN") == {"FINISHED"}
     woman = bpy.context.active_object
     rest = read_vertices(woman.data)
@@ -64,7 +64,7 @@ def test_the_woman_is_added_if_she_is_chosen():
     assert not np.allclose(rest, load_head().vertices, atol=1e-3)
 
 
-def test_a_head_is_added_beside_what_stands_at_the_cursor_in_a_collection_of_its_own():
+def test_a_head_is_added_beside_objects_at_the_cursor_in_a_separate_collection():
     bpy.ops.mesh.primitive_cube_add(size=2.0)
     cube = bpy.context.active_object
     bpy.ops.mesh.primitive_uv_sphere_add(radius=100.0)
@@ -180,7 +180,7 @@ def test_the_tracked_take_is_kept_if_it_cannot_be_baked(tmp_path, monkeypatch):
     assert Session.current is None and head.data.shape_keys is None
 
 
-def test_a_video_that_was_tracked_and_baked_leaves_a_take(tmp_path, monkeypatch):
+def test_tracking_and_baking_a_video_leaves_a_take(tmp_path, monkeypatch):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "project.blend"))
     head = add_head(bpy.context)
     monkeypatch.setattr(TrackingSession, "take", lambda session: performance())
@@ -190,7 +190,7 @@ def test_a_video_that_was_tracked_and_baked_leaves_a_take(tmp_path, monkeypatch)
     assert head.data.shape_keys.animation_data is not None
 
 
-def test_a_take_that_cannot_be_written_is_baked_all_the_same(tmp_path, monkeypatch):
+def test_a_take_that_cannot_be_written_is_baked_nevertheless(tmp_path, monkeypatch):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "project.blend"))
     (tmp_path / "takes").write_text("a file where the folder should be")
     head = add_head(bpy.context)
@@ -200,7 +200,7 @@ def test_a_take_that_cannot_be_written_is_baked_all_the_same(tmp_path, monkeypat
     assert head.data.shape_keys.animation_data is not None
 
 
-def test_whole_video_offers_the_file_that_is_chosen_as_source():
+def test_whole_video_offers_the_file_chosen_as_source():
     source = bpy.context.scene.facemime.source
     assert whole_file(source) == str(SHIPPED)
     source.kind = "CAMERA"

@@ -1,4 +1,4 @@
-"""Animation of shape keys that plays together with a bake: it is named, and muted when asked."""
+"""Animation of shape keys that plays together with a bake is reported, and muted on request."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def value_at(head: bpy.types.Object, frame: int) -> float:
     return head.data.shape_keys.key_blocks["idle"].value
 
 
-def test_an_action_under_a_bake_is_said_and_muted_while_the_bake_plays_on(head):
+def test_an_action_under_a_bake_is_reported_and_muted_while_the_bake_plays(head):
     report = puppet_head(bpy.context.scene, head, performance())
     assert report.others == ("Idle",) and any("Idle" in warning for warning in report.warnings)
     assert mute_under(head) == 1 and playing_under(head) == []
@@ -41,7 +41,7 @@ def test_an_action_under_a_bake_is_said_and_muted_while_the_bake_plays_on(head):
     assert len(curves) > 1 and not any(curve.mute for path, curve in curves.items() if "idle" not in path)
 
 
-def test_a_strip_of_the_user_is_muted_and_that_of_a_bake_is_not(head):
+def test_the_users_strip_is_muted_and_that_of_a_bake_is_not(head):
     data = head.data.shape_keys.animation_data
     data.nla_tracks.new().strips.new("Idle", 1, data.action)
     data.action = None
@@ -56,7 +56,7 @@ def test_a_strip_of_the_user_is_muted_and_that_of_a_bake_is_not(head):
     assert {track.name: track.mute for track in data.nla_tracks} == {"Imported": True, "Facemime": False}
 
 
-def test_without_other_animation_nothing_is_said():
+def test_without_other_animation_nothing_is_reported():
     head = add_head(bpy.context)
     report = puppet_head(bpy.context.scene, head, performance())
     assert report.others == () and mute_under(head) == 0

@@ -144,7 +144,7 @@ def test_lines_of_any_language_fit_the_sidebar(text, lines):
     assert max(blf.dimensions(0, line)[0] for line in wrap(text, 1.0)) < width
 
 
-def test_what_is_drawn_in_a_viewport_keeps_clear_of_toolbar_and_sidebar():
+def test_drawings_in_a_viewport_keep_clear_of_toolbar_and_sidebar():
     sides = {"TOOLS": ("LEFT", 60), "UI": ("RIGHT", 280), "HEADER": ("TOP", 1000), "WINDOW": ("NONE", 1000)}
     regions = [SimpleNamespace(type=kind, alignment=side, width=width) for kind, (side, width) in sides.items()]
     area = SimpleNamespace(regions=regions)
@@ -186,7 +186,7 @@ def test_the_check_lists_the_parts_and_bones_and_offers_to_mute_a_bone_that_move
     assert "facemime.mute_bone" not in draw(FACEMIME_PT_check)
 
 
-def test_the_check_of_a_head_without_bones_says_how_it_turns():
+def test_the_check_of_a_head_without_bones_reports_how_it_turns():
     add_head(bpy.context)
     drawn = draw(FACEMIME_PT_check)
     assert "turns as a whole" in drawn and "Tongue" in drawn and "Right Eye" in drawn
@@ -237,7 +237,7 @@ def test_the_box_on_top_leads_from_no_head_to_start_and_names_the_head():
     ("kind", "prop", "step"),
     [("VIDEO", "video", "the video"), ("PICTURES", "folder", "the folder"), ("TAKE", "take", "the take")],
 )
-def test_the_box_on_top_asks_for_the_file_of_the_source_before_it_says_ready(kind, prop, step):
+def test_the_box_on_top_asks_for_the_file_of_the_source_before_reporting_ready(kind, prop, step):
     add_head(bpy.context)
     source = bpy.context.scene.facemime.source
     source.kind = kind
@@ -246,7 +246,7 @@ def test_the_box_on_top_asks_for_the_file_of_the_source_before_it_says_ready(kin
     assert "Ready" in draw(FACEMIME_PT_start)
 
 
-def test_a_part_that_is_picked_stands_for_its_head():
+def test_a_selected_part_stands_for_its_head():
     head = add_head(bpy.context)
     other = add_head(bpy.context)
     bpy.context.window_manager.facemime_picked = head.children[0]
@@ -283,7 +283,7 @@ def test_the_menu_reaches_every_operator():
         assert hasattr(bpy.types, f"FACEMIME_OT_{name}"), name
 
 
-def test_the_two_buttons_of_the_calibration_say_what_the_performer_has_to_do():
+def test_the_two_calibration_buttons_tell_the_performer_what_to_do():
     told = {pose: calibration_tooltip(pose) for pose in ("NEUTRAL", "RANGE")}
     assert "relaxed face" in told["NEUTRAL"] and "close the eyes tightly" in told["RANGE"]
 

@@ -64,12 +64,12 @@ def test_a_landmark_is_not_dragged_onto_another_one(head):
     np.testing.assert_array_equal(read_landmarks(head), before)
 
 
-def test_the_marks_that_help_most_are_asked_for_and_otherwise_all():
+def test_the_most_helpful_marks_are_requested_and_otherwise_all():
     assert set(marks_to_ask()) == set(MARKS)
     assert marks_to_ask((54, 36)) == (36, 54)
 
 
-def test_a_mark_can_be_taken_back(head):
+def test_a_mark_can_be_undone(head):
     marking = Placing(head, marks_to_ask())
     for vertex in (10, 20, 30, 40):
         marking.mark(vertex)
@@ -83,12 +83,12 @@ def test_a_mark_is_expected_where_the_search_has_put_it(head):
     assert place_of_mark(head, 48) == read_landmarks(head)[CORNER]
 
 
-def test_placing_without_a_window_says_what_to_use_instead(head):
+def test_placing_without_a_window_is_refused_with_an_alternative(head):
     with pytest.raises(RuntimeError, match="Set Landmark or Mark Point"):
         bpy.ops.facemime.adjust_landmarks()
 
 
-def test_a_head_that_is_deleted_meanwhile_is_left_alone(head):
+def test_a_head_deleted_while_placing_is_left_alone(head):
     placing = dragged(head)
     bpy.data.objects.remove(head)
     placing.accept()

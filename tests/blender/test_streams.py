@@ -39,7 +39,7 @@ pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
 @pytest.fixture
 def phone():
-    """A stream of Live Link Face as the source, and somebody who sends it all the time."""
+    """A stream of Live Link Face as the source, and a sender that keeps sending."""
     source, port = bpy.context.scene.facemime.source, free_port()
     source.kind, source.stream.protocol, source.stream.port = "STREAM", "livelink", port
     bpy.context.scene.facemime.smoothing = 0.0
@@ -49,7 +49,7 @@ def phone():
 
 @pytest.fixture
 def online():
-    """Blender's switch for online access, off, and as it was afterwards."""
+    """Blender's switch for online access, off, and restored afterwards."""
     system = bpy.context.preferences.system
     before, system.use_online_access = system.use_online_access, False
     assert not bpy.app.online_access
@@ -100,7 +100,7 @@ def test_a_calibration_of_a_phone_is_not_kept_for_the_camera(phone):
     np.testing.assert_array_equal(read_calibration(settings).shape, before.shape)
 
 
-def test_a_recorded_phone_bakes_to_what_it_sent(phone, takes):
+def test_a_recorded_phone_bakes_to_the_sent_values(phone, takes):
     add_head(bpy.context)
     source = bpy.context.scene.facemime.source.stream
     assert source.protocol == "livelink"
@@ -142,7 +142,7 @@ def test_a_table_of_live_link_face_is_imported_into_the_list(takes, tmp_path):
     np.testing.assert_allclose(arkit_coefficients(take, calibrate(take)), sent.coefficients, atol=2e-5)
 
 
-def test_what_is_tracked_is_sent_while_the_puppet_runs(take):
+def test_tracked_faces_are_sent_while_the_puppet_runs(take):
     add_head(bpy.context)
     settings = bpy.context.scene.facemime
     settings.source.loop = True
@@ -204,7 +204,7 @@ def test_streams_on_this_computer_need_no_online_access(online):
     assert open_sender(settings) is None
 
 
-def test_a_port_that_is_taken_is_reported(phone):
+def test_a_port_in_use_is_reported(phone):
     head = add_head(bpy.context)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
@@ -232,7 +232,7 @@ def test_a_missing_key_and_a_missing_phone_are_reported(tmp_path):
 
 @pytest.fixture
 def phones():
-    """Two phones that send on one port all the time, and whose names can be added to those that send."""
+    """Two phones that keep sending on one port, and whose names can be added to the senders."""
     source, port, over = bpy.context.scene.facemime.source, free_port(), threading.Event()
     source.kind, source.stream.protocol, source.stream.port = "STREAM", "livelink", port
     bpy.context.scene.facemime.smoothing = 0.0
@@ -268,7 +268,7 @@ def two_heads() -> list[bpy.types.Object]:
 
 
 def jaws(heads) -> list[float]:
-    """How far each head has moved from rest at most, metres."""
+    """Largest distance in metres that each head has moved from rest."""
     return [float(np.abs(shown(head) - [vertex.co for vertex in head.data.vertices]).max()) for head in heads]
 
 
@@ -342,7 +342,7 @@ def test_a_paired_computer_drives_a_head_over_tls(pairing, online, tmp_path):
         bpy.ops.facemime.stop_puppet()
 
 
-def test_a_pairing_needs_online_access_and_has_to_be_whole(pairing, online):
+def test_a_pairing_needs_online_access_and_a_complete_line(pairing, online):
     bpy.context.scene.facemime.source.kind, bpy.context.scene.facemime.source.stream.protocol = "STREAM", "own"
     add_head(bpy.context)
     pairing.pairing = Pairing("192.168.1.7", 21576, bytes(32), bytes(16)).line
@@ -354,7 +354,7 @@ def test_a_pairing_needs_online_access_and_has_to_be_whole(pairing, online):
     assert running() is None
 
 
-def test_vtube_studio_gets_what_is_tracked(take, tmp_path, monkeypatch):
+def test_vtube_studio_receives_tracked_faces(take, tmp_path, monkeypatch):
     monkeypatch.setattr("facemime.settings.values.user_folder", lambda name: tmp_path / name)
     add_head(bpy.context)
     settings, studio = bpy.context.scene.facemime, Studio()

@@ -1,4 +1,4 @@
-"""Facemime's words are translated in a context of their own, so that Blender's meanings of them do not come first."""
+"""Facemime's words are translated in a separate context, so that Blender's meanings of them do not take precedence."""
 
 from inspect import get_annotations
 from types import SimpleNamespace
@@ -37,7 +37,7 @@ def test_every_text_is_registered_in_the_context():
 
 
 class Layout:
-    """Substitute for a layout: notes texts that Blender would translate in its own context."""
+    """Substitute for a layout: records texts that Blender would translate in its own context."""
 
     def __init__(self):
         self.astray = []

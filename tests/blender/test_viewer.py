@@ -1,4 +1,4 @@
-"""The viewer of a running puppet: served while it runs, to whom the settings say, and with what the head looks like."""
+"""The viewer of a running puppet: served while it runs, according to the settings, with the look of the head."""
 
 import json
 
@@ -30,7 +30,7 @@ pytestmark = [
 
 @pytest.fixture
 def viewer():
-    """The settings of the viewer, switched on, on any port."""
+    """The settings of the viewer, turned on, on any port."""
     settings = bpy.context.scene.facemime.viewer
     settings.enabled, settings.port = True, 0
     return settings
@@ -93,7 +93,7 @@ def test_other_computers_need_online_access(viewer):
         system.use_online_access = before
 
 
-def test_what_goes_wrong_during_a_puppet_switches_only_the_viewer_off(viewer):
+def test_an_error_of_the_viewer_during_a_puppet_turns_only_the_viewer_off(viewer):
     add_head(bpy.context)
     start()
     tick()

@@ -19,7 +19,7 @@ from takes import performance
 
 RIGID = ("eye_left", "eye_right", "teeth_upper", "teeth_lower", "hair", "body")
 CARRIED = {"hair": 1e-5, "teeth_upper": 1e-5, "eye_left": 2e-3, "eye_right": 2e-3, "teeth_lower": 0.01, "tongue": 0.01}
-"""Metres by which the middle of each part may leave the head bone: eyes turn, lower teeth open."""
+"""Distance in metres by which the middle of each part may leave the head bone: eyes turn, lower teeth open."""
 
 
 def lengths(obj: bpy.types.Object, points: np.ndarray) -> np.ndarray:
@@ -29,7 +29,7 @@ def lengths(obj: bpy.types.Object, points: np.ndarray) -> np.ndarray:
 
 
 def carried(armature: bpy.types.Object, points: np.ndarray) -> np.ndarray:
-    """Return points of the world where the head bone takes them."""
+    """Return where the head bone moves points of the world."""
     bone = armature.pose.bones["Head"]
     world = armature.matrix_world
     moved = np.array(world @ bone.matrix @ bone.bone.matrix_local.inverted() @ world.inverted())

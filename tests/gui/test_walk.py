@@ -91,7 +91,7 @@ value = [has_preview(screen, area) for area in screen.areas if area.type == "VIE
 """
 
 
-def test_of_several_viewports_one_shows_the_preview(blender, sidebar):
+def test_only_one_of_several_viewports_shows_the_preview(blender, sidebar):
     add_head(sidebar)
     start(sidebar)
     blender.do(_SPLIT)

@@ -157,7 +157,7 @@ def test_five_viewers_see_the_same(open_page, watched):
 
 
 @pytest.mark.thorough
-def test_several_heads_sit_round_a_table(open_page, watched):
+def test_several_heads_are_placed_around_a_table(open_page, watched):
     shown = watched(built_in(), built_in(), built_in())
     shown.show(face())
     page = loaded(open_page(shown.address))
@@ -188,7 +188,7 @@ def test_a_head_that_changes_is_loaded_again(open_page, watched):
 
 
 @pytest.mark.thorough
-def test_the_page_says_how_fast_it_is(open_page, watched):
+def test_the_page_reports_its_speed(open_page, watched):
     shown = watched()
     shown.show(face())
     page = loaded(open_page(shown.address))
@@ -230,7 +230,7 @@ def test_a_headset_shows_the_head_in_the_room_and_gives_it_back(browser, watched
 
 
 @pytest.mark.thorough
-def test_without_augmented_reality_the_page_says_why(open_page, watched):
+def test_without_augmented_reality_the_page_gives_the_reason(open_page, watched):
     shown = watched()
     page = open_page(shown.address)
     until(page, "document.getElementById('reason').textContent !== ''")
