@@ -110,9 +110,10 @@ bench-binding: build/faces/.ready
 
 # Strangers' characters; needs ../shared/data.
 CHARACTERS ?= ../shared/data/characters
-bench-heads: setup
+bench-heads: build/faces/.ready
 	mkdir -p build/bench
-	$(BIN)/python -m bench.characters $(CHARACTERS) --json build/bench/characters.json
+	$(BIN)/python -m bench.characters $(CHARACTERS) --menpo3d build/faces/menpo3d-0.8.6.tar.gz --figure docs/images/heads.jpg --json build/bench/characters.json
+	$(BIN)/python -m bench.docs build/bench/characters.md
 
 bench-deformation: setup
 	mkdir -p build/bench

