@@ -20,7 +20,7 @@ PANELS = {
     "FACEMIME_PT_regions": f"{_OWN_HEAD}#check-the-regions",
     "FACEMIME_PT_control_points": "deformation.html#control-points-from-a-take",
     "FACEMIME_PT_expression": f"{_WEBCAM}#adjust-the-expression",
-    "FACEMIME_PT_fit": "deformation.html#the-paper-s-way",
+    "FACEMIME_PT_fit": "deformation.html#the-paper-s-method",
     "FACEMIME_PT_puppet": f"{_WEBCAM}#start-the-puppet",
     "FACEMIME_PT_pose": f"{_WEBCAM}#start-the-puppet",
     "FACEMIME_PT_send": "streams.html#in-blender",
