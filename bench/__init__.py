@@ -1,6 +1,6 @@
 """Benchmarks. Each prints tables and, with `--json FILE`, writes the same numbers.
 
-All run on one core: the thread pools are sized before numpy is loaded.
+All run on one core: the sizes of the thread pools are set before numpy is loaded.
 """
 
 import os

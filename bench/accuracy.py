@@ -110,7 +110,7 @@ def second_differences(points: np.ndarray) -> np.ndarray:
 class Apertures:
     """How lids and lips follow: medians of the absolute error and of what is found where the truth is shut; slopes.
 
-    Values are in percent of the outer-eye distance; a slope of 1 follows fully, 0 not at all.
+    Values are in percent of the outer-eye distance; at a slope of 1 the motion is followed fully, at 0 not at all.
     """
 
     eye_error: float
@@ -151,8 +151,8 @@ class BlinkCount:
 
     true: int
     found: int
-    told: int
-    right: int
+    reported: int
+    correct: int
 
     def __add__(self, other: BlinkCount) -> BlinkCount:
         return BlinkCount(*(a + b for a, b in zip(_counts(self), _counts(other), strict=True)))
@@ -165,21 +165,23 @@ class BlinkCount:
     @property
     def precision(self) -> float:
         """Share of the reported blinks that are true."""
-        return self.right / self.told if self.told else float("nan")
+        return self.correct / self.reported if self.reported else float("nan")
 
 
 def _counts(count: BlinkCount) -> tuple[int, int, int, int]:
-    return count.true, count.found, count.told, count.right
+    return count.true, count.found, count.reported, count.correct
 
 
 def count_blinks(found: np.ndarray, truth: np.ndarray) -> BlinkCount:
-    """Blinks in landmarks (T, 66, 2): spans in which the eyes are open by less than half their median."""
-    told, true = _blinks(found), _blinks(truth)
+    """Count blinks in landmarks (T, 66, 2): spans in which the eyes are open by less than half their median."""
+    reported, true = _blinks(found), _blinks(truth)
 
     def met(span: tuple[int, int], others: list[tuple[int, int]]) -> bool:
         return any(span[0] <= end + _SLACK and start - _SLACK <= span[1] for start, end in others)
 
-    return BlinkCount(len(true), sum(met(s, told) for s in true), len(told), sum(met(s, true) for s in told))
+    return BlinkCount(
+        len(true), sum(met(s, reported) for s in true), len(reported), sum(met(s, true) for s in reported)
+    )
 
 
 def _blinks(landmarks: np.ndarray) -> list[tuple[int, int]]:

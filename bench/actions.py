@@ -1,10 +1,10 @@
 """Accuracy of actions that no landmark shows, on rendered clips of held-out people: `python -m bench.actions`.
 
 Each person rests, then shows one action after the other while the head moves a little: the tongue, puffed cheeks,
-pressed lips and so on, each side by itself if there are two, and crossed eyes. The tracker follows the clip end to end,
-and the activations of the avatar, with the neutral face that Facemime finds, are compared with the exact truth. The
-area under the curve (AUC) is the share of pairs of frames, one with the action above half and one without it, in which
-the former is measured to show more.
+pressed lips and so on, separately on each side if there are two, and crossed eyes. The clip is tracked end to end, and
+the activations of the avatar, with the neutral face that Facemime finds, are compared with the exact truth. The area
+under the curve (AUC) is the share of pairs of frames, one with the action above half and one without it, in which the
+former has the higher measured activation.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Seen:
 
 
 def auc(measured: np.ndarray, shown: np.ndarray, absent: np.ndarray) -> float:
-    """Share of pairs of a frame in `shown` (F,) and one in `absent` (F,) that are in order; ties count half."""
+    """Share of pairs of a frame in `shown` (F,) and one in `absent` (F,) in the right order; ties count half."""
     on, off = np.sort(measured[shown]), measured[absent]
     below, upto = np.searchsorted(on, off, "left"), np.searchsorted(on, off, "right")
     return float(1.0 - (0.5 * (below + upto)).mean() / len(on))

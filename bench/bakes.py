@@ -38,14 +38,14 @@ def bake_tables(take: Take) -> list[Table]:
 def _bakes(take: Take, level: int) -> list[tuple[str, str, int, float, float]]:
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        ways = [BakeSettings(max_keys=count) for count in COUNTS]
-        ways += [BakeSettings(), BakeSettings(clean=0.005), BakeSettings(keys="cache", path=Path(folder) / "bake.pc2")]
+        bakes = [BakeSettings(max_keys=count) for count in COUNTS]
+        bakes += [BakeSettings(), BakeSettings(clean=0.005), BakeSettings(keys="cache", path=Path(folder) / "bake.pc2")]
         names = [f"at most {count} new keys" for count in COUNTS]
         names += ["new keys within 0.9 %", "the same, curves cleaned within 0.5 %", "Mesh Cache"]
         if level == 0:
-            ways += [BakeSettings(keys="named"), BakeSettings(keys="mapped")]
+            bakes += [BakeSettings(keys="named"), BakeSettings(keys="mapped")]
             names += ["ARKit keys, fitted", "ARKit keys, by mapping"]
-        for name, bake in zip(names, ways, strict=True):
+        for name, bake in zip(names, bakes, strict=True):
             head = _head(level, bake)
             seconds, report = _timed(
                 lambda head=head, bake=bake: puppet_head(bpy.context.scene, head, take, PuppetSettings(bake=bake))

@@ -43,7 +43,7 @@ def main() -> int:
 
 
 def bound_rows(heads: Sequence[LabelledHead]) -> list[tuple[object, ...]]:
-    """Mean errors over some heads, in the plane of the face and in space, without and with all marks."""
+    """Mean errors over `heads`, in the plane of the face and in space, without marks and with all of them."""
     rows: list[tuple[object, ...]] = []
     for marked in (False, True):
         errors, began = [], perf_counter()

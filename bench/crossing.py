@@ -1,4 +1,4 @@
-"""Tracking of a chosen person who crosses another one."""
+"""Whether the tracker stays with the chosen person when another passes in front."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ SPEEDS = (1.5, 2.0, 2.5, 3.0)
 
 @dataclass(frozen=True)
 class Crossing:
-    """Numbers of frames in which the tracker followed the chosen person, the other, nobody, or neither; and the end."""
+    """Numbers of frames in which the tracker followed the chosen person, the other, no face, or neither of the two.
+
+    `returned` is whether it followed the chosen person in the last frame.
+    """
 
     own: int
     other: int
@@ -33,7 +36,7 @@ class Crossing:
 
 
 def cross(behind: Clip, before: Clip, speed: float) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
-    """Grey frames (480, 640) in which the second person passes in front of the first; landmarks (T, 66, 2) of both."""
+    """Render grey frames (480, 640) in which the second person passes in front of the first, with their landmarks."""
     count = min(len(behind.frames), len(before.frames))
     rng = np.random.default_rng(0)
     room = 110.0 + 6.0 * cv2.GaussianBlur(rng.normal(0, 40, (_HEIGHT, _WIDTH)).astype(np.float32), (0, 0), 12)
@@ -64,7 +67,7 @@ def _head(points: np.ndarray) -> np.ndarray:
 
 
 def follow(tracker: FaceTracker, frames: list[np.ndarray], own: np.ndarray, other: np.ndarray) -> Crossing:
-    """Track the person with landmarks `own` (T, 66, 2), who is chosen in the first frame."""
+    """Track the person with landmarks `own` (T, 66, 2), chosen in the first frame."""
     tracker.reset()
     tracker.choose(*own[0].mean(axis=0))
     units = eye_distances(own)
@@ -83,7 +86,7 @@ def follow(tracker: FaceTracker, frames: list[np.ndarray], own: np.ndarray, othe
 
 
 def on_crossings(tracker: FaceTracker, clips: list[Clip]) -> dict[str, dict[str, float]]:
-    """All pairs of people at all speeds: shares of frames, and of crossings with the right end, by speed."""
+    """All pairs of people at all speeds: shares of frames, and crossings that end on the chosen person, by speed."""
     out = {}
     for speed in SPEEDS:
         runs = [follow(tracker, *cross(a, b, speed)) for a in clips for b in clips if a is not b]

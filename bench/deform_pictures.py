@@ -1,4 +1,4 @@
-"""Pictures of deformed heads: expressions beside their landmarks, methods side by side, the greedy curve."""
+"""Images of deformed heads: expressions and their landmarks, methods side by side, the curve of the greedy search."""
 
 from __future__ import annotations
 

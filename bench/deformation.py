@@ -32,7 +32,7 @@ def main() -> int:
     """Run the benchmark; returns the exit status."""
     command = parser(__doc__.splitlines()[0])
     add_data_option(command)
-    command.add_argument("--pictures", type=Path, metavar="DIR", help="folder for pictures of the comparison")
+    command.add_argument("--pictures", type=Path, metavar="DIR", help="folder for images of the comparison")
     arguments = command.parse_args()
     heads = [built_in_head()]
     models = [load_expressions()]
@@ -40,7 +40,10 @@ def main() -> int:
         heads.insert(0, ict_head(arguments.data))
         models = [learn(head.vertices, head.landmarks, head.regions, head.motions) for head in reversed(heads)]
     else:
-        print(f"{arguments.data} has no {ICT_FILE}: the built-in head alone (training/README.md).", file=sys.stderr)
+        print(
+            f"{arguments.data} has no {ICT_FILE}; only the built-in head is measured.",
+            file=sys.stderr,
+        )
     tables, numbers = [], {}
     for head, model in zip(heads, models, strict=True):
         selection = greedy_points(head, HALF)
@@ -80,7 +83,7 @@ def main() -> int:
 
 
 def judge(head: TrueHead, method: Method, weights: NDArray[np.float64]) -> dict[str, dict[str, float]]:
-    """Errors by area, and opening ratios, worst vertex and crease, over the motions with (N, E) `weights`."""
+    """Measure errors by area, opening ratios, the worst vertex and the crease over motions with (N, E) `weights`."""
     wrong = dict.fromkeys(AREAS, 0.0)
     motion = dict.fromkeys(AREAS, 0.0)
     openings = {name: [0.0, 0.0] for name in ("mouth", "eyes")}
@@ -116,7 +119,7 @@ def judge(head: TrueHead, method: Method, weights: NDArray[np.float64]) -> dict[
 
 
 def opening(outline: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Areas of outlines (N, K, 3) in the front view, (N,); at least 0, as crossed rims leave nothing open."""
+    """Areas of outlines (N, K, 3) in the front view, (N,); 0 if the rims cross."""
     x, y = outline[..., 0], outline[..., 1]
     return np.maximum((x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y).sum(axis=1) / 2.0, 0.0)
 
@@ -134,7 +137,7 @@ def _border_edges(head: TrueHead) -> NDArray[np.int64]:
 def _bend(
     head: TrueHead, edges: NDArray[np.int64], true: NDArray[np.float32], found: NDArray[np.float32]
 ) -> NDArray[np.float64]:
-    """Angle in degrees between the true and the computed direction of each of `edges`, (N E,)."""
+    """(N E,) angles in degrees between the true and the computed direction of each of `edges`."""
     a, b = edges.T
     along = head.vertices[b] - head.vertices[a]
     right, ours = (along + moved[:, b] - moved[:, a] for moved in (true, found))
@@ -156,7 +159,7 @@ def tables_of(head: TrueHead, methods: list[Method], mixed: dict, alone: dict) -
 
 
 def curve_of(selection: GreedySelection) -> list[dict[str, object]]:
-    """The greedy curve as plain values."""
+    """The steps of the greedy search as plain values."""
     return [
         {"action": step.action, "landmark": step.landmark, "points": step.points, "error": step.error}
         for step in selection.steps
@@ -164,7 +167,7 @@ def curve_of(selection: GreedySelection) -> list[dict[str, object]]:
 
 
 def rig_difference(one: TrueHead, other: TrueHead) -> list[tuple[str, float]]:
-    """For shapes of both heads, |b - s a| / |b| over the landmarks at the best scale s; the mean for the jaw."""
+    """Differences of common shapes, |b - s a| / |b| over the landmarks at the best scale s: the jaw's, and the mean."""
     shapes = {
         name.replace("_L", "Left").replace("_R", "Right"): motion[one.landmarks]
         for name, motion in zip(one.names, one.motions, strict=True)

@@ -26,7 +26,7 @@ from facemime.core.mesh.pieces import islands
 Predict = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 _RIDGE = 1e-4
 SIGMAS = tuple(np.linspace(0.06, 0.3, 13).tolist())
-"""Widths of a single Gaussian that are tried, in outer-eye distances."""
+"""Candidate widths of a single Gaussian, in outer-eye distances."""
 _DEEP = 0.4
 """Distance behind the lips, in outer-eye distances, beyond which Laplacian deformation fixes the wall of the mouth; its
 best value."""
@@ -142,7 +142,7 @@ def refitted(head: TrueHead, chosen: GreedySelection | None = None) -> Predict:
 
 
 def planar(predict: Predict) -> Predict:
-    """The same without depth."""
+    """A method, without depth."""
     return lambda displacements: predict(displacements * np.float32((1.0, 1.0, 0.0)))
 
 
@@ -159,7 +159,7 @@ def _rig(head: TrueHead, chosen: GreedySelection | None, *, sharp: bool = False)
 
 
 def laplacian(head: TrueHead) -> Predict:
-    """Bi-Laplacian editing with cotangent weights, ``L M^-1 L x = 0``; vertices in no region are fixed."""
+    """Bi-Laplacian editing with cotangent weights, ``L M^-1 L x = 0``; vertices outside all regions are fixed."""
     count = len(head.vertices)
     stiffness, mass = _cotangent(head)
     system = csc_matrix(stiffness @ diags(1.0 / mass) @ stiffness)

@@ -1,6 +1,6 @@
-"""Detection by the network and by the cascades of people who turn, tilt, are far away, or not alone.
+"""Faces that the network and the cascades detect: turned, tilted, distant, or with another person behind.
 
-Usage: python -m bench.detection [--json build/bench/detection.json]. Held-out people are rendered before a grey wall.
+Usage: python -m bench.detection [--json build/bench/detection.json]. Held-out people are rendered against a grey wall.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _WIDTH, _HEIGHT = 640, 480
 _NEAR = 0.12
 """Mean error of the visible inner points, in eye distances, below which the right face was found."""
 _LARGE, _BEHIND = 80.0, 26.0
-"""Outer-eye distances in pixels of the person in front, and of the blurred one behind."""
-_FRAMES_OF_NOBODY, _PICTURES_OF_NOBODY, _PIECES = 16, 60, 8
+"""Outer-eye distances, in pixels, of a large person and of the blurred one behind."""
+_FRAMES_WITHOUT_A_FACE, _PICTURES_OF_NOBODY, _PIECES = 16, 60, 8
 
 
 @dataclass(frozen=True)
 class Case:
-    """A rendered person: angles in degrees and sizes in pixels, with or without somebody behind."""
+    """A rendered person: angles in degrees and sizes in pixels, with or without another person behind."""
 
     title: str
     yaw: float = 0.0
@@ -128,7 +128,7 @@ def measure_without_a_face(detector: str, pictures: list[NDArray[np.uint8]]) -> 
         tracker, times, wrong = FaceTracker.load(gradual=gradual, settings=TrackingSettings(detector)), [], 0
         for picture in pictures:
             tracker.reset()
-            for frame in range(_FRAMES_OF_NOBODY):
+            for frame in range(_FRAMES_WITHOUT_A_FACE):
                 began = perf_counter()
                 if tracker.track(picture).found:
                     wrong += 1

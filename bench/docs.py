@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results = chosen.results or sorted((ROOT / "build" / "bench").glob("*.md"))
     tables = {title: lines for path in results for title, lines in tables_in(path.read_text("utf-8")).items()}
     if not tables:
-        print("There is no table. Run a benchmark first, such as make bench.", file=sys.stderr)
+        print("There are no tables. Run a benchmark first, such as make bench.", file=sys.stderr)
         return 1
     failed = False
     for path in sorted(chosen.docs.glob("*.md")):
@@ -78,7 +78,7 @@ def with_tables(text: str, tables: Mapping[str, Sequence[str]]) -> tuple[str, li
         while lines and lines[0].startswith("|"):
             table.append(lines.pop(0))
         if not table:
-            raise ValueError(f"below its marker the table {title!r} is missing.")
+            raise ValueError(f"the table {title!r} is missing below its marker.")
         if title in tables:
             put_in.append(title)
         found += tables.get(title, table)

@@ -1,6 +1,6 @@
 """Images of held-out people with exact landmarks: stills that vary in one respect, and clips.
 
-Photos of people unknown to the training become the skins of newly rendered heads, as in `training.tracker.reproject`.
+Photos of people who were not used for training become the skins of rendered heads, as in `training.tracker.reproject`.
 All heads have the same size, the same place in the image and no expression, except for what an axis varies. Rendered
 images are kept below build/.
 """
@@ -38,7 +38,7 @@ LIMITS = (25.0, 45.0, 40.0)
 """Limits of pitch, yaw and roll in degrees within which a face should never be lost."""
 _ACT = 18
 """Number of frames of each action in an acting clip."""
-_TURNS_A_SECOND = np.array([0.31, 0.23, 0.17])
+_TURNS_PER_SECOND = np.array([0.31, 0.23, 0.17])
 
 _EXPRESSIONS: dict[str, dict[str, float]] = {
     "neutral": {},
@@ -178,7 +178,7 @@ class ExactFaces:
         return image, landmarks
 
     def _hard(self, person: int, share: float, pose: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
-        """Make it turned, lit from the side, small, blurred, noisy and compressed, by `share` of the hardest case."""
+        """Render a person turned, lit from the side, small, blurred, noisy and compressed, by a share of the maxima."""
         rng = np.random.default_rng((person, 5))
         pose[1:4] = np.radians([25.0, 45.0, 30.0]) * share * np.array([rng.choice([-1, 1]), side, rng.choice([-1, 1])])
         actions = {k: v * min(1.0, 1.5 * share) for k, v in _EXPRESSIONS[str(rng.choice(list(_EXPRESSIONS)))].items()}
@@ -263,7 +263,7 @@ class ExactFaces:
         phases = rng.uniform(0.0, 2.0 * np.pi, 3)
         for frame in range(int(8 * FPS)):
             t = frame / FPS
-            angles = min(1.0, t) * np.radians(LIMITS) * np.sin(2.0 * np.pi * _TURNS_A_SECOND * t + phases)
+            angles = min(1.0, t) * np.radians(LIMITS) * np.sin(2.0 * np.pi * _TURNS_PER_SECOND * t + phases)
             actions = {"jawOpen": max(0.0, 0.5 * np.sin(7.0 * t)), "eyeBlink": float(t % 1.7 < 0.16)}
             actions["mouthSmile"] = 0.6 * (np.sin(t) > 0)
             place = _CENTRE + np.array([9 * np.sin(0.9 * t), 6 * np.sin(1.7 * t)])

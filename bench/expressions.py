@@ -83,7 +83,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     command.add_argument("neutral", type=Path)
     command.add_argument("clips", type=Path)
     command.add_argument("--given-neutral", action="store_true", help="start from the labelled neutral frames")
-    command.add_argument("--takes", type=Path, default=Path("build/bench/expressions"), help="where takes are kept")
+    command.add_argument(
+        "--takes", type=Path, default=Path("build/bench/expressions"), help="folder in which takes are cached"
+    )
     command.add_argument("--wrong", action="store_true", help="list the frames on the wrong side of rest")
     arguments = command.parse_args(argv)
     clips = read_clips(arguments.labels, arguments.neutral, arguments.clips)

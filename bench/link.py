@@ -1,4 +1,4 @@
-"""Seeded simulation of a network that delays, loses, duplicates and reorders packets, in simulated time."""
+"""Simulation of a network that delays, loses, duplicates and reorders packets; seeded, in simulated time."""
 
 from __future__ import annotations
 

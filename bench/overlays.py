@@ -1,7 +1,7 @@
 """Landmarks drawn on data that cannot be published: `python -m bench.overlays -o FOLDER`.
 
-One sheet shows held-out people's photos, those farthest from their labels first, and one sheet each a clip. The images
-contain photos and frames of ../shared/data and are not part of the repository.
+One sheet shows photos of held-out people, those with the largest errors first, and there is one sheet per clip. The
+images contain photos and frames of ../shared/data and must stay out of the repository.
 """
 
 from __future__ import annotations

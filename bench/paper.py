@@ -90,7 +90,10 @@ def main() -> int:
     head, rig = built_in_head(), built_in_rig()
     take = track_video(SAMPLE, FaceTracker.load()).finish()
     clip = Clip(take, calibrate(take))
-    scores = {name: judge(head, Method(name, 66, predict, 0.0, 0.0), head.mixtures) for name, predict in ways(head)}
+    scores = {
+        name: judge(head, Method(name, 66, predict, 0.0, 0.0), head.mixtures)
+        for name, predict in compared_methods(head)
+    }
     found = {
         "regions": region_table(rig),
         "errors": error_table(scores),
@@ -116,7 +119,7 @@ def main() -> int:
     return 0
 
 
-def ways(head: TrueHead) -> list[tuple[str, Predict]]:
+def compared_methods(head: TrueHead) -> list[tuple[str, Predict]]:
     """The compared methods, the paper's first, then with one ingredient after another replaced."""
     papers = regions(head, kernel="gaussian", sharp=True, exact=True)
     return [

@@ -85,7 +85,7 @@ def _points(head: TrueHead, rig: HeadRig, take: Take) -> Image:
     start = np.zeros_like(membership())
     for row, muscles in zip(start, START, strict=True):
         row[from_ibug(tuple(muscles))] = True
-    chosen = {"all landmarks": membership(), "the muscles' points": start}
+    chosen = {"all landmarks": membership(), "muscle points": start}
     for title, search in (("equation 6", "paper"), ("our search", "take")):
         chosen[f"{title}, within 1.5 %"] = select_for_take(rig, take, tolerance=0.015, search=search).membership
     tiles = []
@@ -107,7 +107,7 @@ def _openings(head: TrueHead) -> Image:
         "one function": whole(head),
         "one wide function": whole(head, 0.2),
         "three regions": planar(regions(head, kernel="gaussian", sharp=True, exact=True)),
-        "by default": informed(head, shipped_expressions()[0]),
+        "default": informed(head, shipped_expressions()[0]),
     }
     rows = []
     for title in ("jaw open", "laugh", "blink"):
@@ -152,7 +152,7 @@ def _expressions(take: Take, video: Path, paper: DriveSettings) -> Image:
     with VideoSource(video) as source:
         faces = [draw_face(f.image, take.landmarks[f.index], _TILE) for f in source if f.index in wanted]
     trios = [
-        (titled(face, "performer"), np.hstack([titled(theirs, "Yao et al. 2019"), titled(ours, "by default")]))
+        (titled(face, "performer"), np.hstack([titled(theirs, "Yao et al. 2019"), titled(ours, "default")]))
         for face, ours, theirs in zip(faces, *avatars, strict=True)
     ]
     return contact_sheet(trios, columns=2, gap=8)

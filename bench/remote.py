@@ -105,8 +105,8 @@ class Live:
 def main() -> int:
     """Run the benchmark; returns the exit status."""
     command = parser(__doc__.splitlines()[0])
-    command.add_argument("--seconds", type=float, default=20.0, help="duration of the measurement of the delay (20)")
-    command.add_argument("--cut", type=float, default=60.0, help="seconds for which nothing comes (60)")
+    command.add_argument("--seconds", type=float, default=20.0, help="seconds for which the delay is measured (20)")
+    command.add_argument("--cut", type=float, default=60.0, help="seconds for which the stream is interrupted (60)")
     command.add_argument("--hours", type=float, default=24.0, help="hours of simulated packets (24)")
     command.add_argument("--packets", type=int, default=100_000, help="damaged packets for each protocol (100,000)")
     arguments = command.parse_args()
@@ -179,7 +179,7 @@ def draw(path: Path, delays: list[float]) -> None:
     figure, axes = plt.subplots(figsize=(7.0, 2.4), layout="constrained")
     axes.hist(1e3 * np.array(delays), bins=np.arange(0.0, 81.0, 1.0), color="#3a7d6b")
     axes.axvline(40.0, color="#b04030", linewidth=1.0)
-    axes.set_xlabel("ms from sending a frame to the moved vertices")
+    axes.set_xlabel("time from sending a frame to the moved vertices, ms")
     axes.set_ylabel("frames")
     axes.spines[["top", "right"]].set_visible(False)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -195,7 +195,7 @@ def tracked() -> Take:
 
 
 def stream(take: Take, seconds: float, cut: float) -> Live:
-    """Send a take in a loop through a relay to a worker that drives the built-in head, with an outage at the end."""
+    """Loop a take through a relay to a worker that drives the built-in head, with an interruption at the end."""
     source = StreamSource(StreamSettings(port=_free_port()))
     source.read(0.0)
     relay = Relay(LINK, source.address)

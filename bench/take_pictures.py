@@ -37,7 +37,7 @@ CLIP = ROOT / "assets" / "sample" / "sample.mp4"
 START, END, EARLIER = 6.0, 8.0, 4.0
 MOMENTS = (1.7, 2.6, 4.4, 5.3, 6.6, 8.6)
 SIDE, QUALITY = 240, 82
-WAYS = {"new keys": "new", "ARKit's keys": "named", "Mesh Cache": "cache"}
+MODES = {"new keys": "new", "ARKit's keys": "named", "Mesh Cache": "cache"}
 
 Image = NDArray[np.uint8]
 
@@ -53,10 +53,10 @@ def main() -> int:
     mended = smooth_zero_phase(punched)
     rows = np.searchsorted(mended.times, MOMENTS)
     sheet = [_performer(take, mended, rows)]
-    for name, keys in WAYS.items():
-        pictures, told = _baked(mended, keys, mended.times[rows])
+    for name, keys in MODES.items():
+        pictures, summary = _baked(mended, keys, mended.times[rows])
         sheet.append(np.hstack([draw_label(pictures[0], name), *pictures[1:]]))
-        print(f"{name}: {told}")
+        print(f"{name}: {summary}")
     _write(folder / "takes_bakes.jpg", np.vstack(sheet))
     _write(folder / "takes_mended.jpg", draw_before_after(take, mended))
     return 0

@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--margin",
         type=float,
         default=1.0,
-        help="shown around a face, of its size, as others may be in the picture (1)",
+        help="margin to show around a face, relative to its size, as there may be other faces in the image (1)",
     )
     arguments = command.parse_args(argv)
     cv2.setNumThreads(1)

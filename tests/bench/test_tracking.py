@@ -67,7 +67,7 @@ def test_blinks_are_counted_as_detected_missed_or_false(face):
     truth = blinking(face, [(10, 13), (30, 34), (50, 53)])
     found = blinking(face, [(11, 14), (31, 33), (70, 73)])
     count = count_blinks(found, truth)
-    assert (count.true, count.found, count.told, count.right) == (3, 2, 3, 2)
+    assert (count.true, count.found, count.reported, count.correct) == (3, 2, 3, 2)
     assert count.recall == pytest.approx(2 / 3) and (count + count).precision == pytest.approx(2 / 3)
 
 
@@ -110,5 +110,5 @@ def test_compared_trackers_take_turns_at_every_frame():
         def reset(self) -> None:
             pass
 
-    told = paces([Watcher("a"), Watcher("b")], [np.array([k]) for k in range(8)])
-    assert shown == [(name, k) for k in range(8) for name in "ab"] and set(told) == {"a", "b"}
+    timed = paces([Watcher("a"), Watcher("b")], [np.array([k]) for k in range(8)])
+    assert shown == [(name, k) for k in range(8) for name in "ab"] and set(timed) == {"a", "b"}
