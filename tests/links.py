@@ -28,7 +28,7 @@ def free_port() -> int:
 
 @contextmanager
 def all_the_time(send: Callable[[float], None], pause: float = 1.0 / 60.0) -> Iterator[None]:
-    """Calls `send` with the seconds since the start in a thread, with pauses in seconds."""
+    """Call `send` with the seconds since the start in a thread, with pauses in seconds, within the context."""
     over, began = threading.Event(), time.monotonic()
 
     def run() -> None:
@@ -46,7 +46,7 @@ def all_the_time(send: Callable[[float], None], pause: float = 1.0 / 60.0) -> It
 
 @contextmanager
 def performing(sender: Output, take: Take, neutral: Neutral | None = None) -> Iterator[None]:
-    """Yield the frames of a take, again and again."""
+    """Send the frames of a take, again and again, within the context."""
     frames = cycle(range(len(take)))
     with all_the_time(lambda seconds: sender.send(seconds, take.result(next(frames)), neutral)):
         yield
