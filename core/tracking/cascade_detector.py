@@ -51,7 +51,7 @@ _SMALLEST = 28
 _FARTHEST = 72
 """Largest box in pixels of the efforts for faces far away; earlier efforts find larger ones."""
 _NEAR = 72
-"""Smallest box of the first effort in pixels: about a quarter of the image. Larger boxes take a third of the time."""
+"""Smallest box of the first effort in pixels, about a quarter of the image; this reduces the time to a third."""
 _FILLING = 96
 """Smallest box of a close-up in pixels."""
 
