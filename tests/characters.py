@@ -1,4 +1,4 @@
-"""Strangers' characters on an armature, built from the parts of the built-in head, for tests.
+"""Characters on an armature as other artists make them, built from the parts of the built-in head, for tests.
 
 As a script it writes one to a .blend file: `python tests/characters.py FILE`.
 """
@@ -27,7 +27,7 @@ def _ours(key: str) -> bool:
 
 
 def strangers(*, rig: bool, y_up: bool = False, hair: bool = False) -> dict[str, bpy.types.Object]:
-    """Make a stranger's character from the built-in head: meshes without useful names, with a body, in world axes."""
+    """Make a character from the built-in head: meshes without useful names, with a body, in world axes."""
     head = add_head(bpy.context)
     objects = {"head": head, **{child[PART_PROPERTY]: child for child in head.children}}
     if hair:

@@ -1,4 +1,4 @@
-"""The bench of actions: what it counts."""
+"""The benchmark of actions: which frames it counts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def test_the_area_under_the_curve_is_the_share_of_pairs_in_order():
     assert auc(np.zeros(60), shown, ~shown) == 0.5
 
 
-def test_each_action_and_crossed_eyes_have_a_row_and_unknown_frames_count_nowhere():
+def test_each_action_and_crossed_eyes_have_a_row_and_unknown_frames_are_ignored():
     truth = np.zeros((40, N_ACTIONS))
     truth[20:] = 1.0
     crossed = np.where(np.arange(40) < 20, 0.0, 0.6)

@@ -1,4 +1,4 @@
-"""The bench of coefficients: its figures count what they say, and its scripts are faces."""
+"""The benchmark of coefficients: its measures and its random scripts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ JAW, SMILE, LOOK = (COEFFICIENT_INDEX[name] for name in ("jawOpen", "mouthSmileL
 
 
 def performed() -> Performed:
-    """Ten frames of an opening jaw that is found half as far, and four with a smile and a look that nobody acted."""
+    """Ten frames of an opening jaw that is found by half, and four with a smile and a gaze that were not acted."""
     acted, found = (np.zeros((10, len(COEFFICIENTS))) for _ in range(2))
     acted[:, JAW] = np.arange(10) / 10.0
     found[:, JAW] = 0.5 * acted[:, JAW]
@@ -23,7 +23,7 @@ def performed() -> Performed:
     return Performed(acted, found)
 
 
-def test_figures_are_over_acted_coefficients_and_frames_and_the_direction_of_the_eyes_counts_nowhere():
+def test_measures_cover_acted_coefficients_and_frames_but_not_the_direction_of_the_eyes():
     name, frames, correlation, error, spurious = summary("clip", performed())
     assert (name, frames) == ("clip", 10)
     assert correlation == pytest.approx(1.0)
@@ -31,7 +31,7 @@ def test_figures_are_over_acted_coefficients_and_frames_and_the_direction_of_the
     assert spurious == pytest.approx(0.4)
 
 
-def test_each_coefficient_has_a_row_and_empty_cells_where_it_was_not_acted():
+def test_each_coefficient_has_a_row_with_empty_cells_if_it_was_not_acted():
     rows = {row[0]: row[1:] for row in rows_of({"clip": performed()})}
     assert list(rows) == [COEFFICIENTS[k] for k in FITTED]
     assert rows["mouthSmileLeft"] == ["", "", pytest.approx(0.4)]

@@ -1,4 +1,4 @@
-"""A tracked face that somebody passes, in crossings of two held-out people's photos."""
+"""Tracking of a face while another one passes in front of it, in photos of two held-out people."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def tracker() -> FaceTracker:
 
 
 def walking(photo_name: str, size: int = 300) -> Clip:
-    """A held-out person's photo of 80 pixels between the eyes, 90 frames of it."""
+    """A clip that repeats a held-out person's photo for 90 frames, with 80 pixels between the eyes."""
     photo = next(p for p in split(read_photos(DATA, "london_neutral"))[1] if p.name.startswith(photo_name))
     factor = 80.0 / photo.eye_distance()
     points = (photo.landmarks + 0.5) * factor - 0.5

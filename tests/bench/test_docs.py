@@ -43,7 +43,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_tables_replace_only_those_that_a_document_marks(folder, capsys):
+def test_only_the_marked_tables_of_a_document_are_replaced(folder, capsys):
     capsys.readouterr()
     assert docs.main([str(folder / "speed.md"), "--docs", str(folder / "docs")]) == 0
     assert capsys.readouterr().out == f"{folder / 'docs' / 'speed.md'}: Milliseconds\n"
@@ -55,7 +55,7 @@ def test_tables_replace_only_those_that_a_document_marks(folder, capsys):
     assert (folder / "docs" / "speed.md").read_text(encoding="utf-8") == after
 
 
-def test_a_marker_without_a_table_is_reported_and_the_document_stays(folder, capsys):
+def test_a_marker_without_a_table_is_reported_and_the_document_unchanged(folder, capsys):
     broken = BEFORE.replace("<!-- table: Milliseconds -->\n", "<!-- table: Milliseconds -->\n\n")
     (folder / "docs" / "speed.md").write_text(broken, encoding="utf-8")
     assert docs.main([str(folder / "speed.md"), "--docs", str(folder / "docs")]) == 1
@@ -63,7 +63,7 @@ def test_a_marker_without_a_table_is_reported_and_the_document_stays(folder, cap
     assert (folder / "docs" / "speed.md").read_text(encoding="utf-8") == broken
 
 
-def test_without_results_the_benchmarks_are_named(folder, capsys):
+def test_missing_results_are_reported_with_the_command_that_makes_them(folder, capsys):
     (folder / "empty.md").write_text("nothing", encoding="utf-8")
     assert docs.main([str(folder / "empty.md"), "--docs", str(folder / "docs")]) == 1
     assert "Run a benchmark first" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The measure of expressions: its features have the signs of the labels, and its scores count what they say."""
+"""The benchmark of expressions: the signs of its features, and its scores."""
 
 from pathlib import Path
 
@@ -34,13 +34,13 @@ def moved(landmarks: np.ndarray, right: float = 0.0, down: float = 0.0) -> np.nd
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_a_feature_has_the_sign_of_its_label_and_nothing_else_moves_at_rest(points, name, sign):
+def test_features_have_the_signs_of_their_labels_and_are_zero_at_rest(points, name, sign):
     assert np.sign(features(points, REST)[name][0]) == sign
     assert abs(features(points, REST)[name][0]) > THRESHOLDS[name]
     assert all(abs(value[0]) < 1e-12 for value in features(REST[None], REST).values())
 
 
-def test_a_shut_eye_is_one_whatever_its_opening():
+def test_a_shut_eye_has_the_value_one_whatever_its_opening_at_rest():
     shut = REST.copy()
     shut[UPPER_LIDS[:2]] = shut[LOWER_LIDS[:2]]
     found = features(shut[None], REST)
@@ -66,7 +66,7 @@ def test_missing_clips_are_left_out(tmp_path, capsys):
     assert "b is left out" in capsys.readouterr().err
 
 
-def test_a_mouth_that_opens_half_as_far_from_any_rest_has_half_the_slope() -> None:
+def test_a_mouth_that_opens_half_as_far_has_half_the_slope_whatever_its_rest() -> None:
     performer = np.array([0.0, 0.1, 0.4, np.nan, 0.2])
     avatar = np.array([0.05, 0.1, 0.25, 0.3, 0.15])
     assert abs(slope(avatar, performer) - 0.5) < 1e-12

@@ -1,4 +1,4 @@
-"""docs/paper.md says what `make paper` has measured, and its tables are true of the head that ships."""
+"""docs/paper.md contains the results of `make paper`, and its tables hold for the shipped head."""
 
 from __future__ import annotations
 
@@ -55,24 +55,24 @@ def test_the_claims_follow_from_the_tables():
     )
 
 
-def test_the_regions_are_those_of_the_head_that_ships():
+def test_the_regions_are_those_of_the_shipped_head():
     assert [list(row) for row in region_table(built_in_rig()).rows] == MEASURED["Regions"].rows
 
 
-def test_the_errors_are_those_of_the_head_that_ships(head):
+def test_the_errors_are_those_of_the_shipped_head(head):
     for name, options in (("with depth", {"sharp": True, "exact": True}), ("+ soft borders", {})):
         predict = regions(head, kernel="gaussian", **options)
         errors = judge(head, Method(name, 66, predict, 0.0, 0.0), head.mixtures)["errors"]
         assert errors == {area: pytest.approx(cell(MEASURED[ERRORS], name, area), rel=1e-3) for area in AREAS}
 
 
-def test_the_settings_of_the_bench_are_those_of_the_preset():
+def test_the_benchmark_uses_the_settings_of_the_preset():
     options = paper_settings()
     assert (options.mode, options.kernel, options.borders) == ("planar", "gaussian", "sharp")
     assert options.exact and options.incremental and options.only_landmarks and not options.contact
 
 
-def test_the_pictures_of_the_page_exist_and_are_all_used():
+def test_the_images_of_the_page_exist_and_are_all_used():
     pictures = {path.name for path in (ROOT / "docs" / "images" / "paper").iterdir()}
     assert set(re.findall(r"images/paper/(\S+?)\)", PAGE.read_text(encoding="utf-8"))) == pictures
     for name in pictures:

@@ -17,7 +17,7 @@ SAMPLE = Path(__file__).parents[2] / "assets" / "sample"
 
 
 def write_points(path: Path, landmarks: np.ndarray) -> None:
-    """A `.pts` file of (66, 2) landmarks; the two that we do not use lie at the mouth's corners."""
+    """A `.pts` file of (66, 2) landmarks; the two that Facemime does not use are at the corners of the mouth."""
     every = np.full((68, 2), landmarks[48])
     every[IBUG68_INDICES] = landmarks
     lines = "\n".join(f"{x + 1.0:.3f} {y + 1.0:.3f}" for x, y in every)
@@ -67,7 +67,7 @@ def test_sample_faces_have_their_known_error_and_an_image_without_one_is_lost(
 
 
 @pytest.mark.parametrize("text", ["", "{ 1 2 3 }", "{ a b }", "no braces"])
-def test_a_file_without_68_points_is_named(tmp_path: Path, text: str) -> None:
+def test_a_file_without_68_points_is_reported(tmp_path: Path, text: str) -> None:
     (tmp_path / "a.pts").write_text(text, encoding="utf-8")
     with pytest.raises(SourceError, match=r"a\.pts does not contain 68 points"):
         wild.read_points(tmp_path / "a.pts")

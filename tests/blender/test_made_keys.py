@@ -223,7 +223,7 @@ def test_commands_make_a_set_and_puppet_by_keys_alone(keyed, tmp_path):
     assert driven_by_keys(bpy.data.objects[name]) and not is_head(bpy.data.objects[name])
 
 
-def test_keys_are_made_in_a_thread_that_tells_its_progress_and_can_be_stopped(kept):
+def test_keys_are_made_in_a_thread_that_reports_its_progress_and_can_be_stopped(kept):
     head = kept("Progress", lambda: [add_head(bpy.context)])[0]
     stopped = in_background(making_expression_keys(head, KEY_SETS["vrm"]))
     assert 0.0 <= next(stopped) < 1.0

@@ -169,7 +169,7 @@ def test_tracked_faces_are_sent_while_the_puppet_runs(take):
         ("own", {"host": "::"}),
     ],
 )
-def test_streams_of_others_need_online_access(online, protocol, settings):
+def test_streams_from_other_computers_need_online_access(online, protocol, settings):
     stream = bpy.context.scene.facemime.source.stream
     bpy.context.scene.facemime.source.kind, stream.protocol = "STREAM", protocol
     for name, value in settings.items():
@@ -182,7 +182,7 @@ def test_streams_of_others_need_online_access(online, protocol, settings):
 
 @pytest.mark.parametrize("protocol", ["vmc", "vtubestudio"])
 @pytest.mark.parametrize("host", ["192.168.1.7", "example.invalid", "0.0.0.0", "127.0.0.1.example.invalid"])
-def test_sending_to_others_needs_online_access(online, take, host, protocol):
+def test_sending_to_other_computers_needs_online_access(online, take, host, protocol):
     output = bpy.context.scene.facemime.output
     output.enabled, output.protocol, output.host = True, protocol, host
     add_head(bpy.context)

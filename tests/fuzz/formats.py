@@ -69,13 +69,13 @@ class Format:
     ----------
     suffix : str
     intact : callable
-        The bytes of a sound file.
+        Returns the bytes of an intact file.
     mutated : callable
-        Those of a damaged one.
+        Returns the bytes of a damaged one.
     read : callable
-        Reads a file, and does with it what the program does.
+        Reads a file, and uses it as the program does.
     megabytes : int
-        What that may take beside what the process has.
+        Memory that reading may take, in addition to that of the process.
     """
 
     suffix: str

@@ -224,7 +224,7 @@ def choose(stage: Stage) -> None:
 
 @pushed
 def remove_object(stage: Stage) -> None:
-    """By a script."""
+    """Remove an object, as a script does."""
     if (obj := stage.any_of(bpy.data.objects)) is not None and bpy.context.mode == "OBJECT":
         bpy.data.objects.remove(obj)
 
@@ -238,7 +238,7 @@ def hide(stage: Stage) -> None:
 
 @pushed
 def append(stage: Stage) -> None:
-    """A head from the file that was saved; Blender refuses the file that is open."""
+    """Append a head from the saved file; Blender refuses the file that is open."""
     blend = stage.files.blend
     if not blend.exists() or bpy.data.filepath == str(blend) or bpy.context.mode != "OBJECT":
         return
@@ -251,7 +251,7 @@ def append(stage: Stage) -> None:
 
 @pushed
 def rename(stage: Stage) -> None:
-    """Whatever is active."""
+    """Rename the active object."""
     if (obj := stage.active()) is not None and obj.library is None:
         obj.name = f"Renamed {stage.rng.integers(9)}"
 
@@ -265,21 +265,21 @@ def swap_mesh(stage: Stage) -> None:
 
 @pushed
 def clear_geometry(stage: Stage) -> None:
-    """Of the active mesh."""
+    """Clear the geometry of the active mesh."""
     if (mesh := stage.mesh()) is not None:
         mesh.clear_geometry()
 
 
 @pushed
 def remove_actions(stage: Stage) -> None:
-    """All of them."""
+    """Remove all actions."""
     for action in list(bpy.data.actions):
         bpy.data.actions.remove(action)
 
 
 @pushed
 def remove_tracks(stage: Stage) -> None:
-    """Of the active object."""
+    """Remove the NLA tracks of the active object."""
     obj = stage.active()
     if obj is not None and obj.animation_data is not None:
         for track in list(obj.animation_data.nla_tracks):
@@ -288,7 +288,7 @@ def remove_tracks(stage: Stage) -> None:
 
 @pushed
 def clear_animation(stage: Stage) -> None:
-    """Of the active object and its keys."""
+    """Clear the animation of the active object and its keys."""
     if (obj := stage.active()) is not None:
         obj.animation_data_clear()
         if (keys := getattr(obj.data, "shape_keys", None)) is not None:
@@ -304,14 +304,14 @@ def add_modifier(stage: Stage) -> None:
 
 @pushed
 def remove_a_group(stage: Stage) -> None:
-    """A vertex group of the active object."""
+    """Remove a vertex group of the active object."""
     if (obj := stage.active()) is not None and (group := stage.any_of(obj.vertex_groups)) is not None:
         obj.vertex_groups.remove(group)
 
 
 @pushed
 def remove_a_key(stage: Stage) -> None:
-    """A shape key of the active object."""
+    """Remove a shape key of the active object."""
     mesh = stage.mesh()
     if mesh is not None and mesh.shape_keys is not None:
         stage.active().shape_key_remove(stage.any_of(mesh.shape_keys.key_blocks))
@@ -319,7 +319,7 @@ def remove_a_key(stage: Stage) -> None:
 
 @pushed
 def absolute_keys(stage: Stage) -> None:
-    """Keys that are played one after another."""
+    """Make the keys absolute, so that they are played one after another."""
     mesh = stage.mesh()
     if mesh is not None and mesh.shape_keys is not None:
         mesh.shape_keys.use_relative = not mesh.shape_keys.use_relative
@@ -327,7 +327,7 @@ def absolute_keys(stage: Stage) -> None:
 
 @pushed
 def write_garbage(stage: Stage) -> None:
-    """Into a custom property of ours."""
+    """Write garbage to one of Facemime's custom properties."""
     if (mesh := stage.mesh()) is not None:
         name = str(stage.any_of(("facemime_landmarks", "facemime_vertex_count", "facemime_marks")))
         mesh[name] = stage.any_of(GARBAGE)
@@ -366,35 +366,35 @@ def override(stage: Stage) -> None:
 
 
 def new_blend(stage: Stage) -> None:
-    """Another file."""
+    """Open a new file."""
     bpy.ops.wm.read_homefile(use_empty=bool(stage.rng.random() < 0.5), use_factory_startup=True)
 
 
 def save(stage: Stage) -> None:
-    """Here or as a copy."""
+    """Save the file, or a copy of it."""
     bpy.ops.wm.save_as_mainfile(filepath=str(stage.files.blend), copy=bool(stage.rng.random() < 0.5))
 
 
 def open_blend(stage: Stage) -> None:
-    """What was saved."""
+    """Open the saved file."""
     if stage.files.blend.exists():
         bpy.ops.wm.open_mainfile(filepath=str(stage.files.blend))
 
 
 def change_frame(stage: Stage) -> None:
-    """Of the scene."""
+    """Change the frame of the scene."""
     bpy.context.scene.frame_set(int(stage.rng.integers(0, 80)))
 
 
 def change_mode(stage: Stage) -> None:
-    """Of the active object."""
+    """Change the mode of the active object."""
     if stage.active() is not None and bpy.ops.object.mode_set.poll():
         kinds = ("OBJECT", "OBJECT", "EDIT", "SCULPT", "WEIGHT_PAINT")
         bpy.ops.object.mode_set(mode=str(stage.any_of(kinds)) if stage.active().type == "MESH" else "OBJECT")
 
 
 def change_scene(stage: Stage) -> None:
-    """To another one, or a new one."""
+    """Change to another scene, or a new one."""
     window = bpy.context.window_manager.windows[0] if len(bpy.context.window_manager.windows) else None
     if window is not None:
         window.scene = stage.any_of([*bpy.data.scenes, None]) or bpy.data.scenes.new("Scene")

@@ -48,7 +48,7 @@ def open_page(browser: Browser) -> Iterator[Callable[[str], Page]]:
 
 @pytest.fixture
 def watched() -> Iterator[Callable[..., Watched]]:
-    """Serve heads that the test drives; all servers are closed in the end."""
+    """Serve heads that the test drives; all servers are closed at the end."""
     served: list[Watched] = []
 
     def serve(*arguments, **settings) -> Watched:

@@ -1,4 +1,4 @@
-"""The page in a real browser: it draws the heads, moves them as Blender does, and comes back by itself."""
+"""The page in a real browser: it draws the heads, moves them as Blender does, and reconnects by itself."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_normals_point_out_of_the_head(open_page, watched):
 
 
 @pytest.mark.thorough
-def test_the_page_comes_back_when_the_server_is_restarted(open_page, watched):
+def test_the_page_reconnects_when_the_server_is_restarted(open_page, watched):
     shown = watched(token="a-token-that-is-kept")
     shown.show(face())
     page = loaded(open_page(shown.address))
