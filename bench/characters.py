@@ -1,10 +1,10 @@
 """Heads and characters by other artists, bound without marks and driven: `python -m bench.characters FOLDER`.
 
-The heads have published landmarks: ICT-FaceKit's mean face and three random people of its model, if they are there,
-and the two faces of menpo3d, if its source archive is given. The characters are the .glb files of a folder. Their parts
-are compared with what a person made of them, by material. Each is driven by the sample clip, and it is measured whether
-lids and lips close, and whether seams stay closed. ARKit's keys are made on each, measured, and compared with the keys
-that came with it. Nothing of the heads is kept; the picture shows only those of ICT-FaceKit's model.
+The heads have published landmarks: ICT-FaceKit's mean face and three random people of its model, if available, and the
+two faces of menpo3d, if its source archive is given. The characters are the .glb files of a folder. Their parts are
+compared with those that a person assigned to the materials. Each head is driven by the sample clip, to measure whether
+its lids and lips close and its seams stay closed. ARKit's keys are made on each head, measured, and compared with the
+keys that came with it. No data of the heads is stored; the image shows only those of ICT-FaceKit's model.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ PEOPLE = 3
 _EVERY = 5
 """Step between the frames in which seams are measured."""
 _LIP_LINE = 0.06
-"""Distance from the line between the lips, in eye distances, within which vertices may part."""
+"""Distance from the line between the lips, in eye distances, within which vertices may separate."""
 _MOST_OF_52 = 40
-"""Keys that have to move for a head to count as having ARKit's."""
+"""Keys that have to move vertices for a head to count as having ARKit's keys."""
 _SIDE = 260
 _EYES = {Part.EYE_RIGHT, Part.EYE_LEFT}
 _TEETH = {Part.TEETH_UPPER, Part.TEETH_LOWER}
@@ -81,7 +81,7 @@ TRUTH: Mapping[str, Mapping[str, set[Part]]] = {
     },
     "scan": {"Material.002": {Part.SKIN}},
 }
-"""What a person made of the materials of each character, by a part of their names."""
+"""Parts that a person assigned to the materials of each character, by a part of the materials' names."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Bound:
     right : float
         Share of the vertices that were assigned to the right part.
     bones : int
-        Bones that were found for head and eyes.
+        Number of bones found for the head and the eyes.
     inner : float
         Mean error of the inner 49 landmarks in the plane of the face, in % of the eye distance.
     seconds : float
@@ -110,18 +110,18 @@ class Bound:
 
 @dataclass(frozen=True)
 class Moved:
-    """What a head shows in the sample clip.
+    """Measurements of a head that is driven by the sample clip.
 
     Attributes
     ----------
     lids : float
-        Opening of the wider eye at the performer's firmest blink, by landmarks, as a share of that at rest.
+        Opening of the wider eye at the performer's firmest blink, from landmarks, relative to that at rest.
     seen : float
-        Area of the eyes that is visible then, as a share of that at rest; NaN without eyes of their own.
+        Visible area of the eyes at that time, relative to that at rest; NaN without separate eyes.
     lips : float
-        Gap of the lips when the performer's are closest, beyond that at rest, in eye distances.
+        Gap between the lips when the performer's are closest, in excess of that at rest, in eye distances.
     seams : float
-        Largest distance of vertices of the skin that are at one place at rest, in eye distances.
+        Largest distance between vertices of the skin that coincide at rest, in eye distances.
     """
 
     lids: float
@@ -132,14 +132,14 @@ class Moved:
 
 @dataclass(frozen=True)
 class Made:
-    """ARKit's keys that were made on a head: what stays open, what crosses, and the difference from its own keys.
+    """Quality of ARKit's keys made on a head: gaps, intersections, and the difference from its own keys.
 
     Attributes
     ----------
     eyes, lips : float
         As in `KeyQuality`, of the worst key.
     crossing : float
-        Triangles that pass through others, mean over the keys.
+        Number of triangles that intersect others, mean over the keys.
     most : int
         The same, of the worst key.
     own : float
@@ -179,17 +179,17 @@ def main() -> int:
     tables = [
         Table(
             "Heads bound without marks",
-            ("head", "parts right %", "bones", "inner 49, 2-D, %", "seconds"),
+            ("head", "parts correct, %", "bones", "inner 49, 2-D, %", "seconds"),
             [(t, _shown(100 * b.right), b.bones, _shown(b.inner), b.seconds) for t, b in bound.items()],
         ),
         Table(
             "Heads driven by the sample clip",
-            ("head", "lids open at a blink %", "eyes visible at a blink %", "lips apart %", "gap of seams %"),
+            ("head", "lid opening at a blink, %", "visible eyes at a blink, %", "lip gap, %", "seam gap, %"),
             [(t, m["lids"], _shown(m["seen"]), m["lips"], m["seams"]) for t, m in percent.items()],
         ),
         Table(
-            "ARKit's keys made on these heads",
-            ("head", "eyes open %", "lips apart %", "crossing triangles", "maximum", "against its own keys", "scaled"),
+            "ARKit keys made on these heads",
+            ("head", "eye opening, %", "lip gap, %", "intersections, mean", "maximum", "error to own keys", "scaled"),
             [
                 (t, 100 * m.eyes, 100 * m.lips, m.crossing, m.most, _shown(m.own), _shown(m.scaled))
                 for t, m in made.items()
@@ -257,7 +257,7 @@ def _bind_labelled(head: LabelledHead) -> Bound:
 
 
 def _right(obj: bpy.types.Object, truth: Mapping[str, set[Part]]) -> NDArray[np.bool_]:
-    """Whether each vertex of an object that has a face got one of the parts that its material says."""
+    """Whether each vertex that belongs to a face was assigned one of the parts of its material."""
     kinds, faces = read_kinds(obj.data), read_faces(obj.data)
     numbers = np.zeros(len(faces), dtype=np.int32)
     obj.data.polygons.foreach_get("material_index", numbers)
@@ -271,7 +271,7 @@ def _right(obj: bpy.types.Object, truth: Mapping[str, set[Part]]) -> NDArray[np.
 
 
 def _closed(take: Take, gaps: NDArray[np.floating]) -> int:
-    """The frame of a take in which gaps (N, n) of its frames with a face are smallest."""
+    """Frame of a take in which the gaps (N, n), over its frames with a face, are smallest."""
     return int(np.flatnonzero(take.found)[gaps.mean(axis=1).argmin()])
 
 
@@ -300,7 +300,7 @@ def _move(head: bpy.types.Object, rig: HeadRig, take: Take) -> Moved:
 
 
 def _between_lips(places: NDArray[np.floating], points: NDArray[np.floating], unit: float) -> NDArray[np.bool_]:
-    """Whether vertices lie where lips that touch at rest may part, (V,)."""
+    """Whether vertices are where lips that touch at rest may separate, (V,)."""
     middle = 0.5 * (points[UPPER_LIPS] + points[LOWER_LIPS])
     line = np.array([points[MOUTH_CORNERS[0]], *middle, points[MOUTH_CORNERS[1]]])[:, :2]
     fine = np.concatenate([np.linspace(a, b, 20) for a, b in pairwise(line)])
@@ -308,13 +308,13 @@ def _between_lips(places: NDArray[np.floating], points: NDArray[np.floating], un
 
 
 def _gap(rest: NDArray[np.floating], moved: NDArray[np.floating]) -> float:
-    """Largest distance between vertices that are at one place at rest."""
+    """Largest distance between vertices that coincide at rest."""
     _, place, first = np.unique(rest.round(6), axis=0, return_inverse=True, return_index=True)[:3]
     return float(np.linalg.norm(moved - moved[place[first.ravel()]], axis=1).max(initial=0.0))
 
 
 def _seen(head: bpy.types.Object, rest: NDArray[np.floating], shut: NDArray[np.floating]) -> float:
-    """Share of the area of both eyes at rest that is still seen when they are shut; NaN without eyes of their own."""
+    """Visible area of both eyes when shut, relative to that at rest; NaN without separate eyes."""
     faces, areas = read_faces(head.data), []
     skin = read_kinds(head.data) == Part.SKIN
     faces = faces[(skin[faces] | (faces < 0)).all(axis=1)]
@@ -373,7 +373,7 @@ def _own_keys(head: bpy.types.Object) -> Keys:
 
 
 def _row(head: bpy.types.Object, take: Take, title: str) -> NDArray[np.uint8]:
-    """Pictures of a head: its landmarks, and frames of the clip with shut eyes, an open, a wide and a narrow mouth."""
+    """Images of a head: its landmarks, and frames of the clip with shut eyes, an open, a wide and a narrow mouth."""
     scene = bpy.context.scene
     landmarks = draw_label(draw_landmarks(scene, head, _SIDE), title)
     puppet_head(scene, head, take)
