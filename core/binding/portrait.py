@@ -33,7 +33,7 @@ _RIM = 5
 _STEP = 8.0
 """Difference of depth in pixels above which the nearest surface of a neighbourhood is a rim."""
 
-_SMALLEST = 1e-30
+_MIN_PIXEL = 1e-30
 """Smallest size of a pixel, for a mesh that is a single point."""
 
 
@@ -142,7 +142,7 @@ class Sitter:
         if centre is None:
             low, high = places.min(axis=0)[:2], places.max(axis=0)[:2]
             centre, reach = (low + high) / 2.0, 0.65 * float((high - low).max())
-        pixel = max(2.0 * reach / SIZE, _SMALLEST)
+        pixel = max(2.0 * reach / SIZE, _MIN_PIXEL)
         corner = centre - pixel * (SIZE - 1) / 2.0
         middle = float(places[:, 2].mean())
         points, depth = (places[:, :2] - corner) / pixel, (places[:, 2] - middle) / pixel

@@ -29,8 +29,8 @@ _LAST = int(IBUG68_INDICES[-1])
 _FORMAT = "facemime-control-points-1"
 _BEYOND = 68
 _ACTIONS = ("start", "add", "drop")
-_MOST_STEPS = 10_000
-_LARGEST_ERROR, _LARGEST_VARIANCE = 1e3, 1e15
+_MAX_STEPS = 10_000
+_MAX_ERROR, _MAX_VARIANCE = 1e3, 1e15
 """Largest values in a file, in widths of the face and squared units of the head."""
 _ROUNDING = 1e-3
 """Share of the largest eigenvalue by which a zero one may be negative after rounding to five digits."""
@@ -123,14 +123,14 @@ def from_json(text: str) -> GreedySelection:
         data = as_object(parse_json(text, nan=True), "the text")
         if data.get("format") != _FORMAT:
             raise ValueError("its format is different")
-        steps = as_list(data.get("steps"), "steps", _MOST_STEPS)
+        steps = as_list(data.get("steps"), "steps", _MAX_STEPS)
         reached = data.get("reached")
         if not isinstance(reached, bool):
             raise ValueError(f"reached is {shown(reached)}, not true or false")
         return GreedySelection(
             _members(data.get("regions")),
             tuple(_step(as_object(step, f"step {number}")) for number, step in enumerate(steps, 1)),
-            as_number(data.get("tolerance"), "tolerance", 0.0, _LARGEST_ERROR),
+            as_number(data.get("tolerance"), "tolerance", 0.0, _MAX_ERROR),
             reached,
             _covariance(data.get("covariance")),
         )
@@ -165,7 +165,7 @@ def _covariance(triangle: Any) -> FloatArray | None:
     if len(values) != len(rows[0]):
         raise ValueError(f"covariance has {len(values)} numbers, not {len(rows[0])}")
     matrix = np.zeros((N_LANDMARKS, N_LANDMARKS))
-    matrix[rows] = [as_number(value, "covariance", -_LARGEST_VARIANCE, _LARGEST_VARIANCE) for value in values]
+    matrix[rows] = [as_number(value, "covariance", -_MAX_VARIANCE, _MAX_VARIANCE) for value in values]
     matrix += np.tril(matrix, -1).T
     least, *_, largest = np.linalg.eigvalsh(matrix).tolist()
     if least < -_ROUNDING * largest or largest < 0.0:
@@ -184,7 +184,7 @@ def _step(data: dict[str, Any]) -> GreedyStep:
         region=as_integer(data.get("region"), "the region of a step", 0, len(REGIONS) - 1),
         reason=as_text(data.get("reason"), "the reason of a step"),
         points=as_integer(data.get("points"), "the points of a step", 0, N_LANDMARKS),
-        error=nan if unknown else as_number(error, "the error of a step", 0.0, _LARGEST_ERROR),
+        error=nan if unknown else as_number(error, "the error of a step", 0.0, _MAX_ERROR),
         frame=as_integer(data.get("frame"), "the frame of a step", 0, 2**31),
         worst=_landmark(data.get("worst")),
     )

@@ -26,8 +26,8 @@ _RANGES = {
 """Activations above rest at which an action begins to be shown, and at which it is shown in full. Faces reach the first
 without acting, for instance with a tongue that is visible behind the teeth. The second is below 1, as uncertain
 networks are cautious."""
-_MOST_AT_REST = 0.6
-_MOST = np.array([0.6 if name.startswith("mouthRoll") else 1.0 for name in ACTIONS])
+_MAX_AT_REST = 0.6
+_MAX_ACTIVATION = np.array([0.6 if name.startswith("mouthRoll") else 1.0 for name in ACTIONS])
 """Largest activations that are shown. A lip that is rolled in further would let the teeth through the skin below it."""
 _UPPER = action_indices(name for name in ACTIONS if name.startswith("brow"))
 _MIDDLE = action_indices(name for name in ACTIONS if name.startswith(("nose", "cheekSquint")))
@@ -54,7 +54,7 @@ class ActionDriver:
     def __init__(
         self, rest: FloatArray, shape: FloatArray, strength: tuple[float, float, float] = (1.0, 1.0, 1.0)
     ) -> None:
-        self._rest = np.clip(np.nan_to_num(rest), 0.0, _MOST_AT_REST)
+        self._rest = np.clip(np.nan_to_num(rest), 0.0, _MAX_AT_REST)
         self._heights = _brow_heights(shape)
         self.gains = np.full(N_ACTIONS, strength[2])
         self.gains[_UPPER], self.gains[_MIDDLE] = strength[0], strength[1]
@@ -108,7 +108,7 @@ class ActionDriver:
         if not np.isfinite(actions).all():
             return np.zeros(N_ACTIONS)
         shown = (self.above_rest(actions, shape) - self._begin) / (self._full - self._begin)
-        return np.asarray(np.clip(shown, 0.0, _MOST) * self.gains)
+        return np.asarray(np.clip(shown, 0.0, _MAX_ACTIVATION) * self.gains)
 
 
 def _brow_heights(shape: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ _CHIN_ERROR, _CHIN_ERROR_SHARE = 0.01, 0.3
 """Error of the motion of the chin, whose outline is faint: in outer-eye distances, and relative to the motion."""
 _LIP_ALONE = 0.03
 """Motion of the lower lip by itself, in outer-eye distances."""
-_MOST = 2.0
+_MAX_FACTOR = 2.0
 """Largest factor by which the jaw is opened further than the chin suggests."""
 
 
@@ -59,4 +59,4 @@ class Jaw:
         lip = float(displacements[LOWER_LIPS].mean(axis=0) @ taken) / length
         once, squared = lip * length / (self._unit * _LIP_ALONE) ** 2, (length / (self._unit * _LIP_ALONE)) ** 2
         factor = (trust + once) / (trust + squared)
-        return limit_rotation(rotation, min(max(factor, 1.0), _MOST), pi)
+        return limit_rotation(rotation, min(max(factor, 1.0), _MAX_FACTOR), pi)

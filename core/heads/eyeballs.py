@@ -18,7 +18,7 @@ _REACH = 1.8
 _ROBUST_STEPS, _ROBUST_SHARE = 4, 0.8
 """Number of fits of an eyeball, and share of the vertices that each uses: those nearest to the last sphere, as a cornea
 bulges."""
-_MOST_BULGE = 1.2
+_MAX_BULGE = 1.2
 """Largest distance of the cornea's apex from the centre of the eye, in radii; anything farther out is not a cornea."""
 _SLACK = 1e-5
 """Share of the squared distance that a vertex may lose to rounding without having moved."""
@@ -83,7 +83,7 @@ def sphere_of_lids(points: FloatArray) -> FloatArray | None:
     if not is_round:
         return None
     apex = float(np.linalg.norm(points - sphere[:3], axis=1).max())
-    return np.array([*sphere[:3], min(apex, _MOST_BULGE * sphere[3])])
+    return np.array([*sphere[:3], min(apex, _MAX_BULGE * sphere[3])])
 
 
 class EyeballContact:

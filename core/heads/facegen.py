@@ -19,12 +19,12 @@ from ..errors import SourceError
 from ..reading import read_bytes, shown
 
 _TO_HEAD = np.array([1.0, -1.0, -1.0], dtype=np.float32)
-_MOST = 50_000_000
+_MAX_COUNT = 50_000_000
 """Largest count in a valid file."""
-_MOST_FILE = 256 << 20
-_MOST_MORPHS, _MOST_MORPH_BYTES = 1000, 256 << 20
+_MAX_FILE = 256 << 20
+_MAX_MORPHS, _MAX_MORPH_BYTES = 1000, 256 << 20
 """Limits per file. An empty statistical morph takes 12 bytes in the file, and as many in memory per vertex."""
-_FARTHEST = 1e9
+_MAX_COORDINATE = 1e9
 """Largest coordinate in millimetres; squares of larger ones might not be finite."""
 
 
@@ -140,7 +140,7 @@ def read_obj(path: Path) -> FaceGenMesh:
     corners: list[list[tuple[int, int]]] = []
     number = 0
     try:
-        for line in read_bytes(path, _MOST_FILE).decode("utf-8", "replace").splitlines():
+        for line in read_bytes(path, _MAX_FILE).decode("utf-8", "replace").splitlines():
             number += 1
             kind, _, rest = line.strip().partition(" ")
             if kind == "v":
@@ -195,7 +195,7 @@ def _sound(path: Path, mesh: FaceGenMesh) -> FaceGenMesh:
 
 def _numbers(text: str, count: int) -> list[float]:
     numbers = [float(value) for value in text.split()[:count]]
-    if len(numbers) < count or not all(abs(number) <= _FARTHEST for number in numbers):
+    if len(numbers) < count or not all(abs(number) <= _MAX_COORDINATE for number in numbers):
         raise ValueError(f"{shown(text.strip())} instead of {count} numbers")
     return numbers
 
@@ -249,7 +249,7 @@ class _Reader:
     def __init__(self, path: Path, kind: bytes, version: bytes) -> None:
         self.path = path
         try:
-            self._data = read_bytes(path, _MOST_FILE)
+            self._data = read_bytes(path, _MAX_FILE)
         except OSError as error:
             raise SourceError(f"{path} cannot be read ({error.strerror}). Choose another file.") from error
         except ValueError as error:
@@ -281,14 +281,14 @@ class _Reader:
         """Read a 32-bit count."""
         self._need(4, f"the number of {what}")
         (value,) = struct.unpack_from("<i", self._data, self._at)
-        if not 0 <= value <= _MOST:
+        if not 0 <= value <= _MAX_COUNT:
             self.fail(f"{value} as the number of {what}")
         self._at += 4
         return int(value)
 
     def check_morphs(self, morphs: int, vertices: int) -> None:
         """Fail if no head has that many morphs, before memory is allocated."""
-        if morphs > _MOST_MORPHS or 12 * morphs * vertices > _MOST_MORPH_BYTES:
+        if morphs > _MAX_MORPHS or 12 * morphs * vertices > _MAX_MORPH_BYTES:
             self.fail(f"{morphs} morphs of {vertices} vertices, more than any head has")
 
     def array(self, dtype: str, shape: tuple[int, ...], what: str) -> NDArray[Any]:
@@ -305,7 +305,7 @@ class _Reader:
         """Read vectors (count, 3), converted to the head frame."""
         start = self._at
         values = self.array("<f4", (count, 3), what)
-        if np.abs(values).max(initial=0.0) > _FARTHEST:
+        if np.abs(values).max(initial=0.0) > _MAX_COORDINATE:
             self._at = start
             self.fail(f"{what} that are too far away")
         return np.asarray(values * _TO_HEAD, dtype=np.float32)
@@ -322,7 +322,7 @@ class _Reader:
     def differences(self, count: int) -> NDArray[np.float32]:
         """Read a scale and 16-bit displacements, (count, 3)."""
         scale = float(self.array("<f4", (1,), "the scale of a morph")[0])
-        if abs(scale) > _FARTHEST / 2**15:
+        if abs(scale) > _MAX_COORDINATE / 2**15:
             self.fail("a morph that moves too far")
         return np.asarray(self.array("<i2", (count, 3), "a morph") * (scale * _TO_HEAD), dtype=np.float32)
 

@@ -73,7 +73,7 @@ REGIONS: tuple[Region, Region, Region] = (
 )
 
 
-_HOLD, _LEAST = 0.3, 0.01
+_HOLD, _MIN_WEIGHT = 0.3, 0.01
 """Radius, in outer-eye distances, within which weights change for a landmark, and the least weight after that."""
 
 
@@ -163,7 +163,7 @@ def hold_landmarks(
     between = wendland(distances(points, points), radius / 4.0)
     amounts = np.linalg.lstsq(between, lacking.T, rcond=1e-9)[0]
     moved = painted + (wendland(distances(places, points), radius / 4.0) @ amounts).T
-    moved = np.clip(np.where(moved < _LEAST, 0.0, moved), 0.0, 1.0)
+    moved = np.clip(np.where(moved < _MIN_WEIGHT, 0.0, moved), 0.0, 1.0)
     return np.asarray(moved / np.maximum(moved.sum(axis=0), 1.0))
 
 

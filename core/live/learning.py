@@ -23,7 +23,7 @@ from ..tracking.result import TrackResult
 _FRAMES, _RATE = 150, 15.0
 """Largest number of frames that are searched for a neutral face, and frames per second at first. Whenever there are
 more, every second earlier frame is left out, so that the rest is spread over the whole performance."""
-_FEWEST, _SWEEPS, _AT_FIRST = 30, 2, 4
+_MIN_FRAMES, _SWEEPS, _AT_FIRST = 30, 2, 4
 """Smallest number of frames that are searched; sweeps of equation 4.1 per new frame, usually and until a first face at
 rest is found. 300 sweeps solve the equation."""
 _ENOUGH = 4.0
@@ -139,7 +139,7 @@ class _Rest:
             self._kept.append((time, result))
         if len(self._kept) > _FRAMES:
             self._kept, self._interval = self._kept[::2], 2.0 * self._interval
-        if len(self._kept) >= _FEWEST:
+        if len(self._kept) >= _MIN_FRAMES:
             for _ in range(_SWEEPS if self.found is not None else _AT_FIRST):
                 next(self._search)
 

@@ -16,7 +16,7 @@ LENGTH = struct.Struct("<I")
 _BUFFER = 1 << 20
 _PORTION = 1 << 16
 """Number of bytes that are read at a time."""
-_MOST_CONNECTIONS = 4
+_MAX_CONNECTIONS = 4
 
 
 class Link(Protocol):
@@ -206,7 +206,7 @@ class ConnectionsLink:
                 connected, address = self._listener.accept()
             except OSError:  # nobody else, or closed
                 return
-            if len(self._connections) >= _MOST_CONNECTIONS:
+            if len(self._connections) >= _MAX_CONNECTIONS:
                 connected.close()
                 continue
             connected.setblocking(False)

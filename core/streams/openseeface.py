@@ -30,7 +30,7 @@ _UNIT = 0.74
 """Distance between the outer eye corners of OpenSeeFace's own head, in its arbitrary unit."""
 _PIXELS, _UNITS = 1e5, 100.0
 """Largest coordinates in an image, and of points on a face."""
-_LEAST_SCALE = 1e-3
+_MIN_SCALE = 1e-3
 PLACES: NDArray[np.intp] = np.concatenate([np.arange(48), from_ibug([*range(49, 54), *range(55, 60)]), MOUTH_CORNERS])
 """(60,) Facemime's landmarks at OpenSeeFace's numbers `NUMBERS`."""
 NUMBERS: NDArray[np.intp] = np.array([*range(58), 58, 62])
@@ -132,7 +132,7 @@ def fit_pose(shape: FloatArray, landmarks: FloatArray) -> FloatArray:
     linear = np.linalg.solve(gram, spread.T @ landmarks).T
     u, scales, vt = np.linalg.svd(linear, full_matrices=False)
     scale = float(scales.mean())
-    if not _LEAST_SCALE < scale < _PIXELS:
+    if not _MIN_SCALE < scale < _PIXELS:
         raise PacketError("the points have no extent")
     rows = u @ vt
     turn = np.stack([*rows, np.cross(*rows)])

@@ -21,9 +21,9 @@ _SLEW = 0.05
 """Share of a frame's interval by which the estimated offset may change from frame to frame."""
 _JUMP = 2.0
 """Seconds by which a time has to be off for the sender to count as restarted."""
-_MOST = 240
+_MAX_WAITING = 240
 """Largest number of frames that wait."""
-_INTERVAL, _LEAST_INTERVAL, _MOST_INTERVAL = 1.0 / 30.0, 1e-3, 0.5
+_INTERVAL, _MIN_INTERVAL, _MAX_INTERVAL = 1.0 / 30.0, 1e-3, 0.5
 _PREDICTED, _DAMPING = 2, 0.8
 """Largest number of consecutive missing frames that are predicted, and share of the last motion that continues."""
 _MISSING = 1.6
@@ -168,12 +168,12 @@ class Playout:
             return False
         if self._entered is not None and time > self._entered:
             step = time - self._entered
-            if _LEAST_INTERVAL < step < _MOST_INTERVAL:
+            if _MIN_INTERVAL < step < _MAX_INTERVAL:
                 # The smallest of recent steps, as missing frames make others longer.
                 self._interval += (0.3 if step < self._interval else 0.02) * (step - self._interval)
         self._entered = time if self._entered is None else max(time, self._entered)
         heapq.heappush(self._waiting, _Waiting(time, next(self._order), result))
-        if len(self._waiting) > _MOST:
+        if len(self._waiting) > _MAX_WAITING:
             heapq.heappop(self._waiting)
             self.late += 1
         return True
@@ -199,7 +199,7 @@ class Playout:
         shown = Shown(waiting.time, self._due(waiting.time), waiting.result)
         if self._last:
             steps = (shown.time - self._last[-1].time) / self._interval
-            self.lost += max(0, round(steps) - 1) if steps < _MOST else 0
+            self.lost += max(0, round(steps) - 1) if steps < _MAX_WAITING else 0
         self._last = [*self._last[-1:], shown]
         self._predicted = 0
         return shown
@@ -224,7 +224,7 @@ class Playout:
             share = (time - last.time) / (ahead.time - last.time)
             if ahead.result.found:
                 return Shown(time, due, between(last.result, ahead.result, share), predicted=True)
-        speed = self._interval / max(last.time - before.time, _LEAST_INTERVAL)
+        speed = self._interval / max(last.time - before.time, _MIN_INTERVAL)
         share = 1.0 + speed * sum(_DAMPING ** (1 + n) for n in range(self._predicted))
         return Shown(time, due, between(before.result, last.result, share), predicted=True)
 

@@ -18,7 +18,7 @@ from ..files import write_secret
 from ..reading import read_bytes
 
 TAG_BYTES, NONCE_BYTES, SESSION_BYTES = 16, 16, 8
-_LEAST_KEY, _MOST_KEY = 16, 4096
+_MIN_KEY, _MAX_KEY = 16, 4096
 """Smallest and largest size of a key's file in bytes."""
 _WINDOW = 64
 """Number of packets by which one may be late and still be distinguished from a replay."""
@@ -33,13 +33,13 @@ def read_key(path: Path) -> bytes:
         If there is no such file, or it is too short or too long.
     """
     try:
-        text = read_bytes(Path(path), _MOST_KEY).strip()
+        text = read_bytes(Path(path), _MAX_KEY).strip()
     except FileNotFoundError as error:
         raise SourceError(f"There is no key {path}. Make one: facemime receive --new-key {path}") from error
     except (OSError, ValueError) as error:
         raise SourceError(f"The key {path} cannot be read ({error}). Choose a file of one line.") from error
-    if len(text) < _LEAST_KEY:
-        raise SourceError(f"The key {path} has fewer than {_LEAST_KEY} characters. Make a longer one.")
+    if len(text) < _MIN_KEY:
+        raise SourceError(f"The key {path} has fewer than {_MIN_KEY} characters. Make a longer one.")
     return hashlib.sha256(b"facemime stream key\n" + text).digest()
 
 

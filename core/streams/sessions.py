@@ -10,9 +10,9 @@ from .datagram import HELLO, WELCOME, Packet
 from .frames import PacketError, StreamFrame
 from .security import NONCE_BYTES, SESSION_BYTES, ReplayWindow, is_signed, session_key, sign
 
-_MOST_SESSIONS, _SILENT = 16, 3.0
+_MAX_SESSIONS, _SILENT = 16, 3.0
 """Largest number of sessions, and seconds without a packet after which one may be replaced."""
-_MOST_ANSWERS = 20.0
+_MAX_ANSWERS = 20.0
 """Largest number of answers to handshakes per second."""
 
 
@@ -41,7 +41,7 @@ class OwnReceiver:
     def __init__(self, key: bytes | None) -> None:
         self._key = key
         self._sessions: dict[bytes, _Session] = {}
-        self._answers, self._answered = _MOST_ANSWERS, 0.0
+        self._answers, self._answered = _MAX_ANSWERS, 0.0
 
     def receive(self, data: bytes, now: float) -> tuple[list[StreamFrame], list[bytes]]:
         """Receive a datagram. See `Receiver.receive`; also RefusedError if it is not signed, or came before."""
@@ -91,7 +91,7 @@ class OwnReceiver:
         return [content + sign(self._key, content)]
 
     def _may_answer(self, now: float) -> bool:
-        self._answers = min(_MOST_ANSWERS, self._answers + _MOST_ANSWERS * max(now - self._answered, 0.0))
+        self._answers = min(_MAX_ANSWERS, self._answers + _MAX_ANSWERS * max(now - self._answered, 0.0))
         self._answered = now
         if self._answers < 1.0:
             return False
@@ -99,7 +99,7 @@ class OwnReceiver:
         return True
 
     def _add(self, name: bytes, session: _Session) -> _Session:
-        if len(self._sessions) >= _MOST_SESSIONS:
+        if len(self._sessions) >= _MAX_SESSIONS:
             # Sessions without any packet after the handshake, which may have been replayed, are replaced first.
             oldest = min(self._sessions, key=lambda n: (self._sessions[n].proved, self._sessions[n].heard))
             known = self._sessions[oldest]

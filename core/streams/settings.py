@@ -23,7 +23,7 @@ from .vmc import VmcDecoder
 from .vtube_studio import VTubeStudioDecoder
 
 OWN = "own"
-_LEAST_DELAY, _MOST_DELAY = 0.0, 2.0
+_MIN_DELAY, _MAX_DELAY = 0.0, 2.0
 AXES = ("pitch", "yaw", "roll")
 
 
@@ -144,8 +144,8 @@ class StreamSettings:
         protocol = PROTOCOLS[self.protocol]
         if not 0 <= self.port <= 65535:
             raise SourceError(f"There is no port {self.port}. Use one between 1 and 65535, or 0 for the usual one.")
-        if not _LEAST_DELAY <= self.delay <= _MOST_DELAY:
-            raise SourceError(f"The delay must be between 0 and {_MOST_DELAY:g} s; got {self.delay:g}.")
+        if not _MIN_DELAY <= self.delay <= _MAX_DELAY:
+            raise SourceError(f"The delay must be between 0 and {_MAX_DELAY:g} s; got {self.delay:g}.")
         if self.angles not in ANGLES or set(self.flip) - set(AXES):
             raise SourceError(
                 "Angles must be radians, degrees or half-turns, and only pitch, yaw and roll can be flipped."

@@ -25,7 +25,7 @@ from .sessions import OwnReceiver, RefusedError
 from .settings import AXES, OWN, PROTOCOLS, StreamSettings
 from .tls_client import TlsLink
 
-_MOST_SENDERS = 16
+_MAX_SENDERS = 16
 """Largest number of senders, and of faces of each."""
 _RATE, _BURST = 8000.0, 2000.0
 """Packets per second that are processed, and largest burst; VMC may send a packet per value."""
@@ -238,7 +238,7 @@ class StreamSource(LiveSource):
             raise RefusedError("not the phone")
         if (sender := self._senders.get(address)) is not None:
             return sender
-        if len(self._senders) >= _MOST_SENDERS:
+        if len(self._senders) >= _MAX_SENDERS:
             oldest = min(self._senders, key=lambda known: self._senders[known].heard)
             if now - self._senders[oldest].heard < SILENT:
                 raise RefusedError("too many senders")
@@ -256,7 +256,7 @@ class StreamSource(LiveSource):
     def _add(self, sender: _Sender, frame: StreamFrame, now: float) -> None:
         face = sender.faces.get(frame.subject)
         if face is None:
-            if len(sender.faces) >= _MOST_SENDERS:
+            if len(sender.faces) >= _MAX_SENDERS:
                 sender.faces.pop(min(sender.faces, key=lambda name: sender.faces[name].heard))
             face = sender.faces[frame.subject] = _Face(Playout(self.settings.delay), now)
         face.heard, face.neutral = now, frame.neutral

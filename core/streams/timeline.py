@@ -14,7 +14,7 @@ HOLD, EASE, RETURN = 0.5, 1.0, 0.2
 """Seconds for which the last face is held when nothing comes, in which it then returns to rest, and in which it resumes
 the motion."""
 _FILL_RATE = 1.0 / 60.0
-_MOST_APART = 1.0
+_MAX_CHANGE = 1.0
 """Seconds by which the difference of two clocks may change from one frame to the next."""
 
 
@@ -68,7 +68,7 @@ class Timeline:
             self._base, self._moment = start - shown.time, shown.due
             return start
         elapsed, time = shown.due - self._moment, shown.time + self._base
-        if shown.predicted or 0.0 < time - self._time < elapsed + _MOST_APART:
+        if shown.predicted or 0.0 < time - self._time < elapsed + _MAX_CHANGE:
             return time
         # The sender's clock has restarted: the elapsed time on this computer's clock is used.
         time = self._time + max(elapsed, 1e-3)

@@ -21,7 +21,7 @@ _PATIENCE, _SILENT = 8.0, 4.0
 """Seconds for a connection to be established, and without any message until it counts as lost."""
 _PORTION = 1 << 14
 """Number of bytes read at a time, which is also the most that is buffered besides a message."""
-_MOST_EMPTY = 16
+_MAX_EMPTY = 16
 """Largest number of consecutive empty messages, which only show that the sender is there; one comes each second."""
 _EXPLANATIONS = {
     "tls": "it does not support TLS 1.3",
@@ -119,7 +119,7 @@ class TlsLink:
         if self._state == _GREETED and (answer := self._take(ANSWER.size)) is not None:
             self._heard = now
             self._check(answer, now)
-        for _ in range(_MOST_EMPTY if self._state == _STREAMING else 0):
+        for _ in range(_MAX_EMPTY if self._state == _STREAMING else 0):
             message = self._message()
             if message is None:
                 return None

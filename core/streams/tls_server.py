@@ -21,7 +21,7 @@ from .sessions import OwnSender
 
 _PATIENCE, _ALIVE, _STUCK = 5.0, 1.0, 10.0
 """Seconds for the handshake and the token, largest pause between two messages, and largest time to send one."""
-_MOST, _MOST_EACH = 32, 4
+_MAX_CONNECTIONS, _MAX_PER_ADDRESS = 32, 4
 """Largest number of connections, and of those from one address that have not shown the token."""
 _WAITING = 1 << 13
 """Bytes that may wait for a receiver, beyond those in the system's buffer, before frames are left out."""
@@ -102,7 +102,7 @@ class TlsSender(Serving):
                 await asyncio.sleep(_ALIVE)
                 continue
             host = str(address[0])
-            if len(self._tasks) >= _MOST or self._strangers[host] >= _MOST_EACH:
+            if len(self._tasks) >= _MAX_CONNECTIONS or self._strangers[host] >= _MAX_PER_ADDRESS:
                 self.refused += 1
                 connection.close()
                 continue
@@ -182,7 +182,7 @@ def _listener(host: str, port: int) -> socket.socket:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.setblocking(False)
         listener.bind(address)
-        listener.listen(_MOST)
+        listener.listen(_MAX_CONNECTIONS)
     except OSError as error:
         listener.close()
         raise cannot_listen(host, port, error) from error

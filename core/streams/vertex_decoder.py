@@ -15,8 +15,8 @@ from ..takes.neutral import Neutral
 from .frames import MAX_SUBJECT, PacketError, StreamFrame, finite
 from .vertices import FACE, FACE_HEADER, FRAME, FRAME_HEADER, MAX_NAME, MESH, MESH_HEADER, TO_RECEIVER, VERSION
 
-_MOST_HEADS = 16
-_FARTHEST = 1e6
+_MAX_HEADS = 16
+_MAX_COORDINATE = 1e6
 """Largest coordinate, in any unit."""
 _ROUND = 1e-3
 """Largest deviation of the product of a rotation with its transpose from the identity."""
@@ -68,7 +68,7 @@ class VertexDecoder:
         first = MESH_HEADER.size + length
         if length > MAX_NAME or len(data) != first + 12 * (count + triangles):
             raise PacketError("a mesh has another size")
-        if number not in self._heads and len(self._heads) >= _MOST_HEADS:
+        if number not in self._heads and len(self._heads) >= _MAX_HEADS:
             raise PacketError("too many heads")
         name = data[MESH_HEADER.size : first].decode()[:MAX_SUBJECT]
         self._heads[number] = _Head(name, _points(data, first, count))
@@ -119,7 +119,7 @@ def _points(data: bytes, first: int, count: int) -> FloatArray:
 
 def _within(points: FloatArray) -> FloatArray:
     """Convert points of a message to the head frame; PacketError if they are impossible."""
-    if not (np.abs(points) <= _FARTHEST).all():
+    if not (np.abs(points) <= _MAX_COORDINATE).all():
         raise PacketError("a vertex is impossible")
     return np.asarray(points * TO_RECEIVER, dtype=np.float64)
 

@@ -36,7 +36,7 @@ _RESEND = 0.5
 _OPENING, _ASKING, _ANSWERING, _AGAIN = 3.0, 120.0, 5.0, 2.0
 """Seconds for a connection, for the user to allow the plug-in, for an answer, and until the next attempt."""
 _LOOK = 0.2
-_MOST, _MOST_TOKEN = 1 << 16, 1 << 10
+_MAX_ANSWER, _MAX_TOKEN = 1 << 16, 1 << 10
 """Largest size in bytes of an answer, and of a token."""
 _DENIED = 50
 """Number of the error if the user does not allow the plug-in."""
@@ -189,7 +189,7 @@ class VTubeStudioSender(Connecting):
                 open_timeout=_OPENING,
                 close_timeout=_LOOK,
                 compression=None,
-                max_size=_MOST,
+                max_size=_MAX_ANSWER,
                 proxy=None,
             ) as connection:
                 self._authenticate(connection)
@@ -209,7 +209,7 @@ class VTubeStudioSender(Connecting):
             if not token:
                 self.message = str(SourceError("VTube Studio is asking for permission. Click Allow there."))
                 answer = self._ask(connection, "AuthenticationToken", plugin, _ASKING)
-                token = str(answer.get("authenticationToken", ""))[:_MOST_TOKEN]
+                token = str(answer.get("authenticationToken", ""))[:_MAX_TOKEN]
                 self._keep(token)
             shown = {**plugin, "authenticationToken": token}
             if self._ask(connection, "Authentication", shown, _ANSWERING).get("authenticated") is True:
@@ -254,7 +254,7 @@ class VTubeStudioSender(Connecting):
 
     def _kept(self) -> str:
         try:
-            return read_bytes(self._file, _MOST_TOKEN).decode("ascii").strip()
+            return read_bytes(self._file, _MAX_TOKEN).decode("ascii").strip()
         except (OSError, ValueError):
             return ""
 

@@ -24,7 +24,7 @@ from .from_coefficients import coefficient_face
 from .spreadsheet import from_csv
 from .take import Take, TakeRecorder, describe
 
-_LEAST_NAMES = 10
+_MIN_NAMES = 10
 """Smallest number of known coefficients in a table of coefficients."""
 _MAX_ROWS, _MAX_NUMBER = 1_000_000, 1e15
 _SECONDS = {"time": 1.0, "seconds": 1.0, "timestamp": 1.0, "time_s": 1.0, "timestamp_ms": 1e-3, "time_ms": 1e-3}
@@ -60,7 +60,7 @@ def has_coefficients(path: Path) -> bool:
             head = next(csv.reader(stream), [])
     except (OSError, ValueError, csv.Error):
         return False
-    return len(_columns(head)) >= _LEAST_NAMES
+    return len(_columns(head)) >= _MIN_NAMES
 
 
 def from_coefficient_csv(path: Path) -> Take:
@@ -161,7 +161,7 @@ def _columns(head: Sequence[str]) -> dict[int, int]:
 def _take(lines: Iterator[list[str]], name: str) -> Take:
     head = next(lines, [])
     columns = _columns(head)
-    if len(columns) < _LEAST_NAMES:
+    if len(columns) < _MIN_NAMES:
         raise ValueError(f"only {len(columns)} of its columns are coefficients")
     if len(set(columns.values())) < len(columns):
         raise ValueError("two of its columns are the same coefficient")

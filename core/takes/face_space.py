@@ -21,7 +21,7 @@ _NOISE = 0.012
 """Standard deviation of tracked landmarks about the model, in eye distances."""
 _UNIQUE = 0.01
 """Standard deviation of each coordinate of a person's face that the modes do not explain, in eye distances."""
-_SPARSITY, _RIDGE, _LARGEST = 1.0, 0.5, 2.0
+_SPARSITY, _RIDGE, _MAX_ACTIVATION = 1.0, 0.5, 2.0
 """Weights of the sum and of half the sum of squares of the activations in equation 4.1, and the largest activation."""
 _INDEPENDENT = 12.0
 """Largest number of frames that count as independent. Neighbouring frames err alike, so more would outvote the
@@ -107,7 +107,7 @@ class FaceSpace:
                 for unit, size in enumerate(gram.diagonal()):
                     # The gradient without this unit's own contribution gives its best value in closed form.
                     left = pull[:, unit] - activations @ gram[unit] + activations[:, unit] * size
-                    np.clip((left - _SPARSITY) / (size + _RIDGE), 0.0, _LARGEST, out=activations[:, unit])
+                    np.clip((left - _SPARSITY) / (size + _RIDGE), 0.0, _MAX_ACTIVATION, out=activations[:, unit])
                 yield activations
             # Calm frames say most about the person, as they depend least on how well the units match the expression.
             share = weights / (_CALM**2 + np.square(self.amount(activations)))

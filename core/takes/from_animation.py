@@ -20,7 +20,7 @@ _SCALE = 160.0
 """Size of the face in that image, in pixels per outer-eye distance."""
 REST_POSITION: FloatArray = np.array([_SCALE, *np.array(IMAGE_SIZE) / 2.0])
 """`Neutral.position` of a measured face: scale, and the middle of that image."""
-_ROUNDS, _LEAST_SPREAD = 12, 1e-4
+_ROUNDS, _MIN_SPREAD = 12, 1e-4
 """Rounds of the robust fit, and its smallest spread in eye distances."""
 _NEAREST = 0.2
 """Smallest distance to the camera, as a share of the one at rest."""
@@ -74,7 +74,7 @@ class PointTracker:
         """Return the result of an ideal tracker; it has no face if a place is not a number."""
         if not np.isfinite(points.landmarks).all() or not np.isfinite(points.anchors).all():
             return TrackResult.nothing(0)
-        rotation, moved = fit_rigid(self.rest.anchors, points.anchors, self.trust, _LEAST_SPREAD * self.unit)
+        rotation, moved = fit_rigid(self.rest.anchors, points.anchors, self.trust, _MIN_SPREAD * self.unit)
         return self.result(points, rotation, moved)
 
     def result(self, points: FacePoints, rotation: FloatArray, moved: FloatArray) -> TrackResult:

@@ -32,7 +32,7 @@ _MAX_FRAMES, _MOMENT = 300, 0.2
 """Largest number of frames of a take that are searched for a neutral face, and its duration in seconds. A second would
 be too long, as strong performers seldom rest that long. From 0.15 to 0.5 the results of `bench.expressions` hardly
 change."""
-_TURNED, _LEAST_TRUST = 0.5, 1e-3
+_TURNED, _MIN_TRUST = 0.5, 1e-3
 """Angle in radians, of pitch and yaw together, at which the weight of a frame is 1/e, and the smallest weight."""
 _CALM = 0.08
 """Amount of expression, in eye distances, above that of the calmest frame, at which the weight of a frame is 1/e in
@@ -278,7 +278,7 @@ def trust(take: Take, frames: IntArray) -> FloatArray:
         Positive weights.
     """
     turned = np.square(take.pose[frames, 1:3] / _TURNED).sum(axis=1)
-    return np.asarray(take.confidence[frames] * np.exp(-turned) + _LEAST_TRUST)
+    return np.asarray(take.confidence[frames] * np.exp(-turned) + _MIN_TRUST)
 
 
 def rest_of(take: Take, frames: IntArray, activations: FloatArray) -> Neutral:

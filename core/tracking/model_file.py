@@ -31,10 +31,10 @@ MAGIC = b"FACEMIME TRACKER"
 FORMAT_VERSION = 5
 _VIEWS = ("frontal", "side")
 _HEADER = struct.Struct("<16sIQ32s")
-_LARGEST_SIDE = 512
+_MAX_SIDE = 512
 """Largest sizes of crops and scales of experts, in pixels: four times those in use."""
-_FARTHEST, _HEAVIEST = 100.0, 1e4
-_MOST_MODES, _MOST_PARTS = 512, 16
+_MAX_COORDINATE, _MAX_WEIGHT = 100.0, 1e4
+_MAX_MODES, _MAX_PARTS = 512, 16
 """Largest numbers of modes, as many as a take can hold, and of parts."""
 _ADVICE = "Reinstall Facemime, or rebuild the model with `make model`."
 
@@ -120,12 +120,12 @@ def _pack_patches(patches: tuple[PatchExperts, PatchExperts]) -> dict[str, NDArr
 
 def _unpack_patches(name: str, archive: Archive) -> PatchExperts:
     (scale,) = archive.floats("patch_scale", ()).reshape(1).tolist()
-    if not 1.0 <= scale <= _LARGEST_SIDE:
-        raise ValueError(f"patch_scale is not within 1 to {_LARGEST_SIDE}")
+    if not 1.0 <= scale <= _MAX_SIDE:
+        raise ValueError(f"patch_scale is not within 1 to {_MAX_SIDE}")
     step = archive.floats(f"{name}_step", (N_LANDMARKS, None), np.float32)
     units = step.shape[1]
-    if float(np.abs(step).max(initial=0.0)) > _HEAVIEST:
-        raise ValueError(f"{name}_step is above {_HEAVIEST:g}")
+    if float(np.abs(step).max(initial=0.0)) > _MAX_WEIGHT:
+        raise ValueError(f"{name}_step is above {_MAX_WEIGHT:g}")
     hidden = archive.floats(f"{name}_hidden", (N_LANDMARKS, PATCH * PATCH, units), np.float32) * step[:, None]
     hidden -= hidden.mean(axis=1, keepdims=True)
     bias, output, output_bias = (
@@ -136,8 +136,8 @@ def _unpack_patches(name: str, archive: Archive) -> PatchExperts:
             ("output_bias", (N_LANDMARKS,)),
         )
     )
-    if any(float(np.abs(values).max(initial=0.0)) > _HEAVIEST for values in (hidden, bias, output, output_bias)):
-        raise ValueError(f"{name} has a weight above {_HEAVIEST:g}")
+    if any(float(np.abs(values).max(initial=0.0)) > _MAX_WEIGHT for values in (hidden, bias, output, output_bias)):
+        raise ValueError(f"{name} has a weight above {_MAX_WEIGHT:g}")
     return PatchExperts(scale, hidden, bias, output, output_bias)
 
 
@@ -261,7 +261,7 @@ def _assemble(archive: Archive, model_id: str) -> TrackerModel:
 def _places(name: str, archive: Archive, *more: int | None) -> FloatArray:
     """Read positions or displacements (66, 3, ...) in the head frame."""
     places = archive.floats(name, (N_LANDMARKS, 3, *more))
-    if np.abs(places).max(initial=0.0) > _FARTHEST:
+    if np.abs(places).max(initial=0.0) > _MAX_COORDINATE:
         raise ValueError(f"{name} is outside any head")
     return places
 
@@ -269,8 +269,8 @@ def _places(name: str, archive: Archive, *more: int | None) -> FloatArray:
 def _pdm(archive: Archive) -> PointDistributionModel:
     mean, basis = _places("mean_shape", archive), _places("basis", archive, None)
     eigenvalues = archive.floats("eigenvalues", (basis.shape[2],))
-    if not 1 <= len(eigenvalues) <= _MOST_MODES or not (eigenvalues > 0.0).all():
-        raise ValueError(f"eigenvalues are not 1 to {_MOST_MODES} positive numbers")
+    if not 1 <= len(eigenvalues) <= _MAX_MODES or not (eigenvalues > 0.0).all():
+        raise ValueError(f"eigenvalues are not 1 to {_MAX_MODES} positive numbers")
     if not 0.5 < outer_eye_distance(mean) < 2.0:
         raise ValueError("mean_shape is not in outer-eye distances")
     return PointDistributionModel(mean, basis, eigenvalues)
@@ -278,13 +278,13 @@ def _pdm(archive: Archive) -> PointDistributionModel:
 
 def _scales(name: str, count: int | None, archive: Archive) -> list[float]:
     scales = archive.floats(name, (count,))
-    if not ((scales >= 1.0) & (scales <= _LARGEST_SIDE)).all():
-        raise ValueError(f"{name} is not within 1 to {_LARGEST_SIDE}")
+    if not ((scales >= 1.0) & (scales <= _MAX_SIDE)).all():
+        raise ValueError(f"{name} is not within 1 to {_MAX_SIDE}")
     return [float(scale) for scale in scales]
 
 
 def _face(place: int, archive: Archive) -> FaceExperts:
-    size = int(archive.integers("face_sizes", (2,), 16, _LARGEST_SIDE)[place])
+    size = int(archive.integers("face_sizes", (2,), 16, _MAX_SIDE)[place])
     network = Network(archive.data(f"face_{place}_network"), "maps", "face")
     if size % 16:
         raise ValueError(f"face_sizes has {size}, which is not a multiple of 16")
@@ -327,9 +327,9 @@ def _actions(archive: Archive) -> tuple[ActionExperts, ...]:
 def _seen_parts(kind: str, archive: Archive) -> Iterator[tuple[IntArray, float, tuple[int, int], bool]]:
     """Yield landmarks, scale, size and pairing of each `FacePart` of a kind."""
     scales = _scales(f"{kind}_scales", None, archive)
-    if not 1 <= len(scales) <= _MOST_PARTS:
-        raise ValueError(f"{kind}_scales has {len(scales)} parts, not 1 to {_MOST_PARTS}")
-    sizes = archive.integers(f"{kind}_sizes", (len(scales), 2), 8, _LARGEST_SIDE)
+    if not 1 <= len(scales) <= _MAX_PARTS:
+        raise ValueError(f"{kind}_scales has {len(scales)} parts, not 1 to {_MAX_PARTS}")
+    sizes = archive.integers(f"{kind}_sizes", (len(scales), 2), 8, _MAX_SIDE)
     paired = archive.flags(f"{kind}_paired", (len(scales),)).tolist()
     for i, (width, height) in enumerate(sizes.tolist()):
         landmarks = archive.integers(f"{kind}_{i}_landmarks", (None,), 0, N_LANDMARKS - 1)

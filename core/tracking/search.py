@@ -23,7 +23,7 @@ _MAX_GRADUAL = 6
 """Largest number of starts per step of a gradual search that are fitted coarsely."""
 _MAX_DETECTIONS = 8
 """Largest number of the network's detections that are fitted coarsely."""
-_LEAST_COARSE = 1e-3
+_MIN_COARSE = 1e-3
 """Confidence of the coarse fit to such a detection above which it is fitted to the end. Most false detections are below
 it, and hardly any true ones."""
 _LIKELY_COARSE, _MAX_UNLIKELY = 4e-3, (2, 1)
@@ -268,10 +268,10 @@ class FaceSearch:
         coarse = sorted(coarse, key=lambda f: -f.features[1])  # the log odds of the face network
         if by_network:
             judged = [(fit, self._model.check.confidence(fit.features)) for fit in coarse]
-            coarse = [fit for fit, confidence in judged if confidence >= _LEAST_COARSE]
+            coarse = [fit for fit, confidence in judged if confidence >= _MIN_COARSE]
             if self.gradual:
                 likely = [fit for fit, confidence in judged if confidence >= _LIKELY_COARSE]
-                others = [fit for fit, confidence in judged if _LEAST_COARSE <= confidence < _LIKELY_COARSE]
+                others = [fit for fit, confidence in judged if _MIN_COARSE <= confidence < _LIKELY_COARSE]
                 coarse = likely + others[: _MAX_UNLIKELY[1]]
         return coarse[:_MAX_FACES]
 

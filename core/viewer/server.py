@@ -35,7 +35,7 @@ from .settings import MAX_VIEWERS, ViewerSettings, new_token, same_token
 _STREAM = "stream"
 _MAX_MESSAGE = 64
 """Largest size in bytes of a message from a page, which only asks for the time."""
-_LEAST_PAUSE = 0.05
+_MIN_PAUSE = 0.05
 """Smallest time in seconds between two such messages; a page that asks more often is disconnected."""
 _STARTING, _CLOSING = 10.0, 1.0
 """Time in seconds to wait for the server to start, and for a page to close."""
@@ -243,7 +243,7 @@ class ViewerServer(Serving):
         last = float("-inf")
         async for message in connection:
             now = perf_counter()
-            if not isinstance(message, bytes) or len(message) != CLOCK_REQUEST.size or now - last < _LEAST_PAUSE:
+            if not isinstance(message, bytes) or len(message) != CLOCK_REQUEST.size or now - last < _MIN_PAUSE:
                 await connection.close(1008)
                 return
             last = now

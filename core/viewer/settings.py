@@ -19,7 +19,7 @@ from ..streams.security import server_context
 PORT = 21574
 MAX_VIEWERS = 16
 """Largest number of pages that may watch at a time."""
-_LEAST_TOKEN, _MOST_TOKEN = 16, 128
+_MIN_TOKEN, _MAX_TOKEN = 16, 128
 
 
 @dataclass(frozen=True)
@@ -121,13 +121,13 @@ def kept_token(path: Path) -> str:
         If the file cannot be written.
     """
     try:
-        text = read_bytes(path, _MOST_TOKEN).decode("ascii").strip()
+        text = read_bytes(path, _MAX_TOKEN).decode("ascii").strip()
     except FileNotFoundError:
         return _written_token(path)
     except (OSError, ValueError) as error:
         raise SourceError(f"The token {path} cannot be read ({error}). Choose another file.") from error
-    if len(text) < _LEAST_TOKEN or not text.replace("-", "").replace("_", "").isalnum():
-        raise SourceError(f"{path} has no token of at least {_LEAST_TOKEN} letters and digits. Choose another file.")
+    if len(text) < _MIN_TOKEN or not text.replace("-", "").replace("_", "").isalnum():
+        raise SourceError(f"{path} has no token of at least {_MIN_TOKEN} letters and digits. Choose another file.")
     return text
 
 

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from facemime.core.actions import ACTION_MIRROR, ACTIONS, N_ACTIONS, action_indices
 from facemime.core.bake.arkit import COEFFICIENTS, arkit_coefficients
-from facemime.core.drive.actions import _MOST, TONGUE, ActionDriver
+from facemime.core.drive.actions import _MAX_ACTIVATION, TONGUE, ActionDriver
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
 from facemime.core.drive.settings import DriveSettings
@@ -54,21 +54,21 @@ def test_activations_are_0_at_rest_grow_with_the_measurement_and_are_limited(res
     driver = ActionDriver(rest, FACE)
     assert not driver.activations(rest.clip(0.0, 0.6), FACE).any()
     shown = driver.activations(seen, FACE)
-    assert (shown >= 0.0).all() and (shown <= _MOST + 1e-9).all()
+    assert (shown >= 0.0).all() and (shown <= _MAX_ACTIVATION + 1e-9).all()
     assert (driver.activations(seen + 0.1, FACE) >= shown).all()
 
 
 def test_a_full_action_is_shown_in_full_but_less_on_a_face_that_shows_some_of_it_at_rest():
     for rest, least in ((0.0, 1.0), (0.1, 1.0), (0.25, 0.1)):
         shown = ActionDriver(np.full(N_ACTIONS, rest), FACE).activations(np.ones(N_ACTIONS), FACE)
-        assert (shown >= least * _MOST)[TOLD_BY_PICTURE].all()
+        assert (shown >= least * _MAX_ACTIVATION)[TOLD_BY_PICTURE].all()
 
 
 def test_unknown_actions_show_nothing_and_an_unknown_rest_counts_as_none():
     unknown = np.full(N_ACTIONS, np.nan)
     assert not ActionDriver(np.zeros(N_ACTIONS), FACE).activations(unknown, FACE).any()
     shown = ActionDriver(unknown, FACE).activations(np.ones(N_ACTIONS), FACE)
-    assert (shown >= _MOST)[TOLD_BY_PICTURE].all()
+    assert (shown >= _MAX_ACTIVATION)[TOLD_BY_PICTURE].all()
 
 
 def test_a_brow_moves_in_full_when_image_and_landmarks_agree_and_less_otherwise():

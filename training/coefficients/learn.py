@@ -30,7 +30,7 @@ _MODES, _NEUTRAL_MODES = 60, 30
 _EXPRESSIONS, _RARE, _LASTING = 4000, 3e-4, 0.5
 """Number of random expressions that the prior is learnt from, mean square of coefficients that are never shown, and
 share of the squares in a performance, which is often at rest."""
-_LARGEST_GAIN = 1.5
+_MAX_GAIN = 1.5
 
 
 def learn(rendered: list[Observed], simulated: Observed, rng: np.random.Generator) -> CoefficientModel:
@@ -118,4 +118,4 @@ def _gains(model: CoefficientModel, takes: list[Observed]) -> np.ndarray:
     found = np.concatenate([solver.take(take.values) for take in takes])
     acted = _joined(takes).keys[:, FITTED]
     ratio = (found * acted).sum(axis=0) / np.maximum(np.square(found).sum(axis=0), 1e-6)
-    return np.clip(ratio, 1.0, _LARGEST_GAIN)
+    return np.clip(ratio, 1.0, _MAX_GAIN)
