@@ -28,7 +28,7 @@ _NEAR = 0.12
 """Mean error of the visible inner points, in eye distances, below which the right face was found."""
 _LARGE, _BEHIND = 80.0, 26.0
 """Outer-eye distances, in pixels, of a large person and of the blurred one behind."""
-_FRAMES_WITHOUT_A_FACE, _PICTURES_OF_NOBODY, _PIECES = 16, 60, 8
+_FRAMES_WITHOUT_A_FACE, _IMAGES_WITHOUT_A_FACE, _PIECES = 16, 60, 8
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def main() -> int:
         result = [count_found(tracker, renderer, case, arguments.people) for tracker in trackers.values()]
         rows.append((case.title, *(f"{right} of {arguments.people}, {time:.0f} ms" for right, time in result)))
     columns = ("", "neural network", "Viola-Jones")
-    pictures = renderer.empty(_PICTURES_OF_NOBODY)
+    pictures = renderer.empty(_IMAGES_WITHOUT_A_FACE)
     times = [measure_without_a_face(name, pictures) for name in trackers]
     empty = [(title, *(result[title] for result in times)) for title in times[0]]
     tables = [Table("Faces found, by detector", columns, rows), Table("Frames without a face", columns, empty)]

@@ -26,7 +26,7 @@ def _ours(key: str) -> bool:
     return key.startswith("facemime")
 
 
-def strangers(*, rig: bool, y_up: bool = False, hair: bool = False) -> dict[str, bpy.types.Object]:
+def make_character(*, rig: bool, y_up: bool = False, hair: bool = False) -> dict[str, bpy.types.Object]:
     """Make a character from the built-in head: meshes without useful names, with a body, in world axes."""
     head = add_head(bpy.context)
     objects = {"head": head, **{child[PART_PROPERTY]: child for child in head.children}}
@@ -122,5 +122,5 @@ def turn_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 if __name__ == "__main__":
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    strangers(rig=True, hair=True)
+    make_character(rig=True, hair=True)
     bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])

@@ -1,4 +1,4 @@
-"""Render the guides of docs/ as pages that the extension brings along: its links to them work without a network."""
+"""Render the guides in docs/ as pages that ship with the extension, so that its links to them work offline."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Run all live and window tests repeatedly on a busy machine.
 
 Usage: python tools/stress.py [RUNS] [--live | --windows] [--thorough] [-k EXPRESSION]; 50 runs of both by default, of
-the tests that `make test` has. As many runs are started at once as give each two busy processes per core beside it.
+the tests that `make test` has. So many runs are started at once that each competes with two busy processes per core.
 Prints a line per run, then the number of failed runs, which is also the exit status. A test that fails once has a race
 condition: fix that rather than the load.
 """

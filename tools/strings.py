@@ -1,10 +1,10 @@
-"""The texts that Facemime shows in Blender, collected from its sources; prints those that a language lacks.
+"""Collect the texts that Facemime shows in Blender from its sources, and print those that a language lacks.
 
 Usage: python tools/strings.py [LANGUAGE] [--unused]; zh_HANS by default. With --unused it prints the translations of
 texts that are no longer in the sources. There are two kinds of texts. Blender looks up constant texts:
 labels, tooltips (the docstrings of operators), items of enumerations, `text=` of buttons, and the arguments of `_()`
-and `labels()`. Messages such as errors contain values: of an f-string the template is collected, with the name of each
-value in braces, and `blender/messages.py` matches messages with it.
+and `labels()`. Messages such as errors contain values: the template of an f-string is collected, with the name of each
+value in braces, and `blender/messages.py` compares messages with it.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 import pytest
-from characters import TRUTH, shown, strangers, turn_between
+from characters import TRUTH, make_character, shown, turn_between
 from mathutils import Matrix, Vector
 from thorough import first_of
 
@@ -33,7 +33,7 @@ from takes import performance
 @pytest.mark.parametrize("start", first_of(["body", "eye_left", "head"]))
 @pytest.mark.parametrize("y_up", first_of([False, True]))
 def test_any_mesh_of_a_character_leads_to_its_face_its_parts_and_its_bones(start, y_up):
-    objects = strangers(rig=True, y_up=y_up)
+    objects = make_character(rig=True, y_up=y_up)
     before = {name: shown(obj) for name, obj in objects.items()}
     bpy.context.view_layer.objects.active = objects[start]
     assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
@@ -50,7 +50,7 @@ def test_any_mesh_of_a_character_leads_to_its_face_its_parts_and_its_bones(start
 
 @pytest.mark.parametrize("y_up", first_of([True, False]))
 def test_a_bake_turns_the_head_bone_in_world_axes_and_moves_all_parts(y_up):
-    objects = strangers(rig=True, y_up=y_up)
+    objects = make_character(rig=True, y_up=y_up)
     head, _ = bind_character(objects["body"])
     rest = {name: shown(obj) for name, obj in objects.items()}
     report = puppet_head(bpy.context.scene, head, performance())
@@ -67,7 +67,7 @@ def test_a_bake_turns_the_head_bone_in_world_axes_and_moves_all_parts(y_up):
 
 @pytest.mark.thorough
 def test_baked_keys_of_one_name_are_on_all_meshes_that_move_and_have_one_value():
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     head, _ = bind_character(objects["head"])
     report = puppet_head(bpy.context.scene, head, performance())
     moving = [objects[name] for name in ("head", "eye_left", "eye_right", "teeth_lower", "tongue")]
@@ -82,7 +82,7 @@ def test_baked_keys_of_one_name_are_on_all_meshes_that_move_and_have_one_value()
 
 @pytest.mark.thorough
 def test_a_cache_is_written_for_each_mesh_that_moves(tmp_path):
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     head, _ = bind_character(objects["head"])
     bake = BakeSettings(keys="cache", path=tmp_path / "face")
     report = puppet_head(bpy.context.scene, head, performance(), PuppetSettings(bake=bake))
@@ -102,7 +102,7 @@ def test_a_cache_is_written_for_each_mesh_that_moves(tmp_path):
 
 
 def test_live_all_meshes_follow_and_are_restored_at_the_end():
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     head, _ = bind_character(objects["head"])
     before = {name: shown(obj) for name, obj in objects.items()}
     take = performance()
@@ -122,7 +122,7 @@ def test_live_all_meshes_follow_and_are_restored_at_the_end():
 
 @pytest.mark.thorough
 def test_a_character_without_bones_turns_as_a_whole_about_its_neck():
-    objects = strangers(rig=False)
+    objects = make_character(rig=False)
     for name in ("eye_left", "eye_right", "teeth_upper", "teeth_lower", "tongue"):
         objects[name].name = {"eye_left": "Eye.L", "eye_right": "Eye.R"}.get(name, name.title())
     head, _ = bind_character(objects["head"])
@@ -141,7 +141,7 @@ def test_a_character_without_bones_turns_as_a_whole_about_its_neck():
 
 @pytest.mark.thorough
 def test_a_part_chosen_by_the_user_is_respected_and_kept_when_binding_again():
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     head, _ = bind_character(objects["head"])
     bpy.context.view_layer.objects.active = head
     teeth = objects["teeth_lower"]
@@ -158,7 +158,7 @@ def test_a_part_chosen_by_the_user_is_respected_and_kept_when_binding_again():
 
 @pytest.mark.thorough
 def test_the_part_of_selected_vertices_is_set_in_edit_mode():
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     bind_character(objects["head"])
     teeth = objects["teeth_upper"]
     bpy.context.view_layer.objects.active = teeth
@@ -176,7 +176,7 @@ def test_the_part_of_selected_vertices_is_set_in_edit_mode():
 
 @pytest.mark.thorough
 def test_the_bones_can_be_chosen_and_cleared():
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     head, _ = bind_character(objects["head"])
     bpy.context.view_layer.objects.active = head
     assert bpy.ops.facemime.set_bone(target="head", bone="Spine") == {"FINISHED"}
@@ -187,7 +187,7 @@ def test_the_bones_can_be_chosen_and_cleared():
 
 @pytest.mark.thorough
 def test_a_bone_with_animation_keeps_it_and_is_reported():
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     head, _ = bind_character(objects["head"])
     armature, _ = read_bones(head)
     bone = armature.pose.bones["Head"]
@@ -203,7 +203,7 @@ def test_a_bone_with_animation_keeps_it_and_is_reported():
 
 def _bound_with_own_animation(*, driven: bool) -> tuple[bpy.types.Object, bpy.types.Object]:
     """A character whose head bone turns by itself, by keyframes or a driver; the head and its armature."""
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     head, _ = bind_character(objects["head"])
     armature, _ = read_bones(head)
     bone = armature.pose.bones["Head"]
@@ -254,7 +254,7 @@ def test_muting_a_bone_keeps_its_keyframes_through_two_bakes():
 
 @pytest.mark.thorough
 def test_expression_keys_are_made_on_all_meshes_that_they_move_and_existing_ones_are_kept():
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     head, _ = bind_character(objects["head"])
     head.shape_key_add(name="Basis")
     own = head.shape_key_add(name="jawOpen")
@@ -275,12 +275,12 @@ def test_expression_keys_are_made_on_all_meshes_that_they_move_and_existing_ones
 
 @pytest.mark.thorough
 def test_a_character_in_a_file_of_another_program_is_bound_and_puppeted_by_commands(tmp_path):
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     bpy.ops.object.select_all(action="SELECT")
-    bpy.ops.export_scene.gltf(filepath=str(tmp_path / "stranger.glb"))
+    bpy.ops.export_scene.gltf(filepath=str(tmp_path / "character.glb"))
     bound, out, picture = tmp_path / "bound.blend", tmp_path / "out.blend", tmp_path / "face.png"
     names = {name: obj.name for name, obj in objects.items()}
-    done = run("bind", tmp_path / "stranger.glb", "-o", bound, "--picture", picture)
+    done = run("bind", tmp_path / "character.glb", "-o", bound, "--picture", picture)
     assert done.returncode == 0, done.stderr
     printed = done.stdout
     rows = {line.split()[0]: line.split()[1:-1] for line in printed.splitlines() if line.startswith("Object_")}
@@ -288,7 +288,7 @@ def test_a_character_in_a_file_of_another_program_is_bound_and_puppeted_by_comma
     assert "bone of the head: Head" in printed and picture.stat().st_size > 1000
     take = tmp_path / "a.facetake"
     save_take(performance(), take)
-    direct = run("puppet", take, "--head", tmp_path / "stranger.glb", "-o", tmp_path / "direct.blend")
+    direct = run("puppet", take, "--head", tmp_path / "character.glb", "-o", tmp_path / "direct.blend")
     assert direct.returncode == 0 and f"Bound {names['head']}" in direct.stderr
     assert run("puppet", take, "--head", bound, "-o", out).returncode == 0
     bpy.ops.wm.open_mainfile(filepath=str(out))
@@ -302,7 +302,7 @@ def test_a_character_in_a_file_of_another_program_is_bound_and_puppeted_by_comma
 
 @pytest.mark.thorough
 def test_parts_joined_into_one_mesh_are_distinguished_by_their_places():
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     names = list(objects)
     for number, obj in enumerate(objects.values()):
         owner = obj.data.attributes.new("owner", "INT", "POINT")

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from characters import strangers
+from characters import make_character
 
 from commands import run
 from facemime.blender.animation.gltf import export_gltf
@@ -84,12 +84,12 @@ def test_the_clip_shows_what_blender_shows(tmp_path, keys):
 
 
 def test_a_character_is_exported_with_bones_and_parts_and_the_selection_is_kept(tmp_path):
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     head, _ = bind_character(objects["head"])
     bpy.ops.object.camera_add()
     camera = bpy.context.object
     baked(head)
-    wanted, path = shown(), tmp_path / "stranger.glb"
+    wanted, path = shown(), tmp_path / "character.glb"
     export_gltf([head], path)
     assert bpy.context.view_layer.objects.active == camera and bpy.context.selected_objects == [camera]
     stated = content(path)

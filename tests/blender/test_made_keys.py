@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 import pytest
-from characters import strangers
+from characters import make_character
 from thorough import first_of
 
 from commands import run
@@ -47,7 +47,7 @@ def keyed(kept):
 
 
 def _keyed(name: str) -> list[bpy.types.Object]:
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     head, _ = bind_character(objects["head"])
     make_expression_keys(head, KEY_SETS[name])
     for prop in (LANDMARKS_PROPERTY, COUNT_PROPERTY):
@@ -82,7 +82,7 @@ def own_keys(head: bpy.types.Object) -> list[bpy.types.ShapeKey]:
     first_of([("vrm", "aa"), ("facegen", "Aah"), ("vrm0", "A"), ("oculus", "viseme_aa")], rows=True),
 )
 def test_a_set_of_keys_is_made_on_all_parts_detected_and_baked_to(name, opens):
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     head, _ = bind_character(objects["head"])
     bpy.context.view_layer.objects.active = head
     assert bpy.ops.facemime.make_expression_keys(keys=name) == {"FINISHED"}
@@ -130,7 +130,7 @@ def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(keyed, na
 
 @pytest.mark.thorough
 def test_a_character_bound_by_keys_is_baked_to_them_by_default(keyed):
-    known, unknown = bind_keys(keyed()["head"]), strangers(rig=True)["head"]
+    known, unknown = bind_keys(keyed()["head"]), make_character(rig=True)["head"]
     assert puppet_head(bpy.context.scene, known, performance()).summary() == "52 shape keys"
     assert values_at(known, "jawOpen", range(1, 60, 4)).max() > 0.1
     head, _ = bind_character(unknown)
@@ -139,7 +139,7 @@ def test_a_character_bound_by_keys_is_baked_to_them_by_default(keyed):
 
 
 def test_the_size_and_neck_of_a_keyed_character_are_as_by_landmarks(keyed):
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     head, _ = bind_character(objects["head"])
     known = read_rig(head)
     unit, neck = known.eye_distance, neck_of(known.vertices[known.landmarks])
@@ -189,7 +189,7 @@ def test_the_face_of_a_keyed_character_can_be_found_later(keyed):
 
 
 def test_a_mesh_without_known_keys_is_not_bound_by_them():
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     with pytest.raises(HeadError, match="known set"):
         bind_keys(objects["head"])
     head = objects["head"]
@@ -202,11 +202,11 @@ def test_a_mesh_without_known_keys_is_not_bound_by_them():
 
 @pytest.mark.thorough
 def test_commands_make_a_set_and_puppet_by_keys_alone(keyed, tmp_path):
-    strangers(rig=True)
+    make_character(rig=True)
     bpy.ops.object.select_all(action="SELECT")
-    bpy.ops.export_scene.gltf(filepath=str(tmp_path / "stranger.glb"))
+    bpy.ops.export_scene.gltf(filepath=str(tmp_path / "character.glb"))
     bound = tmp_path / "bound.blend"
-    done = run("bind", tmp_path / "stranger.glb", "-o", bound, "--make-keys", "vrm")
+    done = run("bind", tmp_path / "character.glb", "-o", bound, "--make-keys", "vrm")
     assert done.returncode == 0, done.stderr
     row = next(line.split() for line in done.stdout.splitlines() if line.startswith("blinkLeft "))
     assert len(row) == 4 and float(row[1]) > 5.0 and float(row[2]) < 10.0

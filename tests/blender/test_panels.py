@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import blf
 import bpy
 import pytest
-from characters import TRUTH, strangers
+from characters import TRUTH, make_character
 
 from facemime.blender.heads.binding import write_marks
 from facemime.blender.heads.built_in import add_head
@@ -172,7 +172,7 @@ def test_damaged_control_points_are_reported_and_can_be_reset():
 
 
 def test_the_check_lists_the_parts_and_bones_and_offers_to_mute_a_bone_that_moves_by_itself():
-    objects = strangers(rig=True)
+    objects = make_character(rig=True)
     bpy.context.view_layer.objects.active = objects["head"]
     bpy.ops.facemime.bind_landmarks()
     bpy.ops.facemime.check_head()

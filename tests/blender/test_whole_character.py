@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 import pytest
-from characters import shown, strangers
+from characters import make_character, shown
 from thorough import first_of
 
 from facemime.blender.animation.live import LiveHeadObject
@@ -59,7 +59,7 @@ def assert_as_one(objects: dict[str, bpy.types.Object], rest: dict[str, np.ndarr
 
 def bound(start: str) -> tuple[dict[str, bpy.types.Object], dict[str, np.ndarray]]:
     """Make a character, and bind it by one call from one of its meshes; returns it and its vertices at rest."""
-    objects = strangers(rig=True, hair=True)
+    objects = make_character(rig=True, hair=True)
     rest = {name: shown(obj) for name, obj in objects.items()}
     bpy.context.view_layer.objects.active = objects[start]
     assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}

@@ -233,7 +233,7 @@ def test_a_flooding_peer_takes_no_memory(identity, flood):
         thread.join(PATIENCE)
 
 
-def test_strangers_that_send_nothing_or_too_much_lock_nobody_out(identity, server):
+def test_unknown_clients_that_send_nothing_or_too_much_do_not_block_others(identity, server):
     silent = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(12)]
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE

@@ -17,7 +17,7 @@ from facemime.core.tracking.tracker import DEFAULT_MODEL
 from ..data import ROOT, add_data_option
 from .workshop import ACTING, ACTION_PARTS, FACES, PARTS, Job, Workshop, run_job
 
-_PHOTOS_A_PART = 12
+_PHOTOS_PER_PART = 12
 
 
 def _run_all(jobs: list[Job], processes: int) -> None:
@@ -41,13 +41,13 @@ def main() -> None:
     jobs = []
     for held_out in (True, False):
         photos = workshop.photos(held_out)
-        parts = [photos[i : i + _PHOTOS_A_PART] for i in range(0, len(photos), _PHOTOS_A_PART)]
+        parts = [photos[i : i + _PHOTOS_PER_PART] for i in range(0, len(photos), _PHOTOS_PER_PART)]
         jobs += [Job(*where, "part", (i, part, held_out)) for i, part in enumerate(parts)]
         acting = [photo for photo in photos if photo.source in ACTING]
-        parts = [acting[i : i + _PHOTOS_A_PART] for i in range(0, len(acting), _PHOTOS_A_PART)]
+        parts = [acting[i : i + _PHOTOS_PER_PART] for i in range(0, len(acting), _PHOTOS_PER_PART)]
         jobs += [Job(*where, "acting_part", (i, part, held_out)) for i, part in enumerate(parts)]
     photos = workshop.photos()
-    parts = [photos[i : i + _PHOTOS_A_PART] for i in range(0, len(photos), _PHOTOS_A_PART)]
+    parts = [photos[i : i + _PHOTOS_PER_PART] for i in range(0, len(photos), _PHOTOS_PER_PART)]
     jobs += [Job(*where, "detection_part", (i, part)) for i, part in enumerate(parts)]
     _run_all(jobs, options.jobs)
     jobs = [Job(*where, "detector")] + [Job(*where, "network", (name,)) for name in (*FACES, *PARTS)]

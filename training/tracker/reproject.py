@@ -31,7 +31,7 @@ class SkinnedHead:
     Attributes
     ----------
     neutral : (V, 3) float32
-        Head frame, outer-eye distances; without the photo's own expression as far as that could be told.
+        Head frame, outer-eye distances; without the photo's own expression as far as could be determined.
     uv : (V, 2) float32
         Where each vertex lies in the photo, pixels.
     skin, eyes : (H, W) uint8

@@ -89,8 +89,8 @@ _HELD_OUT_ACTING, _RESTING = 60, 10
 SCENE_HEADS_BY_HAND, SCENE_HEADS = 24, 4
 """Number of renders for the face detector per photo labelled by hand, and per other photo."""
 DETECTOR_BATCH, DETECTOR_STEPS = 48, 9000
-_RENDERS_A_SKIN = 24
-"""Renders of a photo until it is mirrored or not anew."""
+_RENDERS_PER_SKIN = 24
+"""Number of renders of a photo before it is decided again whether to mirror it."""
 
 
 class Workshop:
@@ -135,8 +135,8 @@ class Workshop:
         for photo in photos:
             recipe = RECIPES[photo.source]
             plain, speaking = (6, 0) if held_out else (recipe.renders, recipe.speaking)
-            for first in range(0, plain, _RENDERS_A_SKIN):
-                count = min(_RENDERS_A_SKIN, plain - first)
+            for first in range(0, plain, _RENDERS_PER_SKIN):
+                count = min(_RENDERS_PER_SKIN, plain - first)
                 parts.append(render_samples(head, model, photo, backgrounds, count, rng, recipe.weight))
             if speaking:
                 parts.append(
@@ -158,8 +158,8 @@ class Workshop:
         parts = []
         for i, photo in enumerate(photos):
             count = _HELD_OUT_ACTING if held_out else ACTING[photo.source]
-            for first in range(0, count, _RENDERS_A_SKIN if not held_out else count):
-                size = count if held_out else min(_RENDERS_A_SKIN, count - first)
+            for first in range(0, count, _RENDERS_PER_SKIN if not held_out else count):
+                size = count if held_out else min(_RENDERS_PER_SKIN, count - first)
                 resting = _RESTING if held_out else 1
                 parts.append(action_samples(head, model, photo, 1000 * number + i, backgrounds, size, rng, resting))
         ActionSamples.join(parts).save(path)
