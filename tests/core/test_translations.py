@@ -24,6 +24,12 @@ def test_the_texts_are_found_in_the_sources():
         assert text in wanted
 
 
+def test_the_functions_that_return_messages_are_in_the_sources():
+    modules = [path.read_text(encoding="utf-8") for path in strings.message_sources()]
+    for name in strings._FUNCTIONS:
+        assert any(f"def {name}(" in module for module in modules), name
+
+
 @pytest.mark.parametrize("path", LANGUAGES, ids=lambda path: path.stem)
 def test_translations_keep_the_placeholders(path):
     for english, other in json.loads(path.read_text(encoding="utf-8")).items():
