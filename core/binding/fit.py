@@ -1,4 +1,4 @@
-"""Fitting of the template to a mesh, guided by marks or by what is seen (docs/method.md, section 7.1)."""
+"""Fitting of the template to a mesh, guided by marks or by a face that is seen (docs/method.md, section 7.1)."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ _LOW_STRAIN = 0.045
 """Strain in outer-eye distances below which an attitude is accepted. Human heads have 0.02 to 0.035, wrong attitudes
 0.05 and more."""
 _UNUSUAL_STRAIN = 0.07
-"""Strain above which a head is stylised, so that even what is clearly seen may be off."""
+"""Strain above which a head is stylised, so that even clearly seen landmarks may be off."""
 _SMOOTHINGS = (1.0, 0.3, 0.1)
 """Smoothness of successive warps, as a multiple of the smoothing in `_bend`."""
 _MIN_POINTS = 5
 """Smallest number of points of a warp; four determine its affine part."""
 _SOFTNESS = np.full(N_LANDMARKS, 0.3)
 _SOFTNESS[NOSE] = 2.0
-"""How far landmarks may be off what is seen, relative to how far the skin may be off the mesh. The nose may be off
-more, as its shape shows where its landmarks are."""
+"""Allowed distance of landmarks from where they are seen, relative to that of the skin from the mesh. The nose is
+allowed more, as its shape shows where its landmarks are."""
 _EXACT = 0.002
 """Mean distance in outer-eye distances below which a mesh is the built-in head itself, whose landmarks are exact."""
 _AGREEMENT = 0.12
-"""Distance, in outer-eye distances, by which what is seen may differ from the marks and still be trusted elsewhere."""
+"""Median distance, in outer-eye distances, between seen landmarks and marks above which the seen face is rejected."""
 _BIAS = np.zeros(N_LANDMARKS)
 _BIAS[BROWS], _BIAS[LIPS] = 0.5, 0.15
 """Share of the tracker's error on the template that is expected on any mesh."""

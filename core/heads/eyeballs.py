@@ -120,7 +120,7 @@ class EyeballContact:
         self._ones = np.ones(3, dtype=np.float32)
 
     def spheres(self, count: int) -> NDArray[np.float32]:
-        """Centre and least distance of each of `count` vertices, (count, 4); 0 for those that nothing keeps away."""
+        """Sphere outside which each of `count` vertices stays, (count, 4): centre and radius; 0 if there is none."""
         table = np.zeros((count, 4), dtype=np.float32)
         table[self._rows] = np.column_stack([self._centres, self._nearest])
         return table

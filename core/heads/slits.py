@@ -114,7 +114,7 @@ class SlitContact:
         return _Slit(sides, triangles, len(crossing_pairs(self._rest, triangles)), gap, attempts)
 
     def resolve(self, vertices: NDArray[np.float32]) -> None:
-        """Move skin that has passed through a slit apart, in place: `vertices` (V, 3) float32."""
+        """Separate skin that has passed through a slit, in place: `vertices`, (V, 3) float32."""
         posed = vertices[self._rows].astype(np.float64)
         for slit in self._slits:
             posed = self._parted(slit, posed)

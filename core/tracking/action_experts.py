@@ -51,7 +51,7 @@ class ActionExperts(FacePart):
         """
         poses = pose[None].repeat(len(self.sides), axis=0)
         poses[:, 4:6] = landmarks[self.sides].mean(axis=1)
-        (activations,) = self.network(self.pictures(grey, poses))
+        (activations,) = self.network(self.crops(grey, poses))
         return np.asarray(activations.ravel(), dtype=np.float64)
 
 

@@ -148,28 +148,28 @@ def _powers(width: int, height: int) -> NDArray[np.float32]:
     return powers
 
 
-def standardise(picture: NDArray[np.uint8], floor: float) -> NDArray[np.float32]:
-    """Standardise a picture to mean 0 and about unit contrast.
+def standardise(crop: NDArray[np.uint8], floor: float) -> NDArray[np.float32]:
+    """Standardise a crop to mean 0 and about unit contrast.
 
     Parameters
     ----------
-    picture : (H, W) uint8
-        Grey picture.
+    crop : (H, W) uint8
+        Grey crop.
     floor : float
         Grey levels added to its standard deviation.
 
     Returns
     -------
     (H, W) float32
-        The standardised picture.
+        The standardised crop.
     """
-    mean, deviation = cv2.meanStdDev(picture)
-    out: NDArray[np.float32] = np.subtract(picture, np.float32(mean[0, 0]), dtype=np.float32)
+    mean, deviation = cv2.meanStdDev(crop)
+    out: NDArray[np.float32] = np.subtract(crop, np.float32(mean[0, 0]), dtype=np.float32)
     out *= np.float32(1.0 / (deviation[0, 0] + floor))
     return out
 
 
-def face_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int) -> NDArray[np.float32]:
+def crop_face(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int) -> NDArray[np.float32]:
     """Crop the input of the experts of the whole face.
 
     Parameters
@@ -187,7 +187,7 @@ def face_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: 
     return standardise(warp_to_reference(grey, pose, scale, (size, size)).pixels, _FACE_FLOOR)
 
 
-def part_picture(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: tuple[int, int]) -> NDArray[np.float32]:
+def crop_part(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: tuple[int, int]) -> NDArray[np.float32]:
     """Crop the input of the experts of a part.
 
     Parameters
@@ -264,7 +264,7 @@ class FaceExperts:
         float
             Log odds that there is a face at about that pose.
         """
-        maps, face = self.network(face_picture(grey, pose, self.scale, self.size)[None])
+        maps, face = self.network(crop_face(grey, pose, self.scale, self.size)[None])
         return ResponseMaps(_ALL, _likelihood(maps[0]), self._corner, self._stride), float(face.mean())
 
     @cached_property
@@ -306,7 +306,7 @@ class FacePart:
         sides: IntArray = np.stack([self.landmarks, MIRROR[self.landmarks]][: 1 + self.paired])
         return sides
 
-    def pictures(self, grey: NDArray[np.uint8], poses: Iterable[FloatArray]) -> NDArray[np.float32]:
+    def crops(self, grey: NDArray[np.uint8], poses: Iterable[FloatArray]) -> NDArray[np.float32]:
         """Crop the network's input for each side.
 
         Parameters
@@ -314,19 +314,19 @@ class FacePart:
         grey : (H, W) uint8
             Grey image.
         poses : iterable of (6,) float64
-            Pose of each side, as for `part_picture`.
+            Pose of each side, as for `crop_part`.
 
         Returns
         -------
         (1 or 2, height, width) float32
             The standardised crops.
         """
-        pictures = np.empty((len(self.sides), *self.size[::-1]), np.float32)
-        for picture, pose in zip(pictures, poses, strict=True):
-            picture[...] = part_picture(grey, pose, self.scale, self.size)
+        crops = np.empty((len(self.sides), *self.size[::-1]), np.float32)
+        for crop, pose in zip(crops, poses, strict=True):
+            crop[...] = crop_part(grey, pose, self.scale, self.size)
         if self.paired:
-            pictures[1] = pictures[1, :, ::-1]
-        return pictures
+            crops[1] = crops[1, :, ::-1]
+        return crops
 
 
 @dataclass(frozen=True)
@@ -373,7 +373,7 @@ class PartExperts(FacePart):
             Maps in the face frame of `pose`, around these landmarks.
         """
         centres = self._averages @ shape - (0.0, higher)
-        (maps,) = self.network(self.pictures(grey, (translate_pose(pose, *centre) for centre in centres.tolist())))
+        (maps,) = self.network(self.crops(grey, (translate_pose(pose, *centre) for centre in centres.tolist())))
         if self.paired:
             maps[1] = maps[1, :, :, ::-1]
         corner = (centres + self._first_cell).astype(np.float32)

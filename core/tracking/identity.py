@@ -63,9 +63,9 @@ def describe_face(grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float
     normalised per cell. It takes 0.04 ms.
     """
     # Slopes in four directions within the oval.
-    picture = warp_to_reference(grey, pose, _SCALE, (_SIDE, _SIDE)).pixels
-    across = cv2.Sobel(picture, cv2.CV_32F, 1, 0)
-    down = cv2.Sobel(picture, cv2.CV_32F, 0, 1)
+    crop = warp_to_reference(grey, pose, _SCALE, (_SIDE, _SIDE)).pixels
+    across = cv2.Sobel(crop, cv2.CV_32F, 1, 0)
+    down = cv2.Sobel(crop, cv2.CV_32F, 0, 1)
     slopes = np.stack([across, -across, down, -down], axis=-1)
     np.maximum(slopes, 0.0, out=slopes)
     slopes *= _OVAL

@@ -28,10 +28,10 @@ class Network:
         except cv2.error as error:
             raise _refused("read") from error
 
-    def __call__(self, pictures: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+    def __call__(self, images: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
         """Return the outputs for standardised images (B, H, W), in the order of their names."""
         try:
-            self._net.setInput(pictures[:, None])
+            self._net.setInput(images[:, None])
             return tuple(np.asarray(out, np.float32) for out in self._net.forward(self._outputs))
         except cv2.error as error:
             raise _refused("run") from error

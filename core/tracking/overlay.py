@@ -74,7 +74,7 @@ def draw_frame(image: Image, landmarks: FloatArray, width: int, height: int) -> 
     """
     scale = min(width / image.shape[1], height / image.shape[0])
     centre = np.array([image.shape[1], image.shape[0]]) / 2.0
-    return _picture(image, landmarks, scale, centre, width, height)
+    return _scaled(image, landmarks, scale, centre, width, height)
 
 
 def draw_face(image: Image, landmarks: FloatArray, side: int, margin: float = 0.35) -> Image:
@@ -97,17 +97,17 @@ def draw_face(image: Image, landmarks: FloatArray, side: int, margin: float = 0.
     low, high = landmarks.min(axis=0), landmarks.max(axis=0)
     centre = (low + high) / 2.0 - (0.0, 0.12 * float(high[1] - low[1]))
     scale = side / (float((high - low).max()) * (1.0 + 2.0 * margin))
-    return _picture(image, landmarks, scale, centre, side, side)
+    return _scaled(image, landmarks, scale, centre, side, side)
 
 
-def _picture(image: Image, landmarks: FloatArray, scale: float, centre: FloatArray, width: int, height: int) -> Image:
+def _scaled(image: Image, landmarks: FloatArray, scale: float, centre: FloatArray, width: int, height: int) -> Image:
     offset = np.array([width, height]) / 2.0 - scale * centre
     if scale < 1:  # warpAffine alone would alias
         blur = 0.5 / scale
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.6 * blur), dtype=np.uint8)
     warp = np.array([[scale, 0.0, offset[0]], [0.0, scale, offset[1]]])
-    picture = cv2.warpAffine(image, warp, (width, height), flags=cv2.INTER_CUBIC, borderValue=_BACKGROUND)
-    return draw_landmarks(np.asarray(picture, dtype=np.uint8), scale * landmarks + offset)
+    scaled = cv2.warpAffine(image, warp, (width, height), flags=cv2.INTER_CUBIC, borderValue=_BACKGROUND)
+    return draw_landmarks(np.asarray(scaled, dtype=np.uint8), scale * landmarks + offset)
 
 
 def draw_preview(image: Image | None, result: TrackResult, width: int) -> NDArray[np.float32] | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from facemime.core.actions import ACTION_MIRROR
 from facemime.core.landmarks import MIRROR
-from facemime.core.tracking.experts import FACE_STRIDE, PART_STRIDE, face_picture, first_cell, part_picture
+from facemime.core.tracking.experts import FACE_STRIDE, PART_STRIDE, crop_face, crop_part, first_cell
 
 from .acting import ActionSamples
 from .samples import SCALE, Samples
@@ -76,7 +76,7 @@ def draw_actions(samples: ActionSamples, part: ActionPart, count: int, rng: np.r
         pose[4:6] = points[part.landmarks].mean(axis=0) + rng.normal(0, 0.02, 2) * SCALE
         if rng.random() < _SPOILT:
             image = _spoilt_source(image, rng)
-        picture = part_picture(image, pose, part.scale, part.size)
+        picture = crop_part(image, pose, part.scale, part.size)
         pictures[row, 0] = _covered(picture, rng) if rng.random() < _SPOILT else picture
         actions[row] = shown[part.actions]
     return ActionBatch(pictures, actions)
@@ -108,7 +108,7 @@ class Crops:
             absent, far = fate < _CLUTTER, _CLUTTER <= fate < _MISPLACED
             image = clutter[rng.integers(len(clutter))] if absent else sample.image
             pose = _misplaced(sample.pose, rng) if far else _perturbed(sample.pose, rng.random() < loose, rng)
-            picture = face_picture(_spoilt_source(image, rng), pose, scale, size)
+            picture = crop_face(_spoilt_source(image, rng), pose, scale, size)
             cells = _in_crop(sample.landmarks, pose, scale, (size, size), FACE_STRIDE)
             shown = not (absent or far)
             known = absent or far or _is_near(pose, sample.pose)
@@ -128,7 +128,7 @@ class Crops:
             pose[0] *= np.exp(rng.normal(0, growth))
             pose[3] += rng.normal(0, turn)
             pose[4:6] += rng.normal(0, move, 2) * SCALE
-            picture = part_picture(_spoilt_source(sample.image, rng), pose, scale, size)
+            picture = crop_part(_spoilt_source(sample.image, rng), pose, scale, size)
             cells = _in_crop(sample.landmarks, pose, scale, size, PART_STRIDE)
             return picture, cells, sample.weights, (1.0, 1.0)
 
