@@ -51,7 +51,7 @@ class LiveFrame:
     filled : bool
         Whether the source filled in the frame because none came. It is displayed, but not recorded.
     rest : float
-        How far the face has returned to rest, 0 to 1, because nothing comes from the source any more.
+        Share by which the face has returned to rest, 0 to 1, after the source stopped sending.
     performer : int
         Number of the performer, in a source with several.
     heads : tuple of int or None

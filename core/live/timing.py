@@ -12,10 +12,10 @@ import numpy as np
 from ..arrays import FloatArray
 
 STAGES = ("wait", "track", "drive", "hand over", "write")
-"""Stages of a frame: until the worker takes it; landmarks; vertices; until Blender's main thread asks; writing to the
-mesh."""
+"""Stages of a frame: the wait for the worker, tracking, computing the vertices, the wait for Blender's main thread,
+and writing to the mesh."""
 REDRAW = "redraw"
-"""Until Blender has redrawn its viewports, which follows writing to the mesh and is not part of the delay."""
+"""Redrawing of Blender's viewports, which follows writing to the mesh and is not part of the delay."""
 _KEPT = 300
 """Number of frames over which delays are measured."""
 _REDRAWS = 20

@@ -27,7 +27,7 @@ class Link(Protocol):
     address : (str, int)
         Address at which packets are received, or from which they come.
     message : str
-        Reason why nothing comes; otherwise "".
+        Reason why no data arrive; otherwise "".
     largest : int
         Largest size of a packet in bytes.
     """

@@ -24,7 +24,7 @@ GREETING = struct.Struct(f">4sB{TOKEN_BYTES}s")
 ANSWER = struct.Struct(">4sBB")
 """The sender's answer, which is followed by messages."""
 LENGTH = struct.Struct(">H")
-"""Prefix of each message, its length; 0 only shows that the sender is there."""
+"""Prefix of each message, its length; 0 only shows that the sender is connected."""
 MAX_MESSAGE = 2048
 """Largest size of a message in bytes."""
 MAGIC = b"FMTL"

@@ -11,8 +11,8 @@ from ..takes.neutral import Neutral
 from .playout import Shown
 
 HOLD, EASE, RETURN = 0.5, 1.0, 0.2
-"""Seconds for which the last face is held when nothing comes, in which it then returns to rest, and in which it resumes
-the motion."""
+"""Seconds for which the last face is held when no data arrive, of its return to rest, and of the transition back to the
+received motion."""
 _FILL_RATE = 1.0 / 60.0
 _MAX_CHANGE = 1.0
 """Seconds by which the difference of two clocks may change from one frame to the next."""

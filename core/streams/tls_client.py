@@ -22,7 +22,7 @@ _PATIENCE, _SILENT = 8.0, 4.0
 _PORTION = 1 << 14
 """Number of bytes read at a time, which is also the most that is buffered besides a message."""
 _MAX_EMPTY = 16
-"""Largest number of consecutive empty messages, which only show that the sender is there; one comes each second."""
+"""Largest number of consecutive empty messages, which show that the sender is connected; one is sent each second."""
 _EXPLANATIONS = {
     "tls": "it does not support TLS 1.3",
     "cut": "the connection was lost",
@@ -33,7 +33,7 @@ _EXPLANATIONS = {
     "certificate": "its certificate is different",
     "token": "it does not know this token",
 }
-"""Reasons why nothing comes."""
+"""Reasons why no data arrive."""
 _CONNECTING, _SHAKING, _GREETED, _STREAMING = range(4)
 
 
@@ -50,7 +50,7 @@ class TlsLink:
     address : (str, int)
         Address of the sender.
     message : str
-        Reason why nothing comes; otherwise "".
+        Reason why no data arrive; otherwise "".
     """
 
     largest = MAX_MESSAGE
