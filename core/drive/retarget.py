@@ -54,7 +54,8 @@ class Retargeter:
     mouth_gain : float
         `Neutral.mouth_gain`: additional factor of the vertical motion of the lower region.
     compensate : bool
-        Whether to compensate for motion that the tracker underestimates: of the lips, and of eyes that open wide.
+        Whether to compensate for the tracker's errors: it underestimates motion of the lips and of eyes that open wide,
+        and is unsure at which end an eye closes first.
 
     Raises
     ------
@@ -65,7 +66,8 @@ class Retargeter:
     -----
     Displacements are scaled by the ratio of the avatar's extent to the performer's, per region, horizontally and
     vertically (equation 4.2); landmarks of two regions take the mean. Lids are scaled vertically by the ratio of the
-    openings of the eyes instead, so that a performer's closed eye closes the avatar's, whatever the shape of the two.
+    openings of the eyes instead, and the upper lids then move so that the avatar's eye is open by the same share as the
+    performer's (equation 4.3): a closed eye closes the avatar's along its whole width, whatever the shape of the two.
     """
 
     def __init__(
@@ -93,10 +95,8 @@ class Retargeter:
             self.scale[LIPS, :2] *= _LIP_GAIN
             self.scale[MOUTH_CORNERS, 1] *= _CORNER_GAIN / _LIP_GAIN[1]
         self._rest_heights = self.head_landmarks[:, 1]
-        self._open = lid_gaps(self.neutral)
-        # Equation 4.3: the factor by which the upper lid moves further per unit of closing.
-        self._closing_gain = self.scale[UPPER_LIDS, 1] * shut / (1.0 - shut)
-        self._widening_gain = self.scale[UPPER_LIDS, 1] * (_WIDENING_GAIN - 1.0 if compensate else 0.0)
+        self._lids = _Lids(self.neutral, self.head_landmarks, shut, compensate=compensate)
+        self._lid_strength = (members * gains[:, None]).sum(axis=0)[UPPER_LIDS] / members.sum(axis=0)[UPPER_LIDS]
         if mode == "planar":
             self.scale[:, 2] = 0.0
 
@@ -115,13 +115,49 @@ class Retargeter:
         """
         current = as_points(shape, "shape", count=N_LANDMARKS)
         moved = np.asarray(self.scale * (current - self.neutral))
-        # Tracked lids are too far apart when an eye is shut, and too close together when it opens wide, so the upper
-        # lid is moved further in both cases (section 4.3).
-        closed = self._open - lid_gaps(current)
-        moved[UPPER_LIDS, 1] += np.where(closed > 0.0, self._closing_gain, self._widening_gain) * closed
+        closing = moved[UPPER_LIDS, 1] - moved[LOWER_LIDS, 1]
+        moved[UPPER_LIDS, 1] += self._lid_strength * self._lids.closing(current) - closing
         for upper, lower in _MEETING_RIMS:
             _keep_apart(moved, upper, lower, self._rest_heights)
         return moved
+
+
+class _Lids:
+    """By how much the pairs of an avatar's lids close (equation 4.3).
+
+    Parameters
+    ----------
+    neutral : (66, 3) array
+        The performer's neutral shape.
+    head : (66, 3) array
+        The avatar's landmarks at rest.
+    shut : float
+        Share of the neutral opening at which the performer's lids are taken to meet.
+    compensate : bool
+        As for `Retargeter`.
+    """
+
+    def __init__(self, neutral: FloatArray, head: FloatArray, shut: float, *, compensate: bool) -> None:
+        self._open, self._shut, self._compensate = lid_gaps(neutral), shut, compensate
+        self._neutral_open, self._head_open = (np.maximum(lid_gaps(face), _least(face)) for face in (neutral, head))
+
+    def closing(self, current: FloatArray) -> FloatArray:
+        """Compute by how much each pair closes, (4,), in the unit of the avatar, for the performer's shape (66, 3)."""
+        closed = (self._open - lid_gaps(current)) / self._neutral_open
+        share = 1.0 - closed / np.where(closed > 0.0, 1.0 - self._shut, 1.0)
+        gain = 1.0
+        if self._compensate:
+            # The tracker is unsure at which end an eye closes first: the more it is shut, the less the pairs differ.
+            eye = np.repeat(0.5 * (share[::2] + share[1::2]), 2)
+            share = eye + (share - eye) * np.clip(eye, 0.0, 1.0)
+            gain = np.where(share > 1.0, _WIDENING_GAIN, 1.0)
+        return np.asarray(self._head_open * (1.0 - share) * gain)
+
+
+def _least(points: FloatArray) -> FloatArray:
+    """Smallest gap between facing lids that is used, (4,)."""
+    width = np.linalg.norm(points[EYE_CORNERS[1::2]] - points[EYE_CORNERS[::2]], axis=1)
+    return np.asarray(np.repeat(_MIN_EYE_OPENING * width, 2))
 
 
 def retargeter_for(
@@ -188,6 +224,4 @@ def _scale(neutral: FloatArray, head: FloatArray) -> FloatArray:
 
 def _opening(points: FloatArray) -> FloatArray:
     """Opening of the right and left eye, (2,); at least a small share of the eye's width."""
-    height = eye_apertures(points)
-    width = np.linalg.norm(points[EYE_CORNERS[1::2]] - points[EYE_CORNERS[::2]], axis=1)
-    return np.asarray(np.maximum(height, _MIN_EYE_OPENING * width))
+    return np.asarray(np.maximum(eye_apertures(points), _least(points)[::2]))
