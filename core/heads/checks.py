@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..landmarks import IBUG68_INDICES
+from ..errors import HeadError
+from ..landmarks import BROWS, IBUG68_INDICES
 from ..mesh.surface import SurfaceGraph, lips_joined
+from .eye_outline import EYES, eye_outline
 from .lids import eyes_joined
 from .regions import REGIONS, membership, own_weights
 
@@ -16,6 +18,18 @@ _MIN_WEIGHT = 0.01
 _HELD = 0.95
 """Weight in its own regions that the vertex of a landmark needs in order to follow it."""
 _MAX_LISTED = 8
+_EYE_BROWS = BROWS[:5], BROWS[:4:-1]
+"""Landmarks of the brows above `EYES`, the outer end first."""
+_MIN_BROW_GAP, _MIN_BROW_SHARE = 0.05, 0.4
+"""Height of a brow above the upper lid, and the same relative to the height of the lid above the corners: at least 0.15
+and 0.7 on an anime figure, 0.44 and 1.7 on people. All these limits are in eye widths, and leave a margin to what was
+found on heads that are bound correctly."""
+_MAX_LID_HEIGHT = 0.6
+"""Distance of a lid above or below the corners: up to 0.32."""
+_MAX_OVERLAP = 0.1
+"""Distance of the lower lid above the upper one. Shut lids nearly coincide."""
+_MAX_OVERHANG = 0.35
+"""Distance of the upper lid in front of the lower one: up to 0.22. Lashes protrude further."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +118,14 @@ def _lip_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) ->
 
 
 def _eye_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[Finding]:
+    if any(_misplaced(vertices, landmarks, eye, brow) for eye, brow in zip(EYES, _EYE_BROWS, strict=True)):
+        # Whether such eyes are joined is unknown; a cut along these landmarks would be misplaced, too.
+        return [
+            Finding(
+                "The landmarks of the lids seem to lie on a brow or on lashes.",
+                "Mark the corners of the eyes, and find the face again.",
+            )
+        ]
     if not any(eyes_joined(vertices, faces, landmarks)):
         return []
     return [
@@ -113,6 +135,25 @@ def _eye_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) ->
             "open_eyes",
         )
     ]
+
+
+def _misplaced(vertices: FloatArray, landmarks: IntArray, eye: IntArray, brow: IntArray) -> bool:
+    """Return whether the landmarks of an eye do not look like lids below a brow."""
+    try:
+        outline = eye_outline(vertices, landmarks, eye)
+    except HeadError:
+        return True
+    points = np.asarray(vertices, dtype=np.float64)[landmarks]
+    upper, lower, line = (outline.to_local(points[part]) for part in (eye[[1, 2]], eye[[5, 4]], brow))
+    line = line[np.argsort(line[:, 0])]
+    brow_gap = np.interp(upper[:, 0], line[:, 0], line[:, 1]) - upper[:, 1]
+    between = upper - lower
+    return bool(
+        (brow_gap < np.maximum(_MIN_BROW_GAP, _MIN_BROW_SHARE * upper[:, 1])).any()
+        or max(upper[:, 1].max(), -lower[:, 1].min()) > _MAX_LID_HEIGHT
+        or between[:, 1].min() < -_MAX_OVERLAP
+        or between[:, 2].mean() > _MAX_OVERHANG
+    )
 
 
 def _list(landmarks: IntArray) -> str:

@@ -6,7 +6,7 @@ import pytest
 from mathutils import Matrix
 from thorough import first_of
 
-from facemime.blender.heads.binding import bind_head, check_object, read_marks
+from facemime.blender.heads.binding import bind_character, bind_head, check_object, read_marks
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_landmarks, read_regions, read_selection, read_vertices
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
@@ -15,7 +15,10 @@ from facemime.core.binding.bind import MARKS
 from facemime.core.control_points.select import select_for_take, to_json
 from facemime.core.landmarks import OUTER_EYE_CORNERS, from_ibug
 from facemime.core.takes.file import load_take, save_take
+from facemime.training.data import DATA
 from takes import performance
+
+CHARACTERS = DATA / "characters"
 
 
 def bare_head() -> bpy.types.Object:
@@ -191,6 +194,15 @@ def test_a_landmark_outside_all_regions_is_reported():
         obj.vertex_groups[name].remove([nose])
     problems = [finding.problem for finding in check_object(obj)]
     assert problems == ["Landmarks 30 lie in no region."]
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not CHARACTERS.is_dir(), reason="the characters of ../shared/data are not here")
+@pytest.mark.parametrize("name", ["rigged", "scan", "vroid"])
+def test_no_character_has_misplaced_lids(name):
+    bpy.ops.import_scene.gltf(filepath=str(CHARACTERS / f"{name}.glb"))
+    head, _ = bind_character(next(obj for obj in bpy.data.objects if obj.type == "MESH" and obj.name[:3] != "Ico"))
+    assert not [finding for finding in check_object(head) if "brow" in finding.problem]
 
 
 def test_the_operator_selects_the_points_that_the_function_selects(tmp_path):

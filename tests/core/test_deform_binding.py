@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scans import scanned
 from thorough import first_of
 
+from bench.heads import ict_people
 from facemime.core.binding.bind import MARKS, bind_landmarks
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.errors import HeadError
@@ -17,10 +18,20 @@ from facemime.core.heads.checks import check_head
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.regions import hold_landmarks, membership
 from facemime.core.heads.rig import built_in_rig
-from facemime.core.landmarks import INNER, MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, OUTER_EYE_CORNERS, from_ibug
+from facemime.core.landmarks import (
+    INNER,
+    LOWER_LIDS,
+    MIRROR,
+    MOUTH_INNER_LOWER,
+    MOUTH_INNER_UPPER,
+    OUTER_EYE_CORNERS,
+    UPPER_LIDS,
+    from_ibug,
+)
 from facemime.core.mesh.surface import SurfaceGraph, lips_joined
 from facemime.core.mesh.warp import Warp
 from facemime.core.rotation import euler_to_matrix
+from facemime.training.data import DATA, has_heads
 
 HEAD = load_head()
 VERTICES = HEAD.vertices.astype(float)
@@ -259,6 +270,72 @@ def test_joined_lips_are_found():
     bridge = np.array([[upper, lower, int(nearest[nearest != upper][0]), -1]])
     findings = check_head(VERTICES, np.concatenate([HEAD.faces, bridge]), HEAD.landmarks, HEAD.regions)
     assert [finding.problem for finding in findings] == ["The lips are joined, so the mouth cannot open."]
+
+
+LIDS_MISPLACED = "The landmarks of the lids seem to lie on a brow or on lashes."
+
+
+def bound_to(numbers: list[int], places: np.ndarray) -> np.ndarray:
+    """Landmarks of the head, with those of iBUG `numbers` bound to the free vertices nearest to `places` (N, 3)."""
+    landmarks = HEAD.landmarks.copy()
+    for landmark, place in zip(from_ibug(numbers), places, strict=True):
+        away = np.linalg.norm(VERTICES - place, axis=1)
+        away[landmarks] = np.inf
+        landmarks[landmark] = int(np.argmin(away))
+    return landmarks
+
+
+@pytest.mark.parametrize(
+    ("numbers", "brow", "up"),
+    [
+        ([37, 38], [18, 19], 0.0),
+        ([43, 44], [24, 25], 0.0),
+        ([37, 38], [18, 19], 0.1),
+        ([37, 38, 40, 41], [18, 19, 19, 18], 0.0),
+        ([36, 37, 38, 39, 40, 41], [17, 18, 19, 21, 20, 18], 0.0),
+        ([44], [24], 0.0),
+    ],
+)
+def test_lids_bound_to_a_brow_are_found(numbers, brow, up):
+    places = POINTS[from_ibug(brow)] - [0.0, up * UNIT, 0.0]
+    landmarks = bound_to(numbers, places)
+    findings = check_head(VERTICES, HEAD.faces, landmarks, HEAD.regions)
+    assert LIDS_MISPLACED in [finding.problem for finding in findings]
+    assert "open_eyes" not in [finding.step for finding in findings]
+
+
+def test_lids_bound_to_lashes_or_to_each_other_or_corners_above_each_other_are_found():
+    eye = from_ibug((42, 45))
+    width = np.linalg.norm(np.subtract(*POINTS[eye]))
+    lashes, swapped, upright = VERTICES.copy(), HEAD.landmarks.copy(), VERTICES.copy()
+    lashes[HEAD.landmarks[from_ibug((43, 44))]] += width * np.array([0.0, -0.2, -0.45])
+    lids = from_ibug((43, 44, 46, 47))
+    swapped[lids] = swapped[lids[[3, 2, 1, 0]]]
+    upright[HEAD.landmarks[eye[0]]] = POINTS[eye[1]] - [0.0, width, 0.0]
+    for vertices, landmarks in ((lashes, HEAD.landmarks), (VERTICES, swapped), (upright, HEAD.landmarks)):
+        findings = check_head(vertices, HEAD.faces, landmarks, HEAD.regions)
+        assert findings[-1].problem == LIDS_MISPLACED
+
+
+@pytest.mark.parametrize("opening", [0.0, 0.5, 2.0])
+def test_shut_narrow_and_wide_eyes_are_not_misplaced_lids(opening):
+    places = VERTICES.copy()
+    upper, lower = HEAD.landmarks[UPPER_LIDS], HEAD.landmarks[LOWER_LIDS]
+    middle, half = (places[upper] + places[lower]) / 2.0, (places[upper] - places[lower]) / 2.0
+    places[upper], places[lower] = middle + opening * half, middle - opening * half
+    assert check_head(places, HEAD.faces, HEAD.landmarks, HEAD.regions) == []
+    assert check_head(stylised(), HEAD.faces, HEAD.landmarks, HEAD.regions) == []
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not has_heads(DATA), reason="the people of ../shared/data are not here")
+def test_no_person_has_misplaced_lids():
+    for person in ict_people(DATA, 6):
+        bound = bind_landmarks(person.vertices, person.faces)
+        upright = person.vertices @ bound.rotation.T
+        weights = propose_regions(upright, person.faces, bound.landmarks)
+        findings = check_head(upright, person.faces, bound.landmarks, weights)
+        assert LIDS_MISPLACED not in [finding.problem for finding in findings], person.title
 
 
 def test_paths_along_a_strip_go_around_its_slit():
