@@ -236,6 +236,48 @@ def test_a_cube_is_not_a_face():
         bpy.ops.facemime.bind_landmarks()
 
 
+def tube(rings: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces, numbered from `first`, of an open tube through rings (N, K, 3)."""
+    number = first + np.arange(rings.shape[0] * rings.shape[1]).reshape(rings.shape[:2])
+    around = np.roll(number, -1, axis=1)
+    quads = np.stack([number[:-1], around[:-1], around[1:], number[1:]], axis=-1)
+    return rings.reshape(-1, 3), quads.reshape(-1, 4)
+
+
+def add_shirt() -> bpy.types.Object:
+    """A shirt with folds: an open torso from the hem to the collar, and two sleeves; 4,000 vertices."""
+    height, angle = np.linspace(0.9, 1.5, 40)[:, None], np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+    cuts = [0.9, 1.1, 1.35, 1.45, 1.5]
+    wide, deep = (np.interp(height, cuts, s) for s in ((0.19, 0.17, 0.21, 0.12, 0.07), (0.13, 0.11, 0.13, 0.09, 0.07)))
+    fold = 1.0 + 0.03 * np.sin(7.0 * angle + 6.0 * height) * np.cos(33.0 * height)
+    torso = np.stack([wide * np.cos(angle) * fold, deep * np.sin(angle) * fold, height + 0.0 * angle], axis=-1)
+    along, angle = np.linspace(0.17, 0.55, 30)[:, None], np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    radius = np.interp(along, [0.17, 0.55], [0.09, 0.055])
+    sleeve = np.stack([along + 0.0 * angle, radius * np.sin(angle), 1.36 + radius * np.cos(angle)], axis=-1)
+    vertices, faces = np.empty((0, 3)), np.empty((0, 4), dtype=int)
+    for rings in (torso, sleeve, sleeve * [-1.0, 1.0, 1.0]):
+        more, quads = tube(rings, len(vertices))
+        vertices, faces = np.concatenate([vertices, more]), np.concatenate([faces, quads])
+    mesh = bpy.data.meshes.new("Shirt")
+    mesh.from_pydata(vertices.tolist(), [], faces.tolist())
+    obj = bpy.data.objects.new("Shirt", mesh)
+    bpy.context.scene.collection.objects.link(obj)
+    bpy.context.view_layer.objects.active = obj
+    return obj
+
+
+@pytest.mark.parametrize("rotation", first_of([(0.0, 0.0, 0.0), (0.3, 0.2, 0.5)]))
+def test_a_shirt_is_not_a_face(rotation):
+    obj = add_shirt()
+    obj.rotation_euler = rotation
+    rest = read_vertices(obj.data)
+    with pytest.raises(RuntimeError, match="No face was found on the mesh"):
+        bpy.ops.facemime.bind_landmarks()
+    np.testing.assert_array_equal(read_vertices(obj.data), rest)
+    assert not dict(obj.data) and not dict(obj) and not obj.vertex_groups
+    assert tuple(obj.rotation_euler) == pytest.approx(rotation)
+
+
 def test_a_mesh_that_cannot_be_read_in_edit_mode_is_reported():
     add_head(bpy.context)
     bpy.ops.object.mode_set(mode="EDIT")
