@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import bpy
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import EnumProperty, IntProperty
+from mathutils import Matrix
 
 from ..blender.characters import read_bones
 from ..blender.heads.binding import (
@@ -49,6 +50,17 @@ def report_findings(operator: bpy.types.Operator, context: bpy.types.Context) ->
     return bool(findings)
 
 
+def _placements(context: bpy.types.Context) -> dict[bpy.types.Object, Matrix]:
+    """Return the world matrix of each mesh object."""
+    return {obj: obj.matrix_world.copy() for obj in context.view_layer.objects if obj.type == "MESH"}
+
+
+def _report_turn(operator: bpy.types.Operator, head: bpy.types.Object, before: dict[bpy.types.Object, Matrix]) -> None:
+    """Report if `head` was rotated since its world matrix was as in `before`."""
+    if before.get(head) not in (None, head.matrix_world):
+        report(operator, f"{head.name}: the vertices now face -Y, and the object is rotated instead; it looks the same")
+
+
 class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
     """Mark the vertex selected in Edit Mode as a point of the face; mark at least four points, then bind"""
 
@@ -83,8 +95,9 @@ class FACEMIME_OT_bind_keys(InObjectMode, OnMesh, bpy.types.Operator):
     bl_label = "Use Its Shape Keys"
 
     def work(self, context: bpy.types.Context) -> None:
-        active = context.active_object
+        active, before = context.active_object, _placements(context)
         head = bind_keys(active)
+        _report_turn(self, head, before)
         active.select_set(False)
         head.select_set(True)
         context.view_layer.objects.active = head
@@ -102,15 +115,13 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnMesh, bpy.types.O
 
     def steps(self, context: bpy.types.Context) -> Iterator[float]:
         """Search for the face in a thread, and bind what was found."""
-        active = context.active_object
-        turns = {obj: obj.matrix_world.copy() for obj in context.view_layer.objects if obj.type == "MESH"}
+        active, before = context.active_object, _placements(context)
         head, binding = yield from in_background(search_character(active))
         if head != active:
             active.select_set(False)
             head.select_set(True)
             context.view_layer.objects.active = head
-        if turns.get(head) not in (None, head.matrix_world):
-            report(self, f"{head.name}: the vertices now face -Y, and the object is rotated instead; it looks the same")
+        _report_turn(self, head, before)
         self._report(context, binding)
 
     def _report(self, context: bpy.types.Context, binding: Binding) -> None:

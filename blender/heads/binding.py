@@ -18,6 +18,7 @@ from ...core.heads.eye_outline import EYES
 from ...core.heads.parts import Part, Skin
 from ...core.heads.proposal import propose_regions
 from ...core.landmarks import from_ibug
+from ..actions import animated_paths
 from ..characters import head_of, part_mesh, read_kinds
 from ..frames import HEAD_TO_BLENDER
 from ..meshes import (
@@ -49,6 +50,7 @@ _MAX_CANDIDATES = 3
 """Meshes of a character in which a face is sought."""
 _UPRIGHT = np.cos(np.radians(20.0))
 """Cosine of the angle to -Y above which a mesh is rotated; a smaller angle is the pose of the head."""
+_ROTATIONS = "rotation_euler", "rotation_quaternion", "rotation_axis_angle"
 CACHES = {"MESH_CACHE", "MESH_SEQUENCE_CACHE"}
 
 
@@ -115,7 +117,7 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
     Raises
     ------
     HeadError
-        If no face is found, or a mesh that several objects share would have to be rotated.
+        If no face is found, or the mesh would have to be rotated and `turn_mesh` cannot do this.
     """
     mesh = mesh_of(obj)
     scene_axes = HEAD_TO_BLENDER.T @ np.array(obj.matrix_world.to_quaternion().to_matrix()) @ HEAD_TO_BLENDER
@@ -127,26 +129,44 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
     axes = [scene_axes] if marks or aligned else [scene_axes, np.eye(3)]
     binding, along = yield from _bound(read_vertices(mesh), skin, marks, axes)
     upright = along if _is_small(binding.rotation) else binding.rotation @ along
-    if not _is_small(upright):
-        turn_mesh(obj, HEAD_TO_BLENDER @ upright @ HEAD_TO_BLENDER.T)
-    landmarks = skin.kept[binding.landmarks]
-    if not is_sorted(obj) and not any(PART_PROPERTY in child for child in obj.children):
-        weights = propose_regions(read_vertices(mesh)[skin.kept], skin.faces, binding.landmarks)
-        sort_character(obj, landmarks, weights, skin)
-    others |= read_kinds(mesh) != Part.SKIN
-    if len((final := skin_of_object(obj, others, landmarks)).kept) != len(skin.kept):
-        try:
-            binding, _ = yield from _bound(read_vertices(mesh), final, marks, [np.eye(3)])
-        except (HeadError, GeneratorExit):  # another mesh of the character may have the face, or the user stops
-            forget_parts(obj)
-            raise
-        landmarks = final.kept[binding.landmarks]
+    turn = None if _is_small(upright) else HEAD_TO_BLENDER @ upright @ HEAD_TO_BLENDER.T
+    if turn is not None:
+        turn_mesh(obj, turn)
+    try:
+        binding, landmarks = yield from _among_parts(obj, binding, skin, others, marks)
+    except (HeadError, GeneratorExit):  # another mesh of the character may have the face, or the user stops
+        if turn is not None:
+            turn_mesh(obj, turn.T)
+        raise
     landmarks = _with_lids(obj, landmarks, binding.rotation, marks)
     write_landmarks(mesh, landmarks)
     if SELECTION_PROPERTY in mesh:
         del mesh[SELECTION_PROPERTY]
     propose_head_regions(obj)
     return binding
+
+
+def _among_parts(
+    obj: bpy.types.Object, binding: Binding, skin: Skin, others: NDArray[np.bool_], marks: dict[int, int]
+) -> Work[tuple[Binding, NDArray[np.intp]]]:
+    """Sort the parts of the face of `obj`, and search again without those that are not skin.
+
+    Returns the binding and the vertex of each landmark, (66,). If no face is found this time, the parts are forgotten.
+    """
+    mesh, landmarks = obj.data, skin.kept[binding.landmarks]
+    if not is_sorted(obj) and not any(PART_PROPERTY in child for child in obj.children):
+        weights = propose_regions(read_vertices(mesh)[skin.kept], skin.faces, binding.landmarks)
+        sort_character(obj, landmarks, weights, skin)
+    others |= read_kinds(mesh) != Part.SKIN
+    final = skin_of_object(obj, others, landmarks)
+    if len(final.kept) == len(skin.kept):
+        return binding, landmarks
+    try:
+        binding, _ = yield from _bound(read_vertices(mesh), final, marks, [np.eye(3)])
+    except (HeadError, GeneratorExit):
+        forget_parts(obj)
+        raise
+    return binding, final.kept[binding.landmarks]
 
 
 def _with_lids(
@@ -301,7 +321,8 @@ def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating]) -> None:
     Raises
     ------
     HeadError
-        If the vertices come from a file, or other objects share the mesh.
+        If the vertices come from a file, other objects share the mesh, or the rotation of the object is animated or
+        constrained.
     """
     if any(modifier.type in CACHES for modifier in obj.modifiers):
         raise HeadError(
@@ -310,6 +331,11 @@ def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating]) -> None:
     if obj.data.users > 1:
         raise HeadError(
             f"The mesh of {obj.name} has to be rotated to face -Y, but other objects share it. Make it single-user."
+        )
+    if animated_paths(obj, _ROTATIONS) or any(not constraint.mute for constraint in obj.constraints):
+        raise HeadError(
+            f"The mesh of {obj.name} has to be rotated to face -Y, but the object's rotation is animated or "
+            "constrained. Remove the animation or the constraint first."
         )
     turn = Matrix(rotation.tolist()).to_4x4()
     obj.data.transform(turn, shape_keys=True)

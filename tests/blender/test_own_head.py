@@ -3,9 +3,11 @@
 import bpy
 import numpy as np
 import pytest
+from characters import make_character, shown
 from mathutils import Matrix
 from thorough import first_of
 
+from facemime.blender.heads import binding
 from facemime.blender.heads.binding import bind_character, bind_head, check_object, read_marks
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_landmarks, read_regions, read_selection, read_vertices
@@ -13,6 +15,7 @@ from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, REGION_GR
 from facemime.blender.rigs import read_rig
 from facemime.core.binding.bind import MARKS
 from facemime.core.control_points.select import select_for_take, to_json
+from facemime.core.errors import HeadError
 from facemime.core.landmarks import OUTER_EYE_CORNERS, from_ibug
 from facemime.core.takes.file import load_take, save_take
 from facemime.training.data import DATA
@@ -122,6 +125,106 @@ def test_a_rotated_or_mirrored_object_is_bound_without_marks(true, rotation, sca
     assert off(obj, true).mean() < 0.02
     np.testing.assert_array_equal(read_vertices(obj.data), rest)
     np.testing.assert_allclose(np.array(obj.matrix_world), np.array(before), atol=1e-6)
+
+
+SAME = "the vertices now face -Y, and the object is rotated instead; it looks the same"
+LYING = {
+    "on its back": (-np.pi / 2.0, 0.0, 0.0),
+    "askew": (1.2, 0.4, 2.0),
+    "on its face": (np.pi / 2.0, 0.0, 0.0),
+    "tilted": (0.7, 0.0, 0.0),
+}
+
+
+def placed(obj: bpy.types.Object) -> list[float]:
+    """All numbers that place an object: its matrices, and the channels of its rotation."""
+    matrices = (obj.matrix_world, obj.matrix_basis, obj.matrix_parent_inverse)
+    channels = (obj.rotation_euler, obj.rotation_quaternion, obj.delta_rotation_euler, obj.location, obj.scale)
+    return [*(value for matrix in matrices for row in matrix for value in row), *(v for c in channels for v in c)]
+
+
+@pytest.mark.parametrize("pose", first_of([(0.3, 0.5, 0.1), None]))
+@pytest.mark.parametrize("rotation", first_of(LYING.values(), quick=2), ids=LYING)
+def test_a_skinned_mesh_on_a_rotated_armature_is_bound_without_turning_it(capfd, rotation, pose):
+    objects = make_character(rig=True)
+    armature = objects["head"].parent
+    armature.rotation_euler = rotation
+    if pose is not None:
+        bone = armature.pose.bones["Head"]
+        bone.rotation_mode, bone.rotation_euler = "XYZ", pose
+    before = {name: shown(obj) for name, obj in objects.items()}
+    rest, places = read_vertices(objects["head"].data), {obj: placed(obj) for obj in (armature, *objects.values())}
+    bpy.context.view_layer.objects.active = objects["head"]
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    for name, obj in objects.items():
+        np.testing.assert_allclose(shown(obj), before[name], atol=1e-6)
+    assert {obj: placed(obj) for obj in places} == places and SAME not in capfd.readouterr().out
+    np.testing.assert_array_equal(read_vertices(objects["head"].data), rest)
+
+
+@pytest.mark.parametrize("angle", first_of([0.4, 0.0]))
+def test_the_turn_of_a_skinned_mesh_is_reported_and_its_armature_is_kept(capfd, angle):
+    objects = make_character(rig=True, y_up=True)
+    armature = objects["head"].parent
+    armature.rotation_euler.rotate(Matrix.Rotation(angle, 3, (0.4, 0.5, 0.6)))
+    before, place = {name: shown(obj) for name, obj in objects.items()}, placed(armature)
+    bpy.context.view_layer.objects.active = objects["head"]
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    assert placed(armature) == place and f"{objects['head'].name}: {SAME}" in capfd.readouterr().out
+    for name, obj in objects.items():
+        np.testing.assert_allclose(shown(obj), before[name], atol=1e-5)
+
+
+def y_up_mesh() -> bpy.types.Object:
+    """A bare head whose object is rotated upright."""
+    obj = bare_head()
+    obj.data.transform(Matrix.Rotation(-np.pi / 2.0, 4, "X"))
+    obj.rotation_euler.x = np.pi / 2.0
+    return obj
+
+
+def keyed(obj: bpy.types.Object) -> None:
+    obj.keyframe_insert("rotation_euler", frame=1)
+
+
+def driven(obj: bpy.types.Object) -> None:
+    obj.driver_add("rotation_euler", 0).driver.expression = "pi / 2"
+
+
+def constrained(obj: bpy.types.Object) -> None:
+    target = bpy.data.objects.new("Target", None)
+    bpy.context.scene.collection.objects.link(target)
+    target.rotation_euler, obj.rotation_euler = obj.rotation_euler, (0.0, 0.0, 0.0)
+    obj.constraints.new("COPY_ROTATION").target = target
+
+
+@pytest.mark.parametrize("hold", first_of([keyed, driven, constrained]))
+def test_a_mesh_whose_rotation_is_held_is_not_turned_but_reported(hold):
+    obj = y_up_mesh()
+    hold(obj)
+    before, rest = shown(obj), read_vertices(obj.data)
+    with pytest.raises(RuntimeError, match="rotation is animated or constrained"):
+        bpy.ops.facemime.bind_landmarks()
+    bpy.context.scene.frame_set(5)
+    np.testing.assert_allclose(shown(obj), before, atol=1e-6)
+    np.testing.assert_array_equal(read_vertices(obj.data), rest)
+    assert LANDMARKS_PROPERTY not in obj.data
+
+
+def test_a_mesh_that_was_turned_is_turned_back_if_its_face_is_then_refused(monkeypatch):
+    objects = make_character(rig=True, y_up=True)
+    head = objects["head"]
+    before, rest, places = shown(head), read_vertices(head.data), [placed(obj) for obj in objects.values()]
+
+    def refused(*_: object) -> None:
+        raise HeadError("No face was found on the mesh.")
+
+    monkeypatch.setattr(binding, "sort_character", refused)
+    with pytest.raises(HeadError, match="No face"):
+        bind_head(head)
+    np.testing.assert_allclose(shown(head), before, atol=1e-6)
+    np.testing.assert_allclose(read_vertices(head.data), rest, atol=1e-5 * np.abs(rest).max())
+    np.testing.assert_allclose([placed(obj) for obj in objects.values()], places, atol=1e-5)
 
 
 def test_a_landmark_is_moved_to_the_selected_vertex(true):
