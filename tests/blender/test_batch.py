@@ -12,9 +12,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
 import pytest
 import quickjs
+from clips import write_clips
 
 import facemime
 from facemime.core.takes.file import load_take
@@ -32,18 +32,6 @@ def batch(*arguments: object) -> subprocess.CompletedProcess:
 
 def records(folder: Path) -> list[Path]:
     return sorted(path for path in folder.glob("[!.]*.json") if path.name != "report.json")
-
-
-def write_clips(folder: Path, count: int) -> Path:
-    """Write `count` clips of 12 frames, each from a different part of the sample clip."""
-    folder.mkdir()
-    source = cv2.VideoCapture(str(ROOT / "assets" / "sample" / "sample.mp4"))
-    for number in range(count):
-        writer = cv2.VideoWriter(str(folder / f"{number}.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (640, 480))
-        for _ in range(12):
-            writer.write(source.read()[1])
-        writer.release()
-    return folder
 
 
 @pytest.mark.thorough

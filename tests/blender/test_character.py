@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 import pytest
 from characters import TRUTH, make_character, shown, turn_between
+from clips import write_clips
 from mathutils import Matrix, Vector
 from thorough import first_of
 
@@ -298,6 +299,31 @@ def test_a_character_in_a_file_of_another_program_is_bound_and_puppeted_by_comma
         bpy.context.scene.frame_set(frame)
         angles.append(bone.matrix_basis.to_quaternion().angle)
     assert max(angles) > 0.1
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("command", ["puppet", "batch"])
+def test_commands_animate_the_bone_that_was_chosen_in_the_file(command, tmp_path):
+    head, _ = bind_character(make_character(rig=True)["head"])
+    bpy.context.view_layer.objects.active = head
+    assert read_bones(head)[1].head == "Head"
+    assert bpy.ops.facemime.set_bone(target="head", bone="Spine") == {"FINISHED"}
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "chosen.blend"))
+    clips, out = write_clips(tmp_path / "clips", 1), tmp_path / "out"
+    output = {"puppet": out / "0.blend", "batch": out}[command]
+    out.mkdir()
+    done = run(command, clips / "0.mp4", "--head", tmp_path / "chosen.blend", "-o", output)
+    assert done.returncode == 0, done.stderr
+    (written,) = out.glob("*.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(written))
+    armature = next(obj for obj in bpy.data.objects if obj.type == "ARMATURE")
+    assert {curve.data_path.split('"')[1] for curve in _existing(armature)} == {"Spine"}
+    turns = {name: [] for name in ("Spine", "Head")}
+    for frame in range(1, 13):
+        bpy.context.scene.frame_set(frame)
+        for name, found in turns.items():
+            found.append(armature.pose.bones[name].matrix_basis.to_quaternion().angle)
+    assert np.ptp(turns["Spine"]) > 1e-3 and max(turns["Head"]) < 1e-6
 
 
 @pytest.mark.thorough
