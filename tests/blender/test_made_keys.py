@@ -223,6 +223,31 @@ def test_commands_make_a_set_and_puppet_by_keys_alone(keyed, tmp_path):
     assert driven_by_keys(bpy.data.objects[name]) and not is_head(bpy.data.objects[name])
 
 
+def key_names() -> dict[str, list[str]]:
+    """Names of the shape keys of each mesh that has some, in order."""
+    keyed = (obj for obj in bpy.data.objects if obj.type == "MESH" and obj.data.shape_keys is not None)
+    return {obj.name: list(obj.data.shape_keys.key_blocks.keys()) for obj in keyed}
+
+
+@pytest.mark.parametrize("built_in", first_of([False, True]))
+def test_fbx_keeps_the_names_and_order_of_made_keys_on_all_meshes(built_in, tmp_path):
+    if built_in:
+        head = add_head(bpy.context)
+    else:
+        objects = make_character(rig=True)
+        objects["head"].modifiers.remove(objects["head"].modifiers["Subdivision"])
+        head, _ = bind_character(objects["head"])
+    make_expression_keys(head, KEY_SETS["arkit"])
+    before = key_names()
+    assert len(before) == 5 and before[head.name] == ["Basis", *KEY_SETS["arkit"].names]
+    assert {tuple(sorted(names)) for names in before.values()} == {tuple(sorted(before[head.name]))}
+    # With Apply Modifiers, Blender drops the keys of a mesh with other modifiers than Armature.
+    bpy.ops.export_scene.fbx(filepath=str(tmp_path / "keys.fbx"), use_mesh_modifiers=not built_in)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.import_scene.fbx(filepath=str(tmp_path / "keys.fbx"))
+    assert key_names() == before
+
+
 def test_keys_are_made_in_a_thread_that_reports_its_progress_and_can_be_stopped(kept):
     head = kept("Progress", lambda: [add_head(bpy.context)])[0]
     stopped = in_background(making_expression_keys(head, KEY_SETS["vrm"]))
