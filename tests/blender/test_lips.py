@@ -5,6 +5,7 @@ import bpy
 import numpy as np
 import pytest
 from scans import UNIT
+from thorough import first_of
 
 from facemime.blender.heads.binding import check_object
 from facemime.blender.heads.built_in import add_head
@@ -32,6 +33,31 @@ def test_joined_lips_of_a_scan_are_reported_until_they_are_opened(scan):
     assert "open_lips" not in [line.step for line in bpy.context.window_manager.facemime.findings]
     with pytest.raises(RuntimeError, match="already separate"):
         bpy.ops.facemime.open_lips()
+
+
+@pytest.mark.parametrize("teeth", first_of([False, True]))
+def test_lips_that_were_opened_are_not_cut_again(scan, teeth):
+    if teeth:  # as part of the same mesh
+        bpy.ops.mesh.primitive_uv_sphere_add(segments=32, radius=0.2 * UNIT, location=(0.0, 2.0 * UNIT, 0.0))
+        added = bpy.context.active_object
+        added.name = "Teeth"
+        scan.select_set(True)
+        bpy.context.view_layer.objects.active = scan
+        bpy.ops.object.join()
+        assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    assert bpy.ops.facemime.open_lips() == {"FINISHED"}
+    vertices, faces, landmarks = read_vertices(scan.data), read_faces(scan.data), read_landmarks(scan)
+    regions, materials = read_regions(scan), scan.data.materials.keys()
+    with pytest.raises(RuntimeError, match="already separate"):
+        bpy.ops.facemime.open_lips()
+    assert len(scan.data.vertices) == len(vertices) and scan.data.materials.keys() == materials
+    for before, after in (
+        (vertices, read_vertices(scan.data)),
+        (faces, read_faces(scan.data)),
+        (landmarks, read_landmarks(scan)),
+        (regions, read_regions(scan)),
+    ):
+        np.testing.assert_array_equal(after, before)
 
 
 @pytest.mark.thorough
