@@ -32,6 +32,7 @@ class FacemimeStream(bpy.types.PropertyGroup):
             ("vtubestudio", "VTube Studio, MeowFace", "VTube Studio on an iPhone, or MeowFace on Android", 6),
             ("facecap", "Face Cap", "The app Face Cap on an iPhone", 7),
             ("vertices", "Vertices", "Moved vertices from another Facemime or an engine over TCP", 8),
+            ("ifacialmocap-tcp", "iFacialMocap over TCP", "The app iFacialMocap, in networks that lose packets", 9),
         ),
         default="livelink",
     )

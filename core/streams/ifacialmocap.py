@@ -20,6 +20,13 @@ PORT, PHONE_PORT, FACEMOTION_PORT = 49983, 49983, 49993
 START = b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719|sendDataVersion=v2"
 FACEMOTION_START = b"FACEMOTION3D_OtherStreaming"
 """Messages that ask the phone to send, to `PHONE_PORT` and `FACEMOTION_PORT`."""
+TCP_PORT = 49986
+"""Port of the receiver to which iFacialMocap connects if it is asked for TCP."""
+TCP_START = b"iFacialMocap_UDPTCP_sahuasouryya9218sauhuiayeta91555dy3719|sendDataVersion=v2"
+TCP_STOP = b"iFacialMocap_UDPTCPSTOP_sahuasouryya9218sauhuiayeta91555dy3719"
+"""Datagrams to `PHONE_PORT` that ask the phone to connect, and to end."""
+TCP_END = b"___iFacialMocap"
+"""End of each packet over TCP."""
 _VALUE = re.compile(r"([A-Za-z][A-Za-z0-9_]{0,63})[-&](-?\d{1,6}(?:\.\d{1,9})?)")
 _NUMBERS = re.compile(r"=?(head|rightEye|leftEye)#(-?[\d.eE+-]{1,24}(?:,-?[\d.eE+-]{1,24}){2,5})")
 _MAX_PARTS, _MIN_NAMES = 400, 10

@@ -7,6 +7,7 @@ import struct
 from contextlib import suppress
 from typing import Protocol
 
+from ..errors import SourceError
 from .addresses import cannot_listen, resolve
 from .casting import Address
 from .frames import MAX_DATAGRAM
@@ -17,6 +18,8 @@ _BUFFER = 1 << 20
 _PORTION = 1 << 16
 """Number of bytes that are read at a time."""
 _MAX_CONNECTIONS = 4
+_MAX_MESSAGE = 1 << 25
+"""Largest size in bytes of a message after its length."""
 
 
 class Link(Protocol):
@@ -142,7 +145,7 @@ class DatagramLink:
 
 
 class ConnectionsLink:
-    """Messages over TCP, each after its length, from senders that connect to a port of this computer.
+    """Messages over TCP from senders that connect to a port of this computer.
 
     Parameters
     ----------
@@ -150,12 +153,14 @@ class ConnectionsLink:
         Address of this computer to listen on.
     port : int
         Port to listen on.
+    end : bytes
+        What each message ends with; b"" if it follows its length instead.
     """
 
-    largest = 1 << 25
-
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, end: bytes = b"") -> None:
         self.address: Address = ("", 0)
+        self.largest = MAX_DATAGRAM if end else _MAX_MESSAGE
+        self._end = end
         self.message = ""
         self._host, self._port = host, port
         self._listener: socket.socket | None = None
@@ -186,7 +191,11 @@ class ConnectionsLink:
         return None
 
     def reply(self, data: bytes, address: Address) -> None:
-        """Do nothing, as these senders need no answers. See `Link.reply`."""
+        """Send a datagram, by which such phones are asked to connect. See `Link.reply`."""
+        with suppress(OSError, SourceError):
+            family, place = resolve(*address)
+            with socket.socket(family, socket.SOCK_DGRAM) as asking:
+                asking.sendto(data, place)
 
     def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
         """See `Link.waits`."""
@@ -210,7 +219,8 @@ class ConnectionsLink:
                 connected.close()
                 continue
             connected.setblocking(False)
-            self._connections[str(address[0]), int(address[1])] = _Connection(connected)
+            sender = _Terminated(connected, self._end) if self._end else _Connection(connected)
+            self._connections[str(address[0]), int(address[1])] = sender
 
 
 class _Connection:
@@ -245,3 +255,27 @@ class _Connection:
         if length > largest:
             raise ConnectionError("a message is too long")
         return int(LENGTH.size + length)
+
+
+class _Terminated(_Connection):
+    """A connected sender whose messages end with `end`."""
+
+    def __init__(self, connected: socket.socket, end: bytes) -> None:
+        super().__init__(connected)
+        self._end = end
+
+    def take(self, largest: int) -> bytes | None:
+        """Return the next message. See `_Connection.take`."""
+        while (place := self._data.find(self._end)) < 0:
+            if len(self._data) > largest:
+                raise ConnectionError("a message is too long")
+            try:
+                portion = self.socket.recv(_PORTION)
+            except BlockingIOError:
+                return None
+            if not portion:
+                raise ConnectionError("the sender has ended")
+            self._data += portion
+        message = bytes(self._data[:place])
+        del self._data[: place + len(self._end)]
+        return message

@@ -95,6 +95,8 @@ class Phone:
 
     def farewell(self) -> list[tuple[bytes, Address]]:
         """Return the packets that end the session, and their addresses."""
+        if self._protocol.stop and self._address is not None:
+            return [(self._protocol.stop, self._address)]
         return [] if self._motion is None else [(data, self._motion_address) for data in self._motion.stop()]
 
     def _request(self, port: int) -> tuple[bytes, Address]:

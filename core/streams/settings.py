@@ -49,6 +49,10 @@ class StreamProtocol:
         Whether the request has to be repeated while the phone sends.
     connected : bool
         Whether senders connect over TCP; otherwise they send datagrams.
+    end : bytes
+        What each message over TCP ends with; b"" if it follows its length.
+    stop : bytes
+        Datagram that asks the phone to end; b"" for none.
     """
 
     label: str
@@ -59,6 +63,8 @@ class StreamProtocol:
     motion_port: int = 0
     leased: bool = False
     connected: bool = False
+    end: bytes = b""
+    stop: bytes = b""
 
 
 @dataclass(frozen=True)
@@ -176,6 +182,16 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         ifacialmocap.PHONE_PORT,
         lambda port: ifacialmocap.START,
         face_motion.PHONE_PORT,
+    ),
+    "ifacialmocap-tcp": StreamProtocol(
+        "iFacialMocap over TCP",
+        ifacialmocap.TCP_PORT,
+        lambda s: IFacialMocapDecoder(),
+        ifacialmocap.PHONE_PORT,
+        lambda port: ifacialmocap.TCP_START,
+        connected=True,
+        end=ifacialmocap.TCP_END,
+        stop=ifacialmocap.TCP_STOP,
     ),
     "facemotion3d": StreamProtocol(
         "Facemotion3d",

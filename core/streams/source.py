@@ -179,8 +179,9 @@ class StreamSource(LiveSource):
     def _open_link(self) -> Link:
         if self.settings.pairing is not None:
             return TlsLink(self.settings.pairing)
-        link = ConnectionsLink if self._protocol.connected else DatagramLink
-        return link(self.settings.host, self.settings.port)
+        if self._protocol.connected:
+            return ConnectionsLink(self.settings.host, self.settings.port, self._protocol.end)
+        return DatagramLink(self.settings.host, self.settings.port)
 
     def _wait(self, seconds: float) -> None:
         readers, writers = self._link.waits()

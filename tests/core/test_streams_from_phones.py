@@ -4,15 +4,17 @@ import json
 import socket
 import threading
 import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
+from clocks import PATIENCE
 
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from facemime.core.streams import ifacialmocap, osc
 from facemime.core.streams.face_cap import NAMES
-from facemime.core.streams.settings import PROTOCOLS
-from links import collected, streamed
+from facemime.core.streams.settings import PROTOCOLS, StreamProtocol
+from links import collected, free_port, streamed
 from takes import coefficient_take as acted
 
 
@@ -78,6 +80,67 @@ def test_a_phone_is_asked_to_send_and_its_faces_are_played(opened, monkeypatch, 
     for number, frame in enumerate(frames):
         np.testing.assert_allclose(frame.result.coefficients, values[(at + number) % len(values)], atol=precision)
     assert phone.asked and (protocol != "vtubestudio" or json.loads(phone.asked[0])["ports"] == [source.address[1]])
+
+
+class ConnectingPhone(Phone):
+    """A phone that connects when it is asked to, and sends packets in pieces until it is asked to end."""
+
+    def run(self) -> None:
+        number, connected = 0, None
+        while not self._ended.is_set():
+            try:
+                question, _ = self._socket.recvfrom(4096)
+            except TimeoutError:
+                question = b""
+            if question:
+                self.asked.append(question)
+            if question == ifacialmocap.TCP_START and connected is None:
+                connected = socket.create_connection(("127.0.0.1", PROTOCOLS["ifacialmocap-tcp"].port))
+            elif question == ifacialmocap.TCP_STOP:
+                break
+            if connected is not None:
+                data = self._packet(self._values[number % len(self._values)]) + ifacialmocap.TCP_END
+                with suppress(ConnectionError):  # closed, and the request to end comes next
+                    for piece in (data[:100], data[100:-5], data[-5:]):
+                        connected.sendall(piece)
+                number += 1
+        if connected is not None:
+            connected.close()
+
+
+def test_a_phone_is_asked_to_connect_and_to_end_and_its_packets_are_put_together(opened, monkeypatch):
+    values = acted(12).coefficients
+    changed = PROTOCOLS["ifacialmocap-tcp"].__dict__ | {"port": free_port()}
+    monkeypatch.setitem(PROTOCOLS, "ifacialmocap-tcp", StreamProtocol(**changed))
+    phone = ConnectingPhone(monkeypatch, "ifacialmocap-tcp", phone_text, values)
+    phone.start()
+    try:
+        source = opened("ifacialmocap-tcp", phone="127.0.0.1", host="127.0.0.1")
+        frames = collected(source, 20)
+        source.close()
+        phone.join(PATIENCE)
+        assert not phone.is_alive(), "it was asked to end"
+    finally:
+        phone.close()
+    first = frames[0].result.coefficients
+    at = int(np.abs(values - first).max(axis=1).argmin())
+    for number, frame in enumerate(frames):
+        np.testing.assert_allclose(frame.result.coefficients, values[(at + number) % len(values)], atol=0.0051)
+    assert phone.asked[0] == ifacialmocap.TCP_START and phone.asked[-1] == ifacialmocap.TCP_STOP
+
+
+def test_a_connection_that_never_ends_a_packet_is_closed(opened):
+    source = opened("ifacialmocap-tcp", phone="127.0.0.1", port=free_port(), host="127.0.0.1")
+    source.read(0.0)
+    with socket.create_connection(source.address) as endless:
+        endless.settimeout(PATIENCE)
+        for _ in range(50):
+            with suppress(ConnectionError):
+                endless.sendall(b"x" * 40_000)
+            source.read(0.01)
+        with suppress(ConnectionResetError):
+            assert endless.recv(1) == b"", "the connection was closed"
+    assert source.counts.accepted == 0
 
 
 def test_face_cap_is_played(opened):
