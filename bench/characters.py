@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
@@ -54,6 +54,7 @@ from facemime.training.data import add_data_option, has_heads
 PEOPLE = 3
 _EVERY = 5
 """Step between the frames in which seams are measured."""
+_ARKIT = KEY_SETS["arkit"]
 _LIP_LINE = 0.06
 """Distance from the line between the lips, in eye distances, within which vertices may separate."""
 _MOST_OF_52 = 40
@@ -152,8 +153,8 @@ class Made:
     lips: float
     crossing: float
     most: int
-    own: float
-    scaled: float
+    own: float = float("nan")
+    scaled: float = float("nan")
 
 
 def main() -> int:
@@ -169,7 +170,10 @@ def main() -> int:
     for title, head, true in _heads(arguments.data, arguments.menpo3d, arguments.folder):
         rig = read_rig(head.obj)
         bound[title], moved[title] = head, _move(head.obj, rig, take)
-        made[title] = _make(head.obj, rig, true)
+        own = _own_keys(head.obj) if true is None else true
+        made[title] = _make(head.obj, rig, own)
+        if own:
+            made[f"{title}, its own keys"] = _measured(rig, _in_order(rig, own))
         if arguments.figure is not None and true is not None:
             tiles.append(_row(head.obj, take, title))
         print(title, file=sys.stderr)
@@ -197,11 +201,10 @@ def main() -> int:
         ),
     ]
     numbers = {
-        title: {name: value for name, value in vars(bound[title]).items() if name != "obj"}
-        | vars(moved[title])
-        | {f"made_{name}": value for name, value in vars(made[title]).items()}
+        title: {name: value for name, value in vars(bound[title]).items() if name != "obj"} | vars(moved[title])
         for title in bound
     }
+    numbers |= {f"keys of {title}": vars(row) for title, row in made.items()}
     finish(arguments, tables, numbers)
     facemime.unregister()
     return 0
@@ -328,23 +331,37 @@ def _seen(head: bpy.types.Object, rest: NDArray[np.floating], shut: NDArray[np.f
     return float(after / before)
 
 
-def _make(head: bpy.types.Object, rig: HeadRig, own: Keys | None) -> Made:
-    keys = KEY_SETS["arkit"]
-    names, motions = expression_keys(rig, keys)
-    made = key_qualities(rig, keys, motions)
-    crossing = [quality.crossing for quality in made]
-    if own is None:
-        own = _own_keys(head)
+def _in_order(rig: HeadRig, own: Keys) -> NDArray[np.float32]:
+    """Motions of a head's own keys as `expression_keys` returns them, 0 for keys and parts that it lacks."""
+    motions = np.zeros((len(_ARKIT.names), len(rig.all_vertices), 3), dtype=np.float32)
+    for row, name in enumerate(_ARKIT.names):
+        if name in own:
+            motions[row, : len(own[name])] = own[name]
+    return motions
+
+
+def _measured(rig: HeadRig, motions: NDArray[np.float32]) -> Made:
+    qualities = key_qualities(rig, _ARKIT, motions)
+    crossing = [quality.crossing for quality in qualities]
+    return Made(
+        eyes=float(np.nanmax([quality.eyes for quality in qualities])),
+        lips=float(np.nanmax([quality.lips for quality in qualities])),
+        crossing=float(np.mean(crossing)),
+        most=max(crossing),
+    )
+
+
+def _make(head: bpy.types.Object, rig: HeadRig, own: Keys) -> Made:
+    names, motions = expression_keys(rig, _ARKIT)
     skin = np.flatnonzero(read_kinds(head.data) == Part.SKIN)
     pairs = [(motions[names.index(name)][skin], true[skin]) for name, true in own.items() if name in names]
     total = sum(_length(true) for _, true in pairs)
-    return Made(
-        eyes=float(np.nanmax([quality.eyes for quality in made])),
-        lips=float(np.nanmax([quality.lips for quality in made])),
-        crossing=float(np.mean(crossing)),
-        most=max(crossing),
-        own=sum(_length(ours - true) for ours, true in pairs) / total if pairs else float("nan"),
-        scaled=sum(_length(_fitting(ours, true) - true) for ours, true in pairs) / total if pairs else float("nan"),
+    if not pairs:
+        return _measured(rig, motions)
+    return replace(
+        _measured(rig, motions),
+        own=sum(_length(ours - true) for ours, true in pairs) / total,
+        scaled=sum(_length(_fitting(ours, true) - true) for ours, true in pairs) / total,
     )
 
 
