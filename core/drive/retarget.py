@@ -145,7 +145,7 @@ class _Lids:
         """Compute by how much each pair closes, (4,), in the unit of the avatar, for the performer's shape (66, 3)."""
         closed = (self._open - lid_gaps(current)) / self._neutral_open
         share = 1.0 - closed / np.where(closed > 0.0, 1.0 - self._shut, 1.0)
-        gain = 1.0
+        gain = np.ones_like(share)
         if self._compensate:
             # The tracker is unsure at which end an eye closes first: the more it is shut, the less the pairs differ.
             eye = np.repeat(0.5 * (share[::2] + share[1::2]), 2)
