@@ -115,7 +115,8 @@ def test_a_phone_is_asked_to_connect_and_to_end_and_its_packets_are_put_together
     phone = ConnectingPhone(monkeypatch, "ifacialmocap-tcp", phone_text, values)
     phone.start()
     try:
-        source = opened("ifacialmocap-tcp", phone="127.0.0.1", host="127.0.0.1")
+        port = PROTOCOLS["ifacialmocap-tcp"].port
+        source = opened("ifacialmocap-tcp", phone="127.0.0.1", port=port, host="127.0.0.1")
         frames = collected(source, 20)
         source.close()
         phone.join(PATIENCE)
