@@ -1,4 +1,4 @@
-"""What the commands `send` and `serve` share: the performance that they track without Blender."""
+"""What the commands `send` and `serve` share: a performance that is tracked live, and the head that it moves."""
 
 from __future__ import annotations
 
@@ -9,15 +9,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
 
+from ..core.bake.key_map import ESSENTIAL
+from ..core.errors import FacemimeError
+from ..core.heads.appearance import Appearance, built_in_appearance
+from ..core.heads.rig import built_in_rig
 from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
+from ..core.live.head_drivers import LiveHead
 from ..core.live.sources import LiveSource, TakePlayer, VideoPlayer
 from ..core.live.worker import LiveOptions, LiveWorker
+from ..core.puppet.job import HeadFile
 from ..core.puppet.settings import PuppetSettings
 from ..core.takes.file import SUFFIX
 from ..core.takes.neutral import Neutral
 from ..core.tracking.settings import TrackingSettings
 from .terminal.console import Progress, tell
-from .terminal.options import add_face_option, add_settings, number
+from .terminal.options import add_face_option, add_settings, head_file, number
 from .terminal.stopping import STOPPING
 from .terminal.takes import load_with_warnings
 
@@ -81,6 +87,45 @@ class Performance:
             neutral = None if stored is None else Neutral.from_dict(stored)
             return TakePlayer(take, self.video.name, loop=self.loop), neutral
         return VideoPlayer(self.video, loop=self.loop), None
+
+
+def add_head_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the head that is shown."""
+    parser.add_argument(
+        "--head",
+        type=head_file,
+        metavar="FILE[:OBJECT]",
+        help="your own head, as for bind, which needs Blender (the built-in head)",
+    )
+
+
+def head_to_show(head: HeadFile | None) -> tuple[LiveHead, Appearance]:
+    """Return a head, and its appearance for viewers.
+
+    Parameters
+    ----------
+    head : HeadFile or None
+        A head in a file, which is bound if it is not a head yet; None for the built-in one.
+
+    Raises
+    ------
+    FacemimeError
+        If Blender is missing, or the file has no head and no face.
+    """
+    if head is None:
+        return LiveHead(built_in_rig()), built_in_appearance()
+    try:
+        with STOPPING.importing():
+            from ..blender.animation.appearance import read_appearance
+            from ..blender.animation.live_keys import AUTOMATIC, live_keys
+            from ..blender.rigs import read_rig
+            from .puppet.files import open_head
+    except ImportError as error:
+        raise FacemimeError(
+            f"--head needs Blender ({error}). Run: blender --command facemime ..., or install bpy."
+        ) from error
+    obj = open_head(head, by_keys=ESSENTIAL)
+    return LiveHead(read_rig(obj), keys=live_keys(obj, AUTOMATIC)), read_appearance(obj)
 
 
 def watch(worker: LiveWorker, state: Callable[[], tuple[int, str]], progress: Progress, seconds: float | None) -> None:

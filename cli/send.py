@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.errors import FacemimeError
-from ..core.heads.appearance import built_in_appearance
-from ..core.heads.rig import built_in_rig
+from ..core.heads.appearance import Appearance
 from ..core.live.head_drivers import LiveHead
 from ..core.live.worker import LiveWorker
+from ..core.puppet.job import HeadFile
 from ..core.streams.addresses import parse_address, reachable
 from ..core.streams.pairing import PORT as TLS_PORT
 from ..core.streams.pairing import Pairing
 from ..core.streams.sender import SENT, VTUBE_STUDIO, SendSettings, StreamSender
 from ..core.streams.settings import OWN
 from ..core.streams.vertices import VERTICES, VertexSender
-from .performance import Performance, add_source, watch
+from .performance import Performance, add_head_option, add_source, head_to_show, watch
 from .terminal.console import Progress, say, tell
 from .terminal.options import Commands, add_command, add_key_option, filled
 from .terminal.stopping import STOPPING
@@ -38,6 +38,8 @@ class SendJob:
     Attributes
     ----------
     performance : Performance
+    head : HeadFile or None
+        Head whose vertices are sent, for `VERTICES`; None for the built-in one.
     to : str or None
         Address of the receiver, HOST[:PORT].
     serve : str or None
@@ -57,6 +59,7 @@ class SendJob:
     """
 
     performance: Performance
+    head: HeadFile | None
     to: str | None
     serve: str | None
     token: Path | None
@@ -71,6 +74,7 @@ def add_commands(commands: Commands) -> None:
     """Add the command to the parser."""
     send = add_command(commands, "send", "track a face, and send it to another computer or program")
     add_source(send)
+    add_head_option(send)
     where = send.add_mutually_exclusive_group(required=True)
     where.add_argument("--to", metavar="HOST[:PORT]", help="where to, as in 192.168.1.7:39539")
     where.add_argument(
@@ -117,21 +121,34 @@ def run_send(job: SendJob) -> int:
 
 
 def _open_sender(job: SendJob) -> Callable[[LiveWorker], Sender]:
-    """Return what makes a worker send what it tracks, or the built-in head that it drives."""
+    """Return what makes a worker send what it tracks, or the vertices of the head that it drives."""
     if job.tls is not None or job.public:
         raise FacemimeError("--tls and --public are for --serve. Leave them out, or use --serve instead of --to.")
+    if job.head is not None and job.protocol != VERTICES:
+        raise FacemimeError(
+            "--head is for --protocol vertices; other protocols send the face, not a head. Leave it out."
+        )
     if job.protocol == VTUBE_STUDIO:
         return _open_vtube_studio(job)
     host, port = parse_address(job.to or "")
     settings = SendSettings(job.protocol, host, port, job.key, job.subject)
+    if job.protocol == VERTICES:
+        return _open_vertices(settings, *head_to_show(job.head))
 
     def open_output(worker: LiveWorker) -> Sender:
-        if settings.protocol == VERTICES:
-            vertices = VertexSender(settings.host, settings.port, [built_in_appearance()])
-            worker.heads, worker.displays = (LiveHead(built_in_rig()),), (vertices,)
-            return vertices
         worker.output = sender = StreamSender(settings)
         return sender
+
+    return open_output
+
+
+def _open_vertices(settings: SendSettings, head: LiveHead, appearance: Appearance) -> Callable[[LiveWorker], Sender]:
+    """Return what makes a worker send the moved vertices of a head."""
+
+    def open_output(worker: LiveWorker) -> Sender:
+        vertices = VertexSender(settings.host, settings.port, [appearance])
+        worker.heads, worker.displays = (head,), (vertices,)
+        return vertices
 
     return open_output
 

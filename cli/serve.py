@@ -1,4 +1,4 @@
-"""The command `serve`: the built-in head in any browser, moved by a camera or a video, without Blender."""
+"""The command `serve`: a head in any browser, moved by a camera or a video; the built-in one needs no Blender."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..core.heads.appearance import built_in_appearance
-from ..core.heads.rig import built_in_rig
-from ..core.live.head_drivers import LiveHead
 from ..core.live.worker import LiveWorker
+from ..core.puppet.job import HeadFile
 from ..core.streams.addresses import LOOPBACK, parse_address
 from ..core.viewer.qr import as_text, qr_code
 from ..core.viewer.settings import PORT, ViewerSettings, kept_token
-from .performance import Performance, add_source, watch
+from .performance import Performance, add_head_option, add_source, head_to_show, watch
 from .terminal.console import Progress, say, tell
 from .terminal.options import Commands, add_command, filled
 from .terminal.stopping import STOPPING
@@ -29,6 +27,8 @@ class ServeJob:
     Attributes
     ----------
     performance : Performance
+    head : HeadFile or None
+        The head; None for the built-in one.
     listen : str
         Address of this computer, HOST[:PORT]; "" for this computer alone.
     cert, key : Path or None
@@ -40,6 +40,7 @@ class ServeJob:
     """
 
     performance: Performance
+    head: HeadFile | None
     listen: str
     cert: Path | None
     key: Path | None
@@ -49,8 +50,9 @@ class ServeJob:
 
 def add_commands(commands: Commands) -> None:
     """Add the command to the parser."""
-    serve = add_command(commands, "serve", "show the built-in head in browsers, moved by a face")
+    serve = add_command(commands, "serve", "show a head in browsers, moved by a face")
     add_source(serve)
+    add_head_option(serve)
     serve.add_argument(
         "--listen",
         default="",
@@ -73,11 +75,11 @@ def run_serve(job: ServeJob) -> int:
     host, port = parse_address(job.listen or LOOPBACK, PORT)
     token = "" if job.token is None else kept_token(job.token)
     settings = ViewerSettings(host, port, token, job.cert, job.key)
+    head, appearance = head_to_show(job.head)
     source, neutral = job.performance.open()
-    with ViewerServer(settings, [built_in_appearance()]) as server, STOPPING.noting():
+    with ViewerServer(settings, [appearance]) as server, STOPPING.noting():
         server.follow = (True, job.translation)
-        heads = (LiveHead(built_in_rig()),)
-        worker = LiveWorker(source, neutral=neutral, heads=heads, options=job.performance.options)
+        worker = LiveWorker(source, neutral=neutral, heads=(head,), options=job.performance.options)
         worker.displays = (server,)
         _announce(server)
         progress = Progress(f"Serving {source.name}")

@@ -250,7 +250,7 @@ export class Avatar {
         return geometry;
     }
 
-    _material({ colour, roughness, image }, images) {
+    _material({ colour, roughness, image, alpha }, images) {
         const material = new THREE.MeshStandardMaterial({ roughness, side: THREE.DoubleSide });
         if (image < 0) material.color.setRGB(...colour);
         else {
@@ -260,6 +260,8 @@ export class Avatar {
             material.map.wrapS = material.map.wrapT = THREE.RepeatWrapping;
             material.map.anisotropy = 4;
             material.map.needsUpdate = true;
+            material.transparent = alpha;
+            material.alphaTest = alpha ? 0.02 : 0; // what is invisible hides nothing behind it
         }
         const uniforms = { facemimeOffsets: { value: this.target.texture }, facemimeNormals: { value: this.normalTarget.texture } };
         material.onBeforeCompile = (shader) => deformed(shader, uniforms, WIDTH);

@@ -16,12 +16,13 @@ from ..characters import members_of, objects_of, rest_matrix
 from ..frames import from_blender, to_blender
 from ..meshes import read_faces, read_vertices
 from ..names import PART_PROPERTY, TONGUE_KEY
+from ..surfaces import linked_image, principled
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue
 
 _MAX_IMAGE = 32_000_000
 """Size of an image in bytes above which a surface is shown in its plain colour."""
-_SIGNATURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff")
-"""First bytes of the images that a browser shows: PNG and JPEG."""
+_SIGNATURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"RIFF")
+"""First bytes of the images that a browser shows: PNG, JPEG and WebP."""
 _NEUTRAL = Material((0.8, 0.8, 0.8), 0.5)
 
 
@@ -110,31 +111,18 @@ def _surface(material: bpy.types.Material | None) -> Material:
     """Return the colour and image of a material, as its Principled BSDF or the viewport shows them."""
     if material is None:
         return _NEUTRAL
-    image = b""
-    for node in material.node_tree.nodes if material.node_tree is not None else ():
-        if node.type != "BSDF_PRINCIPLED":
-            continue
-        image = _linked_image(node.inputs["Base Color"])
-        if not image and not node.inputs["Base Color"].is_linked:
-            colour, roughness = node.inputs["Base Color"].default_value, node.inputs["Roughness"].default_value
-            return Material(tuple(colour[:3]), float(roughness))
-    return Material(tuple(material.diffuse_color[:3]), float(material.roughness), image)
+    image, alpha = b"", False
+    if (shader := principled(material)) is not None:
+        colour = shader.inputs["Base Color"]
+        image, alpha = _encoded(linked_image(colour)), shader.inputs["Alpha"].is_linked
+        if not image and not colour.is_linked:
+            return Material(tuple(colour.default_value[:3]), float(shader.inputs["Roughness"].default_value))
+    return Material(tuple(material.diffuse_color[:3]), float(material.roughness), image, alpha)
 
 
-def _linked_image(socket: bpy.types.NodeSocket) -> bytes:
-    """Return the image that a socket shows, also through one node of colour correction; empty if there is none."""
-    for _ in range(3):
-        if not socket.is_linked:
-            return b""
-        node = socket.links[0].from_node
-        if node.type == "TEX_IMAGE":
-            return _encoded(node.image)
-        socket = next((one for one in node.inputs if one.type == "RGBA"), socket)
-    return b""
-
-
-def _encoded(image: bpy.types.Image | None) -> bytes:
+def _encoded(node: bpy.types.ShaderNodeTexImage | None) -> bytes:
     """Return the file of an image that a browser can show; empty otherwise, such as for a generated one."""
+    image = None if node is None else node.image
     if image is None or image.source != "FILE":
         return b""
     try:

@@ -14,6 +14,7 @@ from ...core.landmarks import outer_eye_distance
 from ...core.rotation import fit_rotation
 from ..frames import to_blender
 from ..meshes import can_be_driven, read_places
+from ..surfaces import show_colour_images
 
 _LENS, _SENSOR = 85.0, 36.0
 _MARGIN = 1.08
@@ -95,6 +96,7 @@ def setup_preview(
         scene.world = bpy.data.worlds.new("Facemime Preview")
     scene.world.color = _BACKGROUND
     _set_shading(scene, float(np.ptp(points, axis=0).max()))
+    show_colour_images()
 
 
 def look_at_face(view: bpy.types.RegionView3D, obj: bpy.types.Object) -> None:

@@ -32,12 +32,15 @@ class Material:
     roughness : float
         From 0 to 1.
     image : bytes
-        A PNG or JPEG file that replaces the colour; empty for none.
+        A PNG, JPEG or WebP file that replaces the colour; empty for none.
+    alpha : bool
+        Whether the image is transparent where its alpha says so.
     """
 
     colour: tuple[float, float, float] = (0.69, 0.45, 0.35)
     roughness: float = 0.5
     image: bytes = b""
+    alpha: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -230,4 +230,4 @@ def _drawn(appearance: Appearance, count: int) -> tuple[list[Material], dict[str
 
 def _described(surface: Material, images: list[bytes]) -> dict[str, object]:
     number = next((number for number, image in enumerate(images) if image is surface.image), -1)
-    return {"colour": list(surface.colour), "roughness": surface.roughness, "image": number}
+    return {"colour": list(surface.colour), "roughness": surface.roughness, "image": number, "alpha": surface.alpha}

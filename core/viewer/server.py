@@ -262,7 +262,8 @@ def _index(text: str, count: int) -> int | None:
 
 
 def _image(data: bytes) -> tuple[str, bytes]:
-    return ("image/png" if data.startswith(b"\x89PNG") else "image/jpeg"), data
+    kinds = {b"\x89PNG": "image/png", b"RIFF": "image/webp"}
+    return kinds.get(data[:4], "image/jpeg"), data
 
 
 def _response(status: HTTPStatus, kind: str, body: bytes, extra: dict[str, str] | None = None) -> Response:

@@ -1,26 +1,38 @@
 """The viewer of a running puppet: served while it runs, according to the settings, with the look of the head."""
 
 import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from urllib.request import urlopen
 
 import bpy
+import characters
+import cv2
 import numpy as np
 import pytest
 from clocks import PATIENCE
 from websockets.sync.client import connect
 
+from commands import START, needs_posix
 from facemime.blender.animation.appearance import read_appearance
 from facemime.blender.heads.built_in import add_head
+from facemime.blender.media.preview_scene import setup_preview
+from facemime.cli.main import main
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import SourceError
 from facemime.core.heads.appearance import built_in_appearance
 from facemime.core.heads.rig import built_in_rig
 from facemime.core.streams.addresses import EVERYWHERE
+from facemime.core.takes.file import save_take
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.viewer.model import viewer_model
 from facemime.core.viewer.page import PAGE
 from facemime.operators.puppet import running
 from facemime.settings.values import viewer_settings
 from live_ticks import some_frames, start, tick, ticks_until
+from takes import performance
 
 pytestmark = [
     pytest.mark.usefixtures("nothing_left_over"),
@@ -130,3 +142,76 @@ def test_a_plain_material_has_its_colour():
     surface = read_appearance(head).patches[0].surface
     np.testing.assert_allclose(surface.colour, (0.1, 0.6, 0.2), atol=1e-6)
     assert surface.image == b""
+
+
+@pytest.fixture
+def painted(tmp_path) -> tuple[bpy.types.Object, bpy.types.Material, dict[str, Path]]:
+    """A head whose material has an image for its colour and then one for its roughness, as imports have."""
+    head, files = add_head(bpy.context), {}
+    material = bpy.data.materials.new("Painted")
+    if material.node_tree is None:
+        material.use_nodes = True
+    shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    for name, socket, value in (("colour", "Base Color", 200), ("rough", "Roughness", 20)):
+        files[name] = tmp_path / f"{name}.webp"
+        cv2.imwrite(str(files[name]), np.full((8, 8, 4), value, np.uint8))
+        node = material.node_tree.nodes.new("ShaderNodeTexImage")
+        node.image = bpy.data.images.load(str(files[name]))
+        material.node_tree.links.new(node.outputs["Color"], shader.inputs[socket])
+        material.node_tree.nodes.active = node
+    head.data.materials[0] = material
+    return head, material, files
+
+
+def test_an_image_with_alpha_is_shown_with_it(painted):
+    head, material, files = painted
+    surface = read_appearance(head).patches[0].surface
+    assert surface.image == files["colour"].read_bytes() and not surface.alpha
+    links = {link.to_socket.name: link.from_node for link in material.node_tree.links}
+    shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    material.node_tree.links.new(links["Base Color"].outputs["Alpha"], shader.inputs["Alpha"])
+    assert read_appearance(head).patches[0].surface.alpha
+
+
+def test_a_preview_shows_the_image_of_the_colour_and_not_the_last_one(painted):
+    head, material, _ = painted
+    setup_preview(bpy.context.scene, head, (64, 64))
+    assert material.node_tree.nodes.active.image.filepath.endswith("colour.webp")
+
+
+@needs_posix
+@pytest.mark.thorough
+def test_the_command_serves_a_character_of_a_file(tmp_path):
+    save_take(performance(), tmp_path / "take.facetake")
+    path = tmp_path / "character.blend"
+    subprocess.run([sys.executable, characters.__file__, str(path)], check=True, capture_output=True)
+    line = [
+        *START,
+        "serve",
+        "--video",
+        str(tmp_path / "take.facetake"),
+        "--loop",
+        "--listen",
+        ":0",
+        "--head",
+        str(path),
+    ]
+    with subprocess.Popen([*line, str(path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
+        address = next(row.strip() for row in server.stdout if row.startswith("http"))
+        with connect(address.replace("http", "ws", 1) + "stream") as page:
+            while not (scene := json.loads(page.recv(timeout=PATIENCE)))["images"]:
+                pass
+            frames = {page.recv(timeout=PATIENCE)[16:] for _ in range(20)}
+            with urlopen(f"{address}{scene['path']}/0/model", timeout=PATIENCE) as answer:
+                model = answer.read()
+        server.send_signal(signal.SIGINT)
+        said = server.stderr.read()
+    assert server.returncode == 0 and "Bound" in said
+    header = json.loads(model[8 : 8 + int.from_bytes(model[4:8], "little")])
+    assert len(frames) > 5 and len(scene["images"]) == 1 and scene["images"] != [4], "another head moves"
+    assert header["surfaces"] and len(model) > 100_000
+
+
+def test_a_head_is_only_sent_as_vertices(capsys):
+    line = ["send", "--video", "a.mp4", "--to", "127.0.0.1", "--head", "a.blend"]
+    assert main(line) == 1 and "--protocol vertices" in capsys.readouterr().err
