@@ -36,3 +36,5 @@ def show_colour_images() -> None:
             continue
         if (node := linked_image(shader.inputs["Base Color"])) is not None:
             material.node_tree.nodes.active = node
+            if node.image is not None and shader.inputs["Alpha"].is_linked:
+                node.image.alpha_mode = "STRAIGHT"  # glTF's importer packs channels, whose alpha Workbench ignores

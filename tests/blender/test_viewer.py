@@ -175,7 +175,12 @@ def test_an_image_with_alpha_is_shown_with_it(painted):
 
 def test_a_preview_shows_the_image_of_the_colour_and_not_the_last_one(painted):
     head, material, _ = painted
+    shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    colour = shader.inputs["Base Color"].links[0].from_node
+    colour.image.alpha_mode = "CHANNEL_PACKED"
+    material.node_tree.links.new(colour.outputs["Alpha"], shader.inputs["Alpha"])
     setup_preview(bpy.context.scene, head, (64, 64))
+    assert colour.image.alpha_mode == "STRAIGHT", "Workbench ignores the alpha of packed channels"
     assert material.node_tree.nodes.active.image.filepath.endswith("colour.webp")
 
 
@@ -196,7 +201,7 @@ def test_the_command_serves_a_character_of_a_file(tmp_path):
         "--head",
         str(path),
     ]
-    with subprocess.Popen([*line, str(path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
+    with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
         address = next(row.strip() for row in server.stdout if row.startswith("http"))
         with connect(address.replace("http", "ws", 1) + "stream") as page:
             while not (scene := json.loads(page.recv(timeout=PATIENCE)))["images"]:
