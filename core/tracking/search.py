@@ -64,6 +64,8 @@ _IN_TURN = tuple(
 )
 """The steps of which a gradual search makes one per frame, besides those for near faces and for close-ups. Small faces,
 which are common, come often."""
+_MOMENT = 3
+"""Number of frames after a loss in which a face is likely to be seen again."""
 _T = TypeVar("_T")
 STAGES = ("detect", "experts", "fit", "check", "gaze", "actions")
 
@@ -118,7 +120,7 @@ class FaceSearch:
     """Confidence above which a detected face is accepted."""
 
     def __init__(self, model: TrackerModel) -> None:
-        self.gradual = False
+        self.gradual = self._brief = False
         self.network: NetworkDetector | None = model.detector
         self._model = model
         self._cascades = CascadeDetector()
@@ -147,18 +149,21 @@ class FaceSearch:
         return self._judge(self.fitter.follow(grey, last))
 
     def steps(self, misses: int) -> tuple[SearchStep, ...]:
-        """Return the steps after `misses` frames without a face: all at first, later the quick ones and one more in
-        turn.
+        """Return the steps after `misses` frames without a face: all at first, unless the search is gradual; later a
+        short one per frame.
 
-        A gradual search does not start with all steps, and those that it makes in turn are short: the network looks at
-        every other frame, and the frames between alternate between its other passes and the cascades.
+        The network makes its first pass in every other frame, and for a moment after a loss in every frame of a search
+        that is not gradual. The other frames alternate between its further passes and the cascades.
         """
         if self.network is None:
             return self._steps_of_cascades(misses)
+        turn, part = divmod(misses, 4)
+        short = (_FIRST_PASS, _in_turn(turn, _FURTHER_PASSES), _FIRST_PASS, _in_turn(turn, _IN_TURN))[part]
         if self.gradual:
-            turn, part = divmod(misses, 4)
-            return ((_FIRST_PASS, _in_turn(turn, _FURTHER_PASSES), _FIRST_PASS, _in_turn(turn, _IN_TURN))[part],)
-        return self._all if misses == 0 else (_FIRST_PASS, _in_turn(misses, self._all[1:]))
+            return (short,)
+        if misses == 0:
+            return self._all
+        return tuple(dict.fromkeys((_FIRST_PASS, short))) if misses <= _MOMENT else (short,)
 
     def _steps_of_cascades(self, misses: int) -> tuple[Step, ...]:
         if self.gradual:
@@ -171,7 +176,12 @@ class FaceSearch:
         return _ALL if self.network is None else (_FIRST_PASS, *_FURTHER_PASSES, *_ALL)
 
     def detect(
-        self, grey: NDArray[np.uint8], steps: Sequence[SearchStep] | None = None, *, small: bool = False
+        self,
+        grey: NDArray[np.uint8],
+        steps: Sequence[SearchStep] | None = None,
+        *,
+        small: bool = False,
+        brief: bool = False,
     ) -> list[Candidate]:
         """Detect faces, step by step, until a step finds a certain one.
 
@@ -184,12 +194,15 @@ class FaceSearch:
         small : bool
             Whether to search for small faces even if the first effort finds a certain one, because a particular face is
             awaited, which may be small.
+        brief : bool
+            Whether to fit few starts, as a gradual search does, because there was no face in the previous frame.
 
         Returns
         -------
         list of Candidate
             The accepted faces.
         """
+        self._brief = brief or self.gradual
         return list(self._detected(grey, self._all if steps is None else steps, small))
 
     def others(self, grey: NDArray[np.uint8], pose: FloatArray, *, small: bool = False) -> list[Candidate]:
@@ -209,6 +222,7 @@ class FaceSearch:
         list of Candidate
             The accepted faces.
         """
+        self._brief = self.gradual
 
         def apart(other: FloatArray) -> bool:
             return float(np.hypot(*(other[4:6] - pose[4:6]))) > _SEPARATION * float(pose[0])
@@ -240,14 +254,14 @@ class FaceSearch:
         return starts
 
     def _boxes(self, grey: NDArray[np.uint8], step: Step) -> list[FloatArray]:
-        boxes = self._cascades.boxes(grey, step)[: _MAX_GRADUAL if self.gradual else _MAX_BOXES]
+        boxes = self._cascades.boxes(grey, step)[: _MAX_GRADUAL if self._brief else _MAX_BOXES]
         return [box.start_pose(self._model.box_offset) for box in boxes]
 
     def _detections(self, grey: NDArray[np.uint8], network_pass: NetworkPass) -> list[FloatArray]:
         """Return poses (6,) of the network's detections, ordered by size times likelihood."""
         assert self.network is not None
         found = self.network.detect(grey, network_pass.sides, network_pass.turns)
-        if self.gradual:
+        if self._brief:
             unlikely = [face for face in found if face.odds < 0.0]
             chosen = {(self._images + i) % len(unlikely) for i in range(_MAX_UNLIKELY[0])} if unlikely else set()
             found = [face for face in found if face.odds >= 0.0] + [unlikely[i] for i in sorted(chosen)]
@@ -269,7 +283,7 @@ class FaceSearch:
         if by_network:
             judged = [(fit, self._model.check.confidence(fit.features)) for fit in coarse]
             coarse = [fit for fit, confidence in judged if confidence >= _MIN_COARSE]
-            if self.gradual:
+            if self._brief:
                 likely = [fit for fit, confidence in judged if confidence >= _LIKELY_COARSE]
                 others = [fit for fit, confidence in judged if _MIN_COARSE <= confidence < _LIKELY_COARSE]
                 coarse = likely + others[: _MAX_UNLIKELY[1]]

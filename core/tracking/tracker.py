@@ -175,7 +175,8 @@ class FaceTracker:
             self._choice.wait_for(self._last)
         # 3. Detect all faces in view (3.2), and choose the performer's (3.7).
         steps = self._search.steps(self._choice.misses)
-        found = self._search.detect(grey, steps, small=self._choice.waiting)
+        brief = self._choice.misses > 0
+        found = self._search.detect(grey, steps, small=self._choice.waiting, brief=brief)
         chosen = self._choice.pick(grey, found, self._identity)
         if chosen is None:
             self._last = self._actions = None

@@ -133,21 +133,35 @@ def test_a_gradual_search_finds_a_face_within_its_cycle_where_a_full_one_does_at
     )
 
 
-@pytest.mark.parametrize(("detector", "most"), [(NETWORK, 1), (CASCADES, 3)])
-def test_no_frame_of_a_gradual_search_exceeds_its_time_budget(monkeypatch, detector, most):
+@pytest.mark.parametrize("shown", [np.asarray, lying, far])
+def test_who_comes_into_the_view_of_a_file_is_found_as_soon_as_live(tracker, shown):
+    image = shown(read_image(PORTRAITS / "collins.jpg"))
+    counts = []
+    for searching in (FaceTracker.load(), FaceTracker.load(gradual=True)):
+        for _ in range(9):
+            assert not searching.track(np.full(image.shape, 128, np.uint8)).found
+        counts.append(next(frame for frame in range(80) if searching.track(image).found))
+    in_a_file, live = counts
+    assert in_a_file <= live
+
+
+@pytest.mark.parametrize(
+    ("gradual", "detector", "most"), [(True, NETWORK, 1), (True, CASCADES, 3), (False, NETWORK, 1)]
+)
+def test_no_frame_without_a_face_exceeds_its_budget_of_work(monkeypatch, gradual, detector, most):
     made = []
     scanned = CascadeDetector._scanned
     monkeypatch.setattr(
         CascadeDetector, "_scanned", lambda self, picture, scan: made.append(scan) or scanned(self, picture, scan)
     )
-    gradual = FaceTracker.load(gradual=True, settings=TrackingSettings(detector))
+    tracker = FaceTracker.load(gradual=gradual, settings=TrackingSettings(detector))
     nobody = np.full((480, 640), 128, np.uint8)
     counts = []
     for _ in range(40):
         made.clear()
-        assert not gradual.track(nobody).found
+        assert not tracker.track(nobody).found
         counts.append(len(made))
-    assert max(counts) == most
+    assert max(counts if gradual else counts[1:]) == most
 
 
 def test_actions_of_eyes_and_mouth_are_measured_alternately_live_and_in_every_frame_of_files(tracker):
