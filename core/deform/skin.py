@@ -83,22 +83,18 @@ def skin_covariance(
     reach = REACH * unit * (1.0 - _LID_REDUCTION * np.exp(-np.square(to_eyes / _LID_EXTENT)))
     pull = np.bincount(edges.ravel(), np.repeat(weights, 2), len(used))
     system = NestedDissection(edges, -weights, areas / reach**2 + pull, places[used], np.float32)
-    # 3. Columns of C = B^-1 M B^-1 at the landmarks (equation 5.4): two solves.
-    columns = np.flatnonzero(moving[landmarks])
-    seeds = place[landmarks[columns]]
-    right = np.zeros((len(used), len(columns)), dtype=np.float32)
-    right[seeds, np.arange(len(columns))] = 1.0
-    right = system.solve(right)
-    right *= areas[:, None]
-    values = system.solve(right)
-    between = np.asarray(values[seeds], dtype=np.float64)
+    # 3. Columns of C = B^-1 M B^-1 at the landmarks (equation 5.4); landmarks at rest have none.
+    seeds = np.where(moving[landmarks], place[landmarks], -1)
+    values = system.sandwich(seeds, areas)
+    columns = np.flatnonzero(seeds >= 0)
+    between = np.zeros((len(seeds), len(seeds)))
+    between[columns] = values[seeds[columns]]
     # 4. Scale to 1 on average at the landmarks.
     scale = len(columns) / float(np.trace(between)) if len(columns) else 0.0
+    values *= np.float32(scale)
     covariance = np.zeros((len(places), len(landmarks)), dtype=np.float32)
-    covariance[used[:, None], columns] = scale * values
-    among = np.zeros((len(landmarks), len(landmarks)))
-    among[np.ix_(columns, columns)] = 0.5 * scale * (between + between.T)
-    return SkinCovariance(covariance, among)
+    covariance[used] = values
+    return SkinCovariance(covariance, 0.5 * scale * (between + between.T))
 
 
 def _cotangent_laplacian(
