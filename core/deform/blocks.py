@@ -143,15 +143,18 @@ class _RowBuilder:
     def __init__(self, regions: list[RegionMatrix], count: int, n_columns: int) -> None:
         self._n_columns = n_columns
         self._regions = regions
+        # A product with rows of the identity puts columns in place faster than indexing does.
+        self._columns = [np.eye(n_columns, dtype=np.float32)[region.columns] for region in regions]
         self._places = np.full((len(regions), count), -1, dtype=np.int32)
         for region, place in zip(regions, self._places, strict=True):
             place[region.rows] = np.arange(len(region.rows))
 
     def __call__(self, vertices: NDArray[np.intp]) -> NDArray[np.float32]:
         rows = np.zeros((len(vertices), self._n_columns), dtype=np.float32)
-        for region, place in zip(self._regions, self._places[:, vertices], strict=True):
+        for region, place, columns in zip(self._regions, self._places[:, vertices], self._columns, strict=True):
             here = np.flatnonzero(place >= 0)
-            rows[here[:, None], region.columns] += region.matrix[place[here]]
+            if len(here):
+                rows[here] += region.matrix.take(place[here], axis=0) @ columns
         return rows
 
     def classes(self) -> list[NDArray[np.intp]]:
@@ -182,6 +185,6 @@ def _factors(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np
     modes = vectors[:, ::-1].T.astype(np.float32)
     left = rows @ modes.T
     # The error of a row after K modes is the norm of its remaining coefficients; take the smallest sufficient K.
-    beyond = np.sqrt(np.cumsum(np.square(left[:, ::-1]), axis=1)[:, ::-1].max(axis=0))
+    beyond = np.sqrt((np.square(left) @ np.tri(len(modes), dtype=np.float32)).max(axis=0))
     rank = int((beyond > TOLERANCE).sum())
     return left[:, :rank], modes[:rank]

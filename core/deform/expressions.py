@@ -8,7 +8,7 @@ between heads much more than which places move together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -178,11 +178,11 @@ def learnt_covariance(
         near = np.exp(-0.5 * np.square(distances(places[rows], places[landmarks]) / REACH))
         return np.asarray(LEARNT_WEIGHT * near * (features[rows] @ features[landmarks].T))
 
-    joined = np.flatnonzero(skin.vertices.any(axis=1))
+    joined = np.flatnonzero(skin.joined)
     for start in range(0, len(joined), _CHUNK):
         rows = joined[start : start + _CHUNK]
         skin.vertices[rows] += term(rows)
-    return SkinCovariance(skin.vertices, skin.control_points + term(landmarks))
+    return replace(skin, control_points=skin.control_points + term(landmarks))
 
 
 @lru_cache(maxsize=1)

@@ -37,10 +37,13 @@ class SkinCovariance:
         Covariance between vertices and control points; 0 if no moving skin joins them.
     control_points : (P, P) float
         Covariance among the control points.
+    joined : (V,) bool
+        Whether moving skin joins a vertex to a control point.
     """
 
     vertices: NDArray[np.float32]
     control_points: FloatArray
+    joined: NDArray[np.bool_]
 
 
 def skin_covariance(
@@ -79,7 +82,7 @@ def skin_covariance(
     edges, weights, areas = _cotangent_laplacian(places[used], place[triangles[inside]], shares[inside])
     areas = np.maximum(areas, 1e-9 * max(float(areas.max(initial=0.0)), (REACH * unit) ** 2))
     # 2. Reach (equation 5.5), and B = M / r^2 + L, factored once.
-    to_eyes = distances(places[used], places[landmarks[_EYES]]).min(axis=1) / unit
+    to_eyes = distances(places[landmarks[_EYES]], places[used]).min(axis=0) / unit
     reach = REACH * unit * (1.0 - _LID_REDUCTION * np.exp(-np.square(to_eyes / _LID_EXTENT)))
     pull = np.bincount(edges.ravel(), np.repeat(weights, 2), len(used))
     system = NestedDissection(edges, -weights, areas / reach**2 + pull, places[used], np.float32)
@@ -94,7 +97,9 @@ def skin_covariance(
     values *= np.float32(scale)
     covariance = np.zeros((len(places), len(landmarks)), dtype=np.float32)
     covariance[used] = values
-    return SkinCovariance(covariance, 0.5 * scale * (between + between.T))
+    joined = np.zeros(len(places), dtype=np.bool_)
+    joined[used] = values.any(axis=1)
+    return SkinCovariance(covariance, 0.5 * scale * (between + between.T), joined)
 
 
 def _cotangent_laplacian(
@@ -105,22 +110,27 @@ def _cotangent_laplacian(
     Edges with negative weights, which lie opposite obtuse angles, are dropped, so that no vertex moves against its
     neighbours.
     """
-    corners = [vertices[triangles[:, i]] for i in range(3)]
-    sides = [corners[(i + 2) % 3] - corners[(i + 1) % 3] for i in range(3)]
-    across = np.linalg.norm(np.cross(sides[0], sides[1]), axis=1)
-    # The weight of an edge is half the sum of the cotangents of the opposite angles.
+    # 1. Twice the area of each triangle. Coordinates are separate rows, as numpy is slow along short axes.
+    corners = vertices.T[:, triangles.T]
+    sides = [corners[:, (i + 2) % 3] - corners[:, (i + 1) % 3] for i in range(3)]
+    (ax, ay, az), (bx, by, bz) = sides[0], sides[1]
+    across = np.sqrt(np.square(ay * bz - az * by) + np.square(az * bx - ax * bz) + np.square(ax * by - ay * bx))
+    # 2. The weight of an edge is half the sum of the cotangents of the opposite angles.
     keys, cotangents = [], []
+    scale = shares / np.maximum(across, 1e-30)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        cotangent = -np.einsum("tc,tc->t", sides[j], sides[k]) / np.maximum(across, 1e-30)
-        cotangents.append(shares * np.clip(cotangent, -_MAX_COTANGENT, _MAX_COTANGENT))
-        keys.append(triangles[:, [j, k]].min(axis=1) * len(vertices) + triangles[:, [j, k]].max(axis=1))
-    # Sum over the triangles at each edge, by sorting edges by a single key.
+        limit = _MAX_COTANGENT * shares
+        cotangents.append(np.clip(-np.einsum("ct,ct->t", sides[j], sides[k]) * scale, -limit, limit))
+        first, second = triangles[:, j], triangles[:, k]
+        keys.append(np.minimum(first, second) * len(vertices) + np.maximum(first, second))
+    # 3. Sum over the triangles at each edge, by sorting edges by a single key.
     key = np.concatenate(keys)
     order = np.argsort(key, kind="stable")
-    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
+    key = key[order]
+    starts = np.flatnonzero(np.diff(key, prepend=-1))
     weights = 0.5 * np.add.reduceat(np.concatenate(cotangents)[order], starts) if len(key) else np.empty(0)
-    edges = np.stack(np.divmod(key[order][starts], len(vertices)), axis=1)
+    edges = np.stack(np.divmod(key[starts], len(vertices)), axis=1)
     kept = weights > 0.0
     areas = np.bincount(triangles.ravel(), np.repeat(shares * across / 6.0, 3), len(vertices))
     return edges[kept], weights[kept], np.asarray(areas, dtype=np.float64)

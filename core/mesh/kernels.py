@@ -185,6 +185,7 @@ def distances(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
         Distances, in the unit of the points.
     """
     squared = np.asarray(a @ (-2.0 * b.T))
-    squared += (a * a).sum(axis=1)[:, None]
-    squared += (b * b).sum(axis=1)
+    # Added by coordinates, as numpy is slow along short axes.
+    squared += sum((a * a).T)[:, None]
+    squared += sum((b * b).T)
     return np.asarray(np.sqrt(np.maximum(squared, 0.0, out=squared), out=squared))
