@@ -91,7 +91,8 @@ class BlockProduct:
         self._inputs = np.zeros((4, n_columns + 3), dtype=np.float32)
         self._inputs[:3, n_columns:] = np.eye(3)
         self._modes = np.zeros((n_columns + 3, sum(widths)), dtype=np.float32)
-        self._amounts = np.zeros((4, sum(widths)), dtype=np.float32)
+        # The modes of a single exact block are the displacements themselves.
+        self._amounts = self._inputs if self._place is None else np.zeros((4, sum(widths)), dtype=np.float32)
         self._moved = np.zeros((1, count, 4), dtype=np.float32)
         self._moved[0, :, :3] = rest[order]
         self._sorted = np.empty((1, min(_CHUNK, count), 4), dtype=np.float32)
@@ -108,7 +109,7 @@ class BlockProduct:
                 (block.T, self._amounts[:, column : column + width].T, self._moved[0, row : row + len(piece)])
             )
             row, column, used = row + len(piece), column + width, used + block.size
-        self.nbytes = store.nbytes + self._modes.nbytes
+        self.nbytes = store.nbytes + (0 if self._place is None else self._modes.nbytes)
 
     def apply(self, displacements: NDArray[np.float32], out: NDArray[np.float32]) -> None:
         """Compute ``rest + A d``.
@@ -122,7 +123,8 @@ class BlockProduct:
         """
         self._inputs[:3, :-3] = displacements.T
         # d -> Y d for all blocks at once, then U (Y d) per block.
-        np.matmul(self._inputs, self._modes, out=self._amounts)
+        if self._place is not None:
+            np.matmul(self._inputs, self._modes, out=self._amounts)
         for block, amounts, moved in self._products:
             np.matmul(block, amounts, out=moved)
         result = out.reshape(1, -1, 3)
