@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from ..coefficient_names import EXCLUSIVE, FITTED
-from ..landmarks import N_LANDMARKS
+from ..coefficient_names import COEFFICIENT_INDEX, EXCLUSIVE, FITTED
+from ..landmarks import LOWER_LIPS, N_LANDMARKS, UPPER_LIPS
 from .coefficient_model import N_OBSERVED, CoefficientModel
 from .least_squares import bounded_least_squares, bounded_minimum
 
@@ -26,6 +26,11 @@ count as independent, as neighbours err alike, and sum of coefficients below whi
 _EXCLUDED = 1e6
 """Penalty of the weaker coefficient of an exclusive pair, far above what an observation could outweigh."""
 _PLACES: NDArray[np.intp] = np.searchsorted(FITTED, EXCLUSIVE)
+_OPENS, _CLOSES = (int(np.searchsorted(FITTED, COEFFICIENT_INDEX[name])) for name in ("jawOpen", "mouthClose"))
+_LIP_GAP = np.zeros((N_LANDMARKS, 3))
+_LIP_GAP[LOWER_LIPS, 1], _LIP_GAP[UPPER_LIPS, 1] = 1.0 / len(LOWER_LIPS), -1.0 / len(UPPER_LIPS)
+_LIP_GAP = _LIP_GAP.ravel()
+"""Mean vertical gap of the inner lips as a function of observed displacements."""
 
 
 class CoefficientSolver:
@@ -62,7 +67,8 @@ class CoefficientSolver:
         (N, 44) float64
             Coefficients, 0 to 1.
         """
-        return self._finished(self._fit(observed[:, self._known], self._single, 2))
+        values = observed[:, self._known]
+        return self._finished(self._fit(values, self._single, 2), values)
 
     def take(self, observed: FloatArray) -> FloatArray:
         """Find the coefficients of a take, corrected for the error of its neutral face.
@@ -90,7 +96,7 @@ class CoefficientSolver:
             # Calm frames say most about the neutral face.
             trust = 1.0 / (_CALM + found.sum(axis=1))
             error = correct @ (trust @ (some - found @ self._responses) / trust.sum())
-        return self._finished(self._fit(values - error, self._corrected, 2))
+        return self._finished(self._fit(values - error, self._corrected, 2), values - error)
 
     def _fit(self, values: FloatArray, readout: FloatArray, rounds: int) -> FloatArray:
         """Fit coefficients, (N, 44), to known values (N, D), reweighted `rounds` times (equations 9.3 and 9.4)."""
@@ -108,7 +114,12 @@ class CoefficientSolver:
                 a[:] = bounded_minimum(gram + np.diag(penalty), product, lower, upper, a)
         return found
 
-    def _finished(self, found: FloatArray) -> FloatArray:
+    def _finished(self, found: FloatArray, values: FloatArray) -> FloatArray:
+        """Let the lips be as far apart as observed, by mouthClose, which cannot exceed jawOpen; then scale."""
+        gap = _LIP_GAP @ self._responses[:, : 3 * N_LANDMARKS].T
+        apart = found @ gap - values[:, : 3 * N_LANDMARKS] @ _LIP_GAP
+        closed = found[:, _CLOSES] + apart / -gap[_CLOSES]
+        found[:, _CLOSES] = np.clip(closed, 0.0, found[:, _OPENS])
         return np.asarray(np.clip(found * self._model.gains, 0.0, 1.0))
 
 

@@ -167,6 +167,14 @@ def test_simultaneous_coefficients_are_all_found(solver):
     assert max(value for name, value in found.items() if name not in together) < 0.3
 
 
+@pytest.mark.parametrize("closed", [0.0, 0.25, 0.5])
+def test_lips_are_as_far_apart_as_observed_over_a_jaw_that_is_open(solver, closed):
+    acted = np.array([[{"jawOpen": 0.5, "mouthClose": closed}.get(COEFFICIENTS[k], 0.0) for k in FITTED]])
+    found = named(solver.frames(acted @ load_coefficient_model().responses)[0])
+    assert found["mouthClose"] <= found["jawOpen"] * 1.5
+    assert found["jawOpen"] - found["mouthClose"] == pytest.approx(0.5 - closed, abs=0.12)
+
+
 def test_coefficients_are_at_least_the_measured_actions():
     shown = np.zeros((1, N_ACTIONS))
     shown[0, 0] = 0.9
