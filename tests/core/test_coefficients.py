@@ -25,7 +25,7 @@ from facemime.core.coefficient_names import (
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.errors import ModelError, SourceError
 from facemime.core.heads.built_in import load_head
-from facemime.core.landmarks import LOWER_LIPS, N_LANDMARKS, UPPER_LIPS
+from facemime.core.landmarks import LOWER_LIPS, MIRROR, N_LANDMARKS, UPPER_LIPS, outer_eye_distance
 from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.tracker import FaceTracker
