@@ -84,7 +84,8 @@ class BlockProduct:
             still = np.ones(count, dtype=np.bool_)
             still[np.concatenate(pieces)] = False
             order = np.concatenate([*pieces, np.flatnonzero(still)])
-            self._place = np.argsort(order)
+            self._place = np.empty_like(order)
+            self._place[order] = np.arange(count)
             factors = [_factors(build_rows(piece)) for piece in pieces]
         # 2. Buffers of a frame. Each block has three more modes, which add its rest positions within the same product.
         widths = [len(modes) + 3 for _, modes in factors]
@@ -173,8 +174,8 @@ def _pieces(places: NDArray[np.float32], vertices: NDArray[np.intp]) -> list[NDA
     """Split `vertices`, with positions `places` (V, 3), into compact pieces by halving across the widest side."""
     if len(vertices) <= _MAX_PIECE:
         return [np.sort(vertices)]
-    there = places[vertices]
-    order = np.argpartition(there[:, np.ptp(there, axis=0).argmax()], len(vertices) // 2)
+    there = np.ascontiguousarray(places[vertices].T)
+    order = np.argpartition(there[np.ptp(there, axis=1).argmax()], len(vertices) // 2)
     halves = np.array_split(vertices[order], 2)
     return [piece for half in halves for piece in _pieces(places, half)]
 

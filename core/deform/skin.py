@@ -98,7 +98,8 @@ def skin_covariance(
     covariance = np.zeros((len(places), len(landmarks)), dtype=np.float32)
     covariance[used] = values
     joined = np.zeros(len(places), dtype=np.bool_)
-    joined[used] = values.any(axis=1)
+    # Covariances are not negative. A product is much faster than `any` along short rows.
+    joined[used] = values @ np.ones(len(landmarks), dtype=np.float32) > 0.0
     return SkinCovariance(covariance, 0.5 * scale * (between + between.T), joined)
 
 

@@ -99,7 +99,7 @@ class NestedDissection:
         self._starts = self._count - np.cumsum(self._sizes)
         # 2. Edges from the end that is eliminated first to the other, and the later unknowns coupled to each node.
         ends = self._rank[np.asarray(edges).T]
-        low, high = ends.min(axis=0), ends.max(axis=0)
+        low, high = np.minimum(*ends), np.maximum(*ends)
         self._couplings = self._find_couplings(low, high)
         # Node n has the couplings from `firsts[n]` to `firsts[n + 1]`.
         self._firsts = np.searchsorted(self._couplings, np.arange(len(self._sizes) + 1) * self._count)
@@ -294,8 +294,9 @@ def _dissect(edges: IntArray, places: FloatArray, levels: int) -> NDArray[np.int
     halving = depth - np.frexp(differ[cut])[1]
     order = np.argsort(halving.astype(np.int8), kind="stable")
     cut, bounds = cut[order], np.searchsorted(halving[order], np.arange(depth + 1))
-    upper = np.where(ends[0, cut] > ends[1, cut], edges[cut, 0], edges[cut, 1])
-    lower = edges[cut].sum(axis=1) - upper
+    first, second = edges[cut].T
+    upper = np.where(ends[0, cut] > ends[1, cut], first, second)
+    lower = first + second - upper
     # 2. The separator: vertices of the lower half with a neighbour in the upper half that is in no earlier separator.
     found = np.full(len(places), depth)
     for i in range(depth):
