@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from itertools import cycle
+from pathlib import Path
 
 from clocks import PATIENCE
 
@@ -13,9 +14,10 @@ from facemime.core.live.outputs import Output
 from facemime.core.live.sources import LiveFrame
 from facemime.core.streams.sender import SendSettings, StreamSender
 from facemime.core.streams.source import StreamSource
+from facemime.core.takes.file import TakeWriter, load_take
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import Neutral
-from facemime.core.takes.take import Take
+from facemime.core.takes.take import Take, describe
 from takes import coefficient_take
 
 
@@ -89,3 +91,14 @@ def streamed(source: StreamSource, take: Take, send) -> list[LiveFrame]:
             waiting = next(sent, None)
 
     return collected(source, len(take), feed)
+
+
+def recorded(frames: list[LiveFrame], path: Path) -> Take:
+    """Return the take that a recording of these frames gives."""
+    info = describe("stream", 60.0, (1280, 720), "", "media")
+    if frames[-1].neutral is not None:
+        info |= {"measured": True, "calibration": frames[-1].neutral.to_dict()}
+    with TakeWriter(path, info) as writer:
+        for frame in frames:
+            writer.append(frame.time, frame.result)
+    return load_take(path)

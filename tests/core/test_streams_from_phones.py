@@ -5,16 +5,20 @@ import socket
 import threading
 import time
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
 from clocks import PATIENCE
 
+from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from facemime.core.live.sources import LiveFrame
 from facemime.core.streams import ifacialmocap, osc
 from facemime.core.streams.face_cap import NAMES
 from facemime.core.streams.settings import PROTOCOLS, StreamProtocol
-from links import collected, free_port, streamed
+from facemime.core.takes.neutral import calibrate
+from links import collected, free_port, recorded, streamed
 from takes import coefficient_take as acted
 
 
@@ -62,11 +66,22 @@ class Phone(threading.Thread):
         self._socket.close()
 
 
+STORED = 1e-5
+"""Precision of the values in a take."""
+
+
+def check_bake(frames: list[LiveFrame], values: np.ndarray, precision: float, folder: Path) -> None:
+    """Check that the take of these frames bakes to the values that were sent in turn, (N, 52)."""
+    saved = recorded(frames, folder / "stream.facetake")
+    sent = values[np.arange(len(frames)) % len(values)]
+    np.testing.assert_allclose(arkit_coefficients(saved, calibrate(saved)), sent, atol=max(precision, STORED))
+
+
 @pytest.mark.parametrize(
     ("protocol", "packet", "precision"),
     [("ifacialmocap", phone_text, 0.0051), ("facemotion3d", phone_text, 0.0051), ("vtubestudio", phone_json, 1e-6)],
 )
-def test_a_phone_is_asked_to_send_and_its_faces_are_played(opened, monkeypatch, protocol, packet, precision):
+def test_a_phone_is_asked_to_send_and_its_faces_are_played(opened, monkeypatch, tmp_path, protocol, packet, precision):
     values = acted(12).coefficients
     phone = Phone(monkeypatch, protocol, packet, values)
     phone.start()
@@ -79,6 +94,7 @@ def test_a_phone_is_asked_to_send_and_its_faces_are_played(opened, monkeypatch, 
     at = int(np.abs(values - first).max(axis=1).argmin())
     for number, frame in enumerate(frames):
         np.testing.assert_allclose(frame.result.coefficients, values[(at + number) % len(values)], atol=precision)
+    check_bake(frames, np.roll(values, -at, axis=0), precision, tmp_path)
     assert phone.asked and (protocol != "vtubestudio" or json.loads(phone.asked[0])["ports"] == [source.address[1]])
 
 
@@ -144,7 +160,7 @@ def test_a_connection_that_never_ends_a_packet_is_closed(opened):
     assert source.counts.accepted == 0
 
 
-def test_face_cap_is_played(opened):
+def test_face_cap_is_played(opened, tmp_path):
     take, source = acted(), opened("facecap")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
 
@@ -157,6 +173,7 @@ def test_face_cap_is_played(opened):
         frames = streamed(source, take, send)
     for number, frame in enumerate(frames):
         np.testing.assert_allclose(frame.result.coefficients, take.coefficients[number], atol=1e-6)
+    check_bake(frames, take.coefficients, 1e-6, tmp_path)
 
 
 def test_packets_that_are_not_the_phones_are_refused(opened):
