@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 
@@ -35,6 +37,15 @@ def scanned(spacing: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
     whole = seen[:-1, :-1] & seen[:-1, 1:] & seen[1:, 1:] & seen[1:, :-1]
     used, faces = np.unique(quads[whole], return_inverse=True)
     return places.reshape(-1, 3)[used].astype(float), faces.reshape(-1, 4)
+
+
+def write_scan(path: Path) -> int:
+    """Write a scan as an OBJ file; returns the number of its vertices."""
+    places, faces = scanned()
+    lines = [f"v {x:.6f} {-y:.6f} {-z:.6f}" for x, y, z in places]
+    lines += ["f " + " ".join(str(v + 1) for v in face) for face in faces.tolist()]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return len(places)
 
 
 def _triangles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -110,7 +110,6 @@ class Sidebar:
         box = self.box()
         start = (box.x + 1, box.y + self.unit)
         self.blender.drag(start, (start[0] - by / 2, start[1]), (start[0] - by, start[1]))
-        self.blender.redraw()
 
     def under_mouse(self, x: float, y: float, keys: str = "ctrl+c") -> str:
         """Return what the button at a position copies to the clipboard.
@@ -158,6 +157,13 @@ class Sidebar:
             for _ in range(1 + bool(self._open().intersection(below))):
                 self._click_header(panels.index(name), "ctrl")
             wait(lambda: self._open().issuperset(below), f"the subpanels of {name} expand", 10.0)
+
+    def scroll_down(self) -> None:
+        """Scroll to the end of the tab by the wheel; `open_panel` scrolls back."""
+        box = self.box()
+        self.blender.input("mousemove", box.x + 60, box.y + 300, "click", "--repeat", 60, "--delay", 5, 5)
+        self.blender.redraw()
+        self._known.clear()
 
     def open_presets(self) -> None:
         """Open the menu in the header of Expression, with all panels above collapsed."""

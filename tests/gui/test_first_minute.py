@@ -5,13 +5,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from walking import TOOLS
+from walking import SIZES, TOOLS, choose_the_sample_clip, middle, shows_stop, skin
 
 from conftest import QUICK, SUITES, installed
 from sidebar import Sidebar
 from window import Blender
 
-SIZES = ((1366, 768), (1600, 1000))
 _POSES, _CALIBRATE = ("NEUTRAL", "RANGE"), "bpy.ops.facemime.calibrate(pose='{pose}'"
 _LEAST_SHARE, _LEAST_MOTION = 0.15, 0.01
 """Shares of the view that the head fills at least, and whose pixels change at least when it moves."""
@@ -52,7 +51,7 @@ def test_three_clicks_lead_from_the_default_scene_to_a_moving_face_and_stop_stay
         moved = f"max((p.co - q.co).length for p, q in zip({key}.data, bpy.context.active_object.data.vertices))"
         blender.wait_for(f"bpy.context.active_object.data.shape_keys is not None and {moved} > 2e-3")
         blender.redraw()
-        assert shows_stop(blender, stop)
+        assert shows_stop(cv2.imread(str(blender.shot("stop"))), stop)
         shown = view(blender, sidebar, "moving")
         changed = np.abs(shown.astype(int) - rest).max(axis=2) > 40
         assert changed.mean() > _LEAST_MOTION and skin(shown) > _LEAST_SHARE
@@ -75,36 +74,10 @@ def calibrate(blender: Blender, sidebar: Sidebar, stop: tuple[float, float], but
         assert sidebar.find("bpy.ops.facemime.stop_puppet") == stop
         blender.move(*sidebar.view())
         blender.redraw()
-        assert shows_stop(blender, stop)
+        assert shows_stop(cv2.imread(str(blender.shot("stop"))), stop)
     assert blender.get("len(bpy.context.scene.facemime.performers)") == 1
 
 
-def choose_the_sample_clip(blender: Blender, sidebar: Sidebar) -> None:
-    """Choose the source, although it is the default, in its menu, which opens with it under the mouse."""
-    place = sidebar.find("source.kind")
-    blender.click(*place)
-    blender.redraw()
-    blender.click(*place)
-    blender.redraw()
-    assert blender.get("bpy.context.scene.facemime.source.kind") == "SAMPLE"
-
-
-def shows_stop(blender: Blender, place: tuple[float, float]) -> bool:
-    """Return whether a button in the colour of one that is pressed, a blue, is drawn at a place of the window."""
-    x, y = map(round, place)
-    blue, _, red = cv2.imread(str(blender.shot("stop")))[y - 12 : y + 12, x - 30 : x + 30].reshape(-1, 3).mean(axis=0)
-    return bool(blue > red + 60)
-
-
 def view(blender: Blender, sidebar: Sidebar, name: str) -> np.ndarray:
-    """Return a picture of the middle of the viewport, between toolbar and sidebar."""
-    box, edge = sidebar.box("WINDOW"), sidebar.box().x
-    picture = cv2.imread(str(blender.shot(name)))
-    left = box.x + (edge - box.x) // 4
-    return picture[box.y + 60 : box.y + box.height - 20, left:edge]
-
-
-def skin(picture: np.ndarray) -> float:
-    """Return the share of a picture that has the colour of skin."""
-    hue, saturation, value = np.moveaxis(cv2.cvtColor(picture, cv2.COLOR_BGR2HSV), -1, 0)
-    return float(((hue < 20) & (saturation > 60) & (value > 60)).mean())
+    """Take a screenshot, and return the middle of its viewport."""
+    return middle(sidebar, cv2.imread(str(blender.shot(name))))

@@ -16,6 +16,8 @@ from window import Blender
 
 pytestmark = pytest.mark.thorough
 
+_LONG = ("FACEMIME_PT_puppet", "FACEMIME_PT_takes")
+"""Panels that are higher than the window when all of their subpanels are expanded."""
 _THEME = """
 import os
 folder = bpy.utils.preset_paths("interface_theme")[0]
@@ -46,7 +48,11 @@ def tour(sidebar: Sidebar, name: str, children: bool = False) -> None:
     sidebar.press("bpy.ops.facemime.add_head")
     for panel in sidebar.panels():
         sidebar.open_panel(panel, children)
-        sidebar.blender.shot(f"{name}-{panel.removeprefix('FACEMIME_PT_')}")
+        shown = f"{name}-{panel.removeprefix('FACEMIME_PT_')}"
+        sidebar.blender.shot(shown)
+        if children and panel in _LONG:
+            sidebar.scroll_down()
+            sidebar.blender.shot(f"{shown}-end")
 
 
 @pytest.mark.parametrize("scale", [0.75, 2.0])
@@ -116,6 +122,11 @@ def test_every_state_of_the_panels_is_drawn_without_an_error(dressed, request):
 
     shot("empty")
     tour(dressed, name, children=True)
+    dressed.open_panel("FACEMIME_PT_regions")
+    dressed.press("bpy.ops.facemime.check_head")
+    shot("checked")
+    blender.key("Escape")
+    blender.redraw()
     run_in_viewport(blender, "adjust_landmarks")
     shot("adjusting")
     dressed.press("bpy.ops.facemime.discard_points")

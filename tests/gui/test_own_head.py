@@ -8,13 +8,12 @@ import sys
 import cv2
 import numpy as np
 import pytest
-from scans import scanned
+from scans import write_scan
 from walking import (
     HEAD,
     PIXEL_OF_FOREHEAD,
     PIXEL_OF_LANDMARK,
     add_head,
-    drag,
     look_from_the_front,
     run_in_viewport,
     start,
@@ -72,13 +71,10 @@ def test_regions_are_shown_edited_and_checked_by_clicks(blender, sidebar):
 
 def import_scan(blender: Blender) -> int:
     """Import a scan as an OBJ file and make it active; returns the number of its vertices."""
-    places, faces = scanned()
-    lines = [f"v {x:.6f} {-y:.6f} {-z:.6f}" for x, y, z in places]
-    lines += ["f " + " ".join(str(v + 1) for v in face) for face in faces.tolist()]
-    (blender.folder / "scan.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    count = write_scan(blender.folder / "scan.obj")
     blender.do(f"bpy.ops.wm.obj_import(filepath={str(blender.inside / 'scan.obj')!r})")
     blender.do("bpy.context.view_layer.objects.active = bpy.data.objects['scan']")
-    return len(places)
+    return count
 
 
 def test_an_imported_scan_becomes_a_head_with_open_mouth_and_eyes_by_clicks(blender, sidebar):
@@ -167,7 +163,7 @@ def test_landmarks_are_dragged_and_discarded_or_accepted(blender, sidebar):
     for button, kept in (("discard_points", False), ("accept_points", True)):
         run_in_viewport(blender, "adjust_landmarks")
         sidebar.find("bpy.ops.facemime.accept_points")
-        drag(blender, (x, y), (x, y - 10), (x + 15, y - 20))
+        blender.drag((x, y), (x, y - 10), (x + 15, y - 20))
         blender.shot("dragged")
         assert nose(blender) != tip
         sidebar.press(f"bpy.ops.facemime.{button}")

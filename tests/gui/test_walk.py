@@ -8,7 +8,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
-from walking import CLIP, HEAD, TOOLS, add_head, drag, run_in_viewport, start, stop
+from walking import CLIP, HEAD, TOOLS, add_head, run_in_viewport, start, stop
 
 from facemime.blender.frames import to_blender
 from facemime.core.drive.driver import HeadDriver
@@ -106,10 +106,10 @@ def test_the_preview_is_moved_and_sized_by_the_mouse_and_stays_sharp(blender, si
     start(sidebar)
     blender.wait_for("Session.current.shown.preview is not None")
     left, top, width, _ = blender.do(_PREVIEW)
-    drag(blender, (left + 60, top + 60), (left + 90, top + 20), (left + 120, top - 40))
+    blender.drag((left + 60, top + 60), (left + 90, top + 20), (left + 120, top - 40))
     assert blender.do(_PREVIEW)[:2] == pytest.approx([left + 60, top - 100], abs=3)
     left, top = blender.do(_PREVIEW)[:2]
-    drag(blender, (left + width - 4, top + 4), (left + width + 30, top), (left + width + 76, top))
+    blender.drag((left + width - 4, top + 4), (left + width + 30, top), (left + width + 76, top))
     wider = blender.do(_PREVIEW)[2]
     assert wider == pytest.approx(width + 80, abs=4)
     blender.wait_for(f"abs(Session.current.shown.preview.shape[1] - {wider}) < 1")

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import cv2
+import numpy as np
+
 from sidebar import Sidebar
 from window import MODULE, ROOT, Blender
 
+SIZES = ((1366, 768), (1600, 1000))
+"""Sizes of the screens on which a newcomer's steps are tested."""
 CLIP = ROOT / "assets" / "sample" / "sample.mp4"
 HEAD = "bpy.context.active_object"
 TOOLS = f"""
@@ -74,19 +79,6 @@ def stop(sidebar: Sidebar) -> None:
     sidebar.blender.wait_for("Session.current is None and workers() == []")
 
 
-def drag(blender: Blender, *points: tuple[float, float]) -> None:
-    """Drag with the mouse, and let Blender see each position, however slowly it draws."""
-    blender.move(*points[0])
-    blender.redraw()
-    blender.input("mousedown", 1)
-    for point in points[1:]:
-        blender.redraw()
-        blender.move(*point)
-    blender.redraw()
-    blender.input("mouseup", 1)
-    blender.redraw()
-
-
 def run_in_viewport(blender: Blender, operator: str) -> None:
     """Run an operator of a menu as the menu does."""
     blender.do(
@@ -107,6 +99,36 @@ def choose_file(blender: Blender, folder: str, name: str) -> None:
     blender.key("Return")
     blender.wait_for(f"{browser} is None")
     blender.redraw()
+
+
+def choose_the_sample_clip(blender: Blender, sidebar: Sidebar) -> None:
+    """Choose the source, although it is the default, in its menu, which opens with it under the mouse."""
+    place = sidebar.find("source.kind")
+    blender.click(*place)
+    blender.redraw()
+    blender.click(*place)
+    blender.redraw()
+    assert blender.get("bpy.context.scene.facemime.source.kind") == "SAMPLE"
+
+
+def shows_stop(window: np.ndarray, place: tuple[float, float]) -> bool:
+    """Return whether a button in the colour of one that is pressed, a blue, is drawn at a place of the window."""
+    x, y = map(round, place)
+    blue, _, red = window[y - 12 : y + 12, x - 30 : x + 30].reshape(-1, 3).mean(axis=0)
+    return bool(blue > red + 60)
+
+
+def skin(picture: np.ndarray) -> float:
+    """Return the share of a picture that has the colour of skin."""
+    hue, saturation, value = np.moveaxis(cv2.cvtColor(picture, cv2.COLOR_BGR2HSV), -1, 0)
+    return float(((hue < 20) & (saturation > 60) & (value > 60)).mean())
+
+
+def middle(sidebar: Sidebar, picture: np.ndarray) -> np.ndarray:
+    """Return the middle of the viewport, between toolbar and sidebar, of a picture of the window."""
+    box, edge = sidebar.box("WINDOW"), sidebar.box().x
+    left = box.x + (edge - box.x) // 4
+    return picture[box.y + 60 : box.y + box.height - 20, left:edge]
 
 
 PIXEL_OF_FOREHEAD = f"""

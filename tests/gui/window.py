@@ -189,11 +189,16 @@ class Blender:
         self.clicks += 1
 
     def drag(self, *points: tuple[float, float]) -> None:
-        """Press at the first point, move to the others, release."""
-        words: list[object] = ["mousemove", *map(round, points[0]), "sleep", 0.1, "mousedown", 1]
-        for x, y in points[1:]:
-            words += ["sleep", 0.05, "mousemove", round(x), round(y)]
-        self.input(*words, "sleep", 0.05, "mouseup", 1)
+        """Press at the first point, move to the others, release; Blender sees each, however slowly it draws."""
+        self.move(*points[0])
+        self.redraw()
+        self.input("mousedown", 1)
+        for point in points[1:]:
+            self.redraw()
+            self.move(*point)
+        self.redraw()
+        self.input("mouseup", 1)
+        self.redraw()
 
     def key(self, *keys: str) -> None:
         """Press key combinations, such as ctrl+z."""
