@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/three/three.core.js
 
-.PHONY: setup check test test-all test-share test-core test-gui stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-actions bench-learning bench-coefficients bench-remote paper model expressions coefficients head sample try lock clean blenders windows browser viewer docs
+.PHONY: setup check test test-all test-share test-core test-gui pictures stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-actions bench-learning bench-coefficients bench-remote paper model expressions coefficients head sample try lock clean blenders windows browser viewer docs
 
 setup: $(STAMP)
 
@@ -59,6 +59,11 @@ build/head/.ready: requirements/head.txt | setup
 # The workflow of a user, by mouse, in Blender's own window; screenshots are saved in build/gui.
 test-gui: setup build windows
 	$(BIN)/python -m pytest tests/gui
+
+# The pictures of the README and the tutorials, which a window test takes; look at them before you commit them.
+pictures: setup build windows browser
+	$(BIN)/python -m pytest tests/gui/test_pictures.py
+	cp build/gui/pictures/*.png docs/tutorials/images
 
 # Ten minutes of puppeteering in Blender's window, to find growing memory and leftover threads.
 soak: setup build windows
