@@ -20,7 +20,8 @@ def add_commands(commands: Commands) -> None:
         "character",
         type=head_file,
         metavar="FILE[:OBJECT]",
-        help="a .blend, .glb, .gltf, .fbx, .obj, .abc or .usd file, and any mesh of the character (the likeliest face)",
+        help="a .blend, .glb, .gltf, .fbx, .obj, .abc or .usd file, and any mesh of the character "
+        "(the most likely face)",
     )
     add_output(bind, "OUT.blend", "the file with the head, for puppet --head")
     bind.add_argument("--picture", type=Path, metavar="OUT.png", help="also write a picture of the face with landmarks")
@@ -31,7 +32,7 @@ def add_commands(commands: Commands) -> None:
         const="arkit",
         help="also add a set of shape keys: ARKit's 52 face units (without a name), VRM's, Oculus' or FaceGen's",
     )
-    bind.add_argument("--cut-open", action="store_true", help="cut joined lips and eyes open, such as those of a scan")
+    bind.add_argument("--cut-open", action="store_true", help="cut open lips and eyes that are joined, as on a scan")
     bind.set_defaults(
         run=lambda given: run_bind(
             *(given[name] for name in ("character", "output", "picture")),

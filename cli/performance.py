@@ -95,7 +95,7 @@ def add_head_option(parser: argparse.ArgumentParser) -> None:
         "--head",
         type=head_file,
         metavar="FILE[:OBJECT]",
-        help="your own head, as for bind, which needs Blender (the built-in head)",
+        help="your own head, as for bind; needs Blender (the built-in head)",
     )
 
 

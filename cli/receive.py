@@ -91,7 +91,9 @@ def run_receive(options: Options) -> int:
     """Run `facemime receive`: record, or make a shared key; returns the exit status."""
     if options["new_key"] is not None:
         write_key(options["new_key"])
-        tell(f"facemime: {options['new_key']} is a new key. Copy it to the other computer by a way that you trust.")
+        tell(
+            f"facemime: {options['new_key']} is a new key. Copy it to the other computer over a channel that you trust."
+        )
         return 0
     return record(_job(options))
 
@@ -141,12 +143,12 @@ def record(job: ReceiveJob) -> int:
         finally:
             source.close()
         if not any(counts):
-            raise FacemimeError(f"Nothing came: {_what_came(source)}. Check the address, the port and the firewall.")
+            raise FacemimeError(f"No data arrived: {_what_came(source)}. Check the address, the port and the firewall.")
         for path, output, count in zip(paths, job.outputs, counts, strict=True):
             if count:
                 settle(path, output)
             else:
-                tell(f"facemime: {output} was not written, as its sender never appeared.")
+                tell(f"facemime: {output} was not written, as no data came from its sender.")
     return 0
 
 

@@ -57,7 +57,7 @@ class SelectJob:
 
 def add_commands(commands: Commands) -> None:
     """Add the command to the parser."""
-    select = add_command(commands, "select", "choose the control points that a take needs on a head")
+    select = add_command(commands, "select", "select control points on a head for a take")
     select.add_argument("take", type=Path, metavar="TAKE.facetake", help="a take, from track")
     select.add_argument("-o", "--output", type=Path, metavar="POINTS.json", help="file for puppet --points")
     select.add_argument(
@@ -66,7 +66,7 @@ def add_commands(commands: Commands) -> None:
     add_preset_option(select)
     add_settings(select, SelectionSettings)
     kernels = settings_of(DriveSettings)["kernel"].values
-    select.add_argument("--kernel", choices=kernels, help="skinning that the points are meant for (that of the search)")
+    select.add_argument("--kernel", choices=kernels, help="skinning to select the points for (that of the search)")
     landmarks = {"type": parse_landmarks, "default": ()}
     select.add_argument("--add", **landmarks, metavar="17,19-21", help="landmarks to include, by iBUG number")
     select.add_argument("--remove", **landmarks, metavar="0-3,30", help="landmarks to exclude")
@@ -74,7 +74,7 @@ def add_commands(commands: Commands) -> None:
         "--neutral",
         type=number,
         metavar="SECONDS",
-        help="start of a second with a neutral face (found or estimated)",
+        help="start of a second in which the face is neutral (detected or estimated)",
     )
     select.set_defaults(run=lambda given: run_select(filled(SelectJob, given)))
 

@@ -76,16 +76,21 @@ def add_commands(commands: Commands) -> None:
     add_source(send)
     add_head_option(send)
     where = send.add_mutually_exclusive_group(required=True)
-    where.add_argument("--to", metavar="HOST[:PORT]", help="where to, as in 192.168.1.7:39539")
+    where.add_argument("--to", metavar="HOST[:PORT]", help="address to send to, as in 192.168.1.7:39539")
     where.add_argument(
         "--serve",
         metavar="HOST[:PORT]",
         help=f"wait for receivers over TLS at this address of this computer; 0.0.0.0 for all (port {TLS_PORT})",
     )
     send.add_argument(
-        "--token", type=Path, metavar="FILE", help="file for the permission that VTube Studio gives (in your settings)"
+        "--token",
+        type=Path,
+        metavar="FILE",
+        help="file that stores the permission from VTube Studio (in your user settings)",
     )
-    send.add_argument("--tls", type=Path, metavar="FOLDER", help="certificate and token for --serve, made if missing")
+    send.add_argument(
+        "--tls", type=Path, metavar="FOLDER", help="folder of the certificate and token for --serve, created if missing"
+    )
     send.add_argument(
         "--public", default="", metavar="HOST[:PORT]", help="address by which other networks reach this computer"
     )
@@ -179,7 +184,7 @@ def _open_server(job: SendJob, address: str) -> Callable[[LiveWorker], Sender]:
     from .certificates import load_identity
 
     if job.tls is None:
-        raise FacemimeError("There is no certificate. Add --tls FOLDER; it is made there the first time.")
+        raise FacemimeError("There is no certificate. Add --tls FOLDER; it is created there the first time.")
     if job.protocol != OWN or job.key is not None:
         raise FacemimeError("Over TLS, Facemime's own protocol is sent without a key. Leave out --protocol and --key.")
     host, port = parse_address(address, TLS_PORT)
@@ -189,7 +194,7 @@ def _open_server(job: SendJob, address: str) -> Callable[[LiveWorker], Sender]:
         worker.output = sender = TlsSender(host, port, identity.context, identity.token)
         public = parse_address(job.public, sender.port) if job.public else (reachable(host), sender.port)
         say(Pairing(*public, identity.fingerprint, identity.token).line)
-        tell("facemime: paste this line at the other computer. Whoever has it can receive.")
+        tell("facemime: paste this line on the other computer. Anyone who has it can receive.")
         return sender
 
     return open_output

@@ -50,7 +50,7 @@ class ServeJob:
 
 def add_commands(commands: Commands) -> None:
     """Add the command to the parser."""
-    serve = add_command(commands, "serve", "show a head in browsers, moved by a face")
+    serve = add_command(commands, "serve", "show a head that follows a face in browsers")
     add_source(serve)
     add_head_option(serve)
     serve.add_argument(
@@ -62,9 +62,12 @@ def add_commands(commands: Commands) -> None:
     serve.add_argument("--cert", type=Path, metavar="FILE.pem", help="certificate, for HTTPS")
     serve.add_argument("--key", type=Path, metavar="FILE.pem", help="private key of the certificate")
     serve.add_argument(
-        "--token", type=Path, metavar="FILE", help="keep the secret in the address in this file (a new one each time)"
+        "--token",
+        type=Path,
+        metavar="FILE",
+        help="file that keeps the secret part of the address (a new secret each time)",
     )
-    serve.add_argument("--translation", action="store_true", help="move the head, too, rather than only turn it")
+    serve.add_argument("--translation", action="store_true", help="also move the head, instead of only rotating it")
     serve.set_defaults(run=lambda given: run_serve(filled(ServeJob, given)))
 
 
@@ -95,9 +98,9 @@ def run_serve(job: ServeJob) -> int:
 
 
 def _announce(server: ViewerServer) -> None:
-    """Say where the page is; whoever gets the address can watch."""
+    """Print the address of the page, which is all that is needed to watch."""
     say(server.address)
     if not server.settings.is_local:
         for line in as_text(qr_code(server.address)).split("\n"):
             tell(line)
-    tell("facemime: open this address in a browser. Whoever has it can watch.")
+    tell("facemime: open this address in a browser. Anyone who has it can watch.")

@@ -79,7 +79,11 @@ class MendJob:
 
 def add_commands(commands: Commands) -> None:
     """Add the commands to the parser."""
-    mend = add_command(commands, "mend", "mend a take: gaps, outliers, jitter, timing; in the order of the options")
+    mend = add_command(
+        commands,
+        "mend",
+        "mend a take: fill gaps, remove outliers and jitter, change its timing; applied in the order of the options",
+    )
     mend.add_argument("take", type=Path, metavar="TAKE.facetake", help="the take, which is not changed")
     add_output(mend, "OUT.facetake", "the mended take")
     mend.add_argument("--punch-in", type=Path, metavar="OTHER.facetake", help="insert a part of another take")
@@ -125,14 +129,14 @@ def add_commands(commands: Commands) -> None:
     mend.add_argument("--figure", type=Path, metavar="CURVES.png", help="also draw the motion before and after")
     mend.set_defaults(run=lambda given: run_mend(filled(MendJob, given)))
 
-    export = add_command(commands, "export", "write a take as a table of comma-separated values")
+    export = add_command(commands, "export", "write a take as a CSV table")
     export.add_argument("take", type=Path, metavar="TAKE.facetake", help="a take, from track")
     add_output(export, "OUT.csv", "a table with one row per frame; docs/takes.md lists the columns")
     export.add_argument(
         "--columns",
         choices=("all", "coefficients", "livelink"),
         default="all",
-        help="everything that a take has; ARKit's coefficients by name; or these as Live Link Face writes them (all)",
+        help="all data of the take; ARKit's coefficients by name; or these in the format of Live Link Face (all)",
     )
     export.add_argument(
         "--rate", type=number, default=60.0, metavar="FPS", help="rate of Live Link Face's timecode (60)"
@@ -144,9 +148,9 @@ def add_commands(commands: Commands) -> None:
         "source",
         type=head_file,
         metavar="TABLE.csv|ANIMATION[:OBJECT]",
-        help="a table as export writes it, or with fewer columns, or of ARKit's coefficients, as Live Link Face and "
-        "others write them; or a .blend, .abc, .usd, .glb, .gltf or .fbx file in "
-        "which a face moves, and any mesh of the character (the most likely face)",
+        help="a table from export, possibly with fewer columns, or one of ARKit's coefficients from Live Link Face or "
+        "another program; or a .blend, .abc, .usd, .glb, .gltf or .fbx file in which a face moves, and any mesh of the "
+        "character (the most likely face)",
     )
     add_output(read, "OUT.facetake", "the take")
     read.set_defaults(run=lambda given: run_import(given["source"], given["output"]))

@@ -66,7 +66,7 @@ const JOB_TYPE = {
         { key: "nla", type: "bool", default: false,
           description: "put the animation on an NLA track instead of the active action" },
         { key: "map", type: "string", default: "",
-          description: "table for --keys mapped (the preset that matches the head best)" },
+          description: "key mapping for --keys mapped (the preset that matches the head best)" },
         // End of options
     ],
 };

@@ -42,7 +42,7 @@ _MAX_STATUS = 99
 
 def add_commands(commands: Commands) -> None:
     """Add the commands to the parser."""
-    clip = add_command(commands, "clip", "puppet one of many clips, unless it is done; batch runs this command")
+    clip = add_command(commands, "clip", "process one clip of a batch, unless it is done; used by batch")
     clip.add_argument("source", type=Path, metavar="VIDEO|FOLDER|LIST", help=_SOURCES)
     clip.add_argument(
         "--number", type=whole_number, metavar="N", help="number of the clip in the folder or the list, from 1"
@@ -52,7 +52,11 @@ def add_commands(commands: Commands) -> None:
     add_puppet_options(clip)
     clip.set_defaults(run=lambda given: run_clip(puppet_job(given), given["number"]))
 
-    batch = add_command(commands, "batch", "puppet many clips; the exit status is the number of failures, at most 99")
+    batch = add_command(
+        commands,
+        "batch",
+        "animate a head from each of many clips; the exit status is the number of failures, at most 99",
+    )
     batch.add_argument("sources", nargs="+", type=Path, metavar="FOLDER|LIST|VIDEO", help=_SOURCES)
     add_output(batch, "DIR", f"{_OUTPUT}; report.html is written here, too")
     jobs = max(1, (os.cpu_count() or 2) // 2)

@@ -34,7 +34,7 @@ def add_commands(commands: Commands) -> None:
     """Add the commands to the parser."""
     track = add_command(commands, "track", "track the face in a video")
     track.add_argument("video", type=Path, metavar="VIDEO", help="any video that FFmpeg reads, such as MP4 (H.264)")
-    add_output(track, "TAKE.facetake", "everything that was tracked, which can drive any head; written while tracking")
+    add_output(track, "TAKE.facetake", "the take, which can drive any head; written while tracking")
     track.add_argument("--smooth", action="store_true", help="reduce jitter")
     add_face_option(track)
     add_settings(track, TrackingSettings)
@@ -46,7 +46,7 @@ def add_commands(commands: Commands) -> None:
         )
     )
 
-    puppet = add_command(commands, "puppet", "animate a head by a video or a take")
+    puppet = add_command(commands, "puppet", "animate a head from a video or a take")
     puppet.add_argument("source", type=Path, metavar="VIDEO|TAKE", help="a video, or a take from track")
     add_output(puppet, "OUT.blend", "the head with its animation")
     puppet.add_argument(
@@ -63,7 +63,7 @@ def add_commands(commands: Commands) -> None:
         "--neutral",
         type=number,
         metavar="SECONDS",
-        help="start of a second with a neutral face (found or estimated)",
+        help="start of a second in which the face is neutral (detected or estimated)",
     )
     add_preset_option(puppet)
     add_puppet_options(puppet)

@@ -147,7 +147,7 @@ def add_puppet_options(parser: argparse.ArgumentParser) -> None:
         "--map",
         type=_path,
         metavar="TABLE.json",
-        help="table for --keys mapped (the preset that matches the head best)",
+        help="key mapping for --keys mapped (the preset that matches the head best)",
     )
 
 

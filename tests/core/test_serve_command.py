@@ -29,7 +29,7 @@ def test_a_take_moves_the_head_on_the_page_until_ctrl_c(take, tmp_path):
         said = server.stderr.read()
     assert server.returncode == 0, said
     assert len(frames) > 10, "the head moves"
-    assert "Whoever has it can watch" in said and "█" not in said
+    assert "Anyone who has it can watch" in said and "█" not in said
 
 
 @pytest.mark.parametrize(
