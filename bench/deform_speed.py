@@ -26,8 +26,9 @@ COLUMNS = (
 )
 _SIZES = ((1_781, 30), (26_000, 60), (100_000, 60))
 _HALVINGS = (0, 2, 3)
-_BATCHES, _FRAMES = 20, 50
-"""Number of batches, of which the fastest counts, as in timeit: other load can only add time."""
+_BATCHES, _FRAMES, _PREPARATIONS = 20, 50, 10
+"""Number of batches, of frames in a batch, and of preparations. The fastest counts, as in timeit: other load can only
+add time."""
 
 
 def speed_table() -> Table:
@@ -46,10 +47,7 @@ def speed_table() -> Table:
 
 
 def _row(mesh: str, build: Callable[[], RBFDeformer]) -> tuple[object, ...]:
-    build()
-    start = perf_counter()
-    deformer = build()
-    prepare = perf_counter() - start
+    deformer, prepare = build(), _fastest(build, _PREPARATIONS, 1)
     points = deformer.n_control_points
     moved = np.random.default_rng(0).normal(0.0, 0.01, (points, 3)).astype(np.float32)
     out, source = np.empty_like(deformer.rest), np.ones(deformer.nbytes, dtype=np.uint8)
@@ -60,13 +58,13 @@ def _row(mesh: str, build: Callable[[], RBFDeformer]) -> tuple[object, ...]:
     return mesh, len(out), points, 1e3 * prepare, 1e6 * frame, deformer.nbytes / 1e6, frame / copy, frame / product
 
 
-def _fastest(work: Callable[[], object]) -> float:
+def _fastest(work: Callable[[], object], batches: int = _BATCHES, repeats: int = _FRAMES) -> float:
     times = []
-    for _ in range(_BATCHES):
+    for _ in range(batches):
         start = perf_counter()
-        for _ in range(_FRAMES):
+        for _ in range(repeats):
             work()
-        times.append((perf_counter() - start) / _FRAMES)
+        times.append((perf_counter() - start) / repeats)
     return min(times)
 
 
