@@ -43,8 +43,9 @@ _INNER_LOWER = np.concatenate([_LEFT_CORNER, LOWER_LIPS[::-1], _RIGHT_CORNER])
 _EYE_SOFTNESS, _MOUTH_SOFTNESS = 0.08, 0.22
 _SLIT_SOFTNESS = 0.002
 _REACH = 0.6
-"""In outer-eye distances: half widths of the overlaps at the eyes, the mouth and a slit, and distance from a slit
-within which distance along the surface decides."""
+_AT_CORNER = 0.025
+"""In outer-eye distances: half widths of the overlaps at the eyes, the mouth and a slit, distance from a slit within
+which distance along the surface decides, and width at its corners in which it does not."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,8 @@ def _slit(
     corners = rims[0] & rims[1]
     to_upper, to_lower = (graph.path_lengths(rim - corners, _REACH) for rim in rims)
     left, right = np.sort(points[upper[0][[0, -1]], 0])
-    between = (place[:, 0] >= left) & (place[:, 0] <= right)
+    # Straight above or below a corner both rims are equally near, so the height decides there.
+    between = (place[:, 0] > left + _AT_CORNER) & (place[:, 0] < right - _AT_CORNER)
     near = between & np.isfinite(to_upper) & np.isfinite(to_lower)
     share = np.full(len(place), 0.5)
     share[near] = _step(to_lower[near] - to_upper[near], -_SLIT_SOFTNESS, _SLIT_SOFTNESS)

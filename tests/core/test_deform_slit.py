@@ -13,7 +13,8 @@ from scans import HEAD, UNIT, VERTICES, scanned
 from facemime.core.binding.bind import bind_landmarks
 from facemime.core.errors import HeadError
 from facemime.core.heads.lips import lip_line, rim_landmarks
-from facemime.core.landmarks import from_ibug
+from facemime.core.heads.proposal import propose_regions
+from facemime.core.landmarks import MOUTH_CORNERS, from_ibug
 from facemime.core.mesh.surface import SurfaceGraph, lips_joined
 
 
@@ -30,6 +31,16 @@ def test_the_line_follows_edges_between_the_lips_from_corner_to_corner():
     assert (places[line, 1] > upper).all() and (places[line, 1] < lower).all()
     true = VERTICES[HEAD.landmarks[from_ibug((62, 66))], 1].mean()
     assert abs(places[line[len(line) // 2], 1] - true) < 0.06 * UNIT
+
+
+def test_no_strip_of_the_lower_region_runs_up_the_cheeks_of_a_scan():
+    places, faces = scanned()
+    landmarks = bind_landmarks(places, faces).landmarks
+    lower = propose_regions(places, faces, landmarks)[2]
+    right, left = places[landmarks[MOUTH_CORNERS]]
+    inside = (places[:, 0] > right[0] - 0.05 * UNIT) & (places[:, 0] < left[0] + 0.05 * UNIT)
+    above = inside & (places[:, 1] < min(right[1], left[1]) - 0.15 * UNIT)
+    assert above.sum() > 500 and lower[above].max() < 0.1
 
 
 def test_a_mouth_with_too_few_vertices_is_refused_with_advice():
