@@ -44,5 +44,7 @@ class NearestPoints:
             Squared distances.
         """
         queries = np.ascontiguousarray(places, dtype=np.float32)
+        if not len(queries):  # the index would return None
+            return np.empty((0, count), dtype=np.intp), np.empty((0, count), dtype=np.float32)
         found, squared = self._index.knnSearch(queries, count, params={"checks": -1})
         return np.asarray(found, dtype=np.intp), squared

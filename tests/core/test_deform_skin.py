@@ -3,11 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.skin import skin_covariance
+from facemime.core.errors import HeadError
 from facemime.core.heads.rig import built_in_rig
 from facemime.core.landmarks import MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER
 from facemime.core.mesh.sparse import NestedDissection
@@ -75,3 +77,9 @@ def test_polygons_of_any_size_are_accepted():
     faces[:, : RIG.faces.shape[1]] = RIG.faces
     faces = np.vstack([faces, [[0, 1, 2, 3, 4, -1]]])
     assert np.isfinite(skin_covariance(RIG.vertices, faces, RIG.landmarks, RIG.region_weights).vertices).all()
+
+
+def test_a_head_without_regions_is_refused_with_advice():
+    rig = RIG
+    with pytest.raises(HeadError, match="Paint the regions"):
+        head_deformer(replace(rig, region_weights=np.zeros_like(rig.region_weights)))
