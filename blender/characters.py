@@ -142,7 +142,15 @@ def read_parts(head: bpy.types.Object) -> FaceParts | None:
 
 
 def part_mesh(head: bpy.types.Object, part: Part) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the vertices of a part of a face in the head frame, (N, 3), and the faces between them, (F, K)."""
+    """Return the vertices of a part of a face in the head frame, (N, 3), and the faces between them, (F, K).
+
+    Parameters
+    ----------
+    head : bpy.types.Object
+        A mesh with landmarks.
+    part : Part
+        The part.
+    """
     to_head = rest_matrix(head).inverted_safe()
     vertices, faces, start = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int32)], 0
     for obj in (head, *objects_of(head)):

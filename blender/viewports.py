@@ -57,7 +57,15 @@ def largest_viewport(screen: bpy.types.Screen | None) -> Viewport | None:
 
 
 def redraw(context: bpy.types.Context, kind: str = "WINDOW") -> None:
-    """Redraw the 3D Viewports of all windows (`kind` "WINDOW") or their sidebars ("UI")."""
+    """Redraw the 3D Viewports of all windows (`kind` "WINDOW") or their sidebars ("UI").
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+        The context.
+    kind : str
+        Type of the areas.
+    """
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":

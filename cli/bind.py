@@ -43,7 +43,21 @@ def add_commands(commands: Commands) -> None:
 
 
 def run_bind(character: HeadFile, output: Path, picture: Path | None, *, make_keys: str | None, cut_open: bool) -> int:
-    """Run `facemime bind`: bind a character, and print a line for each part and key; returns the exit status."""
+    """Run `facemime bind`: bind a character, and print a line for each part and key; returns the exit status.
+
+    Parameters
+    ----------
+    character : HeadFile
+        File and object of the character.
+    output : Path
+        File for the head.
+    picture : Path or None
+        File for a picture of its face.
+    make_keys : str or None
+        Name of the set of shape keys to add.
+    cut_open : bool
+        Whether joined lips and eyes are cut open.
+    """
     try:
         with STOPPING.importing():
             from .puppet import character as headless

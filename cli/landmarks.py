@@ -43,7 +43,19 @@ def add_commands(commands: Commands) -> None:
 
 
 def run_landmarks(images: Sequence[Path], output: Path, overlay: Path | None, settings: TrackingSettings) -> int:
-    """Run `facemime landmarks`: one row per image, NaN if there is no face; returns the exit status."""
+    """Run `facemime landmarks`: one row per image, NaN if there is no face; returns the exit status.
+
+    Parameters
+    ----------
+    images : sequence of Path
+        Images, and folders of images.
+    output : Path
+        File for the landmarks.
+    overlay : Path or None
+        Folder for copies with the landmarks drawn on them.
+    settings : TrackingSettings
+        How faces are found.
+    """
     paths = _images(images)
     with outputs_of(((output, {".npz"}),), {}):
         return _locate(paths, output, overlay, FaceTracker.load(settings=settings))

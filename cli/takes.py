@@ -193,7 +193,19 @@ def _mended(take: Take, job: MendJob) -> Take:
 
 
 def run_export(take: Path, output: Path, columns: str, rate: float) -> int:
-    """Run `facemime export`: write a take as a table; returns the exit status."""
+    """Run `facemime export`: write a take as a table; returns the exit status.
+
+    Parameters
+    ----------
+    take : Path
+        The take.
+    output : Path
+        File for the table.
+    columns : str
+        "all", "coefficients" or "livelink".
+    rate : float
+        Rate of the timecode, frames per second.
+    """
     with outputs_of(((output, {".csv"}),), {"the take that is exported": take}):
         loaded = load_with_warnings(take)
         if columns == "all":
@@ -216,7 +228,15 @@ def _export_coefficients(take: Take, output: Path, rate: float, *, live_link: bo
 
 
 def run_import(source: HeadFile, output: Path) -> int:
-    """Run `facemime import`: write a table, or the motion of a face in an animation, as a take."""
+    """Run `facemime import`: write a table, or the motion of a face in an animation, as a take.
+
+    Parameters
+    ----------
+    source : HeadFile
+        A table, or an animation and its object.
+    output : Path
+        File for the take.
+    """
     is_table = source.path.suffix.lower() == ".csv"
     described = "the table that is imported" if is_table else "the animation that is imported"
     with outputs_of(((output, {SUFFIX}),), {described: source.path}):

@@ -44,7 +44,15 @@ def preview_box(area: bpy.types.Area, region: bpy.types.Region, picture: tuple[i
 
 
 def has_preview(screen: bpy.types.Screen, area: bpy.types.Area) -> bool:
-    """Return whether the preview is in this 3D Viewport, which is the largest one of the screen."""
+    """Return whether the preview is in this 3D Viewport, which is the largest one of the screen.
+
+    Parameters
+    ----------
+    screen : bpy.types.Screen
+        The screen.
+    area : bpy.types.Area
+        One of its areas.
+    """
     largest = largest_viewport(screen)
     return largest is not None and largest.area == area
 

@@ -90,12 +90,28 @@ def require(operator: type[bpy.types.Operator], met: bool, message: str) -> bool
 
 
 def require_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Require Object Mode, as `require` does."""
+    """Require Object Mode, as `require` does.
+
+    Parameters
+    ----------
+    operator : type[bpy.types.Operator]
+        The operator, which shows the reason.
+    context : bpy.types.Context
+        The context.
+    """
     return require(operator, context.mode == "OBJECT", "Switch to Object Mode first")
 
 
 def require_left_edit_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Require a mode other than Edit Mode, in which vertex groups cannot be written; as `require` does."""
+    """Require a mode other than Edit Mode, in which vertex groups cannot be written; as `require` does.
+
+    Parameters
+    ----------
+    operator : type[bpy.types.Operator]
+        The operator, which shows the reason.
+    context : bpy.types.Context
+        The context.
+    """
     return require(operator, context.mode != "EDIT_MESH", "Leave Edit Mode first")
 
 
@@ -118,7 +134,15 @@ def heads_in(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 
 def require_heads(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Require a head that can be driven, as `require` does."""
+    """Require a head that can be driven, as `require` does.
+
+    Parameters
+    ----------
+    operator : type[bpy.types.Operator]
+        The operator, which shows the reason.
+    context : bpy.types.Context
+        The context.
+    """
     return require(operator, bool(heads_in(context)), "Select a head, or add one in the Head panel")
 
 

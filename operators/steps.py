@@ -27,7 +27,15 @@ class ShowsProgress:
     _timer: bpy.types.Timer | None = None
 
     def start_ticking(self, context: bpy.types.Context, interval: float) -> set[str]:
-        """Start the timer, with `interval` in seconds, and the progress, which goes from 0 to 1."""
+        """Start the timer, with `interval` in seconds, and the progress, which goes from 0 to 1.
+
+        Parameters
+        ----------
+        context : bpy.types.Context
+            The context.
+        interval : float
+            Seconds between two ticks.
+        """
         manager = context.window_manager
         self._timer = manager.event_timer_add(interval, window=context.window)
         manager.progress_begin(0.0, 1.0)

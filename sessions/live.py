@@ -223,6 +223,15 @@ class LiveSession(Session):
     def start_recording_after(self, countdown: float, scene: bpy.types.Scene, name: str) -> None:
         """Start recording after a countdown; the parameters are those of `start_recording`, and seconds.
 
+        Parameters
+        ----------
+        countdown : float
+            Seconds to wait.
+        scene : bpy.types.Scene
+            Scene whose list gets the take.
+        name : str
+            Name of the take.
+
         Raises
         ------
         FacemimeError
@@ -277,6 +286,21 @@ class LiveSession(Session):
         self, scene: bpy.types.Scene, take: str, start: float, end: float, *, lead: float, blend: float
     ) -> None:
         """Re-record a range of a take; the parameters are those of `PunchIn`.
+
+        Parameters
+        ----------
+        scene : bpy.types.Scene
+            Scene whose list has the take.
+        take : str
+            File of the take.
+        start : float
+            Start of the range in seconds.
+        end : float
+            End of the range in seconds.
+        lead : float
+            Seconds that are played before the range.
+        blend : float
+            Seconds over which the takes blend at both ends.
 
         Raises
         ------

@@ -23,7 +23,15 @@ class Recordable(Protocol):
     recording: Recording | None
 
     def start_recording(self, scene: bpy.types.Scene, name: str) -> Recording:
-        """Start a recording for the list of `scene`."""
+        """Start a recording for the list of `scene`.
+
+        Parameters
+        ----------
+        scene : bpy.types.Scene
+            Scene whose list has the take.
+        name : str
+            Name of the new take.
+        """
 
 
 class PunchIn:

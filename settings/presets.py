@@ -38,6 +38,13 @@ def path_of(name: str) -> Path:
 def save(settings: FacemimeSettings, path: Path) -> None:
     """Write `settings` to the file `path`.
 
+    Parameters
+    ----------
+    settings : FacemimeSettings
+        Settings of a scene.
+    path : Path
+        File of the preset.
+
     Raises
     ------
     OutputError
@@ -51,6 +58,13 @@ def save(settings: FacemimeSettings, path: Path) -> None:
 
 def load(settings: FacemimeSettings, path: Path) -> None:
     """Apply the preset at `path` to `settings`; those that it does not contain are left unchanged.
+
+    Parameters
+    ----------
+    settings : FacemimeSettings
+        Settings of a scene, which are changed.
+    path : Path
+        File of the preset.
 
     Raises
     ------

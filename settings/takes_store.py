@@ -40,7 +40,15 @@ def chosen(scene: bpy.types.Scene) -> FacemimeTake:
 
 
 def at(scene: bpy.types.Scene, place: int) -> FacemimeTake:
-    """Return the take at the given index of the list; raises FacemimeError if the list has no such entry."""
+    """Return the take at the given index of the list; raises FacemimeError if the list has no such entry.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        The scene.
+    place : int
+        Position in its list.
+    """
     takes = scene.facemime_takes.items
     if not 0 <= place < len(takes):
         raise FacemimeError("No take is selected. Record or import one.")
@@ -103,7 +111,17 @@ def keep(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
 
 
 def keep_beside(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
-    """Like `keep`, but add the take below the selected one."""
+    """Like `keep`, but add the take below the selected one.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        The scene.
+    take : Take
+        The take.
+    name : str
+        Name of the new line.
+    """
     takes = scene.facemime_takes
     place = min(takes.index + 1, len(takes.items))
     keep(scene, take, name)

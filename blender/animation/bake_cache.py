@@ -51,7 +51,15 @@ def bake_cache(members: Sequence[Member], motion: HeadMotion, frames: NDArray[np
 
 
 def with_name_of(path: Path, obj: bpy.types.Object) -> Path:
-    """Return `path` with the name of `obj` added to the file's, for one of several objects."""
+    """Return `path` with the name of `obj` added to the file's, for one of several objects.
+
+    Parameters
+    ----------
+    path : Path
+        Path of a cache.
+    obj : bpy.types.Object
+        Object whose name is added.
+    """
     return path.with_name(f"{path.stem} {bpy.path.clean_name(obj.name)}{path.suffix}")
 
 

@@ -192,7 +192,15 @@ def propose_head_regions(obj: bpy.types.Object) -> None:
 
 
 def proposed_weights(obj: bpy.types.Object, landmarks: IntArray) -> FloatArray:
-    """Return the weights, (3, V), of regions that follow from (66,) landmarks of `obj`."""
+    """Return the weights, (3, V), of regions that follow from (66,) landmarks of `obj`.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        The head.
+    landmarks : array
+        Vertex of each landmark, (66,).
+    """
     skin = current_skin(obj)
     weights = np.zeros((len(REGION_GROUPS), len(skin.number)))
     own = skin.number >= 0
@@ -234,7 +242,15 @@ def read_marks(mesh: bpy.types.Mesh) -> dict[int, int]:
 
 
 def write_marks(mesh: bpy.types.Mesh, marks: dict[int, int]) -> None:
-    """Store the marked points: iBUG number to vertex index; none clears them."""
+    """Store the marked points: iBUG number to vertex index; none clears them.
+
+    Parameters
+    ----------
+    mesh : bpy.types.Mesh
+        The mesh.
+    marks : mapping of int to int
+        Vertex of each marked point, by iBUG number.
+    """
     if marks:
         mesh[MARKS_PROPERTY] = [value for pair in marks.items() for value in pair]
     elif MARKS_PROPERTY in mesh:

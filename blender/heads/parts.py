@@ -58,7 +58,17 @@ def named_others(obj: bpy.types.Object) -> NDArray[np.bool_]:
 
 
 def skin_of_object(obj: bpy.types.Object, others: NDArray[np.bool_], landmarks: IntArray | None = None) -> Skin:
-    """Return the skin of `obj` without the vertices `others` (V,); see `core.heads.parts.skin_of`."""
+    """Return the skin of `obj` without the vertices `others` (V,); see `core.heads.parts.skin_of`.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        The mesh.
+    others : array
+        Whether each vertex belongs to another part than the skin, (V,).
+    landmarks : array or None
+        Vertex of each landmark, (66,), if known.
+    """
     return skin_of(read_vertices(obj.data), read_faces(obj.data), others, landmarks)
 
 
@@ -234,7 +244,15 @@ def _owners(group: _Pieces, armature: bpy.types.Object | None, bones: FaceBones)
 
 
 def group_weights(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
-    """Return (V,) weights of the vertex group `name` of `obj`; 0 if there is none."""
+    """Return (V,) weights of the vertex group `name` of `obj`; 0 if there is none.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        A mesh.
+    name : str
+        Name of a vertex group.
+    """
     weights = np.zeros(len(obj.data.vertices), dtype=np.float32)
     if (group := obj.vertex_groups.get(name)) is not None:
         for vertex in obj.data.vertices:
@@ -245,7 +263,17 @@ def group_weights(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
 
 
 def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmarks: IntArray) -> FaceBones:
-    """Return the bones of the armature for head, eyes and jaw, except those that something else moves."""
+    """Return the bones of the armature for head, eyes and jaw, except those that something else moves.
+
+    Parameters
+    ----------
+    head : bpy.types.Object
+        The head.
+    armature : bpy.types.Object or None
+        Its armature, or None.
+    landmarks : array
+        Vertex of each landmark, (66,).
+    """
     if armature is None:
         return FaceBones()
     free = [bone.name for bone in armature.pose.bones if not bone.constraints]

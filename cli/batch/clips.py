@@ -47,7 +47,15 @@ class Clip:
     name: str
 
     def output(self, folder: Path, suffix: str) -> Path:
-        """An output of this clip, by its suffix."""
+        """An output of this clip, by its suffix.
+
+        Parameters
+        ----------
+        folder : Path
+            Output folder of the batch.
+        suffix : str
+            Suffix of the file.
+        """
         return folder / f"{self.name}{suffix}"
 
 
@@ -143,7 +151,15 @@ def checksum(path: Path) -> str:
 
 
 def read_record(clip: Clip, folder: Path) -> dict[str, Any] | None:
-    """The record of a clip; None if it is not done, or its outputs are missing."""
+    """The record of a clip; None if it is not done, or its outputs are missing.
+
+    Parameters
+    ----------
+    clip : Clip
+        The clip.
+    folder : Path
+        Output folder of the batch.
+    """
     try:
         record = checked_record(parse_json(read_text(clip.output(folder, ".json"))))
     except (OSError, ValueError):  # missing, truncated or not a record: the clip is processed again
@@ -152,7 +168,21 @@ def read_record(clip: Clip, folder: Path) -> dict[str, Any] | None:
 
 
 def write_record(clip: Clip, folder: Path, take: Take, seconds: float, thumbnails: Sequence[bytes]) -> None:
-    """Write the record of a clip for the report, after all other outputs: its existence means that the clip is done."""
+    """Write the record of a clip for the report, after all other outputs: its existence means that the clip is done.
+
+    Parameters
+    ----------
+    clip : Clip
+        The clip.
+    folder : Path
+        Output folder of the batch.
+    take : Take
+        Its take.
+    seconds : float
+        Time that processing took.
+    thumbnails : sequence of bytes
+        JPEG files of the least certain frames.
+    """
     record = {
         "clip": clip.path.name,
         "outputs": sorted(path.name for path in folder.glob(f"{glob.escape(clip.name)}.*") if path.suffix in _OUTPUTS),

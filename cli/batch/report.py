@@ -42,6 +42,13 @@ class Entry:
 def write_report(entries: Sequence[Entry], folder: Path) -> None:
     """Write report.json and report.html into the output folder.
 
+    Parameters
+    ----------
+    entries : sequence of Entry
+        The clips.
+    folder : Path
+        Output folder of the batch.
+
     Raises
     ------
     OutputError

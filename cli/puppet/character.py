@@ -77,6 +77,15 @@ def bind(character: HeadFile, *, keys: KeySet | None, cut_open: bool = False) ->
 
     Joined lips and eyes are cut open first if `cut_open`.
 
+    Parameters
+    ----------
+    character : HeadFile
+        File and object of the character.
+    keys : KeySet or None
+        Shape keys to add.
+    cut_open : bool
+        Whether joined lips and eyes are cut open.
+
     Raises
     ------
     FacemimeError
@@ -96,7 +105,15 @@ def bind(character: HeadFile, *, keys: KeySet | None, cut_open: bool = False) ->
 
 
 def save(bound: BoundCharacter, output: Path) -> None:
-    """Save the file with the character, whose head is active."""
+    """Save the file with the character, whose head is active.
+
+    Parameters
+    ----------
+    bound : BoundCharacter
+        The character.
+    output : Path
+        The file.
+    """
     for obj in bpy.context.scene.objects:
         obj.select_set(obj == bound.head)
     bpy.context.view_layer.objects.active = bound.head
@@ -104,7 +121,15 @@ def save(bound: BoundCharacter, output: Path) -> None:
 
 
 def write_picture(bound: BoundCharacter, path: Path) -> None:
-    """Write a picture of the face with its landmarks."""
+    """Write a picture of the face with its landmarks.
+
+    Parameters
+    ----------
+    bound : BoundCharacter
+        The character.
+    path : Path
+        The file.
+    """
     write_image(path, draw_landmarks(bpy.context.scene, bound.head, 2 * AVATAR_SIDE))
 
 

@@ -73,7 +73,21 @@ def add_commands(commands: Commands) -> None:
 def run_track(
     video: Path, output: Path, face: tuple[float, float] | None, settings: TrackingSettings, *, smooth: bool
 ) -> int:
-    """Run `facemime track`: write a video as a take; returns the exit status."""
+    """Run `facemime track`: write a video as a take; returns the exit status.
+
+    Parameters
+    ----------
+    video : Path
+        The video.
+    output : Path
+        File for the take.
+    face : (float, float) or None
+        As for `FaceTracker.choose`.
+    settings : TrackingSettings
+        How faces are found.
+    smooth : bool
+        Whether jitter is reduced.
+    """
     unfinished = unfinished_beside(output)
     outputs, inputs = ((output, {SUFFIX}),), {"the video that is tracked": video}
     with outputs_of(outputs, inputs, unfinished), growing(unfinished) as unfinished:

@@ -54,7 +54,15 @@ def open_blend(path: Path) -> None:
 
 
 def object_named(path: Path, name: str) -> bpy.types.Object:
-    """Return the object `name` of the open file, which was read from `path`; raises HeadError if there is none."""
+    """Return the object `name` of the open file, which was read from `path`; raises HeadError if there is none.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for the message.
+    name : str
+        Name of the object.
+    """
     # `get` raises on names that are not UTF-8.
     found = next((obj for obj in bpy.data.objects if obj.name == name), None)
     if found is None:

@@ -84,7 +84,19 @@ def _moment(start: float, end: float) -> str:
 
 
 def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> PuppetReport:
-    """Animate the head by `take` and write all outputs; `video` is None if there is only the take."""
+    """Animate the head by `take` and write all outputs; `video` is None if there is only the take.
+
+    Parameters
+    ----------
+    job : PuppetJob
+        The job.
+    stage : Stage
+        Its scene and head.
+    take : Take
+        The performance.
+    video : Path or None
+        The video that was tracked; None if there is only the take.
+    """
     scene, head, own = stage.scene, stage.head, job.head is not None
     if not own:
         set_rate(scene, float(take.info.get("fps", 25.0)))
@@ -170,7 +182,19 @@ def _is_complete(path: Path) -> bool:
 
 
 def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: Path) -> None:
-    """Write a video of the performer with landmarks beside the avatar, at the nominal rate of the source."""
+    """Write a video of the performer with landmarks beside the avatar, at the nominal rate of the source.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        The scene with the animated head.
+    take : Take
+        The performance.
+    video : Path or None
+        Its video, or None.
+    path : Path
+        The file.
+    """
     fps = float(take.info.get("fps", 25.0))
     frames = list(at_constant_rate(_stamps(take), fps))
     width, height = _image_size(take)
@@ -192,7 +216,21 @@ def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: 
 
 
 def write_sheet(scene: bpy.types.Scene, take: Take, video: Path | None, frames: NDArray[np.intp], path: Path) -> None:
-    """Write a contact sheet of performer and avatar in `frames` of `take`."""
+    """Write a contact sheet of performer and avatar in `frames` of `take`.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        The scene with the animated head.
+    take : Take
+        The performance.
+    video : Path or None
+        Its video, or None.
+    frames : array
+        Frames of the take, (N,).
+    path : Path
+        The file.
+    """
     avatars = _avatars(scene, take.times[frames])
     pairs = []
     for frame, picture, avatar in zip(frames, _pictures(take, video, frames.tolist()), avatars, strict=True):

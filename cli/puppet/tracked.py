@@ -29,7 +29,15 @@ def unfinished_beside(output: Path) -> Path:
 
 
 def place_beside(output: Path, suffix: str) -> Path:
-    """File for the result of an interrupted run: `output` if it does not exist, otherwise a free name beside it."""
+    """File for the result of an interrupted run: `output` if it does not exist, otherwise a free name beside it.
+
+    Parameters
+    ----------
+    output : Path
+        The file that was asked for.
+    suffix : str
+        Suffix of the result.
+    """
     if not os.path.lexists(output):
         return output
     return free_name(output.with_suffix(f"{INTERRUPTED_NAME}{suffix}"))
@@ -61,6 +69,17 @@ def track(
 ) -> Take:
     """Track `video`, writing the take to `unfinished` at the same time.
 
+    Parameters
+    ----------
+    video : Path
+        The video.
+    unfinished : Path
+        File that grows while tracking.
+    face : (float, float) or None
+        As for `FaceTracker.choose`.
+    settings : TrackingSettings
+        How faces are found.
+
     Raises
     ------
     SourceError
@@ -89,7 +108,17 @@ def track(
 
 
 def keep_interrupted(take: Take, unfinished: Path, kept: Path) -> int:
-    """Move the take of an interrupted run to `kept`, with a message; returns the exit status."""
+    """Move the take of an interrupted run to `kept`, with a message; returns the exit status.
+
+    Parameters
+    ----------
+    take : Take
+        The tracked part.
+    unfinished : Path
+        The file that grew.
+    kept : Path
+        The file to keep.
+    """
     settle(unfinished, kept)
     tell(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.")
     return INTERRUPTED

@@ -78,7 +78,17 @@ def _shortened(text: str) -> str:
 
 
 def add_command(commands: Commands, name: str, summary: str) -> argparse.ArgumentParser:
-    """Add a command, whose `summary` is shown in the list of commands and in its own help."""
+    """Add a command, whose `summary` is shown in the list of commands and in its own help.
+
+    Parameters
+    ----------
+    commands : Commands
+        The commands of the parser.
+    name : str
+        Name of the command.
+    summary : str
+        What it does, in lower case.
+    """
     parser: argparse.ArgumentParser = commands.add_parser(
         name, help=summary, description=f"{summary[0].upper()}{summary[1:]}."
     )
@@ -86,7 +96,17 @@ def add_command(commands: Commands, name: str, summary: str) -> argparse.Argumen
 
 
 def add_output(parser: argparse.ArgumentParser, metavar: str, summary: str) -> None:
-    """Add the option for the output, which is required."""
+    """Add the option for the output, which is required.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the command.
+    metavar : str
+        Name of the file in the help.
+    summary : str
+        What is written.
+    """
     parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=summary)
 
 
@@ -186,6 +206,13 @@ def add_preset_option(parser: argparse.ArgumentParser) -> None:
 
 def parse(parser: argparse.ArgumentParser, line: Sequence[str] | None) -> Options:
     """Parse a command line, in a second pass with the defaults of its preset.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The parser.
+    line : sequence of str or None
+        The arguments; None for those of the process.
 
     Raises
     ------
