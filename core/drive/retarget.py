@@ -65,9 +65,9 @@ class Retargeter:
     Notes
     -----
     Displacements are scaled by the ratio of the avatar's extent to the performer's, per region, horizontally and
-    vertically (equation 4.2); landmarks of two regions take the mean. Lids are scaled vertically by the ratio of the
-    openings of the eyes instead, and the upper lids then move so that the avatar's eye is open by the same share as the
-    performer's (equation 4.3): a closed eye closes the avatar's along its whole width, whatever the shape of the two.
+    vertically (equation 4.2); landmarks of two regions take the mean. Lower lids are scaled vertically by the ratio of
+    the openings of the eyes instead, and each upper lid is placed above its lower lid so that the avatar's eye is open
+    by the same share as the performer's (equation 4.3): a closed eye closes the avatar's along its whole width.
     """
 
     def __init__(
@@ -115,8 +115,7 @@ class Retargeter:
         """
         current = as_points(shape, "shape", count=N_LANDMARKS)
         moved = np.asarray(self.scale * (current - self.neutral))
-        closing = moved[UPPER_LIDS, 1] - moved[LOWER_LIDS, 1]
-        moved[UPPER_LIDS, 1] += self._lid_strength * self._lids.closing(current) - closing
+        moved[UPPER_LIDS, 1] = moved[LOWER_LIDS, 1] + self._lid_strength * self._lids.closing(current)
         for upper, lower in _MEETING_RIMS:
             _keep_apart(moved, upper, lower, self._rest_heights)
         return moved
@@ -215,10 +214,8 @@ def _scale(neutral: FloatArray, head: FloatArray) -> FloatArray:
             raise HeadError("All landmarks of a region lie on one line. Bind them again.")
         row[2] = np.sqrt(row[0] * row[1])
     scale: FloatArray = np.asarray(members.T @ ratios / members.sum(axis=0)[:, None])
-    # Lids use the ratio of the openings, which replaces the vertical factor.
-    opening = _opening(head) / _opening(neutral)
-    for lids in (UPPER_LIDS, LOWER_LIDS):
-        scale[lids, 1] = np.repeat(opening, 2)
+    # Lower lids use the ratio of the openings, which replaces the vertical factor; upper lids follow from equation 4.3.
+    scale[LOWER_LIDS, 1] = np.repeat(_opening(head) / _opening(neutral), 2)
     return scale
 
 
