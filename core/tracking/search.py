@@ -120,7 +120,7 @@ class FaceSearch:
     """Confidence above which a detected face is accepted."""
 
     def __init__(self, model: TrackerModel) -> None:
-        self.gradual = self._brief = False
+        self.gradual = False
         self.network: NetworkDetector | None = model.detector
         self._model = model
         self._cascades = CascadeDetector()
@@ -202,8 +202,7 @@ class FaceSearch:
         list of Candidate
             The accepted faces.
         """
-        self._brief = brief or self.gradual
-        return list(self._detected(grey, self._all if steps is None else steps, small))
+        return list(self._detected(grey, self._all if steps is None else steps, small, brief or self.gradual))
 
     def others(self, grey: NDArray[np.uint8], pose: FloatArray, *, small: bool = False) -> list[Candidate]:
         """Find faces other than the one at `pose`. Only boxes away from it are fitted.
@@ -222,7 +221,6 @@ class FaceSearch:
         list of Candidate
             The accepted faces.
         """
-        self._brief = self.gradual
 
         def apart(other: FloatArray) -> bool:
             return float(np.hypot(*(other[4:6] - pose[4:6]))) > _SEPARATION * float(pose[0])
@@ -230,60 +228,64 @@ class FaceSearch:
         steps: tuple[SearchStep, ...] = (_FIRST_PASS if small else NetworkPass(SIDES[:2]),)
         if self.network is None:
             steps = _QUICK if small else _QUICK[:1]
-        starts = [[start for start in self._starts(grey, step) if apart(start)] for step in steps]
+        starts = [[start for start in self._starts(grey, step, self.gradual) if apart(start)] for step in steps]
         return [
             c
             for step, poses in zip(steps, starts, strict=True)
-            for c in self._faces_in(grey, poses, step)
+            for c in self._faces_in(grey, poses, step, self.gradual)
             if apart(c.pose)
         ]
 
-    def _detected(self, grey: NDArray[np.uint8], steps: Sequence[SearchStep], small: bool) -> Iterator[Candidate]:
+    def _detected(
+        self, grey: NDArray[np.uint8], steps: Sequence[SearchStep], small: bool, brief: bool
+    ) -> Iterator[Candidate]:
         for step in steps:
-            found = self._faces_in(grey, self._starts(grey, step), step)
+            found = self._faces_in(grey, self._starts(grey, step, brief), step, brief)
             yield from found
             certain = any(c.confidence >= _CERTAIN for c in found)
             if certain and not (step in _FIRST and small):
                 return
 
-    def _starts(self, grey: NDArray[np.uint8], step: SearchStep) -> list[FloatArray]:
+    def _starts(self, grey: NDArray[np.uint8], step: SearchStep, brief: bool) -> list[FloatArray]:
         """Return the poses (6,) of the network's detections, or frontal poses for the boxes of the cascades."""
         began = perf_counter()
-        starts = self._boxes(grey, step) if isinstance(step, Step) else self._detections(grey, step)
+        starts = self._boxes(grey, step, brief) if isinstance(step, Step) else self._detections(grey, step, brief)
         self.timings["detect"] += perf_counter() - began
         return starts
 
-    def _boxes(self, grey: NDArray[np.uint8], step: Step) -> list[FloatArray]:
-        boxes = self._cascades.boxes(grey, step)[: _MAX_GRADUAL if self._brief else _MAX_BOXES]
+    def _boxes(self, grey: NDArray[np.uint8], step: Step, brief: bool) -> list[FloatArray]:
+        boxes = self._cascades.boxes(grey, step)[: _MAX_GRADUAL if brief else _MAX_BOXES]
         return [box.start_pose(self._model.box_offset) for box in boxes]
 
-    def _detections(self, grey: NDArray[np.uint8], network_pass: NetworkPass) -> list[FloatArray]:
+    def _detections(self, grey: NDArray[np.uint8], network_pass: NetworkPass, brief: bool) -> list[FloatArray]:
         """Return poses (6,) of the network's detections, ordered by size times likelihood."""
         assert self.network is not None
         found = self.network.detect(grey, network_pass.sides, network_pass.turns)
-        if self._brief:
+        if brief:
             unlikely = [face for face in found if face.odds < 0.0]
             chosen = {(self._images + i) % len(unlikely) for i in range(_MAX_UNLIKELY[0])} if unlikely else set()
             found = [face for face in found if face.odds >= 0.0] + [unlikely[i] for i in sorted(chosen)]
         found.sort(key=lambda f: -f.pose[0] / (1.0 + np.exp(-f.odds)))
         return [face.pose for face in found[:_MAX_DETECTIONS]]
 
-    def _faces_in(self, grey: NDArray[np.uint8], poses: Sequence[FloatArray], step: SearchStep) -> list[Candidate]:
+    def _faces_in(
+        self, grey: NDArray[np.uint8], poses: Sequence[FloatArray], step: SearchStep, brief: bool
+    ) -> list[Candidate]:
         """Return the accepted faces near the poses (6,) from a step."""
         neutral = np.zeros(self._model.pdm.n_modes)
         coarse = [self.fitter.fit(grey, FittedShape(pose, neutral), (COARSE,)) for pose in poses]
-        promising = self._promising(coarse, by_network=not isinstance(step, Step))
+        promising = self._promising(coarse, by_network=not isinstance(step, Step), brief=brief)
         tried = [self._judge(self.fitter.fit(grey, fit.fitted, REFINED)) for fit in promising]
         least = _CERTAIN if step in _FURTHER_PASSES else self.found_above
         return [c for c in tried if c.confidence >= least]
 
-    def _promising(self, coarse: list[Fit], *, by_network: bool) -> list[Fit]:
+    def _promising(self, coarse: list[Fit], *, by_network: bool, brief: bool) -> list[Fit]:
         """Select the coarse fits that are fitted to the end, the likeliest first."""
         coarse = sorted(coarse, key=lambda f: -f.features[1])  # the log odds of the face network
         if by_network:
             judged = [(fit, self._model.check.confidence(fit.features)) for fit in coarse]
             coarse = [fit for fit, confidence in judged if confidence >= _MIN_COARSE]
-            if self._brief:
+            if brief:
                 likely = [fit for fit, confidence in judged if confidence >= _LIKELY_COARSE]
                 others = [fit for fit, confidence in judged if _MIN_COARSE <= confidence < _LIKELY_COARSE]
                 coarse = likely + others[: _MAX_UNLIKELY[1]]
