@@ -30,7 +30,7 @@ def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -
     Raises
     ------
     HeadError
-        If keys were requested, but there are none, or no mapping matches them.
+        If keys were requested but the head has none, or no mapping matches them.
     """
     if driven_by_keys(obj) and choice == SKIN:
         raise HeadError(f"{obj.name} is bound by its shape keys alone. Drive it by its keys, or find its face.")
