@@ -148,7 +148,7 @@ def planar(predict: Predict) -> Predict:
 
 def informed(head: TrueHead, model: ExpressionModel, chosen: GreedySelection | None = None) -> Predict:
     """Facemime's deformer with the covariance of the skin, and `model`, learnt on another head."""
-    return _rbf(head_deformer(_rig(head, chosen), expressions=(model,)))
+    return _rbf(head_deformer(_rig(head, chosen), expressions=model))
 
 
 def _rig(head: TrueHead, chosen: GreedySelection | None, *, sharp: bool = False) -> HeadRig:

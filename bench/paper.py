@@ -37,7 +37,7 @@ from bench.remote import LINK, stream
 from bench.report import Table, finish, parser
 from facemime.core.control_points.greedy import START, GreedySelection
 from facemime.core.control_points.select import select_for_take
-from facemime.core.deform.expressions import shipped_expressions
+from facemime.core.deform.expressions import load_expressions
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
 from facemime.core.drive.settings import DriveSettings
@@ -129,7 +129,7 @@ def compared_methods(head: TrueHead) -> list[tuple[str, Predict]]:
         ("+ ridge", regions(head, kernel="gaussian", sharp=True)),
         ("+ soft borders", regions(head, kernel="gaussian")),
         ("+ two scales", regions(head)),
-        ("+ skin and known expressions", informed(head, shipped_expressions()[0])),
+        ("+ skin and known expressions", informed(head, load_expressions())),
         ("one function", whole(head)),
         ("one wide function", whole(head, _WIDE)),
         ("straight bands", split(head)),
@@ -201,7 +201,7 @@ def clip_openings(head: TrueHead, rig: HeadRig, clip: Clip) -> Table:
         ("one function", whole(head)),
         ("one wide function", whole(head, _WIDE)),
         ("the paper's method", regions(head, kernel="gaussian", sharp=True, exact=True)),
-        ("default", informed(head, shipped_expressions()[0])),
+        ("default", informed(head, load_expressions())),
     ]:
         found = predict(moved)
         slopes = {}

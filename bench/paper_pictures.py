@@ -21,7 +21,7 @@ from facemime.core.capture import VideoSource
 from facemime.core.control_points.greedy import START
 from facemime.core.control_points.select import select_for_take
 from facemime.core.control_points.table import REGION_COLOURS
-from facemime.core.deform.expressions import shipped_expressions
+from facemime.core.deform.expressions import load_expressions
 from facemime.core.drive.motion import select_distinct_frames
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.heads.regions import membership, sharp_regions
@@ -107,7 +107,7 @@ def _openings(head: TrueHead) -> Image:
         "one function": whole(head),
         "one wide function": whole(head, 0.2),
         "three regions": planar(regions(head, kernel="gaussian", sharp=True, exact=True)),
-        "default": informed(head, shipped_expressions()[0]),
+        "default": informed(head, load_expressions()),
     }
     rows = []
     for title in ("jaw open", "laugh", "blink"):
@@ -129,7 +129,7 @@ def _errors(head: TrueHead) -> Image:
         "with depth": regions(head, kernel="gaussian", sharp=True, exact=True),
         "bi-Laplacian": laplacian(head),
         "Blender's": blender_laplacian(head),
-        "default": informed(head, shipped_expressions()[0]),
+        "default": informed(head, load_expressions()),
     }
     return comparison(head, methods, ("smile", "blink", "brows up", "frown"))
 

@@ -38,7 +38,14 @@ _REST_MOTION = 0.03
 _REGION_DISTANCE = 0.2
 """Distance, in outer-eye distances, that a difference of 1 in region weights stands for in the search for nearest
 places."""
-_NEIGHBOURS = 4
+_NEIGHBOURS = 16
+_FACET = 0.2
+_LEVEL = 0.3
+"""Distance to the first place that does not count, from which on the facets of the known head are smoothed away, and
+the share of the squared distance below which weights then hardly grow. Denser places, as on lids and lips, are followed
+more closely, so that a cheek has no facets and a lip stays sharp."""
+_FLATNESS = 0.05
+"""Added to the diagonal of the local fit, relative to its trace, as the nearest places lie almost in a plane."""
 _CHUNK = 4_000
 """Number of vertices processed at a time, which fit into the CPU's second-level cache."""
 
@@ -79,16 +86,43 @@ class ExpressionModel:
         """
         places = _normalised(vertices, landmarks)
         moving = np.flatnonzero(region_weights.any(axis=0))
-        # Warp the vertices to the known head, and average over the nearest places of the same region.
-        warped = Warp(places[landmarks], self.landmarks)(places[moving])
-        known = NearestPoints(_with_sides(self.places, self.sides))
-        nearest, squared = known.query(_with_sides(warped, _sides(region_weights)[moving]), _NEIGHBOURS)
-        closeness = 1.0 / (squared + 1e-6)
-        closeness /= closeness.sum(axis=1, keepdims=True)
         features = np.zeros((len(places), self.features.shape[1]), dtype=np.float32)
-        for start in range(0, len(moving), _CHUNK):
+        features[moving] = self._at(places[moving], _sides(region_weights)[moving], places[landmarks])
+        return features
+
+    def joined(self, other: ExpressionModel) -> ExpressionModel:
+        """Return a model whose correlations are the means of those of two models.
+
+        Parameters
+        ----------
+        other : ExpressionModel
+            The other model; its features are transferred to the places of this one, which is the more accurate here.
+
+        Returns
+        -------
+        ExpressionModel
+            The model, with the features of both side by side.
+        """
+        features = np.concatenate([self.features, other._at(self.places, self.sides, self.landmarks)], axis=1)
+        return replace(self, features=np.float32(np.sqrt(0.5)) * features)
+
+    def _at(self, places: FloatArray, sides: FloatArray, landmarks: FloatArray) -> NDArray[np.float32]:
+        """Features (V, K) at `places` (V, 3) with `sides` (V, 3) of a head whose landmarks lie at `landmarks` (66, 3).
+
+        The places are warped to the known head, where the features are interpolated between the nearest places of the
+        same region by moving least squares of first order (Lancaster and Salkauskas 1981). A mean by inverse distances
+        would be simpler, but it is flat at each place and jumps where the nearest ones change, which shows as ripples
+        on a dense mesh.
+        """
+        warped = Warp(landmarks, self.landmarks)(places).astype(np.float32)
+        known = NearestPoints(_with_sides(self.places, self.sides))
+        nearest, squared = known.query(_with_sides(warped, sides), _NEIGHBOURS + 1)
+        features = np.empty((len(places), self.features.shape[1]), dtype=np.float32)
+        for start in range(0, len(places), _CHUNK):
             part = slice(start, start + _CHUNK)
-            features[moving[part]] = np.einsum("vn,vnk->vk", closeness[part], self.features[nearest[part]])
+            rows = nearest[part, :_NEIGHBOURS]
+            weights = _smooth_weights(self.places[rows] - warped[part, None], squared[part])
+            features[part] = (weights[:, None] @ self.features[rows])[:, 0]
         return features
 
 
@@ -137,24 +171,26 @@ def learn(
     )
 
 
-def shipped_expressions() -> tuple[ExpressionModel, ...]:
-    """Return the models of the two known heads: ICT-FaceKit's and the built-in one."""
-    return load_expressions(), _built_in()
+@lru_cache(maxsize=1)
+def shipped_expressions() -> ExpressionModel:
+    """Return the model of the two known heads: the built-in one and ICT-FaceKit's."""
+    head = load_head()
+    return learn(head.vertices, head.landmarks, head.regions, head.units).joined(load_expressions())
 
 
 def learnt_covariance(
-    models: tuple[ExpressionModel, ...],
+    model: ExpressionModel,
     vertices: FloatArray,
     faces: IntArray,
     landmarks: IntArray,
     region_weights: FloatArray,
 ) -> SkinCovariance:
-    """Compute the covariance of the process on the skin plus the learnt correlation, averaged over models.
+    """Compute the covariance of the process on the skin plus the learnt correlation.
 
     Parameters
     ----------
-    models : tuple of ExpressionModel
-        Models of known heads.
+    model : ExpressionModel
+        Correlation of motion on known heads.
     vertices, faces, landmarks, region_weights
         As for `skin_covariance`.
 
@@ -169,9 +205,7 @@ def learnt_covariance(
     with features h (equation 5.7).
     """
     skin = skin_covariance(vertices, faces, landmarks, region_weights)
-    # Features side by side, scaled so that inner products are means over the models.
-    scale = np.float32(1.0 / np.sqrt(len(models)))
-    features = scale * np.concatenate([m.transfer(vertices, landmarks, region_weights) for m in models], axis=1)
+    features = model.transfer(vertices, landmarks, region_weights)
     places = _normalised(vertices, landmarks)
 
     def term(rows: IntArray) -> FloatArray:
@@ -202,12 +236,6 @@ def load_expressions(path: Path = EXPRESSIONS_FILE) -> ExpressionModel:
             features=archive.floats("features", (len(places), None), np.float32),
             landmarks=archive.floats("landmarks", (N_LANDMARKS, 3), np.float32),
         )
-
-
-@lru_cache(maxsize=1)
-def _built_in() -> ExpressionModel:
-    head = load_head()
-    return learn(head.vertices, head.landmarks, head.regions, head.units)
 
 
 def transferred(
@@ -241,6 +269,27 @@ def transferred(
     out = model.transfer(vertices, landmarks, region_weights).reshape(len(vertices), -1, 3).transpose(1, 0, 2)
     unit = outer_eye_distance(np.asarray(vertices, dtype=np.float64)[landmarks])
     return np.ascontiguousarray(out * np.float32(unit))
+
+
+def _smooth_weights(offsets: NDArray[np.float32], squared: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Weights (V, N) of known places at `offsets` (V, N, 3) from each vertex; they change smoothly with the vertex.
+
+    `squared` (V, N + 1) are the squared distances in the search, the last one of the first place that does not count.
+    """
+    share = squared[:, :-1] / np.maximum(squared[:, -1:], 1e-12)
+    level = _LEVEL * np.minimum(squared[:, -1:] / _FACET**2, 1.0) ** 2
+    near = np.square(1.0 - share) / (share + level + 1e-6)
+    near /= np.maximum(near.sum(axis=1, keepdims=True), 1e-12)
+    # A linear function fitted to the places with these weights, evaluated at the vertex.
+    middle = (near[:, None] @ offsets)[:, 0]
+    away = offsets - middle[:, None]
+    spread = (near[:, :, None] * away).transpose(0, 2, 1) @ away
+    extent = np.trace(spread, axis1=1, axis2=2) + np.float32(1e-12)
+    spread += (_FLATNESS * extent)[:, None, None] * np.eye(3, dtype=np.float32)
+    # Beyond the extent of the places themselves, a linear function would only magnify their differences.
+    aside = -middle * np.minimum(1.0, np.sqrt(extent / np.maximum(np.square(middle).sum(axis=1), 1e-12)))[:, None]
+    slope = np.linalg.solve(spread, aside[:, :, None])
+    return np.asarray(near * (1.0 + (away @ slope)[:, :, 0]))
 
 
 def _normalised(vertices: FloatArray, landmarks: IntArray) -> FloatArray:

@@ -23,7 +23,7 @@ def head_deformer(
     *,
     incremental: bool = False,
     exact: bool = False,
-    expressions: tuple[ExpressionModel, ...] | None = None,
+    expressions: ExpressionModel | None = None,
 ) -> RBFDeformer | IncrementalDeformer:
     """Prepare the deformer of a head.
 
@@ -35,8 +35,8 @@ def head_deformer(
         As in `DriveSettings`.
     incremental, exact : bool
         As in `DriveSettings`.
-    expressions : tuple of ExpressionModel, optional
-        Models of known heads for the informed kernel; by default the shipped ones.
+    expressions : ExpressionModel, optional
+        Correlation of motion on known heads for the informed kernel; by default the shipped one.
 
     Returns
     -------

@@ -86,7 +86,8 @@ class _Source:
     motions : (K, B, 3) float32
         Displacements of the vertices of the built-in head.
     shares : (K, 4) float64
-        Opening between each pair of lid landmarks as a share of that at rest; NaN where neither moves.
+        Opening between each pair of lid landmarks as a share of that at rest; 0 where lids overlap, NaN where neither
+        moves.
     gazes : (K, 2, 3, 3) float64
         Rotations of the right and left eye.
     """
@@ -99,8 +100,7 @@ class _Source:
     def of(cls, keys: KeySet) -> _Source:
         head, mixtures = load_head(), keys.mixtures
         motions = _mixed(mixtures, head.units)
-        shut = np.nanmin(_shares(head, head.units), axis=0)
-        return cls(motions, np.maximum(_shares(head, motions), shut), _gazes(head, mixtures))
+        return cls(motions, np.maximum(_shares(head, motions), 0.0), _gazes(head, mixtures))
 
 
 class _Maker:
