@@ -131,6 +131,7 @@ def _set_shading(scene: bpy.types.Scene, extent: float) -> None:
     shading.cavity_type = "WORLD"
     shading.cavity_valley_factor, shading.cavity_ridge_factor = 1.6, 0.0
     scene.display.matcap_ssao_distance = extent * _FOLD_SHARE
+    scene.display.matcap_ssao_samples = 8
     shading.show_shadows = False
     shading.show_object_outline = False
     shading.show_specular_highlight = True
