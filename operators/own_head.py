@@ -11,10 +11,12 @@ from ..blender.characters import read_bones
 from ..blender.heads.binding import (
     check_object,
     move_landmark,
+    placements,
     propose_head_regions,
     read_marks,
     search_character,
     selected_vertex,
+    turn_note,
     write_marks,
 )
 from ..blender.heads.eyes import open_eyes
@@ -50,15 +52,10 @@ def report_findings(operator: bpy.types.Operator, context: bpy.types.Context) ->
     return bool(findings)
 
 
-def _placements(context: bpy.types.Context) -> dict[bpy.types.Object, Matrix]:
-    """Return the world matrix of each mesh object."""
-    return {obj: obj.matrix_world.copy() for obj in context.view_layer.objects if obj.type == "MESH"}
-
-
 def _report_turn(operator: bpy.types.Operator, head: bpy.types.Object, before: dict[bpy.types.Object, Matrix]) -> None:
     """Report if `head` was rotated since its world matrix was as in `before`."""
-    if before.get(head) not in (None, head.matrix_world):
-        report(operator, f"{head.name}: the vertices now face -Y, and the object is rotated instead; it looks the same")
+    if note := turn_note(head, before):
+        report(operator, note)
 
 
 class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
@@ -95,7 +92,7 @@ class FACEMIME_OT_bind_keys(InObjectMode, OnMesh, bpy.types.Operator):
     bl_label = "Use Its Shape Keys"
 
     def work(self, context: bpy.types.Context) -> None:
-        active, before = context.active_object, _placements(context)
+        active, before = context.active_object, placements()
         head = bind_keys(active)
         _report_turn(self, head, before)
         active.select_set(False)
@@ -115,7 +112,7 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnMesh, bpy.types.O
 
     def steps(self, context: bpy.types.Context) -> Iterator[float]:
         """Search for the face in a thread, and bind what was found."""
-        active, before = context.active_object, _placements(context)
+        active, before = context.active_object, placements()
         head, binding = yield from in_background(search_character(active))
         if head != active:
             active.select_set(False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 
 import bpy
@@ -323,6 +324,19 @@ def _bound(
 
 def _is_small(rotation: NDArray[np.floating]) -> bool:
     return float(np.trace(rotation) - 1.0) / 2.0 >= _UPRIGHT
+
+
+def placements() -> dict[bpy.types.Object, Matrix]:
+    """Return the world matrix of each mesh object of the view layer."""
+    bpy.context.view_layer.update()
+    return {obj: obj.matrix_world.copy() for obj in bpy.context.view_layer.objects if obj.type == "MESH"}
+
+
+def turn_note(head: bpy.types.Object, before: Mapping[bpy.types.Object, Matrix]) -> str:
+    """Say that `head` was rotated since its world matrix was as in `before`; "" if it was not."""
+    if before.get(head) in (None, head.matrix_world):
+        return ""
+    return f"{head.name}: the vertices now face -Y, and the object is rotated instead; it looks the same"
 
 
 def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...blender.animation.sampling import Sampling
 from ...blender.characters import part_table, read_bones
-from ...blender.heads.binding import bind_character, check_object
+from ...blender.heads.binding import check_object
 from ...blender.heads.expression_keys import MadeKeys, make_expression_keys
 from ...blender.heads.landmark_pictures import draw_landmarks
 from ...core.binding.bind import Binding
@@ -21,7 +21,7 @@ from ...core.puppet.job import HeadFile
 from ...core.takes.take import Take
 from ..terminal.console import Progress, tell
 from ..terminal.stopping import STOPPING
-from .files import CUTS, likely_mesh, object_named, open_file, open_head
+from .files import CUTS, bound_character, likely_mesh, object_named, open_file, open_head
 from .headless import AVATAR_SIDE, save_blend
 
 
@@ -93,7 +93,7 @@ def bind(character: HeadFile, *, keys: KeySet | None, cut_open: bool = False) ->
     """
     open_file(character.path)
     chosen = object_named(character.path, character.name) if character.name else likely_mesh(character.path)
-    head, binding = bind_character(chosen)
+    head, binding = bound_character(chosen)
     for step in [finding.step for finding in check_object(head)] if cut_open else []:
         if (cut := CUTS.get(step)) is not None:
             cut(head)

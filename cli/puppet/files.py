@@ -10,13 +10,14 @@ import bpy
 import numpy as np
 
 from ...blender.characters import head_of
-from ...blender.heads.binding import bind_character, check_object
+from ...blender.heads.binding import bind_character, check_object, placements, turn_note
 from ...blender.heads.eyes import open_eyes
 from ...blender.heads.family import family_of
 from ...blender.heads.keyed import bind_keys, known_set
 from ...blender.heads.lips import open_lips
 from ...blender.media.rendering import quiet
 from ...blender.meshes import can_be_driven
+from ...core.binding.bind import Binding
 from ...core.capture import check_readable, require_utf8_name
 from ...core.errors import HeadError, SourceError
 from ...core.puppet.job import HeadFile
@@ -141,11 +142,20 @@ def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.
         head = bind_keys(chosen)
         tell(f"{head.name} is driven by its shape keys alone.")
         return head
-    head, _ = bind_character(chosen)
+    head, _ = bound_character(chosen)
     tell(f"Bound {head.name}. To see its parts and landmarks: facemime bind {path} -o HEAD.blend --picture FACE.png")
     if joined := [finding.problem for finding in check_object(head) if finding.step in CUTS]:
         tell(" ".join([*joined, f"To cut them open: facemime bind {path} -o HEAD.blend --cut-open"]))
     return head
+
+
+def bound_character(obj: bpy.types.Object) -> tuple[bpy.types.Object, Binding]:
+    """Bind the character of `obj`, and say if its mesh was rotated; result and errors are those of `bind_character`."""
+    before = placements()
+    head, binding = bind_character(obj)
+    if note := turn_note(head, before):
+        tell(f"{note}.")
+    return head, binding
 
 
 def _animated_frames() -> tuple[int, int] | None:

@@ -13,6 +13,7 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_landmarks, read_regions, read_selection, read_vertices
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig
+from facemime.cli.puppet.files import bound_character
 from facemime.core.binding.bind import MARKS
 from facemime.core.control_points.select import select_for_take, to_json
 from facemime.core.errors import HeadError
@@ -173,6 +174,14 @@ def test_the_turn_of_a_skinned_mesh_is_reported_and_its_armature_is_kept(capfd, 
     assert placed(armature) == place and f"{objects['head'].name}: {SAME}" in capfd.readouterr().out
     for name, obj in objects.items():
         np.testing.assert_allclose(shown(obj), before[name], atol=1e-5)
+
+
+def test_the_command_says_that_a_mesh_was_rotated(capfd):
+    objects = make_character(rig=True, y_up=True)
+    head, _ = bound_character(objects["head"])
+    assert f"{head.name}: {SAME}." in capfd.readouterr().err
+    bound_character(head)
+    assert SAME not in capfd.readouterr().err
 
 
 def y_up_mesh() -> bpy.types.Object:
