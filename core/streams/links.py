@@ -232,13 +232,8 @@ class _Connection:
     def take(self, largest: int) -> bytes | None:
         """Return the next message, or None until it is complete; OSError if the sender has gone, or sends too much."""
         while (wanted := self._wanted(largest)) > len(self._data):
-            try:
-                portion = self.socket.recv(max(_PORTION, wanted - len(self._data)))
-            except BlockingIOError:
+            if not self._read(max(_PORTION, wanted - len(self._data))):
                 return None
-            if not portion:
-                raise ConnectionError("the sender has ended")
-            self._data += portion
         message = bytes(self._data[LENGTH.size : wanted])
         del self._data[:wanted]
         return message
@@ -246,6 +241,17 @@ class _Connection:
     def close(self) -> None:
         """Close the connection."""
         self.socket.close()
+
+    def _read(self, size: int) -> bool:
+        """Read up to `size` bytes, and return whether any had come; ConnectionError if the sender has ended."""
+        try:
+            portion = self.socket.recv(size)
+        except BlockingIOError:
+            return False
+        if not portion:
+            raise ConnectionError("the sender has ended")
+        self._data += portion
+        return True
 
     def _wanted(self, largest: int) -> int:
         """Number of bytes of the next message, including its length."""
@@ -269,13 +275,8 @@ class _Terminated(_Connection):
         while (place := self._data.find(self._end)) < 0:
             if len(self._data) > largest:
                 raise ConnectionError("a message is too long")
-            try:
-                portion = self.socket.recv(_PORTION)
-            except BlockingIOError:
+            if not self._read(_PORTION):
                 return None
-            if not portion:
-                raise ConnectionError("the sender has ended")
-            self._data += portion
         message = bytes(self._data[:place])
         del self._data[: place + len(self._end)]
         return message
