@@ -208,6 +208,8 @@ def _templates(node: ast.expr, constants: dict[str, str]) -> Iterator[str]:
             yield from _templates(part, constants)
     elif isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
         yield node.value
+    elif isinstance(node, ast.Name) and " " in (text := constants.get(node.id, "")):
+        yield text
 
 
 def _template(node: ast.JoinedStr, constants: dict[str, str]) -> str:

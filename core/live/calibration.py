@@ -23,6 +23,7 @@ _MAX_MOTION = 0.02
 """Standard deviation of landmarks, in outer-eye distances, above which the performer has moved."""
 _MAX_YAW = np.radians(20.0)
 """Yaw in radians above which the head was turned."""
+_HARDLY_SEEN = "Your face was hardly visible. Look at the camera, with light from the front, and try again."
 
 
 @dataclass(frozen=True)
@@ -82,9 +83,7 @@ class NeutralCalibration:
         take = self._recorder.finish()
         found = take.found
         if found.sum() < _MIN_FRAMES:
-            return Quality(
-                False, "Your face was hardly visible. Look at the camera, with light from the front, and try again."
-            )
+            return Quality(False, _HARDLY_SEEN)
         if found.mean() < 0.8:
             return Quality(False, "Your face was lost for a while. Stay in view and try again.")
         shape = take.shape[found].astype(np.float64)
@@ -134,18 +133,14 @@ class RangeCalibration:
     def neutral(self) -> Neutral:
         """Return the neutral face with the range; SourceError if the face was hardly seen."""
         if len(self._shapes) < _MIN_FRAMES:
-            raise SourceError(
-                "Your face was hardly visible. Look at the camera, with light from the front, and try again."
-            )
+            raise SourceError(_HARDLY_SEEN)
         widest = float(np.sort(self._mouths)[-min(3, len(self._mouths))])
         return replace(self._neutral, shut=shut_level(self._neutral.shape, np.array(self._shapes)), open_mouth=widest)
 
     def quality(self) -> Quality:
         """Assess whether shut eyes and an open mouth were seen."""
         if len(self._shapes) < _MIN_FRAMES:
-            return Quality(
-                False, "Your face was hardly visible. Look at the camera, with light from the front, and try again."
-            )
+            return Quality(False, _HARDLY_SEEN)
         learnt = self.neutral()
         if learnt.shut == 0.0:
             return Quality(False, "No closed eyes seen. Close them for a second and try again.")
