@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..core.drive.key_sets import KEY_SETS
-from ..core.errors import FacemimeError
 from ..core.puppet.job import HeadFile
+from .terminal.blender import importing_blender
 from .terminal.console import say, tell
 from .terminal.options import Commands, add_command, add_output, head_file
 from .terminal.outputs import outputs_of
-from .terminal.stopping import STOPPING
 
 
 def add_commands(commands: Commands) -> None:
@@ -58,13 +57,8 @@ def run_bind(character: HeadFile, output: Path, picture: Path | None, *, make_ke
     cut_open : bool
         Whether joined lips and eyes are cut open.
     """
-    try:
-        with STOPPING.importing():
-            from .puppet import character as headless
-    except ImportError as error:
-        raise FacemimeError(
-            f"bind needs Blender ({error}). Run: blender --command facemime bind ..., or install bpy."
-        ) from error
+    with importing_blender("bind", "bind ..."):
+        from .puppet import character as headless
     with outputs_of(((output, {".blend"}), (picture, {".png"})), {"the character": character.path}):
         bound = headless.bind(character, keys=None if make_keys is None else KEY_SETS[make_keys], cut_open=cut_open)
         headless.save(bound, output)

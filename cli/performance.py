@@ -10,7 +10,6 @@ from pathlib import Path
 from time import monotonic
 
 from ..core.bake.key_map import ESSENTIAL
-from ..core.errors import FacemimeError
 from ..core.heads.appearance import Appearance, built_in_appearance
 from ..core.heads.rig import built_in_rig
 from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
@@ -22,6 +21,7 @@ from ..core.puppet.settings import PuppetSettings
 from ..core.takes.file import SUFFIX
 from ..core.takes.neutral import Neutral
 from ..core.tracking.settings import TrackingSettings
+from .terminal.blender import importing_blender
 from .terminal.console import Progress, tell
 from .terminal.options import add_face_option, add_settings, head_file, number
 from .terminal.stopping import STOPPING
@@ -114,16 +114,11 @@ def head_to_show(head: HeadFile | None) -> tuple[LiveHead, Appearance]:
     """
     if head is None:
         return LiveHead(built_in_rig()), built_in_appearance()
-    try:
-        with STOPPING.importing():
-            from ..blender.animation.appearance import read_appearance
-            from ..blender.animation.live_keys import AUTOMATIC, live_keys
-            from ..blender.rigs import read_rig
-            from .puppet.files import open_head
-    except ImportError as error:
-        raise FacemimeError(
-            f"--head needs Blender ({error}). Run: blender --command facemime ..., or install bpy."
-        ) from error
+    with importing_blender("--head"):
+        from ..blender.animation.appearance import read_appearance
+        from ..blender.animation.live_keys import AUTOMATIC, live_keys
+        from ..blender.rigs import read_rig
+        from .puppet.files import open_head
     obj = open_head(head, by_keys=ESSENTIAL)
     return LiveHead(read_rig(obj), keys=live_keys(obj, AUTOMATIC)), read_appearance(obj)
 

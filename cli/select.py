@@ -10,7 +10,6 @@ from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import parse_landmarks, select_for_take, to_json
 from ..core.control_points.settings import SelectionSettings
 from ..core.drive.settings import DriveSettings
-from ..core.errors import FacemimeError
 from ..core.files import replacing
 from ..core.heads.regions import REGIONS
 from ..core.heads.rig import HeadRig, built_in_rig
@@ -18,10 +17,18 @@ from ..core.landmarks import IBUG68_INDICES
 from ..core.puppet.job import HeadFile
 from ..core.settings import settings_of
 from ..core.takes.neutral import calibrate
+from .terminal.blender import importing_blender
 from .terminal.console import say, tell
-from .terminal.options import Commands, add_command, add_preset_option, add_settings, filled, head_file, number
+from .terminal.options import (
+    Commands,
+    add_command,
+    add_neutral_option,
+    add_preset_option,
+    add_settings,
+    filled,
+    head_file,
+)
 from .terminal.outputs import outputs_of
-from .terminal.stopping import STOPPING
 from .terminal.takes import load_with_warnings
 
 
@@ -70,12 +77,7 @@ def add_commands(commands: Commands) -> None:
     landmarks = {"type": parse_landmarks, "default": ()}
     select.add_argument("--add", **landmarks, metavar="17,19-21", help="landmarks to include, by iBUG number")
     select.add_argument("--remove", **landmarks, metavar="0-3,30", help="landmarks to exclude")
-    select.add_argument(
-        "--neutral",
-        type=number,
-        metavar="SECONDS",
-        help="start of a second in which the face is neutral (detected or estimated)",
-    )
+    add_neutral_option(select)
     select.set_defaults(run=lambda given: run_select(filled(SelectJob, given)))
 
 
@@ -112,14 +114,9 @@ def _rig_of(head: HeadFile) -> HeadRig:
     FacemimeError
         If Blender is missing, or the file has no head and no face.
     """
-    try:
-        with STOPPING.importing():
-            from ..blender.rigs import read_rig
-            from .puppet.files import open_head
-    except ImportError as error:
-        raise FacemimeError(
-            f"select --head needs Blender ({error}). Run: blender --command facemime select ..., or install bpy."
-        ) from error
+    with importing_blender("select --head", "select ..."):
+        from ..blender.rigs import read_rig
+        from .puppet.files import open_head
     return read_rig(open_head(head))
 
 

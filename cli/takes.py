@@ -26,10 +26,10 @@ from ..core.takes.smooth import CUTOFFS
 from ..core.takes.spreadsheet import to_csv
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
+from .terminal.blender import importing_blender
 from .terminal.console import tell
 from .terminal.options import Commands, add_command, add_output, add_settings, filled, head_file, number
 from .terminal.outputs import outputs_of
-from .terminal.stopping import STOPPING
 from .terminal.takes import load_with_warnings
 
 Span = tuple[float, float]
@@ -246,13 +246,8 @@ def run_import(source: HeadFile, output: Path) -> int:
 
 
 def _sampled(animation: HeadFile) -> Take:
-    try:
-        with STOPPING.importing():
-            from .puppet.character import sample
-    except ImportError as error:
-        raise FacemimeError(
-            f"An animation needs Blender ({error}). Run: blender --command facemime import ..., or install bpy."
-        ) from error
+    with importing_blender("An animation", "import ..."):
+        from .puppet.character import sample
     return sample(animation)
 
 

@@ -6,26 +6,25 @@ import os
 from pathlib import Path
 
 from ...core.capture import require_utf8_name
-from ...core.errors import FacemimeError
 from ...core.files import free_name, settle
 from ...core.puppet.job import PuppetJob
 from ...core.takes.file import SUFFIX, save_take
 from ...core.takes.smooth import smooth_take
 from ...core.tracking.settings import TrackingSettings
+from ..terminal.blender import importing_blender
 from ..terminal.options import (
     Commands,
     add_command,
     add_face_option,
+    add_neutral_option,
     add_output,
     add_preset_option,
     add_puppet_options,
     add_settings,
     filled,
-    number,
     puppet_job,
 )
 from ..terminal.outputs import outputs_of
-from ..terminal.stopping import STOPPING
 from ..terminal.takes import load_with_warnings
 from .tracked import INTERRUPTED_NAME, growing, keep_interrupted, place_beside, track, unfinished_beside
 
@@ -59,12 +58,7 @@ def add_commands(commands: Commands) -> None:
         "--gltf", type=Path, metavar="OUT.glb", help="also write the head and its animation for browsers and engines"
     )
     puppet.add_argument("--take", type=Path, metavar="TAKE.facetake", help="also write the take")
-    puppet.add_argument(
-        "--neutral",
-        type=number,
-        metavar="SECONDS",
-        help="start of a second in which the face is neutral (detected or estimated)",
-    )
+    add_neutral_option(puppet)
     add_preset_option(puppet)
     add_puppet_options(puppet)
     puppet.set_defaults(run=lambda given: run_puppet(puppet_job(given)))
@@ -109,13 +103,8 @@ def run_puppet(job: PuppetJob) -> int:
     FacemimeError
         If Blender is missing, or anything in the job cannot be read, written or driven.
     """
-    try:
-        with STOPPING.importing():
-            from . import headless
-    except ImportError as error:
-        raise FacemimeError(
-            f"puppet needs Blender ({error}). Run: blender --command facemime puppet ..., or install bpy."
-        ) from error
+    with importing_blender("puppet", "puppet ..."):
+        from . import headless
     unfinished = unfinished_beside(job.take or job.output)
     with outputs_of(job.outputs, job.inputs, *([unfinished] if job.tracks else [])):
         for path, _ in job.outputs:

@@ -121,6 +121,16 @@ def add_face_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_neutral_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the time of the neutral face in a take."""
+    parser.add_argument(
+        "--neutral",
+        type=number,
+        metavar="SECONDS",
+        help="start of a second in which the face is neutral (detected or estimated)",
+    )
+
+
 def add_key_option(parser: argparse.ArgumentParser) -> None:
     """Add the option for the shared key of Facemime's own protocol."""
     parser.add_argument("--key", type=Path, metavar="FILE", help="shared key, for Facemime's own protocol")
