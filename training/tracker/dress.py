@@ -13,11 +13,11 @@ import numpy as np
 
 from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT, JAW, LOWER_LIP, MOUTH_OUTER, UPPER_LIP, from_ibug
 
+from .drawing import line
+
 _UPPER_LIDS = tuple(from_ibug(numbers) for numbers in (range(36, 40), range(42, 46)))
 _LOWER_LIDS = tuple(from_ibug(numbers) for numbers in ((36, 41, 40, 39), (42, 47, 46, 45)))
 _NOSTRILS = from_ibug(range(31, 36))
-_SUBPIXEL = 4
-"""Fractional bits of the coordinates that are drawn."""
 
 
 def dress(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.random.Generator) -> np.ndarray:
@@ -56,11 +56,6 @@ def _blend(image: np.ndarray, mask: np.ndarray, level: np.ndarray | float, stren
     return out
 
 
-def _line(mask: np.ndarray, points: np.ndarray, thickness: int) -> None:
-    at = np.round(points * 2**_SUBPIXEL).astype(np.int32)
-    cv2.polylines(mask, [at], False, 255, thickness, cv2.LINE_AA, _SUBPIXEL)
-
-
 def _along(points: np.ndarray, count: int) -> np.ndarray:
     """Points (count, 2) spaced evenly along a curve through `points` (n, 2)."""
     x = np.linspace(0.0, len(points) - 1.0, count)
@@ -77,14 +72,14 @@ def _lashes(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.rando
         outwards = np.array([-1.0 if side == 0 else 1.0, 0.0])
         across = landmarks[upper[-1]] - landmarks[upper[0]]
         up = np.array([across[1], -across[0]]) / max(float(np.hypot(*across)), 1e-6)
-        _line(mask, np.vstack([curve, curve[-1] + wing * unit * (outwards + up)]) if side else curve, thick)
+        line(mask, np.vstack([curve, curve[-1] + wing * unit * (outwards + up)]) if side else curve, thick)
         middle = landmarks[eye].mean(axis=0)
         for root in curve:
             lean = 0.8 * (root - middle) / (0.15 * unit) * np.array([1.0, 0.0])
-            _line(mask, np.stack([root, root + length * (up + lean)]), 1)
+            line(mask, np.stack([root, root + length * (up + lean)]), 1)
         if below:
             for root in _along(landmarks[lower], 9):
-                _line(mask, np.stack([root, root - 0.5 * length * up]), 1)
+                line(mask, np.stack([root, root - 0.5 * length * up]), 1)
         lid = np.vstack([curve, curve[::-1] + up * unit * rng.uniform(0.04, 0.13)])
         cv2.fillPoly(shade, [np.round(lid).astype(np.int32)], 255)
     shade = cv2.GaussianBlur(shade, (0, 0), 0.02 * unit)
@@ -114,12 +109,12 @@ def _glasses(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.rand
         middle = landmarks[eye].mean(axis=0) + drop
         edge = middle + (outline * (narrow, 1.0)) @ turn
         cv2.fillPoly(lens, [np.round(edge).astype(np.int32)], 255)
-        _line(rim, edge[20:] if rimless else edge, thick)  # the upper half, or all round
+        line(rim, edge[20:] if rimless else edge, thick)  # the upper half, or all round
         middles.append(middle)
     inner = wide * narrow * along
-    _line(rim, np.stack([middles[0] + inner, middles[1] - inner]), thick)
+    line(rim, np.stack([middles[0] + inner, middles[1] - inner]), thick)
     for middle, way, end in ((middles[0], -1.0, landmarks[JAW[0]]), (middles[1], 1.0, landmarks[JAW[-1]])):
-        _line(rim, np.stack([middle + way * inner, end]), thick)
+        line(rim, np.stack([middle + way * inner, end]), thick)
     if rng.random() < 0.35:
         image = _blend(image, lens, rng.uniform(0.0, 255.0), rng.uniform(0.05, 0.45))
     if rng.random() < 0.35:

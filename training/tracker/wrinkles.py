@@ -9,7 +9,8 @@ import numpy as np
 
 from facemime.core.landmarks import from_ibug
 
-_SUBPIXEL = 4
+from .drawing import line
+
 _SHOWN, _FALSE = 0.7, 0.02
 """Share of actions that draw their creases, and of faces that have some without the action."""
 
@@ -60,8 +61,7 @@ def _carve(relief: np.ndarray, curve: np.ndarray, unit: float, depth: float, rng
     normal *= np.sign(normal[1]) or 1.0
     for shift, strength in ((0.0, -0.45), (1.8 * width + unit * 0.008, 0.15)):
         mask = np.zeros(relief.shape, np.uint8)
-        at = np.round((curve + shift * normal) * 2**_SUBPIXEL).astype(np.int32)
-        cv2.polylines(mask, [at], False, 255, width, cv2.LINE_AA, _SUBPIXEL)
+        line(mask, curve + shift * normal, width)
         relief += depth * strength / 255.0 * cv2.GaussianBlur(mask, (0, 0), soft).astype(np.float32) * 1.5
 
 
