@@ -38,9 +38,12 @@ def test_twenty_people_of_london_and_seven_of_canada_are_held_out() -> None:
     assert (sources.count("london"), sources.count("canada")) == (20, 7)
 
 
-def test_mirroring_labels_twice_restores_them() -> None:
-    landmarks = np.random.default_rng(0).uniform(0, 100, (66, 2))
-    np.testing.assert_allclose(mirrored(mirrored(landmarks, 120), 120), landmarks)
+def test_mirroring_a_labelled_image_twice_restores_it() -> None:
+    rng = np.random.default_rng(0)
+    image, landmarks = rng.integers(0, 255, (90, 120), np.uint8), rng.uniform(0, 100, (66, 2))
+    again, points = mirrored(*mirrored(image, landmarks))
+    np.testing.assert_array_equal(again, image)
+    np.testing.assert_allclose(points, landmarks)
 
 
 def test_mirroring_samples_twice_restores_them() -> None:

@@ -13,8 +13,8 @@ from facemime.core.tracking.pdm import PointDistributionModel
 from .dress import dress
 from .heads import IctHead, sample_expression, sample_speech
 from .organs import random_eyes
-from .reproject import Light, Scene, SkinnedHead, render, skin_head
-from .samples import SCALE, SIZE, Stack, backdrop, degrade, occlude, personal_expression, random_pose
+from .reproject import Scene, SkinnedHead, render, skin_head
+from .samples import SCALE, SIZE, Stack, backdrop, degrade, occlude, personal_expression, random_light, random_pose
 from .sources import Photo, mirrored
 from .wrinkles import crease
 
@@ -89,7 +89,7 @@ def action_samples(
     """Return `count` re-projections of one photo, the first `resting` of which show no expression."""
     grey, landmarks = photo.grey(), photo.landmarks
     if rng.random() < 0.5:
-        landmarks, grey = mirrored(landmarks, grey.shape[1]), np.ascontiguousarray(grey[:, ::-1])
+        grey, landmarks = mirrored(grey, landmarks)
     skinned = skin_head(head, model, grey, landmarks, acting=not photo.by_hand)
     rows = []
     for i in range(count):
@@ -102,8 +102,7 @@ def action_samples(
             _follow_gaze(head, expression, eyes.gaze)
         pose = random_pose(rng)
         pose[1:3] *= 0.75
-        lamp = rng.normal(0, 1, 3) * (1.0, 0.6, 0.4) + (0, -0.2, -0.7)
-        light = Light(rng.uniform(0.35, 1.0), rng.uniform(0.0, 0.9), lamp / np.linalg.norm(lamp))
+        light = random_light(rng, darkest=0.35, brightest=0.9)
         brightness = (0.6, 1.2) if rng.random() < _BRIGHT else (0.35, 0.75)
         scene = Scene(light, rng.uniform(0, 0.12), (0.0, 0.0), brightness, tongue, eyes)
         picture = render(head, skinned, expression, pose, SIZE, scene, rng)
@@ -155,10 +154,10 @@ def _sample_actions(
             sides = rng.uniform(0.8, 1.0, 2)
             if rng.random() < _ONE_SIDED:
                 sides[rng.integers(2)] = rng.uniform(0.0, 0.3)
-            weights[[head.index(f"{name}_{side}") for side in "RL"]] = amount * sides
+            weights[head.both(name)] = amount * sides
             if name == "cheekSquint":
-                weights[[head.index(f"cheekRaiser_{side}") for side in "RL"]] = amount * sides * rng.uniform(0.3, 1.0)
-    if max(weights[head.index(f"cheekPuff_{side}")] for side in "RL") > 0.3 or rng.random() < _SEALED:
+                weights[head.both("cheekRaiser")] = amount * sides * rng.uniform(0.3, 1.0)
+    if max(weights[head.both("cheekPuff")]) > 0.3 or rng.random() < _SEALED:
         _seal(head, weights, rng)
     tongue = 0.0
     if rng.random() < _BARED:
@@ -167,9 +166,9 @@ def _sample_actions(
         tongue = rng.uniform(0.15, 1.0)
         for name in ("mouthRollLower", "mouthRollUpper", "mouthPress_L", "mouthPress_R", "mouthClose"):
             weights[head.index(name)] = 0.0
-        weights[[head.index(f"cheekPuff_{side}") for side in "RL"]] *= 0.2
+        weights[head.both("cheekPuff")] *= 0.2
         weights[head.index("jawOpen")] = max(weights[head.index("jawOpen")], rng.uniform(0.15, 0.5))
-    brows = [[head.index(f"{name}_{side}") for side in "RL"] for name in _BROWS]
+    brows = [head.both(name) for name in _BROWS]
     if all(weights[each].any() for each in brows) and rng.random() < 0.8:  # both at once look like neither
         weights[brows[rng.integers(2)]] = 0.0
     shown = _activations(head, weights, tongue)
@@ -208,7 +207,7 @@ def _seal(head: IctHead, weights: np.ndarray, rng: np.random.Generator) -> None:
         sides = rng.uniform(0.85, 1.0, 2)
         if rng.random() < _ONE_SIDED:
             sides[rng.integers(2)] = rng.uniform(0.0, 0.2)
-        weights[[head.index(f"mouthPress_{side}") for side in "RL"]] = rng.uniform(0.4, 1.3) * sides
+        weights[head.both("mouthPress")] = rng.uniform(0.4, 1.3) * sides
     if 0.35 < kind < 0.8:
         both, amount = rng.random(), rng.uniform(0.3, 1.2)
         weights[head.index("mouthRollLower")] = amount * (both < 0.8)
@@ -219,10 +218,10 @@ def _bare(head: IctHead, weights: np.ndarray, rng: np.random.Generator) -> None:
     """Show teeth in place: lips apart, jaw more or less open, corners drawn aside."""
     for name in ("mouthRollLower", "mouthRollUpper", "mouthPress_L", "mouthPress_R", "mouthClose"):
         weights[head.index(name)] = 0.0
-    weights[[head.index(f"cheekPuff_{side}") for side in "RL"]] = 0.0
+    weights[head.both("cheekPuff")] = 0.0
     weights[head.index("jawOpen")] = rng.uniform(0.0, 0.7)
     for name, most in (("mouthUpperUp", 0.9), ("mouthLowerDown", 0.9), ("mouthSmile", 0.9), ("mouthStretch", 0.6)):
-        weights[[head.index(f"{name}_{side}") for side in "RL"]] = rng.uniform(0.0, most) * rng.uniform(0.7, 1.0, 2)
+        weights[head.both(name)] = rng.uniform(0.0, most) * rng.uniform(0.7, 1.0, 2)
 
 
 def _follow_gaze(head: IctHead, weights: np.ndarray, gaze: np.ndarray) -> None:

@@ -16,8 +16,8 @@ from facemime.core.tracking.pdm import PointDistributionModel
 from .checks import surface
 from .dress import dress
 from .heads import IctHead, sample_expression
-from .reproject import Light, Scene, render, skin_head
-from .samples import CENTRE, SCALE, SIZE, Stack, backdrop, canonical_photo, degrade, personal_expression
+from .reproject import Scene, render, skin_head
+from .samples import CENTRE, SCALE, SIZE, Stack, backdrop, canonical_photo, degrade, personal_expression, random_light
 from .sources import Photo
 
 SCENE = 160
@@ -71,8 +71,7 @@ def heads_of(head: IctHead, model: PointDistributionModel, photo: Photo, count: 
     for _ in range(count):
         yaw = rng.normal(0, 0.3) if rng.random() < 0.3 else rng.uniform(-_FARTHEST_YAW, _FARTHEST_YAW)
         pose = np.array([SCALE, np.clip(rng.normal(0, 0.3), -0.8, 0.8), yaw, 0.0, CENTRE, CENTRE])
-        lamp = rng.normal(0, 1, 3) * (1.0, 0.6, 0.4) + (0, -0.2, -0.5)
-        light = Light(rng.uniform(0.45, 1.0), rng.uniform(0.0, 0.8), lamp / np.linalg.norm(lamp))
+        light = random_light(rng, frontal=0.5)
         expression = personal_expression(head, skinned, rng, sample_expression)
         picture = render(head, skinned, expression, pose, SIZE, Scene(light, rng.uniform(0, 0.12)), rng)
         behind = backdrop(skinned, picture.landmarks, head, background_piece(grey, landmarks, rng), rng)

@@ -49,6 +49,10 @@ class IctHead:
         """Index of the expression `name`."""
         return self.names.index(name)
 
+    def both(self, name: str, sides: str = "RL") -> list[int]:
+        """Indices of the expression `name` of both sides, in that order."""
+        return [self.index(f"{name}_{side}") for side in sides]
+
 
 def load_ict(data: Path) -> IctHead:
     """Read ICT-FaceKit, converting its axes from y up, z to the camera, to y down, z away."""
@@ -133,7 +137,7 @@ def sample_speech(head: IctHead, rng: np.random.Generator) -> np.ndarray:
     weights[head.index("jawOpen")] = rng.uniform(0.08, 1.3)
     for name, probability in (("mouthLowerDown", 0.4), ("mouthUpperUp", 0.3), ("mouthStretch", 0.2)):
         if rng.random() < probability:
-            weights[[head.index(f"{name}_{side}") for side in "LR"]] = rng.random()
+            weights[head.both(name)] = rng.random()
     if rng.random() < 0.3:
         weights[head.index("mouthFunnel")] = rng.random()
     return weights
@@ -144,7 +148,7 @@ def sample_expression(head: IctHead, rng: np.random.Generator) -> np.ndarray:
     weights = np.zeros(len(head.names), np.float32)
     if rng.random() < 0.2:
         for name, (low, high) in _GRIN.items():
-            weights[[head.index(f"{name}_{side}") for side in "LR"]] = rng.uniform(low, high)
+            weights[head.both(name)] = rng.uniform(low, high)
         weights[head.index("jawOpen")] = rng.uniform(0.0, 0.35)
         if rng.random() < 0.6:
             return weights
@@ -163,7 +167,7 @@ def sample_expression(head: IctHead, rng: np.random.Generator) -> np.ndarray:
             weights[head.index(name)] = amount * side
     if surprised:
         for name, (low, high) in _SURPRISE.items():
-            weights[[head.index(f"{name}_{side}") for side in "LR"]] = rng.uniform(low, high) * rng.uniform(0.8, 1.0, 2)
+            weights[head.both(name, "LR")] = rng.uniform(low, high) * rng.uniform(0.8, 1.0, 2)
     # "mouthClose" brings the lips together over an open jaw; alone it would push them through each other.
     if rng.random() < 0.2:
         weights[head.index("mouthClose")] = weights[head.index("jawOpen")] * rng.random()

@@ -48,6 +48,11 @@ class Stack:
         return cls(**{f.name: raw[f.name] for f in fields(cls)})
 
     @classmethod
+    def load_all(cls, folder: Path) -> Self:
+        """Read and concatenate all parts in a folder, in the order of their numbers."""
+        return cls.join([cls.load(path) for path in sorted(folder.glob("*[0-9].npz"))])
+
+    @classmethod
     def join(cls, parts: list[Self]) -> Self:
         """Concatenate parts."""
         return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})
@@ -188,6 +193,14 @@ def random_pose(rng: np.random.Generator) -> np.ndarray:
     return np.array([SCALE, pitch, yaw, 0.0, CENTRE, CENTRE])
 
 
+def random_light(
+    rng: np.random.Generator, *, darkest: float = 0.45, brightest: float = 0.8, frontal: float = 0.7
+) -> Light:
+    """Light from above and the front, with at least `darkest` ambient and at most `brightest` directional light."""
+    lamp = rng.normal(0, 1, 3) * (1.0, 0.6, 0.4) + (0, -0.2, -frontal)
+    return Light(rng.uniform(darkest, 1.0), rng.uniform(0.0, brightest), lamp / np.linalg.norm(lamp))
+
+
 def render_samples(
     head: IctHead,
     model: PointDistributionModel,
@@ -201,15 +214,14 @@ def render_samples(
     """Return `count` re-projections of one photo; `speaking` with open mouths and tongues as bright as lips."""
     grey, landmarks = photo.grey(), photo.landmarks
     if rng.random() < 0.5:
-        landmarks, grey = mirrored(landmarks, grey.shape[1]), np.ascontiguousarray(grey[:, ::-1])
+        grey, landmarks = mirrored(grey, landmarks)
     skinned = skin_head(head, model, grey, landmarks, acting=not photo.by_hand)
     tongue = (0.4, 1.3) if speaking else (0.35, 0.75)
     rows = []
     for _ in range(count):
         expression = personal_expression(head, skinned, rng, sample_speech if speaking else sample_expression)
         pose = random_pose(rng)
-        lamp = rng.normal(0, 1, 3) * (1.0, 0.6, 0.4) + (0, -0.2, -0.7)
-        light = Light(rng.uniform(0.45, 1.0), rng.uniform(0.0, 0.8), lamp / np.linalg.norm(lamp))
+        light = random_light(rng)
         # Most eyes look about ahead; some into a corner, where the white of the eye is not a lid.
         gaze = tuple(rng.normal(0, 0.02 if rng.random() < 0.6 else 0.06, 2) * (1.0, 0.5))
         scene = Scene(light, rng.uniform(0, 0.12), gaze, tongue)
@@ -236,7 +248,7 @@ def personal_expression(
     """A random expression (E,), with blinks scaled so that 1 shuts this person's eyes."""
     expression = sample(head, rng)
     if rng.random() < 0.15:
-        expression[[head.index("eyeBlink_L"), head.index("eyeBlink_R")]] = 1.0
+        expression[head.both("eyeBlink")] = 1.0
     for side, shut in skinned.blink.items():
         expression[head.index(f"eyeBlink_{side}")] *= shut
         expression[head.index(f"eyeWide_{side}")] *= expression[head.index(f"eyeBlink_{side}")] < 0.1
@@ -250,9 +262,7 @@ def photo_samples(
     rows = []
     grey = photo.grey()
     for i in range(count):
-        points, picture = photo.landmarks, grey
-        if i % 2:
-            points, picture = mirrored(points, grey.shape[1]), np.ascontiguousarray(grey[:, ::-1])
+        picture, points = mirrored(grey, photo.landmarks) if i % 2 else (grey, photo.landmarks)
         image, landmarks, pose = canonical_photo(model, picture, points)
         image = degrade(image, rng) if i > 1 else image
         rows.append((image, landmarks, np.ones(len(landmarks), bool), pose, weight))

@@ -86,8 +86,8 @@ def split(photos: list[Photo]) -> tuple[list[Photo], list[Photo]]:
     return [p for p in photos if p.person not in held], [p for p in photos if p.person in held]
 
 
-def mirrored(landmarks: np.ndarray, width: int) -> np.ndarray:
-    """Landmarks (66, 2) of the image flipped left to right."""
+def mirrored(image: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The image (H, W) flipped left to right, and its landmarks (66, 2)."""
     flipped = landmarks[MIRROR].copy()
-    flipped[:, 0] = width - 1 - flipped[:, 0]
-    return flipped
+    flipped[:, 0] = image.shape[1] - 1 - flipped[:, 0]
+    return np.ascontiguousarray(image[:, ::-1]), flipped

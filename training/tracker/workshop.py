@@ -167,7 +167,7 @@ class Workshop:
 
     def samples(self) -> Samples:
         """All training images."""
-        return Samples.join([Samples.load(p) for p in sorted((self.work / "samples").glob("*[0-9].npz"))])
+        return Samples.load_all(self.work / "samples")
 
     def network(self, name: str) -> bytes:
         """The face's network, or that of one of `PARTS`, in ONNX."""
@@ -200,8 +200,7 @@ class Workshop:
             from .learn import Course, train_actions
             from .networks import ActionNetwork, to_onnx
 
-            files = sorted((self.work / "actions").glob("*[0-9].npz"))
-            samples, part = ActionSamples.join([ActionSamples.load(p) for p in files]), ACTION_PARTS[name]
+            samples, part = ActionSamples.load_all(self.work / "actions"), ACTION_PARTS[name]
             rng = np.random.default_rng((SEED, 32, len(name)))
             draw = partial(draw_actions, samples, part, ACTION_BATCH, rng)
             course = Course(ACTION_STEPS, path.with_suffix(".pt"), path.stem)
@@ -227,7 +226,7 @@ class Workshop:
             from .networks import DetectorNetwork, to_onnx
 
             rng = np.random.default_rng((SEED, 41))
-            heads = Heads.join([Heads.load(p) for p in sorted((self.work / "detection").glob("*[0-9].npz"))])
+            heads = Heads.load_all(self.work / "detection")
             scenes = Scenes(heads, surfaces(self.photos(), rng), rng)
             course = Course(DETECTOR_STEPS, path.with_suffix(".pt"), path.stem)
             network = train_detector(DetectorNetwork(len(OUTPUTS)), lambda: scenes.draw(DETECTOR_BATCH), course)
