@@ -84,7 +84,7 @@ def _height_over_cut(points: NDArray[np.float64]) -> NDArray[np.float64]:
 def face_charts(base: BaseMesh, points: NDArray[np.float64]) -> NDArray[np.int64]:
     """Chart of every face of the head, (F,), -1 elsewhere: islands of the native texture layout."""
     island = _uv_islands(base)
-    faces = np.flatnonzero(base.face_group == "body")
+    faces = np.flatnonzero(base.groups == "body")
     chart = np.full(len(base.faces), -1)
     skin_seed, lip_seed, eye_seed = 164, 588, 7788
     seeds = {FACE: skin_seed, CAVITY: lip_seed, SOCKET: eye_seed}
@@ -95,7 +95,7 @@ def face_charts(base: BaseMesh, points: NDArray[np.float64]) -> NDArray[np.int64
             numbers -= {int(island[base.face_uv[f, 0]]) for f in faces[chart[faces] == FACE]}
         chart[faces[np.isin(island[base.face_uv[faces, 0]], list(numbers))]] = kind
     centre = points[base.faces].mean(axis=1)
-    neck = (chart < 0) & (base.face_group == "body") & (np.abs(centre[:, 0]) < 0.11)
+    neck = (chart < 0) & (base.groups == "body") & (np.abs(centre[:, 0]) < 0.11)
     chart[neck & ~_below_cut(points)[base.faces].all(axis=1)] = NECK
     return chart
 

@@ -68,7 +68,7 @@ def build_parts(
 
 
 def _group(base: BaseMesh, name: str) -> NDArray[np.int64]:
-    return np.unique(base.faces[base.face_group == name])
+    return np.unique(base.faces[base.groups == name])
 
 
 def _rigid(rest: Points, offsets: Points) -> tuple[Points, Points]:
@@ -188,7 +188,7 @@ def _grid(rows: int, columns: int, *, flip: bool) -> tuple[NDArray[np.int64], ND
 
 
 def _tongue(base: BaseMesh, points: Points, units: list[Points], tongue_out: int, hinge: Points) -> Part:
-    chosen = base.face_group == "helper-tongue"
+    chosen = base.groups == "helper-tongue"
     rows = np.unique(base.faces[chosen])
     number = np.full(len(points), -1)
     number[rows] = np.arange(len(rows))

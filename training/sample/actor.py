@@ -117,7 +117,7 @@ def build_actor(source: Source, skin: Path) -> Actor:
     texture = _texture(points, skins["head"], ear, points[landmarks], skin)
     head_faces = base.faces[chart == FACE]
     lifted = points + crop_lift(points, ear, complexion.MAN)[:, None] * vertex_normals(points, head_faces)
-    shirt = base.face_group == "helper-tights"
+    shirt = base.groups == "helper-tights"
     rows = np.unique(base.faces[shirt])
     lifted[rows] += 0.004 * vertex_normals(points, base.faces[shirt])[rows]
     return Actor(
@@ -136,8 +136,8 @@ def _skins(base: BaseMesh, points: NDArray[np.float64], chart: NDArray[np.int64]
     centre = points[base.faces].mean(axis=1)
     near = (centre[:, 1] < 0.36) & (np.abs(centre[:, 0]) < 0.40)
     neckline = centre[:, 1] + 0.75 * (centre[:, 2] + 0.02)
-    body = (base.face_group == "body") & (chart < 0) | (chart == NECK)
-    shirt = (base.face_group == "helper-tights") & near & (neckline > 0.152)
+    body = (base.groups == "body") & (chart < 0) | (chart == NECK)
+    shirt = (base.groups == "helper-tights") & near & (neckline > 0.152)
     skins = {
         "head": chart == FACE,
         "flesh": (chart == CAVITY) | (chart == SOCKET),
