@@ -1,8 +1,9 @@
 """Registration of a module's classes, properties, handlers and timers with Blender.
 
 A module declares them by name. `CLASSES` are registered in order; `POINTERS` are (Blender type, name, property group);
-`HANDLERS` maps names in `bpy.app.handlers` to functions; `TIMERS` are functions that `watch` may have started. For
-anything else a module defines `register`, which is called last, and `unregister`, which is called first.
+`HANDLERS` maps names in `bpy.app.handlers` to functions; `OVERLAYS` maps functions that draw in all 3D Viewports to the
+moment when they do; `TIMERS` are functions that `watch` may have started. For anything else a module defines
+`register`, which is called last, and `unregister`, which is called first.
 """
 
 from collections.abc import Callable
@@ -14,6 +15,9 @@ from bpy.props import PointerProperty
 
 from .messages import CONTEXT
 
+_overlays: dict[Callable[[], None], object] = {}
+"""Blender's handles of the functions that draw."""
+
 
 def register_module(module: ModuleType) -> None:
     """Register a module with Blender."""
@@ -24,6 +28,8 @@ def register_module(module: ModuleType) -> None:
         setattr(owner, name, PointerProperty(type=group))
     for name, handler in getattr(module, "HANDLERS", {}).items():
         getattr(bpy.app.handlers, name).append(handler)
+    for draw, moment in getattr(module, "OVERLAYS", {}).items():
+        _overlays[draw] = bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", moment)
     if hasattr(module, "register"):
         module.register()
 
@@ -46,6 +52,8 @@ def unregister_module(module: ModuleType) -> None:
         unwatch(step)
     for name, handler in getattr(module, "HANDLERS", {}).items():
         getattr(bpy.app.handlers, name).remove(handler)
+    for draw in getattr(module, "OVERLAYS", ()):
+        bpy.types.SpaceView3D.draw_handler_remove(_overlays.pop(draw), "WINDOW")
     for owner, name, _ in getattr(module, "POINTERS", ()):
         delattr(owner, name)
     for cls in reversed(getattr(module, "CLASSES", ())):

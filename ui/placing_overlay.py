@@ -28,12 +28,6 @@ _LINE = (0.85, 0.85, 0.85, 0.9)
 _DOT = 5.0
 
 
-class _Overlay:
-    """The draw handler."""
-
-    handle: object = None
-
-
 @lru_cache(maxsize=1)
 def _outline() -> NDArray[np.float64]:
     """(66, 2) landmarks of the built-in head from the front, y up, with a height of 1 and its middle at the bottom."""
@@ -94,12 +88,4 @@ def _draw_guide(context: bpy.types.Context, placing: Placing, scale: float) -> N
     draw_text(text, (corner[0], corner[1] + size + 12 * scale), 14 * scale, WHITE)
 
 
-def register() -> None:
-    """Add the draw handler to all 3D Viewports."""
-    _Overlay.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
-
-
-def unregister() -> None:
-    """Remove the draw handler."""
-    bpy.types.SpaceView3D.draw_handler_remove(_Overlay.handle, "WINDOW")
-    _Overlay.handle = None
+OVERLAYS = {_draw: "POST_PIXEL"}

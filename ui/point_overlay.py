@@ -17,12 +17,6 @@ _RADIUS, _SMALL_RADIUS, _RIM = 4.5, 2.5, 1.5
 _GREY, _SELECTED_COLOUR, _RIM_COLOUR = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0), (0.05, 0.05, 0.05)
 
 
-class _Overlay:
-    """The draw handler."""
-
-    handle: object = None
-
-
 def _draw() -> None:
     context = bpy.context
     obj, steps = context.active_object, context.scene.facemime_steps
@@ -93,12 +87,4 @@ def rimmed(
     return [dot(place, radius + _RIM * scale, _RIM_COLOUR), dot(place, radius, colour)]
 
 
-def register() -> None:
-    """Add the draw handler to all 3D Viewports."""
-    _Overlay.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
-
-
-def unregister() -> None:
-    """Remove the draw handler."""
-    bpy.types.SpaceView3D.draw_handler_remove(_Overlay.handle, "WINDOW")
-    _Overlay.handle = None
+OVERLAYS = {_draw: "POST_PIXEL"}

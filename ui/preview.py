@@ -23,9 +23,8 @@ _RED = (1.0, 0.25, 0.2, 1.0)
 
 
 class _Preview:
-    """The texture of the newest image, and the draw handler."""
+    """The texture of the newest image."""
 
-    handle: object = None
     texture: object = None
     number = -1
 
@@ -86,12 +85,9 @@ def _draw_recording(span: tuple[float, float], height: float, seconds: float, sc
     draw_text(text, (sum(span) / 2, height - 70 * scale), 20 * scale, _RED, centred=True)
 
 
-def register() -> None:
-    """Add the draw handler to all 3D Viewports."""
-    _Preview.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
+OVERLAYS = {_draw: "POST_PIXEL"}
 
 
 def unregister() -> None:
-    """Remove the draw handler."""
-    bpy.types.SpaceView3D.draw_handler_remove(_Preview.handle, "WINDOW")
-    _Preview.handle = _Preview.texture = None
+    """Free the texture."""
+    _Preview.texture = None

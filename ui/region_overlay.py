@@ -25,9 +25,8 @@ _SLOW, _PAUSE = 0.02, 1.0
 
 
 class _Cache:
-    """The data read from the mesh, and the draw handler."""
+    """The data read from the mesh."""
 
-    handle: object = None
     key: tuple = ()
     stale = True
     triangles: np.ndarray
@@ -144,14 +143,9 @@ def _on_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 
 
 HANDLERS = {"depsgraph_update_post": _on_update}
-
-
-def register() -> None:
-    """Add the draw handler to all 3D Viewports."""
-    _Cache.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
+OVERLAYS = {_draw: "POST_VIEW"}
 
 
 def unregister() -> None:
-    """Remove the draw handler."""
-    bpy.types.SpaceView3D.draw_handler_remove(_Cache.handle, "WINDOW")
-    _Cache.handle, _Cache.key, _Cache.batch_parts = None, (), ()
+    """Free what was read."""
+    _Cache.key, _Cache.batch_parts = (), ()
