@@ -219,6 +219,25 @@ def eye_vertices(obj: bpy.types.Object) -> NDArray[np.intp]:
     return np.array(within, dtype=np.intp)
 
 
+def group_weights(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
+    """Return (V,) weights of the vertex group `name` of `obj`; 0 if there is none.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        A mesh.
+    name : str
+        Name of a vertex group.
+    """
+    weights = np.zeros(len(obj.data.vertices), dtype=np.float32)
+    if (group := obj.vertex_groups.get(name)) is not None:
+        for vertex in obj.data.vertices:
+            for element in vertex.groups:
+                if element.group == group.index:
+                    weights[vertex.index] = element.weight
+    return weights
+
+
 def read_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
     """Return (3, V) weights of the upper, middle and lower region; raises HeadError if one is missing or empty."""
     weights = read_weights(obj, slice(None))

@@ -14,6 +14,7 @@ from ...core.bake.key_map import ESSENTIAL, best_preset
 from ...core.errors import HeadError
 from ..actions import Curve, remove_bake, remove_curves, write_curves
 from ..characters import Member, members_of
+from ..meshes import group_weights
 from ..names import BAKED_KEY_PREFIX, PART_PROPERTY
 
 
@@ -114,8 +115,7 @@ def read_keys(members: Sequence[Member]) -> MeshKeys:
     offsets = np.zeros((len(blocks), members[-1].part.stop, 3), dtype=np.float32)
     for row, found in zip(offsets, blocks.values(), strict=True):
         for member, block in found:
-            moved = _weights(member.obj, block) * (_points(block) - _points(block.relative_key))
-            row[member.part] = member.head_offsets(moved)
+            row[member.part] = member.head_offsets(_offsets(member.obj, block))
     first = [found[0][1] for found in blocks.values()]
     return MeshKeys(
         names=tuple(blocks),
@@ -219,17 +219,12 @@ def remove_baked_keys(obj: bpy.types.Object) -> None:
         obj.shape_key_remove(key)
 
 
-def _weights(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> NDArray[np.float32]:
-    """Return (V, 1) weights of the vertices in the vertex group of `key`; 1 if it has none."""
-    group = obj.vertex_groups.get(key.vertex_group)
-    if group is None:
-        return np.ones((len(key.points), 1), dtype=np.float32)
-    weights = np.zeros((len(key.points), 1), dtype=np.float32)
-    for vertex in obj.data.vertices:
-        for element in vertex.groups:
-            if element.group == group.index:
-                weights[vertex.index] = element.weight
-    return weights
+def _offsets(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> NDArray[np.float32]:
+    """Return (V, 3) displacements by a key at value 1 in Blender's axes, scaled by its vertex group if it has one."""
+    offsets = _points(key) - _points(key.relative_key)
+    if key.vertex_group in obj.vertex_groups:
+        offsets *= group_weights(obj, key.vertex_group)[:, None]
+    return offsets
 
 
 def _points(key: bpy.types.ShapeKey) -> NDArray[np.float32]:

@@ -18,11 +18,11 @@ from ...core.heads.rig import neck_of
 from ...core.heads.sorting import names_body
 from ..characters import head_of, write_bones, write_kinds
 from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
-from ..meshes import driven_by_keys, is_head, mesh_of, read_vertices
+from ..meshes import driven_by_keys, group_weights, is_head, mesh_of, read_vertices
 from ..names import BAKED_KEY_PREFIX, COUNT_PROPERTY, HEAD_PROPERTY, KEYS_PROPERTY, PIVOT_PROPERTY
 from .binding import turn_mesh
 from .family import armature_of, family_of
-from .parts import bones_of, group_weights
+from .parts import bones_of
 
 _STILL = 1e-6
 """Displacement, as a fraction of the size of a mesh, below which a vertex is at rest."""

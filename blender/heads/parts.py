@@ -21,7 +21,7 @@ from ...core.mesh.nearest import NearestPoints
 from ...core.mesh.pieces import border_twins, islands
 from ..characters import objects_of, read_kinds, rest_matrix, write_bones, write_kinds
 from ..frames import from_blender, to_blender
-from ..meshes import read_faces, read_landmarks, read_vertices
+from ..meshes import group_weights, read_faces, read_landmarks, read_vertices
 from ..names import HEAD_PROPERTY, PIVOT_PROPERTY
 from .family import armature_of, family_of, material_names
 
@@ -241,25 +241,6 @@ def _owners(group: _Pieces, armature: bpy.types.Object | None, bones: FaceBones)
         best = max(means, key=lambda name: means[name])
         owners.append(best if means[best] > _OWN_SHARE else "")
     return owners
-
-
-def group_weights(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
-    """Return (V,) weights of the vertex group `name` of `obj`; 0 if there is none.
-
-    Parameters
-    ----------
-    obj : bpy.types.Object
-        A mesh.
-    name : str
-        Name of a vertex group.
-    """
-    weights = np.zeros(len(obj.data.vertices), dtype=np.float32)
-    if (group := obj.vertex_groups.get(name)) is not None:
-        for vertex in obj.data.vertices:
-            for element in vertex.groups:
-                if element.group == group.index:
-                    weights[vertex.index] = element.weight
-    return weights
 
 
 def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmarks: IntArray) -> FaceBones:
