@@ -1,4 +1,4 @@
-"""Free space for a new object."""
+"""Free space for a new object, and its selection."""
 
 from __future__ import annotations
 
@@ -11,6 +11,14 @@ _GAP = 2.0
 """Space between two objects, relative to the width of the new one: a view of it does not show the other."""
 _SURROUNDINGS = 20.0
 """Objects larger than the new one by this factor are taken to surround it, such as a room, a ground or a sky."""
+
+
+def select_alone(context: bpy.types.Context, obj: bpy.types.Object) -> None:
+    """Select an object and nothing else, and make it active."""
+    for other in context.selected_objects:
+        other.select_set(False)
+    obj.select_set(True)
+    context.view_layer.objects.active = obj
 
 
 def free_place(context: bpy.types.Context, obj: bpy.types.Object, place: Vector) -> Vector:

@@ -10,6 +10,7 @@ from ...core.heads.built_in import WOMAN_FILE, HeadPart, load_head
 from ..frames import to_blender
 from ..meshes import write_landmarks, write_regions
 from ..names import PART_OBJECTS, PART_PROPERTY, TONGUE_KEY, UV_MAP
+from ..placement import select_alone
 from .attached import attach
 from .materials import head_materials
 
@@ -60,10 +61,7 @@ def add_head(
         for obj, part in zip(parts, head.parts, strict=True):
             if part.name == "tongue":
                 _add_units(obj, part.vertices - part.pivot, (TONGUE_KEY,), part.units[out : out + 1])
-    for other in context.selected_objects:
-        other.select_set(False)
-    skin.select_set(True)
-    context.view_layer.objects.active = skin
+    select_alone(context, skin)
     return skin
 
 

@@ -12,6 +12,7 @@ from ...core.errors import SourceError
 from ...core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
 from ..frames import to_blender
 from ..names import UV_MAP
+from ..placement import select_alone
 
 MILLIMETRE = 0.001
 _READERS = {".tri": read_tri, ".obj": read_obj}
@@ -41,10 +42,7 @@ def import_facegen(context: bpy.types.Context, path: Path, scale: float = MILLIM
     obj = bpy.data.objects.new(path.stem, mesh)
     context.collection.objects.link(obj)
     _add_keys(obj, head.vertices, (*head.morphs, *modes), scale)
-    for other in context.selected_objects:
-        other.select_set(False)
-    obj.select_set(True)
-    context.view_layer.objects.active = obj
+    select_alone(context, obj)
     return obj
 
 
