@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from .errors import OutputError, SourceError
-from .reading import as_object, parse_json, shown
+from .reading import as_object, parse_format, shown
 from .settings import Setting
 
 SUFFIX = ".json"
@@ -49,9 +49,7 @@ def from_json(text: str, known: Settings) -> Values:
         If the text is not a preset, or a value is out of its range.
     """
     try:
-        data = as_object(parse_json(text), "the text")
-        if data.get("format") != _FORMAT:
-            raise ValueError("its format is different")
+        data = parse_format(text, _FORMAT)
         if not data.keys() & known.keys():
             raise ValueError("it has no settings")
         return {

@@ -81,6 +81,34 @@ def parse_json(text: str | bytes, *, nan: bool = False) -> Any:
         raise ValueError(f"it is not JSON: {error.msg} in line {error.lineno}") from error
 
 
+def parse_format(text: str | bytes, form: str, *, nan: bool = False) -> dict[str, Any]:
+    """Parse a JSON object that states its format.
+
+    Parameters
+    ----------
+    text : str or bytes
+        The text.
+    form : str
+        Expected value of its member "format".
+    nan : bool
+        As for `parse_json`.
+
+    Returns
+    -------
+    dict
+        The object.
+
+    Raises
+    ------
+    ValueError
+        If the text is anything else.
+    """
+    data = as_object(parse_json(text, nan=nan), "the text")
+    if data.get("format") != form:
+        raise ValueError("its format is different")
+    return data
+
+
 def as_number(value: Any, name: str, low: float, high: float) -> float:
     """Return `value` if it is a number within a range.
 

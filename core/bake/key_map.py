@@ -19,7 +19,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..assets import ASSETS
 from ..errors import SourceError
-from ..reading import as_list, as_number, as_object, as_text, parse_json, read_text, shown
+from ..reading import as_list, as_number, as_object, as_text, parse_format, parse_json, read_text, shown
 from .arkit import COEFFICIENTS
 from .least_squares import bounded_least_squares
 
@@ -145,9 +145,7 @@ class KeyMap:
 def from_json(text: str) -> KeyMap:
     """Parse a key mapping; SourceError if `text` is anything else."""
     try:
-        data = as_object(parse_json(text), "the text")
-        if data.get("format") != _FORMAT:
-            raise ValueError("its format is different")
+        data = parse_format(text, _FORMAT)
         rows = as_list(data.get("rows"), "rows", _MAX_ROWS)
         return KeyMap(as_text(data.get("name"), "name"), tuple(_row(as_object(row, "a row")) for row in rows))
     except ValueError as error:

@@ -18,7 +18,7 @@ from ..errors import HeadError, SourceError
 from ..heads.regions import REGIONS
 from ..heads.rig import HeadRig
 from ..landmarks import IBUG68_INDICES, N_LANDMARKS, from_ibug
-from ..reading import as_integer, as_list, as_number, as_object, as_text, parse_json, shown
+from ..reading import as_integer, as_list, as_number, as_object, as_text, parse_format, shown
 from ..takes.neutral import Neutral, calibrate
 from ..takes.take import Take
 from .greedy import GreedySelection, GreedyStep, greedy_select
@@ -120,9 +120,7 @@ def from_json(text: str) -> GreedySelection:
         If the text is anything else.
     """
     try:
-        data = as_object(parse_json(text, nan=True), "the text")
-        if data.get("format") != _FORMAT:
-            raise ValueError("its format is different")
+        data = parse_format(text, _FORMAT, nan=True)
         steps = as_list(data.get("steps"), "steps", _MAX_STEPS)
         reached = data.get("reached")
         if not isinstance(reached, bool):
