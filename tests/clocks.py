@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 
 from facemime.core.live.sources import Clock
 
 PATIENCE = 300.0
 """Seconds after which a test gives up; even a busy machine needs much less."""
+
+
+def wait_for(condition: Callable[[], object], meanwhile: Callable[[], object] = lambda: time.sleep(0.002)) -> None:
+    """Call `meanwhile` until `condition` holds."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        meanwhile()
 
 
 class EagerClock(Clock):

@@ -5,14 +5,17 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
 
 from clocks import PATIENCE
+from pytest import MonkeyPatch
 
 from facemime.core.live.outputs import Output
 from facemime.core.live.sources import LiveFrame
 from facemime.core.streams.sender import SendSettings, StreamSender
+from facemime.core.streams.settings import PROTOCOLS
 from facemime.core.streams.source import StreamSource
 from facemime.core.takes.file import TakeWriter, load_take
 from facemime.core.takes.from_coefficients import coefficient_face
@@ -26,6 +29,35 @@ def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
+
+
+class Phone(threading.Thread):
+    """A phone on a port of this computer, at which the sources of a protocol ask it from now on.
+
+    Parameters
+    ----------
+    monkeypatch : pytest.MonkeyPatch
+        Restores the protocol at the end.
+    protocol : str
+        Name of the protocol.
+    *ports : str
+        Fields of the protocol that become the phone's port.
+    """
+
+    def __init__(self, monkeypatch: MonkeyPatch, protocol: str, *ports: str) -> None:
+        super().__init__(daemon=True)
+        self._ended = threading.Event()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.02)
+        moved = dict.fromkeys(ports, self._socket.getsockname()[1])
+        monkeypatch.setitem(PROTOCOLS, protocol, replace(PROTOCOLS[protocol], **moved))
+
+    def close(self) -> None:
+        """End the phone."""
+        self._ended.set()
+        self.join()
+        self._socket.close()
 
 
 @contextmanager

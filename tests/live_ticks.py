@@ -4,8 +4,8 @@ import time
 from types import SimpleNamespace
 
 import bpy
+import clocks
 import numpy as np
-from clocks import PATIENCE, AskedClock
 
 from facemime.core.live.sources import PacedSource
 from facemime.operators.attached_parts import attend as attend_parts
@@ -19,7 +19,7 @@ CLICK = SimpleNamespace(type="LEFTMOUSE", value="PRESS", ctrl=False, oskey=False
 def let_a_frame_come() -> None:
     """Process one more frame of a running session's source."""
     session, clock = running(), PacedSource.pace
-    if session is not None and isinstance(session.worker.source, PacedSource) and isinstance(clock, AskedClock):
+    if session is not None and isinstance(session.worker.source, PacedSource) and isinstance(clock, clocks.AskedClock):
         clock.ask(lambda: session.worker.running)
     else:
         time.sleep(0.002)
@@ -39,7 +39,7 @@ def attend() -> None:
 
 def ticks_until(condition) -> None:
     """Send frames and ticks until `condition` holds or the operator has ended."""
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + clocks.PATIENCE
     while not condition():
         assert time.monotonic() < end, "waited in vain"
         let_a_frame_come()
@@ -50,7 +50,7 @@ def ticks_until(condition) -> None:
 
 def outcome_of_ticks() -> set[str]:
     """Send frames and ticks until the operator ends; returns its result."""
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + clocks.PATIENCE
     while True:
         assert time.monotonic() < end, "waited in vain"
         let_a_frame_come()
@@ -87,7 +87,4 @@ def some_frames() -> None:
 
 def wait_for(condition) -> None:
     """Send frames until the worker has reached a number."""
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        let_a_frame_come()
+    clocks.wait_for(condition, let_a_frame_come)

@@ -8,6 +8,7 @@ import pytest
 from facemime.core.streams.settings import StreamSettings
 from facemime.core.streams.source import StreamSource
 from facemime.core.takes.file import save_take
+from facemime.core.tracking.tracker import FaceTracker
 from links import free_port
 from takes import performance
 
@@ -17,6 +18,12 @@ def take(tmp_path) -> Path:
     """A take of 60 frames."""
     save_take(performance(), tmp_path / "take.facetake")
     return tmp_path / "take.facetake"
+
+
+@pytest.fixture(scope="module")
+def tracker() -> FaceTracker:
+    """A tracker with the shipped model, which the tests of a module share."""
+    return FaceTracker.load()
 
 
 @pytest.fixture

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import threading
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from clocks import PATIENCE, EagerClock
+from clocks import PATIENCE, EagerClock, wait_for
 
 import facemime
 from facemime.core.apertures import lid_gaps
@@ -185,14 +184,6 @@ def test_options_and_heads_may_change_and_deformers_are_reused():
     worker.heads = (LiveHead(rig, DriveSettings(kernel="gaussian")),)
     wait_for(lambda: worker._drivers.drivers[0].deformer is not deformer)
     worker.close()
-
-
-def wait_for(condition) -> None:
-    """Wait until `condition` holds."""
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.002)
 
 
 def test_calibration_uses_the_next_second_and_is_rejected_if_the_performer_moves():

@@ -1,9 +1,7 @@
 """Face Motion 3, used by newer phone apps, follows its specification, also with a phone on a real socket."""
 
 import json
-import socket
 import struct
-import threading
 
 import numpy as np
 import pytest
@@ -14,9 +12,8 @@ from facemime.core.rotation import from_face_axes
 from facemime.core.streams import ifacialmocap
 from facemime.core.streams.face_motion import REFUSALS, FaceMotionReceiver
 from facemime.core.streams.frames import PacketError
-from facemime.core.streams.settings import PROTOCOLS
 from facemime.core.streams.source import StreamSource
-from links import collected
+from links import Phone, collected
 from takes import coefficient_take
 
 # Written from the specification, revision 5: offsets and types of the header are its table in section 3.2.
@@ -210,20 +207,14 @@ def test_invalid_packets_are_refused_and_change_nothing(begun, packets):
     assert len(begun.receive(GOOD, 3.6)[0]) == 1
 
 
-class Phone(threading.Thread):
+class MotionPhone(Phone):
     """A phone that sends a second of coefficients: version 3 after HELLO if it is `new`, otherwise text after START."""
 
     def __init__(self, monkeypatch, protocol: str, *, new: bool, deaf: int = 0) -> None:
-        super().__init__(daemon=True)
+        super().__init__(monkeypatch, protocol, "phone_port", "motion_port")
         self.values = np.round(coefficient_take(12).coefficients, 2)
         self.heard: list[int] = []
-        self._new, self._deaf, self._ended = new, deaf, threading.Event()
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("127.0.0.1", 0))
-        self._socket.settimeout(0.02)
-        port = self._socket.getsockname()[1]
-        stated = PROTOCOLS[protocol].__dict__ | {"phone_port": port, "motion_port": port}
-        monkeypatch.setitem(PROTOCOLS, protocol, type(PROTOCOLS[protocol])(**stated))
+        self._new, self._deaf = new, deaf
 
     def run(self) -> None:
         number, where, sends, nonce = 0, None, False, None
@@ -257,13 +248,8 @@ class Phone(threading.Thread):
     def _send(self, packet: bytes, where) -> None:
         self._socket.sendto(packet, where)
 
-    def close(self) -> None:
-        self._ended.set()
-        self.join()
-        self._socket.close()
 
-
-def played_as_sent(source: StreamSource, phone: Phone) -> bool:
+def played_as_sent(source: StreamSource, phone: MotionPhone) -> bool:
     frames = collected(source, 20)
     at = int(np.abs(phone.values - frames[0].result.coefficients).max(axis=1).argmin())
     wanted = [phone.values[(at + number) % len(phone.values)] for number in range(20)]
@@ -272,7 +258,7 @@ def played_as_sent(source: StreamSource, phone: Phone) -> bool:
 
 @pytest.mark.parametrize("protocol", ["ifacialmocap", "facemotion3d"])
 def test_a_new_app_sends_version_3_until_the_session_is_ended(opened, monkeypatch, protocol):
-    phone = Phone(monkeypatch, protocol, new=True)
+    phone = MotionPhone(monkeypatch, protocol, new=True)
     phone.start()
     try:
         source = opened(protocol, phone="127.0.0.1")
@@ -286,7 +272,7 @@ def test_a_new_app_sends_version_3_until_the_session_is_ended(opened, monkeypatc
 
 
 def test_a_lost_acknowledgement_is_sent_again(opened, monkeypatch):
-    phone = Phone(monkeypatch, "ifacialmocap", new=True, deaf=1)
+    phone = MotionPhone(monkeypatch, "ifacialmocap", new=True, deaf=1)
     phone.start()
     try:
         assert played_as_sent(opened("ifacialmocap", phone="127.0.0.1"), phone)
@@ -296,7 +282,7 @@ def test_a_lost_acknowledgement_is_sent_again(opened, monkeypatch):
 
 
 def test_an_old_app_is_asked_for_its_text(opened, monkeypatch):
-    phone = Phone(monkeypatch, "ifacialmocap", new=False)
+    phone = MotionPhone(monkeypatch, "ifacialmocap", new=False)
     phone.start()
     try:
         assert played_as_sent(opened("ifacialmocap", phone="127.0.0.1"), phone)

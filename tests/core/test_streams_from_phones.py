@@ -2,7 +2,6 @@
 
 import json
 import socket
-import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -18,7 +17,7 @@ from facemime.core.streams import ifacialmocap, osc
 from facemime.core.streams.face_cap import NAMES
 from facemime.core.streams.settings import PROTOCOLS, StreamProtocol
 from facemime.core.takes.neutral import calibrate
-from links import collected, free_port, recorded, streamed
+from links import Phone, collected, free_port, recorded, streamed
 from takes import coefficient_take as acted
 
 
@@ -36,18 +35,13 @@ def phone_json(values: np.ndarray) -> bytes:
     return json.dumps(packet).encode()
 
 
-class Phone(threading.Thread):
+class AskedPhone(Phone):
     """A phone that sends only on request, to the address that the request came from."""
 
     def __init__(self, monkeypatch, protocol: str, packet, values: np.ndarray) -> None:
-        super().__init__(daemon=True)
+        super().__init__(monkeypatch, protocol, "phone_port")
         self.asked: list[bytes] = []
-        self._packet, self._values, self._ended = packet, values, threading.Event()
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("127.0.0.1", 0))
-        self._socket.settimeout(0.02)
-        changed = PROTOCOLS[protocol].__dict__ | {"phone_port": self._socket.getsockname()[1]}
-        monkeypatch.setitem(PROTOCOLS, protocol, type(PROTOCOLS[protocol])(**changed))
+        self._packet, self._values = packet, values
 
     def run(self) -> None:
         number, where = 0, None
@@ -59,11 +53,6 @@ class Phone(threading.Thread):
                 if where is not None:
                     self._socket.sendto(self._packet(self._values[number % len(self._values)]), where)
                     number += 1
-
-    def close(self) -> None:
-        self._ended.set()
-        self.join()
-        self._socket.close()
 
 
 STORED = 1e-5
@@ -83,7 +72,7 @@ def check_bake(frames: list[LiveFrame], values: np.ndarray, precision: float, fo
 )
 def test_a_phone_is_asked_to_send_and_its_faces_are_played(opened, monkeypatch, tmp_path, protocol, packet, precision):
     values = acted(12).coefficients
-    phone = Phone(monkeypatch, protocol, packet, values)
+    phone = AskedPhone(monkeypatch, protocol, packet, values)
     phone.start()
     try:
         source = opened(protocol, phone="127.0.0.1")
@@ -98,7 +87,7 @@ def test_a_phone_is_asked_to_send_and_its_faces_are_played(opened, monkeypatch, 
     assert phone.asked and (protocol != "vtubestudio" or json.loads(phone.asked[0])["ports"] == [source.address[1]])
 
 
-class ConnectingPhone(Phone):
+class ConnectingPhone(AskedPhone):
     """A phone that connects when it is asked to, and sends packets in pieces until it is asked to end."""
 
     def run(self) -> None:

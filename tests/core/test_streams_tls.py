@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from clocks import PATIENCE
+from clocks import PATIENCE, wait_for
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -78,13 +78,6 @@ def message_of(source: StreamSource) -> str:
     return source.message
 
 
-def waiting_for(condition) -> bool:
-    end = time.monotonic() + PATIENCE
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.01)
-    return bool(condition())
-
-
 @given(st.binary(min_size=16, max_size=16), st.binary(min_size=32, max_size=32), st.integers(1, 65535))
 def test_a_pairing_line_contains_the_whole_pairing(token, fingerprint, port):
     for host in ("192.168.1.7", "studio.example", "2001:db8::1"):
@@ -109,7 +102,7 @@ def test_landmarks_arrive_over_tls(identity, server):
     for frame in (frame for frame in frames if frame.result.found):
         assert np.nanmin(np.abs(take.shape - frame.result.shape).max(axis=(1, 2))) <= 2.0**-13
     assert all(after.time > before.time for before, after in pairwise(frames))
-    assert waiting_for(lambda: server.receivers == 0)
+    wait_for(lambda: server.receivers == 0)
 
 
 def test_another_certificate_is_refused_before_the_token_is_shown(identity, tmp_path):
@@ -237,7 +230,7 @@ def test_unknown_clients_that_send_nothing_or_too_much_do_not_block_others(ident
     silent = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(12)]
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-    assert waiting_for(lambda: server.refused >= 8)
+    wait_for(lambda: server.refused >= 8)
     for each in silent:
         each.close()
     with closing(opened(pairing_of(identity, server.port))) as source:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import time
 from contextlib import closing
 
 import numpy as np
 import pytest
-from clocks import PATIENCE
+from clocks import wait_for
 from vtube_studio import TOKEN, Studio, running
 
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
@@ -24,13 +23,6 @@ NAMES = (
     *("EyeRightY", "CheekPuff", "BrowLeftY", "BrowRightY", "MouthX"),
 )
 """The default parameters that Facemime sets."""
-
-
-def wait_for(condition) -> None:
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.01)
 
 
 def face(**values: float) -> FaceValues:

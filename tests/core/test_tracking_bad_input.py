@@ -24,11 +24,6 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def tracker() -> FaceTracker:
-    return FaceTracker.load()
-
-
-@pytest.fixture(scope="module")
 def face() -> np.ndarray:
     """A frame (480, 640, 3) with one face towards the camera."""
     _, frame = cv2.VideoCapture(str(CLIP)).read()

@@ -21,11 +21,6 @@ SAMPLE = Path(__file__).parents[2] / "assets" / "sample" / "sample.mp4"
 
 
 @pytest.fixture(scope="module")
-def tracker() -> FaceTracker:
-    return FaceTracker.load()
-
-
-@pytest.fixture(scope="module")
 def crowd() -> np.ndarray:
     """Three people side by side, the middle one the largest; x of their faces is about 130, 470 and 830."""
     frame = cv2.VideoCapture(str(SAMPLE)).read()[1]

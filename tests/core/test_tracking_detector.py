@@ -31,11 +31,6 @@ needs_photos = pytest.mark.skipif(not DATA.exists(), reason="the photographs of 
 CELLS = SCENE // STRIDE
 
 
-@pytest.fixture(scope="module")
-def tracker() -> FaceTracker:
-    return FaceTracker.load()
-
-
 class Stated:
     """Returns the outputs that the training asks of a network for a scene with one face."""
 

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,15 +12,9 @@ from facemime.core.landmarks import MIRROR, N_LANDMARKS, OUTER_EYE_CORNERS
 from facemime.core.tracking.mirror import mirror_result
 from facemime.core.tracking.pdm import PointDistributionModel
 from facemime.core.tracking.result import TrackResult
-from facemime.core.tracking.tracker import FaceTracker
 
 CLIP = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
 FIELDS = ("landmarks", "pose", "shape_params", "shape", "landmark_confidence", "pupils", "gaze")
-
-
-@pytest.fixture(scope="module")
-def tracker() -> FaceTracker:
-    return FaceTracker.load()
 
 
 def any_result(pdm: PointDistributionModel, seed: int) -> TrackResult:

@@ -21,11 +21,6 @@ PORTRAITS = Path(__file__).resolve().parents[1] / "data" / "portraits"
 LABELS = json.loads((PORTRAITS / "labels.json").read_text())
 
 
-@pytest.fixture(scope="module")
-def tracker() -> FaceTracker:
-    return FaceTracker.load()
-
-
 @pytest.mark.parametrize(("name", "mean"), [("collins.jpg", 0.045), ("hopper.jpg", 0.065)])
 def test_landmarks_lie_where_a_hand_marked_them(tracker, name, mean):
     found = tracker.locate(read_image(PORTRAITS / name))

@@ -21,11 +21,6 @@ needs_photos = pytest.mark.skipif(not DATA.exists(), reason="the photographs of 
 
 
 @pytest.fixture(scope="module")
-def tracker() -> FaceTracker:
-    return FaceTracker.load()
-
-
-@pytest.fixture(scope="module")
 def photo() -> tuple[np.ndarray, np.ndarray]:
     """A held-out person's photo (BGR) and hand-placed landmarks, 320 pixels wide."""
     from facemime.training.tracker.sources import read_photos, split

@@ -9,7 +9,6 @@ import ssl
 import struct
 import subprocess
 import threading
-import time
 from contextlib import ExitStack, closing
 from time import perf_counter
 from urllib.parse import urlsplit
@@ -17,7 +16,7 @@ from urllib.parse import urlsplit
 import cv2
 import numpy as np
 import pytest
-from clocks import PATIENCE
+from clocks import PATIENCE, wait_for
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -59,13 +58,6 @@ def messages(viewer, kind: int):
         data = viewer.recv(timeout=PATIENCE)
         if isinstance(data, bytes) and data[0] == kind:
             return data
-
-
-def waiting_for(condition) -> bool:
-    end = time.monotonic() + PATIENCE
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.01)
-    return condition()
 
 
 def test_the_page_comes_with_headers_that_isolate_it(shown):
@@ -146,7 +138,7 @@ def test_a_page_that_sends_anything_else_is_disconnected(shown, message):
         viewer.send(message)
         while True:
             viewer.recv(timeout=PATIENCE)
-    assert waiting_for(lambda: shown.server.viewers == 0)
+    wait_for(lambda: shown.server.viewers == 0)
 
 
 def test_a_page_that_asks_too_often_is_disconnected(shown):
@@ -162,10 +154,10 @@ def test_the_number_of_viewers_is_limited(shown):
         for _ in range(MAX_VIEWERS - 1):
             open_pages.enter_context(stream(shown.address))
         with stream(shown.address):
-            assert waiting_for(lambda: shown.server.viewers == MAX_VIEWERS)
+            wait_for(lambda: shown.server.viewers == MAX_VIEWERS)
             with pytest.raises(InvalidStatus, match="503"), stream(shown.address):
                 pass
-        assert waiting_for(lambda: shown.server.viewers == MAX_VIEWERS - 1)
+        wait_for(lambda: shown.server.viewers == MAX_VIEWERS - 1)
         with stream(shown.address):
             pass
 
@@ -204,7 +196,7 @@ def test_nothing_is_left_when_it_is_closed():
         with pytest.raises(ConnectionClosed):
             while True:
                 viewer.recv(timeout=PATIENCE)
-    assert waiting_for(lambda: threading.active_count() == before)
+    wait_for(lambda: threading.active_count() == before)
     watched.show(face())
 
 
