@@ -8,21 +8,23 @@ from facemime.core.heads.built_in import load_head
 from facemime.core.heads.parts import FaceParts, Part
 from facemime.core.heads.rig import HeadRig, built_in_rig
 
+KINDS = {
+    "eye_left": Part.EYE_LEFT,
+    "eye_right": Part.EYE_RIGHT,
+    "teeth_upper": Part.TEETH_UPPER,
+    "teeth_lower": Part.TEETH_LOWER,
+    "tongue": Part.TEETH_LOWER,
+}
+"""What each part of the built-in head is."""
+
 
 def with_parts() -> HeadRig:
     """The built-in head with eyes, teeth and tongue as separate meshes."""
     head, rig = load_head(), built_in_rig()
-    kinds = {
-        "eye_left": Part.EYE_LEFT,
-        "eye_right": Part.EYE_RIGHT,
-        "teeth_upper": Part.TEETH_UPPER,
-        "teeth_lower": Part.TEETH_LOWER,
-        "tongue": Part.TEETH_LOWER,
-    }
     start, faces, numbers = len(rig.vertices), [], [np.zeros(len(rig.vertices), dtype=np.int8)]
     for part in head.parts:
         faces.append(np.where(part.faces >= 0, part.faces + start, -1))
-        numbers.append(np.full(len(part.vertices), kinds[part.name], dtype=np.int8))
+        numbers.append(np.full(len(part.vertices), KINDS[part.name], dtype=np.int8))
         start += len(part.vertices)
     others = np.concatenate([part.vertices for part in head.parts])
     return replace(rig, parts=FaceParts(np.concatenate(numbers), others, np.concatenate(faces)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from parted_heads import with_parts
+from parted_heads import KINDS, with_parts
 
 from facemime.core.deform.glue import Glue
 from facemime.core.drive.driver import HeadDriver
@@ -165,14 +165,7 @@ def test_parts_without_names_are_sorted_by_their_places():
     points = head.vertices[head.landmarks].astype(np.float64)
     pieces = [Piece(head.vertices, ("", "Object"), skin=True)]
     pieces += [Piece(part.vertices, ("", f"Object.{i}"), away=0.3) for i, part in enumerate(head.parts)]
-    wanted = {
-        "eye_left": Part.EYE_LEFT,
-        "eye_right": Part.EYE_RIGHT,
-        "teeth_upper": Part.TEETH_UPPER,
-        "teeth_lower": Part.TEETH_LOWER,
-        "tongue": Part.TEETH_LOWER,
-    }
-    assert sort_pieces(pieces, points) == [Part.SKIN, *(wanted[part.name] for part in head.parts)]
+    assert sort_pieces(pieces, points) == [Part.SKIN, *(KINDS[part.name] for part in head.parts)]
 
 
 def test_a_piece_close_to_moving_skin_rides_on_it_and_one_on_the_skull_rides_on_the_head():
