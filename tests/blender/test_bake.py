@@ -3,6 +3,7 @@
 import bpy
 import numpy as np
 import pytest
+from curves import curves_of
 
 from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX
 from facemime.blender.animation.puppet import puppet_head
@@ -103,17 +104,9 @@ def test_baking_again_replaces_facemimes_keys_and_keeps_the_users():
     assert names[:2] == ["Basis", "Mine"]
     assert len([name for name in names if name.startswith(BAKED_KEY_PREFIX)]) == second.keys
     assert first.keys > 0
-    paths = {curve.data_path for curve in fcurves(head.data.shape_keys)}
+    paths = {curve.data_path for curve in curves_of(head.data.shape_keys)}
     assert 'key_blocks["Mine"].value' in paths and len(paths) == 1 + second.keys
-    assert "location" in {curve.data_path for curve in fcurves(head)}
-
-
-def fcurves(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
-    """Return the F-Curves of `owner` in any version of Blender."""
-    data = owner.animation_data
-    if not hasattr(data.action, "slots"):
-        return list(data.action.fcurves)
-    return list(data.action.layers[0].strips[0].channelbag(data.action_slot).fcurves)
+    assert "location" in {curve.data_path for curve in curves_of(head)}
 
 
 def test_a_bulk_write_moves_the_mesh_and_updates_its_bounds():

@@ -6,6 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from curves import curves_of
 from thorough import first_of
 
 from facemime.blender.actions import TRACK
@@ -101,14 +102,6 @@ def test_clean_curves_have_fewer_keyframes():
     every = sum(len(curve.keyframe_points) for curve in curves_of(head.data.shape_keys))
     bake(head, clean=0.01)
     assert sum(len(curve.keyframe_points) for curve in curves_of(head.data.shape_keys)) < every / 2
-
-
-def curves_of(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
-    """Return the F-Curves of `owner` in any version of Blender."""
-    data = owner.animation_data
-    if not hasattr(data.action, "slots"):
-        return list(data.action.fcurves)
-    return list(data.action.layers[0].strips[0].channelbag(data.action_slot).fcurves)
 
 
 @pytest.mark.thorough
