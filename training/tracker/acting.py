@@ -13,9 +13,20 @@ from facemime.core.tracking.pdm import PointDistributionModel
 from .dress import dress
 from .heads import IctHead, sample_expression, sample_speech
 from .organs import random_eyes
-from .reproject import Scene, SkinnedHead, render, skin_head
-from .samples import SCALE, SIZE, Stack, backdrop, degrade, occlude, personal_expression, random_light, random_pose
-from .sources import Photo, mirrored
+from .reproject import Scene, SkinnedHead, render
+from .samples import (
+    SCALE,
+    SIZE,
+    Stack,
+    backdrop,
+    degrade,
+    occlude,
+    personal_expression,
+    random_light,
+    random_pose,
+    skin_photo,
+)
+from .sources import Photo
 from .wrinkles import crease
 
 _SHARES: dict[str, tuple[float, float]] = {
@@ -87,10 +98,7 @@ def action_samples(
     resting: int = 0,
 ) -> ActionSamples:
     """Return `count` re-projections of one photo, the first `resting` of which show no expression."""
-    grey, landmarks = photo.grey(), photo.landmarks
-    if rng.random() < 0.5:
-        grey, landmarks = mirrored(grey, landmarks)
-    skinned = skin_head(head, model, grey, landmarks, acting=not photo.by_hand)
+    skinned = skin_photo(head, model, photo, rng)
     rows = []
     for i in range(count):
         calm = i < resting

@@ -186,6 +186,14 @@ def occlude(
     return (image * (1 - blend) + shifted * blend).astype(np.uint8), mask[row, column] > 0
 
 
+def skin_photo(head: IctHead, model: PointDistributionModel, photo: Photo, rng: np.random.Generator) -> SkinnedHead:
+    """The head with the skin of a photo, or as often of its mirror image."""
+    grey, landmarks = photo.grey(), photo.landmarks
+    if rng.random() < 0.5:
+        grey, landmarks = mirrored(grey, landmarks)
+    return skin_head(head, model, grey, landmarks, acting=not photo.by_hand)
+
+
 def random_pose(rng: np.random.Generator) -> np.ndarray:
     """Canonical pose (6,), usually turned moderately, up to about 55 degrees of yaw."""
     yaw = rng.normal(0, 0.25) if rng.random() < 0.55 else rng.uniform(-0.95, 0.95)
@@ -212,10 +220,7 @@ def render_samples(
     speaking: bool = False,
 ) -> Samples:
     """Return `count` re-projections of one photo; `speaking` with open mouths and tongues as bright as lips."""
-    grey, landmarks = photo.grey(), photo.landmarks
-    if rng.random() < 0.5:
-        grey, landmarks = mirrored(grey, landmarks)
-    skinned = skin_head(head, model, grey, landmarks, acting=not photo.by_hand)
+    skinned = skin_photo(head, model, photo, rng)
     tongue = (0.4, 1.3) if speaking else (0.35, 0.75)
     rows = []
     for _ in range(count):
