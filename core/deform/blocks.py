@@ -72,7 +72,7 @@ class BlockProduct:
 
     def __init__(self, rest: NDArray[np.float32], regions: list[RegionMatrix], n_columns: int) -> None:
         count = len(rest)
-        build_rows = _RowBuilder(regions, count, n_columns)
+        build_rows = RowBuilder(regions, count, n_columns)
         self._place: NDArray[np.intp] | None = None
         if count <= _EXACT_VERTICES:
             order = np.arange(count)
@@ -140,7 +140,7 @@ class BlockProduct:
             cv2.cvtColor(part, cv2.COLOR_BGRA2BGR, result[:, start : start + _CHUNK])
 
 
-class _RowBuilder:
+class RowBuilder:
     """Builds rows of the sum of the regions' matrices, (len(vertices), n_columns)."""
 
     def __init__(self, regions: list[RegionMatrix], count: int, n_columns: int) -> None:

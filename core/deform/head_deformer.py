@@ -11,6 +11,7 @@ from ..heads.rig import HeadRig
 from ..mesh.kernels import get_kernel
 from .expressions import ExpressionModel, learnt_covariance, shipped_expressions
 from .follow import REGULARISATION, follow_matrix
+from .lid_rims import lid_rims
 from .rbf import IncrementalDeformer, RBFDeformer
 
 INFORMED = "informed"
@@ -67,4 +68,5 @@ def head_deformer(
     if kernel != INFORMED or rig.faces is None or incremental:
         return fit()
     known = shipped_expressions() if expressions is None else expressions
-    return fit(skin=learnt_covariance(known, rig.vertices, rig.faces, rig.landmarks, rig.region_weights))
+    mesh = rig.vertices, rig.faces, rig.landmarks, rig.region_weights
+    return fit(skin=learnt_covariance(known, *mesh), rims=lid_rims(*mesh))

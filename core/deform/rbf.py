@@ -8,7 +8,7 @@ a fit is refused before rounding errors become visible.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import FloatArray, as_points
 from ..errors import HeadError
 from ..mesh.kernels import Kernel, distances, get_kernel
-from .blocks import BlockProduct, RegionMatrix
+from .blocks import BlockProduct, RegionMatrix, RowBuilder
 from .follow import REGULARISATION
+from .lid_rims import LidRims
 from .skin import SkinCovariance
 
 MAX_CONDITION = 1e10
@@ -85,6 +86,8 @@ class RBFDeformer:
     follow : (P, P) array_like, optional
         Matrix from given displacements to those of all control points, as returned by `follow_matrix`. Columns of
         points that are not given are 0. By default all points are given.
+    rims : sequence of LidRims
+        Rims of lids that meet when their landmarks do; the control points have to be the 66 landmarks.
 
     Attributes
     ----------
@@ -120,6 +123,7 @@ class RBFDeformer:
         regularisation: float = REGULARISATION,
         skin: SkinCovariance | None = None,
         follow: ArrayLike | None = None,
+        rims: Sequence[LidRims] = (),
     ) -> None:
         rest = as_points(vertices, "vertices", error=HeadError)
         points = as_points(control_points, "control_points", error=HeadError)
@@ -147,6 +151,9 @@ class RBFDeformer:
         if skin is not None:
             used = np.flatnonzero(members[shares.any(axis=1)].any(axis=0))
             matrices.append(fit.surface(skin, np.where(joined, _SKIN_SHARE * total, 0.0), used))
+        # Lids meet along their whole rims (5.10).
+        build_rows = RowBuilder(matrices, len(rest), len(points))
+        matrices += [rim.correction(build_rows) for rim in rims]
         # Landmarks that are not control points follow those that are (6.1).
         if follow is not None:
             matrices = [_apply_follow(matrix, np.asarray(follow, dtype=np.float32)) for matrix in matrices]

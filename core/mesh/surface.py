@@ -156,21 +156,28 @@ class SurfaceGraph:
         return sorted((np.array(piece) for piece in pieces.values()), key=len, reverse=True)
 
     def _search(self, seeds: Iterable[int], limit: float, end: int = -1) -> dict[int, tuple[float, int]]:
-        """Dijkstra's algorithm: the vertices within `limit` of `seeds`, each with its distance and predecessor."""
+        """Dijkstra's algorithm: the vertices within `limit` of `seeds`, each with its distance and predecessor.
+
+        With an `end`, vertices on the straight way to it come first (A*), and the search ends there.
+        """
         done: dict[int, tuple[float, int]] = {}
-        heap = [(0.0, int(seed), int(seed)) for seed in seeds]
+        ahead = np.zeros(len(self.vertices))
+        if end >= 0:
+            ahead = np.linalg.norm(self.vertices - self.vertices[end], axis=1)
+        left: list[float] = ahead.tolist()
+        heap = [(left[int(seed)], int(seed), int(seed), 0.0) for seed in seeds]
         heapq.heapify(heap)
         while heap:
-            distance, vertex, before = heapq.heappop(heap)
+            _, vertex, before, distance = heapq.heappop(heap)
             if vertex in done:
                 continue
             done[vertex] = (distance, before)
             if vertex == end:
                 break
             for i in range(self._starts[vertex], self._starts[vertex + 1]):
-                further = distance + self._lengths[i]
-                if further <= limit and self._neighbours[i] not in done:
-                    heapq.heappush(heap, (further, self._neighbours[i], vertex))
+                further, neighbour = distance + self._lengths[i], self._neighbours[i]
+                if further <= limit and neighbour not in done:
+                    heapq.heappush(heap, (further + left[neighbour], neighbour, vertex, further))
         return done
 
 
