@@ -40,3 +40,17 @@ def test_building_a_head_gives_the_shipped_arrays(build, file, person):
 def test_the_same_arrays_give_the_same_bytes(build):
     arrays = {"text": np.array("head"), "numbers": np.arange(1000.0)}
     assert build.to_bytes(arrays) == build.to_bytes(dict(arrays))
+
+
+def test_filming_the_sample_clip_gives_the_shipped_landmarks():
+    film = pytest.importorskip("facemime.training.sample.__main__")
+    stage = pytest.importorskip("facemime.training.sample.stage")
+    if not film.SKIN.is_file():
+        pytest.skip(f"the skin texture {film.SKIN.name} is missing")
+    from facemime.training.head.source import open_source
+
+    actor = film.build_actor(open_source(), film.SKIN)
+    moments = film._moments(actor, film.times())
+    points = np.stack([stage.project(places[actor.landmarks]) for places, _ in moments])
+    with np.load(film.ASSETS / "sample_landmarks.npz") as shipped:
+        np.testing.assert_allclose(points, shipped["landmarks"], atol=1e-3)
