@@ -35,7 +35,7 @@ def action_modes(rig: HeadRig, deformer: RBFDeformer) -> NDArray[np.float32]:
 
     Notes
     -----
-    Equation 5.8: ``B_k = U_k - D(U_k)``, where U_k is the face unit of the built-in head, carried over to this head,
+    Equation 5.9: ``B_k = U_k - D(U_k)``, where U_k is the face unit of the built-in head, carried over to this head,
     and D(U_k) is the response of the deformer to its displacements at the landmarks. Landmarks therefore stay where
     they were tracked.
     """

@@ -11,8 +11,9 @@ from ..mesh.nearest import NearestPoints
 _NEIGHBOURS = 10
 _BREADTH = 0.02
 """Distance, in outer-eye distances, by which the neighbourhood of a root is wider than its distance from the skin."""
-_STIFFNESS = 1e-3
-"""Share of its inertia by which a neighbourhood resists rotations that it does not determine, such as about a line."""
+_STIFFNESS, _RIM_STIFFNESS = 1e-3, 1.0
+"""Share of its inertia by which a neighbourhood resists rotations that it does not determine, such as about a line. The
+rim of a lid is such a line, beside which the skin stretches, which would kink a line of lashes."""
 
 
 class Glue:
@@ -31,26 +32,45 @@ class Glue:
         not follow the lower lid.
     unit : float
         Outer-eye distance, in the unit of the skin.
+    rims : (M,) array of int, optional
+        Vertices of the skin on the rims of lids.
+    at_rim : (N,) array of bool, optional
+        Whether a point is held by `rims` alone; by default none is.
 
     Notes
     -----
     Let d_i be the displacements of the nearest vertices of the skin, r_i their positions relative to the weighted mean,
-    and w_i weights. A point is rotated about the mean by the vector that fits best (equation 5.9),
+    and w_i weights. A point is rotated about the mean by the vector that fits best (equation 5.10),
     ``omega = (sum w_i (|r_i|^2 - r_i r_i^T))^-1 sum w_i r_i x d_i``, and moves with the mean. The length of omega is
     the sine of the angle, up to a right angle.
     """
 
-    def __init__(self, points: FloatArray, roots: IntArray, skin: FloatArray, sides: IntArray, unit: float) -> None:
-        places = np.asarray(points, dtype=np.float64)
-        self._roots, self._places = np.unique(roots, return_inverse=True)
+    def __init__(
+        self,
+        points: FloatArray,
+        roots: IntArray,
+        skin: FloatArray,
+        sides: IntArray,
+        unit: float,
+        rims: IntArray | None = None,
+        at_rim: NDArray[np.bool_] | None = None,
+    ) -> None:
+        places, skin = np.asarray(points, dtype=np.float64), np.asarray(skin, dtype=np.float64)
+        sides = np.asarray(sides)
+        self._roots, first, self._places = np.unique(roots, return_index=True, return_inverse=True)
         at = places[self._roots]
-        self._rows, weights = _neighbours(at, np.asarray(skin, dtype=np.float64), sides, unit)
-        near = np.asarray(skin, dtype=np.float64)[self._rows]
+        self._rows, weights = _neighbours(at, skin, sides, unit)
+        rim = np.zeros(len(at), dtype=np.bool_) if at_rim is None else np.asarray(at_rim)[first]
+        if rims is not None and rim.any():
+            found, weights[rim] = _neighbours(at[rim], skin[rims], sides[rims], unit)
+            self._rows[rim] = rims[found]
+        near = skin[self._rows]
         middle = np.einsum("nk,nkc->nc", weights, near)
         arms = near - middle[:, None]
         squares = np.einsum("nk,nkc,nkd->ncd", weights, arms, arms)
         size = np.trace(squares, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-        inertia = size - squares + _STIFFNESS * size + 1e-30 * np.eye(3)
+        stiffness = np.where(rim, _RIM_STIFFNESS, _STIFFNESS)[:, None, None]
+        inertia = size - squares + stiffness * size + 1e-30 * np.eye(3)
         turns = np.einsum("nab,nk,nkbc->nkac", np.linalg.inv(inertia), weights, _cross(arms))
         self._weights, self._turns = weights.astype(np.float32), turns.astype(np.float32)
         self._middle = middle[self._places].astype(np.float32)
@@ -98,7 +118,7 @@ def _neighbours(
     count = min(4 * _NEIGHBOURS, len(skin))
     rows, squared = NearestPoints(skin).query(roots, count)
     distance = np.sqrt(np.maximum(squared, 0.0)).astype(np.float64)
-    other = np.asarray(sides)[rows] != np.asarray(sides)[rows[:, :1]]
+    other = sides[rows] != sides[rows[:, :1]]
     order = np.argsort(np.where(other, np.inf, distance), axis=1, kind="stable")[:, :_NEIGHBOURS]
     rows, distance = np.take_along_axis(rows, order, axis=1), np.take_along_axis(distance, order, axis=1)
     breadth = distance[:, :1] + _BREADTH * unit

@@ -87,7 +87,7 @@ class LidRims:
         Notes
         -----
         Let the landmarks of the upper lid move onto those of the lower one, by g_1 and g_2. A vertex of the upper rim
-        then lacks r along them to reach the place of the lower rim that corresponds to it. It moves by (equation 5.10)
+        then lacks r along them to reach the place of the lower rim that corresponds to it. It moves by (equation 5.8)
         ``sum_j r w_j / |g_j| (d_j - e_j)`` in addition, where d_j and e_j are the displacements of the landmarks of the
         upper and the lower lid, and w_j is the weight of the pair at its position along the rim.
         """

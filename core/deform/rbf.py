@@ -151,7 +151,7 @@ class RBFDeformer:
         if skin is not None:
             used = np.flatnonzero(members[shares.any(axis=1)].any(axis=0))
             matrices.append(fit.surface(skin, np.where(joined, _SKIN_SHARE * total, 0.0), used))
-        # Lids meet along their whole rims (5.10).
+        # Lids meet along their whole rims (5.8).
         build_rows = RowBuilder(matrices, len(rest), len(points))
         matrices += [rim.correction(build_rows) for rim in rims]
         # Landmarks that are not control points follow those that are (6.1).

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
 from ..deform.glue import Glue
+from ..deform.lid_rims import lid_rims
 from ..heads.eyeballs import part_eyeball
 from ..heads.parts import Part, Skin
 from ..heads.rig import HeadRig
@@ -17,6 +18,9 @@ from ..mesh.surface import SurfaceGraph
 _ON_SKIN = 0.03
 """Distance from the skin, in outer-eye distances, below which a vertex rides on the skin directly beneath it. Others,
 such as those at the end of a lash, follow the nearest such vertex of their piece."""
+_LASH, _LASHES = 0.03, 0.25
+"""In outer-eye distances from the rim of a lid: where the lashes of a piece are rooted, and how far they reach. A line
+of lashes keeps its width when the lid shuts, while the skin beneath it stretches."""
 _MIN_EYE = 8
 """Smallest number of vertices of an eye that turns."""
 
@@ -104,21 +108,52 @@ class PartDriver:
     def _glued(self, rig: HeadRig, deformed: HeadRig) -> Glue:
         points = self.rest[self._riding]
         sides = np.asarray(deformed.region_weights).argmax(axis=0)
-        return Glue(points, self._roots(rig, points), deformed.vertices, sides, rig.eye_distance)
+        rims = _rims(deformed)
+        roots, at_rim = self._roots(rig, points, self._skin_rest[rims])
+        return Glue(points, roots, deformed.vertices, sides, rig.eye_distance, rims, at_rim)
 
-    def _roots(self, rig: HeadRig, points: FloatArray) -> NDArray[np.intp]:
-        """Vertex among `points` at which each is rooted, (N,): itself on the skin, else the nearest of its piece."""
-        _, squared = NearestPoints(self._skin_rest).query(points)
-        away = np.sqrt(np.maximum(squared[:, 0], 0.0))
-        roots = np.arange(len(points))
+    def _roots(
+        self, rig: HeadRig, points: FloatArray, rims: NDArray[np.float32]
+    ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Vertex among `points` at which each is rooted, (N,): itself on the skin, else the nearest of its piece.
+
+        A piece that reaches the rim of a lid, at `rims` (M, 3), is rooted there alone; the second result tells which.
+        """
+        unit = rig.eye_distance
+        away, to_rim = _distances(self._skin_rest, points), _distances(rims, points)
+        roots, at_rim = np.arange(len(points)), np.zeros(len(points), dtype=np.bool_)
         faces = _faces_within(rig, self._riding)
         piece = islands(len(points), faces)
         graph = SurfaceGraph(points, faces)
-        for number in np.unique(piece[away > _ON_SKIN * rig.eye_distance]):
+        for number in range(int(piece.max(initial=-1)) + 1):
             within = np.flatnonzero(piece == number)
-            near = within[away[within] <= max(_ON_SKIN * rig.eye_distance, 1.5 * float(away[within].min()))]
+            reach = to_rim[within]
+            if reach.min() <= _LASH * unit and reach.max() <= _LASHES * unit:
+                near = within[reach <= _LASH * unit]
+                at_rim[within] = True
+            elif away[within].max() > _ON_SKIN * unit:
+                near = within[away[within] <= max(_ON_SKIN * unit, 1.5 * float(away[within].min()))]
+            else:
+                continue
             roots[within] = _nearest_along(graph, within, near)
-        return roots
+        return roots, at_rim
+
+
+def _rims(skin: HeadRig) -> NDArray[np.intp]:
+    """Vertices of the rims of all lids, (M,)."""
+    if skin.faces is None:
+        return np.empty(0, dtype=np.intp)
+    eyes = lid_rims(skin.vertices, skin.faces, skin.landmarks, skin.region_weights)
+    rims = [lid for eye in eyes for lid in (eye.upper, eye.lower)]
+    return np.unique(np.concatenate(rims)) if rims else np.empty(0, dtype=np.intp)
+
+
+def _distances(places: FloatArray, points: FloatArray) -> FloatArray:
+    """Distance of each of `points` (N, 3) from the nearest of `places`, (N,); infinite without places."""
+    if not len(places):
+        return np.full(len(points), np.inf)
+    _, squared = NearestPoints(places).query(points)
+    return np.asarray(np.sqrt(np.maximum(squared[:, 0], 0.0)))
 
 
 def _nearest_along(graph: SurfaceGraph, piece: IntArray, seeds: IntArray) -> NDArray[np.intp]:

@@ -9,14 +9,17 @@ from hypothesis import strategies as st
 from parted_heads import KINDS, with_parts
 
 from facemime.core.deform.glue import Glue
+from facemime.core.deform.head_deformer import head_deformer
+from facemime.core.deform.lid_rims import lid_rims
 from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.parts import PartDriver
 from facemime.core.heads.bones import FaceBones, find_bones
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball, sphere_of_lids
-from facemime.core.heads.parts import Part, skin_of
+from facemime.core.heads.parts import FaceParts, Part, skin_of
 from facemime.core.heads.rig import HeadRig, built_in_rig
 from facemime.core.heads.sorting import Piece, lower_row, named_part, names_body, names_skin, sort_pieces
-from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, outer_eye_distance
+from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, UPPER_LIDS, outer_eye_distance
 from facemime.core.mesh.pieces import border_twins, islands
 from facemime.core.rotation import euler_to_matrix
 from facemime.core.takes.neutral import calibrate
@@ -245,6 +248,28 @@ def test_a_lash_is_held_by_the_side_on_which_it_is_rooted():
     displacements = np.zeros((40, 3), dtype=np.float32)
     displacements[sides == 1, 1] = 1.0
     np.testing.assert_allclose(glue.move(displacements), lash, atol=1e-6)
+
+
+def test_a_line_of_lashes_on_the_lid_keeps_its_width_when_the_eye_shuts():
+    rig, height = built_in_rig(), 0.06
+    eye, *_ = lid_rims(rig.vertices, rig.faces, rig.landmarks, rig.region_weights)
+    rim = np.asarray(rig.vertices)[eye.upper[1:-1]]
+    above = np.array([0.0, -height, 0.0]) * rig.eye_distance
+    near = np.linalg.norm(np.asarray(rig.vertices)[:, None] - (rim + above), axis=2).argmin(axis=0)
+    line = np.concatenate([rim, rim + above + (0.0, 0.0, 1.0) * (np.asarray(rig.vertices)[near] - rim - above)])
+    start, n = len(rig.vertices), len(rim)
+    faces = start + np.array([[i, i + 1, n + i + 1, n + i] for i in range(n - 1)])
+    kinds = np.append(np.zeros(start, dtype=np.int8), np.full(len(line), Part.ON_SKIN, dtype=np.int8))
+    lashed = replace(rig, parts=FaceParts(kinds, line.astype(np.float32), faces))
+    alone, skin = lashed.skin()
+    points, shutting = np.asarray(rig.vertices)[rig.landmarks], np.zeros((66, 3))
+    shutting[UPPER_LIDS] = points[LOWER_LIDS] - points[UPPER_LIDS]
+    shut = head_deformer(alone).deform(shutting)
+    moved = PartDriver(lashed, skin, alone).pose(shut, np.eye(3), np.tile(np.eye(3), (2, 1, 1)))
+    fallen = np.linalg.norm((moved - lashed.all_vertices)[eye.upper[1:-1]], axis=1) / rig.eye_distance
+    assert fallen.max() > 0.05
+    before, width = (np.linalg.norm(at[-n:] - at[-2 * n : -n], axis=1) for at in (lashed.all_vertices, moved))
+    np.testing.assert_allclose(width, before, rtol=0.15)
 
 
 @given(st.floats(0.5, 2.0), st.integers(0, 100))
