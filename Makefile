@@ -101,7 +101,7 @@ browser:
 bench: setup
 	mkdir -p build/bench
 	$(BIN)/python -m bench.pipeline --figure docs/images/pipeline.png --json build/bench/pipeline.json
-	$(BIN)/python -m bench.live --figure docs/images/live_ticks.png --json build/bench/live.json
+	$(BIN)/python -m bench.live --json build/bench/live.json
 	$(BIN)/python -m bench.takes --json build/bench/takes.json
 
 # Two faces with landmarks placed by others; the archive is only read, not installed.

@@ -20,38 +20,49 @@ from facemime.core.bake.settings import BakeSettings
 from facemime.core.puppet.settings import PuppetSettings
 from facemime.core.takes.take import Take
 
-LEVELS = (0, 3)
-COUNTS = (2, 4, 8, 16, 32)
+COUNTS = (2, 4, 8, 16)
+FINER = 3
+"""How often the edges of the dense head are halved."""
 SECONDS, FPS = 60.0, 30.0
 
 
 def bake_tables(take: Take) -> list[Table]:
     """Bake `take` in Blender, where the extension need not be registered."""
-    rows = [row for level in LEVELS for row in _bakes(take, level)]
-    title = f"Baking {len(take)} frames"
+    with tempfile.TemporaryDirectory() as folder:
+        own, dense = (_bakes(take, level, Path(folder)) for level in (0, FINER))
+    rows = [
+        (name, keys, error, seconds, *dense.get(name, ("", "", ""))[2:]) for name, (keys, error, seconds) in own.items()
+    ]
+    columns = ("baked to", "keys", "largest error, % of the eye distance", *(f"{n:,} vertices, s" for n in _sizes()))
     return [
-        Table(title, ("vertices", "target", "keys", "worst error, % of the eye distance", "s"), rows),
+        Table(f"Baking the {len(take)} frames of the sample clip", columns, rows),
         Table("Writing the curves of a minute at 30 frames per second, 52 keys", ("what", "s"), [_curves()]),
     ]
 
 
-def _bakes(take: Take, level: int) -> list[tuple[str, str, int, float, float]]:
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        bakes = [BakeSettings(max_keys=count) for count in COUNTS]
-        bakes += [BakeSettings(), BakeSettings(clean=0.005), BakeSettings(keys="cache", path=Path(folder) / "bake.pc2")]
-        names = [f"at most {count} new keys" for count in COUNTS]
-        names += ["new keys within 0.9 %", "the same, curves cleaned within 0.5 %", "Mesh Cache"]
-        if level == 0:
-            bakes += [BakeSettings(keys="named"), BakeSettings(keys="mapped")]
-            names += ["ARKit keys, fitted", "ARKit keys, by mapping"]
-        for name, bake in zip(names, bakes, strict=True):
-            head = _head(level, bake)
-            seconds, report = _timed(
-                lambda head=head, bake=bake: puppet_head(bpy.context.scene, head, take, PuppetSettings(bake=bake))
-            )
-            rows.append((f"{len(head.data.vertices):,}", name, report.keys, 100.0 * report.worst_error, seconds))
-    return rows
+def _bakes(take: Take, level: int, folder: Path) -> dict[str, tuple[int, float, float]]:
+    """Number of keys, largest error and seconds of each bake, by name."""
+    bakes = {f"at most {count} new keys": BakeSettings(max_keys=count) for count in COUNTS}
+    bakes["new keys, within 0.9 %"] = BakeSettings()
+    bakes["the same, `--clean 0.5`"] = BakeSettings(clean=0.005)
+    if not level:
+        bakes["ARKit's keys, fitted"] = BakeSettings(keys="named")
+        bakes["ARKit's keys, mapped"] = BakeSettings(keys="mapped")
+    bakes["Mesh Cache"] = BakeSettings(keys="cache", path=folder / "bake.pc2")
+    found = {}
+    for name, bake in bakes.items():
+        head, settings = _head(level, bake), PuppetSettings(bake=bake)
+        seconds, report = _timed(
+            lambda head=head, settings=settings: puppet_head(bpy.context.scene, head, take, settings)
+        )
+        found[name] = report.keys, 100.0 * report.worst_error, seconds
+    return found
+
+
+def _sizes() -> tuple[int, int]:
+    """Numbers of vertices of both heads."""
+    own, dense = (len(_head(level, BakeSettings()).data.vertices) for level in (0, FINER))
+    return own, dense
 
 
 def _head(level: int, bake: BakeSettings) -> bpy.types.Object:
