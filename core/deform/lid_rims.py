@@ -19,7 +19,7 @@ from ..mesh.nearest import NearestPoints
 from ..mesh.surface import SurfaceGraph
 from .blocks import RegionMatrix
 
-_NEAR = 0.2
+_NEAR = 0.15
 """Margin around the landmarks of an eye, in outer-eye distances, within which its rims and its lid are sought."""
 _REACH = 0.12
 """Distance from the rim, in outer-eye distances, within which the lid follows it."""
