@@ -31,6 +31,8 @@ _MIN_ON_SKIN = 3
 """Minimum number of these on a piece that is skin."""
 _STILL = 0.05
 """Sum of the region weights below which skin counts as still."""
+_JOINED, _MIN_JOINED = 0.002, 4
+"""Distance from the skin, in outer-eye distances, below which a vertex coincides with it, and how many have to."""
 _REACH = 1.5
 """Distance from the skin, in outer-eye distances, beyond which an object does not belong to a head."""
 _OWN_SHARE = 0.5
@@ -153,16 +155,19 @@ def forget_parts(head: bpy.types.Object) -> None:
 
 
 class _SkinDistance:
-    """Distance of pieces from the skin of the face, and whether the skin there moves."""
+    """Distance of pieces from the skin of the face, whether the skin there moves, and whether they are joined to it."""
 
     def __init__(self, skin: FloatArray, weights: NDArray[np.floating], unit: float) -> None:
         self._nearest, self._moving, self._unit = NearestPoints(skin), weights.sum(axis=0) > _STILL, unit
 
-    def of(self, points: FloatArray) -> tuple[float, bool]:
-        """Return the 90th percentile of the distances, in outer-eye distances, and whether most skin there moves."""
+    def of(self, points: FloatArray) -> tuple[float, bool, bool]:
+        """Return the 90th percentile of the distances, in outer-eye distances, whether most skin there moves, and
+        whether some points coincide with the skin.
+        """
         found, squared = self._nearest.query(points)
         away = np.sqrt(np.maximum(squared[:, 0], 0.0)) / self._unit
-        return float(np.quantile(away, 0.9)), bool(self._moving[found[:, 0]].mean() > 0.5)
+        moving, joined = self._moving[found[:, 0]].mean() > 0.5, (away < _JOINED).sum() >= _MIN_JOINED
+        return float(np.quantile(away, 0.9)), bool(moving), bool(joined)
 
 
 def _pieces_of(
@@ -180,9 +185,9 @@ def _pieces_of(
     pieces = []
     for i, material in enumerate(materials):
         own = places[order[borders[i] : borders[i + 1]]]
-        away, moving = nearest.of(own)
+        away, moving, joined = nearest.of(own)
         skin = bool(on_skin[i] >= _MIN_ON_SKIN) and named_part([material]) is None
-        pieces.append(Piece(own, (material, obj.name), skin, away, moving))
+        pieces.append(Piece(own, (material, obj.name), skin, away, moving, joined))
     return _Pieces(obj, number, pieces)
 
 

@@ -31,6 +31,8 @@ _ON_HEAD = (
     r"_(bun|bangs?|hats?|caps?|hood|halo|veil)_"
 )
 _EYE = r"eye(?!_?(lid|socket|patch))|iris|pupil|cornea|sclera|conjunctiva"
+_INSIDE = r"face_?mouth"
+"""Names of the wall of the mouth that may also be those of the teeth and the tongue within it."""
 _TEETH = r"teeth|tooth|_gums?_|dent(al|ure)|incisor|molar|fang"
 _TONGUE = r"tongue"
 _LOWER, _UPPER = r"lower|bottom|_low_|jaw|mandib|_bot_", r"upper|_up_|_top_|maxill"
@@ -87,6 +89,8 @@ class Piece:
         Distance from the skin within which 9 in 10 of its vertices lie, in outer-eye distances.
     moving : bool
         Whether the nearest skin moves, as the face does but skull and neck do not.
+    joined : bool
+        Whether some of its vertices coincide with vertices of the skin, as the wall of a mouth does at the lips.
     """
 
     vertices: FloatArray
@@ -94,6 +98,7 @@ class Piece:
     skin: bool = False
     away: float = 0.0
     moving: bool = True
+    joined: bool = False
 
 
 def named_part(names: Sequence[str]) -> Part | None:
@@ -155,6 +160,8 @@ def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None
     parts: list[Part | None] = []
     for piece in pieces:
         named = named_part(piece.names)
+        if named == Part.ON_SKIN and not piece.joined and re.search(_INSIDE, _plain(piece.names[0])):
+            named = None
         if piece.skin:
             parts.append(Part.SKIN)
         elif named in (Part.TEETH_UPPER, Part.TEETH_LOWER) or (named is None and _is_in_mouth(piece, points, unit)):

@@ -171,6 +171,17 @@ def test_parts_without_names_are_sorted_by_their_places():
     assert sort_pieces(pieces, points) == [Part.SKIN, *(KINDS[part.name] for part in head.parts)]
 
 
+def test_teeth_and_tongue_that_are_named_like_the_wall_of_the_mouth_are_found_by_their_places():
+    head = load_head()
+    points = head.vertices[head.landmarks].astype(np.float64)
+    wall = points[LIPS] + (0.0, 0.0, 0.02)
+    names = ("N00_000_00_FaceMouth_00_FACE", "Face")
+    pieces = [Piece(head.vertices, ("", "Face"), skin=True), Piece(wall, names, joined=True)]
+    inside = [part for part in head.parts if part.name in ("teeth_upper", "teeth_lower", "tongue")]
+    pieces += [Piece(part.vertices, names, away=0.3) for part in inside]
+    assert sort_pieces(pieces, points) == [Part.SKIN, Part.ON_SKIN, *(KINDS[part.name] for part in inside)]
+
+
 def test_a_piece_close_to_moving_skin_rides_on_it_and_one_on_the_skull_rides_on_the_head():
     head = load_head()
     points = head.vertices[head.landmarks].astype(np.float64)
