@@ -1,5 +1,9 @@
 """Registration of all modules with Blender, in one order; unregistration runs in reverse."""
 
+import atexit
+
+import bpy
+
 from .blender.registering import register_module, unregister_module
 from .cli import commands
 from .operators import (
@@ -101,9 +105,13 @@ def register() -> None:
         for module in reversed(done):
             unregister_module(module)
         raise
+    # As a module of Python, Blender crashes at exit if a class is still registered.
+    if getattr(bpy.app, "module", False):
+        atexit.register(unregister)
 
 
 def unregister() -> None:
     """Unregister every module in reverse order."""
+    atexit.unregister(unregister)
     for module in reversed(_MODULES):
         unregister_module(module)
