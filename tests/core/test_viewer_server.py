@@ -225,7 +225,7 @@ def test_https_serves_with_the_users_certificate(certificate):
     watched = Watched(certificate=certificate[0], key=certificate[1])
     trusting = ssl.create_default_context(cafile=str(certificate[0]))
     assert watched.address.startswith("https://")
-    with connect(watched.address.replace("https", "wss") + "stream", ssl=trusting) as viewer:
+    with connect(watched.address.replace("https", "wss") + "stream", ssl=trusting, open_timeout=PATIENCE) as viewer:
         assert json.loads(viewer.recv(timeout=PATIENCE))["scene"] == 0
     watched.close()
 
