@@ -220,7 +220,7 @@ def eye_vertices(obj: bpy.types.Object) -> NDArray[np.intp]:
 
 
 def group_weights(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
-    """Return (V,) weights of the vertex group `name` of `obj`; 0 if there is none.
+    """Return (V,) weights of the vertex group `name` of `obj`, all 0 if it has no such group.
 
     Parameters
     ----------

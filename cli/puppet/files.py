@@ -55,7 +55,9 @@ def open_blend(path: Path) -> None:
 
 
 def object_named(path: Path, name: str) -> bpy.types.Object:
-    """Return the object `name` of the open file, which was read from `path`; raises HeadError if there is none.
+    """Return the object called `name` in the open file, which was read from `path`.
+
+    Raises HeadError if the file has no such object.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Lids that meet along their whole rims, not only at their landmarks (docs/method.md, section 5.6).
 
-A lid has two landmarks between the corners of the eye. When they have met those of the other lid, the rims between them
-need not have: on a stylised eye, whose outer third is long and steep, a wide gap remains. What is lacking is known from
-the mesh at rest, so the matrix of the deformer is corrected once, which costs nothing in a frame.
+A lid has two landmarks between the corners of the eye. Even if they meet those of the other lid, the rims between them
+may not: on a stylised eye, whose outer third is long and steep, a wide gap remains. Its width follows from the mesh at
+rest, so the matrix of the deformer is corrected once, and a frame costs no more.
 """
 
 from __future__ import annotations
@@ -129,13 +129,14 @@ def lid_rims(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_
     above = shares[0] / np.maximum(shares.sum(axis=0), 1e-9)
     found = []
     for eye in (EYE_RIGHT, EYE_LEFT):
-        gaps = np.linalg.norm(points[eye[[5, 4]]] - points[eye[[1, 2]]], axis=1)
+        if np.linalg.norm(points[eye[[5, 4]]] - points[eye[[1, 2]]], axis=1).min() < _SHUT * unit:
+            continue
         low, high = points[eye].min(axis=0) - _NEAR * unit, points[eye].max(axis=0) + _NEAR * unit
         near = np.flatnonzero(((places > low) & (places < high)).all(axis=1))
         graph, own = _part(places, np.asarray(faces), near)
         ends = own[landmarks[eye]]
         (upper, upper_at), (lower, lower_at) = (_rim(graph, ends[lid]) for lid in ([0, 1, 2, 3], [0, 5, 4, 3]))
-        if gaps.min() < _SHUT * unit or np.isin(upper[1:-1], lower[1:-1]).any():
+        if np.isin(upper[1:-1], lower[1:-1]).any():
             continue
         # The lid follows its rim, which is met exactly, and fades into the brow and the other lid.
         rim = NearestPoints(places[near[upper]])

@@ -152,8 +152,9 @@ class RBFDeformer:
             used = np.flatnonzero(members[shares.any(axis=1)].any(axis=0))
             matrices.append(fit.surface(skin, np.where(joined, _SKIN_SHARE * total, 0.0), used))
         # Lids meet along their whole rims (5.8).
-        build_rows = RowBuilder(matrices, len(rest), len(points))
-        matrices += [rim.correction(build_rows) for rim in rims]
+        if rims:
+            rows = RowBuilder(matrices, len(rest), len(points))
+            matrices += [rim.correction(rows) for rim in rims]
         # Landmarks that are not control points follow those that are (6.1).
         if follow is not None:
             matrices = [_apply_follow(matrix, np.asarray(follow, dtype=np.float32)) for matrix in matrices]
