@@ -92,11 +92,9 @@ def every_frame(blender: Blender) -> Iterator[None]:
 
 @pytest.fixture
 def sidebar(blender: Blender) -> Iterator[Sidebar]:
-    """The sidebar with an empty scene; afterwards nothing may be running, and there must be no traceback."""
+    """The sidebar in Blender's default scene; afterwards nothing may be running, and there must be no traceback."""
     before = len(blender.printed())
     blender.do("bpy.ops.wm.read_homefile(use_factory_startup=False)")
-    blender.do("[bpy.data.objects.remove(obj) for obj in list(bpy.data.objects)]")
-    blender.do("bpy.ops.ed.undo_push(message='Empty')")
     blender.do(TOOLS)
     blender.redraw()
     yield Sidebar(blender)

@@ -62,7 +62,6 @@ def soak(blender: Blender, minutes: float) -> dict:
     """Run the puppet for some minutes; in every other period the clip is missing when it starts again."""
     clip = blender.folder / "clip.mp4"
     shutil.copy(ROOT / "assets" / "sample" / "sample.mp4", clip)
-    blender.do("[bpy.data.objects.remove(obj) for obj in list(bpy.data.objects)]")
     sidebar = Sidebar(blender)
     sidebar.press("bpy.ops.facemime.add_head")
     blender.do(_START.format(clip=str(blender.inside / "clip.mp4")))

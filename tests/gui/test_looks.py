@@ -34,11 +34,10 @@ def blender() -> Iterator[Blender]:
 
 
 @pytest.fixture
-def empty(blender: Blender) -> Blender:
-    """A new file without objects, at the default resolution scale."""
+def untouched(blender: Blender) -> Blender:
+    """Blender's default scene, at the default resolution scale."""
     blender.do("bpy.context.preferences.view.ui_scale = 1.0")
     blender.do("bpy.ops.wm.read_homefile(use_factory_startup=False)")
-    blender.do("[bpy.data.objects.remove(obj) for obj in list(bpy.data.objects)]")
     blender.redraw()
     return blender
 
@@ -56,33 +55,33 @@ def tour(sidebar: Sidebar, name: str, children: bool = False) -> None:
 
 
 @pytest.mark.parametrize("scale", [0.75, 2.0])
-def test_the_panel_is_usable_at_other_resolution_scales(empty, scale):
-    empty.do(f"bpy.context.preferences.view.ui_scale = {scale}")
-    empty.redraw()
-    tour(Sidebar(empty), f"scale-{scale}")
-    assert empty.get("len(bpy.context.active_object.data.vertices)") == 1781
-    assert "Traceback" not in empty.printed()
+def test_the_panel_is_usable_at_other_resolution_scales(untouched, scale):
+    untouched.do(f"bpy.context.preferences.view.ui_scale = {scale}")
+    untouched.redraw()
+    tour(Sidebar(untouched), f"scale-{scale}")
+    assert untouched.get("len(bpy.context.active_object.data.vertices)") == 1781
+    assert "Traceback" not in untouched.printed()
 
 
-def test_the_panel_is_usable_when_narrow(empty):
-    sidebar = Sidebar(empty)
+def test_the_panel_is_usable_when_narrow(untouched):
+    sidebar = Sidebar(untouched)
     wide = sidebar.box().width
     sidebar.widen(-0.4 * wide)
     narrow = sidebar.box().width
     assert narrow < 0.75 * wide
     tour(sidebar, "narrow")
-    assert empty.get("len(bpy.context.active_object.data.vertices)") == 1781
+    assert untouched.get("len(bpy.context.active_object.data.vertices)") == 1781
     sidebar.widen(wide - narrow)  # the window is shared
     assert sidebar.box().width > 0.9 * wide
 
 
-def test_the_panel_follows_the_light_theme(empty):
-    sidebar = Sidebar(empty)
+def test_the_panel_follows_the_light_theme(untouched):
+    sidebar = Sidebar(untouched)
     sidebar.open_panel("FACEMIME_PT_head")
-    dark = cv2.imread(str(empty.shot("dark")))
-    empty.do(_THEME.format(theme="Light"))
-    empty.redraw()
-    light = cv2.imread(str(empty.shot("light")))
+    dark = cv2.imread(str(untouched.shot("dark")))
+    untouched.do(_THEME.format(theme="Light"))
+    untouched.redraw()
+    light = cv2.imread(str(untouched.shot("light")))
     x, y = map(round, sidebar.header(0))
     inside = np.s_[y - 8 : y + 8, x : x + 100]
     assert light[inside].mean() > dark[inside].mean() + 60
@@ -96,21 +95,21 @@ view.use_translate_interface = view.use_translate_tooltips = view.language != "e
 
 
 @pytest.fixture(params=["en_US", "zh_HANS"])
-def language(empty: Blender, request: pytest.FixtureRequest) -> Iterator[str]:
+def language(untouched: Blender, request: pytest.FixtureRequest) -> Iterator[str]:
     """A language of Blender's own; afterwards English."""
-    empty.do(_SPEAK.format(language=request.param))
+    untouched.do(_SPEAK.format(language=request.param))
     yield request.param
-    empty.do(_SPEAK.format(language="en_US"))
+    untouched.do(_SPEAK.format(language="en_US"))
 
 
 @pytest.fixture(params=["Dark", "Light"])
-def dressed(empty: Blender, language: str, request: pytest.FixtureRequest) -> Sidebar:
+def dressed(untouched: Blender, language: str, request: pytest.FixtureRequest) -> Sidebar:
     """The sidebar in a theme and a language."""
-    empty.do(_THEME.format(theme=request.param))
-    empty.do(TOOLS)
-    shutil.copy(CLIP, empty.folder / "mine.mp4")
-    empty.redraw()
-    return Sidebar(empty)
+    untouched.do(_THEME.format(theme=request.param))
+    untouched.do(TOOLS)
+    shutil.copy(CLIP, untouched.folder / "mine.mp4")
+    untouched.redraw()
+    return Sidebar(untouched)
 
 
 def test_every_state_of_the_panels_is_drawn_without_an_error(dressed, request):
@@ -120,7 +119,7 @@ def test_every_state_of_the_panels_is_drawn_without_an_error(dressed, request):
         blender.redraw()
         blender.shot(f"{name}-{state}")
 
-    shot("empty")
+    shot("untouched")
     tour(dressed, name, children=True)
     dressed.open_panel("FACEMIME_PT_regions")
     dressed.press("bpy.ops.facemime.check_head")

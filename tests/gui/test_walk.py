@@ -36,7 +36,7 @@ def test_a_head_is_added_by_a_click_and_undone_by_a_key(blender, sidebar):
     assert blender.get(f"len({HEAD}.data.vertices)") == 1781
     blender.shot("head")
     blender.key("ctrl+z")
-    blender.wait_for("len(bpy.data.objects) == 0")
+    blender.wait_for("sorted(obj.name for obj in bpy.data.objects) == ['Camera', 'Cube', 'Light']")
 
 
 @pytest.mark.usefixtures("every_frame")
