@@ -48,6 +48,7 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
 
     bl_label = "Expression"
     bl_order = place(__name__)
+    header_icons = 1
 
     def draw_header_preset(self, context: bpy.types.Context) -> None:
         """Draw the menu of presets in the header."""

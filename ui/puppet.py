@@ -67,6 +67,7 @@ class FACEMIME_PT_send(Sidebar, bpy.types.Panel):
     bl_label = "Send"
     bl_parent_id = "FACEMIME_PT_puppet"
     bl_options = {"DEFAULT_CLOSED"}
+    header_icons = 1
 
     def draw_header(self, context: bpy.types.Context) -> None:
         """Draw the switch."""

@@ -18,6 +18,9 @@ def place(module: str) -> int:
 
 
 _NARROW = 220.0
+_HEADER, _INSET, _ICON = 76.0, 14.0, 20.0
+"""Widths in the header of a panel: everything but its title and icons, the tabs at its right included; how far that of
+a subpanel is indented; and an icon."""
 
 
 class Sidebar:
@@ -27,10 +30,14 @@ class Sidebar:
     bl_region_type = "UI"
     bl_category = "Facemime"
     bl_options = {"DEFAULT_CLOSED"}
+    header_icons = 0
+    """Number of icons and switches in the header besides the link to the documentation."""
 
     def draw_header_preset(self, context: bpy.types.Context) -> None:
-        """Draw a link to the documentation at the right of the header."""
-        draw_link(self.layout, type(self).__name__)
+        """Draw a link to the documentation at the right of the header, where the title leaves room for it."""
+        inset = _INSET if getattr(self, "bl_parent_id", "") else 0.0
+        if _has_room(context, self.bl_label, inset + _ICON * (self.header_icons + 1)):
+            draw_link(self.layout, type(self).__name__)
 
 
 class OnHead(Sidebar):
@@ -139,6 +146,16 @@ def side_by_side(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.
 def is_narrow(context: bpy.types.Context) -> bool:
     """Return whether the sidebar is hardly wider than a button."""
     return context.region is not None and context.region.width < _NARROW * context.preferences.system.ui_scale
+
+
+def _has_room(context: bpy.types.Context, title: str, more: float) -> bool:
+    """Return whether the header of a panel has room for its title and `more`, in unscaled pixels."""
+    if context.region is None:
+        return True
+    scale = context.preferences.system.ui_scale
+    blf.size(0, 11.5 * scale)
+    width = blf.dimensions(0, interface(title))[0]
+    return width + (_HEADER + more) * scale <= context.region.width
 
 
 def _text_width(context: bpy.types.Context) -> float:

@@ -26,18 +26,35 @@ def test_pages_and_their_headings_exist(page):
     assert source.is_file() and (not anchor or anchor in headings(source))
 
 
+def links(panel: type[bpy.types.Panel], context: object) -> list[str]:
+    """Return the addresses to which the header of a panel leads."""
+    buttons = []
+
+    def operator(name: str, **_: object) -> SimpleNamespace:
+        assert name == "wm.url_open"
+        buttons.append(SimpleNamespace(url=""))
+        return buttons[-1]
+
+    layout = SimpleNamespace(operator=operator, menu=lambda *_, **__: None)
+    members = {name: getattr(panel, name, "") for name in ("bl_label", "bl_parent_id", "header_icons")}
+    panel.draw_header_preset(type(panel.__name__, (), members | {"layout": layout})(), context)
+    return [button.url for button in buttons]
+
+
 def test_the_header_of_every_panel_links_to_its_page():
     panels = [panel for panel in bpy.types.Panel.__subclasses__() if panel.__name__.startswith("FACEMIME")]
     shown = [panel for panel in panels if "HIDE_HEADER" not in panel.bl_options]
     assert {panel.__name__ for panel in shown} == set(PANELS)
     for panel in shown:
-        button, drawn = SimpleNamespace(url=""), []
-        layout = SimpleNamespace(
-            operator=lambda name, drawn=drawn, button=button, **_: drawn.append(name) or button,
-            menu=lambda *_, **__: None,
-        )
-        panel.draw_header_preset(type(panel.__name__, (), {"layout": layout})(), bpy.context)
-        assert drawn == ["wm.url_open"] and button.url == address(PANELS[panel.__name__])
+        assert links(panel, bpy.context) == [address(PANELS[panel.__name__])]
+
+
+def test_the_link_leaves_a_header_in_which_it_would_cover_the_title():
+    preferences = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0))
+    for width, fits in ((160, {"FACEMIME_PT_head", "FACEMIME_PT_regions"}), (400, set(PANELS))):
+        context = SimpleNamespace(region=SimpleNamespace(width=width), preferences=preferences)
+        panels = {f"FACEMIME_PT_{name}" for name in ("head", "regions", "control_points", "expression", "bake")}
+        assert {name for name in panels if links(getattr(bpy.types, name), context)} == fits & panels
 
 
 def test_the_online_manual_knows_every_operator_and_setting():
