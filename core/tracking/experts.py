@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
-from ..landmarks import MIRROR
+from ..landmarks import BROWS, MIRROR
 from .network import Network
 from .reference import translate_pose, warp_to_reference
 
@@ -336,6 +336,11 @@ class PartExperts(FacePart):
     Sides of its crop are multiples of 8. They have to be those of the training, as they determine how the coarsest
     cells lie about the centre.
     """
+
+    @cached_property
+    def brows(self) -> NDArray[np.bool_]:
+        """Which landmarks of each side are those of a brow, (1 or 2, n)."""
+        return np.isin(self.sides, BROWS)
 
     @cached_property
     def _averages(self) -> FloatArray:

@@ -190,7 +190,7 @@ class FaceFitter:
         The crop lies around the landmarks of the previous frame; a brow that is suddenly raised high is outside.
         """
         maps = part.respond(grey, pose, shape)
-        brows = np.isin(maps.landmarks, BROWS).reshape(1 + part.paired, -1)
+        brows = part.brows
         if not brows.any():
             return maps
         seen, eyes = _mean_certainty(maps, brows), _mean_certainty(maps, ~brows)
