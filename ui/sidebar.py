@@ -152,15 +152,20 @@ def _has_room(context: bpy.types.Context, title: str, more: float) -> bool:
     """Return whether the header of a panel has room for its title and `more`, in unscaled pixels."""
     if context.region is None:
         return True
-    scale = context.preferences.system.ui_scale
-    blf.size(0, 11.5 * scale)
+    scale = _use_interface_font(context)
     width = blf.dimensions(0, interface(title))[0]
     return width + (_HEADER + more) * scale <= context.region.width
 
 
 def _text_width(context: bpy.types.Context) -> float:
     """Set the font size of the interface, and return the width available next to an icon, pixels."""
-    scale = context.preferences.system.ui_scale
-    blf.size(0, 11.5 * scale)
+    scale = _use_interface_font(context)
     width = context.region.width if context.region is not None else 300.0
     return max(width - 90.0 * scale, 60.0 * scale)
+
+
+def _use_interface_font(context: bpy.types.Context) -> float:
+    """Set the font size of the interface for `blf`, and return the resolution scale."""
+    scale: float = context.preferences.system.ui_scale
+    blf.size(0, 11.5 * scale)
+    return scale
