@@ -136,15 +136,17 @@ def _stored_landmarks(obj: bpy.types.Object, name: str) -> NDArray[np.intp]:
     mesh = mesh_of(obj)
     landmarks, bound_at = stored_integers(mesh, name), stored_integers(mesh, COUNT_PROPERTY)
     if landmarks is None or landmarks.shape != (N_LANDMARKS,):
-        raise HeadError(f"{obj.name} has no landmarks. Bind them in Head > Your Own Head, or use the built-in head.")
+        raise HeadError(
+            f"{obj.name} has no landmarks. Find its face in Head > Your Own Head, or use the built-in head."
+        )
     count = len(mesh.vertices)
     if bound_at is not None and not np.array_equal(bound_at, count):
         raise HeadError(
-            f"The vertex count of {obj.name} has changed from {bound_at} to {count} since its landmarks were bound. "
+            f"The vertex count of {obj.name} has changed from {bound_at} to {count} since its face was found. "
             "Undo that change, or find the face again."
         )
     if landmarks.min() < 0 or landmarks.max() >= count:
-        raise HeadError(f"The landmarks of {obj.name} refer to vertices that no longer exist. Bind them again.")
+        raise HeadError(f"The landmarks of {obj.name} refer to vertices that no longer exist. Find the face again.")
     return landmarks
 
 

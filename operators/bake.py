@@ -202,7 +202,7 @@ class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
             )
         coefficients = np.array([pose.coefficients for pose in poses])
         values = np.array([[pose.values.get(key, 0.0) for key in keys] for pose in poses])
-        start = read_table(bake) if len(bake.rows) else KeyMap("Table", ())
+        start = read_table(bake) if len(bake.rows) else KeyMap("Mapping", ())
         write_table(bake, learn_map(coefficients, values, keys, start))
         bake.poses.clear()
 

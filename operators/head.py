@@ -20,7 +20,7 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
         description="Head to add",
         items=(("MAN", "Man", "A man with short hair"), ("WOMAN", "Woman", "A woman with hair combed back")),
     )
-    units: BoolProperty(name="ARKit Shape Keys", description="Add the 52 ARKit face units as shape keys")
+    units: BoolProperty(name="ARKit Shape Keys (52)", description="Add the shape keys of ARKit, all at 0")
     show_textures: BoolProperty(
         name="Show Textures", description="Show the textures of skin and eyes in Solid shading", default=True
     )

@@ -59,7 +59,7 @@ def _report_turn(operator: bpy.types.Operator, head: bpy.types.Object, before: d
 
 
 class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
-    """Mark the vertex selected in Edit Mode as a point of the face; mark at least four points, then bind"""
+    """Mark the vertex selected in Edit Mode as a point of the face; mark at least four points, then use Find Face"""
 
     bl_idname = "facemime.mark_point"
     bl_label = "Mark Point"
@@ -148,7 +148,7 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnMesh, bpy.types.O
 
 
 class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
-    """Bind one landmark to the vertex selected in Edit Mode"""
+    """Move one landmark to the vertex selected in Edit Mode"""
 
     bl_idname = "facemime.set_landmark"
     bl_label = "Set Landmark"

@@ -182,7 +182,7 @@ class FACEMIME_OT_mute_bone(OnHead, bpy.types.Operator):
 
 
 class FACEMIME_OT_make_expression_keys(InObjectMode, WorksInSteps, OnHead, bpy.types.Operator):
-    """Add a set of shape keys, such as ARKit's face units, to all meshes of the face; existing keys are kept"""
+    """Add a set of shape keys, such as ARKit's, to all meshes of the face; existing keys are kept"""
 
     bl_idname = "facemime.make_expression_keys"
     bl_label = "Make Expression Keys"

@@ -105,7 +105,7 @@ class PunchIn:
             raise FacemimeError("The scene of the take was deleted. Record the range in another scene.")
         if self._recording is None:
             if self.time_left == 0.0:
-                self._recording = session.start_recording(scene, "Punch In")
+                self._recording = session.start_recording(scene, "Insert")
             return True
         if self._recording.seconds < self._end - self._start:
             return True

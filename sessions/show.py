@@ -48,7 +48,7 @@ class TakeShow(Session):
 
     def __init__(self, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], take: Take) -> None:
         if not objects:
-            raise HeadError("No head is selected. Add one with Add > Mesh > Facemime Head, or bind your own.")
+            raise HeadError("No head is selected. Use Add > Mesh > Facemime Head, or find the face of your own.")
         settings = scene.facemime
         performance = Performance.of(take, puppet_settings(settings))
         follow = Follow(settings.rotation, settings.translation)

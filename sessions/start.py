@@ -53,7 +53,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
         If a head cannot be driven, a pose object or the source is missing, or the calibration is damaged.
     """
     if not objects:
-        raise HeadError("No head is selected. Add one with Add > Mesh > Facemime Head, or bind your own.")
+        raise HeadError("No head is selected. Use Add > Mesh > Facemime Head, or find the face of your own.")
     settings = scene.facemime
     if settings.posing.object is not None and len(objects) > 1:
         raise HeadError("One pose object cannot follow several heads. Clear Pose Object, or select a single head.")

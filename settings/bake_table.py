@@ -13,7 +13,7 @@ def read_table(bake: FacemimeBake) -> KeyMap:
         if not row.key:
             raise FacemimeError(f"Row {number} of the key mapping has no shape key. Choose one, or remove the row.")
     rows = tuple(KeyRow(row.source, row.key, row.gain, row.offset) for row in bake.rows)
-    return KeyMap(bake.table or "Table", rows)
+    return KeyMap(bake.table or "Mapping", rows)
 
 
 def write_table(bake: FacemimeBake, table: KeyMap) -> None:

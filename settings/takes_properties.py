@@ -54,7 +54,7 @@ class FacemimeKeyPose(bpy.types.PropertyGroup):
 class FacemimeBake(bpy.types.PropertyGroup):
     """Settings of the bake, and the key mapping."""
 
-    table: StringProperty(name="Table", description="Name of the key mapping")
+    table: StringProperty(name="Mapping", description="Name of the key mapping")
     rows: CollectionProperty(type=FacemimeKeyRow)
     row: IntProperty(name="Row", min=0)
     poses: CollectionProperty(type=FacemimeKeyPose)

@@ -228,7 +228,7 @@ def missing_parts(obj: bpy.types.Object) -> list[tuple[str, str]]:
     if (bound_at := stored_integers(mesh, COUNT_PROPERTY)) is not None and not np.array_equal(
         bound_at, len(mesh.vertices)
     ):
-        return [("The vertex count has changed since the landmarks were bound", "facemime.bind_landmarks")]
+        return [("The vertex count has changed since the face was found", "facemime.bind_landmarks")]
     if not driven_by_keys(obj) and any(name not in obj.vertex_groups for name in REGION_GROUPS):
         return [("This mesh has no regions yet", "facemime.propose_regions")]
     return []

@@ -75,7 +75,7 @@ def face_from_keys(vertices: FloatArray, mixtures: FloatArray, offsets: Sequence
             known.append(_centre(head.vertices, motion))
             found.append(_centre(vertices, offset))
     if len(known) < _MIN_KEYS or len(vertices) < N_LANDMARKS:
-        raise HeadError("Too few shape keys move the face to drive it by them. Bind its landmarks: Find Face.")
+        raise HeadError("Too few shape keys move the face to drive it by them. Use Find Face instead.")
     source, target = np.array(known), np.array(found)
     about, there = source.mean(axis=0), target.mean(axis=0)
     turn = _by_right_angles(fit_rotation(source - about, target - there))

@@ -67,7 +67,7 @@ def check_head(vertices: FloatArray, faces: IntArray, landmarks: IntArray, regio
     unique, counts = np.unique(landmarks, return_counts=True)
     if (counts > 1).any():
         twins = np.flatnonzero(np.isin(landmarks, unique[counts > 1]))
-        findings.append(Finding(f"Landmarks {_list(twins)} share vertices.", "Bind each to its own vertex."))
+        findings.append(Finding(f"Landmarks {_list(twins)} share vertices.", "Move each to its own vertex."))
     findings += _region_findings(landmarks, region_weights)
     findings += _lip_findings(vertices, faces, landmarks)
     findings += _eye_findings(vertices, faces, landmarks)
@@ -81,7 +81,8 @@ def _region_findings(landmarks: IntArray, region_weights: FloatArray) -> list[Fi
     if len(outside):
         findings.append(
             Finding(
-                f"Landmarks {_list(outside)} lie in no region.", "Paint their regions over them, or bind them again."
+                f"Landmarks {_list(outside)} lie in no region.",
+                "Paint their regions over them, or find the face again.",
             )
         )
     partly = np.setdiff1d(np.flatnonzero(own_weights(region_weights, landmarks) < _HELD), outside)
@@ -89,17 +90,17 @@ def _region_findings(landmarks: IntArray, region_weights: FloatArray) -> list[Fi
         findings.append(
             Finding(
                 f"Landmarks {_list(partly)} are moved only partly by their regions.",
-                "Paint these regions over them in full, or propose the regions again.",
+                "Paint these regions over them in full, or use Reset Regions.",
             )
         )
     for region, members, row, whole in zip(REGIONS, membership(), weights, region_weights, strict=True):
         if not np.asarray(whole).any():
-            findings.append(Finding(f"The region {region.name} is empty.", "Paint it, or propose the regions again."))
+            findings.append(Finding(f"The region {region.name} is empty.", "Paint it, or use Reset Regions."))
         elif not (members & (row >= _MIN_WEIGHT)).any():
             findings.append(
                 Finding(
                     f"The region {region.name} contains none of its control points.",
-                    "Paint it over its landmarks, or propose the regions again.",
+                    "Paint it over its landmarks, or use Reset Regions.",
                 )
             )
     return findings

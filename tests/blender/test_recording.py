@@ -179,7 +179,7 @@ def test_an_interrupted_re_recording_keeps_the_take_and_lists_the_recorded_part(
     wait_for(lambda: attend() or (session.recording is not None and session.recording.frames > 5))
     session.close()
     attend()
-    assert [line.name for line in takes.items] == ["First", "Punch_In"] and takes.items[0].path == "//First.facetake"
+    assert [line.name for line in takes.items] == ["First", "Insert"] and takes.items[0].path == "//First.facetake"
     assert Session.current is None and bpy.context.scene.sync_mode == "NONE"
 
 
