@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 import bpy
+import numpy as np
+from mathutils import Vector
+from numpy.typing import NDArray
+
+_HITS = 16
+"""Maximum number of surfaces of a character that a line of sight passes through."""
+_OPAQUE = {"TEXTURED", "SOLID"}
+_LIGHTS = {"LIGHT", "LIGHT_PROBE"}
 
 
 class Viewport(NamedTuple):
@@ -72,6 +80,51 @@ def redraw(context: bpy.types.Context, kind: str = "WINDOW") -> None:
                 for region in area.regions:
                     if region.type == kind:
                         region.tag_redraw()
+
+
+def is_hidden_by_others(
+    context: bpy.types.Context, seen: Viewport, points: NDArray[np.floating], own: Collection[bpy.types.Object]
+) -> bool:
+    """Return whether most of some points are behind other objects.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+    seen : Viewport
+        Orthographic.
+    points : (N, 3) array
+        Points of a surface in the world.
+    own : collection of bpy.types.Object
+        The objects that may be in front of them.
+    """
+    towards = seen.view.view_rotation @ Vector((0.0, 0.0, 1.0))
+    step = 1e-3 * float(np.ptp(points, axis=0).max())
+    graph = context.evaluated_depsgraph_get()
+    hidden = 0
+    for point in points:
+        start = Vector(point) + step * towards
+        for _ in range(_HITS):
+            hit, place, _, _, obj, _ = context.scene.ray_cast(graph, start, towards)
+            if not hit:
+                break
+            if obj.original not in own and obj.display_type in _OPAQUE:
+                hidden += 1
+                break
+            start = place + step * towards
+    return 2 * hidden > len(points)
+
+
+def show_alone(context: bpy.types.Context, own: Collection[bpy.types.Object]) -> None:
+    """Show some objects and the lights in the Local View of the viewport in use; one of them has to be selected.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+    own : collection of bpy.types.Object
+    """
+    bpy.ops.view3d.localview(frame_selected=False)
+    for obj in context.view_layer.objects:
+        obj.local_view_set(context.space_data, obj in own or obj.type in _LIGHTS)
 
 
 def toolbar_width(area: bpy.types.Area) -> float:

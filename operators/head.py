@@ -39,6 +39,9 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
         head.location = free_place(context, head, context.scene.cursor.location)
         space = context.space_data
         if isinstance(space, bpy.types.SpaceView3D):
+            if space.local_view is not None:
+                for obj in (head, *head.children_recursive):
+                    obj.local_view_set(space, True)
             if self.show_textures and space.shading.color_type == "MATERIAL":
                 space.shading.color_type = "TEXTURE"
             if self.frame_view:

@@ -20,11 +20,13 @@ from ..blender.heads.binding import (
     write_marks,
 )
 from ..blender.heads.eyes import open_eyes
+from ..blender.heads.family import character_of
 from ..blender.heads.keyed import bind_keys
 from ..blender.heads.lips import open_lips
-from ..blender.media.preview_scene import look_at_face
+from ..blender.media.preview_scene import face_points, look_at_face
+from ..blender.meshes import read_landmarks
 from ..blender.messages import translated
-from ..blender.viewports import viewport_of
+from ..blender.viewports import is_hidden_by_others, show_alone, viewport_of
 from ..core.binding.bind import MARKS, Binding
 from ..core.errors import HeadError
 from ..core.landmarks import from_ibug
@@ -56,6 +58,21 @@ def _report_turn(operator: bpy.types.Operator, head: bpy.types.Object, before: d
     """Report if `head` was rotated since its world matrix was as in `before`."""
     if note := turn_note(head, before):
         report(operator, note)
+
+
+def _turn_to_face(context: bpy.types.Context) -> bool:
+    """Turn the view to the face of the active head; return whether it is shown alone, as other objects hid it."""
+    head, seen = context.active_object, viewport_of(context)
+    if seen is None:
+        return False
+    look_at_face(seen.view, head)
+    if seen.area != context.area or context.space_data.local_view is not None:
+        return False
+    own = character_of(head)
+    if not is_hidden_by_others(context, seen, face_points(head)[read_landmarks(head)], own):
+        return False
+    show_alone(context, own)
+    return True
 
 
 class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
@@ -125,7 +142,10 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnMesh, bpy.types.O
         memory = context.window_manager.facemime
         memory.unsure = context.active_object.name if binding.wanted else ""
         memory.wanted = ",".join(map(str, binding.wanted))
-        report(self, "Face found. Check the points")
+        if self.in_window and _turn_to_face(context):
+            report(self, "Face found. It is shown alone in Local View, as other objects hide it. Check the points")
+        else:
+            report(self, "Face found. Check the points")
         if binding.wanted:
             label1, label2, label3, label4 = (MARKS[number].capitalize() for number in binding.wanted)
             report(
@@ -140,8 +160,6 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnMesh, bpy.types.O
             report(self, "The whole body would turn with the head. Set a bone as pose object in Puppet > Head and Eyes")
         report_findings(self, context)
         if self.in_window:
-            if (seen := viewport_of(context)) is not None:
-                look_at_face(seen.view, context.active_object)
             bpy.ops.facemime.adjust_landmarks("INVOKE_DEFAULT")
         else:
             context.scene.facemime_steps.show_points = True

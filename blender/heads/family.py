@@ -9,7 +9,7 @@ from mathutils import Vector
 from ...core.arrays import FloatArray
 from ...core.bake.key_map import best_preset
 from ...core.heads.sorting import named_part, names_body, names_skin
-from ..characters import rest_matrix
+from ..characters import objects_of, rest_matrix
 from ..meshes import is_head
 from ..names import PART_PROPERTY
 
@@ -46,6 +46,12 @@ def armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
     while parent is not None and parent.type != "ARMATURE":
         parent = parent.parent
     return parent
+
+
+def character_of(head: bpy.types.Object) -> set[bpy.types.Object]:
+    """Return all objects of the character of a head: what has the same root, and the meshes of its face."""
+    root = _root_of(head)
+    return {root, *root.children_recursive, head, *objects_of(head)}
 
 
 def material_names(obj: bpy.types.Object) -> list[str]:
