@@ -192,8 +192,9 @@ model: setup
 expressions: setup
 	$(BIN)/python -m training.expressions
 
-# Run this after model, expressions and head; twenty minutes.
+# Run this after model, expressions and head; about an hour.
 coefficients: setup
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/training.txt
 	$(BIN)/python -m training.coefficients
 
 head: setup

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,12 @@ from ..assets import ASSETS
 from ..coefficient_names import FITTED
 from ..landmarks import N_LANDMARKS
 
-FORMAT = "facemime-coefficients-1"
+FORMAT = "facemime-coefficients-2"
 COEFFICIENT_FILE = ASSETS / "expressions" / "coefficients.npz"
 N_OBSERVED = 3 * N_LANDMARKS + N_ACTIONS
 """Size of an observation: 66 displacements in the built-in head's outer-eye distances, and 15 activations."""
+HIDDEN = (256, 128)
+"""Widths of the hidden layers of the network that corrects the fit."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,22 @@ class Spread:
 
 
 @dataclass(frozen=True)
+class Layer:
+    """A layer of a network, ``y = x W + b``.
+
+    Attributes
+    ----------
+    weights : (I, O) float64
+        W.
+    offsets : (O,) float64
+        b.
+    """
+
+    weights: FloatArray
+    offsets: FloatArray
+
+
+@dataclass(frozen=True)
 class CoefficientModel:
     """Model of observations, ``x = a R + e + n``, of coefficients a with the errors of a frame and of the neutral face.
 
@@ -57,6 +76,9 @@ class CoefficientModel:
         P, the inverse of the mean product of any two coefficients: how they go together.
     gains : (44,) float64
         Factors that compensate for the shrinkage of the amplitudes by the prior.
+    correction : tuple of Layer
+        A network from an observation and its fitted coefficients, (213 + 44,), to what the fit lacks, (44,), with ramps
+        between its layers. If it has no layers, the fit is not corrected.
     """
 
     responses: FloatArray
@@ -64,6 +86,7 @@ class CoefficientModel:
     neutral: Spread
     together: FloatArray
     gains: FloatArray
+    correction: tuple[Layer, ...] = ()
 
 
 @lru_cache(maxsize=1)
@@ -83,7 +106,15 @@ def load_coefficient_model(path: Path = COEFFICIENT_FILE) -> CoefficientModel:
             neutral=_spread(archive, "neutral"),
             together=archive.floats("together", (count, count)),
             gains=archive.floats("gains", (count,)),
+            correction=_correction(archive, (N_OBSERVED + count, *HIDDEN, count)),
         )
+
+
+def _correction(archive: Archive, widths: tuple[int, ...]) -> tuple[Layer, ...]:
+    return tuple(
+        Layer(archive.floats(f"correction.{i}.weights", shape), archive.floats(f"correction.{i}.offsets", shape[1:]))
+        for i, shape in enumerate(pairwise(widths))
+    )
 
 
 def _spread(archive: Archive, name: str) -> Spread:

@@ -1,14 +1,17 @@
-"""Coefficients from observed frames: a sparse fit with a learnt prior (docs/method.md, section 9.3)."""
+"""Coefficients from observed frames: a sparse fit with a learnt prior, corrected by a network (method, section 9.3)."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..actions import ACTION_MIRROR
 from ..arrays import FloatArray
-from ..coefficient_names import COEFFICIENT_INDEX, EXCLUSIVE, FITTED
-from ..landmarks import LOWER_LIPS, N_LANDMARKS, UPPER_LIPS
-from .coefficient_model import N_OBSERVED, CoefficientModel
+from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, EXCLUSIVE, FITTED
+from ..landmarks import LOWER_LIPS, MIRROR, N_LANDMARKS, UPPER_LIPS
+from .coefficient_model import N_OBSERVED, CoefficientModel, Layer
 from .least_squares import bounded_least_squares, bounded_minimum
 
 _SPARSITY = 1.0
@@ -26,6 +29,7 @@ count as independent, as neighbours err alike, and sum of coefficients below whi
 _EXCLUDED = 1e6
 """Penalty of the weaker coefficient of an exclusive pair, far above what an observation could outweigh."""
 _PLACES: NDArray[np.intp] = np.searchsorted(FITTED, EXCLUSIVE)
+_ACROSS: NDArray[np.intp] = np.searchsorted(FITTED, COEFFICIENT_MIRROR[FITTED])
 _OPENS, _CLOSES = (int(np.searchsorted(FITTED, COEFFICIENT_INDEX[name])) for name in ("jawOpen", "mouthClose"))
 _LIP_GAP = np.zeros((N_LANDMARKS, 3))
 _LIP_GAP[LOWER_LIPS, 1], _LIP_GAP[UPPER_LIPS, 1] = 1.0 / len(LOWER_LIPS), -1.0 / len(UPPER_LIPS)
@@ -52,7 +56,9 @@ class CoefficientSolver:
         frame, neutral = (spread.matrix()[np.ix_(known, known)] for spread in (model.frame, model.neutral))
         self._within, self._between = np.linalg.inv(frame), np.linalg.inv(neutral)
         self._single = self._responses @ np.linalg.inv(frame + neutral)
-        self._corrected = self._responses @ np.linalg.inv(frame + _LEFT * neutral)
+        self._calibrated = self._responses @ np.linalg.inv(frame + _LEFT * neutral)
+        self._correction = model.correction
+        self._at_rest = self._lacking(np.zeros((1, N_OBSERVED + len(FITTED)))) if model.correction else 0.0
 
     def frames(self, observed: FloatArray) -> FloatArray:
         """Find the coefficients of single frames, as in a live performance.
@@ -67,8 +73,7 @@ class CoefficientSolver:
         (N, 44) float64
             Coefficients, 0 to 1.
         """
-        values = observed[:, self._known]
-        return self._finished(self._fit(values, self._single, 2), values)
+        return self.corrected(self.fitted_frames(observed))
 
     def take(self, observed: FloatArray) -> FloatArray:
         """Find the coefficients of a take, corrected for the error of its neutral face.
@@ -82,6 +87,37 @@ class CoefficientSolver:
         -------
         (N, 44) float64
             Coefficients, 0 to 1.
+        """
+        return self.corrected(self.fitted_take(observed))
+
+    def fitted_frames(self, observed: FloatArray) -> FloatArray:
+        """Fit the coefficients of single frames (equations 9.3 and 9.4).
+
+        Parameters
+        ----------
+        observed : (N, 213) float64
+            Observations.
+
+        Returns
+        -------
+        (N, D + 44) float64
+            The known part of the observations, and the fitted coefficients, 0 to 1.
+        """
+        values = observed[:, self._known]
+        return self._finished(self._fit(values, self._single, 2), values)
+
+    def fitted_take(self, observed: FloatArray) -> FloatArray:
+        """Fit the coefficients of a take.
+
+        Parameters
+        ----------
+        observed : (N, 213) float64
+            Observations.
+
+        Returns
+        -------
+        (N, D + 44) float64
+            The known part of the observations without the error of the neutral face, and the fitted coefficients.
 
         Notes
         -----
@@ -96,7 +132,35 @@ class CoefficientSolver:
             # Calm frames say most about the neutral face.
             trust = 1.0 / (_CALM + found.sum(axis=1))
             error = correct @ (trust @ (some - found @ self._responses) / trust.sum())
-        return self._finished(self._fit(values - error, self._corrected, 2), values - error)
+        return self._finished(self._fit(values - error, self._calibrated, 2), values - error)
+
+    def corrected(self, fitted: FloatArray) -> FloatArray:
+        """Add what the fit lacks (equation 9.6), if the actions are known.
+
+        Parameters
+        ----------
+        fitted : (N, D + 44) float64
+            Observations and fitted coefficients, from `fitted_frames` or `fitted_take`.
+
+        Returns
+        -------
+        (N, 44) float64
+            Coefficients, 0 to 1.
+        """
+        found = fitted[:, -len(FITTED) :]
+        if not self._correction or not self._known.all():
+            return found
+        found = np.clip(found + self._lacking(fitted) - self._at_rest, 0.0, 1.0)
+        weaker = _PLACES[np.arange(len(_PLACES)), found[:, _PLACES].argmin(axis=2)]
+        np.put_along_axis(found, weaker, 0.0, axis=1)
+        found[:, _CLOSES] = np.minimum(found[:, _CLOSES], found[:, _OPENS])
+        return found
+
+    def _lacking(self, fitted: FloatArray) -> FloatArray:
+        """Output of the network, (N, 44), the same for both sides."""
+        observed, found = fitted[:, :N_OBSERVED], fitted[:, N_OBSERVED:]
+        flipped = np.concatenate([mirrored(observed), found[:, _ACROSS]], axis=1)
+        return 0.5 * (_output(self._correction, fitted) + _output(self._correction, flipped)[:, _ACROSS])
 
     def _fit(self, values: FloatArray, readout: FloatArray, rounds: int) -> FloatArray:
         """Fit coefficients, (N, 44), to known values (N, D), reweighted `rounds` times (equations 9.3 and 9.4)."""
@@ -115,12 +179,26 @@ class CoefficientSolver:
         return found
 
     def _finished(self, found: FloatArray, values: FloatArray) -> FloatArray:
-        """Let the lips be as far apart as observed, by mouthClose, which cannot exceed jawOpen; then scale."""
+        """Let the lips be as far apart as observed, by mouthClose, which cannot exceed jawOpen; scale; append."""
         gap = _LIP_GAP @ self._responses[:, : 3 * N_LANDMARKS].T
         apart = found @ gap - values[:, : 3 * N_LANDMARKS] @ _LIP_GAP
         closed = found[:, _CLOSES] + apart / -gap[_CLOSES]
         found[:, _CLOSES] = np.clip(closed, 0.0, found[:, _OPENS])
-        return np.asarray(np.clip(found * self._model.gains, 0.0, 1.0))
+        return np.concatenate([values, np.clip(found * self._model.gains, 0.0, 1.0)], axis=1)
+
+
+def mirrored(observed: FloatArray) -> FloatArray:
+    """Return the observations (N, 213) of faces that are flipped left to right."""
+    shape, actions = observed[:, : 3 * N_LANDMARKS], observed[:, 3 * N_LANDMARKS :]
+    shape = shape.reshape(-1, N_LANDMARKS, 3)[:, MIRROR] * [-1.0, 1.0, 1.0]
+    return np.concatenate([shape.reshape(len(shape), -1), actions[:, ACTION_MIRROR]], axis=1)
+
+
+def _output(layers: Sequence[Layer], x: FloatArray) -> FloatArray:
+    """Output of a network for inputs (N, I)."""
+    for layer in layers[:-1]:
+        x = np.maximum(x @ layer.weights + layer.offsets, 0.0)
+    return np.asarray(x @ layers[-1].weights + layers[-1].offsets)
 
 
 def _weaker(found: FloatArray) -> NDArray[np.intp]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.bake.coefficient_model import N_OBSERVED, load_coefficient_model
+from facemime.core.bake.coefficient_model import COEFFICIENT_FILE, HIDDEN, N_OBSERVED, load_coefficient_model
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from facemime.core.landmarks import N_LANDMARKS, from_ibug
 from facemime.core.tracking.tracker import FaceTracker
@@ -48,7 +50,7 @@ def test_responses_of_a_known_model_are_learnt_and_read_back(tmp_path):
     for seed, count in enumerate((120, 120, 2000)):
         keys = acted(count, seed)
         parts.append(Observed(keys[:, FITTED] @ known.responses + rng.normal(0.0, 0.004, (count, N_OBSERVED)), keys))
-    model = learn(parts[:2], parts[2], np.random.default_rng(2))
+    model = replace(learn(parts[:2], parts[2:], np.random.default_rng(2)), correction=known.correction)
     shapes = slice(0, 3 * N_LANDMARKS)  # for activations, what is expected of them counts as well
     away = np.linalg.norm((model.responses - known.responses)[:, shapes])
     assert away < 0.2 * np.linalg.norm(known.responses[:, shapes])
@@ -56,6 +58,11 @@ def test_responses_of_a_known_model_are_learnt_and_read_back(tmp_path):
     read = load_coefficient_model(tmp_path / "model.npz")
     np.testing.assert_allclose(read.responses, model.responses, atol=1e-6)
     assert model_bytes(read) == model_bytes(model)
+
+
+def test_the_shipped_model_is_read_whole_and_written_as_it_was():
+    assert len(load_coefficient_model().correction) == len(HIDDEN) + 1
+    assert model_bytes(load_coefficient_model()) == COEFFICIENT_FILE.read_bytes()
 
 
 def test_a_simulated_face_follows_its_script():

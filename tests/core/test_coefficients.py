@@ -127,6 +127,16 @@ def test_a_flipped_face_has_the_coefficients_of_the_other_side(seed):
     np.testing.assert_allclose(whole[0], whole[1][:, COEFFICIENT_MIRROR], atol=0.02)
 
 
+def test_a_fit_without_known_actions_is_not_corrected():
+    model = load_coefficient_model()
+    acted = np.random.default_rng(3).random((4, len(FITTED))) < 0.1
+    observed = acted @ model.responses
+    fitted = replace(model, correction=())
+    alone, both = (CoefficientSolver(each, actions=False).frames(observed) for each in (fitted, model))
+    np.testing.assert_array_equal(alone, both)
+    assert np.abs(CoefficientSolver(fitted).frames(observed) - CoefficientSolver(model).frames(observed)).max() > 0.05
+
+
 def test_a_frame_depends_only_on_itself(solver):
     observed = np.random.default_rng(2).normal(0.0, 0.05, (6, N_OBSERVED))
     alone = np.concatenate([solver.frames(row[None]) for row in observed])

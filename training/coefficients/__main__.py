@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy loads: sums in another order give other bytes
@@ -25,7 +26,8 @@ from facemime.core.tracking.tracker import FaceTracker
 from ..data import ROOT, add_data_option
 from ..tracker.heads import IctHead, load_ict
 from ..tracker.sources import HAND_LABELLED, read_photos, split
-from .learn import learn, model_bytes
+from .correction import learn_correction
+from .learn import learn, model_bytes, shape_responses
 from .performances import performer, tracked
 from .simulate import Observed, built_in_face, ict_face, simulate
 
@@ -40,13 +42,16 @@ def main() -> int:
     """Learn and write."""
     parser = argparse.ArgumentParser(prog="python -m training.coefficients", description=__doc__)
     add_data_option(parser)
-    parser.add_argument("--people", type=int, default=40)
+    parser.add_argument("--people", type=int, default=96)
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     tracker, head, rng = FaceTracker.load(), load_ict(arguments.data), np.random.default_rng(5)
-    faces = [built_in_face(rng) for _ in range(_FACES)] + [ict_face(head, rng) for _ in range(_FACES)]
-    simulated = simulate(faces, tracker.pdm, _EACH, rng)
-    content = model_bytes(learn(_rendered(arguments.data, arguments.people, tracker, head), simulated, rng))
+    families = [[built_in_face(rng) for _ in range(_FACES)], [ict_face(head, rng) for _ in range(_FACES)]]
+    built_in, ict = (simulate(faces, tracker.pdm, _EACH, rng) for faces in families)
+    rendered = _rendered(arguments.data, arguments.people, tracker, head)
+    model = learn(rendered, [built_in, ict], rng)
+    restyling = shape_responses(built_in) - shape_responses(ict)
+    content = model_bytes(replace(model, correction=learn_correction(model, rendered, restyling, rng)))
     COEFFICIENT_FILE.write_bytes(content)
     print(f"{COEFFICIENT_FILE.relative_to(ROOT)}: {len(content) / 1024:.0f} KB")
     return 0

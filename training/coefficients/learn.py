@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from facemime.core.actions import ACTION_MIRROR, ACTIONS
+from facemime.core.actions import ACTIONS
 from facemime.core.bake.coefficient_model import FORMAT, N_OBSERVED, CoefficientModel, Spread
 from facemime.core.bake.coefficients import CoefficientSolver
+from facemime.core.bake.coefficients import mirrored as mirrored_observations
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, FITTED
-from facemime.core.landmarks import MIRROR, N_LANDMARKS
+from facemime.core.landmarks import N_LANDMARKS
 
 from ..head.build import to_bytes
 from .script import random_expression
@@ -33,15 +34,18 @@ share of the squares in a performance, which is often at rest."""
 _MAX_GAIN = 1.5
 
 
-def learn(rendered: list[Observed], simulated: Observed, rng: np.random.Generator) -> CoefficientModel:
-    """Learn the model from rendered performances, one per person, and simulated observations."""
+def learn(rendered: list[Observed], simulated: list[Observed], rng: np.random.Generator) -> CoefficientModel:
+    """Learn the model from rendered performances, one per person, and observations of families of simulated faces.
+
+    The fit is not corrected yet; see `training.coefficients.correction`.
+    """
     takes = [side for take in rendered for side in (take, mirrored(take))]
-    both = _joined([simulated, mirrored(simulated)])
+    both = joined([side for family in simulated for side in (family, mirrored(family))])
     expected = np.zeros((len(FITTED), N_OBSERVED))
-    expected[:, :_SHAPE] = _regression(both.keys, both.values[:, :_SHAPE], _RIDGE)
+    expected[:, :_SHAPE] = shape_responses(both)
     for column, name in enumerate(ACTIONS):
         expected[np.flatnonzero(COEFFICIENT_INDEX[_coefficient(name)] == FITTED)[0], _SHAPE + column] = _EXPECTED
-    seen = _joined(takes)
+    seen = joined(takes)
     responses = expected + _regression(seen.keys, seen.values - seen.keys[:, FITTED] @ expected, _LOYALTY)
     errors = [take.values - take.keys[:, FITTED] @ responses for take in takes]
     means = np.array([each.mean(axis=0) for each in errors])
@@ -58,9 +62,12 @@ def learn(rendered: list[Observed], simulated: Observed, rng: np.random.Generato
 
 def mirrored(observed: Observed) -> Observed:
     """Observations of the faces flipped left to right."""
-    shape = observed.values[:, :_SHAPE].reshape(-1, N_LANDMARKS, 3)[:, MIRROR] * [-1.0, 1.0, 1.0]
-    values = [shape.reshape(len(shape), -1), observed.values[:, _SHAPE:][:, ACTION_MIRROR]]
-    return Observed(np.concatenate(values, axis=1), observed.keys[:, COEFFICIENT_MIRROR])
+    return Observed(mirrored_observations(observed.values), observed.keys[:, COEFFICIENT_MIRROR])
+
+
+def shape_responses(simulated: Observed) -> np.ndarray:
+    """Displacements (44, 198) of each coefficient, by regression on simulated faces."""
+    return _regression(simulated.keys, simulated.values[:, :_SHAPE], _RIDGE)
 
 
 def spread(covariance: np.ndarray, count: int) -> Spread:
@@ -84,11 +91,14 @@ def model_bytes(model: CoefficientModel) -> bytes:
         "neutral.rest": model.neutral.rest,
         "together": model.together,
         "gains": model.gains,
+        **{f"correction.{i}.weights": layer.weights for i, layer in enumerate(model.correction)},
+        **{f"correction.{i}.offsets": layer.offsets for i, layer in enumerate(model.correction)},
     }
     return to_bytes({"format": np.array(FORMAT), **{name: array.astype(np.float32) for name, array in arrays.items()}})
 
 
-def _joined(parts: list[Observed]) -> Observed:
+def joined(parts: list[Observed]) -> Observed:
+    """Observations of all parts, one after the other."""
     return Observed(np.concatenate([part.values for part in parts]), np.concatenate([part.keys for part in parts]))
 
 
@@ -116,6 +126,6 @@ def _gains(model: CoefficientModel, takes: list[Observed]) -> np.ndarray:
     """Factors from found to acted coefficients, (44,), by least squares over all frames."""
     solver = CoefficientSolver(model)
     found = np.concatenate([solver.take(take.values) for take in takes])
-    acted = _joined(takes).keys[:, FITTED]
+    acted = joined(takes).keys[:, FITTED]
     ratio = (found * acted).sum(axis=0) / np.maximum(np.square(found).sum(axis=0), 1e-6)
     return np.clip(ratio, 1.0, _MAX_GAIN)
