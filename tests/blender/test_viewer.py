@@ -59,7 +59,7 @@ def test_a_browser_gets_the_running_puppet(viewer):
     start()
     some_frames()
     server = running().viewer
-    with connect(server.address.replace("http", "ws", 1) + "stream") as page:
+    with connect(server.address.replace("http", "ws", 1) + "stream", open_timeout=PATIENCE) as page:
         ticks_until(lambda: server.viewers == 1)
         scene = json.loads(page.recv(timeout=PATIENCE))
         while not scene["images"]:
@@ -203,7 +203,7 @@ def test_the_command_serves_a_character_of_a_file(tmp_path):
     ]
     with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
         address = next(row.strip() for row in server.stdout if row.startswith("http"))
-        with connect(address.replace("http", "ws", 1) + "stream") as page:
+        with connect(address.replace("http", "ws", 1) + "stream", open_timeout=PATIENCE) as page:
             while not (scene := json.loads(page.recv(timeout=PATIENCE)))["images"]:
                 pass
             frames = {page.recv(timeout=PATIENCE)[16:] for _ in range(20)}
