@@ -11,7 +11,8 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import SourceError
-from ..takes.neutral import Neutral, calibrate, shut_level
+from ..takes.face_space import load_face_space
+from ..takes.neutral import Neutral, calibrate, shut_level, trust
 from ..takes.take import TakeRecorder
 from ..tracking.result import TrackResult
 
@@ -23,6 +24,9 @@ _MAX_MOTION = 0.02
 """Standard deviation of landmarks, in outer-eye distances, above which the performer has moved."""
 _MAX_YAW = np.radians(20.0)
 """Yaw in radians above which the head was turned."""
+_MAX_EXPRESSION = 0.35
+"""Amount of expression, in eye distances, above which the performer did not rest. On the labelled neutral faces of
+`bench.expressions` it is below 0.1, and up to 0.9 elsewhere; brows are left out, as their height at rest differs."""
 _HARDLY_SEEN = "Your face was hardly visible. Look at the camera, with light from the front, and try again."
 
 
@@ -91,6 +95,11 @@ class NeutralCalibration:
             return Quality(False, "You moved. Keep a relaxed face for a second and try again.")
         if float(np.abs(np.median(take.pose[found, 2], axis=0))) > _MAX_YAW:
             return Quality(False, "Your head was turned. Look straight at the camera and try again.")
+        frames = np.flatnonzero(found)
+        space = load_face_space()
+        shown = np.median(space.explain(shape, trust(take, frames)), axis=0)
+        if space.amount(np.where(space.of_brows, 0.0, shown)[None])[0] > _MAX_EXPRESSION:
+            return Quality(False, "You showed an expression. Relax your face, close your mouth and try again.")
         return Quality(True, "Neutral face set.")
 
 

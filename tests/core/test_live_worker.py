@@ -24,6 +24,7 @@ from facemime.core.live.head_drivers import LiveHead
 from facemime.core.live.sources import LiveFrame, LiveSource, TakePlayer, VideoPlayer
 from facemime.core.live.timing import STAGES, Delays, Stopwatch
 from facemime.core.live.worker import LiveOptions, LiveWorker
+from facemime.core.takes.face_space import load_face_space
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.tracker import FaceTracker
 from takes import make_take, performance
@@ -198,6 +199,14 @@ def test_calibration_uses_the_next_second_and_is_rejected_if_the_performer_moves
     restless = LiveWorker(Listed(frames_of(shaken)), neutral=still)
     restless.calibrate()
     assert "moved" in run(restless).quality.message
+
+
+def test_a_calibration_with_a_held_expression_asks_for_a_relaxed_face():
+    neutral, space = calibrate(performance(), 0.0), load_face_space()
+    opened = neutral.shape + space.units[np.argmax(space.amount(np.eye(len(space.units))))]
+    held = LiveWorker(Listed(frames_of(make_take(np.array([opened] * 40)))), neutral=neutral)
+    held.calibrate()
+    assert "expression" in run(held).quality.message
 
 
 def test_calibration_without_a_face_is_reported_and_keeps_the_neutral_face():
