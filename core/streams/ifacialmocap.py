@@ -21,11 +21,13 @@ START = b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719|sendDataVersion=v2
 FACEMOTION_START = b"FACEMOTION3D_OtherStreaming"
 """Messages that ask the phone to send, to `PHONE_PORT` and `FACEMOTION_PORT`."""
 TCP_PORT = 49986
-"""Port of the receiver to which iFacialMocap connects if it is asked for TCP."""
+"""Port of the receiver to which the apps connect if they are asked for TCP."""
 TCP_START = b"iFacialMocap_UDPTCP_sahuasouryya9218sauhuiayeta91555dy3719|sendDataVersion=v2"
 TCP_STOP = b"iFacialMocap_UDPTCPSTOP_sahuasouryya9218sauhuiayeta91555dy3719"
-"""Datagrams to `PHONE_PORT` that ask the phone to connect, and to end."""
-TCP_END = b"___iFacialMocap"
+FACEMOTION_TCP_START = FACEMOTION_START + b"|protocol=tcp"
+FACEMOTION_STOP = b"StopStreaming_FACEMOTION3D"
+"""Datagrams to the same ports that ask the phone to connect, and to end."""
+TCP_END, FACEMOTION_TCP_END = b"___iFacialMocap", b"___FACEMOTION3D"
 """End of each packet over TCP."""
 _VALUE = re.compile(r"([A-Za-z][A-Za-z0-9_]{0,63})[-&](-?\d{1,6}(?:\.\d{1,9})?)")
 _NUMBERS = re.compile(r"=?(head|rightEye|leftEye)#(-?[\d.eE+-]{1,24}(?:,-?[\d.eE+-]{1,24}){2,5})")

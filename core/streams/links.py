@@ -272,7 +272,10 @@ class _Terminated(_Connection):
 
     def take(self, largest: int) -> bytes | None:
         """Return the next message. See `_Connection.take`."""
-        while (place := self._data.find(self._end)) < 0:
+        while (place := self._data.find(self._end)) <= 0:
+            if place == 0:  # some apps write it before a message, too
+                del self._data[: len(self._end)]
+                continue
             if len(self._data) > largest:
                 raise ConnectionError("a message is too long")
             if not self._read(_PORTION):

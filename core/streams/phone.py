@@ -95,9 +95,10 @@ class Phone:
 
     def farewell(self) -> list[tuple[bytes, Address]]:
         """Return the packets that end the session, and their addresses."""
-        if self._protocol.stop and self._address is not None:
-            return [(self._protocol.stop, self._address)]
-        return [] if self._motion is None else [(data, self._motion_address) for data in self._motion.stop()]
+        packets = [] if self._motion is None else [(data, self._motion_address) for data in self._motion.stop()]
+        if not packets and self._protocol.stop and self._address is not None:
+            packets.append((self._protocol.stop, self._address))
+        return packets
 
     def _request(self, port: int) -> tuple[bytes, Address]:
         """Ask for the newest protocol first, as the app would end it if asked for the older one."""

@@ -200,6 +200,17 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         ifacialmocap.FACEMOTION_PORT,
         lambda port: ifacialmocap.FACEMOTION_START,
         face_motion.PHONE_PORT,
+        stop=ifacialmocap.FACEMOTION_STOP,
+    ),
+    "facemotion3d-tcp": StreamProtocol(
+        "Facemotion3d over TCP",
+        ifacialmocap.TCP_PORT,
+        lambda s: IFacialMocapDecoder(),
+        ifacialmocap.FACEMOTION_PORT,
+        lambda port: ifacialmocap.FACEMOTION_TCP_START,
+        connected=True,
+        end=ifacialmocap.FACEMOTION_TCP_END,
+        stop=ifacialmocap.FACEMOTION_STOP,
     ),
     "vtubestudio": StreamProtocol(
         "VTube Studio, MeowFace",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clocks import PATIENCE
+from clocks import PATIENCE, wait_for
 
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
@@ -77,6 +77,9 @@ def test_a_phone_is_asked_to_send_and_its_faces_are_played(opened, monkeypatch, 
     try:
         source = opened(protocol, phone="127.0.0.1")
         frames = collected(source, 20)
+        source.close()
+        if stop := PROTOCOLS[protocol].stop:
+            wait_for(lambda: phone.asked[-1] == stop)
     finally:
         phone.close()
     first = frames[0].result.coefficients
@@ -90,6 +93,10 @@ def test_a_phone_is_asked_to_send_and_its_faces_are_played(opened, monkeypatch, 
 class ConnectingPhone(AskedPhone):
     """A phone that connects when it is asked to, and sends packets in pieces until it is asked to end."""
 
+    def __init__(self, monkeypatch, protocol: str, values: np.ndarray, lead: bytes) -> None:
+        super().__init__(monkeypatch, protocol, phone_text, values)
+        self._protocol, self._lead = PROTOCOLS[protocol], lead
+
     def run(self) -> None:
         number, connected = 0, None
         while not self._ended.is_set():
@@ -99,12 +106,12 @@ class ConnectingPhone(AskedPhone):
                 question = b""
             if question:
                 self.asked.append(question)
-            if question == ifacialmocap.TCP_START and connected is None:
-                connected = socket.create_connection(("127.0.0.1", PROTOCOLS["ifacialmocap-tcp"].port))
-            elif question == ifacialmocap.TCP_STOP:
+            if question == self._protocol.request(0) and connected is None:
+                connected = socket.create_connection(("127.0.0.1", self._protocol.port))
+            elif question == self._protocol.stop:
                 break
             if connected is not None:
-                data = self._packet(self._values[number % len(self._values)]) + ifacialmocap.TCP_END
+                data = self._lead + self._packet(self._values[number % len(self._values)]) + self._protocol.end
                 with suppress(ConnectionError):  # closed, and the request to end comes next
                     for piece in (data[:100], data[100:-5], data[-5:]):
                         connected.sendall(piece)
@@ -113,15 +120,24 @@ class ConnectingPhone(AskedPhone):
             connected.close()
 
 
-def test_a_phone_is_asked_to_connect_and_to_end_and_its_packets_are_put_together(opened, monkeypatch):
+@pytest.mark.parametrize(
+    ("protocol", "lead", "asked"),
+    [
+        ("ifacialmocap-tcp", b"", (ifacialmocap.TCP_START, ifacialmocap.TCP_STOP)),
+        ("facemotion3d-tcp", b"", (b"FACEMOTION3D_OtherStreaming|protocol=tcp", b"StopStreaming_FACEMOTION3D")),
+        ("facemotion3d-tcp", b"___FACEMOTION3D", (ifacialmocap.FACEMOTION_TCP_START, ifacialmocap.FACEMOTION_STOP)),
+    ],
+)
+def test_a_phone_is_asked_to_connect_and_to_end_and_its_packets_are_put_together(
+    opened, monkeypatch, protocol, lead, asked
+):
     values = acted(12).coefficients
-    changed = PROTOCOLS["ifacialmocap-tcp"].__dict__ | {"port": free_port()}
-    monkeypatch.setitem(PROTOCOLS, "ifacialmocap-tcp", StreamProtocol(**changed))
-    phone = ConnectingPhone(monkeypatch, "ifacialmocap-tcp", phone_text, values)
+    changed = PROTOCOLS[protocol].__dict__ | {"port": free_port()}
+    monkeypatch.setitem(PROTOCOLS, protocol, StreamProtocol(**changed))
+    phone = ConnectingPhone(monkeypatch, protocol, values, lead)
     phone.start()
     try:
-        port = PROTOCOLS["ifacialmocap-tcp"].port
-        source = opened("ifacialmocap-tcp", phone="127.0.0.1", port=port, host="127.0.0.1")
+        source = opened(protocol, phone="127.0.0.1", port=changed["port"], host="127.0.0.1")
         frames = collected(source, 20)
         source.close()
         phone.join(PATIENCE)
@@ -132,7 +148,8 @@ def test_a_phone_is_asked_to_connect_and_to_end_and_its_packets_are_put_together
     at = int(np.abs(values - first).max(axis=1).argmin())
     for number, frame in enumerate(frames):
         np.testing.assert_allclose(frame.result.coefficients, values[(at + number) % len(values)], atol=0.0051)
-    assert phone.asked[0] == ifacialmocap.TCP_START and phone.asked[-1] == ifacialmocap.TCP_STOP
+    assert (phone.asked[0], phone.asked[-1]) == asked
+    assert source.counts.accepted >= 20 and source.counts.malformed == 0
 
 
 def test_a_connection_that_never_ends_a_packet_is_closed(opened):
