@@ -23,14 +23,16 @@ from .frames import (
 
 PORT = 21412
 """Port of the phone, which answers on a port named in the request."""
-_LEASE = 5.0
+_LEASE = 5
 """Seconds that a request asks for; the phone allows 0.5 to 10."""
 _MAX_ENTRIES, _MIN_NAMES, _MAX_TIME = 200, 10, 1e13
 
 
 def request(port: int) -> bytes:
     """Encode a request for the phone to send to `port`, which has to be repeated within five seconds."""
-    asked = {"messageType": "iOSTrackingDataRequest", "time": _LEASE, "sentBy": "Facemime", "ports": [port]}
+    # Programs that do this are divided over the name of the duration.
+    lease = {"time": _LEASE, "sendForSeconds": _LEASE}
+    asked = {"messageType": "iOSTrackingDataRequest", **lease, "sentBy": "Facemime", "ports": [port]}
     return json.dumps(asked).encode()
 
 

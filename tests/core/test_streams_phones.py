@@ -172,6 +172,7 @@ def test_vtube_studio_reports_when_there_is_no_face():
 def test_the_request_is_the_documented_one():
     asked = json.loads(vtube_studio.request(50_000))
     assert asked["messageType"] == "iOSTrackingDataRequest" and asked["ports"] == [50_000]
+    assert asked["time"] == asked["sendForSeconds"] == 5
     assert 0.5 <= asked["time"] <= 10.0 and 1 <= len(asked["sentBy"]) <= 32
 
 
