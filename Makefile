@@ -151,7 +151,7 @@ bench-coefficients: setup
 	mkdir -p build/bench
 	$(BIN)/python -m bench.coefficients --json build/bench/coefficients.json
 
-# Streams over a simulated network; five minutes, including an interruption of one minute.
+# Streams between two network namespaces, which needs root; eight minutes, including interruptions of one minute.
 bench-remote: setup
 	mkdir -p build/bench
 	$(BIN)/python -m bench.remote --figure docs/images/streams_delay.png --json build/bench/remote.json

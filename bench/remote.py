@@ -1,39 +1,46 @@
 """Faces over a network: delay, loss, an interruption, a day of packets, and malformed packets.
 
-The delay and the interruption are measured in real time, with real sockets and a relay between them that delays packets
-by a seeded plan. Loss and the day are simulated in simulated time. Run as `python -m bench.remote`.
+The delay and the interruption are measured in real time, with real sockets in two network namespaces and a wire between
+them that delays and loses packets, which needs root. The jerk and the day are simulated in simulated time. Run as
+`python -m bench.remote`.
 """
 
 from __future__ import annotations
 
-import heapq
-import socket
 import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from random import Random
+from tempfile import TemporaryDirectory
 from time import perf_counter
 
 import numpy as np
 
 import facemime
 from bench.link import Link
-from bench.packets import INTACT, is_possible, packets
+from bench.namespaces import ADDRESSES, Wire, is_possible
+from bench.packets import INTACT, packets
+from bench.packets import is_possible as is_possible_frame
 from bench.report import Table, finish, parser
 from bench.viewer import Viewed, view
+from facemime.cli.certificates import load_identity
 from facemime.core.capture import VideoSource
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.heads.rig import built_in_rig
 from facemime.core.live.head_drivers import LiveHead
 from facemime.core.live.worker import LiveOptions, LiveWorker
+from facemime.core.streams import datagram
 from facemime.core.streams.frames import PacketError
+from facemime.core.streams.pairing import Pairing
 from facemime.core.streams.playout import Playout
+from facemime.core.streams.security import write_key
 from facemime.core.streams.sender import SendSettings, StreamSender
 from facemime.core.streams.settings import StreamSettings
 from facemime.core.streams.source import StreamSource
+from facemime.core.streams.tls_server import TlsSender
 from facemime.core.takes.from_video import track_video
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
@@ -45,61 +52,39 @@ SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
 _RATE = 30.0
 _DELAY = StreamSettings().delay
 LINK = Link(0.02, 0.01)
-_SEEDS = 8
+_SEEDS, _WARM_UP = 8, 3.0
+"""Number of simulated streams, and seconds of a real one before it is measured."""
+_MARK = 4
+"""Element of a pose that bears the number of the frame."""
+_LOSSES = {"signed packets": 0.1, "TLS": 0.02}
+"""Shares of lost packets at which streams are measured, too; TCP repeats lost packets, which delays all others."""
+_STREAMED = ("stream", "lost, %", "median, ms", "95th percentile, ms", "shown, %", "recovery, s")
 _VIEWED = ("vertices", "updates/s", "drawn/s", "kB/s", "loaded, MB", "worst vertex, %", "latency, ms")
-
-
-class Relay(threading.Thread):
-    """Forwards datagrams after delays that differ from packet to packet, as a network does.
-
-    Attributes
-    ----------
-    port : int
-        Port that it listens on.
-    cut : bool
-        Whether it drops all packets.
-    """
-
-    def __init__(self, link: Link, to: tuple[str, int]) -> None:
-        super().__init__(daemon=True)
-        self.cut, self._link, self._to, self._over = False, link, to, threading.Event()
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("127.0.0.1", 0))
-        self.port = int(self._socket.getsockname()[1])
-        self._rng = Random(0)
-
-    def run(self) -> None:
-        """Forward packets until `close`."""
-        waiting: list[tuple[float, int, bytes]] = []
-        number = 0
-        while not self._over.is_set():
-            due = waiting[0][0] - perf_counter() if waiting else 0.02
-            self._socket.settimeout(min(max(due, 0.0), 0.02) or 1e-4)
-            try:
-                data = self._socket.recv(65536)
-                late = self._link.delay + self._rng.uniform(-self._link.jitter, self._link.jitter)
-                if not self.cut and self._rng.random() >= self._link.loss:
-                    heapq.heappush(waiting, (perf_counter() + late, number, data))
-                    number += 1
-            except TimeoutError:
-                pass
-            while waiting and waiting[0][0] <= perf_counter():
-                self._socket.sendto(heapq.heappop(waiting)[2], self._to)
-
-    def close(self) -> None:
-        """End the thread."""
-        self._over.set()
-        self.join()
-        self._socket.close()
 
 
 @dataclass(frozen=True)
 class Live:
-    """Results of a real stream: seconds from sending to moved vertices, and seconds from the end of an interruption."""
+    """Results of a real stream.
+
+    Attributes
+    ----------
+    delays : list of float
+        Seconds from sending a frame to the moved vertices.
+    shown : float
+        Share of frames that were shown.
+    recovery : float
+        Seconds from the end of an interruption to the first new frame.
+    """
 
     delays: list[float]
+    shown: float
     recovery: float
-    waiting: int
+
+    def row(self, name: str, loss: float) -> tuple[object, ...]:
+        """Row of the table of streams."""
+        median, most = (1e3 * float(np.percentile(self.delays, share)) for share in (50.0, 95.0))
+        recovery = "" if np.isnan(self.recovery) else self.recovery
+        return name, 100.0 * loss, median, most, 100.0 * self.shown, recovery
 
 
 def main() -> int:
@@ -110,8 +95,16 @@ def main() -> int:
     command.add_argument("--hours", type=float, default=24.0, help="hours of simulated packets (24)")
     command.add_argument("--packets", type=int, default=100_000, help="damaged packets for each protocol (100,000)")
     arguments = command.parse_args()
+    if not is_possible():
+        print("The benchmark makes two network namespaces. Run it as root, on Linux.", file=sys.stderr)
+        return 1
     take = tracked()
-    live = stream(take, arguments.seconds, arguments.cut)
+    streams = {
+        (name, loss): stream(take, arguments.seconds, 0.0 if loss else arguments.cut, loss, opened)
+        for name, opened in (("signed packets", _signed), ("TLS", _over_tls))
+        for loss in (0.0, _LOSSES[name])
+    }
+    live = streams["signed packets", 0.0]
     ratios = {smoothing: loss_jerk(take, smoothing) for smoothing in (0.0, 1.0)}
     growth, drift = day(take, arguments.hours)
     fuzzed = {name: fuzz(name, arguments.packets) for name in INTACT}
@@ -131,6 +124,7 @@ def main() -> int:
     rows = [(name, n["packets"], n["tracebacks"], n["accepted"], n["microseconds"]) for name, n in fuzzed.items()]
     tables = [
         Table("Streams", ("quantity", "measured", "limit"), figures),
+        Table("Between two rooms", _STREAMED, [each.row(*key) for key, each in streams.items()]),
         Table("Damaged packets", ("protocol", "packets", "tracebacks", "wrongly accepted", "median, µs"), rows),
         Table("Viewer", _VIEWED, [_viewed_row(head) for head in viewed]),
     ]
@@ -138,7 +132,8 @@ def main() -> int:
         "latency_added_ms": added,
         "loss_jerk_ratio": ratios[1.0],
         "loss_jerk_ratio_unsmoothed": ratios[0.0],
-        "cut_recovery_s": live.recovery,
+        "cut_recovery_s": max(each.recovery for (_, loss), each in streams.items() if not loss),
+        "streams": [dict(zip(_STREAMED, each.row(*key), strict=True)) for key, each in streams.items()],
         "waiting_at_most": growth,
         "drift_ms": 1e3 * drift,
         "threads_left": len(left),
@@ -194,62 +189,99 @@ def tracked() -> Take:
     return take.part(take.found)
 
 
-def stream(take: Take, seconds: float, cut: float) -> Live:
-    """Loop a take through a relay to a worker that drives the built-in head, with an interruption at the end."""
-    source = StreamSource(StreamSettings(port=_free_port()))
-    source.read(0.0)
-    relay = Relay(LINK, source.address)
-    sender = StreamSender(SendSettings(port=relay.port))
-    head = LiveHead(built_in_rig(), DriveSettings())
-    worker = LiveWorker(source, neutral=calibrate(take), heads=(head,), options=LiveOptions(smoothing=0.0))
-    shown: list[tuple[float, float, float]] = []
-    waiting = 0
-    relay.start()
-    worker.start()
-    while not worker.model:
-        time.sleep(0.05)
-    sent, began, number, restored, back = {}, perf_counter(), 0, 0.0, 0.0
-    try:
-        while not back:
-            now = perf_counter() - began
-            while number / _RATE <= now:
-                sent[number] = perf_counter()
-                sender.send(number / _RATE, take.result(number % len(take)), None)
-                number += 1
-            latest = worker.latest
-            if latest is not None and (not shown or latest.number != shown[-1][2]):
-                if latest.result.confidence > 0.0:  # it arrived, and was not filled in
-                    shown.append((latest.time, latest.driven, latest.number))
-                if restored and not back and _is_true(latest.result, latest.time, take, shown[0][0]):
-                    back = perf_counter() - restored
-            waiting = max(waiting, *(len(face.playout._waiting) for _, face in source._faces()), 0)
-            relay.cut = seconds <= now < seconds + cut
-            if not restored and now >= seconds + cut:
-                restored = perf_counter()
-            if restored and perf_counter() - restored > 10.0:
-                back = float("inf")
-            time.sleep(1e-3)
-    finally:
-        worker.close()
-        sender.close()
-        relay.close()
-    first = round(min(number for number in sent)) / _RATE
-    delays = [at - sent[n] for moment, at, _ in shown if (n := round((moment + first) * _RATE)) in sent]
-    steady = [delay for delay in delays if 0.0 < delay < 0.5]
-    return Live(steady[int(_RATE) :], back, waiting)
+def _signed(wire: Wire, folder: Path) -> tuple[StreamSender, StreamSettings]:
+    """A sender of signed packets in the first room, and the settings of a receiver in the second."""
+    write_key(folder / "key")
+    settings = StreamSettings(host=ADDRESSES[1], port=datagram.PORT, key=folder / "key")
+    with wire.inside(0):
+        return StreamSender(SendSettings(host=settings.host, port=settings.port, key=settings.key)), settings
 
 
-def _is_true(result: TrackResult, moment: float, take: Take, first: float) -> bool:
-    """Whether the shown face is the one sent for that time, to a hundredth of the eye distance."""
-    number = round((moment - first) * _RATE) % len(take)
-    near = [take.shape[(number + off) % len(take)] for off in (-1, 0, 1)]
-    return min(float(np.abs(result.shape - shape).max()) for shape in near) < 0.01
+def _over_tls(wire: Wire, folder: Path) -> tuple[TlsSender, StreamSettings]:
+    """A server in the first room, and the settings of a receiver in the second that is paired with it."""
+    identity = load_identity(folder)
+    with wire.inside(0):
+        sender = TlsSender(ADDRESSES[0], 0, identity.context, identity.token)
+    pairing = Pairing(ADDRESSES[0], sender.port, identity.fingerprint, identity.token)
+    return sender, StreamSettings(pairing=pairing)
 
 
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def stream(
+    take: Take,
+    seconds: float,
+    cut: float,
+    loss: float,
+    opened: Callable[[Wire, Path], tuple[StreamSender | TlsSender, StreamSettings]],
+) -> Live:
+    """Loop a take from one room to a worker in the other that drives the built-in head; it is interrupted at the end.
+
+    Parameters
+    ----------
+    take : Take
+        What is sent.
+    seconds, cut : float
+        Seconds that are measured, and seconds without packets after these.
+    loss : float
+        Share of packets that are lost.
+    opened : callable
+        Makes the sender and the settings of the receiver.
+
+    Returns
+    -------
+    Live
+        The measurements; the recovery is NaN without an interruption.
+    """
+    with Wire(replace(LINK, loss=loss)) as wire, TemporaryDirectory() as folder:
+        sender, settings = opened(wire, Path(folder))
+        head = LiveHead(built_in_rig(), DriveSettings())
+        with wire.inside(1):
+            source = StreamSource(settings)
+            source.read(0.0)
+            worker = LiveWorker(source, neutral=calibrate(take), heads=(head,), options=LiveOptions(smoothing=0.0))
+            worker.start()
+        while not worker.model:
+            time.sleep(0.05)
+        sent: dict[int, float] = {}
+        shown: dict[int, float] = {}
+        began, restored, back = perf_counter(), 0.0, np.nan
+        try:
+            while (now := perf_counter() - began) < _WARM_UP + seconds + cut + 10.0 and np.isnan(back):
+                while len(sent) / _RATE <= now:
+                    number = len(sent)
+                    sent[number] = perf_counter()
+                    sender.send(number / _RATE, _numbered(take.result(number % len(take)), number), None)
+                frame = worker.latest
+                if frame is not None and frame.result.confidence > 0.0:  # it arrived, and was not filled in
+                    number = round(float(frame.result.pose[_MARK]))
+                    shown.setdefault(number, frame.driven)
+                    if restored and sent[number] > restored and _is_true(frame.result, take, number):
+                        back = perf_counter() - restored
+                wire.cut = _WARM_UP + seconds <= now < _WARM_UP + seconds + cut
+                if now >= _WARM_UP + seconds + cut:
+                    if not cut:
+                        break
+                    restored = restored or perf_counter()
+                time.sleep(1e-3)
+            else:
+                back = back if np.isfinite(back) else float("inf")
+        finally:
+            worker.close()
+            sender.close()
+    steady = range(int(_RATE * _WARM_UP), int(_RATE * (_WARM_UP + seconds - 1.0)))
+    delays = [shown[number] - sent[number] for number in steady if number in shown]
+    return Live(delays, len(delays) / len(steady), back)
+
+
+def _numbered(result: TrackResult, number: int) -> TrackResult:
+    """Return a result that bears its number where the position of the face in the image was."""
+    pose = result.pose.copy()
+    pose[_MARK] = number
+    return replace(result, pose=pose)
+
+
+def _is_true(result: TrackResult, take: Take, number: int) -> bool:
+    """Whether the shown face is the one sent as that frame, to a hundredth of the eye distance."""
+    return float(np.abs(result.shape - take.shape[number % len(take)]).max()) < 0.01
 
 
 def loss_jerk(take: Take, smoothing: float) -> float:
@@ -318,7 +350,7 @@ def fuzz(name: str, count: int) -> dict[str, float]:
             print(f"{name} {number}: {error!r}", file=sys.stderr)
             frames = []
         costs.append(perf_counter() - began)
-        wrong += not all(map(is_possible, frames))
+        wrong += not all(map(is_possible_frame, frames))
     return {
         "packets": count,
         "refused": refused,
