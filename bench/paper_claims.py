@@ -46,7 +46,7 @@ def claims(tables: Mapping[str, Table]) -> Table:
         ),
         _less("outlook", "the lack of depth is the main weakness", errors, "all", _DEEP, _PAPERS),
         _rate(tables["speed"]),
-        _network(tables["network"]),
+        *([_network(tables["network"])] if "network" in tables else []),
     ]
     return Table("Claims", ("place in the paper", "claim", "measurement", "confirmed"), rows)
 

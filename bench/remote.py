@@ -101,7 +101,7 @@ def main() -> int:
     take = tracked()
     streams = {
         (name, loss): stream(take, arguments.seconds, 0.0 if loss else arguments.cut, loss, opened)
-        for name, opened in (("signed packets", _signed), ("TLS", _over_tls))
+        for name, opened in (("signed packets", signed), ("TLS", over_tls))
         for loss in (0.0, _LOSSES[name])
     }
     live = streams["signed packets", 0.0]
@@ -189,7 +189,7 @@ def tracked() -> Take:
     return take.part(take.found)
 
 
-def _signed(wire: Wire, folder: Path) -> tuple[StreamSender, StreamSettings]:
+def signed(wire: Wire, folder: Path) -> tuple[StreamSender, StreamSettings]:
     """A sender of signed packets in the first room, and the settings of a receiver in the second."""
     write_key(folder / "key")
     settings = StreamSettings(host=ADDRESSES[1], port=datagram.PORT, key=folder / "key")
@@ -197,7 +197,7 @@ def _signed(wire: Wire, folder: Path) -> tuple[StreamSender, StreamSettings]:
         return StreamSender(SendSettings(host=settings.host, port=settings.port, key=settings.key)), settings
 
 
-def _over_tls(wire: Wire, folder: Path) -> tuple[TlsSender, StreamSettings]:
+def over_tls(wire: Wire, folder: Path) -> tuple[TlsSender, StreamSettings]:
     """A server in the first room, and the settings of a receiver in the second that is paired with it."""
     identity = load_identity(folder)
     with wire.inside(0):
