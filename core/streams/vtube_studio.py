@@ -53,8 +53,9 @@ class VTubeStudioDecoder:
         if not found:
             return [StreamFrame(None, time=1e-3 * stamp)]
         coefficients = _coefficients(packet.get("BlendShapes"))
+        # Named like the parameters of VTube Studio: x to the performer's left, y down, z as about the axis.
         x, y, z = _vector(packet.get("Rotation"))
-        rotation = turned(*(angle * pi / 180.0 for angle in (x, y, z)))
+        rotation = turned(*(angle * pi / 180.0 for angle in (y, x, z)))
         # In centimetres, to the viewer's right, up, and towards the viewer.
         position = 0.01 * np.array(_vector(packet.get("Position"))) * (1.0, -1.0, -1.0)
         return [StreamFrame(checked(FaceValues(coefficients, rotation, position)), time=1e-3 * stamp)]

@@ -158,7 +158,7 @@ def test_vtube_studio_is_read_by_name_whatever_the_spelling():
     (frame,) = VTubeStudioDecoder().decode(golden_vtube_studio())
     np.testing.assert_allclose(frame.face.coefficients, distinct())
     assert frame.time == pytest.approx(1_700_000_000.123)
-    np.testing.assert_allclose(frame.face.rotation, from_face_axes(*np.radians([10.0, -20.0, 5.0])), atol=1e-9)
+    np.testing.assert_allclose(frame.face.rotation, from_face_axes(*np.radians([-20.0, 10.0, 5.0])), atol=1e-9)
     meow = [{"k": name.replace("Left", "_L").replace("Right", "_R"), "v": 0.25} for name in COEFFICIENTS]
     meow = [entry for entry in meow if "_" in entry["k"]] + [{"k": "unknown", "v": 1}]
     (frame,) = VTubeStudioDecoder().decode(golden_vtube_studio(BlendShapes=meow))
