@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..core.drive.key_sets import KEY_SETS
+from ..core.errors import FacemimeError
 from ..core.puppet.job import HeadFile
+from ..core.takes.file import load_take
 from .terminal.blender import importing_blender
 from .terminal.console import say, tell
 from .terminal.options import Commands, add_command, add_output, head_file
@@ -31,17 +34,34 @@ def add_commands(commands: Commands) -> None:
         const="arkit",
         help="also add a set of shape keys: ARKit's 52 face units (without a name), VRM's, Oculus' or FaceGen's",
     )
+    bind.add_argument(
+        "--refine",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="TAKE",
+        help="a take whose motion ARKit's keys shall reproduce; may be repeated",
+    )
     bind.add_argument("--cut-open", action="store_true", help="cut open lips and eyes that are joined, as on a scan")
     bind.set_defaults(
         run=lambda given: run_bind(
             *(given[name] for name in ("character", "output", "picture")),
             make_keys=given["make_keys"],
+            refine=given["refine"],
             cut_open=given["cut_open"],
         )
     )
 
 
-def run_bind(character: HeadFile, output: Path, picture: Path | None, *, make_keys: str | None, cut_open: bool) -> int:
+def run_bind(
+    character: HeadFile,
+    output: Path,
+    picture: Path | None,
+    *,
+    make_keys: str | None,
+    refine: Sequence[Path],
+    cut_open: bool,
+) -> int:
     """Run `facemime bind`: bind a character, and print a line for each part and key; returns the exit status.
 
     Parameters
@@ -54,13 +74,19 @@ def run_bind(character: HeadFile, output: Path, picture: Path | None, *, make_ke
         File for a picture of its face.
     make_keys : str or None
         Name of the set of shape keys to add.
+    refine : sequence of Path
+        Takes that refine these keys.
     cut_open : bool
         Whether joined lips and eyes are cut open.
     """
+    if refine and make_keys != "arkit":
+        raise FacemimeError("Takes refine ARKit's keys alone. Add --make-keys arkit, or leave out --refine.")
+    takes = [load_take(path) for path in refine]
     with importing_blender("bind", "bind ..."):
         from .puppet import character as headless
     with outputs_of(((output, {".blend"}), (picture, {".png"})), {"the character": character.path}):
-        bound = headless.bind(character, keys=None if make_keys is None else KEY_SETS[make_keys], cut_open=cut_open)
+        keys = None if make_keys is None else KEY_SETS[make_keys]
+        bound = headless.bind(character, keys=keys, takes=takes, cut_open=cut_open)
         headless.save(bound, output)
         if picture is not None:
             headless.write_picture(bound, picture)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as _
-from bpy.props import EnumProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ..blender.animation.targets import PoseTarget
 from ..blender.characters import read_bones, read_kinds, set_part, write_bones
@@ -20,6 +20,7 @@ from ..core.drive.key_sets import KEY_SETS
 from ..core.errors import HeadError
 from ..core.heads.parts import PART_NAMES, Part
 from ..sessions.session import Session
+from ..settings import takes_store
 from .shared import InObjectMode, OnHead, ReportsErrors, report
 from .steps import WorksInSteps, in_background
 
@@ -192,6 +193,11 @@ class FACEMIME_OT_make_expression_keys(InObjectMode, WorksInSteps, OnHead, bpy.t
         description="Programs that the keys are for",
         items=[(name, keys.label, "") for name, keys in KEY_SETS.items()],
     )
+    refine: BoolProperty(
+        name="Refine by Takes",
+        description="Let ARKit's keys reproduce the live motion in the takes in the list as well as they can",
+        default=True,
+    )
 
     def status(self) -> str:
         return _("Facemime: making shape keys; Esc to cancel")
@@ -200,7 +206,8 @@ class FACEMIME_OT_make_expression_keys(InObjectMode, WorksInSteps, OnHead, bpy.t
         """Make the keys in a thread, and add them."""
         if (session := Session.running()) is not None:
             session.close()
-        made = yield from in_background(making_expression_keys(context.active_object, KEY_SETS[self.keys]))
+        takes = [takes_store.read(line) for line in context.scene.facemime_takes.items] if self.refine else []
+        made = yield from in_background(making_expression_keys(context.active_object, KEY_SETS[self.keys], takes))
         for finding in made.findings:
             report(self, finding)
         report(self, made.summary())

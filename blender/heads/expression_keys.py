@@ -7,12 +7,17 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
+from ...core.bake.refine import refined_keys
+from ...core.coefficient_names import COEFFICIENT_INDEX
 from ...core.drive.expression_keys import expression_keys
 from ...core.drive.key_quality import KeyQuality, findings, key_qualities
 from ...core.drive.key_sets import KEY_SETS, KeySet
 from ...core.errors import HeadError
 from ...core.heads.built_in import HEAD_FILE, WOMAN_FILE, HeadPart, load_head
+from ...core.heads.rig import HeadRig
+from ...core.takes.take import Take
 from ..characters import members_of
 from ..frames import to_blender
 from ..meshes import mesh_of, read_vertices, require_own
@@ -20,8 +25,9 @@ from ..names import PART_PROPERTY
 from ..rigs import read_rig
 from ..work import Task, Work, do_at_once
 
-_MAKING = 0.7
-"""Share of the time that making the keys takes; the rest is for measuring them."""
+_MAKING, _REFINING = 0.7, 0.4
+"""Share of the time that making the keys takes, with the first part for takes that refine them; the rest is for
+measuring them."""
 _STILL = 1e-5
 """Motion relative to the eye distance below which a mesh other than the head is still and gets no keys."""
 
@@ -41,14 +47,19 @@ class MadeKeys:
         Those that existed already.
     qualities : list of KeyQuality
         Of those that were added.
+    takes : int
+        Number of takes that refined them.
     """
 
     added: int
     kept: tuple[str, ...]
     qualities: list[KeyQuality]
+    takes: int = 0
 
     def summary(self) -> str:
         """Return the numbers of keys as text."""
+        if self.takes:
+            return f"{self.added} shape keys added, {len(self.kept)} kept; refined by {self.takes} takes"
         return f"{self.added} shape keys added, {len(self.kept)} kept"
 
     @property
@@ -57,12 +68,14 @@ class MadeKeys:
         return findings(self.qualities)
 
 
-def make_expression_keys(obj: bpy.types.Object | None, keys: KeySet = KEY_SETS["arkit"]) -> MadeKeys:
+def make_expression_keys(
+    obj: bpy.types.Object | None, keys: KeySet = KEY_SETS["arkit"], takes: Sequence[Take] = ()
+) -> MadeKeys:
     """Add a set of shape keys at once; parameters, result and errors are those of `making_expression_keys`."""
-    return do_at_once(making_expression_keys(obj, keys))
+    return do_at_once(making_expression_keys(obj, keys, takes))
 
 
-def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet) -> Work[MadeKeys]:
+def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet, takes: Sequence[Take] = ()) -> Work[MadeKeys]:
     """Add a set of shape keys to all meshes of a head that they move; existing keys of these names are kept.
 
     Parameters
@@ -71,6 +84,8 @@ def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet) -> Work[M
         A mesh with landmarks.
     keys : KeySet
         By default ARKit's 52 face units.
+    takes : sequence of Take
+        Takes that refine the keys, if these are ARKit's; those without a face are left out.
 
     Raises
     ------
@@ -85,10 +100,18 @@ def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet) -> Work[M
         if (found := part.data.shape_keys) is not None and not found.use_relative:
             raise HeadError(f"The shape keys of {part.name} are absolute. Enable Relative first.")
     rig = read_rig(obj)
-    made = Task(lambda: expression_keys(rig, keys, progress))
+    shown = [take for take in takes if take.found.any()] if set(keys.names) <= set(COEFFICIENT_INDEX) else []
+    refining = _REFINING if shown else 0.0
+    made = Task(lambda: expression_keys(rig, keys, progress, refine))
 
     def progress(share: float) -> None:
-        made.done = _MAKING * share
+        made.done = refining + (_MAKING - refining) * share
+
+    def refine(skin: HeadRig, motions: NDArray[np.float32]) -> NDArray[np.float32]:
+        return refined_keys(skin, keys.names, motions, shown, refined) if shown else motions
+
+    def refined(share: float) -> None:
+        made.done = refining * share
 
     names, motions = yield made
     qualities = yield Task(lambda: key_qualities(rig, keys, motions), _MAKING)
@@ -101,7 +124,7 @@ def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet) -> Work[M
     for child in attached:
         _add_to_part(child, keys)
     own = [quality for quality in qualities if quality.name in added]
-    return MadeKeys(len(added), tuple(name for name in names if name not in added), own)
+    return MadeKeys(len(added), tuple(name for name in names if name not in added), own, len(shown))
 
 
 def _add(obj: bpy.types.Object, names: Sequence[str], offsets: np.ndarray) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,7 +73,9 @@ def _percent(share: float) -> str:
     return "" if np.isnan(share) else f"{100 * share:.1f}"
 
 
-def bind(character: HeadFile, *, keys: KeySet | None, cut_open: bool = False) -> BoundCharacter:
+def bind(
+    character: HeadFile, *, keys: KeySet | None, takes: Sequence[Take] = (), cut_open: bool = False
+) -> BoundCharacter:
     """Open or import a character and bind it, and make a set of shape keys if one is given.
 
     Joined lips and eyes are cut open first if `cut_open`.
@@ -83,6 +86,8 @@ def bind(character: HeadFile, *, keys: KeySet | None, cut_open: bool = False) ->
         File and object of the character.
     keys : KeySet or None
         Shape keys to add.
+    takes : sequence of Take
+        Takes that refine these keys.
     cut_open : bool
         Whether joined lips and eyes are cut open.
 
@@ -97,7 +102,7 @@ def bind(character: HeadFile, *, keys: KeySet | None, cut_open: bool = False) ->
     for step in [finding.step for finding in check_object(head)] if cut_open else []:
         if (cut := CUTS.get(step)) is not None:
             cut(head)
-    made = None if keys is None else make_expression_keys(head, keys)
+    made = None if keys is None else make_expression_keys(head, keys, takes)
     if made is not None:
         tell(". ".join([made.summary(), *made.findings]))
     problems = [f"{finding.problem} {finding.remedy}" for finding in check_object(head)]

@@ -34,8 +34,19 @@ _SEALED = 0.005
 """Gap between sealed lips in outer-eye distances, unless they are closer at rest."""
 
 
+Refine = Callable[[HeadRig, NDArray[np.float32]], NDArray[np.float32]]
+"""Changes the displacements of the skin's vertices by keys, (K, V, 3), before lids and lips are made to meet."""
+
+
+def _as_they_are(skin: HeadRig, motions: NDArray[np.float32]) -> NDArray[np.float32]:
+    return motions
+
+
 def expression_keys(
-    rig: HeadRig, keys: KeySet = KEY_SETS["arkit"], progress: Callable[[float], None] = lambda share: None
+    rig: HeadRig,
+    keys: KeySet = KEY_SETS["arkit"],
+    progress: Callable[[float], None] = lambda share: None,
+    refine: Refine = _as_they_are,
 ) -> tuple[tuple[str, ...], NDArray[np.float32]]:
     """Make a set of shape keys for a head.
 
@@ -47,6 +58,8 @@ def expression_keys(
         The set; by default ARKit's 52 face units.
     progress : callable, optional
         Is called with the share of the keys that are made, 0 to 1.
+    refine : callable, optional
+        Changes the keys of the skin.
 
     Returns
     -------
@@ -64,7 +77,7 @@ def expression_keys(
     """
     alone, skin = rig.skin()
     source = _Source.of(keys)
-    skin_motions = _Maker(alone, source).motions(keys, progress)
+    skin_motions = _Maker(alone, source).motions(keys, progress, refine)
     if skin is None:
         return keys.names, skin_motions
     points = np.asarray(alone.vertices, dtype=np.float64)[alone.landmarks]
@@ -118,21 +131,22 @@ class _Maker:
         faces = np.empty((0, 3), dtype=np.intp) if skin.faces is None else skin.faces
         self._slits = SlitContact(skin.vertices, faces, skin.landmarks, weights)
 
-    def motions(self, keys: KeySet, progress: Callable[[float], None]) -> NDArray[np.float32]:
+    def motions(self, keys: KeySet, progress: Callable[[float], None], refine: Refine) -> NDArray[np.float32]:
         """Return the displacements of the vertices of the skin, (K, V, 3)."""
-        skin = self._skin
+        skin, moves = self._skin, self._source.motions.any(axis=(1, 2))
         made = transferred(self._source.motions, skin.vertices, skin.landmarks, skin.region_weights)
         near = _near(self._rest, self._points, skin.eye_distance)
+        for row in range(len(made)):
+            follows = self._followed(made[row, skin.landmarks])
+            made[row] = (follows + near * (made[row] - follows)) * np.float32(moves[row])
+        made = refine(skin, made)
         nothing = np.zeros_like(self._rest)
         for row, name in enumerate(keys.names):
             progress(row / len(keys.names))
-            if not self._source.motions[row].any():
-                made[row] = 0.0
+            if not moves[row]:
                 continue
-            follows = self._followed(made[row, skin.landmarks])
-            motion = follows + near * (made[row] - follows)
             before = made[keys.names.index(OPENS)] if name == CLOSES and OPENS in keys.names else nothing
-            made[row] = self._corrected(row, motion, before, sealed=name == CLOSES or name in keys.sealed)
+            made[row] = self._corrected(row, made[row], before, sealed=name == CLOSES or name in keys.sealed)
         return made
 
     def _followed(self, moved: FloatArray) -> NDArray[np.float32]:

@@ -27,6 +27,7 @@ from facemime.core.puppet.settings import PuppetSettings
 from facemime.core.takes.file import save_take
 from facemime.operators.steps import in_background
 from facemime.sessions.start import follow_settings, start_session
+from facemime.settings import takes_store
 from live_ticks import wait_for
 from takes import performance
 
@@ -95,7 +96,7 @@ def test_a_set_of_keys_is_made_on_all_parts_detected_and_baked_to(name, opens):
     rows = bpy.context.scene.facemime_takes.bake.rows
     assert {row.key for row in rows} <= set(KEY_SETS[name].names) and len(rows) > 10
     assert puppet_head(bpy.context.scene, head, performance(), MAPPED).keys > 5
-    assert np.ptp(values_at(head, opens, range(1, 60, 4))) > 0.1
+    assert np.ptp(values_at(head, opens, range(1, 60, 4))) > 0.05
     assert len(live_keys(head, "KEYS").offsets) > 5
 
 
@@ -123,7 +124,7 @@ def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(keyed, na
     report = puppet_head(bpy.context.scene, head, performance(), MAPPED)
     assert np.isnan(report.worst_error) and report.summary() == f"{report.keys} shape keys"
     assert np.abs(report.motion.vertices).max() > 0.05 * unit
-    assert np.ptp(values_at(head, {"arkit": "jawOpen", "vrm": "aa", "facegen": "Aah"}[name], range(1, 60, 4))) > 0.1
+    assert np.ptp(values_at(head, {"arkit": "jawOpen", "vrm": "aa", "facegen": "Aah"}[name], range(1, 60, 4))) > 0.05
     bpy.context.scene.frame_set(40)
     assert armature.pose.bones["Head"].matrix_basis.to_quaternion().angle > 0.01
 
@@ -246,6 +247,39 @@ def test_fbx_keeps_the_names_and_order_of_made_keys_on_all_meshes(built_in, tmp_
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.ops.import_scene.fbx(filepath=str(tmp_path / "keys.fbx"))
     assert key_names() == before
+
+
+def offsets_of(head: bpy.types.Object, name: str) -> np.ndarray:
+    """Displacements of the vertices by a key, (V, 3)."""
+    keys = head.data.shape_keys
+    points = [np.array([point.co for point in key.data]) for key in (keys.key_blocks[name], keys.reference_key)]
+    return points[0] - points[1]
+
+
+def test_takes_in_the_list_refine_arkits_keys_unless_that_is_off(kept, capsys):
+    head = kept("Refined", lambda: [add_head(bpy.context)])[0]
+    made = {}
+    for refine in (False, True):
+        takes_store.keep(bpy.context.scene, performance(), "Take")
+        bpy.context.view_layer.objects.active = head
+        assert bpy.ops.facemime.make_expression_keys(keys="arkit", refine=refine) == {"FINISHED"}
+        assert ("; refined by" in capsys.readouterr().out) == refine
+        made[refine] = {name: offsets_of(head, name) for name in ("jawOpen", "eyeBlinkLeft")}
+        head.shape_key_clear()
+    np.testing.assert_allclose(made[True]["eyeBlinkLeft"], made[False]["eyeBlinkLeft"], atol=1e-7)
+    assert np.abs(made[True]["jawOpen"] - made[False]["jawOpen"]).max() > 1e-4
+
+
+def test_the_command_refines_arkits_keys_by_takes_and_no_others(tmp_path):
+    save_take(performance(), tmp_path / "take.facetake")
+    add_head(bpy.context)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "head.blend"))
+    line = ("bind", str(tmp_path / "head.blend"), "-o", str(tmp_path / "out.blend"))
+    line += ("--refine", str(tmp_path / "take.facetake"), "--make-keys")
+    done = run(*line)
+    assert done.returncode == 0 and "refined by 1 takes" in done.stderr, done.stderr
+    done = run(*line, "vrm")
+    assert done.returncode == 1 and "Takes refine ARKit's keys alone" in done.stderr
 
 
 def test_keys_are_made_in_a_thread_that_reports_its_progress_and_can_be_stopped(kept):
