@@ -59,7 +59,7 @@ class MadeKeys:
     def summary(self) -> str:
         """Return the numbers of keys as text."""
         if self.takes:
-            return f"{self.added} shape keys added, {len(self.kept)} kept; refined by {self.takes} takes"
+            return f"{self.added} shape keys added, {len(self.kept)} kept; takes that refined them: {self.takes}"
         return f"{self.added} shape keys added, {len(self.kept)} kept"
 
     @property

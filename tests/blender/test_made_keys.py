@@ -263,7 +263,7 @@ def test_takes_in_the_list_refine_arkits_keys_unless_that_is_off(kept, capsys):
         takes_store.keep(bpy.context.scene, performance(), "Take")
         bpy.context.view_layer.objects.active = head
         assert bpy.ops.facemime.make_expression_keys(keys="arkit", refine=refine) == {"FINISHED"}
-        assert ("; refined by" in capsys.readouterr().out) == refine
+        assert ("; takes that refined them: " in capsys.readouterr().out) == refine
         made[refine] = {name: offsets_of(head, name) for name in ("jawOpen", "eyeBlinkLeft")}
         head.shape_key_clear()
     np.testing.assert_allclose(made[True]["eyeBlinkLeft"], made[False]["eyeBlinkLeft"], atol=1e-7)
@@ -277,7 +277,7 @@ def test_the_command_refines_arkits_keys_by_takes_and_no_others(tmp_path):
     line = ("bind", str(tmp_path / "head.blend"), "-o", str(tmp_path / "out.blend"))
     line += ("--refine", str(tmp_path / "take.facetake"), "--make-keys")
     done = run(*line)
-    assert done.returncode == 0 and "refined by 1 takes" in done.stderr, done.stderr
+    assert done.returncode == 0 and "takes that refined them: 1" in done.stderr, done.stderr
     done = run(*line, "vrm")
     assert done.returncode == 1 and "Takes refine ARKit's keys alone" in done.stderr
 
