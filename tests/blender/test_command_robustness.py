@@ -168,12 +168,12 @@ def small_disk(tmp_path) -> Iterator[Path]:
 
 @pytest.mark.thorough
 def test_a_full_disk_is_one_clear_error_wherever_it_is(take, small_disk, tmp_path):
+    (small_disk / "fill").write_bytes(bytes(2_000_000))
     done = run(
         "puppet", take, "-o", tmp_path / "out.blend", "--sheet", tmp_path / "out.png",
         env=os.environ | {"TMPDIR": str(small_disk)},
     )  # fmt: skip
     assert done.returncode == 1 and f"Free some space in {small_disk}" in done.stderr and "Traceback" not in done.stderr
-    (small_disk / "fill").write_bytes(bytes(2_000_000))
     for option, name in (("--preview", "out.mp4"), ("--sheet", "out.png"), ("-o", "out.blend")):
         output = small_disk / name
         other = [] if option == "-o" else ["-o", tmp_path / "out.blend"]
