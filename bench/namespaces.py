@@ -29,8 +29,8 @@ _SET_ADDRESS, _SET_MASK, _SET_FLAGS, _UP_AND_RUNNING = 0x8916, 0x891C, 0x8914, 0
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
-def is_possible() -> bool:
-    """Return whether this process may make namespaces."""
+def may_join() -> bool:
+    """Return whether this process may make namespaces and join them."""
     try:
         with Wire(Link()):
             return True

@@ -31,7 +31,7 @@ from bench.deformers import (
 )
 from bench.expressions import features, slope
 from bench.heads import AREAS, TrueHead, built_in_head
-from bench.namespaces import is_possible
+from bench.namespaces import may_join
 from bench.paper_claims import claims
 from bench.pipeline import measure
 from bench.remote import LINK, signed, stream
@@ -107,7 +107,7 @@ def main() -> int:
         "refit": refit_table(rig, clip),
         "speed": speed_table(),
     }
-    if is_possible():
+    if may_join():
         found["network"] = network_table(take)
     else:
         print("The time over a network is not measured: two network namespaces need root on Linux.", file=sys.stderr)

@@ -21,9 +21,8 @@ import numpy as np
 
 import facemime
 from bench.link import Link
-from bench.namespaces import ADDRESSES, Wire, is_possible
-from bench.packets import INTACT, packets
-from bench.packets import is_possible as is_possible_frame
+from bench.namespaces import ADDRESSES, Wire, may_join
+from bench.packets import INTACT, is_possible, packets
 from bench.report import Table, finish, parser
 from bench.viewer import Viewed, view
 from facemime.cli.certificates import load_identity
@@ -95,7 +94,7 @@ def main() -> int:
     command.add_argument("--hours", type=float, default=24.0, help="hours of simulated packets (24)")
     command.add_argument("--packets", type=int, default=100_000, help="damaged packets for each protocol (100,000)")
     arguments = command.parse_args()
-    if not is_possible():
+    if not may_join():
         print("The benchmark makes two network namespaces. Run it as root, on Linux.", file=sys.stderr)
         return 1
     take = tracked()
@@ -350,7 +349,7 @@ def fuzz(name: str, count: int) -> dict[str, float]:
             print(f"{name} {number}: {error!r}", file=sys.stderr)
             frames = []
         costs.append(perf_counter() - began)
-        wrong += not all(map(is_possible_frame, frames))
+        wrong += not all(map(is_possible, frames))
     return {
         "packets": count,
         "refused": refused,

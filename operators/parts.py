@@ -17,8 +17,9 @@ from ..blender.heads.parts import forget_parts, sort_again
 from ..blender.meshes import is_head
 from ..blender.names import HEAD_PROPERTY
 from ..core.drive.key_sets import KEY_SETS
-from ..core.errors import HeadError
+from ..core.errors import HeadError, SourceError
 from ..core.heads.parts import PART_NAMES, Part
+from ..core.takes.take import Take
 from ..sessions.session import Session
 from ..settings import takes_store
 from .shared import InObjectMode, OnHead, ReportsErrors, report
@@ -206,11 +207,21 @@ class FACEMIME_OT_make_expression_keys(InObjectMode, WorksInSteps, OnHead, bpy.t
         """Make the keys in a thread, and add them."""
         if (session := Session.running()) is not None:
             session.close()
-        takes = [takes_store.read(line) for line in context.scene.facemime_takes.items] if self.refine else []
+        takes = self._takes(context) if self.refine else []
         made = yield from in_background(making_expression_keys(context.active_object, KEY_SETS[self.keys], takes))
         for finding in made.findings:
             report(self, finding)
         report(self, made.summary())
+
+    def _takes(self, context: bpy.types.Context) -> list[Take]:
+        """Return the takes in the list; those that cannot be read are reported."""
+        takes = []
+        for line in context.scene.facemime_takes.items:
+            try:
+                takes.append(takes_store.read(line))
+            except SourceError as error:
+                report(self, str(error), "WARNING")
+        return takes
 
 
 CLASSES = (

@@ -11,6 +11,9 @@ from ..core.heads.parts import PART_NAMES, Part
 from ..operators.parts import BONES
 from .sidebar import Sidebar, draw_findings, labels
 
+_NAMES = 0.5
+"""Share of the width for the names of objects and bones."""
+
 
 class FACEMIME_PT_parts(Sidebar, bpy.types.Panel):
     """The part of the character that each mesh is, which a click changes."""
@@ -72,7 +75,7 @@ def _draw_parts(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
     column = layout.column(align=True)
     others, last = set(objects_of(head)), None
     for obj, part, _ in part_table(head):
-        line = column.split(factor=0.5, align=True)
+        line = column.split(factor=_NAMES, align=True)
         line.label(text=obj.name if obj != last else "", translate=False, icon="MESH_DATA" if obj != last else "BLANK1")
         row = line.row(align=True)
         menu = row.operator_menu_enum("facemime.set_part", "part", text=PART_NAMES[part])
@@ -81,7 +84,7 @@ def _draw_parts(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
             row.operator("facemime.remove_part", text="", icon="X").name = obj.name
         last = obj
     for child in (child for child in head.children if child.get(PART_PROPERTY) in PART_OBJECTS):
-        line = column.split(factor=0.5, align=True)
+        line = column.split(factor=_NAMES, align=True)
         line.label(text=child.name, translate=False, icon="MESH_DATA")
         name = child[PART_PROPERTY]
         line.label(text="Tongue" if name == "tongue" else PART_NAMES[Part[name.upper()]], text_ctxt=CONTEXT)
@@ -94,7 +97,7 @@ def _draw_bones(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
     column = layout.column(align=True)
     column.label(text=armature.name, icon="ARMATURE_DATA", translate=False)
     for target, label in BONES.items():
-        row = column.split(factor=0.5)
+        row = column.split(factor=_NAMES)
         row.label(text=label, text_ctxt=CONTEXT)
         bone = getattr(bones, target)
         row = row.row(align=True)

@@ -107,17 +107,7 @@ class CoefficientSolver:
         return self._finished(self._fit(values, self._single, 2), values)
 
     def fitted_take(self, observed: FloatArray) -> FloatArray:
-        """Fit the coefficients of a take.
-
-        Parameters
-        ----------
-        observed : (N, 213) float64
-            Observations.
-
-        Returns
-        -------
-        (N, D + 44) float64
-            The known part of the observations without the error of the neutral face, and the fitted coefficients.
+        """Fit the coefficients of a take; see `fitted_frames`. The error of the neutral face is subtracted.
 
         Notes
         -----

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
 from ..coefficient_names import COEFFICIENTS
 from ..drive.driver import HeadDriver
 from ..heads.rig import HeadRig
@@ -59,7 +58,7 @@ def refined_keys(
     """
     columns = [COEFFICIENTS.index(name) for name in names]
     keys = motions.reshape(len(motions), -1)
-    together, missing = np.zeros((len(names), len(names))), np.zeros(keys.shape, dtype=np.float32)
+    together, shown = np.zeros((len(names), len(names))), np.zeros(keys.shape, dtype=np.float32)
     driver: HeadDriver | None = None
     count = 0
     for done, take in enumerate(takes):
@@ -74,15 +73,10 @@ def refined_keys(
         count += len(amounts)
         for number, amount in enumerate(amounts.astype(np.float32)):
             moved = (driver.frame(sample.result(number)).vertices - driver.rest).reshape(-1)
-            missing += np.outer(amount, moved - amount @ keys)
+            shown += np.outer(amount, moved)
             progress((done + (number + 1) / len(amounts)) / len(takes))
-    change = _ridge(together, count, missing)
+    loyal = together + _LOYALTY * max(count, 1) * np.eye(len(names))
+    change = np.linalg.solve(loyal, shown - together.astype(np.float32) @ keys)
     still = ~motions.any(axis=(1, 2))
     change[still | [name.startswith(_EXACT) for name in names]] = 0.0
     return np.asarray((keys + change).reshape(motions.shape), dtype=np.float32)
-
-
-def _ridge(together: FloatArray, count: int, missing: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Change of the keys, (K, 3 V), that makes up for what they miss in `count` frames, as far as it is loyal."""
-    loyal = together + _LOYALTY * max(count, 1) * np.eye(len(together))
-    return np.asarray(np.linalg.solve(loyal, missing), dtype=np.float32)

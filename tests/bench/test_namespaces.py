@@ -8,9 +8,9 @@ import time
 import pytest
 
 from bench.link import Link
-from bench.namespaces import ADDRESSES, Wire, is_possible
+from bench.namespaces import ADDRESSES, Wire, may_join
 
-pytestmark = pytest.mark.skipif(not is_possible(), reason="network namespaces need root on Linux")
+pytestmark = pytest.mark.skipif(not may_join(), reason="network namespaces need root on Linux")
 PORT = 9000
 
 

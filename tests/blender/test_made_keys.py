@@ -1,5 +1,7 @@
 """Sets of shape keys made on a character, and characters that are driven by their shape keys alone."""
 
+from pathlib import Path
+
 import bpy
 import numpy as np
 import pytest
@@ -268,6 +270,16 @@ def test_takes_in_the_list_refine_arkits_keys_unless_that_is_off(kept, capsys):
         head.shape_key_clear()
     np.testing.assert_allclose(made[True]["eyeBlinkLeft"], made[False]["eyeBlinkLeft"], atol=1e-7)
     assert np.abs(made[True]["jawOpen"] - made[False]["jawOpen"]).max() > 1e-4
+
+
+def test_a_take_that_is_missing_is_reported_and_the_keys_are_made_without_it(kept, capsys):
+    head = kept("Missing", lambda: [add_head(bpy.context)])[0]
+    path = Path(bpy.path.abspath(takes_store.keep(bpy.context.scene, performance(), "Take").path))
+    path.unlink()
+    bpy.context.view_layer.objects.active = head
+    assert bpy.ops.facemime.make_expression_keys(keys="arkit") == {"FINISHED"}
+    said = capsys.readouterr().out
+    assert "is missing" in said and "52 shape keys added, 0 kept" in said and "refined" not in said
 
 
 def test_the_command_refines_arkits_keys_by_takes_and_no_others(tmp_path):

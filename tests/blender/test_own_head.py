@@ -1,23 +1,18 @@
 """Preparing any mesh as a head."""
 
-from types import SimpleNamespace
-
 import bpy
 import numpy as np
 import pytest
 from characters import make_character, shown
-from mathutils import Matrix, Quaternion
+from mathutils import Matrix
 from thorough import first_of
 
 from facemime.blender.heads import binding
 from facemime.blender.heads.binding import bind_character, bind_head, check_object, read_marks
 from facemime.blender.heads.built_in import add_head
-from facemime.blender.heads.family import character_of
-from facemime.blender.media.preview_scene import face_points, look_at_face
 from facemime.blender.meshes import read_landmarks, read_regions, read_selection, read_vertices
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig
-from facemime.blender.viewports import Viewport, is_hidden_by_others
 from facemime.cli.puppet.files import bound_character
 from facemime.core.binding.bind import MARKS
 from facemime.core.control_points.select import select_for_take, to_json
@@ -405,29 +400,3 @@ def test_a_mesh_that_cannot_be_read_in_edit_mode_is_reported():
     bpy.ops.object.mode_set(mode="EDIT")
     with pytest.raises(RuntimeError, match="Leave Edit Mode first"):
         bpy.ops.facemime.check_head()
-
-
-def hidden(obj: bpy.types.Object) -> bool:
-    """Return whether other objects hide the face of a head from a viewport that looks at it."""
-    view = SimpleNamespace(view_rotation=Quaternion())
-    look_at_face(view, obj)
-    seen = Viewport(None, view, None)
-    return is_hidden_by_others(bpy.context, seen, face_points(obj)[read_landmarks(obj)], character_of(obj))
-
-
-def test_a_face_inside_another_object_is_hidden_but_not_by_parts_of_its_own():
-    objects = make_character(rig=True, hair=True)
-    head, _ = bind_character(objects["body"])
-    assert set(objects.values()) <= character_of(head) and not hidden(head)
-    bpy.ops.mesh.primitive_cube_add(size=20.0)
-    cube = bpy.context.object
-    assert hidden(head)
-    cube.display_type = "WIRE"
-    assert not hidden(head)
-    cube.display_type = "TEXTURED"
-    cube.location.y = 15.0
-    assert not hidden(head), "it is behind the head"
-    cube.location.y = -15.0
-    assert hidden(head)
-    cube.parent = head
-    assert not hidden(head)
