@@ -2,7 +2,7 @@
 
 The receiver sends HELLO. The phone answers with SCHEMA, which names the values, and sends a FRAME for each moment once
 SCHEMA_ACK has confirmed the schema. A phone whose user enters the address of this computer starts with SCHEMA. PING
-tells a phone that the receiver still listens.
+tells a phone that the receiver still listens. Over TCP, the same messages are sent whole and without SCHEMA_ACK.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from .frames import FaceValues, PacketError, StreamFrame, no_coefficients
 from .ifacialmocap import phone_face
 
 MAGIC = b"FMV3"
-PHONE_PORT = 49983
-"""Port on which both apps listen."""
+PHONE_PORT, TCP_PORT = 49983, 49984
+"""Ports on which both apps listen for datagrams, and for connections; the latter also of a receiver for those started
+by hand."""
 HELLO, SCHEMA, SCHEMA_ACK, FRAME, GET_SCHEMA, PING, PONG, STOP, ERROR = range(1, 10)
 REVISION = 5
 HEADER = Struct("<4sBBHQIIIIHHI")
@@ -39,6 +40,8 @@ SCHEMA_DATAGRAM = 576
 _TRACKED, _FLAGS = 1, 3
 _RATES, _DATAGRAMS, _LEASES = (1, 60), (SCHEMA_DATAGRAM, 1200), (5_000, 60_000)
 _MAX_SCHEMA, _MAX_NAMES, _MAX_NAME, _MAX_PARTS, _MAX_ERROR = 262_144, 4096, 255, 512, 512
+MAX_MESSAGE = HEADER.size + _MAX_SCHEMA
+"""Largest size of a message in bytes."""
 _ENCODINGS: dict[str, np.dtype[Any]] = {"i16": np.dtype("<i2"), "i32": np.dtype("<i4")}
 STATED = {
     "schema_version": 1,
@@ -101,14 +104,20 @@ class _Schema:
 class FaceMotionReceiver:
     """The receiver's side of the protocol: parses the phone's packets and makes those for the phone.
 
+    Parameters
+    ----------
+    connected : bool
+        Whether the phone is connected over TCP.
+
     Attributes
     ----------
     message : str
         Reason why the phone refuses to send; otherwise "".
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, connected: bool = False) -> None:
         self.message = ""
+        self._connected = connected
         self._nonce = _number()
         self._session = 0
         self._schema: _Schema | None = None
@@ -161,6 +170,10 @@ class FaceMotionReceiver:
             packets += self._acknowledgement(self._schema.number)
             packets += message(GET_SCHEMA, self._session)
         return packets
+
+    def end(self) -> None:
+        """Forget the session, as its connection has ended."""
+        self._schema = None
 
     def stop(self) -> list[bytes]:
         """Return the packet that ends the session, if there is one."""
@@ -219,7 +232,7 @@ class FaceMotionReceiver:
 
     def _whole(self, part: _Part, largest: int) -> bytes | None:
         """Return the payload once all its parts have come; of incomplete messages the newest is kept."""
-        capacity = largest - HEADER.size
+        capacity = max(part.total, 1) if self._connected else largest - HEADER.size
         begin = part.part * capacity
         if part.parts != max(1, ceil(part.total / capacity)) or len(part.payload) != min(capacity, part.total - begin):
             raise PacketError("a message is divided wrongly")
@@ -236,7 +249,33 @@ class FaceMotionReceiver:
         return b"".join(payloads[number] for number in range(part.parts))
 
     def _acknowledgement(self, schema: int) -> list[bytes]:
-        return message(SCHEMA_ACK, self._session, schema=schema)
+        return [] if self._connected else message(SCHEMA_ACK, self._session, schema=schema)
+
+
+def length_of(data: bytes) -> int | None:
+    """Return the number of bytes of a whole message over TCP.
+
+    Parameters
+    ----------
+    data : bytes
+        Its header, or what has come of it.
+
+    Returns
+    -------
+    int or None
+        The number; None if more of the header is needed.
+
+    Raises
+    ------
+    ConnectionError
+        If it is no such message.
+    """
+    if len(data) < HEADER.size:
+        return None
+    magic, _, _, size, *_, length = HEADER.unpack(data)
+    if magic != MAGIC or size != HEADER.size or length > _MAX_SCHEMA:
+        raise ConnectionError("not a message of the phone")
+    return int(size + length)
 
 
 def message(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import struct
 from contextlib import suppress
 from typing import Protocol
 
-from ..errors import SourceError
 from .addresses import cannot_listen, resolve
 from .casting import Address
 from .frames import MAX_DATAGRAM
@@ -15,7 +15,7 @@ from .frames import MAX_DATAGRAM
 LENGTH = struct.Struct("<I")
 """Prefix of each message over TCP."""
 _BUFFER = 1 << 20
-_PORTION = 1 << 16
+PORTION = 1 << 16
 """Number of bytes that are read at a time."""
 _MAX_CONNECTIONS = 4
 _MAX_MESSAGE = 1 << 25
@@ -72,6 +72,20 @@ class Link(Protocol):
             The packet.
         address : (str, int)
             Address of the sender to answer.
+        """
+
+    def is_lost(self, address: Address) -> bool:
+        """Return whether a connection is needed to reach an address, and there is none.
+
+        Parameters
+        ----------
+        address : (str, int)
+            Address of a sender.
+
+        Returns
+        -------
+        bool
+            Whether it cannot be reached; always False for datagrams.
         """
 
     def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
@@ -134,6 +148,10 @@ class DatagramLink:
             with suppress(OSError):
                 self._socket.sendto(data, address)
 
+    def is_lost(self, address: Address) -> bool:
+        """Return False. See `Link.is_lost`."""
+        return False
+
     def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
         """See `Link.waits`."""
         return ([], []) if self._socket is None else ([self._socket], [])
@@ -145,7 +163,7 @@ class DatagramLink:
 
 
 class ConnectionsLink:
-    """Messages over TCP from senders that connect to a port of this computer.
+    """Messages over TCP from senders that connect to this computer. Each message follows its length.
 
     Parameters
     ----------
@@ -153,37 +171,29 @@ class ConnectionsLink:
         Address of this computer to listen on.
     port : int
         Port to listen on.
-    end : bytes
-        What each message ends with; b"" if it follows its length instead.
     """
 
-    def __init__(self, host: str, port: int, end: bytes = b"") -> None:
+    largest = _MAX_MESSAGE
+
+    def __init__(self, host: str, port: int) -> None:
         self.address: Address = ("", 0)
-        self.largest = MAX_DATAGRAM if end else _MAX_MESSAGE
-        self._end = end
         self.message = ""
         self._host, self._port = host, port
-        self._listener: socket.socket | None = None
-        self._connections: dict[Address, _Connection] = {}
+        self._listeners: list[socket.socket] = []
+        self._connections: dict[Address, Connection] = {}
 
     def open(self) -> None:
         """Listen on the port. See `Link.open`."""
-        if self._listener is not None:
-            return
-        family, address = resolve(self._host, self._port)
-        try:
-            opened = socket.create_server(address, family=family)
-        except OSError as error:
-            raise cannot_listen(self._host, self._port, error) from error
-        opened.setblocking(False)
-        self._listener, self.address = opened, opened.getsockname()[:2]
+        if not self._listeners:
+            self._listen(self._port)
+            self.address = self._listeners[0].getsockname()[:2]
 
     def receive(self, now: float) -> tuple[bytes, Address] | None:
         """Return the next message of any sender. See `Link.receive`."""
         self._accept()
         for address, connection in tuple(self._connections.items()):
             try:
-                if (message := connection.take(self.largest)) is not None:
+                if (message := connection.take()) is not None:
                     self._connections[address] = self._connections.pop(address)  # the others come first next time
                     return message, address
             except OSError:
@@ -191,48 +201,63 @@ class ConnectionsLink:
         return None
 
     def reply(self, data: bytes, address: Address) -> None:
-        """Send a datagram, by which such phones are asked to connect. See `Link.reply`."""
-        with suppress(OSError, SourceError):
-            family, place = resolve(*address)
-            with socket.socket(family, socket.SOCK_DGRAM) as asking:
-                asking.sendto(data, place)
+        """Do nothing, as these senders need no answers. See `Link.reply`."""
+
+    def is_lost(self, address: Address) -> bool:
+        """Return whether the sender has gone. See `Link.is_lost`."""
+        return address not in self._connections
 
     def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
         """See `Link.waits`."""
-        connected = [connection.socket for connection in self._connections.values()]
-        return ([] if self._listener is None else [self._listener, *connected]), []
+        return self._listeners + [connection.socket for connection in self._connections.values()], []
 
     def close(self) -> None:
         """Close all connections, and stop listening."""
         for connection in tuple(self._connections.values()):
             connection.close()
-        if self._listener is not None:
-            self._listener.close()
+        for listener in self._listeners:
+            listener.close()
+
+    def _listen(self, port: int) -> None:
+        family, address = resolve(self._host, port)
+        try:
+            opened = socket.create_server(address, family=family)
+        except OSError as error:
+            raise cannot_listen(self._host, port, error) from error
+        opened.setblocking(False)
+        self._listeners.append(opened)
 
     def _accept(self) -> None:
-        while self._listener is not None:
-            try:
-                connected, address = self._listener.accept()
-            except OSError:  # nobody else, or closed
-                return
-            if len(self._connections) >= _MAX_CONNECTIONS:
-                connected.close()
-                continue
-            connected.setblocking(False)
-            sender = _Terminated(connected, self._end) if self._end else _Connection(connected)
-            self._connections[str(address[0]), int(address[1])] = sender
+        for listener in self._listeners:
+            with suppress(OSError):  # nobody else, or closed
+                while True:
+                    connected, address = listener.accept()
+                    if len(self._connections) >= _MAX_CONNECTIONS:
+                        connected.close()
+                        continue
+                    connected.setblocking(False)
+                    self._connections[str(address[0]), int(address[1])] = self._connection(connected)
+
+    def _connection(self, connected: socket.socket) -> Connection:
+        return Connection(connected)
 
 
-class _Connection:
-    """A connected sender, and the received part of its next message."""
+class Connection:
+    """A connected sender, and the received part of its next message.
+
+    Parameters
+    ----------
+    connected : socket.socket
+        Socket that does not block.
+    """
 
     def __init__(self, connected: socket.socket) -> None:
         self.socket, self._data = connected, bytearray()
 
-    def take(self, largest: int) -> bytes | None:
+    def take(self) -> bytes | None:
         """Return the next message, or None until it is complete; OSError if the sender has gone, or sends too much."""
-        while (wanted := self._wanted(largest)) > len(self._data):
-            if not self._read(max(_PORTION, wanted - len(self._data))):
+        while (wanted := self._wanted()) > len(self._data):
+            if not self._read(max(PORTION, wanted - len(self._data))):
                 return None
         message = bytes(self._data[LENGTH.size : wanted])
         del self._data[:wanted]
@@ -253,33 +278,58 @@ class _Connection:
         self._data += portion
         return True
 
-    def _wanted(self, largest: int) -> int:
+    def _wanted(self) -> int:
         """Number of bytes of the next message, including its length."""
         if len(self._data) < LENGTH.size:
             return LENGTH.size
         (length,) = LENGTH.unpack_from(self._data)
-        if length > largest:
+        if length > _MAX_MESSAGE:
             raise ConnectionError("a message is too long")
         return int(LENGTH.size + length)
 
 
-class _Terminated(_Connection):
-    """A connected sender whose messages end with `end`."""
+def call(host: str, port: int) -> tuple[socket.socket, Address]:
+    """Begin to connect to another computer, without waiting.
 
-    def __init__(self, connected: socket.socket, end: bytes) -> None:
-        super().__init__(connected)
-        self._end = end
+    Parameters
+    ----------
+    host : str
+        Its name or address.
+    port : int
+        Port there.
 
-    def take(self, largest: int) -> bytes | None:
-        """Return the next message. See `_Connection.take`."""
-        while (place := self._data.find(self._end)) <= 0:
-            if place == 0:  # some apps write it before a message, too
-                del self._data[: len(self._end)]
-                continue
-            if len(self._data) > largest:
-                raise ConnectionError("a message is too long")
-            if not self._read(_PORTION):
-                return None
-        message = bytes(self._data[:place])
-        del self._data[: place + len(self._end)]
-        return message
+    Returns
+    -------
+    socket.socket
+        Socket that does not block; see `has_answered`.
+    (str, int)
+        Numeric address.
+
+    Raises
+    ------
+    SourceError
+        If the computer is unknown.
+    OSError
+        If it cannot be reached.
+    """
+    family, address = resolve(host, port)
+    opened = socket.socket(family, socket.SOCK_STREAM)
+    opened.setblocking(False)
+    try:
+        with suppress(BlockingIOError):
+            opened.connect(address)
+    except OSError:
+        opened.close()
+        raise
+    return opened, address
+
+
+def has_answered(called: socket.socket) -> bool:
+    """Return whether a connection that `call` began is established; OSError if it has failed."""
+    if number := called.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+        raise OSError(number, os.strerror(number))
+    try:
+        called.getpeername()
+    except OSError:
+        return False
+    return True

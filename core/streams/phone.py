@@ -7,6 +7,7 @@ import numpy as np
 from .addresses import resolve
 from .casting import Address
 from .face_motion import MAGIC, FaceMotionReceiver
+from .links import Link
 from .settings import PROTOCOLS, StreamSettings
 
 _ASK_AGAIN = 2.0
@@ -28,8 +29,9 @@ class Phone:
         self._protocol = PROTOCOLS[settings.protocol]
         self._host = settings.phone
         self._address: Address | None = None
-        self._motion = FaceMotionReceiver() if self._protocol.motion_port else None
-        self._motion_address: Address = ("", 0)
+        self._motion = FaceMotionReceiver(connected=self._protocol.connected) if self._protocol.motion_port else None
+        self._motion_phone: Address = ("", 0)
+        self._motion_address = self._motion_phone
         self._asked, self._requests = -np.inf, 0
 
     @property
@@ -41,7 +43,7 @@ class Phone:
         """Look up the address of the phone, once; SourceError if its name is unknown."""
         if self._host and self._address is None:
             _, self._address = resolve(self._host, self._protocol.phone_port)
-            self._motion_address = self._address[0], self._protocol.motion_port
+            self._motion_phone = self._motion_address = self._address[0], self._protocol.motion_port
 
     def may_send(self, address: Address) -> bool:
         """Return whether packets from `address` are accepted: only the phone's, if its address is known."""
@@ -67,15 +69,15 @@ class Phone:
         self._motion_address = address
         return self._motion
 
-    def due(self, now: float, port: int, *, heard: bool) -> list[tuple[bytes, Address]]:
+    def due(self, now: float, link: Link, *, heard: bool) -> list[tuple[bytes, Address]]:
         """Return the packets that the phone needs now, and their addresses.
 
         Parameters
         ----------
         now : float
             Time in seconds on any clock.
-        port : int
-            Port on which this computer receives.
+        link : Link
+            Link to the phone.
         heard : bool
             Whether faces are arriving.
 
@@ -84,13 +86,16 @@ class Phone:
         list of (bytes, (str, int))
             Packets and addresses.
         """
+        if self._motion is not None and link.is_lost(self._motion_address):
+            self._motion.end()
+            self._motion_address = self._motion_phone
         packets = [] if self._motion is None else [(data, self._motion_address) for data in self._motion.due(now)]
         if self._address is None or now - self._asked < (_ASK_AGAIN if self._motion is None else _ASK_OTHERWISE):
             return packets
         self._asked = now
         sends = heard or (self._motion is not None and self._motion.active(now))
         if self._protocol.leased or not sends:
-            packets.append(self._request(port))
+            packets.append(self._request(link.address[1]))
         return packets
 
     def farewell(self) -> list[tuple[bytes, Address]]:

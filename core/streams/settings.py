@@ -50,7 +50,7 @@ class StreamProtocol:
     connected : bool
         Whether senders connect over TCP; otherwise they send datagrams.
     end : bytes
-        What each message over TCP ends with; b"" if it follows its length.
+        What each text over TCP ends with; b"" if messages follow their length.
     stop : bytes
         Datagram that asks the phone to end; b"" for none.
     """
@@ -189,6 +189,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         lambda s: IFacialMocapDecoder(),
         ifacialmocap.PHONE_PORT,
         lambda port: ifacialmocap.TCP_START,
+        face_motion.TCP_PORT,
         connected=True,
         end=ifacialmocap.TCP_END,
         stop=ifacialmocap.TCP_STOP,
@@ -208,6 +209,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         lambda s: IFacialMocapDecoder(),
         ifacialmocap.FACEMOTION_PORT,
         lambda port: ifacialmocap.FACEMOTION_TCP_START,
+        face_motion.TCP_PORT,
         connected=True,
         end=ifacialmocap.FACEMOTION_TCP_END,
         stop=ifacialmocap.FACEMOTION_STOP,

@@ -20,6 +20,7 @@ from .casting import SILENT, Address, Casting, FaceName, Role, label_of
 from .frames import Decoding, FaceValues, PacketError, Receiver, StreamFrame
 from .links import ConnectionsLink, DatagramLink, Link
 from .phone import Phone
+from .phone_link import PhoneLink
 from .playout import Playout, Shown
 from .sessions import OwnReceiver, RefusedError
 from .settings import AXES, OWN, PROTOCOLS, StreamSettings
@@ -158,7 +159,7 @@ class StreamSource(LiveSource):
         end = self._clock() + timeout
         while not self._closed:
             now = self._clock()
-            self._tell(self._phone.due(now, self.address[1], heard=self._heard(now)))
+            self._tell(self._phone.due(now, self._link, heard=self._heard(now)))
             self._drain(now)
             if (frame := self._due(now)) is not None:
                 return frame
@@ -179,9 +180,12 @@ class StreamSource(LiveSource):
     def _open_link(self) -> Link:
         if self.settings.pairing is not None:
             return TlsLink(self.settings.pairing)
-        if self._protocol.connected:
-            return ConnectionsLink(self.settings.host, self.settings.port, self._protocol.end)
-        return DatagramLink(self.settings.host, self.settings.port)
+        host, port, protocol = self.settings.host, self.settings.port, self._protocol
+        if protocol.connected and protocol.motion_port:
+            return PhoneLink(host, port, protocol.end, protocol.motion_port)
+        if protocol.connected:
+            return ConnectionsLink(host, port)
+        return DatagramLink(host, port)
 
     def _wait(self, seconds: float) -> None:
         readers, writers = self._link.waits()

@@ -5,7 +5,6 @@ No method waits: each call of `receive` gets as far as it can.
 
 from __future__ import annotations
 
-import os
 import socket
 import ssl
 from contextlib import suppress
@@ -13,6 +12,7 @@ from contextlib import suppress
 from ..errors import SourceError
 from .addresses import resolve
 from .casting import Address
+from .links import call, has_answered
 from .pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, MAX_MESSAGE, VERSION, Pairing
 
 _AGAIN = 1.0
@@ -97,6 +97,10 @@ class TlsLink:
     def reply(self, data: bytes, address: Address) -> None:
         """Do nothing, as the sender needs no answers. See `Link.reply`."""
 
+    def is_lost(self, address: Address) -> bool:
+        """Return whether there is no connection at the moment. See `Link.is_lost`."""
+        return self._socket is None
+
     def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
         """See `Link.waits`."""
         if self._socket is None:
@@ -132,22 +136,15 @@ class TlsLink:
 
     def _connect(self, now: float) -> None:
         self._again = now + _AGAIN
-        family, address = resolve(self.pairing.host, self.pairing.port)
-        self._socket = socket.socket(family, socket.SOCK_STREAM)
-        self._socket.setblocking(False)
-        self._state, self._heard, self.address = _CONNECTING, now, address
+        self._state, self._heard = _CONNECTING, now
         self._data.clear()
-        self._socket.connect(address)
+        self._socket, self.address = call(self.pairing.host, self.pairing.port)
 
     def _connected(self) -> None:
         """Continue once the connection is established; BlockingIOError until then."""
         assert self._socket is not None
-        if number := self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
-            raise OSError(number, os.strerror(number))
-        try:
-            self._socket.getpeername()
-        except OSError as error:
-            raise BlockingIOError from error
+        if not has_answered(self._socket):
+            raise BlockingIOError
         self._socket = self._context.wrap_socket(self._socket, do_handshake_on_connect=False)
         self._state = _SHAKING
 
