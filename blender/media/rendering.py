@@ -21,7 +21,7 @@ from ...core.files import replacing
 from ...core.locks import temporary_folder
 
 Image = NDArray[np.uint8]
-_ENLARGED = 1.5
+_ENLARGED = 1.25
 """Size at which images are rendered, relative to their own."""
 
 
