@@ -15,7 +15,7 @@ from ..errors import SourceError
 from ..heads.regions import REGIONS, rms_extent
 from ..landmarks import MIRROR, N_LANDMARKS
 from ..reading import as_object, parse_json
-from ..rotation import euler_to_matrix
+from ..rotation import euler_to_matrix, matrix_to_euler
 from .face_space import load_face_space
 from .take import Take
 
@@ -47,9 +47,9 @@ _LIDS, _LIDS_AT_REST = 0.5, 0.1
 may be rest. Lids move little, and yet half-shut eyes are no neutral face."""
 _WEAK, _MUCH_REMOVED = 0.3, 0.35
 """Activation up to which an expression may be the person's own face, and above which a removed one is reported."""
-_FIXATION, _SHIFTS, _MAX_GAZES = 0.07, 20, 1000
-"""Standard deviation of a gaze at one place, as it is measured, in radians; steps of mean shift; most gazes that are
-compared, evenly spaced."""
+_FIXATION, _ASKEW, _SHIFTS, _MAX_GAZES = 0.07, 0.18, 20, 1000
+"""Standard deviation of measured gazes at one place, and that and largest value of the tracker's bias for a person, in
+radians; steps of mean shift; most gazes that are compared, evenly spaced."""
 _MAX_VALUES, _MAX_VALUE = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0, "vergence": 10.0, "actions": 100.0}, 1e7
 """Largest stored values, in outer-eye distances and radians; others are in seconds and pixels."""
 _MIN_EXTENT, _ROTATION_ERROR = 1e-4, 1e-3
@@ -77,7 +77,7 @@ class Neutral:
         Opening at which the performer's eyes count as shut, as a fraction of the neutral one: small, but not 0, as
         lashes and blur keep tracked lids apart. 0 if the take shows no shut eyes.
     gaze : (2,) float64
-        Usual gaze: the most frequent `(pitch, yaw)` of the take in radians. NaN if the take has none.
+        Gaze `(pitch, yaw)` in radians at which the avatar looks straight ahead. NaN if the take has none.
     open_mouth : float
         Aperture of the wide-open mouth in outer-eye distances; NaN if unknown.
     removed : float
@@ -338,7 +338,7 @@ def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArr
         start=float(take.times[rested[0]]),
         end=float(take.times[rested[-1]]),
         shut=shut_level(shape, take.shape[found].astype(np.float64)),
-        gaze=_usual_gaze(take.gaze[found]),
+        gaze=_usual_gaze(take, rotation),
         vergence=float(_usual(take.vergence[rested, None])[0]),
         actions=_usual(take.actions[rested]),
         measured=bool(take.info.get("measured")),
@@ -371,26 +371,30 @@ def shut_level(neutral: FloatArray, shapes: FloatArray) -> float:
     return left if left < MAX_SHUT else 0.0
 
 
-def _usual_gaze(gaze: FloatArray) -> FloatArray:
-    """Most frequent gaze (2,) of frames (N, 2): the highest point of their density, found by mean shift.
+def _usual_gaze(take: Take, rotation: FloatArray) -> FloatArray:
+    """Gaze (2,) at which the avatar looks straight ahead if `rotation` does not turn its head; NaN if none is known.
 
-    Performers look at the camera or the screen for longer than anywhere else, though not always for half of the time,
-    which a median would need.
+    Performers look at the camera, or at the screen next to it, for longer than anywhere else, but often for less than
+    half of the time, and not with an upright head. So the peak is found of the density of gazes relative to that at the
+    camera; of several peaks, one that is not far from it is more probable.
     """
-    known = gaze[np.isfinite(gaze).all(axis=1)].astype(np.float64)
+    known = np.flatnonzero(take.found & np.isfinite(take.gaze).all(axis=1))
     if not len(known):
         return np.full(2, np.nan)
     known = known[:: 1 + len(known) // _MAX_GAZES]
-    usual = known[np.argmax(_nearness(known[:, None], known).sum(axis=1))]
+    heads = [euler_to_matrix(*angles) for angles in take.pose[known, 1:4]]
+    apart = take.gaze[known].astype(np.float64) - [matrix_to_euler(rotation @ head.T)[:2] for head in heads]
+    ahead = np.asarray(matrix_to_euler(rotation)[:2])
+    usual = apart[np.argmax(_near(apart[:, None], apart, _FIXATION).sum(axis=1) * _near(apart, -ahead, _ASKEW))]
     for _ in range(_SHIFTS):
-        weights = _nearness(usual, known)
-        usual = weights @ known / weights.sum()
-    return np.asarray(usual)
+        weights = _near(usual, apart, _FIXATION)
+        usual = weights @ apart / weights.sum()
+    return np.asarray(np.clip(usual, -ahead - _ASKEW, -ahead + _ASKEW))
 
 
-def _nearness(one: FloatArray, other: FloatArray) -> FloatArray:
+def _near(one: FloatArray, other: FloatArray, extent: float) -> FloatArray:
     """Gaussian kernel (...) of two gazes (..., 2)."""
-    return np.asarray(np.exp(-0.5 * ((one - other) ** 2).sum(axis=-1) / _FIXATION**2))
+    return np.asarray(np.exp(-0.5 * ((one - other) ** 2).sum(axis=-1) / extent**2))
 
 
 def _usual(values: FloatArray) -> FloatArray:

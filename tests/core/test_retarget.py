@@ -201,12 +201,31 @@ def test_eyes_turn_by_the_gaze_relative_to_the_usual_one(rig):
         np.testing.assert_allclose(matrix_to_euler(eye), (0.0, 0.2, 0.0), atol=1e-9)
 
 
+def usual_gaze(rig, gaze, pose=None, start=None) -> np.ndarray:
+    return calibrate(make_take(np.tile(performer(rig), (len(gaze), 1, 1)), gaze=gaze, pose=pose), start).gaze
+
+
 def test_the_usual_gaze_is_the_most_frequent_one_even_if_the_performer_mostly_looks_elsewhere(rig):
     camera, elsewhere = (0.05, -0.1), np.random.default_rng(1).uniform((0.2, -0.4), (0.6, 0.4), (70, 2))
     gaze = np.vstack([np.tile(camera, (30, 1)), elsewhere])
     gaze[::9] = np.nan
-    neutral = calibrate(make_take(np.tile(performer(rig), (100, 1, 1)), gaze=gaze))
-    np.testing.assert_allclose(neutral.gaze, camera, atol=0.02)
+    np.testing.assert_allclose(usual_gaze(rig, gaze), camera, atol=0.02)
+
+
+def test_who_looks_at_the_camera_with_a_turning_head_has_a_constant_usual_gaze(rig):
+    bias, turns = np.array([0.03, 0.06]), np.random.default_rng(2).uniform(-0.4, 0.4, (60, 3)) * (1.0, 1.0, 0.2)
+    heads = [euler_to_matrix(*turn) for turn in turns]
+    gaze = np.array([matrix_to_euler(head.T)[:2] for head in heads]) + bias
+    pose = np.column_stack([np.full(60, 100.0), turns, np.full((60, 2), 200.0)])
+    np.testing.assert_allclose(usual_gaze(rig, gaze, pose), bias, atol=1e-6)
+    turns[:] = turns[0]
+    gaze[:] = gaze[0]
+    pose[:] = pose[0]
+    np.testing.assert_allclose(usual_gaze(rig, gaze, pose, 0.0), gaze[0], atol=1e-6)
+
+
+def test_an_impossible_usual_gaze_is_limited(rig):
+    np.testing.assert_allclose(usual_gaze(rig, np.tile((-0.5, 0.6), (40, 1))), (-0.18, 0.18), atol=1e-6)
 
 
 def test_eyes_cross_by_the_excess_of_their_vergence_over_the_usual_one():

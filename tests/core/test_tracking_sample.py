@@ -10,9 +10,13 @@ import pytest
 
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.motion import drive_take
+from facemime.core.heads.rig import built_in_rig
 from facemime.core.landmarks import INNER
+from facemime.core.rotation import euler_to_matrix
 from facemime.core.takes.neutral import calibrate
-from facemime.core.takes.take import TakeRecorder, describe
+from facemime.core.takes.take import Take, TakeRecorder, describe
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.tracker import FaceTracker
 from facemime.training.sample.performance import FPS, times, units_at
@@ -82,15 +86,30 @@ def test_the_head_turns_with_the_performers_about_each_axis_and_the_same_way(res
         assert np.corrcoef(found[:, axis], turned[:, axis])[0, 1] > least
 
 
-def test_the_coefficients_are_those_of_the_script(results: list[TrackResult]) -> None:
-    recorder, acted = TakeRecorder(describe("sample", FPS, (1, 1), "")), np.zeros((len(results), len(COEFFICIENTS)))
-    for frame, (time, result) in enumerate(zip(times(), results, strict=True)):
+def take_of(results: list[TrackResult]) -> Take:
+    recorder = TakeRecorder(describe("sample", FPS, (1, 1), ""))
+    for time, result in zip(times(), results, strict=True):
         recorder.append(time, result)
-        for name, amount in units_at(time).items():
+    return recorder.finish()
+
+
+def test_the_coefficients_are_those_of_the_script(results: list[TrackResult]) -> None:
+    take, acted = take_of(results), np.zeros((len(results), len(COEFFICIENTS)))
+    for frame, time in enumerate(take.times):
+        for name, amount in units_at(float(time)).items():
             acted[frame, COEFFICIENT_INDEX[name]] = min(amount, 1.0)
-    take = recorder.finish()
     found = arkit_coefficients(take, calibrate(take))
     shown = [k for k in FITTED if acted[:, k].max() > 0.3]
     assert np.mean([np.corrcoef(found[:, k], acted[:, k])[0, 1] for k in shown]) > 0.8
     assert np.mean([np.abs(found - acted)[acted[:, k] > 0.05, k].mean() for k in shown]) < 0.22
-    assert ((acted < 0.05) & (found > 0.3)).sum(axis=1).mean() < 0.2
+    assert ((acted < 0.05) & (found > 0.3))[:, FITTED].sum(axis=1).mean() < 0.2
+
+
+def test_the_avatar_looks_where_the_performer_does(results: list[TrackResult]) -> None:
+    take, turned = take_of(results), np.load(TRUTH, allow_pickle=False)["pose"]
+    motion = drive_take(HeadDriver(built_in_rig(), calibrate(take)), take)
+    shown = (motion.rotation[:, None] @ motion.gaze)[..., 2]
+    away = np.degrees(
+        np.arccos([look @ euler_to_matrix(*turn)[:, 2] for look, turn in zip(shown, turned, strict=True)])
+    )
+    assert np.median(away) < 3.0 and np.percentile(away, 90) < 8.0
