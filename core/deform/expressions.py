@@ -8,6 +8,7 @@ between heads much more than which places move together.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -204,8 +205,10 @@ def learnt_covariance(
     The term ``w h(x) . h(y) exp(-|x - y|^2 / (2 REACH^2))`` with ``w = LEARNT_WEIGHT`` is added between places x and y
     with features h (equation 5.7).
     """
-    skin = skin_covariance(vertices, faces, landmarks, region_weights)
-    features = model.transfer(vertices, landmarks, region_weights)
+    with ThreadPoolExecutor(1) as thread:  # NumPy and OpenCV work outside Python's lock
+        transferring = thread.submit(model.transfer, vertices, landmarks, region_weights)
+        skin = skin_covariance(vertices, faces, landmarks, region_weights)
+        features = transferring.result()
     places = _normalised(vertices, landmarks)
 
     def term(rows: IntArray) -> FloatArray:
