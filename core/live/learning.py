@@ -15,6 +15,7 @@ import numpy as np
 
 from ..apertures import eye_apertures
 from ..arrays import FloatArray
+from ..rotation import euler_to_matrix, matrix_to_euler
 from ..takes.face_space import load_face_space
 from ..takes.neutral import MAX_SHUT, Neutral, rest_of, trust
 from ..takes.take import TakeRecorder
@@ -190,8 +191,10 @@ def _between(before: Neutral, found: Neutral, share: float) -> Neutral:
         return np.asarray(np.where(np.isnan(moved), np.where(np.isnan(old), new, old), moved))
 
     shape, position, gaze, actions = (blend(name) for name in ("shape", "position", "gaze", "actions"))
+    old, new = (np.array(matrix_to_euler(neutral.rotation)) for neutral in (before, found))
     return replace(
         before,
+        rotation=euler_to_matrix(*(old + share * (new - old))),
         shape=shape,
         position=position,
         gaze=gaze,

@@ -68,7 +68,7 @@ class Neutral:
         Mean pose-free shape: head frame, outer-eye distances.
     rotation : (3, 3) float64
         Rotation at which the avatar looks straight ahead: that of the time chosen by the user, as the camera may be
-        below or beside the screen; otherwise that of a head that faces the camera.
+        below or beside the screen; otherwise that of a head that faces the camera, as the eyes show.
     position : (3,) float64
         `(s, tx, ty)`, medians of the take, in pixels per outer-eye distance and pixels.
     start, end : float
@@ -325,7 +325,7 @@ def _without(strong: FloatArray, take: Take, frames: IntArray, share: FloatArray
     added = np.tensordot(share @ strong, load_face_space().units, 1)
     shape = np.tensordot(share, take.shape[frames].astype(np.float64), 1) - added
     rested = np.sort(frames[share >= 0.5 * share.max()])
-    return replace(_neutral(take, shape, rested, np.eye(3)), removed=float((share @ strong).max()), asked=False)
+    return replace(_neutral(take, shape, rested, _facing(take)), removed=float((share @ strong).max()), asked=False)
 
 
 def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArray) -> Neutral:
@@ -369,6 +369,20 @@ def shut_level(neutral: FloatArray, shapes: FloatArray) -> float:
     least = np.sort(opening)[min(2, len(opening) - 1)]
     left = float(np.clip(least / max(at_rest, 1e-9), 0.0, 1.0))
     return left if left < MAX_SHUT else 0.0
+
+
+def _facing(take: Take) -> FloatArray:
+    """Rotation (3, 3) that the tracker measures when the performer's head faces the camera.
+
+    The pitch of a face depends on its unknown profile, so it may be off by ten degrees. The eyes show it: they are
+    usually straight in the head, so if they are turned against its usual pitch, it is that of a head facing the camera.
+    """
+    ahead = float(_usual_gaze(take, np.eye(3))[0])
+    if np.isnan(ahead):
+        return np.eye(3)
+    usual = float(np.median(take.pose[take.found, 1]))
+    pitch = np.clip(usual - ahead, min(usual, 0.0), max(usual, 0.0))
+    return euler_to_matrix(float(np.clip(pitch, -_ASKEW, _ASKEW)), 0.0, 0.0)
 
 
 def _usual_gaze(take: Take, rotation: FloatArray) -> FloatArray:

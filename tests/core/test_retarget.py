@@ -214,6 +214,7 @@ def test_the_usual_gaze_is_the_most_frequent_one_even_if_the_performer_mostly_lo
 
 def test_who_looks_at_the_camera_with_a_turning_head_has_a_constant_usual_gaze(rig):
     bias, turns = np.array([0.03, 0.06]), np.random.default_rng(2).uniform(-0.4, 0.4, (60, 3)) * (1.0, 1.0, 0.2)
+    turns -= np.median(turns, axis=0)
     heads = [euler_to_matrix(*turn) for turn in turns]
     gaze = np.array([matrix_to_euler(head.T)[:2] for head in heads]) + bias
     pose = np.column_stack([np.full(60, 100.0), turns, np.full((60, 2), 200.0)])
@@ -222,6 +223,16 @@ def test_who_looks_at_the_camera_with_a_turning_head_has_a_constant_usual_gaze(r
     gaze[:] = gaze[0]
     pose[:] = pose[0]
     np.testing.assert_allclose(usual_gaze(rig, gaze, pose, 0.0), gaze[0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("pitch", "gaze", "straight"),
+    [(0.1, -0.1, 0.1), (-0.1, 0.06, -0.06), (0.1, 0.1, 0.0), (0.1, -0.2, 0.1), (0.4, -0.4, 0.18)],
+)
+def test_a_head_whose_usual_pitch_the_eyes_are_turned_against_faces_the_camera(rig, pitch, gaze, straight):
+    pose = np.tile([100.0, pitch, 0.1, 0.0, 320.0, 240.0], (40, 1))
+    take = make_take(np.tile(performer(rig), (40, 1, 1)), gaze=np.tile((gaze, -0.1), (40, 1)), pose=pose)
+    np.testing.assert_allclose(matrix_to_euler(calibrate(take).rotation), (straight, 0.0, 0.0), atol=0.003)
 
 
 def test_an_impossible_usual_gaze_is_limited(rig):
