@@ -119,6 +119,8 @@ bench-heads: build/faces/.ready
 	mkdir -p build/bench
 	$(BIN)/python -m bench.characters $(CHARACTERS) --menpo3d build/faces/menpo3d-0.8.6.tar.gz --figure docs/images/heads.jpg --json build/bench/characters.json
 	$(BIN)/python -m bench.docs build/bench/characters.md
+	$(BIN)/python -m bench.body build/bench/body.blend
+	$(BIN)/facemime puppet assets/sample/sample.mp4 --head build/bench/body.blend:Body -o build/bench/body_driven.blend --sheet docs/images/character.jpg
 
 bench-deformation: setup
 	mkdir -p build/bench

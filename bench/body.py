@@ -1,11 +1,15 @@
 """A whole character with a body, bones, eyes and teeth of MakeHuman's base mesh, which is CC0.
 
+`python -m bench.body FILE.blend` writes it to a file.
+
 Its topology, bones and weights are those of MPFB's default rig, as characters of MakeHuman have them; the face is of a
 person whose head does not ship. Unlike the other characters of the benchmark, pictures of it may be shown.
 """
 
 from __future__ import annotations
 
+import argparse
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -72,6 +76,17 @@ class Body:
 
     skin: bpy.types.Object
     keys: Mapping[str, Points]
+
+
+def main() -> int:
+    """Write the character; return the exit status."""
+    command = argparse.ArgumentParser(description="Write a whole character of MakeHuman to a file.")
+    command.add_argument("output", type=Path, metavar="FILE.blend")
+    output = command.parse_args().output.resolve()
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    add_body()
+    bpy.ops.wm.save_as_mainfile(filepath=str(output), compress=True)
+    return 0
 
 
 def add_body() -> Body:
@@ -214,3 +229,7 @@ def _skin(base: BaseMesh, body: _Group, points: Points) -> bpy.types.Material:
         path = Path(folder) / "skin.jpg"
         path.write_bytes(encode(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), 90))
         return _material("Skin", _LOOK.tone, path)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
