@@ -132,7 +132,7 @@ def test_a_phone_is_asked_to_connect_and_to_end_and_its_packets_are_put_together
     opened, monkeypatch, protocol, lead, asked
 ):
     values = acted(12).coefficients
-    changed = PROTOCOLS[protocol].__dict__ | {"port": free_port()}
+    changed = PROTOCOLS[protocol].__dict__ | {"port": free_port(), "motion_port": free_port()}
     monkeypatch.setitem(PROTOCOLS, protocol, StreamProtocol(**changed))
     phone = ConnectingPhone(monkeypatch, protocol, values, lead)
     phone.start()
