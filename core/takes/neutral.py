@@ -377,16 +377,29 @@ def _facing(take: Take) -> FloatArray:
     The pitch of a face depends on its unknown profile, so it may be off by ten degrees. The eyes show it: they are
     usually straight in the head, so if they are turned against its usual pitch, it is that of a head facing the camera.
     """
-    ahead = float(_usual_gaze(take, np.eye(3))[0])
-    if np.isnan(ahead):
+    apart, _ = _frequent_gaze(take, np.eye(3))
+    if np.isnan(apart[0]):
         return np.eye(3)
     usual = float(np.median(take.pose[take.found, 1]))
-    pitch = np.clip(usual - ahead, min(usual, 0.0), max(usual, 0.0))
+    pitch = np.clip(usual - apart[0], min(usual, 0.0), max(usual, 0.0))
     return euler_to_matrix(float(np.clip(pitch, -_ASKEW, _ASKEW)), 0.0, 0.0)
 
 
 def _usual_gaze(take: Take, rotation: FloatArray) -> FloatArray:
     """Gaze (2,) at which the avatar looks straight ahead if `rotation` does not turn its head; NaN if none is known.
+
+    It is that at the camera, unless the performer usually looks too far away from it: then it is the usual one in the
+    head, which people turn to what they look at.
+    """
+    apart, at_camera = _frequent_gaze(take, rotation)
+    ahead = np.asarray(matrix_to_euler(rotation)[:2])
+    beside = np.abs(apart + ahead) / _ASKEW - 1.0
+    camera, head = np.clip(apart, -ahead - _ASKEW, -ahead + _ASKEW), np.clip(apart + at_camera, -_ASKEW, _ASKEW)
+    return np.asarray(camera + np.clip(beside, 0.0, 1.0) * (head - camera))
+
+
+def _frequent_gaze(take: Take, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Most frequent gaze (2,), relative to that at the camera, and the latter (2,) at the usual pose; NaN if unknown.
 
     Performers look at the camera, or at the screen next to it, for longer than anywhere else, but often for less than
     half of the time, and not with an upright head. So the peak is found of the density of gazes relative to that at the
@@ -394,16 +407,22 @@ def _usual_gaze(take: Take, rotation: FloatArray) -> FloatArray:
     """
     known = np.flatnonzero(take.found & np.isfinite(take.gaze).all(axis=1))
     if not len(known):
-        return np.full(2, np.nan)
+        return np.full(2, np.nan), np.full(2, np.nan)
     known = known[:: 1 + len(known) // _MAX_GAZES]
-    heads = [euler_to_matrix(*angles) for angles in take.pose[known, 1:4]]
-    apart = take.gaze[known].astype(np.float64) - [matrix_to_euler(rotation @ head.T)[:2] for head in heads]
+    poses = take.pose[known, 1:4]
+    *at_camera, usual = (_gaze_at_camera(pose, rotation) for pose in (*poses, np.median(poses, axis=0)))
+    apart = take.gaze[known].astype(np.float64) - at_camera
     ahead = np.asarray(matrix_to_euler(rotation)[:2])
-    usual = apart[np.argmax(_near(apart[:, None], apart, _FIXATION).sum(axis=1) * _near(apart, -ahead, _ASKEW))]
+    found = apart[np.argmax(_near(apart[:, None], apart, _FIXATION).sum(axis=1) * _near(apart, -ahead, _ASKEW))]
     for _ in range(_SHIFTS):
-        weights = _near(usual, apart, _FIXATION)
-        usual = weights @ apart / weights.sum()
-    return np.asarray(np.clip(usual, -ahead - _ASKEW, -ahead + _ASKEW))
+        weights = _near(found, apart, _FIXATION)
+        found = weights @ apart / weights.sum()
+    return np.asarray(found), usual
+
+
+def _gaze_at_camera(pose: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Gaze (2,) at the camera of a head with the angles `pose` (3,), for which `rotation` is straight ahead."""
+    return np.asarray(matrix_to_euler(rotation @ euler_to_matrix(*pose).T)[:2])
 
 
 def _near(one: FloatArray, other: FloatArray, extent: float) -> FloatArray:

@@ -235,6 +235,14 @@ def test_a_head_whose_usual_pitch_the_eyes_are_turned_against_faces_the_camera(r
     np.testing.assert_allclose(matrix_to_euler(calibrate(take).rotation), (straight, 0.0, 0.0), atol=0.003)
 
 
+def test_the_eyes_of_who_faces_a_screen_beside_the_camera_are_straight(rig):
+    pose = np.tile([100.0, 0.4, 0.45, 0.0, 320.0, 240.0], (40, 1))
+    take = make_take(np.tile(performer(rig), (40, 1, 1)), gaze=np.tile((0.0, 0.0), (40, 1)), pose=pose)
+    neutral = calibrate(take)
+    np.testing.assert_allclose(neutral.gaze, 0.0, atol=0.03)
+    np.testing.assert_allclose(neutral.rotation, np.eye(3), atol=0.03)
+
+
 def test_an_impossible_usual_gaze_is_limited(rig):
     np.testing.assert_allclose(usual_gaze(rig, np.tile((-0.5, 0.6), (40, 1))), (-0.18, 0.18), atol=1e-6)
 
