@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -59,7 +59,6 @@ _PERSON = Person(
 _BONES = {"eye_left": "eye.L", "eye_right": "eye.R", "teeth_upper": "head", "teeth_lower": "jaw", "tongue": "jaw"}
 
 Points = NDArray[np.float64]
-Weights = Mapping[str, Iterable[tuple[int, float]]]
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,8 @@ def add_body() -> Body:
     points = head_points(source, base, _PERSON)
     places = to_blender(points).astype(np.float64)
     body = _Group.of(base, "body")
-    places[:, 2] -= places[body.vertices, 2].min()
+    ground = (0.0, 0.0, places[body.vertices, 2].min())
+    places -= ground
     rig = _add_rig(source, base, places)
     skin = _add(rig, "Body", places[body.vertices], body.faces, _skin(base, body, points), body.uv)
     suit = _Group.of(base, "helper-tights")
@@ -107,10 +107,9 @@ def add_body() -> Body:
     names = source.unit_names()
     units = [source.unit(name) * TO_HEAD for name in names]
     hinge = jaw_hinge(base, points, units[names.index("jawOpen")])
-    lift = places[0] - to_blender(points[:1])[0]
     for part in build_parts(base, points, units, names.index("tongueOut"), hinge):
         image = ASSETS / "head" / f"{part.name.split('_')[0]}.jpg"
-        vertices = to_blender(part.vertices) + lift
+        vertices = to_blender(part.vertices) - ground
         obj = _add(rig, part.name, vertices, part.faces, _material(part.name, (0.8, 0.8, 0.8), image), part.uv)
         _weigh(obj, _BONES[part.name], [(vertex, 1.0) for vertex in range(len(vertices))])
     return Body(skin, {name: unit[body.vertices] for name, unit in zip(names, units, strict=True)})

@@ -75,7 +75,7 @@ class Link(Protocol):
         """
 
     def is_lost(self, address: Address) -> bool:
-        """Return whether a connection is needed to reach an address, and there is none.
+        """Return whether the connection to a sender is lost.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class Link(Protocol):
         Returns
         -------
         bool
-            Whether it cannot be reached; always False for datagrams.
+            Whether nothing can be sent to it; False for datagrams, which need no connection.
         """
 
     def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:

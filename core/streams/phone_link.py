@@ -24,10 +24,8 @@ class PhoneLink(ConnectionsLink):
 
     Parameters
     ----------
-    host : str
-        Address of this computer to listen on.
-    port : int
-        Port to listen on.
+    host, port
+        As for `ConnectionsLink`.
     end : bytes
         What each text ends with.
     motion_port : int

@@ -15,8 +15,9 @@ from ..errors import SourceError
 from ..heads.regions import REGIONS, rms_extent
 from ..landmarks import MIRROR, N_LANDMARKS
 from ..reading import as_object, parse_json
-from ..rotation import euler_to_matrix, matrix_to_euler
+from ..rotation import euler_to_matrix
 from .face_space import load_face_space
+from .facing import facing, usual_gaze
 from .take import Take
 
 MAX_SHUT = 0.45
@@ -47,9 +48,6 @@ _LIDS, _LIDS_AT_REST = 0.5, 0.1
 may be rest. Lids move little, and yet half-shut eyes are no neutral face."""
 _WEAK, _MUCH_REMOVED = 0.3, 0.35
 """Activation up to which an expression may be the person's own face, and above which a removed one is reported."""
-_FIXATION, _ASKEW, _SHIFTS, _MAX_GAZES = 0.07, 0.18, 20, 1000
-"""Standard deviation of measured gazes at one place, and that and largest value of the tracker's bias for a person, in
-radians; steps of mean shift; most gazes that are compared, evenly spaced."""
 _MAX_VALUES, _MAX_VALUE = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0, "vergence": 10.0, "actions": 100.0}, 1e7
 """Largest stored values, in outer-eye distances and radians; others are in seconds and pixels."""
 _MIN_EXTENT, _ROTATION_ERROR = 1e-4, 1e-3
@@ -325,7 +323,7 @@ def _without(strong: FloatArray, take: Take, frames: IntArray, share: FloatArray
     added = np.tensordot(share @ strong, load_face_space().units, 1)
     shape = np.tensordot(share, take.shape[frames].astype(np.float64), 1) - added
     rested = np.sort(frames[share >= 0.5 * share.max()])
-    return replace(_neutral(take, shape, rested, _facing(take)), removed=float((share @ strong).max()), asked=False)
+    return replace(_neutral(take, shape, rested, facing(take)), removed=float((share @ strong).max()), asked=False)
 
 
 def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArray) -> Neutral:
@@ -338,7 +336,7 @@ def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArr
         start=float(take.times[rested[0]]),
         end=float(take.times[rested[-1]]),
         shut=shut_level(shape, take.shape[found].astype(np.float64)),
-        gaze=_usual_gaze(take, rotation),
+        gaze=usual_gaze(take, rotation),
         vergence=float(_usual(take.vergence[rested, None])[0]),
         actions=_usual(take.actions[rested]),
         measured=bool(take.info.get("measured")),
@@ -369,65 +367,6 @@ def shut_level(neutral: FloatArray, shapes: FloatArray) -> float:
     least = np.sort(opening)[min(2, len(opening) - 1)]
     left = float(np.clip(least / max(at_rest, 1e-9), 0.0, 1.0))
     return left if left < MAX_SHUT else 0.0
-
-
-def _facing(take: Take) -> FloatArray:
-    """Rotation (3, 3) that the tracker measures when the performer's head faces the camera.
-
-    The pitch of a face depends on its unknown profile, so it may be off by ten degrees. The eyes show it: they are
-    usually straight in the head, so if they are turned against its usual pitch, it is that of a head facing the camera.
-    """
-    apart, _ = _frequent_gaze(take, np.eye(3))
-    if np.isnan(apart[0]):
-        return np.eye(3)
-    usual = float(np.median(take.pose[take.found, 1]))
-    pitch = np.clip(usual - apart[0], min(usual, 0.0), max(usual, 0.0))
-    return euler_to_matrix(float(np.clip(pitch, -_ASKEW, _ASKEW)), 0.0, 0.0)
-
-
-def _usual_gaze(take: Take, rotation: FloatArray) -> FloatArray:
-    """Gaze (2,) at which the avatar looks straight ahead if `rotation` does not turn its head; NaN if none is known.
-
-    It is that at the camera, unless the performer usually looks too far away from it: then it is the usual one in the
-    head, which people turn to what they look at.
-    """
-    apart, at_camera = _frequent_gaze(take, rotation)
-    ahead = np.asarray(matrix_to_euler(rotation)[:2])
-    beside = np.abs(apart + ahead) / _ASKEW - 1.0
-    camera, head = np.clip(apart, -ahead - _ASKEW, -ahead + _ASKEW), np.clip(apart + at_camera, -_ASKEW, _ASKEW)
-    return np.asarray(camera + np.clip(beside, 0.0, 1.0) * (head - camera))
-
-
-def _frequent_gaze(take: Take, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Most frequent gaze (2,), relative to that at the camera, and the latter (2,) at the usual pose; NaN if unknown.
-
-    Performers look at the camera, or at the screen next to it, for longer than anywhere else, but often for less than
-    half of the time, and not with an upright head. So the peak is found of the density of gazes relative to that at the
-    camera; of several peaks, one that is not far from it is more probable.
-    """
-    known = np.flatnonzero(take.found & np.isfinite(take.gaze).all(axis=1))
-    if not len(known):
-        return np.full(2, np.nan), np.full(2, np.nan)
-    known = known[:: 1 + len(known) // _MAX_GAZES]
-    poses = take.pose[known, 1:4]
-    *at_camera, usual = (_gaze_at_camera(pose, rotation) for pose in (*poses, np.median(poses, axis=0)))
-    apart = take.gaze[known].astype(np.float64) - at_camera
-    ahead = np.asarray(matrix_to_euler(rotation)[:2])
-    found = apart[np.argmax(_near(apart[:, None], apart, _FIXATION).sum(axis=1) * _near(apart, -ahead, _ASKEW))]
-    for _ in range(_SHIFTS):
-        weights = _near(found, apart, _FIXATION)
-        found = weights @ apart / weights.sum()
-    return np.asarray(found), usual
-
-
-def _gaze_at_camera(pose: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Gaze (2,) at the camera of a head with the angles `pose` (3,), for which `rotation` is straight ahead."""
-    return np.asarray(matrix_to_euler(rotation @ euler_to_matrix(*pose).T)[:2])
-
-
-def _near(one: FloatArray, other: FloatArray, extent: float) -> FloatArray:
-    """Gaussian kernel (...) of two gazes (..., 2)."""
-    return np.asarray(np.exp(-0.5 * ((one - other) ** 2).sum(axis=-1) / extent**2))
 
 
 def _usual(values: FloatArray) -> FloatArray:
