@@ -1,14 +1,24 @@
 """Face Motion 3, used by newer phone apps, follows its specification, also with a phone on a real socket."""
 
-import json
-import socket
 import struct
-from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from clocks import PATIENCE
+from face_motion_packets import (
+    ACK_HEX,
+    GOOD,
+    HELLO_HEX,
+    NONCE,
+    POSE,
+    STATED,
+    VALUES,
+    changed,
+    datagrams,
+    frame,
+    played_as_sent,
+    schema,
+    schema_payload,
+)
 from stream_values import value_of
 
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
@@ -16,49 +26,8 @@ from facemime.core.rotation import from_face_axes
 from facemime.core.streams import ifacialmocap
 from facemime.core.streams.face_motion import REFUSALS, FaceMotionReceiver
 from facemime.core.streams.frames import PacketError
-from facemime.core.streams.settings import PROTOCOLS
-from facemime.core.streams.source import StreamSource
-from links import Phone, collected, free_port
+from links import Phone
 from takes import coefficient_take
-
-# Written from the specification, revision 5: offsets and types of the header are its table in section 3.2.
-HEADER = "<4sBBHQIIIIHHI"
-NONCE, SESSION = 0x8877665544332211, 0x0102030405060708
-HELLO_HEX = "464d56330100280011223344556677880000000000000000000000000800000000000100080000003c00b00405000000"
-ACK_HEX = "464d5633030028000807060504030201010000000000000000000000000000000000010000000000"
-STATED = {
-    "schema_version": 1,
-    "app": "iFacialMocap",
-    "profile": "ifacialmocap-stream",
-    "blend_names": [*COEFFICIENTS, "独自の笑顔"],
-    "blend_encoding": "i16",
-    "blend_unit": "percent",
-    "pose_layout": "head_rxyz_pxyz_rightEye_rxyz_leftEye_rxyz",
-    "rotation_unit": "degree",
-    "position_unit": "meter",
-    "something_new": [1, 2],
-}
-POSE = (-21.5, -6.0, -6.6, -0.03, -0.1, -0.66, 6.0, 2.4, 0.25, 6.0, -1.6, -0.17)
-
-
-def datagrams(kind, payload=b"", *, session=SESSION, schema=0, sequence=0, flags=0, largest=1200) -> list[bytes]:
-    room = largest - 40
-    pieces = [payload[at : at + room] for at in range(0, max(len(payload), 1), room)]
-    fixed = (b"FMV3", kind, flags, 40, session, schema, sequence, 0, len(payload))
-    return [struct.pack(HEADER, *fixed, i, len(pieces), len(p)) + p for i, p in enumerate(pieces)]
-
-
-def schema(nonce, number=1, *, session=SESSION, start=(60, 1200, 10_000, 5), **stated) -> list[bytes]:
-    return datagrams(2, schema_payload(nonce, start, **stated), session=session, schema=number, largest=576)
-
-
-def schema_payload(nonce, start=(60, 1200, 10_000, 5), **stated) -> bytes:
-    return struct.pack("<QHHII", nonce, *start) + json.dumps(STATED | stated, ensure_ascii=False).encode()
-
-
-def frame(values, sequence, number=1, *, flags=1, encoding="h", pose=POSE, session=SESSION) -> bytes:
-    payload = struct.pack(f"<{len(values)}{encoding}12f", *values, *pose)
-    return datagrams(4, payload, session=session, schema=number, sequence=sequence, flags=flags)[0]
 
 
 @pytest.fixture
@@ -72,9 +41,6 @@ def begun(receiver) -> FaceMotionReceiver:
     for packet in schema(NONCE):
         receiver.receive(packet, 0.0)
     return receiver
-
-
-VALUES = [*range(0, 52), 100]
 
 
 def test_a_phone_is_asked_and_its_schema_acknowledged_as_published(receiver):
@@ -161,13 +127,6 @@ def test_a_refusal_is_reported_with_advice(receiver):
     for packet in schema(NONCE):
         receiver.receive(packet, 0.0)
     assert receiver.message == ""
-
-
-def changed(data: bytes, at: int, value: int) -> bytes:
-    return data[:at] + bytes([value]) + data[at + 1 :]
-
-
-GOOD = frame(VALUES, 5)
 
 
 @pytest.mark.parametrize(
@@ -272,13 +231,6 @@ class MotionPhone(Phone):
         self._socket.sendto(packet, where)
 
 
-def played_as_sent(source: StreamSource, phone: MotionPhone) -> bool:
-    frames = collected(source, 20)
-    at = int(np.abs(phone.values - frames[0].result.coefficients).max(axis=1).argmin())
-    wanted = [phone.values[(at + number) % len(phone.values)] for number in range(20)]
-    return bool(np.allclose([f.result.coefficients for f in frames], wanted, atol=0.0051))
-
-
 @pytest.mark.parametrize("protocol", ["ifacialmocap", "facemotion3d"])
 def test_a_new_app_sends_version_3_until_the_session_is_ended(opened, monkeypatch, protocol):
     phone = MotionPhone(monkeypatch, protocol, new=True)
@@ -312,126 +264,3 @@ def test_an_old_app_is_asked_for_its_text(opened, monkeypatch):
     finally:
         phone.close()
     assert phone.heard[:2] == [1, 0] and ifacialmocap.START.endswith(b"v2")
-
-
-class ConnectedPhone(Phone):
-    """A phone that answers HELLO on a connection with whole messages, and may begin by itself or end connections.
-
-    Parameters
-    ----------
-    monkeypatch : pytest.MonkeyPatch
-        Restores the protocol at the end.
-    protocol : str
-        Name of the protocol.
-    calls : int
-        Port of the receiver that the phone connects to by itself; 0 to wait for calls.
-    frames : int
-        Number of frames after which it ends each connection.
-    """
-
-    def __init__(self, monkeypatch, protocol: str, *, calls: int = 0, frames: int = 1000) -> None:
-        super().__init__(monkeypatch, protocol, "phone_port")
-        self.values = np.round(coefficient_take(12).coefficients, 2)
-        self.heard: list[int] = []
-        self.sessions = 0
-        self._calls, self._frames = calls, frames
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(0.02)
-        moved = replace(PROTOCOLS[protocol], motion_port=self._listener.getsockname()[1])
-        monkeypatch.setitem(PROTOCOLS, protocol, moved)
-
-    def run(self) -> None:
-        while not self._ended.is_set():
-            with suppress(OSError):
-                if self._calls:
-                    connection = socket.create_connection(("127.0.0.1", self._calls))
-                else:
-                    connection, _ = self._listener.accept()
-                with connection:
-                    connection.settimeout(0.02)
-                    self._serve(connection)
-
-    def close(self) -> None:
-        super().close()
-        self._listener.close()
-
-    def _serve(self, connection: socket.socket) -> None:
-        self.sessions += 1
-        session, sent, waiting = 100 + self.sessions, 0, b""
-        if self._calls:
-            connection.sendall(self._schema(0, session))
-        while not self._ended.is_set() and sent < self._frames:
-            with suppress(TimeoutError):
-                waiting += connection.recv(4096)
-            while len(waiting) >= 40:
-                length = 40 + struct.unpack_from("<I", waiting, 36)[0]
-                message, waiting = waiting[:length], waiting[length:]
-                self.heard.append(message[4])
-                if message[4] == 1:
-                    connection.sendall(self._schema(struct.unpack_from("<Q", message, 8)[0], session))
-                if message[4] == 8:
-                    self._ended.set()
-            if self._calls or 1 in self.heard:
-                values = np.round(100 * self.values[sent % len(self.values)]).astype(int).tolist()
-                data = frame([*values, 7], sent, session=session)
-                for piece in (data[:3], data[3:60], data[60:]):
-                    connection.sendall(piece)
-                sent += 1
-
-    def _schema(self, nonce: int, session: int) -> bytes:
-        (data,) = datagrams(2, schema_payload(nonce), session=session, schema=1, largest=10_000)
-        return data
-
-
-@pytest.mark.parametrize("protocol", ["ifacialmocap-tcp", "facemotion3d-tcp"])
-def test_a_new_app_is_called_over_tcp_and_told_to_end(opened, monkeypatch, protocol):
-    phone = ConnectedPhone(monkeypatch, protocol)
-    phone.start()
-    try:
-        source = opened(protocol, phone="127.0.0.1", port=free_port(), host="127.0.0.1")
-        assert played_as_sent(source, phone)
-        source.close()
-        phone.join(PATIENCE)
-    finally:
-        phone.close()
-    assert phone.heard[0] == 1 and phone.heard[-1] == 8 and 3 not in phone.heard
-    assert source.counts.malformed == source.counts.refused == 0
-
-
-def test_a_lost_connection_is_called_again(opened, monkeypatch):
-    phone = ConnectedPhone(monkeypatch, "ifacialmocap-tcp", frames=15)
-    phone.start()
-    try:
-        source = opened("ifacialmocap-tcp", phone="127.0.0.1", port=free_port(), host="127.0.0.1")
-        collected(source, 20)
-    finally:
-        phone.close()
-    assert phone.sessions >= 2 and phone.heard.count(1) >= 2
-    assert source.counts.malformed == 0
-
-
-@pytest.mark.parametrize("second", [False, True])
-def test_an_app_that_is_started_by_hand_connects_over_tcp(opened, monkeypatch, second):
-    ports = free_port(), free_port()
-    phone = ConnectedPhone(monkeypatch, "ifacialmocap-tcp", calls=ports[second])
-    monkeypatch.setitem(PROTOCOLS, "ifacialmocap-tcp", replace(PROTOCOLS["ifacialmocap-tcp"], motion_port=ports[1]))
-    source = opened("ifacialmocap-tcp", phone="127.0.0.1", port=ports[0], host="127.0.0.1")
-    phone.start()
-    try:
-        assert played_as_sent(source, phone)
-    finally:
-        phone.close()
-    assert 1 not in phone.heard and 3 not in phone.heard
-
-
-def test_a_connection_with_an_impossible_header_is_closed(opened):
-    source = opened("ifacialmocap-tcp", phone="127.0.0.1", port=free_port(), host="127.0.0.1")
-    source.read(0.0)
-    with socket.create_connection(source.address) as wrong:
-        wrong.settimeout(PATIENCE)
-        wrong.sendall(changed(GOOD, 39, 255))
-        for _ in range(20):
-            source.read(0.01)
-        with suppress(ConnectionResetError):
-            assert wrong.recv(1) == b""
-    assert source.counts.accepted == 0
