@@ -130,7 +130,7 @@ def _face_cap() -> list[bytes]:
 
 @cache
 def _head() -> tuple[HeadDriver, Appearance]:
-    return HeadDriver(built_in_rig(), coefficient_face().neutral), built_in_appearance()
+    return HeadDriver(built_in_rig(lashes=True), coefficient_face().neutral), built_in_appearance()
 
 
 class _Vertices(VertexDecoder):

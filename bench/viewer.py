@@ -70,7 +70,10 @@ def view(take: Take, seconds: float) -> list[Viewed]:
 
     rig = built_in_rig()
     dense = finer(finer(finer(rig)))
-    heads = ((rig, built_in_appearance()), (dense, Appearance("Dense", (Patch(Material(), dense.faces),))))
+    heads = (
+        (built_in_rig(lashes=True), built_in_appearance()),
+        (dense, Appearance("Dense", (Patch(Material(), dense.faces),))),
+    )
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=list(_SOFTWARE))
         found = [_viewed(browser, take, head, looks, seconds) for head, looks in heads]

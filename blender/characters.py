@@ -21,7 +21,7 @@ from ..core.heads.eyeballs import sphere_of_lids
 from ..core.heads.parts import FaceParts, Part
 from .frames import HEAD_TO_BLENDER, from_blender, to_blender
 from .meshes import can_be_driven, driven_by_keys, read_faces, read_vertices
-from .names import ARMATURE_PROPERTY, BONES_PROPERTY, HEAD_PROPERTY, PART_ATTRIBUTE, PART_PROPERTY
+from .names import ARMATURE_PROPERTY, BONES_PROPERTY, HEAD_PROPERTY, PART_ATTRIBUTE, PART_PROPERTY, PARTS_PROPERTY
 
 _MOVED = (Part.ON_SKIN, Part.EYE_RIGHT, Part.EYE_LEFT, Part.TEETH_LOWER)
 """Parts whose vertices move within the head."""
@@ -84,8 +84,11 @@ def members_of(head: bpy.types.Object) -> list[Member]:
 
 
 def objects_of(head: bpy.types.Object) -> list[bpy.types.Object]:
-    """Return the other meshes of the face of `head`, by name."""
-    found = (obj for obj in bpy.data.objects if obj.type == "MESH" and obj.get(HEAD_PROPERTY) == head and obj != head)
+    """Return the other meshes of the face of `head`, by name; of a built-in head, its lashes."""
+    found = [obj for obj in bpy.data.objects if obj.type == "MESH" and obj.get(HEAD_PROPERTY) == head and obj != head]
+    lashes = head[PARTS_PROPERTY].get("lashes") if PARTS_PROPERTY in head else None
+    if isinstance(lashes, bpy.types.Object) and lashes.type == "MESH" and lashes.parent == head:
+        found.append(lashes)
     return sorted(found, key=lambda obj: obj.name)
 
 

@@ -48,6 +48,8 @@ PART_OBJECTS = {
     "teeth_upper": "Teeth.Upper",
     "teeth_lower": "Teeth.Lower",
     "tongue": "Tongue",
+    "lashes": "Lashes",
+    "hair": "Hair",
 }
 """Object name of each part. Left and right are the head's own."""
 

@@ -113,7 +113,7 @@ def head_to_show(head: HeadFile | None) -> tuple[LiveHead, Appearance]:
         If Blender is missing, or the file has no head and no face.
     """
     if head is None:
-        return LiveHead(built_in_rig()), built_in_appearance()
+        return LiveHead(built_in_rig(lashes=True)), built_in_appearance()
     with importing_blender("--head"):
         from ..blender.animation.appearance import read_appearance
         from ..blender.animation.live_keys import AUTOMATIC, live_keys

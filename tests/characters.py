@@ -30,6 +30,8 @@ def make_character(*, rig: bool, y_up: bool = False, hair: bool = False) -> dict
     """Make a character from the built-in head: meshes without useful names, with a body, in world axes."""
     head = add_head(bpy.context)
     objects = {"head": head, **{child[PART_PROPERTY]: child for child in head.children}}
+    for name in ("lashes", "hair"):
+        bpy.data.objects.remove(objects.pop(name))
     if hair:
         objects["hair"] = _cap(head)
     bpy.context.view_layer.update()

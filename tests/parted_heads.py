@@ -15,16 +15,17 @@ KINDS = {
     "teeth_lower": Part.TEETH_LOWER,
     "tongue": Part.TEETH_LOWER,
 }
-"""What each part of the built-in head is."""
+"""What each part within the built-in head is."""
 
 
 def with_parts() -> HeadRig:
     """The built-in head with eyes, teeth and tongue as separate meshes."""
     head, rig = load_head(), built_in_rig()
     start, faces, numbers = len(rig.vertices), [], [np.zeros(len(rig.vertices), dtype=np.int8)]
-    for part in head.parts:
+    parts = [part for part in head.parts if part.name in KINDS]
+    for part in parts:
         faces.append(np.where(part.faces >= 0, part.faces + start, -1))
         numbers.append(np.full(len(part.vertices), KINDS[part.name], dtype=np.int8))
         start += len(part.vertices)
-    others = np.concatenate([part.vertices for part in head.parts])
+    others = np.concatenate([part.vertices for part in parts])
     return replace(rig, parts=FaceParts(np.concatenate(numbers), others, np.concatenate(faces)))

@@ -49,6 +49,7 @@ _TABLES = {
     "MARKS",
     "START",
     "PART_NAMES",
+    "_OWN_PARTS",
     "_DESCRIPTIONS",
     "BONES",
     "_EXPLANATIONS",

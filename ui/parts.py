@@ -11,6 +11,8 @@ from ..core.heads.parts import PART_NAMES, Part
 from ..operators.parts import BONES
 from .sidebar import Sidebar, draw_findings, labels
 
+_OWN_PARTS = {"tongue": "Tongue", "lashes": "Lashes", "hair": "Hair"}
+"""Parts that only built-in heads have."""
 _NAMES = 0.5
 """Share of the width for the names of objects and bones."""
 
@@ -80,14 +82,14 @@ def _draw_parts(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
         row = line.row(align=True)
         menu = row.operator_menu_enum("facemime.set_part", "part", text=PART_NAMES[part])
         menu.name, menu.before = obj.name, part.name
-        if obj in others and obj != last:
+        if obj in others and obj != last and PART_PROPERTY not in obj:
             row.operator("facemime.remove_part", text="", icon="X").name = obj.name
         last = obj
-    for child in (child for child in head.children if child.get(PART_PROPERTY) in PART_OBJECTS):
+    for child in (child for child in head.children if child.get(PART_PROPERTY) in PART_OBJECTS and child not in others):
         line = column.split(factor=_NAMES, align=True)
         line.label(text=child.name, translate=False, icon="MESH_DATA")
         name = child[PART_PROPERTY]
-        line.label(text="Tongue" if name == "tongue" else PART_NAMES[Part[name.upper()]], text_ctxt=CONTEXT)
+        line.label(text=_OWN_PARTS.get(name) or PART_NAMES[Part[name.upper()]], text_ctxt=CONTEXT)
 
 
 def _draw_bones(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:

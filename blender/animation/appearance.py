@@ -45,9 +45,10 @@ def read_appearance(head: bpy.types.Object) -> Appearance:
     for member in members:
         patches += _patches(member.obj, surfaces, member.part.start)
     moved = {member.obj for member in members}
-    others = [obj for obj in objects_of(head) if obj not in moved]
+    others = objects_of(head)
     children = [child for child in head.children if PART_PROPERTY in child and child.type == "MESH"]
-    parts = [_attached(head, obj, surfaces) for obj in dict.fromkeys([*others, *children])]
+    still = [obj for obj in dict.fromkeys([*others, *children]) if obj not in moved]
+    parts = [_attached(head, obj, surfaces) for obj in still]
     return Appearance(head.name, tuple(patches), tuple(parts))
 
 

@@ -89,7 +89,7 @@ def has_known_set(obj: bpy.types.Object) -> bool:
 
 
 def read_keys(members: Sequence[Member]) -> MeshKeys:
-    """Read the user's shape keys of a head that are not muted.
+    """Read the user's shape keys of a head that are not muted; one that is muted on the head counts as muted on all.
 
     Parameters
     ----------
@@ -102,9 +102,12 @@ def read_keys(members: Sequence[Member]) -> MeshKeys:
         If no mesh has shape keys, or one has absolute ones.
     """
     blocks: dict[str, list[tuple[Member, bpy.types.ShapeKey]]] = {}
+    muted: set[str] = set()
     for member in members:
         for name in key_names(member.obj):
-            if not (block := member.obj.data.shape_keys.key_blocks[name]).mute:
+            if (block := member.obj.data.shape_keys.key_blocks[name]).mute:
+                muted.update([name] if member == members[0] else [])
+            elif name not in muted:
                 require_relative(member.obj)
                 blocks.setdefault(name, []).append((member, block))
     if not blocks:

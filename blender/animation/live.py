@@ -166,7 +166,7 @@ class LiveHeadObject:
         for muted in self._muted:
             muted.unmute()
         self._muted = []
-        removed = [shown.detach(keep=keep, blocks=blocks) for shown in self._meshes]
+        removed = [shown.detach(keep=keep, blocks=blocks and not self._goes(shown)) for shown in self._meshes]
         if keep:
             return False
         for target in (*self._carried, *self.targets.values(), *(PoseTarget(child) for child, _ in self._parts)):
@@ -175,6 +175,10 @@ class LiveHeadObject:
         for child, _ in self._living_parts():
             show_tongue(child, 0.0)
         return any(removed)
+
+    def _goes(self, shown: LiveMesh) -> bool:
+        """Return whether a mesh will be deleted, as its head was."""
+        return self.gone and not shown.gone and PART_PROPERTY in shown.obj
 
     def _living_meshes(self) -> list[LiveMesh]:
         return [shown for shown in self._meshes if not shown.gone]

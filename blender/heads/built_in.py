@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.heads.built_in import WOMAN_FILE, HeadPart, load_head
+from ...core.heads.parts import Part
+from ..characters import write_kinds
 from ..frames import to_blender
 from ..meshes import write_landmarks, write_regions
 from ..names import PART_OBJECTS, PART_PROPERTY, TONGUE_KEY, UV_MAP
@@ -38,7 +40,7 @@ def add_head(
     Returns
     -------
     bpy.types.Object
-        The skin; eyeballs, teeth and tongue are its children.
+        The skin; eyeballs, teeth, tongue, lashes and hair are its children.
     """
     head = load_head(WOMAN_FILE if woman else None)
     materials = head_materials(woman=woman)
@@ -51,6 +53,8 @@ def add_head(
     _subdivide_in_renders(skin)
     write_regions(skin, head.regions)
     parts = [_add_part(collection, skin, part, materials[part.name]) for part in head.parts]
+    for obj in (obj for obj in parts if obj[PART_PROPERTY] == "lashes"):
+        write_kinds(obj.data, np.full(len(obj.data.vertices), Part.ON_SKIN))
     attach(skin, {part.name: obj for part, obj in zip(head.parts, parts, strict=True)})
     if units:
         _add_units(skin, head.vertices, head.unit_names, head.units)

@@ -94,7 +94,10 @@ def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet, takes: Se
     """
     mesh_of(obj)
     members = members_of(obj)
-    attached = [child for child in obj.children if child.type == "MESH" and PART_PROPERTY in child]
+    moved = {member.obj for member in members}
+    attached = [
+        child for child in obj.children if child.type == "MESH" and PART_PROPERTY in child and child not in moved
+    ]
     for part in (*(member.obj for member in members), *attached):
         require_own(part.data)
         if (found := part.data.shape_keys) is not None and not found.use_relative:

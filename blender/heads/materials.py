@@ -26,6 +26,7 @@ def head_materials(*, woman: bool = False) -> dict[str, bpy.types.Material]:
     """Create the materials of "skin" and of the parts, by name."""
     own = "_woman" if woman else ""
     eye = _material("Facemime Eye", f"eye{own}.jpg", (0.85, 0.83, 0.80), 0.06, _wet)
+    hair = _material("Facemime Hair", f"hair{own}.jpg", (0.05, 0.03, 0.02), 0.70, _strands)
     teeth = _material("Facemime Teeth", "teeth.jpg", (0.80, 0.76, 0.66), 0.18, _enamel)
     return {
         "skin": _material("Facemime Skin", f"skin{own}.jpg", (0.69, 0.45, 0.35), 0.46, _skin),
@@ -34,6 +35,8 @@ def head_materials(*, woman: bool = False) -> dict[str, bpy.types.Material]:
         "teeth_upper": teeth,
         "teeth_lower": teeth,
         "tongue": _material("Facemime Tongue", "tongue.jpg", (0.55, 0.20, 0.20), 0.30, _wet),
+        "lashes": hair,
+        "hair": hair,
     }
 
 
@@ -128,6 +131,10 @@ def _saturate(tree: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
 def _wet(_: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
     shader.inputs["Coat Weight"].default_value = 0.6
     shader.inputs["Coat Roughness"].default_value = 0.03
+
+
+def _strands(_: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
+    shader.inputs["Specular IOR Level"].default_value = 0.25
 
 
 def _enamel(_: bpy.types.NodeTree, shader: bpy.types.Node) -> None:

@@ -22,7 +22,7 @@ from ...core.mesh.pieces import border_twins, islands
 from ..characters import objects_of, read_kinds, rest_matrix, write_bones, write_kinds
 from ..frames import from_blender, to_blender
 from ..meshes import group_weights, read_faces, read_landmarks, read_vertices
-from ..names import HEAD_PROPERTY, PIVOT_PROPERTY
+from ..names import HEAD_PROPERTY, PART_PROPERTY, PIVOT_PROPERTY
 from .family import armature_of, family_of, material_names
 
 _FACE_LANDMARKS = np.concatenate([JAW, NOSE])
@@ -144,8 +144,8 @@ def is_sorted(head: bpy.types.Object) -> bool:
 
 
 def forget_parts(head: bpy.types.Object) -> None:
-    """Discard the parts and bones of `head`, so that binding finds them again."""
-    for obj in objects_of(head):
+    """Discard the parts and bones of `head`, so that binding finds them again; those of a built-in head are known."""
+    for obj in (obj for obj in objects_of(head) if PART_PROPERTY not in obj):
         write_kinds(obj.data, np.zeros(len(obj.data.vertices), dtype=np.int8))
         del obj[HEAD_PROPERTY]
     write_kinds(head.data, np.zeros(len(head.data.vertices), dtype=np.int8))

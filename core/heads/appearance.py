@@ -16,8 +16,8 @@ from .built_in import HeadPart, load_head
 
 _MAX_IMAGE = 32_000_000
 _TONGUE = "tongueOut"
-_FOLLOWS = {"teeth_lower": "jaw", "tongue": "jaw", "teeth_upper": "head"}
-_FINISH = {"skin": 0.46, "eye": 0.06, "teeth": 0.18, "tongue": 0.3}
+_FOLLOWS = {"teeth_lower": "jaw", "tongue": "jaw", "teeth_upper": "head", "hair": "head"}
+_FINISH = {"skin": 0.46, "eye": 0.06, "teeth": 0.18, "tongue": 0.3, "hair": 0.7}
 """Roughness of the built-in head's surfaces."""
 
 
@@ -158,7 +158,10 @@ class Appearance:
 
 
 def built_in_appearance(name: str = "Facemime Head") -> Appearance:
-    """Return the appearance of the built-in head with eyes, teeth and tongue; ModelError if an image is missing."""
+    """Return the appearance of the built-in head and its parts; ModelError if an image is missing.
+
+    The lashes are patches of `built_in_rig(lashes=True)`.
+    """
     head = load_head()
     surfaces: dict[str, Material] = {}
 
@@ -166,8 +169,11 @@ def built_in_appearance(name: str = "Facemime Head") -> Appearance:
         return surfaces.setdefault(kind, Material(roughness=_FINISH[kind], image=_image(kind)))
 
     tongue = head.unit_names.index(_TONGUE)
-    parts = tuple(_attached(part, surface, tongue) for part in head.parts)
-    return Appearance(name, (Patch(surface("skin"), head.faces, head.uv),), parts)
+    parts = tuple(_attached(part, surface, tongue) for part in head.parts if part.name != "lashes")
+    lashes = next(part for part in head.parts if part.name == "lashes")
+    on_skin = np.where(lashes.faces < 0, -1, lashes.faces + len(head.vertices))
+    patches = (Patch(surface("skin"), head.faces, head.uv), Patch(surface("hair"), on_skin, lashes.uv))
+    return Appearance(name, patches, parts)
 
 
 def _attached(part: HeadPart, surface: Callable[[str], Material], tongue: int) -> AttachedPart:

@@ -23,8 +23,8 @@ from ..reading import read_bytes
 from .regions import REGIONS
 
 REGION_NAMES = tuple(region.name for region in REGIONS)
-PART_NAMES = ("eye_left", "eye_right", "teeth_upper", "teeth_lower", "tongue")
-FORMAT = "facemime-head-1"
+PART_NAMES = ("eye_left", "eye_right", "teeth_upper", "teeth_lower", "tongue", "lashes", "hair")
+FORMAT = "facemime-head-2"
 _ROUNDING = 1e-5
 
 HEAD_FILE = ASSETS / "head" / "head.npz"
@@ -33,7 +33,7 @@ WOMAN_FILE = ASSETS / "head" / "woman.npz"
 
 @dataclass(frozen=True)
 class HeadPart:
-    """An eyeball, a row of teeth or the tongue, in the head frame and metres.
+    """An eyeball, a row of teeth, the tongue, lashes and brows, or hair, in the head frame and metres.
 
     Attributes
     ----------
@@ -42,9 +42,9 @@ class HeadPart:
     vertices, faces, uv : (n, 3) float32, (f, 4) int32, (f, 4, 2) float32
         As in `Head`.
     pivot : (3,) float32
-        Centre of rotation: the centre of the eyeball, or a point on the hinge of the jaw.
+        Centre of rotation: the centre of the eyeball, or a point on the hinge of the jaw; zero for lashes and hair.
     units : (U, n, 3) float32
-        Displacements of the vertices under each face unit, zero for most units.
+        Displacements of the vertices under each face unit, zero for most units, and for hair, which stays still.
     """
 
     name: str
@@ -164,13 +164,15 @@ def _head(archive: Archive) -> Head:
 def _part(name: str, unit_count: int, archive: Archive) -> HeadPart:
     vertices = archive.floats(f"{name}.vertices", (None, 3), np.float32)
     faces, uv = _faces(archive, f"{name}.", len(vertices))
+    shape = (unit_count, len(vertices), 3)
+    still = name == "hair"
     return HeadPart(
         name=name,
         vertices=vertices,
         faces=faces,
         uv=uv,
         pivot=archive.floats(f"{name}.pivot", (3,), np.float32),
-        units=archive.floats(f"{name}.units", (unit_count, len(vertices), 3), np.float32),
+        units=np.broadcast_to(np.float32(0.0), shape) if still else archive.floats(f"{name}.units", shape, np.float32),
     )
 
 

@@ -11,7 +11,7 @@ from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
 from ..landmarks import N_LANDMARKS, outer_eye_distance
 from ..rotation import fit_rotation
-from .built_in import load_head
+from .built_in import Head, load_head
 from .parts import FaceParts, Part, Skin, skin_of
 
 
@@ -127,8 +127,8 @@ def _widened(faces: IntArray, width: int) -> IntArray:
     return np.pad(faces, ((0, 0), (0, width - faces.shape[1])), constant_values=-1)
 
 
-def built_in_rig() -> HeadRig:
-    """Return the rig of the built-in head, equal to that of its copy in Blender."""
+def built_in_rig(*, lashes: bool = False) -> HeadRig:
+    """Return the rig of the built-in head; with lashes and brows, it equals that of its copy in Blender."""
     head = load_head()
     eyes = [part for part in head.parts if part.name.startswith("eye")]
     eyeballs = [[*eye.pivot, float(np.linalg.norm(eye.vertices - eye.pivot, axis=1).max())] for eye in eyes]
@@ -139,4 +139,12 @@ def built_in_rig() -> HeadRig:
         head.jaw_pivot,
         np.array(eyeballs, dtype=np.float64),
         faces=head.faces,
+        parts=_lashes(head) if lashes else None,
     )
+
+
+def _lashes(head: Head) -> FaceParts:
+    part = next(part for part in head.parts if part.name == "lashes")
+    count = len(head.vertices)
+    kinds = np.repeat([Part.SKIN, Part.ON_SKIN], [count, len(part.vertices)]).astype(np.int8)
+    return FaceParts(kinds, part.vertices, np.where(part.faces < 0, -1, part.faces + count))

@@ -44,7 +44,9 @@ def test_a_baked_head_plays_back_the_driven_vertices_and_pose(scene_fps):
     assert report.worst_error < 0.01
     for n in range(0, len(report.motion.times), 7):
         go_to(frames_of(scene, report.motion.times[n]))
-        error = np.linalg.norm(evaluated_vertices(head) - rig.vertices - report.motion.vertices[n], axis=1).max()
+        error = np.linalg.norm(
+            evaluated_vertices(head) - rig.vertices - report.motion.vertices[n][: len(rig.vertices)], axis=1
+        ).max()
         assert error <= (report.worst_error + 1e-4) * unit
         turned = np.array(head.matrix_world.to_3x3())
         np.testing.assert_allclose(turned, rotation_to_blender(report.motion.rotation[n]), atol=1e-3)

@@ -57,7 +57,7 @@ def largest_error(head: bpy.types.Object, report: PuppetReport) -> float:
     take = smooth_take(performance())
     driver, worst = HeadDriver(rig, report.neutral), 0.0
     for row, frame in enumerate(np.flatnonzero(take.found)):
-        away = played(head, report, row) - driver.frame(take.result(int(frame))).vertices
+        away = played(head, report, row) - driver.frame(take.result(int(frame))).vertices[: len(rig.vertices)]
         worst = max(worst, float(np.linalg.norm(away, axis=1).max()))
     return worst / rig.eye_distance
 
@@ -260,7 +260,7 @@ def test_a_baked_head_shows_only_the_live_frame_and_plays_its_bake_afterwards(ke
     frame = driver.frame(take.result(50))
     shown.write(frame)
     bpy.context.view_layer.update()
-    np.testing.assert_allclose(played(head, report, 40), frame.vertices, atol=1e-6)
+    np.testing.assert_allclose(played(head, report, 40), frame.vertices[: len(before)], atol=1e-6)
     shown.detach(keep=False)
     np.testing.assert_allclose(played(head, report, 40), before, atol=1e-6)
 

@@ -89,9 +89,12 @@ def test_puppet_writes_a_blend_a_video_a_contact_sheet_and_a_take(clip, tmp_path
         pytest.param(("--keys", "named", "--clean", "0.5"), (), "52 shape keys", marks=pytest.mark.thorough),
         pytest.param(("--keys", "mapped", "--nla"), (), "52 shape keys", marks=pytest.mark.thorough),
         pytest.param(("--max-keys", "1"), (), "1 shape keys", marks=pytest.mark.thorough),
-        (("--keys", "cache"), ("out.pc2",), "exact for every vertex"),
+        (("--keys", "cache"), ("out.pc2", "out Lashes.pc2"), "exact for every vertex"),
         pytest.param(
-            ("--keys", "alembic"), ("out.pc2", "out.abc"), "exact for every vertex", marks=pytest.mark.thorough
+            ("--keys", "alembic"),
+            ("out.pc2", "out Lashes.pc2", "out.abc"),
+            "exact for every vertex",
+            marks=pytest.mark.thorough,
         ),
     ],
     ids=str,

@@ -35,7 +35,7 @@ def test_live_frames_equal_headless_ones_and_the_end_restores_the_head(take):
     running().step()
     latest = running().shown
     wanted = HeadDriver(rig, calibrate(take), drive_settings(bpy.context.scene.facemime)).frame(latest.result)
-    np.testing.assert_allclose(shown(head), to_blender(wanted.vertices), atol=1e-6)
+    np.testing.assert_allclose(shown(head), to_blender(wanted.vertices)[: len(before)], atol=1e-6)
     assert np.abs(shown(head) - before).max() > 1e-3
     assert bpy.ops.facemime.stop_puppet() == {"FINISHED"}
     assert head.data.shape_keys is None and running() is None

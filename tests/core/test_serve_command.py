@@ -22,7 +22,7 @@ def test_a_take_moves_the_head_on_the_page_until_ctrl_c(take, tmp_path):
         address = server.stdout.readline().strip()
         assert address.split("/")[3] == (tmp_path / "token").read_text().strip()
         with connect(address.replace("http", "ws", 1) + "stream", open_timeout=PATIENCE) as page:
-            while json.loads(page.recv(timeout=PATIENCE))["images"] != [4]:
+            while json.loads(page.recv(timeout=PATIENCE))["images"] != [5]:
                 pass
             frames = {page.recv(timeout=PATIENCE)[16:] for _ in range(40)}
         server.send_signal(signal.SIGINT)

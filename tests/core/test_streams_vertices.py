@@ -101,7 +101,7 @@ def test_the_received_vertices_are_the_drivers_with_eyes_teeth_and_tongue(listen
 def test_a_returning_receiver_gets_the_mesh_again_and_a_changed_mesh_is_sent(listener):
     receiver = python_receiver()
     driver, looks = built_in()
-    larger = HeadDriver(replace(built_in_rig(), vertices=2.0 * built_in_rig().vertices), NEUTRAL)
+    larger = HeadDriver(replace(driver.rig, vertices=2.0 * driver.rig.vertices), NEUTRAL)
     driven = [driver]
     with (
         VertexSender(*listener.getsockname(), [looks]) as sender,
@@ -118,7 +118,7 @@ def test_a_returning_receiver_gets_the_mesh_again_and_a_changed_mesh_is_sent(lis
             before = next(messages)
             driven[0] = larger
             after = next(message for message in messages if isinstance(message, receiver.Mesh))
-    count = len(driver.rest)
+    count = len(driver.rig.vertices)
     np.testing.assert_allclose(after.rest[:count], 2.0 * before.rest[:count], rtol=1e-6)
 
 

@@ -104,7 +104,7 @@ def test_a_page_of_another_site_cannot_watch(shown):
         pass
     own = urlsplit(shown.address)
     with stream(shown.address, origin=f"http://{own.netloc}") as viewer:
-        assert json.loads(viewer.recv(timeout=PATIENCE))["images"] == [4]
+        assert json.loads(viewer.recv(timeout=PATIENCE))["images"] == [5]
 
 
 def test_a_frame_is_small_and_as_exact_as_documented(shown):

@@ -91,17 +91,17 @@ def test_vertices_on_the_graphics_card_are_those_of_the_driver(open_page, watche
             off = vertices_of(page, place)[: len(frame.vertices)] - frame.vertices
             assert np.linalg.norm(off, axis=1).max() < TOLERANCE * unit
             assert np.linalg.norm(frame.vertices - rest[: len(frame.vertices)], axis=1).max() > 0.1 * unit
-        attached = vertices_of(page)[len(head.vertices) :]
+        attached = vertices_of(page)[len(frames[0].vertices) :]
         assert np.linalg.norm(attached - attached_to(head, frames[0]), axis=1).max() < TOLERANCE * unit
 
 
 def attached_to(head, frame) -> np.ndarray:
-    """Where eyes, teeth and tongue of the built-in head are."""
-    turns = {"eye_right": frame.gaze[0], "eye_left": frame.gaze[1], "teeth_upper": np.eye(3)}
-    out = frame.tongue * np.array([part.units[head.unit_names.index("tongueOut")] for part in head.parts[-1:]])[0]
-    rests = [part.vertices + (out if part.name == "tongue" else 0.0) for part in head.parts]
-    pairs = zip(head.parts, rests, strict=True)
-    return np.concatenate([p.pivot + (rest - p.pivot) @ turns.get(p.name, frame.jaw).T for p, rest in pairs])
+    """Where eyes, teeth, tongue and hair of the built-in head are."""
+    turns = {"eye_right": frame.gaze[0], "eye_left": frame.gaze[1], "teeth_lower": frame.jaw, "tongue": frame.jaw}
+    parts, row = [part for part in head.parts if part.name != "lashes"], head.unit_names.index("tongueOut")
+    rests = [part.vertices + (frame.tongue * part.units[row] if part.name == "tongue" else 0.0) for part in parts]
+    pairs = zip(parts, rests, strict=True)
+    return np.concatenate([p.pivot + (rest - p.pivot) @ turns.get(p.name, np.eye(3)).T for p, rest in pairs])
 
 
 @pytest.mark.thorough

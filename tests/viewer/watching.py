@@ -26,7 +26,7 @@ _LOADED = "!!globalThis.viewer && viewer.room && !viewer.loading && viewer.loade
 
 
 def built_in() -> tuple[HeadDriver, Appearance]:
-    return HeadDriver(built_in_rig(), NEUTRAL), built_in_appearance()
+    return HeadDriver(built_in_rig(lashes=True), NEUTRAL), built_in_appearance()
 
 
 def plain(rig: HeadRig, name: str = "Head") -> Appearance:

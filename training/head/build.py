@@ -10,20 +10,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from facemime.core.drive.parts import PartDriver
 from facemime.core.heads.built_in import FORMAT
+from facemime.core.heads.parts import FaceParts, Part as Kind
+from facemime.core.heads.rig import HeadRig
 from facemime.core.landmarks import from_ibug
 
 from . import complexion, identity
 from .anatomy import landmark_vertices
 from .complexion import Complexion
 from .hair import crop_lift, inside_hairline
+from .hairdo import Haircut, crop_locks, cut_hair, knot_locks
 from .identity import Identity, identity_offsets
+from .lashes import lashes_and_brows
 from .layout import layout
 from .occlusion import openness, vertex_normals
-from .organs import encode, paint_eye, paint_teeth, paint_tongue
+from .organs import encode, paint_eye, paint_hair, paint_teeth, paint_tongue
 from .parts import IRIS_RADIUS, TEETH, build_parts, eye_uv_radius, jaw_hinge
 from .refine import swell
 from .regions import region_weights
+from .ribbons import Shape
 from .skin import paint_skin
 from .source import BaseMesh, Source
 from .surface import Surface, build_surface, ear_share
@@ -42,6 +48,9 @@ _BLINK_REACH = 0.045
 
 _SCALP = 0.012
 """Distance inside the hairline in metres from which the skin is finer than hm08."""
+
+_ROUNDED = 2e-5
+"""Metres."""
 
 _JPEG_QUALITY = 90
 
@@ -74,9 +83,11 @@ class Person:
 
     identity: Identity
     look: Complexion
+    haircut: Haircut
 
 
-MAN, WOMAN = Person(identity.AVATAR, complexion.MAN), Person(identity.WOMAN, complexion.WOMAN)
+MAN = Person(identity.AVATAR, complexion.MAN, Haircut(crop_locks, 0.0043))
+WOMAN = Person(identity.WOMAN, complexion.WOMAN, Haircut(knot_locks, 0.0053))
 
 
 @dataclass(frozen=True)
@@ -106,6 +117,7 @@ def build_files(source: Source) -> dict[str, bytes]:
         files[f"{name}.npz"] = to_bytes(sculpture.arrays)
         images[f"skin{suffix}"] = _skin(sculpture, person.look)
         images[f"eye{suffix}"] = _eye(sculpture, person.look)
+        images[f"hair{suffix}"] = paint_hair(person.look)
     return files | {f"{name}.jpg": encode(image, _JPEG_QUALITY) for name, image in images.items()}
 
 
@@ -162,12 +174,51 @@ def sculpt(source: Source, pattern: Pattern, person: Person) -> Sculpture:
         "jaw_pivot": hinge.astype(np.float32),
     }
     for part in build_parts(base, points, units, names.index("tongueOut"), hinge):
-        arrays[f"{part.name}.vertices"] = part.vertices.astype(np.float32)
-        arrays[f"{part.name}.faces"] = part.faces.astype(np.int16)
-        arrays[f"{part.name}.uv"] = part.uv.astype(np.float32)
-        arrays[f"{part.name}.pivot"] = part.pivot.astype(np.float32)
+        arrays |= _part_arrays(part.name, Shape(part.vertices, part.faces, part.uv), part.pivot)
         arrays[f"{part.name}.units"] = part.units.astype(np.float16)
+    hair = cut_hair(person.haircut, vertices, surface.faces, ear, person.look)
+    arrays |= _part_arrays("hair", _rounded(hair), np.zeros(3))
+    lashes = _rounded(lashes_and_brows(points, shape, landmarks, arrays["eye_left.pivot"].astype(float), person.look))
+    arrays |= _part_arrays("lashes", lashes, np.zeros(3))
+    arrays["lashes.units"] = _riding(arrays, lashes).astype(np.float16)
     return Sculpture(points, surface, shape, ear, arrays)
+
+
+def _part_arrays(name: str, shape: Shape, pivot: NDArray[np.float64]) -> Arrays:
+    return {
+        f"{name}.vertices": shape.vertices.astype(np.float32),
+        f"{name}.faces": shape.faces.astype(np.int16),
+        f"{name}.uv": shape.uv.astype(np.float32),
+        f"{name}.pivot": pivot.astype(np.float32),
+    }
+
+
+def _rounded(shape: Shape) -> Shape:
+    """Round a mesh of many small pieces, so that it compresses well."""
+    return Shape(_steps(shape.vertices, _ROUNDED), shape.faces, _steps(shape.uv, 1.0 / 512.0))
+
+
+def _steps(values: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+    return np.asarray(np.round(values / size) * size)
+
+
+def _riding(arrays: Arrays, lashes: Shape) -> NDArray[np.float64]:
+    """Motion of the lashes and brows with the skin under each face unit, (U, n, 3)."""
+    rest, count = arrays["vertices"], len(lashes.vertices)
+    kinds = np.repeat([Kind.SKIN, Kind.ON_SKIN], [len(rest), count]).astype(np.int8)
+    faces = np.where(lashes.faces < 0, -1, lashes.faces + len(rest))
+    rig = HeadRig(
+        rest,
+        arrays["landmarks"].astype(np.intp),
+        arrays["regions"],
+        arrays["jaw_pivot"],
+        faces=arrays["faces"].astype(np.intp),
+        parts=FaceParts(kinds, lashes.vertices.astype(np.float32), faces),
+    )
+    alone, skin = rig.skin()
+    driver, still = PartDriver(rig, skin, alone), np.stack([np.eye(3)] * 2)
+    moved = [driver.pose(rest + unit.astype(np.float32), np.eye(3), still) for unit in arrays["units"]]
+    return _steps(np.stack(moved)[:, len(rest) :] - driver.rest[len(rest) :], _ROUNDED)
 
 
 def fit_blink(

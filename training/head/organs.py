@@ -11,6 +11,9 @@ from .complexion import Complexion
 
 _EYE_SIZE = 512
 _MOUTH_SIZE = (256, 1024)
+_HAIR_SIZE = (256, 512)
+BROW_COLUMNS, LASH_COLUMNS = (0.84, 0.88), (0.94, 0.98)
+"""Parts of the texture's width that show the hairs of brows, and lashes; the rest shows the hair of the scalp."""
 
 
 def paint_eye(iris: float, look: Complexion) -> NDArray[np.uint8]:
@@ -68,6 +71,24 @@ def paint_tongue() -> NDArray[np.uint8]:
     image[:] = (0.690, 0.360, 0.350)
     image *= 1.0 + (0.07 * cloud(place, 0.03, 3, 8) + 0.05 * noise(place, 0.008, 9))[..., None]
     mix(image, (0.50, 0.22, 0.22), 0.5 * np.exp(-((x / 0.02) ** 2)))
+    return _finish(image)
+
+
+def paint_hair(look: Complexion) -> NDArray[np.uint8]:
+    """Texture of hair, (256, 512, 3) BGR, from the tips at the top to the roots: strands, and in the rightmost columns
+    the darker ones of the brows and the lashes.
+    """
+    height, width = _HAIR_SIZE
+    v, u = np.mgrid[0:height, 0:width].astype(np.float32)
+    u, v = (u + 0.5) / width, 1.0 - (v + 0.5) / height
+    place = np.stack([u * 60.0, v * 1.6, np.zeros_like(u)], axis=-1)
+    strands = 0.6 * noise(place, 0.9, 51) + 0.5 * noise(place, 0.35, 52)
+    image = np.empty((height, width, 3), np.float32)
+    image[:] = look.hair
+    image *= 1.0 + (0.42 * strands + 0.35 * (v - 0.5))[..., None]
+    mix(image, (0.62, 0.50, 0.40), 0.16 * fade(strands, 0.25, 0.9))
+    image[:, u[0] > BROW_COLUMNS[0] - 0.02] = np.float32(look.hair) * 0.80
+    image[:, u[0] > LASH_COLUMNS[0] - 0.02] = np.float32(look.hair) * 0.35
     return _finish(image)
 
 
