@@ -14,6 +14,7 @@ from ...core.landmarks import outer_eye_distance
 from ...core.rotation import fit_rotation
 from ..frames import to_blender
 from ..meshes import can_be_driven, read_places
+from ..names import PART_PROPERTY
 from ..surfaces import show_colour_images
 
 _LENS, _SENSOR = 85.0, 36.0
@@ -61,6 +62,8 @@ def face_view(obj: bpy.types.Object) -> FaceView:
     known = to_blender(head.vertices[head.landmarks]).astype(np.float64)
     axes = fit_rotation(known - known.mean(axis=0), face - face.mean(axis=0))
     unit = outer_eye_distance(face)
+    hair = [face_points(child) for child in obj.children if child.get(PART_PROPERTY) == "hair" and child.type == "MESH"]
+    points = np.concatenate([points, *hair])
     middle = face.mean(axis=0) + _DEPTH * unit * axes[:, 1]
     return FaceView(points[np.linalg.norm(points - middle, axis=1) < _HEAD_REACH * unit], axes)
 

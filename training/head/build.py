@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from facemime.core.drive.parts import PartDriver
 from facemime.core.heads.built_in import FORMAT
-from facemime.core.heads.parts import FaceParts, Part as Kind
+from facemime.core.heads.parts import FaceParts
+from facemime.core.heads.parts import Part as Kind
 from facemime.core.heads.rig import HeadRig
 from facemime.core.landmarks import from_ibug
 
@@ -86,8 +87,8 @@ class Person:
     haircut: Haircut
 
 
-MAN = Person(identity.AVATAR, complexion.MAN, Haircut(crop_locks, 0.0043))
-WOMAN = Person(identity.WOMAN, complexion.WOMAN, Haircut(knot_locks, 0.0053))
+MAN = Person(identity.AVATAR, complexion.MAN, Haircut(crop_locks, 0.0047))
+WOMAN = Person(identity.WOMAN, complexion.WOMAN, Haircut(knot_locks, 0.0058))
 
 
 @dataclass(frozen=True)

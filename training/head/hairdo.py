@@ -119,7 +119,7 @@ def crop_locks(scalp: Scalp, roots: Points, look: Complexion) -> Shape:
     height = 0.0008 + rise[:, None] * np.sin(s * 0.75 * np.pi) ** 0.8
     paths = scalp.place(directions, height)
     edge = fade(inside_hairline(start, look.hairline), 0.016, 0.002)
-    half = 0.0019 * np.array([0.8, 1.0, 0.9, 0.6, 0.0]) * rng.uniform(0.7, 1.2, (len(roots), 1))
+    half = 0.0021 * np.array([0.8, 1.0, 0.9, 0.6, 0.0]) * rng.uniform(0.7, 1.2, (len(roots), 1))
     half *= (1.0 - 0.55 * edge * (1.0 - 0.6 * front))[:, None]
     twist = rng.normal(0.0, 1.0, (len(roots), 1)) * (0.10 + 0.14 * top)[:, None]
     return ribbons(paths, sideways(paths, scalp.normals(directions), half, twist), _columns(rng, len(roots)))
