@@ -73,6 +73,9 @@ class Glue:
         inertia = size - squares + stiffness * size + 1e-30 * np.eye(3)
         turns = np.einsum("nab,nk,nkbc->nkac", np.linalg.inv(inertia), weights, _cross(arms))
         self._weights, self._turns = weights.astype(np.float32), turns.astype(np.float32)
+        shares = self._weights[..., None, None] * np.eye(3, dtype=np.float32)
+        moments = np.concatenate([shares, self._turns], axis=2)
+        self._moments = np.ascontiguousarray(np.swapaxes(moments, 1, 2)).reshape(len(at), 6, -1)
         self._middle = middle[self._places].astype(np.float32)
         self._arms = (places - middle[self._places]).astype(np.float32)
 
@@ -105,10 +108,11 @@ class Glue:
         (N, 3) float32
             Positions of the moved points.
         """
-        near = displacements[self._rows]
-        shift = np.einsum("nk,nkc->nc", self._weights, near)
-        turn = np.einsum("nkac,nkc->na", self._turns, near)
-        return np.asarray(self._middle + shift[self._places] + _rotated(self._arms, turn[self._places]))
+        near = displacements.take(self._rows, axis=0).reshape(len(self._rows), -1)
+        moved = np.einsum("nak,nk->na", self._moments, near)
+        turns = _rotations(moved[:, 3:]).take(self._places, axis=0)
+        shift = moved[:, :3].take(self._places, axis=0)
+        return np.asarray(self._middle + shift + np.einsum("nab,nb->na", turns, self._arms))
 
 
 def _neighbours(
@@ -133,11 +137,11 @@ def _cross(arms: FloatArray) -> FloatArray:
     return np.asarray(np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3))
 
 
-def _rotated(arms: NDArray[np.float32], turns: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Rotate (N, 3) vectors by the rotation vectors `turns`, whose length is the sine of the angle (Rodrigues)."""
-    length = np.linalg.norm(turns, axis=1, keepdims=True)
+def _rotations(turns: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Matrices (R, 3, 3) of the rotation vectors `turns`, whose length is the sine of the angle (Rodrigues)."""
+    length = np.linalg.norm(turns, axis=1)[:, None, None]
     sine = np.minimum(length, np.float32(1.0))
-    axis = turns / np.maximum(length, np.float32(1e-12))
-    along = (axis * arms).sum(axis=1, keepdims=True) * axis
+    axis = turns / np.maximum(length[..., 0], np.float32(1e-12))
     cosine = np.sqrt(1.0 - np.square(sine))
-    return np.asarray(along + cosine * (arms - along) + sine * np.cross(axis, arms), dtype=np.float32)
+    along = axis[:, :, None] * axis[:, None]
+    return np.asarray(along + cosine * (np.eye(3, dtype=np.float32) - along) + sine * _cross(axis), dtype=np.float32)

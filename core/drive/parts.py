@@ -21,6 +21,8 @@ such as those at the end of a lash, follow the nearest such vertex of their piec
 _LASH, _LASHES = 0.03, 0.25
 """In outer-eye distances from the rim of a lid: where the lashes of a piece are rooted, and how far they reach. A line
 of lashes keeps its width when the lid shuts, while the skin beneath it stretches."""
+_SMALL = 0.12
+"""Size, in outer-eye distances, up to which a piece is a single hair, which is rooted at one point and stays rigid."""
 _MIN_EYE = 8
 """Smallest number of vertices of an eye that turns."""
 
@@ -131,6 +133,10 @@ class PartDriver:
             if reach.min() <= _LASH * unit and reach.max() <= _LASHES * unit:
                 near = within[reach <= _LASH * unit]
                 at_rim[within] = True
+                if np.ptp(points[within], axis=0).max() <= _SMALL * unit:
+                    near = within[[int(reach.argmin())]]
+            elif np.ptp(points[within], axis=0).max() <= _SMALL * unit:
+                near = within[[int(away[within].argmin())]]
             elif away[within].max() > _ON_SKIN * unit:
                 near = within[away[within] <= max(_ON_SKIN * unit, 1.5 * float(away[within].min()))]
             else:

@@ -326,3 +326,17 @@ def test_eyes_turn_about_their_centres_lower_teeth_follow_the_jaw_and_upper_ones
     np.testing.assert_allclose(
         driver.frame(take.result(first)).vertices[: len(plain.vertices)], plain.vertices, atol=1e-6
     )
+
+
+def test_each_hair_of_a_brow_and_each_lash_keeps_its_shape_while_the_skin_stretches():
+    head, rig = load_head(), built_in_rig(lashes=True)
+    alone, skin = rig.skin()
+    driver = PartDriver(rig, skin, alone)
+    unit = head.units[head.unit_names.index("browDownLeft")] + head.units[head.unit_names.index("eyeBlinkLeft")]
+    moved = driver.pose(head.vertices + unit, np.eye(3), np.stack([np.eye(3)] * 2))
+    faces = rig.parts.faces[:, :3]
+    before, after = (
+        np.linalg.norm(points[faces[:, 0]] - points[faces[:, 1:].T], axis=2) for points in (driver.rest, moved)
+    )
+    assert np.linalg.norm((moved - driver.rest)[faces], axis=2).max() > 0.005
+    assert np.abs(after - before).max() < 0.0002
