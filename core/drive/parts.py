@@ -21,7 +21,7 @@ such as those at the end of a lash, follow the nearest such vertex of their piec
 _LASH, _LASHES = 0.03, 0.25
 """In outer-eye distances from the rim of a lid: where the lashes of a piece are rooted, and how far they reach. A line
 of lashes keeps its width when the lid shuts, while the skin beneath it stretches."""
-_SMALL = 0.12
+_SMALL = 0.1
 """Size, in outer-eye distances, up to which a piece is a single hair, which is rooted at one point and stays rigid."""
 _MIN_EYE = 8
 """Smallest number of vertices of an eye that turns."""

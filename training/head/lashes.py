@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import cKDTree
 
 from . import anatomy
 from .complexion import Complexion
@@ -16,6 +17,8 @@ _UPPER, _LOWER, _BROW = 23, 11, 84
 """Number of lashes of each lid, and of hairs of each brow."""
 _LENGTH = 0.0078
 """Metres; of the longest lash."""
+_BESIDE, _BEHIND = 0.005, 0.005
+"""A vertex is hidden that has one this near in the front view that is so much nearer, in metres."""
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
@@ -92,6 +95,9 @@ def _brow(vertices: Points, landmarks: NDArray[np.int64], width: float, rng: np.
 
 
 def _front(vertices: Points) -> LinearNDInterpolator:
-    """Depth of the forehead and the brows by x and y."""
-    near = (vertices[:, 2] < -0.035) & (vertices[:, 1] < 0.004) & (vertices[:, 1] > -0.06)
-    return LinearNDInterpolator(vertices[near, :2], vertices[near, 2])
+    """Depth of the forehead and the brows by x and y, without the sockets behind them."""
+    near = vertices[(vertices[:, 2] < -0.035) & (vertices[:, 1] < 0.004) & (vertices[:, 1] > -0.06)]
+    beside = cKDTree(near[:, :2]).query_ball_point(near[:, :2], _BESIDE)
+    foremost = np.array([near[rows, 2].min() for rows in beside])
+    seen = near[near[:, 2] < foremost + _BEHIND]
+    return LinearNDInterpolator(seen[:, :2], seen[:, 2])
