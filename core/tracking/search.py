@@ -65,7 +65,7 @@ _IN_TURN = tuple(
 """The steps of which a gradual search makes one per frame, besides those for near faces and for close-ups. Small faces,
 which are common, come often."""
 _MOMENT = 3
-"""Number of frames after a loss in which a face is likely to be seen again."""
+"""Number of frames after a loss in which a face is likely to be seen again, and only the first pass is made."""
 _T = TypeVar("_T")
 STAGES = ("detect", "experts", "fit", "check", "gaze", "actions")
 
@@ -152,18 +152,15 @@ class FaceSearch:
         """Return the steps after `misses` frames without a face: all at first, unless the search is gradual; later a
         short one per frame.
 
-        The network makes its first pass in every other frame, and for a moment after a loss in every frame of a search
-        that is not gradual. The other frames alternate between its further passes and the cascades.
+        The network makes its first pass in every other frame. The other frames alternate between its further passes and
+        the cascades, except for a moment after a search of all steps, when only a face that moved fast is likely.
         """
         if self.network is None:
             return self._steps_of_cascades(misses)
+        if not self.gradual and misses <= _MOMENT:
+            return (_FIRST_PASS,) if misses else self._all
         turn, part = divmod(misses, 4)
-        short = (_FIRST_PASS, _in_turn(turn, _FURTHER_PASSES), _FIRST_PASS, _in_turn(turn, _IN_TURN))[part]
-        if self.gradual:
-            return (short,)
-        if misses == 0:
-            return self._all
-        return tuple(dict.fromkeys((_FIRST_PASS, short))) if misses <= _MOMENT else (short,)
+        return ((_FIRST_PASS, _in_turn(turn, _FURTHER_PASSES), _FIRST_PASS, _in_turn(turn, _IN_TURN))[part],)
 
     def _steps_of_cascades(self, misses: int) -> tuple[Step, ...]:
         if self.gradual:
