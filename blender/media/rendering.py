@@ -21,8 +21,8 @@ from ...core.files import replacing
 from ...core.locks import temporary_folder
 
 Image = NDArray[np.uint8]
-_ENLARGED = 1.25
-"""Size at which images are rendered, relative to their own."""
+_ENLARGED, _LEAST_SIDE = 1.25, 640
+"""Size at which images are rendered, relative to their own, and the least in pixels, for lashes in small images."""
 
 
 def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[int, int]) -> Iterator[Image]:
@@ -53,7 +53,8 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
     """
     require_display_library()
     render = scene.render
-    render.resolution_x, render.resolution_y = (round(_ENLARGED * side) for side in size)
+    enlarged = max(_ENLARGED, _LEAST_SIDE / max(size))
+    render.resolution_x, render.resolution_y = (round(enlarged * side) for side in size)
     render.resolution_percentage = 100
     scene.display.render_aa = "OFF"
     if hasattr(render.image_settings, "media_type"):

@@ -87,7 +87,7 @@ def bake_every_way(bpy, head) -> dict:
                 scene.frame_set(int(frame // 1), subframe=frame % 1.0)
                 mesh = head.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
                 shown = [(v.co.x, -v.co.z, v.co.y) for v in mesh.vertices]
-                away = abs(shown - rig.vertices - report.motion.vertices[row]).max() / unit
+                away = abs(shown - rig.vertices - report.motion.vertices[row][: len(rig.vertices)]).max() / unit
                 worst[keys] = max(worst[keys], float(away))
             assert worst[keys] <= report.worst_error + 1e-4, (keys, worst[keys], report.worst_error)
         head.modifiers.clear()
